@@ -1,17 +1,19 @@
 """What no estimate may be made from: values no sensor has, saturated sensors, times that do not go on.
 
 Stages see such a value as missing and such a row not at all; tables keep both as they were sent.  So a fault
-is kept out at one place, whatever a stage would make of it, and its end is the end of what is left out.
+is kept out at one place, whatever a stage would make of it, and its end is the end of what is left out.  An
+axis that says the same for long while another does not is told.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.protocols.ranges import Ranges
 
 RANGES: dict[str, tuple[float, float, str]] = {
@@ -38,6 +40,12 @@ A sensor whose noise is below its step stands still at rest, rightly; beyond thi
 """
 BY_CHANCE = 1e-9
 """Probability at which repeated readings are no chance: a day at 4 kHz has 3.5e8 samples."""
+UNCHANGED_S = 30.0
+"""An axis that says the same for so long beside one that does not is told: no hand turns a unit about one
+axis for so long and keeps the others within a step."""
+AT_AN_EDGE, BEYOND_CHANCE = 0.5, 6.0
+"""Noise below a step changes at most this share of an axis' readings, where it is between two steps, while
+the axes beside it may rightly stay on one; more by so many standard deviations is no chance, `BY_CHANCE`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +85,7 @@ class Intake:
             self._limits[start] = low, high, f"beyond {low:g} to {high:g} {unit}".rstrip()
         self._clock = _Clock()
         self._still = {sensor: _Still() for sensor in IMPOSSIBLE_AT_REST}
+        self._unchanged = {sensor: _Unchanged(sensor) for sensor in IMPOSSIBLE_AT_REST}
         self._begun: set[str] = set()
         """Gyros and thermometers that have said something: not only zero, nor gyros their first reading."""
         self._first: FloatArray | None = None
@@ -116,13 +125,18 @@ class Intake:
         if rows is not None:
             self._left_out["rows whose time does not go on"] += int((~rows).sum())
             seen = SampleBlock({name: values[rows] for name, values in seen.columns.items()})
+        if "device_time_ns" in seen and "segment" in seen:
+            for unchanged in self._unchanged.values():
+                unchanged.look(block, rows, seen)
         return Taken(seen, rows)
 
     def notices(self) -> list[str]:
-        """Return, once each, what began to be left out."""
-        new = [what for what in self._left_out if what not in self._said]
+        """Return, once each, what began to be left out, and which axes do not change."""
+        every = [f"left out of all estimates: {what}" for what in self._left_out]
+        every += [text for unchanged in self._unchanged.values() for text in unchanged.found.values()]
+        new = [text for text in every if text not in self._said]
         self._said.update(new)
-        return [f"left out of all estimates: {what}" for what in new]
+        return new
 
     def _limits_of(self, name: str) -> tuple[float, float, str] | None:
         return next((limits for start, limits in self._limits.items() if name.startswith(start)), None)
@@ -251,6 +265,102 @@ def _allowed(pairs: IntArray, repeats: IntArray) -> IntArray:
     chance = (repeats + 1.0) / (pairs + 2.0)
     allowed = np.ceil(np.log(BY_CHANCE) / np.log(chance)).astype(np.int64)
     return np.where(pairs == repeats, 0, allowed)  # it has not said anything else yet
+
+
+class _Start(NamedTuple):
+    """Where an axis began to say what it says: time, readings so far, changes of each axis so far."""
+
+    time_ns: int
+    row: int
+    changes: IntArray
+
+
+class _Unchanged:
+    """Finds axes of a sensor that say the same, or nothing, for long while another axis does not.
+
+    Whether such an axis is dead, nobody can tell of one whose noise is below its step.  Where all axes stay
+    as they are, as those of a coarse sensor at rest do, or go to and fro between two levels, nothing is said.
+    """
+
+    def __init__(self, sensor: str) -> None:
+        self._names = tuple(f"{sensor}_{axis}" for axis in "xyz")
+        self._unit = RANGES[f"{sensor}_"][2]
+        self.found: dict[str, str] = {}
+        """What is to be said of an axis."""
+        self._last, self._segment = np.full(3, np.nan), NO_INT
+        self._rows, self._changes = 0, np.zeros(3, np.int64)
+        """Readings so far, and how many are not the one before."""
+        self._starts = [_Start(0, 0, self._changes)] * 3
+
+    def look(self, sent: SampleBlock, rows: BoolArray | None, seen: SampleBlock) -> None:
+        """Look at what was sent in the rows that are taken, where any axis says something."""
+        if not all(name in sent for name in self._names):
+            return
+        readings = np.stack([sent[name] if rows is None else sent[name][rows] for name in self._names])
+        time_ns, segment = seen["device_time_ns"], seen["segment"]
+        if np.isnan(readings).any():
+            there = ~np.isnan(readings).all(axis=0)
+            readings, time_ns, segment = readings[:, there], time_ns[there], segment[there]
+        if len(time_ns):
+            self._process(readings, time_ns, segment)
+
+    def _process(self, readings: FloatArray, time_ns: IntArray, segment: IntArray) -> None:
+        n, changed = len(time_ns), np.empty(readings.shape, np.bool_)
+        changed[:, 0] = _differ(readings[:, 0], self._last) | (segment[0] != self._segment)
+        changed[:, 1:] = _differ(readings[:, 1:], readings[:, :-1]) | (segment[1:] != segment[:-1])
+        if changed.all():  # as of most sensors
+            self._starts = [_Start(int(time_ns[-1]), self._rows + n - 1, self._changes + n)] * 3
+            self._changes = self._changes + n
+        else:
+            changes = self._changes[:, np.newaxis] + np.cumsum(changed, axis=1)
+            for axis in range(3):
+                begins = np.flatnonzero(changed[axis])
+                self._starts[axis] = self._follow(axis, begins, readings, time_ns, changes)
+            self._changes = changes[:, -1].copy()
+        self._last, self._segment, self._rows = readings[:, -1].copy(), int(segment[-1]), self._rows + n
+
+    def _follow(
+        self, axis: int, begins: IntArray, readings: FloatArray, time_ns: IntArray, changes: IntArray
+    ) -> _Start:
+        """Go through the runs of an axis, which begin at these readings; return where the last one began."""
+
+        def start(at: int) -> _Start:
+            return _Start(int(time_ns[at]), self._rows + at, changes[:, at].copy())
+
+        firsts, stops = np.concatenate([[0], begins]), np.concatenate([begins, [len(time_ns)]])
+        since = np.concatenate([[self._starts[axis].time_ns], time_ns[begins]])
+        latest = start(int(begins[-1])) if len(begins) else self._starts[axis]
+        for run in np.flatnonzero((stops > 0) & (time_ns[stops - 1] - since >= UNCHANGED_S * 1e9)):
+            at, stop = int(firsts[run]), int(stops[run])
+            begun = start(at) if run else self._starts[axis]
+            while (at := _after(time_ns, at, stop, begun)) < stop:
+                others, pairs = changes[:, at] - begun.changes, self._rows + at - begun.row
+                lively, sd = int(others.argmax()), (AT_AN_EDGE * (1.0 - AT_AN_EDGE) * pairs) ** 0.5
+                if others[lively] > AT_AN_EDGE * pairs + BEYOND_CHANCE * sd:
+                    self._find(axis, lively, float(readings[axis, at]), begun.time_ns)
+                begun = start(at)
+            latest = begun if run == len(begins) else latest
+        return latest
+
+    def _find(self, axis: int, lively: int, value: float, since_ns: int) -> None:
+        name, unit = self._names[axis], self._unit
+        said = (
+            f"{name} says {value:g} {unit} without any change",
+            "it is stuck, or its noise is below its steps",
+        )
+        what, why = (f"{name} says nothing", "it is dead") if np.isnan(value) else said
+        since = f"for {UNCHANGED_S:g} s and more, since {since_ns * 1e-9:.3f} s of device time"
+        self.found.setdefault(name, f"{what} {since}, while {self._names[lively]} changes: {why}")
+
+
+def _differ(one: FloatArray, other: FloatArray) -> BoolArray:
+    """Return which readings are not the same; two that are missing are."""
+    return np.asarray((one != other) & ~(np.isnan(one) & np.isnan(other)))
+
+
+def _after(time_ns: IntArray, at: int, stop: int, begun: _Start) -> int:
+    """Return from which of these rows on an axis has been the same for `UNCHANGED_S`."""
+    return at + int(np.searchsorted(time_ns[at:stop], begun.time_ns + round(UNCHANGED_S * 1e9)))
 
 
 class _Clock:

@@ -23,6 +23,7 @@ from imumon.clock import DeviceClock, HostClock
 from imumon.clock.held import HeldReadings
 from imumon.clock.nominal import NominalRate
 from imumon.clock.rate import Intervals
+from imumon.clock.repeats import Repeats
 from imumon.clock.side import SharedCounter, SideClock
 from imumon.columns import KNOWN, NAME, TIME_COLUMNS, Column, ColumnType
 from imumon.errors import ImumonError, Reason
@@ -140,6 +141,9 @@ class Pipeline:
         self._intake = Intake((ranges or Ranges()).over(device.range if device is not None else Ranges()))
         given = device is not None and device.rate_given
         self._nominal = NominalRate(self._device_clock.timing.rate_hz, given)
+        self._repeats = Repeats()
+        self.as_seen = False
+        """Whether `take` returns the samples as the stages see them, not as they were sent."""
         self._ended = False
         self._samples = 0
         self._ready: list[SampleBlock] = []
@@ -296,7 +300,8 @@ class Pipeline:
         decoded = self._decoder.warnings() if self._decoder is not None else []
         if self._dated_by_rate:
             decoded = [*decoded, *self._nominal.notices(self._ended)]
-        decoded = [*decoded, *self._intake.notices()]
+        repeated = self._repeats.notices(self._device_clock.dated_by)
+        decoded = [*decoded, *repeated, *self._intake.notices()]
         return [*decoded, *(text for stage in self._estimators for text in _notices(stage))]
 
     def charts(self) -> list[Chart]:
@@ -337,6 +342,7 @@ class Pipeline:
         columns = dict(raw.columns)
         counter, ticks = columns.get("packet_counter"), columns.pop("device_ticks", None)
         arrival = columns.get("arrival_time_ns", missing(n, np.int64))
+        self._repeats.add(counter, ticks, n)
         counted = None if counter is None else self._shared_counter.process(counter, more, side)
         device_ns, segment = self._device_clock.process(counted, ticks, arrival, n)
         if self._dated_by_rate:
@@ -365,7 +371,7 @@ class Pipeline:
 
     def _estimate(self, block: SampleBlock) -> SampleBlock:
         """Run the stages over what no sensor fault spoils; the columns that were sent stay as they are."""
-        if not self._estimators:
+        if not self._estimators and not self.as_seen:
             return block
         taken = self._intake.process(block)
         seen, added = taken.block, dict[str, ColumnArray]()
@@ -375,7 +381,7 @@ class Pipeline:
                 new = self._checked_columns(at, new, seen)
             seen = seen.with_columns(new)
             added |= {name: taken.spread(values) for name, values in new.items()}
-        return block.with_columns(added)
+        return seen if self.as_seen else block.with_columns(added)
 
     def _checked_columns(
         self, at: int, new: Mapping[str, ColumnArray], seen: SampleBlock

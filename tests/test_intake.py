@@ -218,3 +218,70 @@ def test_the_division_into_blocks_makes_no_difference(sizes: list[int], seed: in
     for name, values in whole.columns.items():
         np.testing.assert_array_equal(values, parts[name])
     assert one.left_out == other.left_out
+
+
+AT_50_HZ = 20_000_000
+
+
+def at_50_hz(n: int, seed: int = 0) -> Columns:
+    """Return the record of a unit in motion, each minute of which is 3000 rows."""
+    return record(n, seed) | {"device_time_ns": np.arange(n) * AT_50_HZ}
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [(0.0, "0 rad/s without any change"), (0.25, "0.25 rad/s without any change"), (np.nan, "nothing")],
+)
+@pytest.mark.parametrize("since", [0, 1000])
+def test_an_axis_that_stays_as_it_is_beside_those_that_do_not_is_told(
+    value: float, said: str, since: int
+) -> None:
+    columns = at_50_hz(3000)
+    columns["gyro_y"][since:] = value
+    for sizes in (None, [1], [7, 700], [1499, 2]):
+        _, intake = seen(columns, sizes)
+        (text,) = intake.notices()
+        lasts = f"for 30 s and more, since {since / 50:.3f} s of device time, while gyro_"
+        assert text.startswith(f"gyro_y says {said} {lasts}")
+        assert not intake.notices()
+        assert intake.left_out == 0
+
+
+def test_an_axis_that_stays_for_a_shorter_time_is_not_told() -> None:
+    columns = at_50_hz(6000)
+    for start in (0, 1500, 3000, 4500):  # each time on another value
+        columns["gyro_y"][start : start + 1490] = 1e-4 * start
+    assert seen(columns)[1].notices() == []
+
+
+@pytest.mark.parametrize("step_of_noise", [0.1, 1.0, 3.0, 10.0, 100.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_coarse_sensor_at_rest_has_no_dead_axis(step_of_noise: float, seed: int) -> None:
+    columns = at_50_hz(6000, seed)
+    offset = np.random.default_rng(seed).uniform(-5.0, 5.0, 3)
+    offset[0] = 0.5  # between two steps: it goes to and fro whatever the noise
+    for axis, bias in zip("xyz", offset, strict=True):
+        columns[f"gyro_{axis}"] = np.round(columns[f"gyro_{axis}"] / step_of_noise + bias) * step_of_noise
+    assert not [text for text in seen(columns)[1].notices() if "without any change" in text]
+
+
+def test_an_axis_that_dies_is_told_beside_a_coarse_one_and_after_rest() -> None:
+    columns = at_50_hz(9000)
+    for axis in "xyz":  # a minute of rest within a step, then motion
+        columns[f"gyro_{axis}"][:3000] = 0.0
+        columns[f"gyro_{axis}"] = np.round(columns[f"gyro_{axis}"] / 0.1) * 0.1
+    columns["gyro_z"][:] = 0.0
+    for sizes in (None, [13, 900]):
+        _, intake = seen(columns, sizes)
+        texts = [text for text in intake.notices() if "without any change" in text]
+        assert len(texts) == 1
+        assert texts[0].startswith("gyro_z says 0 rad/s")
+
+
+def test_an_axis_that_goes_on_in_a_new_segment_begins_anew() -> None:
+    columns = at_50_hz(2800)
+    columns["gyro_y"][:] = 0.0
+    columns["segment"][1400:] = 1
+    assert seen(columns)[1].notices() == []
+    columns["segment"][:] = 0
+    assert len(seen(columns)[1].notices()) == 1

@@ -58,14 +58,14 @@ def read_channels(path: Path, stages: Stages = no_stages) -> Channels:
     """
     recording = open_recording(path, stages)
     _check_units(path, recording.columns)
-    blocks = [_wanted(block) for block in recording.blocks()]
+    blocks = [_wanted(block) for block in recording.blocks(as_seen=True)]
     if not blocks:
         raise ImumonError(Reason.BAD_DATA, f"{path}: has no samples")
     samples = join(blocks)
     there = [name for name in CHANNELS if name in samples]
-    names = [name for name in there if np.isfinite(samples[name]).any()]
+    names = [name for name in there if np.isfinite(samples[name]).sum() > 1]
     if there and not names:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: {', '.join(there)} hold no number in any row")
+        raise ImumonError(Reason.BAD_DATA, f"{path}: {', '.join(there)} hold no two numbers")
     if not names:
         raise ImumonError(Reason.BAD_DATA, f"{path}: has none of the columns {', '.join(CHANNELS)}")
     time_ns, segment = samples["device_time_ns"], samples["segment"]
@@ -74,7 +74,7 @@ def read_channels(path: Path, stages: Stages = no_stages) -> Channels:
     empty = [name for name in there if name not in names]
     warnings = [
         *recording.warnings(),
-        *([f"{', '.join(empty)}: no number in any row; left out"] if empty else []),
+        *([f"{', '.join(empty)}: fewer than two numbers; left out"] if empty else []),
         *_of_units(series),
         *_of_the_grid(series),
         *_of_motion(samples, _hidden(series), judged="at_rest" in recording.columns),

@@ -258,8 +258,8 @@ def as_data(status: Status, positions: int = 1) -> dict[str, object]:
         "positions": status.positions,
         "estimators": {
             name: {
-                "heading_deg": degrees(estimate.heading),
-                "sd_deg": math.degrees(estimate.sd) if estimate.sd < math.pi else math.nan,
+                "heading_deg": degrees(estimate.heading) if estimate.tells else math.nan,
+                "sd_deg": math.degrees(estimate.sd) if estimate.tells else math.nan,
             }
             for name, estimate in status.estimates.items()
         },

@@ -48,8 +48,12 @@ class Recording:
         """Columns of a table or an imported session; empty for a recording that has to be decoded."""
         return {column.name: column for column in self.source.imported}
 
-    def blocks(self) -> Iterator[SampleBlock]:
-        """Yield the samples in order, with device_time_ns and segment, behind the stages."""
+    def blocks(self, as_seen: bool = False) -> Iterator[SampleBlock]:
+        """Yield the samples in order, with device_time_ns and segment, behind the stages.
+
+        As they were sent, or as the stages see them: without what no estimate may be made from.
+        """
+        self.pipeline.as_seen = as_seen
         return (block for block in run_over(self.source.items, self.pipeline) if len(block))
 
     @property

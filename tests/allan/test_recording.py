@@ -44,7 +44,7 @@ def test_what_is_no_recording_is_refused_with_the_reason(tmp_path: Path) -> None
     assert "cannot be read" in refusal(tmp_path / "t.csv")
     assert "no samples" in refusal(write(tmp_path, {name: part[:0] for name, part in columns().items()}))
     nothing = {f"gyro_{axis}": np.full(N, np.nan) for axis in "xyz"}
-    assert "no number" in refusal(write(tmp_path, columns() | nothing))
+    assert "no two numbers" in refusal(write(tmp_path, columns() | nothing))
 
 
 @pytest.mark.parametrize("factor", [1e-9, 1e-6, 1e-3])
@@ -74,7 +74,26 @@ def test_units_that_cannot_be_are_told(tmp_path: Path) -> None:
 def test_a_channel_without_numbers_is_left_out_and_told(tmp_path: Path) -> None:
     opened = read_channels(write(tmp_path, columns() | {"gyro_y": np.full(N, np.nan)}))
     assert list(opened.series) == ["gyro_x", "gyro_z"]
-    assert "gyro_y: no number" in " ".join(opened.warnings)
+    assert "gyro_y: fewer than two numbers" in " ".join(opened.warnings)
+
+
+@pytest.mark.parametrize("value", [1e4, 1e10, 1e160, -1e300, np.inf])
+def test_what_no_gyro_says_is_left_out_and_told(tmp_path: Path, value: float) -> None:
+    made = columns()
+    made["gyro_y"][N // 2] = value
+    opened = read_channels(write(tmp_path, made))
+    assert opened.series["gyro_y"].samples == N - 1
+    assert np.abs(opened.series["gyro_y"].values).max() < 1.0
+    assert "left out of all estimates: gyro_y beyond -1000 to 1000 rad/s" in opened.warnings
+
+
+def test_gyros_that_say_one_thing_only_leave_the_accelerometers(tmp_path: Path) -> None:
+    made = still(100.0, 20.0, 1e-3) | {f"gyro_{axis}": np.full(N, 0.01) for axis in "xyz"}
+    opened = read_channels(write(tmp_path, made))
+    assert list(opened.series) == ["accel_x", "accel_y", "accel_z"]
+    said = " ".join(opened.warnings)
+    assert "gyro while it has said nothing but its first reading" in said
+    assert "gyro_x, gyro_y, gyro_z: fewer than two numbers; left out" in said
 
 
 def test_a_csv_with_quoted_names_is_read(tmp_path: Path) -> None:

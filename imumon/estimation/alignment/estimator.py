@@ -464,7 +464,7 @@ class Aligner:
         for name, taper, factor in (("gyro_mean", 1.0, 1.0), ("hann_mean", np.hanning(len(rows)), 1.5)):
             x, y, _ = (weight * taper) @ rate
             sd = math.sqrt(white * factor + found.supposed_sd**2) / self.level_rate
-            state.means[name] = Estimate(math.atan2(y, x), sd)
+            state.means[name] = Estimate(math.atan2(y, x), min(sd, ANY_ANGLE_SD))
 
     def _settle(self) -> None:
         state = self.state

@@ -72,9 +72,9 @@ def estimator_rows(status: Status) -> list[tuple[str, str, str]]:
     for name, estimate in status.estimates.items():
         mark = " *" if name == status.chosen and status.observable else ""
         heading = "-"
-        if math.isfinite(estimate.heading):
+        if estimate.tells and math.isfinite(estimate.heading):
             heading = f"{math.degrees(estimate.heading) % 360.0:.4f}"
-        sd = f"{math.degrees(estimate.sd):.4f}" if math.isfinite(estimate.sd) else "-"
+        sd = f"{math.degrees(estimate.sd):.4f}" if estimate.tells else "not known"
         found.append((name.replace("_", " ") + mark, heading, sd))
     return found
 

@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from imumon.estimation.alignment.account import ANY_ANGLE_SD
+
 PATIENCE_S = 120.0
 """So much undisturbed time must show whether a gyro sees the north."""
 
@@ -16,6 +18,11 @@ class Estimate:
 
     heading: float
     sd: float
+
+    @property
+    def tells(self) -> bool:
+        """Whether anything is known of the angle."""
+        return self.sd < ANY_ANGLE_SD
 
 
 @dataclass(frozen=True, slots=True)

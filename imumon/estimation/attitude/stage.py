@@ -67,8 +67,8 @@ class AttitudeEstimate:
 
     Where ``gyro_bias`` is known the rate is without it, and while the unit is ``at_rest`` it does not turn;
     before, VQF estimates the bias by its own means.  North is that of the magnetometer.  Without one the
-    heading begins at `heading_deg` or 0 and is free: its standard deviation is that of its change since the
-    first rest.
+    heading begins at `heading_deg` or 0 and is free: its standard deviation is that of its change since then.
+    After a restart or a gap it begins there again: it has another reference.
 
     Parameters
     ----------
@@ -110,7 +110,8 @@ class AttitudeEstimate:
         self._since = np.zeros(1, SINCE)
         self._field = np.full(3, np.nan)
         self._bias_sd = np.full(3, np.nan)
-        self._gaps = 0
+        self._anew = 0
+        """How often an attitude has ended, for another to begin."""
         self._reported = False
         self._names = [column.name for column in self.columns if column.name != NORTH]
         self._said: set[str] = set()
@@ -122,8 +123,9 @@ class AttitudeEstimate:
             "roll": "roll by the estimator",
             "pitch": "pitch by the estimator",
             "tilt_sd": "standard deviation of roll and pitch",
-            "heading": "heading of the body x axis, clockwise from magnetic north, or free",
-            "heading_sd": "its standard deviation; of its change since the beginning where it is free",
+            "heading": "heading of the body x axis, clockwise from magnetic north; free: from where it "
+            "begins, or begins anew behind a gap",
+            "heading_sd": "its standard deviation; of its change since then where it is free",
         }
         return [
             *(
@@ -206,6 +208,7 @@ class AttitudeEstimate:
             if start in ended:
                 self._judge(rows, ended[start], start)
             if start in rows.begins:
+                self._anew += self._fusion.begun
                 self._fusion, self._since[:] = Fusion(), 0
                 self._uncertainty = self._uncertainty.anew()
             fusion = self._fusion
@@ -243,9 +246,7 @@ class AttitudeEstimate:
         interval[0], interval[1:] = time_ns[0] - last_ns, time_ns[1:] - time_ns[:-1]
         changed = np.empty(len(segment), bool)
         changed[0], changed[1:] = segment[0] != last_segment, segment[1:] != segment[:-1]
-        gap = (interval > GAP_NS) & ~changed
-        self._gaps += int(gap.sum())
-        begins = set(np.flatnonzero(changed | gap | (interval < 0)).tolist())
+        begins = set(np.flatnonzero(changed | (interval > GAP_NS) | (interval < 0)).tolist())
         return begins, np.asarray(interval * 1e-9, np.float64)
 
     def _judge(self, rows: _Rows, k: int, row: int) -> None:
@@ -286,12 +287,13 @@ class AttitudeEstimate:
         return {"attitude": "magnetic north" if calibrated else "magnetic north, magnetometer not calibrated"}
 
     def notices(self) -> list[str]:
-        """Return, once each, what is missing for a whole attitude, where the device sends none."""
+        """Return, once each, what an attitude lacks and when it began anew, where the device sends none."""
         if self._reported:
             return []
         begun, declared = self._fusion.begun, self._parameters.gyro_scale
         usual, magnitude = self._uncertainty.gyros.now.usual, self._uncertainty.magnitude
         accel_sd = LEAST_BIAS if self._errors.accel is None else self._errors.accel
+        reference = math.degrees(self._heading)
         conditions = {
             "attitude: after turns the accelerometers show another vertical than the gyros have carried, "
             f"by more than gyro_scale ({declared:.1%}) allows: are axes, signs and units right?": (
@@ -302,13 +304,16 @@ class AttitudeEstimate:
                 abs(magnitude - STANDARD_GRAVITY) > GRAVITY_SPREAD + BEYOND * accel_sd
             ),
             "attitude: without a magnetometer the heading is free; it counts from "
-            f"{math.degrees(self._heading):.0f}° at the beginning": begun and not self._fusion.north,
+            f"{reference:.0f}° at the beginning": begun and not self._fusion.north,
             "attitude: the magnetometer is not calibrated, so nobody knows how far the heading is off; "
             "record a figure-eight, then: imumon magnetometer SESSION --out MODEL.yaml": (
                 self._fusion.north and self._magnetometer is None
             ),
-            f"attitude: begun anew after a gap of more than {GAP_NS * 1e-9:g} s, in which the unit may have "
-            "turned": self._gaps > 0,
+            f"attitude: begun anew, {self._anew} times so far, after a restart or a gap of more than "
+            f"{GAP_NS * 1e-9:g} s, in which the unit may have turned"
+            + ("" if self._fusion.north else f": the free heading counts from {reference:.0f}° again"): (
+                self._anew > 0
+            ),
         }
         texts = [text for text, true in conditions.items() if true and text not in self._said]
         self._said.update(texts)

@@ -316,7 +316,6 @@ def _shown(state: State, means: Merged, end_s: float, fresh: bool) -> Shown:
     rate = means.rate + ahead * means.acceleration
     frozen = min(DRIFT_PER_S * max(end_s - state.sensor.changed_s - FROZEN_S, 0.0), UNSEEN_RATE)
     unseen = state.sensor.finder.unseen
-    hidden = COARSEST / math.sqrt(12.0) if unseen else state.sensor.edges
     late = abs(rate) * min(state.sensor.interval_s, SLOW_S) / math.sqrt(3.0)
     moved = COARSEST / math.sqrt(6.0) / max(end_s, 1.0) if unseen else 0.0
     shown = Shown(
@@ -326,7 +325,7 @@ def _shown(state: State, means: Merged, end_s: float, fresh: bool) -> Shown:
         means.acceleration,
         math.sqrt(
             max(means.temperature_variance, 0.0)
-            + hidden**2
+            + state.sensor.hidden**2
             + late**2
             + UNAVERAGED**2 * (means.slow + means.walked)
         ),
@@ -353,10 +352,10 @@ def extrapolate(
     """Write temperature, rate and their standard deviations at samples, (n,) each, from what is shown.
 
     `origin` is the time and the segment that its time refers to.  Before the first slot of a segment ends,
-    and after a gap of `late_s` before the next does, there is the reading, with its scatter; what the rate
-    has done in the gap nobody saw, but where it led to.  Until a slot ends a temperature may begin to move,
-    and two readings in a row (`before` is that before the first), which no single spike makes, show it; a
-    fault has moved faster since the slot before.
+    and after a gap of `late_s` before the next does, there is the reading, with its scatter (NaN
+    while nothing tells it); what the rate has done in the gap nobody saw, but where it led to.  Until a slot
+    ends a temperature may begin to move, and two readings in a row (`before` is that before the first),
+    which no single spike makes, show it; a fault has moved faster since the slot before.
     """
     for i in range(len(time_ns)):
         age = (time_ns[i] - origin[0]) * 1e-9 - shown.time_s

@@ -148,9 +148,14 @@ class Sensor:
         return (EDGES if self.reversed >= FLICKERS else STICKY_EDGES) * self.step
 
     @property
+    def hidden(self) -> float:
+        """How far off the temperature may be behind a level, °C: the coarsest's where no step was seen."""
+        return COARSEST / math.sqrt(12.0) if self.finder.unseen else self.edges
+
+    @property
     def scatter(self) -> float:
-        """Standard deviation of a single reading, °C."""
-        return max(self.unit, math.sqrt(self.inside))
+        """Standard deviation of a single reading, °C; NaN before the first slot, as nothing tells it."""
+        return max(self.unit, math.sqrt(self.inside), self.hidden) if self.slots else math.nan
 
     def independent(self, reading: Reading) -> float:
         """Return how many independent readings a slot has; less than one where a reading outlasts it."""

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from imumon.blocks import SampleBlock
+from imumon.cli.align_command import as_data
+from imumon.estimation.alignment.account import ANY_ANGLE_SD
 from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.report import rows
+from imumon.estimation.alignment.report import estimator_rows, rows
 from imumon.estimation.alignment.stage import Alignment
 from tests.estimation.alignment.units import (
     INPUTS,
@@ -65,6 +67,19 @@ def test_a_mems_gyro_whose_bias_happens_to_be_zero_shows_no_north_either() -> No
     stage, out = aligned(samples(scenario(150.0, arw=MEMS_ARW, rate_hz=50.0)))
     assert not stage.status.observable
     assert np.isnan(out["heading"]).all()
+
+
+@pytest.mark.parametrize("declared", [100.0, 1000.0])
+def test_a_mean_that_tells_nothing_is_any_angle_and_said_so(declared: float) -> None:
+    plan = scenario(40.0, arw=MEMS_ARW, rate_hz=50.0)
+    stage, out = aligned(samples(plan), {"gyro_bias_sd_deg_per_h": declared})
+    shown = {name: cells for name, *cells in estimator_rows(stage.status)}
+    for name in ("gyro_mean", "hann_mean"):
+        assert out[f"heading_{name}_sd"][-1] == ANY_ANGLE_SD
+        assert shown[name.replace("_", " ")] == ["-", "not known"]
+    told = as_data(stage.status)["estimators"]
+    assert isinstance(told, dict)
+    assert all(math.isnan(value) for value in told["gyro_mean"].values())
 
 
 def test_a_declared_bias_counts_and_is_contradicted_when_it_is_too_small() -> None:

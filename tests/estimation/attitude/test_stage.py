@@ -293,7 +293,36 @@ def test_the_result_does_not_depend_on_the_blocks(slower: int) -> None:
     assert np.isnan(q[[0, 1234, 2501, 3000, 5000]]).all()  # no rate known yet, no time, no gyro, begun anew
     assert np.isfinite(q[[20, 2002, 2999, 3020, 4999, 5020]]).all()
     assert whole["attitude_estimate_north"][3000] == NO_INT
-    assert any("begun anew after a gap" in text for text in stage.notices())
+    assert any("begun anew, 2 times so far, after a restart or a gap" in text for text in stage.notices())
+
+
+@pytest.mark.parametrize("heading_deg", [None, 130.0])
+def test_each_new_reference_of_a_free_heading_is_said(heading_deg: float | None) -> None:
+    made = scene(seconds=60.0)
+    block = without_mag(made.block)
+    time_ns = block["device_time_ns"].copy()
+    for row in (1500, 3000, 4500):  # gaps of a second
+        time_ns[row:] += 1_000_000_000
+    block = block.with_columns({"device_time_ns": time_ns})
+    for before in (RestDetector(), GyroBias(mode="learned")):
+        block = block.with_columns(before.process(block))
+    stage, said, began = AttitudeEstimate(axes="FRD", heading_deg=heading_deg), list[str](), list[float]()
+    for start in range(0, len(block), 500):
+        heading = stage.process(block.rows(start, start + 500))["attitude_estimate_heading"]
+        began += heading[np.isfinite(heading)][:1].tolist() if start in (0, 1500, 3000, 4500) else []
+        said += [text for text in stage.notices() if "begun anew" in text]
+    reference = heading_deg or 0.0
+    np.testing.assert_allclose(wrapped(np.array(began) - np.radians(reference)), 0.0, atol=0.01)
+    assert [int(text.split(", ")[1].split()[0]) for text in said] == [1, 2, 3]
+    assert all(text.endswith(f"the free heading counts from {reference:.0f}° again") for text in said)
+
+
+def test_samples_too_far_apart_for_an_attitude_do_not_begin_one_anew() -> None:
+    block = without_mag(scene(seconds=30.0).block)
+    slow = block.with_columns({"device_time_ns": 50 * block["device_time_ns"]})  # 2 Hz
+    stage = AttitudeEstimate(axes="FRD")
+    assert np.isnan(estimated(slow, stage)["attitude_estimate_w"]).all()
+    assert not [text for text in stage.notices() if "begun anew" in text]
 
 
 def test_intervals_that_differ_do_not_turn_the_heading() -> None:

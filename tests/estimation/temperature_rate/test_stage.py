@@ -9,11 +9,15 @@ from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.config import parse_yaml
 from imumon.errors import ImumonError
 from imumon.estimation.temperature_rate.stage import TemperatureRate
+from imumon.estimation.temperature_rate.step import COARSEST
 from imumon.pipeline import Estimator
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.published.fir import FirRate, Params
 from imumon.run.stages import temperature_rate
 from tests.estimation.temperature_rate.records import clock, quantized, self_heating
+
+FIRST_SLOT = 10
+"""Rows of the first second, at 10 Hz."""
 
 
 def block(**columns: ColumnArray) -> SampleBlock:
@@ -29,7 +33,34 @@ def test_one_sensor_gives_four_columns() -> None:
     names = ["temperature_estimate", "temperature_rate", "temperature_estimate_sd", "temperature_rate_sd"]
     assert [column.name for column in stage.columns] == names == list(added)
     assert [column.unit for column in stage.columns] == ["degC", "degC/s", "degC", "degC/s"]
-    assert all(np.isfinite(values).all() for values in added.values())
+    first = {name: np.argmax(np.isfinite(values)) for name, values in added.items()}
+    assert first == dict.fromkeys(names, 0) | {"temperature_estimate_sd": FIRST_SLOT}
+    assert all(np.isfinite(values[first[name] :]).all() for name, values in added.items())
+
+
+@pytest.mark.parametrize("rate_hz", [0.1, 1.0, 10.0, 100.0])
+def test_what_a_single_reading_is_worth_nobody_says_before_a_second(rate_hz: float) -> None:
+    n = max(3, int(5 * rate_hz))
+    time_ns, segment = clock(n, rate_hz)
+    garbage = np.random.default_rng(0).uniform(-100.0, 250.0, n)
+    for reading in (garbage, np.full(n, 25.0)):
+        stage = TemperatureRate()
+        columns = {"device_time_ns": time_ns, "segment": segment, "temperature": reading}
+        added = stage.process(SampleBlock(columns))
+        sd, known = added["temperature_estimate_sd"], max(1, round(rate_hz))
+        assert np.isnan(sd[:known]).all()
+        assert added["temperature_estimate"][0] == reading[0]
+    assert np.isfinite(sd[known:]).all()  # of the thermometer, not of the garbage
+
+
+@pytest.mark.parametrize(("declared", "floor"), [(None, COARSEST / np.sqrt(12.0)), (0.01, 0.01)])
+def test_a_segment_begins_with_the_steps_that_nobody_saw(declared: float | None, floor: float) -> None:
+    time_ns, segment = clock(200)
+    segment[100:] = 1
+    columns = {"device_time_ns": time_ns, "segment": segment, "temperature": np.full(200, 25.0)}
+    stage = TemperatureRate(TemperatureRateParameters(step_degc=declared))
+    sd = stage.process(SampleBlock(columns))["temperature_estimate_sd"]
+    np.testing.assert_allclose(sd[100 : 100 + FIRST_SLOT], floor, rtol=0.05)
 
 
 def test_a_sensor_per_axis_gives_columns_per_axis_that_do_not_mix() -> None:
@@ -122,7 +153,8 @@ def test_popcorn_that_a_slow_error_explains_is_within_the_band(seed: int) -> Non
     added = TemperatureRate().process(samples)
     z = (added["temperature_estimate"] - 25.02) / added["temperature_estimate_sd"]
     rate_z = added["temperature_rate"] / added["temperature_rate_sd"]
-    assert np.sqrt(np.mean(z**2)) < 2.0
+    assert np.sqrt(np.mean(z[np.isfinite(z)] ** 2)) < 2.0
+    assert np.isnan(z).sum() == 10 * FIRST_SLOT  # at 100 Hz
     assert np.sqrt(np.mean(rate_z**2)) < 2.0
 
 
