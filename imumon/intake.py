@@ -308,25 +308,21 @@ class _Unchanged:
         n, changed = len(time_ns), np.empty(readings.shape, np.bool_)
         changed[:, 0] = _differ(readings[:, 0], self._last) | (segment[0] != self._segment)
         changed[:, 1:] = _differ(readings[:, 1:], readings[:, :-1]) | (segment[1:] != segment[:-1])
-        if changed.all():  # as of most sensors
-            self._starts = [_Start(int(time_ns[-1]), self._rows + n - 1, self._changes + n)] * 3
-            self._changes = self._changes + n
-        else:
-            changes = self._changes[:, np.newaxis] + np.cumsum(changed, axis=1)
-            for axis in range(3):
-                begins = np.flatnonzero(changed[axis])
-                self._starts[axis] = self._follow(axis, begins, readings, time_ns, changes)
-            self._changes = changes[:, -1].copy()
+        for axis in range(3):
+            self._starts[axis] = self._follow(axis, changed, readings, time_ns)
+        self._changes = self._changes + changed.sum(axis=1)
         self._last, self._segment, self._rows = readings[:, -1].copy(), int(segment[-1]), self._rows + n
 
-    def _follow(
-        self, axis: int, begins: IntArray, readings: FloatArray, time_ns: IntArray, changes: IntArray
-    ) -> _Start:
-        """Go through the runs of an axis, which begin at these readings; return where the last one began."""
+    def _follow(self, axis: int, changed: BoolArray, readings: FloatArray, time_ns: IntArray) -> _Start:
+        """Go through the runs of an axis, which begin where it changed; return where the last one began."""
+
+        def changes(at: int) -> IntArray:
+            return np.asarray(self._changes + changed[:, : at + 1].sum(axis=1))
 
         def start(at: int) -> _Start:
-            return _Start(int(time_ns[at]), self._rows + at, changes[:, at].copy())
+            return _Start(int(time_ns[at]), self._rows + at, changes(at))
 
+        begins = np.flatnonzero(changed[axis])
         firsts, stops = np.concatenate([[0], begins]), np.concatenate([begins, [len(time_ns)]])
         since = np.concatenate([[self._starts[axis].time_ns], time_ns[begins]])
         latest = start(int(begins[-1])) if len(begins) else self._starts[axis]
@@ -334,7 +330,7 @@ class _Unchanged:
             at, stop = int(firsts[run]), int(stops[run])
             begun = start(at) if run else self._starts[axis]
             while (at := _after(time_ns, at, stop, begun)) < stop:
-                others, pairs = changes[:, at] - begun.changes, self._rows + at - begun.row
+                others, pairs = changes(at) - begun.changes, self._rows + at - begun.row
                 lively, sd = int(others.argmax()), (AT_AN_EDGE * (1.0 - AT_AN_EDGE) * pairs) ** 0.5
                 if others[lively] > AT_AN_EDGE * pairs + BEYOND_CHANCE * sd:
                     self._find(axis, lively, float(readings[axis, at]), begun.time_ns)
@@ -355,7 +351,8 @@ class _Unchanged:
 
 def _differ(one: FloatArray, other: FloatArray) -> BoolArray:
     """Return which readings are not the same; two that are missing are."""
-    return np.asarray((one != other) & ~(np.isnan(one) & np.isnan(other)))
+    differ = np.asarray(one != other)
+    return differ & ((one == one) | (other == other)) if np.isnan(one).any() else differ
 
 
 def _after(time_ns: IntArray, at: int, stop: int, begun: _Start) -> int:

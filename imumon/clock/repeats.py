@@ -20,6 +20,9 @@ class _Run:
         """The count, of the first run of `STANDS` packets; None before there is one."""
 
     def add(self, stays: BoolArray, count: IntArray) -> None:
+        if not stays.any():
+            self._now = 0
+            return
         place = np.arange(len(stays))
         length = place - np.maximum.accumulate(np.where(stays, -1 - self._now, place))
         self._now = int(length[-1])
