@@ -26,7 +26,7 @@ ROUNDS = 16
 LIKELIEST = 24
 """Hypotheses that are looked at; the others have lost by far."""
 FLAT = 1e-3
-"""1/rad²: what is flatter knows no heading, and rounding may have made it so."""
+"""1/rad²: where two directions opposite each other are as likely, so much decides, which knows no heading."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -308,8 +308,9 @@ def _closest(forms: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         square = x * x + y * y
         slope = x * x / (gap + multiplier) + y * y / multiplier
         multiplier = multiplier + square * (np.sqrt(square) - 1.0) / slope
-    angle = axis + np.arctan2(-d / multiplier, -b / (gap + multiplier))
+    x, y = -b / (gap + multiplier), -d / multiplier
+    angle = axis + np.arctan2(y, x)
     c, s = np.cos(angle), np.sin(angle)
     along, across = by_cos + cos_cos * c + cos_sin * s, by_sin + cos_sin * c + sin_sin * s
-    curvature = np.maximum(cos_cos * s**2 - 2.0 * cos_sin * s * c + sin_sin * c**2, FLAT)
+    curvature = gap * y * y + multiplier
     return angle, constant + (by_cos + along) * c + (by_sin + across) * s, curvature

@@ -108,9 +108,10 @@ def test_a_bias_of_nothing_but_the_east_gyro_is_in_the_sigma_and_said() -> None:
     status = stage.status
     error = 14.0 if status.shown is None or math.isnan(status.shown.heading) else 0.0
     error = error or error_deg(status.shown.heading, 0.0)  # type: ignore[union-attr]  # shown, or 14
-    assert abs(error) > 10.0
     assert status.shown is not None
-    assert abs(error) < 5.0 * math.degrees(status.shown.sd)
+    # Undisturbed the sigma is a fifth of a degree.
+    assert abs(error) < 3.0 * math.degrees(status.shown.sd)
+    assert math.degrees(status.shown.sd) > 5.0
     quiet, _ = aligned(samples(scenario(90.0)))
     assert any("turn-on bias is not declared" in text for text in quiet.notices())
     assert "sigma holds only if" in rows(quiet.status, 0.05)["condition"]
