@@ -1,4 +1,4 @@
-"""Earth rate, gravity, and the attitude of a unit at rest from its vertical and a heading.
+"""Earth rate, gravity, and attitude: of a unit at rest from its vertical and a heading, and of angles.
 
 The heading is that of the body's x axis, clockwise from true north; where x is within 6° of the vertical it
 is that of -z, which then lies level.  Body axes are right-handed, of any kind.  The specific force at rest
@@ -59,6 +59,14 @@ def body_to_ned(up: FloatArray, heading: float) -> FloatArray:
     """Return the matrix from body axes to north-east-down, (3, 3); heading in rad."""
     north = north_in_body(up, heading)
     return np.vstack([north, np.cross(north, up), -up])
+
+
+def quaternions(angles: FloatArray) -> FloatArray:
+    """Return quaternions w, x, y, z, (4, n), of roll, pitch and yaw, (n, 3) in rad: first yaw is turned."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(0.5 * angles).T, np.sin(0.5 * angles).T
+    w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
+    y, z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
+    return np.stack([w, x, y, z])
 
 
 def earth_rate_in_body(up: FloatArray, heading: float, latitude: float) -> FloatArray:

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray
-from imumon.geodesy import EARTH_RATE
+from imumon.geodesy import EARTH_RATE, quaternions
 
 FIELD_UT = np.array([20.0, 1.0, 43.0])
 """Magnetic field north, east, down, as in central Europe."""
@@ -57,9 +57,7 @@ def earth_rate(latitude_deg: float) -> FloatArray:
 
 def reported(angles: FloatArray, axes: Literal["FLU", "FRD"]) -> dict[str, ColumnArray]:
     """Return the columns of the attitude as a device reports it: to NED for FRD, to ENU for FLU."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(0.5 * angles).T, np.sin(0.5 * angles).T
-    w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
-    y, z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
+    w, x, y, z = quaternions(angles)
     if axes == "FLU":  # half a turn about forward in the body, and about north-east in the world
         w, x, y, z = np.sqrt(0.5) * np.array([w + z, x + y, x - y, w - z])
     w, x, y, z = np.where(w < 0.0, -1.0, 1.0) * np.array([w, x, y, z])

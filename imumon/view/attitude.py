@@ -11,6 +11,7 @@ import rerun.blueprint as rrb
 
 from imumon.blocks import FloatArray
 from imumon.charts import AXIS_COLORS, GREY
+from imumon.geodesy import quaternions
 from imumon.view.items import ViewSetup
 from imumon.view.layout import SCENE, Rows
 from imumon.view.window import Window
@@ -117,9 +118,5 @@ class Attitude:
 
 def xyzw(values: FloatArray) -> FloatArray:
     """Return quaternions x, y, z, w, (n, 4), from w, x, y, z, or from roll, pitch, yaw in rad."""
-    if values.shape[1] == 4:
-        return np.ascontiguousarray(values[:, [1, 2, 3, 0]])
-    (cr, cp, cy), (sr, sp, sy) = np.cos(0.5 * values).T, np.sin(0.5 * values).T
-    x, y = sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy
-    z, w = cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy
-    return np.column_stack([x, y, z, w])
+    known = values if values.shape[1] == 4 else quaternions(values).T
+    return np.ascontiguousarray(known[:, [1, 2, 3, 0]])
