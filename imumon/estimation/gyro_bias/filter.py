@@ -290,19 +290,20 @@ def _noise(state: State, params: Params) -> Noise:
 
 def _filter_again(state: State, params: Params) -> None:
     """Filter all slots since the start anew, with the noise as it is known now."""
-    noise = _noise(state, params)
-    if not (state.first and math.isfinite(noise.rate.sum() + noise.tilt)):
+    noise, readings = _noise(state, params), state.first
+    if not (readings and math.isfinite(noise.rate.sum() + noise.tilt)):
         return
-    begin = state.first[0].slot
+    begin = readings[0].slot
     state.bank = filters.start(params.family.in_one_pose, 2 if params.learns else 1, noise.rate)
     filters.come_to_rest(state.bank, state.attitude.flat)
     state.evidence, state.unmixed_s, state.contrary = np.zeros(3), 0.0, Contrary()
     state.used_s, state.growth = begin.start_s, begin.growth
     state.at_degc, state.noted_degc = begin.degc.copy(), begin.degc.copy()
     state.reference = begin.force
-    for k, reading in enumerate(state.first):
+    for k, reading in enumerate(readings):
+        # A jump among them begins the bank anew, with no first slots any more.
         _take(state, params, state.bank, noise, replace(reading, fresh=reading.fresh and k > 0))
-    _show(state, params, noise, state.first[-1].slot)
+    _show(state, params, noise, readings[-1].slot)
 
 
 def _changes(noted: FloatArray, now: FloatArray, least: float) -> FloatArray:
