@@ -25,20 +25,22 @@ from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import steps
 from imumon.estimation.gyro_bias.law import TERMS
 from imumon.estimation.gyro_bias.steps import ROTATION, SLOPE, STATES, TAUS_S, WALK
-from imumon.filters.noise import flicker_sd
+from imumon.estimation.gyro_bias.intake import SLOT_S
+from imumon.filters.noise import FLOOR_PER_INSTABILITY, INSTABILITY_PER_DECADE, flicker_sd
 
 SENSITIVITY = slice(steps.SENSITIVITY, STATES)
-FLOOR_PER_MARKOV = 0.776
-"""Floor of the Allan deviation of the three processes together, over the standard deviation of one."""
 FLICKER_BELOW = 0.015
-"""Random walk (per sqrt(s)) that goes on as flicker does below 1/1000 s, over the sd of one process."""
-FLICKER_CORNERS_S = (400.0, 40.0, 4.0, 0.4)
+"""Random walk (per sqrt(s)) that goes on as flicker does below 1/1000 s, over the sd of a decade."""
+FLICKER_CORNERS_S = (400.0, 40.0, 4.0, 0.4, 0.04)
 """Averaging times at which flicker noise overtakes the white noise, one filter each: data sheets of MEMS
 gyros have 0.3 °/h at 0.15 °/√h to 40 °/h at 0.3 °/√h.  A filter of half a step too much or too little, a
 factor of 1.8 in strength, errs by 8 % more."""
 WALK_CORNERS_S = (60.0, 12.0, 2.5)
 """The same for random walks: biases that follow an unknown temperature."""
-PRIORS = (0.2, 0.2, 0.2, 0.2, 0.08, 0.07, 0.05)
+FASTER = 1.0 / math.log10(TAUS_S[1] / TAUS_S[0])
+"""Variance of flicker in the decade below the first process, over that of a process: slots do not show it, and
+the bias of a sample has it."""
+PRIORS = (0.2, 0.2, 0.2, 0.199, 0.001, 0.08, 0.07, 0.05)
 DWELL_S = 3600.0
 """Mean time after which a bias begins to behave differently."""
 UNKNOWN_BIAS = 1.0
@@ -58,6 +60,9 @@ class Family:
     """K² of the walk and sd² of each process, of each axis, (3, filters, 4)."""
     prior: FloatArray
     """Weights before any measurement, (filters,)."""
+    white2: FloatArray
+    """Variance of what is white, over that of the second differences of slots, (filters,): what moves fast is
+    in these as well."""
     relative: bool
     """Whether the noise is in units of the axis' angular random walk, or in rad/s."""
     sensitivity_sd: FloatArray
@@ -85,18 +90,29 @@ class Family:
 
 
 NO_SENSITIVITY = np.zeros(1)
-GROWTH = np.append(1.0, 2.0 / TAUS_S)
-"""Variance by which the walk and the processes move in a second, over K² and sd²."""
 
 
-def unknown_family(sensitivity_sd: FloatArray = NO_SENSITIVITY) -> Family:
-    """Return the filters for a gyro of which nothing is known."""
-    flicker = 1.0 / (FLOOR_PER_MARKOV * np.sqrt(FLICKER_CORNERS_S))
+def in_differences() -> FloatArray:
+    """Return what the walk and the processes make of second differences of slots, over white noise, (4,).
+
+    Each of unit strength; the white noise of unit density has 6 over the length of a slot.
+    """
+    h = SLOT_S / TAUS_S
+    alone, beside = 2.0 * (h + np.expm1(-h)) / h**2, np.expm1(-h) ** 2 / h**2
+    markov = (6.0 * alone - 8.0 * beside + 2.0 * beside * np.exp(-h)) * SLOT_S / 6.0
+    return np.append(SLOT_S**2 / 6.0, markov)
+
+
+def unknown_family(sensitivity_sd: FloatArray = NO_SENSITIVITY, white_known: bool = False) -> Family:
+    """Return the filters for a gyro of which nothing is known, or its white noise alone."""
+    instability = 1.0 / (FLOOR_PER_INSTABILITY * np.sqrt(FLICKER_CORNERS_S))
     walks = math.sqrt(3.0) / np.array(WALK_CORNERS_S)
-    markov = np.concatenate([flicker, np.full(len(walks), flicker[0])])
-    walk = np.concatenate([FLICKER_BELOW * flicker, walks])
-    strength = np.column_stack([walk, markov, markov, markov])
-    return Family(np.tile(strength**2, (3, 1, 1)), np.array(PRIORS), True, sensitivity_sd)
+    markov = flicker_sd(np.concatenate([instability, np.full(len(walks), instability[0])]), TAUS_S)
+    walk = np.concatenate([FLICKER_BELOW * instability / INSTABILITY_PER_DECADE, walks])
+    strength2 = np.column_stack([walk, markov]) ** 2
+    white2 = np.ones(len(walk)) if white_known else 1.0 / (1.0 + strength2 @ in_differences())
+    strength2 *= white2[:, np.newaxis]
+    return Family(np.tile(strength2, (3, 1, 1)), np.array(PRIORS), white2, True, sensitivity_sd)
 
 
 def known_family(
@@ -104,7 +120,7 @@ def known_family(
 ) -> Family:
     """Return the one filter for a gyro whose B and K are known, (3,) each, rad/s and rad/s/sqrt(s)."""
     strength = np.column_stack([rate_random_walk, flicker_sd(bias_instability, TAUS_S)])
-    return Family(strength[:, np.newaxis] ** 2, np.ones(1), False, sensitivity_sd)
+    return Family(strength[:, np.newaxis] ** 2, np.ones(1), np.ones(1), False, sensitivity_sd)
 
 
 @dataclass(slots=True, eq=False)
@@ -117,6 +133,9 @@ class Bank:
     """Of the states, (variants, 3, filters, 10)."""
     weight: FloatArray
     """Probabilities, (variants, 3, filters)."""
+    noted: FloatArray
+    settled: FloatArray
+    """The same at the last mixing, and at the one before: what they were before something happened."""
 
     @property
     def in_a_row(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -142,7 +161,7 @@ def start(family: Family, variants: int, white: FloatArray) -> Bank:
     for i in range(SENSITIVITY.start, states):
         p[..., i, i] = np.repeat(family.sensitivity_sd, len(family.prior)) ** 2
     weight = np.tile(family.prior_of_all, (variants, 3, 1))
-    return Bank(family, np.zeros((*shape, states)), p, weight)
+    return Bank(family, np.zeros((*shape, states)), p, weight, weight.copy(), weight.copy())
 
 
 def widen(bank: Bank, family: Family) -> None:
@@ -159,6 +178,8 @@ def widen(bank: Bank, family: Family) -> None:
         p[..., i, i] = np.repeat(family.sensitivity_sd, wanders) ** 2
     bank.family, bank.mean, bank.covariance = family, x, p
     bank.weight = np.concatenate([bank.weight] * times, 2) / times
+    bank.noted = np.concatenate([bank.noted] * times, 2) / times
+    bank.settled = np.concatenate([bank.settled] * times, 2) / times
 
 
 def come_to_rest(bank: Bank, flat: FloatArray, arrival: FloatArray | float = 0.0) -> None:
@@ -220,7 +241,7 @@ class AtRest:
     """Specific force less that of the first rest, m/s², (3,)."""
     white2: FloatArray
     tilt2: FloatArray
-    """Densities of the white noises of rate and tilt, rad²/s and rad² s, (3,)."""
+    """Densities of the noises of rate, as second differences show it, and tilt, rad²/s and rad² s, (3,)."""
     still2: FloatArray
     """Variance of the velocity over g at rest, (rad s)², (3,)."""
 
@@ -245,6 +266,7 @@ def integrate(bank: Bank, slot: AtRest) -> None:
         slot.rate,
         slot.tilt,
         slot.white2,
+        bank.family.white2,
         slot.tilt2,
     )
 
@@ -257,21 +279,26 @@ def look(bank: Bank, slot: AtRest) -> tuple[FloatArray, FloatArray]:
     innovation : array
         Of the whole over its standard deviation; its sign is that of the bias.
     surprise : array
-        The least squared normalised innovation: that of the most tolerant filter.
+        What the squared normalised innovations of the filters are, by their weights: -2 ln of the mean of
+        exp(-d²/2).
     """
     mean, covariance, _ = bank.in_a_row
     rows = bank.weight.shape[:2]
-    whole, least = np.empty(rows), np.empty(rows)
-    weight = bank.weight.reshape(-1, bank.weight.shape[-1])
-    steps.look(mean, covariance, weight, slot.still2, whole.reshape(-1), least.reshape(-1))
-    return whole, least
+    whole, surprise = np.empty(rows), np.empty(rows)
+    weight, settled = (array.reshape(-1, array.shape[-1]) for array in (bank.weight, bank.settled))
+    steps.look(mean, covariance, weight, settled, slot.still2, whole.reshape(-1), surprise.reshape(-1))
+    return whole, surprise
 
 
 def disagreement(bank: Bank, slot: AtRest) -> FloatArray:
-    """Return the least squared difference of rate and bias over its variance, (variants, 3)."""
+    """Return what the squared differences of rate and bias over their variances are, as `look` has it."""
     row = bias_row(bank, slot.force)
-    variance = bank.covariance @ row @ row + (slot.white2 / slot.dt)[:, np.newaxis]
-    return np.asarray(((slot.rate[:, np.newaxis] - bank.mean @ row) ** 2 / variance).min(-1))
+    white2 = np.tile(bank.family.white2, len(bank.family.sensitivity_sd))
+    variance = bank.covariance @ row @ row + np.outer(slot.white2 / slot.dt, white2)
+    square = (slot.rate[:, np.newaxis] - bank.mean @ row) ** 2 / variance
+    least = square.min(-1)
+    share = bank.settled * np.exp(0.5 * (least[..., np.newaxis] - square))
+    return np.asarray(least - 2.0 * np.log(share.sum(-1)))
 
 
 def take(bank: Bank, slot: AtRest) -> FloatArray:
@@ -301,6 +328,7 @@ def mix(bank: Bank, dt: float) -> None:
     if len(family.prior) > 1:
         stay = math.exp(-dt / DWELL_S)
         room = np.empty(bank.mean.shape[-1]), np.empty(bank.covariance.shape[-2:])
+        bank.settled, bank.noted = bank.noted, bank.weight.copy()
         steps.mix(*bank.in_a_row, (1.0 - stay) * family.prior, stay, *room)
 
 
@@ -308,14 +336,17 @@ def law(bank: Bank, family: Family, white: FloatArray, ahead_s: float) -> tuple[
     """Return mean and covariance of the bias and of what it follows, (variants, 3, 5) and one axis more.
 
     The terms are those of `law.Law`.  Before the pose has changed, `family` says what the sensitivities are.
-    The covariance is that of `ahead_s` seconds later, few against 10: meanwhile the bias wanders unseen.
+    Both are of `ahead_s` seconds later: meanwhile the bias wanders unseen.
     """
     mean, covariance, _ = bank.in_a_row
     rows = bank.weight.shape[:2]
     unseen2 = float(family.sensitivity_sd @ family.sensitivity_sd) / len(family.sensitivity_sd)
     value, known = np.empty((*rows, TERMS)), np.zeros((*rows, TERMS, TERMS))
     weight = bank.weight.reshape(-1, bank.weight.shape[-1])
-    growth = ahead_s * bank.family.unit2(white)[:, np.newaxis] * (bank.family.strength2 @ GROWTH)
+    decay = np.exp(-ahead_s / TAUS_S)
+    fresh = np.append(ahead_s, 1.0 - decay * decay)
+    fresh[1] += FASTER
+    growth = bank.family.unit2(white)[:, np.newaxis] * (bank.family.strength2 @ fresh)
     of_rows = value.reshape(len(weight), TERMS), known.reshape(len(weight), TERMS, TERMS)
-    steps.law(mean, covariance, weight, growth, unseen2, *of_rows)
+    steps.law(mean, covariance, weight, decay, growth, unseen2, *of_rows)
     return value, known

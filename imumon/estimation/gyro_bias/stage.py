@@ -244,7 +244,7 @@ def _params(parameters: GyroBiasParameters, mode: Mode, place: Place) -> Params:
     tilt = parameters.velocity_random_walk_m_per_s_per_sqrt_s
     unknown = instability is None and walk is None
     return Params(
-        unknown_family(SENSITIVITIES)
+        unknown_family(SENSITIVITIES, parameters.angle_random_walk_rad_per_sqrt_s is not None)
         if unknown
         else known_family(axes(instability, 0.0), axes(walk, 0.0), SENSITIVITIES),
         axes(parameters.angle_random_walk_rad_per_sqrt_s, math.nan),

@@ -19,7 +19,7 @@ from imumon.blocks import BoolArray, FloatArray
 from imumon.compiled import inner, njit
 
 ROTATION, VELOCITY, WALK, SLOPE, SENSITIVITY, STATES = 0, 1, 2, 6, 7, 10
-TAUS_S = np.array([10.0, 100.0, 1000.0])
+TAUS_S = np.array([1.0, 30.0, 1000.0])
 LEAST_WEIGHT = 1e-30
 """What no filter's weight falls below: a weight of zero could not be divided by."""
 AXES = 3
@@ -94,6 +94,7 @@ def integrate(
     rate: FloatArray,
     tilt: FloatArray,
     white2: FloatArray,
+    share: FloatArray,
     tilt2: FloatArray,
 ) -> None:
     """Integrate rotation and velocity over a slot; as of `bank.AtRest`, `row` (states,) makes the bias."""
@@ -101,6 +102,7 @@ def integrate(
     along = np.empty(len(row))
     for k in range(len(mean)):
         x, p, a = mean[k], covariance[k], k // filters % AXES
+        white = white2[a] * share[k % filters % len(share)]
         off = rate[a]
         for j in range(len(x)):
             off -= row[j] * x[j]
@@ -119,9 +121,9 @@ def integrate(
         p[VELOCITY, VELOCITY] += dt * p[VELOCITY, ROTATION] - half * second
         p[ROTATION, VELOCITY] += dt * p[ROTATION, ROTATION] - half * first
         p[ROTATION, ROTATION] -= dt * first
-        p[ROTATION, ROTATION] += white2[a] * dt
-        p[ROTATION, VELOCITY] += white2[a] * half
-        p[VELOCITY, VELOCITY] += white2[a] * half * half / dt + tilt2[a] * dt
+        p[ROTATION, ROTATION] += white * dt
+        p[ROTATION, VELOCITY] += white * half
+        p[VELOCITY, VELOCITY] += white * half * half / dt + tilt2[a] * dt
         p[VELOCITY, ROTATION] = p[ROTATION, VELOCITY]
         for j in range(WALK, len(x)):
             p[j, ROTATION], p[j, VELOCITY] = p[ROTATION, j], p[VELOCITY, j]
@@ -150,22 +152,23 @@ def look(
     mean: FloatArray,
     covariance: FloatArray,
     weight: FloatArray,
+    settled: FloatArray,
     still2: FloatArray,
     whole: FloatArray,
-    least: FloatArray,
+    surprise: FloatArray,
 ) -> None:
-    """Fill in what `bank.look` returns, (rows,) each; `weight` is (rows, filters)."""
+    """Fill in what `bank.look` returns, (rows,) each; `weight` and `settled` are (rows, filters)."""
     rows, filters = weight.shape
     for r in range(rows):
-        first = second = 0.0
-        least[r] = np.inf
+        first = second = expected = 0.0
         for h in range(filters):
             k = r * filters + h
             velocity, variance = mean[k, VELOCITY], covariance[k, VELOCITY, VELOCITY] + still2[r % AXES]
             first += weight[r, h] * velocity
             second += weight[r, h] * (velocity * velocity + variance)
-            least[r] = min(least[r], velocity * velocity / variance)
+            expected += settled[r, h] * math.exp(-0.5 * velocity * velocity / variance)
         whole[r] = first / math.sqrt(second - first * first)
+        surprise[r] = -2.0 * math.log(expected) if expected > 0.0 else np.inf
 
 
 @njit
@@ -215,23 +218,25 @@ def _make_common(first: int, weight: FloatArray, share: FloatArray, common: Floa
 
 @njit
 def law(
-    mean: FloatArray, covariance: FloatArray, weight: FloatArray, growth: FloatArray, unseen2: float,
-    value: FloatArray, known: FloatArray,
+    mean: FloatArray, covariance: FloatArray, weight: FloatArray, decay: FloatArray, growth: FloatArray,
+    unseen2: float, value: FloatArray, known: FloatArray,
 ) -> None:  # fmt: skip
     """Fill in what `bank.law` returns, (rows, terms) and (rows, terms, terms), of zeros.
 
     The first term sums the walk and the processes, the others are the states behind these; `unseen2` is the
-    variance of those that there are not yet, `growth` (3, wanders) that by which the bias wanders unseen.
+    variance of those that there are not yet, `decay` (3,) what is left of the processes until then, and
+    `growth` (3, wanders) the variance that is new.
     """
     rows, filters = weight.shape
     states, terms = mean.shape[1], value.shape[1]
     seen = states - SLOPE + 1
     of_one, part = np.empty((filters, seen)), np.empty((seen, states))
+    d, e, f = decay
     for r in range(rows):
         value[r] = 0.0
         for h in range(filters):
             x = mean[r * filters + h]
-            of_one[h, 0] = x[WALK] + x[WALK + 1] + x[WALK + 2] + x[WALK + 3]
+            of_one[h, 0] = x[WALK] + d * x[WALK + 1] + e * x[WALK + 2] + f * x[WALK + 3]
             for m in range(1, seen):
                 of_one[h, m] = x[SLOPE - 1 + m]
             for m in range(seen):
@@ -239,13 +244,13 @@ def law(
         for h in range(filters):
             p = covariance[r * filters + h]
             for j in range(WALK, states):
-                part[0, j] = p[WALK, j] + p[WALK + 1, j] + p[WALK + 2, j] + p[WALK + 3, j]
+                part[0, j] = p[WALK, j] + d * p[WALK + 1, j] + e * p[WALK + 2, j] + f * p[WALK + 3, j]
                 for m in range(1, seen):
                     part[m, j] = p[SLOPE - 1 + m, j]
             for m in range(seen):
                 off = of_one[h, m] - value[r, m]
-                summed = part[m, WALK] + part[m, WALK + 1] + part[m, WALK + 2] + part[m, WALK + 3]
-                known[r, m, 0] += weight[r, h] * (summed + off * (of_one[h, 0] - value[r, 0]))
+                summed = d * part[m, WALK + 1] + e * part[m, WALK + 2] + f * part[m, WALK + 3]
+                known[r, m, 0] += weight[r, h] * (part[m, WALK] + summed + off * (of_one[h, 0] - value[r, 0]))
                 for n in range(1, seen):
                     spread = off * (of_one[h, n] - value[r, n])
                     known[r, m, n] += weight[r, h] * (part[m, SLOPE - 1 + n] + spread)

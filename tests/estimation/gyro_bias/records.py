@@ -24,7 +24,7 @@ LATITUDE_DEG = 40.93
 
 @dataclass(frozen=True)
 class Truth:
-    """A unit: noise in SI units; flicker, of all axes or of each: sd of each of three processes, rad/s."""
+    """A unit: noise in SI units; flicker, of all axes or of each: sd of a decade of correlation times, rad/s."""
 
     rate_hz: float = 100.0
     arw: float = ARW
@@ -45,7 +45,7 @@ def markov(rng: np.random.Generator, n: int, dt: float, tau: float, sd: float | 
 def bias_noise(truth: Truth, rng: np.random.Generator, n: int) -> FloatArray:
     """Return flicker and random walk, (n, 3)."""
     dt = 1.0 / truth.rate_hz
-    parts = [markov(rng, n, dt, tau, truth.flicker) for tau in (10.0, 100.0, 1000.0)]
+    parts = [markov(rng, n, dt, tau, truth.flicker) for tau in (0.1, 1.0, 10.0, 100.0, 1000.0)]
     return np.asarray(sum(parts)) + np.cumsum(rng.normal(size=(n, 3)), 0) * truth.walk * math.sqrt(dt)
 
 
