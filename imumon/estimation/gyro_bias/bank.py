@@ -23,9 +23,9 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import steps
+from imumon.estimation.gyro_bias.intake import SLOT_S
 from imumon.estimation.gyro_bias.law import TERMS
 from imumon.estimation.gyro_bias.steps import ROTATION, SLOPE, STATES, TAUS_S, WALK
-from imumon.estimation.gyro_bias.intake import SLOT_S
 from imumon.filters.noise import FLOOR_PER_INSTABILITY, INSTABILITY_PER_DECADE, flicker_sd
 
 SENSITIVITY = slice(steps.SENSITIVITY, STATES)
@@ -37,9 +37,6 @@ gyros have 0.3 °/h at 0.15 °/√h to 40 °/h at 0.3 °/√h.  A filter of half
 factor of 1.8 in strength, errs by 8 % more."""
 WALK_CORNERS_S = (60.0, 12.0, 2.5)
 """The same for random walks: biases that follow an unknown temperature."""
-FASTER = 1.0 / math.log10(TAUS_S[1] / TAUS_S[0])
-"""Variance of flicker in the decade below the first process, over that of a process: slots do not show it, and
-the bias of a sample has it."""
 PRIORS = (0.2, 0.2, 0.2, 0.199, 0.001, 0.08, 0.07, 0.05)
 DWELL_S = 3600.0
 """Mean time after which a bias begins to behave differently."""
@@ -336,17 +333,15 @@ def law(bank: Bank, family: Family, white: FloatArray, ahead_s: float) -> tuple[
     """Return mean and covariance of the bias and of what it follows, (variants, 3, 5) and one axis more.
 
     The terms are those of `law.Law`.  Before the pose has changed, `family` says what the sensitivities are.
-    Both are of `ahead_s` seconds later: meanwhile the bias wanders unseen.
+    Both are of `ahead_s` seconds later: meanwhile the bias wanders unseen, and flickers faster than slots
+    show.
     """
     mean, covariance, _ = bank.in_a_row
     rows = bank.weight.shape[:2]
     unseen2 = float(family.sensitivity_sd @ family.sensitivity_sd) / len(family.sensitivity_sd)
     value, known = np.empty((*rows, TERMS)), np.zeros((*rows, TERMS, TERMS))
     weight = bank.weight.reshape(-1, bank.weight.shape[-1])
-    decay = np.exp(-ahead_s / TAUS_S)
-    fresh = np.append(ahead_s, 1.0 - decay * decay)
-    fresh[1] += FASTER
-    growth = bank.family.unit2(white)[:, np.newaxis] * (bank.family.strength2 @ fresh)
+    wanders = bank.family.strength2, bank.family.unit2(white)
     of_rows = value.reshape(len(weight), TERMS), known.reshape(len(weight), TERMS, TERMS)
-    steps.law(mean, covariance, weight, decay, growth, unseen2, *of_rows)
+    steps.law(mean, covariance, weight, *wanders, ahead_s, unseen2, *of_rows)
     return value, known

@@ -22,6 +22,9 @@ ROTATION, VELOCITY, WALK, SLOPE, SENSITIVITY, STATES = 0, 1, 2, 6, 7, 10
 TAUS_S = np.array([1.0, 30.0, 1000.0])
 LEAST_WEIGHT = 1e-30
 """What no filter's weight falls below: a weight of zero could not be divided by."""
+FASTER = 1.0 / math.log10(TAUS_S[1] / TAUS_S[0])
+"""Variance of flicker in the decade below the first process, over that of a process: slots do not show it,
+and the bias of a sample has it."""
 AXES = 3
 SLOPE_WALK = math.radians(0.02) / 3600.0
 """Random walk of the slope, rad/s/°C/sqrt(s)."""
@@ -218,20 +221,20 @@ def _make_common(first: int, weight: FloatArray, share: FloatArray, common: Floa
 
 @njit
 def law(
-    mean: FloatArray, covariance: FloatArray, weight: FloatArray, decay: FloatArray, growth: FloatArray,
-    unseen2: float, value: FloatArray, known: FloatArray,
+    mean: FloatArray, covariance: FloatArray, weight: FloatArray, strength2: FloatArray, unit2: FloatArray,
+    ahead_s: float, unseen2: float, value: FloatArray, known: FloatArray,
 ) -> None:  # fmt: skip
     """Fill in what `bank.law` returns, (rows, terms) and (rows, terms, terms), of zeros.
 
     The first term sums the walk and the processes, the others are the states behind these; `unseen2` is the
-    variance of those that there are not yet, `decay` (3,) what is left of the processes until then, and
-    `growth` (3, wanders) the variance that is new.
+    variance of those that there are not yet.  The noise is that of `wander`.
     """
     rows, filters = weight.shape
     states, terms = mean.shape[1], value.shape[1]
     seen = states - SLOPE + 1
     of_one, part = np.empty((filters, seen)), np.empty((seen, states))
-    d, e, f = decay
+    d, e, f = math.exp(-ahead_s / TAUS_S[0]), math.exp(-ahead_s / TAUS_S[1]), math.exp(-ahead_s / TAUS_S[2])
+    fresh = (ahead_s, 1.0 - d * d + FASTER, 1.0 - e * e, 1.0 - f * f)
     for r in range(rows):
         value[r] = 0.0
         for h in range(filters):
@@ -254,7 +257,10 @@ def law(
                 for n in range(1, seen):
                     spread = off * (of_one[h, n] - value[r, n])
                     known[r, m, n] += weight[r, h] * (part[m, SLOPE - 1 + n] + spread)
-            known[r, 0, 0] += weight[r, h] * growth[r % AXES, h % growth.shape[1]]
+            added = 0.0
+            for i in range(len(fresh)):
+                added += strength2[r % AXES, h % strength2.shape[1], i] * fresh[i]
+            known[r, 0, 0] += weight[r, h] * unit2[r % AXES] * added
         for m in range(seen, terms):
             known[r, m, m] = unseen2
 

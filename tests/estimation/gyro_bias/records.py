@@ -24,7 +24,7 @@ LATITUDE_DEG = 40.93
 
 @dataclass(frozen=True)
 class Truth:
-    """A unit: noise in SI units; flicker, of all axes or of each: sd of a decade of correlation times, rad/s."""
+    """A unit: noise in SI units; flicker, of all axes or of each: sd of a decade of correlation time."""
 
     rate_hz: float = 100.0
     arw: float = ARW
