@@ -104,7 +104,7 @@ def step(
 def _decide_on(state: State, parameters: RestParameters, motion: Motion | None, end_s: float) -> None:
     """Decide after a slot that ended at end_s."""
     if motion is None and state.at_rest and state.slots % EVERY == 0:
-        motion = _wanders(state)
+        motion = _wanders(state, parameters.accel_drift)
     if motion is not None:
         state.shaken = motion.sudden or (state.shaken and not state.at_rest)
         if state.at_rest:
@@ -141,12 +141,12 @@ def _fits(state: State) -> bool:
     return state.quiet_slots >= RING and bool(state.windows.known.all())
 
 
-def _wanders(state: State) -> Motion | None:
+def _wanders(state: State, drift: float) -> Motion | None:
     """Tell whether a slow turn is more likely than the bias, and note how much it may be if not."""
     if state.quiet_slots < EVERY:
         return None
     state.past.add(state.windows, state.length)
-    found = None if state.past.units % LOOKS_EVERY else look_for_turn(state)
+    found = None if state.past.units % LOOKS_EVERY else look_for_turn(state, drift)
     if found is None:
         return None
     # Older bins are too long to show that it began suddenly: what was seen then is kept for as long as the
@@ -158,12 +158,14 @@ def _wanders(state: State) -> Motion | None:
     else:
         state.unseen = state.unseen * (left / kept)
     state.unseen_age += LOOKS_EVERY
+    seconds = state.span_s(1 << SHORT)
+    if found.tilts >= LIKELY:
+        return Motion(SHORT, seconds, False, (0, 0), False, found.before, found.age_s, found.degc)
     if found.probability < LIKELY:
         return None
     if is_over(state.turn, state.turn + found.turn):
         forget(state)
         return None
-    seconds = state.span_s(1 << SHORT)
     return Motion(SHORT, seconds, False, (0, 0), True, found.before, found.age_s, found.degc)
 
 

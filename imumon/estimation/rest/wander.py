@@ -65,6 +65,10 @@ FORGET = 0.5
 """Of what a history told of the strength of the flicker so much holds for the next."""
 LEAST_LEFT = 1e-9
 """Share of a change, squared, that is not lost in rounding where the temperature explains it."""
+SHOWN = 3.0
+"""Standard deviations by which gravity has moved where it may tell of a tilt: the priors ask for more."""
+MOST = 50.0
+"""Logarithm beyond which one probability is all there is."""
 TINY = 1e-24
 _FIRST, _SECOND = np.triu_indices(EFFECTS)
 _TIMES = np.where(_FIRST == _SECOND, 1.0, 2.0)
@@ -72,11 +76,13 @@ _TIMES = np.where(_FIRST == _SECOND, 1.0, 2.0)
 
 
 class Turning(NamedTuple):
-    """That it turns now: the probability; the turn's rms, rad/s, (3,), 0 for what is decided, the age at
-    which it likeliest began, units, and the rms of what may turn since the age of the one that is kept; the
-    mean of all axes before it began, (6,), how long ago that was, s, and the temperature then, °C."""
+    """That it turns now: the probability, and that it tilts; the turn's rms, rad/s, (3,), 0 for what is
+    decided, the age at which it likeliest began, units, and the rms of what may turn since the age of the one
+    that is kept; the mean of all axes before it began, (6,), how long ago that was, s, and the temperature
+    then, °C."""
 
     probability: float
+    tilts: float
     turn: FloatArray
     age: float
     possible: float
@@ -134,8 +140,8 @@ class Seen(NamedTuple):
     square, ratio2 : array, (3, s, h)
         The changes over their variances, squared, and one over the variances, of the vertical and the level
         axes.
-    clockwise : array of bool, (s, h)
-        Whether the change about the vertical is.
+    clockwise : array of bool, (3, s, h)
+        Whether the change is.
     """
 
     which: npt.NDArray[np.intp]
@@ -220,8 +226,11 @@ def _correlation(edges: npt.NDArray[np.intp] | npt.NDArray[np.floating], unit_s:
     return np.asarray(double / np.outer(width, width))
 
 
-def look_for_turn(state: State) -> Turning | None:
-    """Tell whether it turns about the vertical since the history began; None before there is one."""
+def look_for_turn(state: State, drift: float) -> Turning | None:
+    """Tell whether it turns since the history began; None before there is one.
+
+    Accelerometers may drift by `drift`, m/s³.
+    """
     past = state.past
     if past.units < LEAST or not state.windows.known[GYRO].all():
         return None
@@ -232,7 +241,8 @@ def look_for_turn(state: State) -> Turning | None:
     frame = _frame(state, means[:, GYRO])
     white = (frame * frame).T @ white
     columns = means[:, GYRO] @ frame / np.sqrt(white)
-    return _weigh(state, known, _seen(state, known, columns, np.sqrt(white)), frame)
+    seen = _seen(state, known, columns, np.sqrt(white))
+    return _weigh(state, known, seen, frame, _Tilt(means[:, ACCEL], drift))
 
 
 def _seen(state: State, known: Changes, columns: FloatArray, white_sd: FloatArray) -> Seen:
@@ -269,7 +279,7 @@ def _seen(state: State, known: Changes, columns: FloatArray, white_sd: FloatArra
         likely[each, slope, np.newaxis],
         (change * change / left2).swapaxes(0, 1),
         ratio2.swapaxes(0, 1),
-        change[:, 0] < 0.0,
+        (change < 0.0).swapaxes(0, 1),
     )
 
 
@@ -285,7 +295,14 @@ def _frame(state: State, means: FloatArray) -> FloatArray:
     return np.asarray(axes)
 
 
-def _weigh(state: State, known: Changes, seen: Seen, frame: FloatArray) -> Turning:
+class _Tilt(NamedTuple):
+    """Specific force of the bins, m/s², (b, 3), and by how much accelerometers may drift, m/s³."""
+
+    force: FloatArray
+    drift: float
+
+
+def _weigh(state: State, known: Changes, seen: Seen, frame: FloatArray, tilt: _Tilt) -> Turning:
     """Return what changes make likely; the frame's first column is the vertical."""
     likely, up = seen.likely, frame[:, 0]
     square, ratio2 = seen.square, seen.ratio2
@@ -313,21 +330,58 @@ def _weigh(state: State, known: Changes, seen: Seen, frame: FloatArray) -> Turni
     most = max(float(likely.max()), float(turn.max()), float(creep.max(initial=-np.inf)))
     turned = np.exp(turn - most)
     each = np.exp(likely[:, 0] - most) + turned.sum(1) + np.exp(creep - most).sum(1)
+    tilting = _tilting(state, known, seen._replace(square=square, ratio2=ratio2), prior, (frame, tilt)) - most
+    tilts = np.exp(np.minimum(tilting, MOST))
     share = np.bincount(seen.which, each / each.sum(), len(SHARES))
     state.strengths_seen = np.log(share + np.exp(-SURPRISE))
     goes_on = slice(known.goes_on)
+    tilted = float(tilts.sum()) / float(tilts.sum() + each.sum())
     now, rates2 = turned[:, goes_on] / each.sum(), change2[:, goes_on]
     rms = np.sqrt((now * rates2).sum())
-    began = int(known.began[np.argmax(now.max(0))]) + 1
+    likeliest = tilts if tilted > 0.5 else now.max(0)
+    began = int(known.began[np.argmax(likeliest)]) + 1
     ages = known.edges[began:]
     oldest = int(np.searchsorted(ages, min(ages[0] + LEAST, ages[-1])))
     past = state.past
     before, degc = past.means(ages[[0, oldest]])[0], past.first_degc + past.warmed(ages[[0, oldest]])[0, 0]
     rates = np.sqrt(rates2)
-    clockwise = (now * np.where(seen.clockwise[:, goes_on], rates, -rates)).sum() > 0.0
+    clockwise = (now * np.where(seen.clockwise[0, :, goes_on], rates, -rates)).sum() > 0.0
     unseen = (-rms if clockwise else rms) * up
     possible, age = _possible(known, turn, change2, ratio2[0], state.unseen_age), float(ages[0])
-    return Turning(float(now.sum()), unseen, age, possible, before, age * past.unit_s, degc)
+    return Turning(float(now.sum()), tilted, unseen, age, possible, before, age * past.unit_s, degc)
+
+
+def _tilting(
+    state: State, known: Changes, seen: Seen, prior: FloatArray, given: tuple[FloatArray, _Tilt]
+) -> FloatArray:
+    """Return log-likelihoods of turns about any axis that go on, (h,), or (1,) while gravity stays.
+
+    Gravity would follow: by how much the specific force has changed since before is as likely as that change
+    is, against that of accelerometers that drift, and what their steps hide.
+    """
+    (frame, tilt), windows, unit_s = given, state.windows, state.past.unit_s
+    now = tilt.force[0]
+    moved = now - tilt.force[1:]
+    noise = 2.0 * windows.variance[4, ACCEL].max() + windows.resolution[ACCEL].max() ** 2 / 6.0
+    known_noise = state.windows.known[ACCEL].all()
+    if not (known_noise and (moved * moved).sum(1).max() > SHOWN**2 * noise):
+        return np.full(1, -np.inf)
+    best, goes_on = int(np.argmax(seen.likely)), slice(known.goes_on)
+    square, ratio2 = seen.square[:, best, goes_on], seen.ratio2[:, best, goes_on]
+    off2 = square.sum(0)
+    turn = prior[goes_on] + 0.5 * off2 - 1.5 * np.log(np.maximum(off2, 1.0)) - np.log(RATES / 2.5066)
+    rate = np.sqrt(square / ratio2) * np.where(seen.clockwise[:, best, goes_on], -1.0, 1.0)
+    start, end = known.start[goes_on], known.end[goes_on]
+    turned_s = unit_s * np.maximum(0.5 * (start + end) - 1.0, 0.0)
+    expected, changed = np.cross(now, (frame @ (rate * turned_s)).T), moved[known.began[goes_on]]
+    drifts = noise + np.square(tilt.drift * unit_s * start) / 3.0
+    follows = drifts + (now @ now) * np.square(turned_s) / ratio2[1:].min(0)
+    off, size2 = changed - expected, (expected * expected).sum(1)
+    told = (changed * changed).sum(1) / drifts - (off * off).sum(1) / follows
+    # As long as gravity does not show it, level axes only wander.
+    shown = ((changed * expected).sum(1) > 0.5 * size2) & (size2 > drifts)
+    likely = float(seen.likely[best, 0]) + turn + 0.5 * told - np.log(follows / drifts)
+    return np.where(shown, likely, -np.inf)
 
 
 def _possible(known: Changes, turn: FloatArray, change2: FloatArray, ratio2: FloatArray, age: float) -> float:

@@ -10,7 +10,7 @@ from imumon.blocks import FloatArray
 from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.rest.state import State
 from imumon.estimation.rest.wander import STRENGTHS, TAUS_S, changes, kept_edge, wander_after
-from tests.estimation.rest.scenes import DEG, block, noise
+from tests.estimation.rest.scenes import DEG, block, noise, rolled
 
 
 def found(t: FloatArray, gyro: FloatArray, accel: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -123,6 +123,19 @@ def test_a_turn_that_begins_slowly_on_a_coarse_gyro_is_seen_as_soon_as_noise_all
         rest, _ = found(t, 0.06 * DEG * np.round(gyro / (0.06 * DEG)), accel)
         rested.append(rest[t > 150.0].sum() / 25.0)
     assert np.mean(rested) < 13.0
+
+
+@pytest.mark.parametrize("follows", [True, False])
+def test_a_tilt_that_begins_slowly_is_seen_where_gravity_follows_it(follows: bool) -> None:
+    """The specific force alone takes 6 to 8 s, for it may drift, and the gyros may creep."""
+    for seed in range(20, 23):
+        t, gyro, accel = noise(180.0, 25.0, gyro_sd=4e-6, accel_sd=2.5e-3, seed=seed)
+        gyro += wandering(gyro, 25.0, 0.1 / 3600.0 * DEG, seed)
+        rate = 0.5 * DEG * np.clip((t - 150.0) / 120.0, 0.0, 1.0)
+        gyro[:, 0] += rate
+        rest, _ = found(t, gyro, rolled(accel, np.cumsum(rate) / 25.0) if follows else accel)
+        assert rest[t < 150.0].mean() > 0.9
+        assert not rest[t > 155.0].any() if follows else rest[t > 155.0].all()
 
 
 def test_the_doubt_of_a_slow_turn_stays_for_as_long_as_it_may_go_on() -> None:
