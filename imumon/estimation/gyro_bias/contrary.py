@@ -76,8 +76,9 @@ class Contrary:
             self.gravity = float(unexplained @ unexplained - seen @ seen) / (2.0 * variance)
 
     @property
-    def _prior(self) -> float:
-        if (np.abs(self.readings[-1].slot.degc - self.since_degc) >= MOVED_DEGC).any():
+    def prior(self) -> float:
+        """Probability that a slot which contradicts the bias has another."""
+        if self.readings and (np.abs(self.readings[-1].slot.degc - self.since_degc) >= MOVED_DEGC).any():
             return JUMP_PRIOR_WARMED
         return JUMP_PRIOR_AFTER_GAP if self.behind_gap else JUMP_PRIOR
 
@@ -86,7 +87,7 @@ class Contrary:
         """Probability that the bias has jumped: unnoticed movements last `UNNOTICED_S` in the mean."""
         if not self.readings:
             return 0.0
-        prior = math.log(self._prior / (1.0 - self._prior))
+        prior = math.log(self.prior / (1.0 - self.prior))
         return 0.5 + 0.5 * math.tanh(0.5 * (prior + self.seconds / UNNOTICED_S + self.gravity))
 
     @property
@@ -96,5 +97,5 @@ class Contrary:
 
     @property
     def rate(self) -> FloatArray:
-        """Mean rate of the slots, rad/s, (3,)."""
-        return np.asarray(np.mean([reading.rate for reading in self.readings], 0))
+        """Mean rate of the slots, rad/s, (3,), but for the first, which may have the old bias yet."""
+        return np.asarray(np.mean([reading.rate for reading in self.readings[1:] or self.readings], 0))

@@ -17,7 +17,7 @@ from imumon.estimation.gyro_bias import bank as filters
 from imumon.estimation.gyro_bias.attitude import Attitude, Place, turned_earth
 from imumon.estimation.gyro_bias.bank import AtRest, Bank, Family
 from imumon.estimation.gyro_bias.contrary import Contrary
-from imumon.estimation.gyro_bias.law import LAW, Laws, at_slot, no_law, sd_at_slot
+from imumon.estimation.gyro_bias.law import LAW, Laws, at_slot, no_law, sd_at_slot, surprise
 from imumon.estimation.gyro_bias.motion import Motion
 from imumon.estimation.gyro_bias.slot import MOVED_DEGC, Reading, Slot
 from imumon.estimation.gyro_bias.steps import mix_variants
@@ -75,6 +75,14 @@ class Params:
     """Length of the first rest that is filtered again, slots."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Noise:
+    """White noise of the gyros, rad/sqrt(s), (3,), and of the tilt by the accelerometers, rad sqrt(s)."""
+
+    rate: FloatArray
+    tilt: float
+
+
 @dataclass(slots=True, eq=False)
 class Moved:
     """By how much the bias has moved in the present rest, or the last, and whether it has ended in motion.
@@ -120,6 +128,8 @@ class State:
     """All that is carried from slot to slot."""
 
     white: WhiteNoise = field(default_factory=WhiteNoise)
+    noise: Noise = field(default_factory=lambda: Noise(_nothing(), math.nan))
+    """By the latest slot that counted."""
     bank: Bank | None = None
     """None until the noise is known."""
     attitude: Attitude = field(default_factory=Attitude)
@@ -247,7 +257,21 @@ def _close(state: State, params: Params, slot: Slot) -> FloatArray:
     innovation = _count(state, params, state.waiting) if state.waiting is not None else _nothing()
     state.waiting = Reading(slot, slot.rate - attitude.earth, tilt, state.fresh)
     state.fresh = False
+    if state.bank is not None:
+        _doubt(state, state.waiting)
     return innovation
+
+
+def _doubt(state: State, reading: Reading) -> None:
+    """Widen the sigma by a slot that contradicts the bias, before it counts: it may have jumped."""
+    contrary, noise2 = state.contrary, state.noise.rate**2 / reading.slot.dt
+    if contrary.readings or surprise(state.law, reading.rate, noise2) > GATE:
+        law = state.law.copy()
+        bias = at_slot(law)
+        known2 = (contrary.rate - bias) ** 2 if contrary.readings else 0.0
+        unknown2 = np.maximum((reading.rate - bias) ** 2 - known2, 0.0)
+        law["covariance"][0, :, 0, 0] += (contrary.jump or contrary.prior) * unknown2
+        state.law = law
 
 
 def _count(state: State, params: Params, reading: Reading) -> FloatArray:
@@ -256,7 +280,7 @@ def _count(state: State, params: Params, reading: Reading) -> FloatArray:
     if reading.fresh:
         state.white.begin()
     state.white.add(reading.slot.dt, reading.rate, reading.tilt)
-    noise = _noise(state, params)
+    noise = state.noise = _noise(state, params)
     if state.bank is not None:
         innovation = _take(state, params, state.bank, noise, reading)
     if not state.zeroed:
@@ -269,14 +293,6 @@ def _count(state: State, params: Params, reading: Reading) -> FloatArray:
     if state.bank is not None:
         _show(state, params, noise, reading.slot)
     return innovation
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Noise:
-    """White noise of the gyros, rad/sqrt(s), (3,), and of the tilt by the accelerometers, rad sqrt(s)."""
-
-    rate: FloatArray
-    tilt: float
 
 
 def _noise(state: State, params: Params) -> Noise:
@@ -368,11 +384,11 @@ def _take(state: State, params: Params, bank: Bank, noise: Noise, reading: Readi
         flat * STILLNESS**2,
     )
     filters.integrate(bank, at_rest)
-    innovation, surprise = filters.look(bank, at_rest)
+    innovation, surprises = filters.look(bank, at_rest)
     shown: FloatArray = np.where(state.chosen, innovation[-1], innovation[0])
     # Just after a contradiction the rotation is not known, and a rotation explains any rate for a while.
     contrary = state.contrary.readings and filters.disagreement(bank, at_rest).min(0).max() > GATE
-    if contrary or surprise.min(0).max() > GATE:
+    if contrary or surprises.min(0).max() > GATE:
         _refuse(state, params, bank, reading)
         return shown
     state.contrary = Contrary()

@@ -70,6 +70,21 @@ def sd_at_slot(law: Laws) -> FloatArray:
 
 
 @njit
+def surprise(law: Any, rate: FloatArray, noise2: FloatArray) -> float:
+    """Return the largest squared difference of rate and bias at the slot, (3,), over its variance."""
+    most = 0.0
+    for a in range(3):
+        off, variance = rate[a] - law[0].terms[a, 0], noise2[a] + law[0].covariance[a, 0, 0]
+        for m in range(3):
+            off -= law[0].offset[m] * law[0].terms[a, 2 + m]
+            variance += 2.0 * law[0].offset[m] * law[0].covariance[a, 0, 2 + m]
+            for n in range(3):
+                variance += law[0].offset[m] * law[0].covariance[a, 2 + m, 2 + n] * law[0].offset[n]
+        most = max(most, off * off / variance)
+    return most
+
+
+@njit
 def at_samples(
     rows: IntArray,
     laws: Any,
