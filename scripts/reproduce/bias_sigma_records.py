@@ -14,7 +14,7 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
 
 RATE_HZ = 50.0
-TAUS_S = (10.0, 100.0, 1000.0)
+TAUS_S = (1.0, 10.0, 100.0, 1000.0)
 SLOPES_DPH = np.array([45.0, -100.0, 0.3])
 """Slopes of the axes over temperature, deg/h per °C, where `Sensor.thermal` is one."""
 SENSOR_STEP_DEGC = 0.0625
@@ -23,8 +23,8 @@ FIRST_REST_S = 60.0
 
 @dataclass(frozen=True)
 class Sensor:
-    """Noise of a sensor: angle and velocity random walk, deg/√h and m/s/√s, flicker of three processes each,
-    deg/h, sensitivity to temperature over that of an industrial one, and turn-on bias, deg/s."""
+    """Noise of a sensor: angle and velocity random walk, deg/√h and m/s/√s, flicker of a decade each, deg/h,
+    sensitivity to temperature over that of an industrial one, and turn-on bias, deg/s."""
 
     angle_walk: float
     velocity_walk: float
@@ -37,6 +37,8 @@ SENSORS = {
     "tactical": Sensor(0.02, 2e-4, 0.1, 0.03, 0.01),
     "industrial": Sensor(0.28, 1e-3, 2.0, 1.0, 0.5),
     "consumer": Sensor(0.6, 3e-3, 20.0, 3.0, 3.0),
+    "flickering": Sensor(0.3, 1e-3, 27.0, 1.0, 0.5),
+    "all flicker": Sensor(0.03, 1e-3, 27.0, 1.0, 0.5),
 }
 
 
