@@ -25,7 +25,7 @@ from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import steps
 from imumon.estimation.gyro_bias.intake import SLOT_S
 from imumon.estimation.gyro_bias.law import TERMS
-from imumon.estimation.gyro_bias.steps import ROTATION, SLOPE, STATES, TAUS_S, WALK
+from imumon.estimation.gyro_bias.steps import LEAST_WEIGHT, ROTATION, SLOPE, STATES, TAUS_S, WALK
 from imumon.filters.noise import FLOOR_PER_INSTABILITY, INSTABILITY_PER_DECADE, flicker_sd
 
 SENSITIVITY = slice(steps.SENSITIVITY, STATES)
@@ -295,7 +295,7 @@ def disagreement(bank: Bank, slot: AtRest) -> FloatArray:
     square = (slot.rate[:, np.newaxis] - bank.mean @ row) ** 2 / variance
     least = square.min(-1)
     share = bank.settled * np.exp(0.5 * (least[..., np.newaxis] - square))
-    return np.asarray(least - 2.0 * np.log(share.sum(-1)))
+    return np.asarray(least - 2.0 * np.log(np.maximum(share.sum(-1), LEAST_WEIGHT)))
 
 
 def take(bank: Bank, slot: AtRest) -> FloatArray:
