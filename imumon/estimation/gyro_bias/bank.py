@@ -38,6 +38,8 @@ factor of 1.8 in strength, errs by 8 % more."""
 WALK_CORNERS_S = (60.0, 12.0, 2.5)
 """The same for random walks: biases that follow an unknown temperature."""
 PRIORS = (0.2, 0.2, 0.2, 0.199, 0.001, 0.08, 0.07, 0.05)
+"""Weights before any measurement.  A gyro that is nearly all flicker is rare; were it likelier than this that
+one begins to be (each `DWELL_S`), a bias that jumps would look like one before it contradicts all filters."""
 DWELL_S = 3600.0
 """Mean time after which a bias begins to behave differently."""
 UNKNOWN_BIAS = 1.0

@@ -12,7 +12,9 @@ from dense_record import dense_filter
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import bank as filters
 from imumon.estimation.gyro_bias.bank import AtRest, Bank
-from imumon.estimation.gyro_bias.steps import ROTATION, STATES, VELOCITY, WALK
+from imumon.estimation.gyro_bias.intake import SLOT_S
+from imumon.estimation.gyro_bias.steps import ROTATION, STATES, TAUS_S, VELOCITY, WALK
+from imumon.filters.noise import BiasNoise
 from imumon.published.dense_zupt import DenseSettings
 from tests.estimation.gyro_bias.records import ARW, DPH, VRW, Truth, local_earth, record
 
@@ -91,6 +93,27 @@ def test_level_the_three_axes_apart_are_the_dense_filter() -> None:
     # Here the heading is held over a sample, there at its end.
     assert off[2] < 0.02
     np.testing.assert_allclose(np.sqrt(variance), dense.bias_sd, rtol=1e-3)
+
+
+def test_second_differences_of_slots_show_so_much_of_what_wanders() -> None:
+    """Against the covariance of fine samples, averaged."""
+    slots, fine = 3, 50
+    time_s = (np.arange(slots * fine) + 0.5) * SLOT_S / fine
+    differ = np.repeat([1.0, -2.0, 1.0], fine) / fine
+    strengths = np.eye(4)
+    for k, shown in enumerate(filters.in_differences()):
+        noise = BiasNoise(TAUS_S, strengths[k, 1:], strengths[k, 0])
+        white = 6.0 / SLOT_S
+        assert differ @ noise.covariance(time_s) @ differ / white == pytest.approx(shown, rel=0.01)
+
+
+def test_a_filter_takes_its_own_share_of_second_differences_for_white() -> None:
+    measured, known = filters.unknown_family(), filters.unknown_family(white_known=True)
+    flicker = len(filters.FLICKER_CORNERS_S)
+    assert (np.diff(measured.white2[:flicker]) < 0.0).all()
+    np.testing.assert_array_equal(known.white2, 1.0)
+    whole = measured.white2 + measured.strength2[0] @ filters.in_differences()
+    np.testing.assert_allclose(whole, 1.0)
 
 
 def random_bank(rng: np.random.Generator, family: filters.Family) -> Bank:

@@ -67,6 +67,20 @@ def test_with_nothing_known_the_claim_is_careful_not_bold() -> None:
     assert np.mean(innovations**2, axis=0) == pytest.approx(np.ones(3), abs=0.03)
 
 
+@pytest.mark.parametrize("arw_deg", [0.03, 0.3])
+def test_the_sigma_is_true_of_a_gyro_that_mostly_flickers(arw_deg: float) -> None:
+    """27 °/h in each decade are more than the white noise of a second, or of a hundredth."""
+    truth = Truth(rate_hz=10.0, arw=np.radians(arw_deg) / 60.0, flicker=27.0 * DPH, low_pass_hz=None)
+    normalised = []
+    for seed in range(30, 34):
+        block, bias = record(truth, 600.0, seed)
+        added = GyroBias().process(block)
+        normalised.append(((vector(added) - bias) / vector(added, "gyro_bias_sd"))[600:])
+    z = np.concatenate(normalised)
+    assert 0.7 < np.sqrt(np.mean(z**2)) < 1.5
+    assert np.mean(np.abs(z) > 5.0) < 2e-3
+
+
 def test_without_a_model_the_claim_holds_while_it_moves_and_warms_up() -> None:
     t = np.arange(15000) / 10
     temperature = 25.0 + 20.0 * (1.0 - np.exp(-t / 400.0))

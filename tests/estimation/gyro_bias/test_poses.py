@@ -22,6 +22,7 @@ from tests.estimation.gyro_bias.records import (
     local_earth,
     record,
     vector,
+    with_rest,
 )
 
 RATE_HZ = 50.0
@@ -100,6 +101,17 @@ def test_a_jump_makes_the_sigma_wide_at_once_and_is_believed_in_the_end(gap_s: f
     assert np.sum(z > 5.0) / RATE_HZ < 1.05
     assert abs(error[-1]) < 10.0 * DPH
     assert any("jumped" in text for text in stage.notices())
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+def test_a_jump_in_the_first_minute_is_one_when_that_is_filtered_again(seed: int) -> None:
+    block, bias = record(Truth(rate_hz=10.0, low_pass_hz=None), 45.0, seed)
+    t = np.arange(len(block)) / 10.0
+    jump = np.where(t > 3.0, math.radians(1.0), 0.0)
+    jumped = block.with_columns({"gyro_x": block["gyro_x"] + jump})
+    added = GyroBias().process(with_rest(jumped, t < 40.0))
+    z = (added["gyro_bias_x"] - bias[:, 0] - jump) / added["gyro_bias_sd_x"]
+    assert np.abs(z[t > 10.0]).max() < 5.0
 
 
 @pytest.mark.parametrize("size_deg", [0.1, 0.3, 2.0])
