@@ -264,7 +264,7 @@ def _close(state: State, params: Params, slot: Slot) -> FloatArray:
 
 def _doubt(state: State, reading: Reading) -> None:
     """Widen the sigma by a slot that contradicts the bias, before it counts: it may have jumped."""
-    contrary, noise2 = state.contrary, state.noise.rate**2 / reading.slot.dt
+    contrary, noise2 = state.contrary, state.noise.rate**2 / reading.slot.averaged_s
     if contrary.readings or surprise(state.law, reading.rate, noise2) > GATE:
         law = state.law.copy()
         bias = at_slot(law)
@@ -279,7 +279,7 @@ def _count(state: State, params: Params, reading: Reading) -> FloatArray:
     innovation = _nothing()
     if reading.fresh:
         state.white.begin()
-    state.white.add(reading.slot.dt, reading.rate, reading.tilt)
+    state.white.add(reading.slot.averaged_s, reading.rate, reading.tilt)
     noise = state.noise = _noise(state, params)
     if state.bank is not None:
         innovation = _take(state, params, state.bank, noise, reading)
@@ -379,8 +379,8 @@ def _take(state: State, params: Params, bank: Bank, noise: Noise, reading: Readi
         reading.rate,
         reading.tilt,
         _offset(state, params, slot.force),
-        noise.rate**2 + flat * ACCEL_WALK**2,
-        YAW_NOISE**2 + flat * (noise.tilt**2 - YAW_NOISE**2),
+        noise.rate**2 / slot.covered + flat * ACCEL_WALK**2,
+        YAW_NOISE**2 + flat * (noise.tilt**2 / slot.covered - YAW_NOISE**2),
         flat * STILLNESS**2,
     )
     filters.integrate(bank, at_rest)
@@ -440,7 +440,7 @@ def _show(state: State, params: Params, noise: Noise, slot: Slot) -> None:
         state.moved.see(at_slot(law), slot.undecided if slot.follows else np.zeros(3))
     else:
         bias = at_slot(law)
-        state.moved.move(slot.undecided, slot.rate - bias, noise.rate / np.sqrt(slot.dt))
+        state.moved.move(slot.undecided, slot.rate - bias, noise.rate / np.sqrt(slot.averaged_s))
         law["undecided"], law["moved"] = slot.undecided, state.moved.by(bias)
         law["turned"] = np.sqrt(turned_earth(state.attitude.up, params.place, state.turn))
     state.law = law

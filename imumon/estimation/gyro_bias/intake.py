@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -56,12 +57,13 @@ class Samples:
 
 @dataclass(slots=True, eq=False)
 class _Before:
-    """The slot before: end and usual interval, s; whether it was at rest at its end, what was undecided
-    there, and at the end of the last rest; origin of time."""
+    """The slot before: end, its interval and the shortest of any, s; whether it was at rest at its end, what
+    was undecided there, and at the end of the last rest; origin of time."""
 
     origin_ns: int = 0
     end_s: float = 0.0
     interval_s: float = 0.0
+    shortest_s: float = math.inf
     rest: bool = False
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
     resting: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
@@ -153,11 +155,14 @@ class Intake:
         else:
             start = before.end_s
         before.interval_s = (end - start) / samples if samples > 1 or not gap else pause
+        if before.interval_s > 0.0:
+            before.shortest_s = min(before.shortest_s, before.interval_s)
         before.end_s = end
         return self._said(slots, k, start, end, gap)
 
     def _said(self, slots: Slots, k: int, start: float, end: float, gap: bool) -> Slot | None:
         before, samples = self._before, int(slots.samples[k])
+        covered = min(1.0, samples * before.shortest_s / (end - start)) if end > start else 0.0
         still = slots.smallest[k, REST] == 1.0
         arrives = slots.changes[k, REST] == 1 and slots.first[k, REST] == 0.0
         rest = bool(still or (arrives and slots.last[k, REST] == 1.0))
@@ -196,4 +201,5 @@ class Intake:
             undecided,
             slots.turns.at(k),
             gap,
+            covered,
         )

@@ -43,11 +43,18 @@ class Slot:
     """Since the slot before, by rates less the thermal model's part."""
     gap: bool
     """Whether readings were missing for a while.  A slot that is nothing but a gap has no rate (NaN)."""
+    covered: float = 1.0
+    """Share of it that its samples cover at the shortest interval so far: lost ones leave more noise."""
 
     @property
     def dt(self) -> float:
         """Length, s."""
         return self.end_s - self.start_s
+
+    @property
+    def averaged_s(self) -> float:
+        """What its samples cover, s: the white noise of its mean is that of so long."""
+        return self.covered * self.dt
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -79,3 +79,18 @@ def test_with_a_model_the_lag_that_nobody_saw_is_in_the_sigma() -> None:
     before, behind = (vector(added, "gyro_bias_sd")[row] for row in (first - 1, first))
     assert (behind > before).all()
     assert (np.abs(vector(added)[first] - bias[first]) < 4.0 * behind).all()
+
+
+@pytest.mark.parametrize("kept", [0.02, 0.05, 0.2])
+def test_what_is_left_of_a_line_that_loses_most_packets_has_more_noise(kept: float) -> None:
+    for seed in range(4):
+        block, bias = record(Truth(100.0), 120.0, seed)
+        t, random = np.arange(len(bias)) / 100.0, np.random.default_rng(seed)
+        seen = np.flatnonzero((t < 60.0) | (random.random(len(t)) < kept))
+        columns = with_rest(block, np.ones(len(t), np.bool_)).columns
+        added = GyroBias(mode="learned").process(SampleBlock({name: x[seen] for name, x in columns.items()}))
+        lossy = t[seen] > 62.0
+        error = (vector(added) - bias[seen])[lossy]
+        # The minute before tells it, and not a few samples: 120 °/h if all slots count alike.
+        assert np.sqrt(np.mean(error**2, 0)).max() < 10.0 * DPH
+        assert np.abs(error / vector(added, "gyro_bias_sd")[lossy]).max() < 4.0
