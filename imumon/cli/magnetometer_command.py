@@ -54,10 +54,11 @@ def command(session: Path, out: Path, model: Path | None, plot: Path | None, as_
         from imumon.calibration.magnetometer_plot import write_magnetometer_plot
 
         write_magnetometer_plot(plot, fit, recording.name)
-    warn([f"{session}: {text}" for text in recording.warnings()])
+    warnings = [f"{session}: {text}" for text in recording.warnings()]
+    warn(warnings)
     if as_json:
         said = {"out": out, "residual_before": fit.residual_before, "points": len(fit.field)}
-        print_json({**said, **found.model_dump()})
+        print_json({**said, **found.model_dump(), "warnings": warnings})
     print_rows(_rows(fit, out))
 
 
