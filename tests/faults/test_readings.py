@@ -102,11 +102,26 @@ def test_a_thermometer_that_says_zero_at_first_is_none_till_then(
     assert "temperature while it has said nothing but zero (" in " ".join(said)
 
 
-def test_a_thermometer_that_says_zero_alone_is_none(bench: dict[str, Path], tmp_path: Path) -> None:
-    done = imumon("calibrate", bench["a dead temperature"], "--out", tmp_path / "model.yaml")
-    assert done.returncode == 4
-    assert "there is no temperature" in done.stderr
-    assert "zero alone" in done.stderr
+def test_what_is_refused_says_what_was_left_out(bench: dict[str, Path], tmp_path: Path) -> None:
+    dead = bench["a dead temperature"]
+    columns = chamber() | {f"mag_{axis}": np.full(len(chamber()["gyro_x"]), 1e12) for axis in "xyz"}
+    beyond = write_session(tmp_path / "beyond", columns, 1.0)
+    for command, session, said in (
+        (
+            ("calibrate", "--out", tmp_path / "model.yaml"),
+            dead,
+            "temperature while it has said nothing but zero (",
+        ),
+        (
+            ("diagnose", "--out", tmp_path / "out", "--train"),
+            dead,
+            "temperature while it has said nothing but zero (",
+        ),
+        (("magnetometer", "--out", tmp_path / "model.yaml"), beyond, "mag_x beyond"),
+    ):
+        done = imumon(*command, session)
+        assert done.returncode == 4
+        assert done.stderr.count(f"left out of all estimates: {said}") == 1
 
 
 @pytest.mark.parametrize("fault", FAULTS)
