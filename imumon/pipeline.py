@@ -10,7 +10,7 @@ import hashlib
 import pickle
 import re
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from types import MappingProxyType
@@ -68,6 +68,25 @@ class Judging(Protocol):
 
     def lanes(self) -> Mapping[str, str]:
         """Return the state of each of its lanes as it is now."""
+
+
+class Seen:
+    """The last stage of who computes from samples: hands on what stages see, with what they added."""
+
+    columns: Sequence[Column] = ()
+
+    def __init__(self, take: Callable[[SampleBlock], object]) -> None:
+        self._take = take
+
+    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+        """Hand on the block; add nothing."""
+        if len(block):
+            self._take(block)
+        return {}
+
+    def notices(self) -> list[str]:
+        """Return nothing."""
+        return []
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,8 +162,6 @@ class Pipeline:
         given = device is not None and device.rate_given
         self._nominal = NominalRate(self._device_clock.timing.rate_hz, given)
         self._repeats = Repeats()
-        self.as_seen = False
-        """Whether `take` returns the samples as the stages see them, not as they were sent."""
         self._ended = False
         self._samples = 0
         self._ready: list[SampleBlock] = []
@@ -267,7 +284,7 @@ class Pipeline:
         if self._decoder is not None:
             self._decoder.finish()
             self.pause()
-            self._ended = True
+        self._ended = True
 
     def pause(self) -> None:
         """Say that the port fell silent or closed: a row that waits for more of its fields comes out."""
@@ -302,7 +319,7 @@ class Pipeline:
         if self._dated_by_rate:
             decoded = [*decoded, *self._nominal.notices(self._ended)]
         repeated = self._repeats.notices(self._device_clock.dated_by)
-        decoded = [*decoded, *repeated, *self._intake.notices()]
+        decoded = [*decoded, *repeated, *self._intake.notices(self._ended)]
         return [*decoded, *(text for stage in self._estimators for text in _notices(stage))]
 
     def charts(self) -> list[Chart]:
@@ -372,7 +389,7 @@ class Pipeline:
 
     def _estimate(self, block: SampleBlock) -> SampleBlock:
         """Run the stages over what no sensor fault spoils; the columns that were sent stay as they are."""
-        if not self._estimators and not self.as_seen:
+        if not self._estimators:
             return block
         taken = self._intake.process(block)
         seen, added = taken.block, dict[str, ColumnArray]()
@@ -382,7 +399,7 @@ class Pipeline:
                 new = self._checked_columns(at, new, seen)
             seen = seen.with_columns(new)
             added |= {name: taken.spread(values) for name, values in new.items()}
-        return seen if self.as_seen else block.with_columns(added)
+        return block.with_columns(added)
 
     def _checked_columns(
         self, at: int, new: Mapping[str, ColumnArray], seen: SampleBlock

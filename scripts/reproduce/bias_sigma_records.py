@@ -37,6 +37,7 @@ SENSORS = {
     "tactical": Sensor(0.02, 2e-4, 0.1, 0.03, 0.01),
     "industrial": Sensor(0.28, 1e-3, 2.0, 1.0, 0.5),
     "consumer": Sensor(0.6, 3e-3, 20.0, 3.0, 3.0),
+    "flickering": Sensor(0.3, 1e-3, 27.0, 1.0, 0.5),
 }
 
 

@@ -30,6 +30,7 @@ CASES = {
     "warm-up": varied(temperature="warm-up"),
     "tactical": varied(sensor="tactical"),
     "consumer": varied(sensor="consumer"),
+    "flicker of 27 °/h per decade beside 0.3 °/√h": varied(sensor="flickering"),
     "place known": varied(place=True),
     "place known, 0.1 °/s/g": varied(place=True, per_g=0.1),
     "tactical, place known": varied(sensor="tactical", place=True),
