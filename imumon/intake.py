@@ -20,14 +20,14 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "gyro_": (-1e3, 1e3, "rad/s"),
     "accel_": (-1e6, 1e6, "m/s^2"),
     "mag_": (-1e9, 1e9, ""),
-    "temperature": (-273.15, 2000.0, "°C"),
+    "temperature": (-100.0, 250.0, "°C"),
     "pressure": (0.0, 1e10, "Pa"),
     "q_": (-2.0, 2.0, ""),
 }
 """By the beginning of a column's name, what a sensor may say: three times the widest range that is sold.
 
-50,000 °/s, 100,000 g; 32-bit counts of a magnetometer without unit; absolute zero and a thermocouple; 1 GPa;
-a quaternion that was not normalised.
+50,000 °/s, 100,000 g; 32-bit counts of a magnetometer without unit; 1 GPa; a quaternion that was not
+normalised.  Of a thermometer, where no semiconductor sensor works.
 """
 LONGEST_GAP_S = 1e6
 """Within a segment, eleven days: a clock that leaps so far did not count."""
@@ -100,42 +100,49 @@ class Intake:
 
     def process(self, block: SampleBlock) -> Taken:
         """Return what the stages may see of a block."""
+        taken, rows = self._timely(block)
         changed: dict[str, ColumnArray] = {}
-        for name, values in block.columns.items():
+        for name, values in taken.columns.items():
             limits = self._limits_of(name) if values.dtype == np.float64 else None
             if limits is not None and (sound := self._sound(name, values, limits)) is not None:
                 changed[name] = sound
+        # What cannot be is no reading: it neither begins a sensor nor ends its standing still.
+        possible = taken.with_columns(changed) if changed else taken
         for sensor, still in self._still.items():
             axes = tuple(f"{sensor}_{axis}" for axis in "xyz")
-            if all(name in block for name in axes):
-                self._stand_still(axes, still, block, changed)
-        for name in block.columns:
+            if all(name in taken for name in axes):
+                self._stand_still(axes, still, possible, changed)
+        for name in taken.columns:
             if name.startswith("temperature") and name not in self._begun:
-                self._begin(name, (name,), block, changed)
+                self._begin(name, (name,), possible, changed)
         gyros = tuple(f"gyro_{axis}" for axis in "xyz")
-        if "gyro" not in self._begun and all(name in block for name in gyros):
-            self._begin("gyro", gyros, block, changed)
-        rows: BoolArray | None = None
-        if "device_time_ns" in block and "segment" in block:
-            kept, shift = self._clock.judge(block["device_time_ns"], block["segment"])
-            if shift is not None:
-                changed["segment"] = block["segment"] + shift
-            rows = None if kept is None else kept
-        seen = block.with_columns(changed) if changed else block
-        if rows is not None:
-            self._left_out["rows whose time does not go on"] += int((~rows).sum())
-            seen = SampleBlock({name: values[rows] for name, values in seen.columns.items()})
-        if "device_time_ns" in seen and "segment" in seen:
+        if "gyro" not in self._begun and all(name in taken for name in gyros):
+            self._begin("gyro", gyros, possible, changed)
+        if "device_time_ns" in taken and "segment" in taken:
             for unchanged in self._unchanged.values():
-                unchanged.look(block, rows, seen)
-        return Taken(seen, rows)
+                unchanged.look(taken)
+        return Taken(taken.with_columns(changed) if changed else taken, rows)
 
-    def notices(self) -> list[str]:
-        """Return, once each, what began to be left out, and which axes do not change."""
-        every = [f"left out of all estimates: {what}" for what in self._left_out]
-        every += [text for unchanged in self._unchanged.values() for text in unchanged.found.values()]
-        new = [text for text in every if text not in self._said]
-        self._said.update(new)
+    def _timely(self, block: SampleBlock) -> tuple[SampleBlock, BoolArray | None]:
+        """Return the rows whose time goes on, and which these are; None for all."""
+        if "device_time_ns" not in block or "segment" not in block:
+            return block, None
+        rows, shift = self._clock.judge(block["device_time_ns"], block["segment"])
+        taken = block if shift is None else block.with_columns({"segment": block["segment"] + shift})
+        if rows is None:
+            return taken, None
+        self._left_out["rows whose time does not go on"] += int((~rows).sum())
+        return SampleBlock({name: values[rows] for name, values in taken.columns.items()}), rows
+
+    def notices(self, ended: bool = False) -> list[str]:
+        """Return, once each, what is left out, at the end with how many, and which axes do not change."""
+        every = {
+            what: f"left out of all estimates: {what}" + (f" ({count:,} in all)" if ended else "")
+            for what, count in self._left_out.items()
+        }
+        every |= {text: text for unchanged in self._unchanged.values() for text in unchanged.found.values()}
+        new = [text for what, text in every.items() if what not in self._said]
+        self._said.update(every)
         return new
 
     def _limits_of(self, name: str) -> tuple[float, float, str] | None:
@@ -292,12 +299,12 @@ class _Unchanged:
         """Readings so far, and how many are not the one before."""
         self._starts = [_Start(0, 0, self._changes)] * 3
 
-    def look(self, sent: SampleBlock, rows: BoolArray | None, seen: SampleBlock) -> None:
-        """Look at what was sent in the rows that are taken, where any axis says something."""
+    def look(self, sent: SampleBlock) -> None:
+        """Look at what was sent, where any axis says something."""
         if not all(name in sent for name in self._names):
             return
-        readings = np.stack([sent[name] if rows is None else sent[name][rows] for name in self._names])
-        time_ns, segment = seen["device_time_ns"], seen["segment"]
+        readings = np.stack([sent[name] for name in self._names])
+        time_ns, segment = sent["device_time_ns"], sent["segment"]
         if np.isnan(readings).any():
             there = ~np.isnan(readings).all(axis=0)
             readings, time_ns, segment = readings[:, there], time_ns[there], segment[there]

@@ -169,6 +169,39 @@ def test_a_thermometer_that_has_not_begun_is_left_out() -> None:
     assert np.flatnonzero(np.isnan(block["temperature"])).tolist() == list(range(200))
 
 
+def test_where_no_thermometer_works_is_no_temperature() -> None:
+    columns = record(500)
+    columns["temperature"][[5, 7]] = 6553.5, -273.0
+    block, intake = seen(columns)
+    assert np.flatnonzero(np.isnan(block["temperature"])).tolist() == [5, 7]
+    assert intake.notices(ended=True) == [
+        "left out of all estimates: temperature beyond -100 to 250 °C (2 in all)"
+    ]
+
+
+def test_what_cannot_be_neither_begins_a_sensor_nor_ends_its_standing_still() -> None:
+    for value in (1e10, np.nan):
+        columns = record(2000)
+        for axis in "xyz":
+            columns[f"gyro_{axis}"][:1000] = 0.0
+            columns[f"gyro_{axis}"][500] = value
+        columns["temperature"][:1000] = 0.0
+        columns["temperature"][500] = value
+        block, _ = seen(columns)
+        for name in ("gyro_x", "temperature"):
+            assert np.isnan(block[name][:1000]).all()
+            assert not np.isnan(block[name][1001:]).any()
+
+
+def test_a_row_that_comes_twice_is_left_out_for_its_time_alone() -> None:
+    twice = {name: np.repeat(values, 2) for name, values in record(500).items()}
+    block, intake = seen(twice)
+    np.testing.assert_array_equal(block["gyro_x"][::2], twice["gyro_x"][::2])
+    assert intake.notices(ended=True) == [
+        "left out of all estimates: rows whose time does not go on (500 in all)"
+    ]
+
+
 def test_rows_whose_time_stands_still_are_left_out() -> None:
     columns = record(500)
     columns["device_time_ns"][100:200] = columns["device_time_ns"][100]

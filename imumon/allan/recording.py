@@ -58,7 +58,7 @@ def read_channels(path: Path, stages: Stages = no_stages) -> Channels:
     """
     recording = open_recording(path, stages)
     _check_units(path, recording.columns)
-    blocks = [_wanted(block) for block in recording.blocks(as_seen=True)]
+    blocks = [_wanted(block) for block in recording.blocks()]
     if not blocks:
         raise ImumonError(Reason.BAD_DATA, f"{path}: has no samples")
     samples = join(blocks)

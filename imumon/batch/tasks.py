@@ -19,7 +19,7 @@ from imumon.batch.options import BatchOptions
 from imumon.batch.places import fetched
 from imumon.blocks import ColumnArray, SampleBlock
 from imumon.errors import ImumonError, Reason
-from imumon.pipeline import Digest, Pipeline
+from imumon.pipeline import Digest, Pipeline, Seen
 from imumon.recordings.folder import is_session, open_session
 from imumon.recordings.side_tables import export_run
 from imumon.recordings.source import Source, open_source, run_over
@@ -136,50 +136,56 @@ class Moments:
         return float(np.sqrt(self.squares / (self.count - 1))) if self.count > 1 else None
 
 
+class _Channels:
+    """What was seen of each channel of a recording, as the stages see it."""
+
+    def __init__(self) -> None:
+        self.moments: dict[str, Moments] = {}
+
+    def add(self, block: SampleBlock) -> None:
+        """Add the samples of a block."""
+        for name, values in block.columns.items():
+            if values.dtype == np.float64:
+                self.moments.setdefault(name, Moments()).add(values)
+
+
 def _decode(path: Path, job: Job) -> Iterator[Row]:
-    source = open_source(path)
-    pipeline = Pipeline(source.device)
-    yield from _samples(source, job, pipeline, run_over(source.items, pipeline))
+    source, seen = open_source(path), _Channels()
+    pipeline = Pipeline(source.device, [Seen(seen.add)], source.range)
+    yield from _samples(source, job, pipeline, run_over(source.items, pipeline), seen)
 
 
 def _replay(path: Path, job: Job) -> Iterator[Row]:
     session = open_session(path)
     text = job.options.pipeline_yaml
     setup = recorded_setup(session) if text is None else parse_setup(text, "--pipeline")
-    source, digest = open_source(path), Digest()
-    pipeline = pipeline_of(source, setup)
+    source, digest, seen = open_source(path), Digest(), _Channels()
+    pipeline = pipeline_of(source, setup, [Seen(seen.add)])
     blocks = digested(run_over(source.items, pipeline), pipeline, digest)
-    rows = [*_samples(source, job, pipeline, blocks)]
+    rows = [*_samples(source, job, pipeline, blocks, seen)]
     identical = identical_to_live(session, setup, digest)
     yield from ({**row, "identical_to_live": identical} for row in rows)
 
 
-def _samples(source: Source, job: Job, pipeline: Pipeline, blocks: Iterable[SampleBlock]) -> Iterator[Row]:
-    """Take the blocks of a recording as they come through a pipeline; yield what its channels were."""
-    seen = dict[str, Moments]()
-
-    def passing() -> Iterator[SampleBlock]:
-        for block in blocks:
-            for name, values in block.columns.items():
-                if values.dtype == np.float64:
-                    seen.setdefault(name, Moments()).add(values)
-            yield block
-
+def _samples(
+    source: Source, job: Job, pipeline: Pipeline, blocks: Iterable[SampleBlock], seen: _Channels
+) -> Iterator[Row]:
+    """Go through the blocks of a recording, into a table where one is asked for; yield what was seen."""
     file: Path | None = None
     if job.options.tables:
         file = job.file("tables", ".parquet")
-        export_run(passing(), pipeline, source, file, None)
+        export_run(blocks, pipeline, source, file, None)
     else:
-        for _ in passing():
+        for _ in blocks:
             pass
-    lost = pipeline.counters.lost
+    lost, said = pipeline.counters.lost, [*source.warnings(), *pipeline.warnings()]
     units = {column.name: column.unit for column in source.columns(pipeline)}
-    for name, found in seen.items():
+    for name, found in seen.moments.items():
         if found.count:
             yield {
                 "channel": name, "unit": units.get(name), "samples": found.count, "mean": found.mean,
                 "sd": found.sd, "least": found.least, "greatest": found.greatest, "lost": lost,
-                "file": None if file is None else str(file),
+                "file": None if file is None else str(file), "warnings": said,
             }  # fmt: skip
 
 
@@ -189,7 +195,8 @@ def _allan(path: Path, _: Job) -> Iterator[Row]:
     from imumon.allan.recording import UNITS, group_of, rate_hz, read_channels
     from imumon.estimation.rest.stage import RestDetector
 
-    for name, result in analyse(read_channels(path, lambda _: [RestDetector()]).series).items():
+    opened = read_channels(path, lambda _: [RestDetector()])
+    for name, result in analyse(opened.series).items():
         terms = {} if result.fit is None else result.fit.terms
         known = {term: found for term in TERMS_OF[group_of(name)] if (found := terms.get(term)) is not None}
         yield {
@@ -200,6 +207,7 @@ def _allan(path: Path, _: Job) -> Iterator[Row]:
             "lowest_tau_s": float(result.tau_s[result.lowest]),
             "longest_tau_s": result.longest_tau_s,
             "rate_hz": rate_hz(result.series), "duration_s": result.series.duration_s,
+            "warnings": [*opened.warnings],
         }  # fmt: skip
 
 
@@ -209,7 +217,7 @@ def _calibrate(path: Path, job: Job) -> Iterator[Row]:
     options = job.options
     serial = open_session(path).metadata.serial
     check_place(options.latitude_deg, options.heading_deg)  # before minutes of reading
-    records, _ = read_sessions([path])
+    records, said = read_sessions([path])
     found = calibrate(records, options.latitude_deg, options.heading_deg, serial)
     file = job.file("models", ".yaml")
     found.model.write(file)
@@ -221,6 +229,7 @@ def _calibrate(path: Path, job: Job) -> Iterator[Row]:
             "residual_sd": choice.residual_sd, "held_out_rms": choice.held_out_rms[choice.name],
             "fit_rms": choice.fit_rms, "lag_rms": finding.lag_rms, "rest_s": found.rest_s,
             "lowest_degc": low, "highest_degc": high, "file": str(file),
+            "warnings": [*said, *found.warnings],
         }  # fmt: skip
 
 
@@ -242,7 +251,7 @@ def _diagnose(path: Path, job: Job) -> Iterator[Row]:
             **{key: channel[key] for key in ("unexplained", "explained_share", "noise_floor_rms", "summary")},
             **{f"{of}_rms_{when}": channel[when][f"{of}_rms"]
                for of in ("train", "test") for when in ("before", "after")},
-            "file": str(file),
+            "file": str(file), "warnings": content["caveats"],
         }  # fmt: skip
 
 

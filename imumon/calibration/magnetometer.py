@@ -61,7 +61,7 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
     source : str
         Name for messages.
     """
-    found = [part for part in (_columns(block) for block in blocks) if part is not None]
+    found = [part for part in (_columns(block) for block in blocks) if part is not None and len(part)]
     if not found:
         raise ImumonError(Reason.BAD_DATA, f"{source}: there is no magnetometer", "needs mag_x, mag_y, mag_z")
     both = np.concatenate(found)

@@ -10,7 +10,8 @@ from imumon.calibration.cells import Cells
 from imumon.calibration.record import BLOCK_S, LEAST_COVERED, Record
 from imumon.effects.thermal_lag import UNTOLD_S
 from imumon.errors import ImumonError, Reason
-from imumon.recordings.reduced import COLDEST_DEGC, GYRO, HOTTEST_DEGC
+from imumon.intake import RANGES
+from imumon.recordings.reduced import GYRO
 
 LEAST_SPAN_DEGC = 5.0
 LEAST_REST_S = 600.0
@@ -34,11 +35,12 @@ def check_columns(records: Sequence[Record]) -> None:
                 "a bias model is made of angular rates; let the device send them, or name them in the map",
             )
         if any(record.temperature_column(name) is None for name in GYRO):
+            coldest, hottest, unit = RANGES["temperature"]
             raise ImumonError(
                 Reason.BAD_DATA,
                 f"{record.name}: there is no temperature",
                 "let the device send its temperature, or name the column in the map with its unit; "
-                f"readings beyond {COLDEST_DEGC:g} to {HOTTEST_DEGC:g} °C are left out",
+                f"readings beyond {coldest:g} to {hottest:g} {unit}, and zero alone, are left out",
             )
         values = [record.of(name) for name in GYRO]
         stuck = [

@@ -82,14 +82,15 @@ def command(
     if _is_recording(source):
         if baud is not None or seconds is not None or out is not None:
             raise click.UsageError("--baud, --seconds and --out are for a port; a session is only read")
-        stage = _recorded(Path(source), device, setup)
+        ran = _recorded(Path(source), device, setup)
     else:
         made = setup()
         live = PortRun(source, _needed(device, source), baud, made, out, seconds)
-        stage = _live(live, positions)
+        ran = _live(live, positions)
+    stage = _stage_of(ran)
     status = stage.status
     if as_json:
-        print_json(as_data(status, positions))
+        print_json(as_data(status, positions) | {"left_out": ran.counters.left_out})
     else:
         _report(status, stage.wanted_deg)
     settled = status.settled_s is not None and status.positions >= positions
@@ -129,7 +130,7 @@ def _stage_of(pipeline: Pipeline) -> Alignment:
     return next(stage for stage in pipeline.estimators if isinstance(stage, Alignment))
 
 
-def _recorded(path: Path, device: str | None, make: Callable[..., Setup]) -> Alignment:
+def _recorded(path: Path, device: str | None, make: Callable[..., Setup]) -> Pipeline:
     """Go through a recording to its end."""
     from imumon.estimation.alignment.stage import Alignment
     from imumon.estimation.rest.stage import RestDetector
@@ -147,7 +148,7 @@ def _recorded(path: Path, device: str | None, make: Callable[..., Setup]) -> Ali
             shown.renew()
     warn([*source.warnings(), *pipeline.warnings()])
     _refuse_without_sensors(stage.status, str(path), [column.name for column in source.columns(pipeline)])
-    return stage
+    return pipeline
 
 
 def _needed(device: str | None, port: str) -> str:
@@ -163,7 +164,7 @@ def _needed(device: str | None, port: str) -> str:
     return device
 
 
-def _live(live: PortRun, positions: int) -> Alignment:
+def _live(live: PortRun, positions: int) -> Pipeline:
     """Record and align a port until the heading has settled, or will not, or the time is over."""
     stage = _stage_of(live.run.pipeline)
     try:
@@ -176,7 +177,7 @@ def _live(live: PortRun, positions: int) -> Alignment:
     live.raise_problem(summary)
     columns = [column.name for column in live.run.pipeline.columns]
     _refuse_without_sensors(stage.status, live.port, columns)
-    return stage
+    return live.run.pipeline
 
 
 def _wait(live: PortRun, stage: Alignment, positions: int) -> None:

@@ -14,7 +14,7 @@ from imumon.cli.autopilot_options import (
     check_parameters,
     write_parameters,
 )
-from imumon.cli.common import PATH, Number, json_option, print_json, print_rows, show, warn
+from imumon.cli.common import PATH, Number, json_option, print_json, print_rows, show, warn, with_warnings
 from imumon.cli.diagnose_command import chosen_drivers, read
 from imumon.cli.progress import reading_bar
 from imumon.files import check_output
@@ -67,9 +67,11 @@ def command(
     from imumon.calibration.calibration import calibrate, check_place, read_sessions
 
     chosen, driven = chosen_drivers(drivers), None
-    with reading_bar(sessions, quiet=as_json) as tell:
+    said: list[str] = []
+    with with_warnings(lambda: said), reading_bar(sessions, quiet=as_json) as tell:
         check_place(latitude, heading)
-        records, said = read_sessions(sessions)
+        records, found = read_sessions(sessions)
+        said += found
         result = calibrate(records, latitude, heading, serial, tell)
         result.warnings[:0] = said
         if chosen != []:

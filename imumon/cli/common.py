@@ -8,7 +8,7 @@ import os
 import socket
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -120,6 +120,16 @@ def warn(texts: Iterable[str]) -> None:
     """Write warnings as log lines on standard error."""
     for text in texts:
         say("WARN", text)
+
+
+@contextmanager
+def with_warnings(said: Callable[[], Iterable[str]]) -> Iterator[None]:
+    """Write warnings also where an `ImumonError` comes instead of a result: they may say why."""
+    try:
+        yield
+    except ImumonError:
+        warn(said())
+        raise
 
 
 CLEAR_LINE = "\r\x1b[2K"

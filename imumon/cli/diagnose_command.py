@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import PATH, json_option, print_json, print_rows, results_folder, warn
+from imumon.cli.common import (
+    PATH,
+    json_option,
+    print_json,
+    print_rows,
+    results_folder,
+    warn,
+    with_warnings,
+)
 from imumon.cli.progress import reading_bar
 from imumon.errors import ImumonError, Reason
 
@@ -100,9 +108,11 @@ def command(
     model = model_of(model_path) if model_path is not None else None
     assumed = declared if declared is not None else CUBIC
     parse_declared(assumed)
-    with results_folder(out), reading_bar([*train, *test], quiet=as_json) as tell:
+    runs: list[list[Run]] = []
+    said = with_warnings(lambda: dict.fromkeys(t for group in runs for run in group for t in run.warnings))
+    with said, results_folder(out), reading_bar([*train, *test], quiet=as_json) as tell:
         sensors = channels.split(",")
-        runs = [read(path, map_path, at_rest, sensors) for path in (*train, *test)]
+        runs += [read(path, map_path, at_rest, sensors) for path in (*train, *test)]
         split = len(train)
         training = [run for group in runs[:split] for run in group]
         testing = [run for group in runs[split:] for run in group]

@@ -92,7 +92,7 @@ def _of_one(sessions: list[Session], asked: dict[str, str | None], folder: Path)
 
 def _read(session: Session) -> list[Run]:
     """Return the runs of a session that can be used, saying why others cannot."""
-    from imumon.diagnosis.engine import resting
+    from imumon.diagnosis.usable import resting
 
     try:
         runs = read(session.path, None, at_rest=False)

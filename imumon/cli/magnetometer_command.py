@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import PATH, json_option, print_json, print_rows, warn
+from imumon.cli.common import PATH, json_option, print_json, print_rows, warn, with_warnings
 from imumon.files import check_output
 
 if TYPE_CHECKING:
@@ -38,7 +38,12 @@ def command(session: Path, out: Path, model: Path | None, plot: Path | None, as_
     known = None if model is None else load_model(model)
     recording = open_recording(session)
     units = dict(recording.pipeline.units)
-    fit = fit_magnetometer(recording.blocks(), units.get("mag_x", "uT"), str(session))
+
+    def warnings() -> list[str]:
+        return [f"{session}: {text}" for text in recording.warnings()]
+
+    with with_warnings(warnings):
+        fit = fit_magnetometer(recording.blocks(), units.get("mag_x", "uT"), str(session))
     named = {"session": recording.name, "sha256": recording.sha256()}
     found = fit.model.model_copy(update=named)
     if known is None:
@@ -54,10 +59,11 @@ def command(session: Path, out: Path, model: Path | None, plot: Path | None, as_
         from imumon.calibration.magnetometer_plot import write_magnetometer_plot
 
         write_magnetometer_plot(plot, fit, recording.name)
-    warn([f"{session}: {text}" for text in recording.warnings()])
+    told = warnings()
+    warn(told)
     if as_json:
         said = {"out": out, "residual_before": fit.residual_before, "points": len(fit.field)}
-        print_json({**said, **found.model_dump()})
+        print_json({**said, **found.model_dump(), "warnings": told})
     print_rows(_rows(fit, out))
 
 

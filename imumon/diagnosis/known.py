@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -53,9 +53,14 @@ def effects_of(channel: ChannelModel) -> tuple[Effect, ...]:
     return tuple(effect for effect in channel.effects if effect.polynomial() is None)
 
 
-def drivers_of(model: BiasModel, channels: Sequence[str]) -> tuple[str, ...]:
-    """Return the further columns that a model needs."""
-    return BiasPredictor(model, channels).drivers
+def with_needed(
+    drivers: Sequence[str] | None, model: BiasModel, temperatures: Mapping[str, str]
+) -> Sequence[str] | None:
+    """Return drivers (None: all there are) with those that the model's channels need, but temperatures."""
+    if drivers is None:
+        return None
+    needed = BiasPredictor(model, list(temperatures)).drivers
+    return list(dict.fromkeys([*drivers, *(name for name in needed if name not in temperatures.values())]))
 
 
 def without_curve(run: Run, model: BiasModel, temperatures: dict[str, str]) -> Run:

@@ -1,4 +1,4 @@
-"""The values of a channel as they were sent: their steps, the one that comes too often, those that repeat.
+"""The single values of a channel: their steps, the one that comes too often, those that repeat.
 
 Means hide what is wrong with single samples, so these are looked at before.
 """

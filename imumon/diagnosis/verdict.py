@@ -195,42 +195,31 @@ def _shown(verdict: ChannelVerdict) -> bool:
     return before is not None and after is not None and shown(before, after, verdict.channel.floor.sd)
 
 
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """The findings that stay, the model with them, why no others do, and those that the test refutes."""
+
+    findings: list[Finding]
+    after: Fit
+    remark: str
+    refuted: list[dict[str, Any]]
+
+    @property
+    def claims(self) -> bool:
+        """Whether any of them is not of a model that was given."""
+        return any(not one.known for one in self.findings)
+
+
 def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -> ChannelVerdict:
     """Return what is claimed of a channel, and what is not and why."""
     shape = replace(channel.declared, degree=found.channel.declared.degree)
     channel = replace(channel, declared=shape, kept=found.channel.kept)
     given = fit_given(channel)
-    # A jump that is too small to matter is not told from the steps of a walk.
-    small = found.many_events or given.train_rms < MATERIAL * channel.floor.sd
-    findings = [one for one in found.findings if not (small and one.candidate.scope == "event")]
-    refit = [one for one in findings if one.known]
-    before = _fit(channel, refit) if found.refit else given
-    kept, refuted = _not_worse(channel, findings)
-    after = _fit(channel, kept)
     # What the digits alone make of a smooth bias is no structure.
-    floor, remark = float(np.hypot(channel.floor.sd, channel.blind)), ""
-    share = explained_share(given.train_rms, after.train_rms, floor)
-    claimed = [one for one in kept if not one.known]
-    little = _too_little(given, after, _scores(channel, given, after), floor)
-    if found.many_events or (claimed and little):
-        best = max(found.findings, key=lambda finding: finding.gain)
-        why = "there is more than one jump in a run" if found.many_events else little
-        remark = f"the best of the known effects is {best.name}, but {why}"
-        claimed = []
-    if not claimed:
-        kept, after = refit, before
-    if not claimed and not found.many_events and before.train_rms >= CLEAN * floor:
-        one = proven_by_test(channel, found, before, refit)
-        if one is not None:
-            kept, claimed = [*refit, one], [one]
-            after = _fit(channel, kept)
-            share, remark = explained_share(given.train_rms, after.train_rms, floor), BY_TEST
+    floor = float(np.hypot(channel.floor.sd, channel.blind))
+    kept = _kept(channel, found, given, floor)
+    after, claims = kept.after, kept.claims
     scores = _scores(channel, given, after)
-    if scores is not None and claimed and not np.isfinite(scores[1].rms):
-        nothing = {"test_rms_with": float("nan"), "test_rms_without": float("nan")}
-        refuted += [{"name": one.name, **nothing} for one in claimed]
-        kept, claimed, after = refit, [], before
-        scores = _scores(channel, given, after)
     predicts = not after.parts or any(part.carries for part in after.parts)
     if scores is not None:
         # Jumps of the test itself may make the prediction worse, whatever else was found.
@@ -244,23 +233,53 @@ def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -
         after=after,
         test_before=None if scores is None else scores[0],
         test_after=None if scores is None else scores[1],
-        claims=_claims(channel, given, after, kept),
+        claims=_claims(channel, given, after, kept.findings),
         unexplained=found.many_events
         or after.train_rms >= CLEAN * floor
-        or (bool(claimed) and scores is not None and left_in_test(scores[1]) >= CLEAN * floor),
+        or (claims and scores is not None and left_in_test(scores[1]) >= CLEAN * floor),
         summary="",
-        explained=share if claimed else 0.0,
+        explained=explained_share(given.train_rms, after.train_rms, floor) if claims else 0.0,
         noise=found.null()[1],
-        left_out=[*left_out, *refuted],
-        remark=remark,
+        left_out=[*left_out, *kept.refuted],
+        remark=kept.remark,
         predicts=predicts,
         slow=SlowNoise.of(found),
-        refit=_refit(channel, found, kept) if after is not given and predicts else [],
+        refit=_refit(channel, found, kept.findings) if after is not given and predicts else [],
         turns=_turns(channel, found, given),
     )
-    verdict.questions = questions(channel, found, kept, verdict.unexplained)
+    verdict.questions = questions(channel, found, kept.findings, verdict.unexplained)
     verdict.summary = "; ".join([*(fault.text for fault in channel.faults), summary(verdict)])
     return verdict
+
+
+def _kept(channel: Channel, found: Search, given: Fit, floor: float) -> _Kept:
+    """Return what of the findings stays: what training or the test proves, and the test does not refute."""
+    # A jump that is too small to matter is not told from the steps of a walk.
+    small = found.many_events or given.train_rms < MATERIAL * channel.floor.sd
+    findings = [one for one in found.findings if not (small and one.candidate.scope == "event")]
+    refit = [one for one in findings if one.known]
+    before = _fit(channel, refit) if found.refit else given
+    stay, refuted = _not_worse(channel, findings)
+    kept = _Kept(stay, _fit(channel, stay), "", refuted)
+    why = "there is more than one jump in a run" if found.many_events else ""
+    if not why and kept.claims:
+        why = _too_little(given, kept.after, _scores(channel, given, kept.after), floor)
+    if why:
+        best = max(found.findings, key=lambda finding: finding.gain)
+        why = f"the best of the known effects is {best.name}, but {why}"
+    if why or not kept.claims:
+        kept = _Kept(refit, before, why, refuted)
+        if not found.many_events and before.train_rms >= CLEAN * floor:
+            one = proven_by_test(channel, found, before, refit)
+            if one is not None:
+                both = [*refit, one]
+                kept = _Kept(both, _fit(channel, both), BY_TEST, refuted)
+    scores = _scores(channel, given, kept.after)
+    if scores is not None and kept.claims and not np.isfinite(scores[1].rms):
+        nothing = {"test_rms_with": float("nan"), "test_rms_without": float("nan")}
+        refuted += [{"name": one.name, **nothing} for one in kept.findings if not one.known]
+        kept = _Kept(refit, before, kept.remark, refuted)
+    return kept
 
 
 def _too_little(given: Fit, after: Fit, scores: tuple[TestScore, TestScore] | None, floor: float) -> str:

@@ -1,4 +1,8 @@
-"""Read whole recordings, sessions and tables, as samples that went through the stages asked for."""
+"""Read whole recordings, sessions and tables, as whoever computes from samples sees them.
+
+What no estimate may be made from is left out, as it is for all stages; `imumon.recordings.source.run_over`
+has the samples as they were sent, for tables.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,7 @@ import numpy as np
 from imumon.blocks import SampleBlock
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
-from imumon.pipeline import Estimator, Pipeline
+from imumon.pipeline import Estimator, Pipeline, Seen
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.folder import fingerprint, is_session
 from imumon.recordings.importing import TableImport
@@ -23,7 +27,7 @@ Stages = Callable[[DeviceFile | None], Sequence[Estimator]]
 
 
 def no_stages(_: DeviceFile | None) -> Sequence[Estimator]:
-    """Return no stages: the samples as they were sent."""
+    """Return no stages."""
     return ()
 
 
@@ -42,19 +46,23 @@ class Recording:
     """What is read."""
     pipeline: Pipeline
     """What it runs through."""
+    seen: list[SampleBlock]
+    """What its stages saw last."""
 
     @property
     def columns(self) -> dict[str, Column]:
         """Columns of a table or an imported session; empty for a recording that has to be decoded."""
         return {column.name: column for column in self.source.imported}
 
-    def blocks(self, as_seen: bool = False) -> Iterator[SampleBlock]:
-        """Yield the samples in order, with device_time_ns and segment, behind the stages.
+    def blocks(self) -> Iterator[SampleBlock]:
+        """Yield the samples in order, with device_time_ns, segment and what the stages add to them.
 
-        As they were sent, or as the stages see them: without what no estimate may be made from.
+        What cannot be is missing, and so are rows whose time does not go on: `warnings` counts them.
         """
-        self.pipeline.as_seen = as_seen
-        return (block for block in run_over(self.source.items, self.pipeline) if len(block))
+        for _ in run_over(self.source.items, self.pipeline):
+            seen = [*self.seen]
+            self.seen.clear()
+            yield from seen
 
     @property
     def serial(self) -> str | None:
@@ -122,19 +130,22 @@ def _session(path: Path, stages: Stages) -> Recording:
     session, metadata = source.session, source.session.metadata
     device = None if metadata.device == "import" else metadata.device
     name = session.path.name or str(session.path)
-    return Recording(name, session.truth_path, device, metadata.axes, source, _pipeline(source, stages))
+    return _through(source, stages, name, session.truth_path, device, metadata.axes)
 
 
 def _table(source: Source, stages: Stages, axes: str | None) -> Recording:
-    return Recording(source.path.name, source.path, None, axes, source, _pipeline(source, stages))
+    return _through(source, stages, source.path.name, source.path, None, axes)
 
 
-def _pipeline(source: Source, stages: Stages) -> Pipeline:
-    """Return the pipeline, without the stages of which the table has a column."""
+def _through(
+    source: Source, stages: Stages, name: str, truth: Path, device: str | None, axes: str | None
+) -> Recording:
+    """Return the recording with a pipeline of the stages of which the table has no column."""
     there = {column.name for column in source.imported}
-    made = stages(source.device)
+    made, seen = stages(source.device), list[SampleBlock]()
     wanted = [stage for stage in made if there.isdisjoint(column.name for column in stage.columns)]
-    return Pipeline(source.device, wanted, source.range)
+    pipeline = Pipeline(source.device, [*wanted, Seen(seen.append)], source.range)
+    return Recording(name, truth, device, axes, source, pipeline, seen)
 
 
 def _with_segment(blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:

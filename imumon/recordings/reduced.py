@@ -16,8 +16,6 @@ AXES = "xyz"
 GYRO = tuple(f"gyro_{axis}" for axis in AXES)
 ACCEL = tuple(f"accel_{axis}" for axis in AXES)
 TEMPERATURES = ("temperature", *(f"temperature_{axis}" for axis in AXES))
-COLDEST_DEGC, HOTTEST_DEGC = -100.0, 250.0
-"""What a thermometer says beyond is a fault, not a temperature: no semiconductor sensor works there."""
 PIECE = 4096
 """Samples at a time, to bound the memory: as many slots may end in them."""
 QUIET_QUANTILE = 0.25
@@ -157,8 +155,6 @@ def _values(block: SampleBlock, names: Sequence[str]) -> FloatArray:
     for j, name in enumerate(names):
         if name in block:
             values[:, j] = block[name]
-            if name.startswith("temperature"):
-                values[(values[:, j] <= COLDEST_DEGC) | (values[:, j] >= HOTTEST_DEGC), j] = np.nan
     if "at_rest" in block:
         values[:, -1] = block["at_rest"] == 1
     return values

@@ -49,10 +49,13 @@ def digested(blocks: Iterable[SampleBlock], pipeline: Pipeline, digest: Digest) 
 
 
 def identical_to_live(session: Session, setup: Setup, digest: Digest) -> bool | None:
-    """Tell whether the results of a replay are those of the live run; None where there was no such run."""
+    """Tell whether the results of a replay are those of the live run; None where there was no such run.
+
+    Nor where an earlier version made the digest of it in another way.
+    """
     metadata = session.metadata
     live = metadata.results_digest if setup.text() == metadata.pipeline_yaml else None
-    return None if live is None else live == digest.hexdigest()
+    return None if live is None or not live.startswith(Digest.KIND) else live == digest.hexdigest()
 
 
 def _narrated(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from imumon.estimation.smoothing.combine import Smoothed
 from imumon.estimation.smoothing.record import Record, Recorder
 from imumon.estimation.smoothing.stage import SmoothedEstimates
 from imumon.estimation.temperature_rate.stage import TemperatureRate
-from imumon.pipeline import Estimator
+from imumon.pipeline import Estimator, Seen
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.source import Source, run_over
 from imumon.run.setup import Setup, ZuptMode
@@ -30,24 +31,24 @@ def smoothed(source: Source, setup: Setup) -> SmoothedEstimates:
         from imumon.estimation.alignment.stage import Alignment
 
         needed = (*NEEDED, Alignment)
-    pipeline, recorder = pipeline_of(source, setup, only=needed), Recorder()
-    for block in run_over(source.items, pipeline):
-        if len(block):
-            recorder.add(block)
+    recorder = Recorder()
+    pipeline = pipeline_of(source, setup, [Seen(recorder.add)], only=needed)
+    for _ in run_over(source.items, pipeline):
+        pass
     record = recorder.finish()
     given = source.device.temperature if source.device is not None else TemperatureRateParameters()
     against_time = backward(record, temperature_rate(given), RestDetector(setup.rest), _bias(record, setup))
-    return SmoothedEstimates(record, against_time, _heading(record, pipeline.estimators[-1], setup))
+    return SmoothedEstimates(record, against_time, _heading(record, pipeline.estimators, setup))
 
 
-def _heading(record: Record, stage: Estimator, setup: Setup) -> Smoothed | None:
+def _heading(record: Record, stages: Sequence[Estimator], setup: Setup) -> Smoothed | None:
     """Return the heading where the unit stood still, when the latitude is known."""
     if setup.latitude_deg is None:
         return None
     from imumon.estimation.alignment.stage import Alignment
     from imumon.estimation.smoothing.heading import still_heading
 
-    assert isinstance(stage, Alignment)
+    stage = next(stage for stage in stages if isinstance(stage, Alignment))
     # A known warm-up counts from the first sample, which the second half of a position is without.
     parameters = setup.alignment.model_copy(update={"known_warm_up": None})
     latitude_deg = setup.latitude_deg

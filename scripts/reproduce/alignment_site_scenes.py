@@ -28,6 +28,7 @@ from alignment_site_tilts import (
     turning,
     wind,
 )
+from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G, STANDARD_GRAVITY, forward
@@ -70,6 +71,8 @@ class Scene:
         Bias of each level accelerometer, its sign drawn.
     any_attitude : bool
         The body stands on any of its sides, rather than level.
+    lean_deg : float
+        By which the axis of the turn leans, in a direction that is drawn.
     """
 
     name: str
@@ -87,6 +90,7 @@ class Scene:
     rate_hz: float = RATE_HZ
     any_attitude: bool = False
     turn: Turn | None = None
+    lean_deg: float = 0.0
     parameters: Mapping[str, float | None] = field(default_factory=dict)
 
 
@@ -282,6 +286,16 @@ CREEPS = (
     Scene("half a turn, biases of 2 °/h", bias_deg_per_h=2.0, turn=HALF_TURN),
     *(
         Scene(
+            f"half a turn about an axis that leans by {lean:g}°, biases of {bias:g} °/h",
+            bias_deg_per_h=bias,
+            turn=HALF_TURN,
+            lean_deg=lean,
+        )
+        for lean in (0.6, 1.3, 3.0)
+        for bias in (0.0, 2.0)
+    ),
+    *(
+        Scene(
             f"{first:g}° in 280 s, half a turn, {then:g}° in 280 s, biases of {bias:g} °/h",
             bias_deg_per_h=bias,
             turn=in_turn(
@@ -310,7 +324,8 @@ def record(scene: Scene, seconds: float, seed: int) -> Record:
     heading = np.full(n, rng.uniform(0.0, 2.0 * math.pi))
     if scene.turn is not None:
         heading += scene.turn(np.asarray(np.arange(n) / scene.rate_hz, np.float64))
-    gyro, accel = _at_rest(scene, n, heading, rng)
+    attitude = _attitude(scene, heading, rng)
+    gyro, accel = _at_rest(scene, heading, attitude, rng)
     if scene.tilt is not None:
         step = 1.0 / scene.rate_hz
         angle = scene.tilt(np.asarray(step * np.arange(n), np.float64), rng)
@@ -320,14 +335,16 @@ def record(scene: Scene, seconds: float, seed: int) -> Record:
         seen = angle * STANDARD_GRAVITY + swing
         accel[:, 0] += seen[:, 1]
         accel[:, 1] -= seen[:, 0]
-    level = gyro[:, :2].copy()
+    ahead = attitude.apply([1.0, 0.0, 0.0])
+    heading = np.arctan2(ahead[:, 1], ahead[:, 0])
+    level = (Rotation.from_rotvec(np.outer(heading, [0.0, 0.0, -1.0])) * attitude).apply(gyro)[:, :2]
     if scene.any_attitude:
         body = np.linalg.qr(rng.normal(size=(3, 3)))[0]
         body *= np.linalg.det(body)
         gyro, accel = gyro @ body.T, accel @ body.T
-        ahead = body.T @ forward(body @ np.array([0.0, 0.0, -1.0]))
-        heading += math.atan2(ahead[1], ahead[0])
-        level = level @ np.array([[ahead[0], -ahead[1]], [ahead[1], ahead[0]]])
+        x, y, _ = body.T @ forward(body @ np.array([0.0, 0.0, -1.0]))
+        heading += math.atan2(y, x)
+        level = level @ np.array([[x, -y], [y, x]])
     columns = {f"gyro_{a}": gyro[:, j].copy() for j, a in enumerate("xyz")}
     columns |= {f"accel_{a}": accel[:, j].copy() for j, a in enumerate("xyz")}
     time_ns = (np.arange(n) * (1e9 / scene.rate_hz)).astype(np.int64)
@@ -335,16 +352,26 @@ def record(scene: Scene, seconds: float, seed: int) -> Record:
     return Record(block, heading, level)
 
 
+def _attitude(scene: Scene, heading: FloatArray, rng: np.random.Generator) -> Rotation:
+    """Return the attitudes, from forward-right-down to north-east-down, of a unit that is turned to these
+    headings about the vertical, or an axis that leans."""
+    turned = Rotation.from_rotvec(np.outer(heading, [0.0, 0.0, 1.0]))
+    if not scene.lean_deg:
+        return turned
+    towards = rng.uniform(0.0, 2.0 * math.pi)
+    lean = math.radians(scene.lean_deg) * np.array([math.cos(towards), math.sin(towards), 0.0])
+    return Rotation.from_rotvec(lean) * turned
+
+
 def _at_rest(
-    scene: Scene, n: int, heading: FloatArray, rng: np.random.Generator
+    scene: Scene, heading: FloatArray, attitude: Rotation, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what gyros and accelerometers of a level unit at rest send, (n, 3) each."""
-    step, latitude = 1.0 / scene.rate_hz, math.radians(scene.latitude_deg)
-    north = np.column_stack([np.cos(heading), -np.sin(heading), np.zeros(n)])
+    """Return what gyros and accelerometers of a unit at rest in these attitudes send, (n, 3) each."""
+    n, step, latitude = len(heading), 1.0 / scene.rate_hz, math.radians(scene.latitude_deg)
     east = np.array([math.sin(heading[0]), math.cos(heading[0]), 0.0])
-    down = np.array([0.0, 0.0, 1.0])
+    seen = attitude.inv()
     gyro = rng.normal(size=(n, 3)) * math.radians(scene.arw) / 60.0 / math.sqrt(step)
-    gyro += EARTH_RATE * (math.cos(latitude) * north - math.sin(latitude) * down)
+    gyro += EARTH_RATE * seen.apply([math.cos(latitude), 0.0, -math.sin(latitude)])
     gyro[1:, 2] += np.diff(heading) / step
     gyro += scene.bias_deg_per_h * DEG_PER_H * rng.choice([-1.0, 1.0], 3)
     gyro += scene.east_bias_deg_per_h * DEG_PER_H * rng.choice([-1.0, 1.0]) * east
@@ -355,7 +382,8 @@ def _at_rest(
         noise = rng.normal(size=(n, 3)) * math.sqrt(1.0 - keep**2)
         noise[0] = rng.normal(size=3)
         gyro += scene.flicker_deg_per_h * DEG_PER_H * np.asarray(lfilter([1.0], [1.0, -keep], noise, axis=0))
-    accel = rng.normal(size=(n, 3)) * scene.vrw / math.sqrt(step) - STANDARD_GRAVITY * down
+    accel = rng.normal(size=(n, 3)) * scene.vrw / math.sqrt(step)
+    accel -= STANDARD_GRAVITY * seen.apply([0.0, 0.0, 1.0])
     amplitude, tau = scene.warm_up
     accel[:, :2] -= amplitude * MICRO_G * np.expm1(-step * np.arange(n) / tau)[:, None]
     if scene.force_ug:

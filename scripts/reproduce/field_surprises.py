@@ -1,4 +1,4 @@
-"""What nobody predicts: gaps, ramps that end, broken thermometers, bias that jumps; with physics of its own.
+"""What nobody predicts: gaps, corners, broken thermometers, bias that jumps; with physics of its own.
 
 A unit at rest: its gyros' temperature lags that of the thermometer, their bias follows it by a parabola, and
 1/f noise is three Gauss-Markov processes.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,7 @@ from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H, STANDARD_GRAVITY
+from imumon.pipeline import Pipeline
 
 SLOPE_DPH = np.array([60.0, -90.0, 20.0])
 CURVATURE_DPH = np.array([0.5, -1.0, 0.3])
@@ -34,7 +36,7 @@ POWER_ON_DEGC = 85.0
 @dataclass(frozen=True, eq=False)
 class Truth:
     """What a scene is: time, s; temperature and rate; the bias beside that of the temperature, deg/h; what is
-    lost on the way; what the thermometer reads instead, NaN where nothing; vibration, m/s².
+    lost on the way; what the thermometer reads instead, NaN where nothing; vibration, m/s²; corners, s.
 
     Parameters
     ----------
@@ -54,6 +56,7 @@ class Truth:
     step_degc: float = 0.1
     noise_degc: float = 0.02
     lag_s: float = 30.0
+    corners_s: tuple[float, ...] = ()
 
 
 def lagged(values: FloatArray, tau_s: float, dt: float) -> FloatArray:
@@ -98,6 +101,24 @@ def ramp_end(rng: np.random.Generator) -> Truth:
     return plain(1800.0, 10.0, course([0.0, begin_s, end_s, 1800.0], [25.0, 25.0, top, top]))
 
 
+def chamber(rng: np.random.Generator, step_degc: float, hold_s: float) -> Truth:
+    """Return a profile of 20 °C up and down at 1 °C/min; a triangle where nothing is held between."""
+    parts = [(rng.uniform(240.0, 360.0), 0.0)]
+    for way in (20.0, -20.0, 20.0):
+        parts += [(1200.0, way), *([(hold_s, 0.0)] if hold_s else [])]
+    times, moved = np.cumsum([(0.0, rng.uniform(24.5, 25.5)), *parts], axis=0).T
+    scene = plain(times[-1], 10.0, course([*times], [*moved]))
+    return replace(scene, step_degc=step_degc, corners_s=tuple(times[1:-1]))
+
+
+def broken_start(rng: np.random.Generator, reading_degc: float, seconds: float) -> Truth:
+    """Return a thermometer that has not measured yet when it is read first."""
+    rate = rng.uniform(-1.0, 1.0) / 60.0
+    scene = plain(900.0, 20.0, lambda t: 25.0 + rate * t)
+    misread = np.where(scene.t < seconds, reading_degc, np.nan)
+    return replace(scene, misread=misread, step_degc=0.0625)
+
+
 def warm_up(rng: np.random.Generator) -> Truth:
     """Return a board that warms by 20 °C from power-on."""
     tau_s = math.exp(rng.uniform(math.log(10.0), math.log(400.0)))
@@ -134,9 +155,21 @@ def fan(rng: np.random.Generator) -> Truth:
 SURPRISES: dict[str, Callable[[np.random.Generator], Truth]] = {
     "gap of 20 min in which a ramp turns": gap,
     "ramp that begins and ends at once": ramp_end,
+    **{
+        f"{shape} of 1 °C/min, steps of {step:g} °C": partial(chamber, step_degc=step, hold_s=hold)
+        for shape, hold in (("triangle", 0.0), ("trapezoid", 600.0))
+        for step in (0.0625, 1.0)
+    },
     "warm-up from power-on": warm_up,
     "telegraph of the bias": telegraph,
     "thermometer that sticks at 85 °C": stuck_thermometer,
+    **{
+        f"thermometer that reads {value:g} °C {how}": partial(
+            broken_start, reading_degc=value, seconds=length
+        )
+        for value in (POWER_ON_DEGC, 0.0)
+        for how, length in (("once at power-on", 0.05), ("for 10 s from power-on", 10.0))
+    },
     "fan that the gyros rectify": fan,
 }
 
@@ -171,10 +204,17 @@ def samples_of(scene: Truth, rng: np.random.Generator) -> tuple[SampleBlock, Flo
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """Errors of bias (deg/h), temperature and its rate (°C, °C/h), by these names; the same over sigma."""
+    """Errors of bias (deg/h), temperature and its rate (°C, °C/h), by these names; the same over sigma; and
+    the seconds since a corner, NaN before the first."""
 
     error: dict[str, FloatArray]
     ratio: dict[str, FloatArray]
+    since: FloatArray
+
+    def after_s(self, what: str, ratio: float) -> FloatArray:
+        """Return how long after a corner the samples were of which an error is beyond so many sigmas."""
+        beyond = np.abs(self.ratio[what].reshape(len(self.since), -1)).max(axis=1) > ratio
+        return np.asarray(self.since[beyond & np.isfinite(self.since)])
 
 
 def met(make: Callable[[np.random.Generator], Truth], seed: int) -> Outcome:
@@ -182,13 +222,19 @@ def met(make: Callable[[np.random.Generator], Truth], seed: int) -> Outcome:
     rng = np.random.default_rng(seed)
     scene = make(rng)
     samples, bias = samples_of(scene, rng)
-    for stage in (TemperatureRate(), RestDetector(), GyroBias(mode="learned")):
-        samples = samples.with_columns(stage.process(samples))
-    slope = np.gradient(scene.degc, scene.t)[scene.kept]
+    pipeline = Pipeline(None, [TemperatureRate(), RestDetector(), GyroBias(mode="learned")])
+    pipeline.push(samples)
+    samples = pipeline.take()
+    slope = np.diff(scene.degc) / np.diff(
+        scene.t
+    )  # since the sample before: what comes is of the next corner
+    slope = np.concatenate([slope[:1], slope])[scene.kept]
     off = np.stack([samples[f"gyro_bias_{axis}"] for axis in "xyz"], 1) - bias
     sd = np.stack([samples[f"gyro_bias_sd_{axis}"] for axis in "xyz"], 1)
     degc = samples["temperature_estimate"] - scene.degc[scene.kept]
     rate = samples["temperature_rate"] - slope
+    corners = np.array([-math.inf, *scene.corners_s])
+    passed = scene.t[scene.kept] - corners[np.searchsorted(corners, scene.t[scene.kept], "right") - 1]
     return Outcome(
         {"bias": off / DEG_PER_H, "temperature": degc, "rate": rate * 3600.0},
         {
@@ -196,4 +242,5 @@ def met(make: Callable[[np.random.Generator], Truth], seed: int) -> Outcome:
             "temperature": degc / samples["temperature_estimate_sd"],
             "rate": rate / samples["temperature_rate_sd"],
         },
+        np.where(np.isfinite(passed), passed, np.nan),
     )

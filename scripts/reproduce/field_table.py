@@ -201,7 +201,7 @@ def bias_rows(seeds: range) -> Iterator[Row]:
 
 
 def surprise_rows(seeds: range) -> Iterator[Row]:
-    """Gaps, ramps that end, broken thermometers, bias that jumps: the bias, the temperature and its rate."""
+    """Gaps, corners, broken thermometers, bias that jumps: the bias, the temperature and its rate."""
     for name, make in SURPRISES.items():
         found = [met(make, seed) for seed in seeds]
         for what, unit in (("bias", "°/h"), ("temperature", "°C"), ("rate", "°C/h")):
@@ -209,6 +209,9 @@ def surprise_rows(seeds: range) -> Iterator[Row]:
                 np.concatenate([getattr(one, of)[what].ravel() for one in found]) for of in ("error", "ratio")
             )
             beyond = {"beyond 5 σ, %": 100.0 * float(np.mean(np.abs(ratios[np.isfinite(ratios)]) > 5.0))}
+            after_s = np.concatenate([one.after_s(what, 5.0) for one in found])
+            if len(after_s):
+                beyond["nine in ten of it within s of a corner"] = float(np.quantile(after_s, 0.9))
             yield Row("surprises", f"{name}: {what}", unit, rms(error), ratios, beyond)
 
 

@@ -84,7 +84,7 @@ def test_what_no_gyro_says_is_left_out_and_told(tmp_path: Path, value: float) ->
     opened = read_channels(write(tmp_path, made))
     assert opened.series["gyro_y"].samples == N - 1
     assert np.abs(opened.series["gyro_y"].values).max() < 1.0
-    assert "left out of all estimates: gyro_y beyond -1000 to 1000 rad/s" in opened.warnings
+    assert "left out of all estimates: gyro_y beyond -1000 to 1000 rad/s (1 in all)" in opened.warnings
 
 
 def test_gyros_that_say_one_thing_only_leave_the_accelerometers(tmp_path: Path) -> None:

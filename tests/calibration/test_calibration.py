@@ -15,6 +15,7 @@ from imumon.calibration.cells import channel_of, group, levels
 from imumon.calibration.record import record_of
 from imumon.errors import ImumonError, Reason
 from imumon.geodesy import EARTH_RATE
+from imumon.intake import Intake
 from imumon.models.curves.points import folds
 from imumon.models.curves.polynomial import fit_polynomial
 from tests.calibration.records import DEG_H, GRAVITY, record, samples, soak, true_bias, true_slope
@@ -239,7 +240,7 @@ def test_what_cannot_give_a_model_is_refused_with_its_numbers(
     block = samples(temperature)
     block = SampleBlock({**block.columns, **{k: np.full(len(block), v) for k, v in change.items()}})
     with pytest.raises(ImumonError) as caught:
-        calibrate([record_of([block], "bench", "0" * 64)])
+        calibrate([record_of([Intake().process(block).block], "bench", "0" * 64)])
     assert caught.value.reason is Reason.BAD_DATA
     assert said in caught.value.seen
     assert caught.value.hint

@@ -12,7 +12,16 @@ from imumon.simulation.unit.scenario import load_scenario
 from imumon.simulation.virtual_device import VirtualDevice
 from tests.cli.command import answer, imumon
 
-KEYS = ["heading_deg", "heading_sd_deg", "estimator", "settled_s", "observable", "positions", "estimators"]
+KEYS = [
+    "heading_deg",
+    "heading_sd_deg",
+    "estimator",
+    "settled_s",
+    "observable",
+    "positions",
+    "estimators",
+    "left_out",
+]
 
 
 def simulated(folder: Path, name: str, seconds: float, extra: str = "") -> Path:

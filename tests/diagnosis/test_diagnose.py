@@ -250,16 +250,6 @@ def test_of_a_single_run_every_other_stretch_is_the_test_and_that_is_said() -> N
     assert verdict.test_after.rms < 0.5 * verdict.test_before.rms
 
 
-def test_a_channel_with_one_value_is_left_out_and_said() -> None:
-    train, test = three(nothing, SHORT_S)
-    for one in (*train, *test):
-        one.mean["gyro_y"], one.variance["gyro_y"] = np.zeros(SHORT_S), np.zeros(SHORT_S)
-        one.count["gyro_y"] = one.count["gyro_x"]
-    diagnosis = diagnose(train, test)
-    assert [verdict.name for verdict in diagnosis.verdicts] == ["gyro_x"]
-    assert any("gyro_y is left out: it has one value throughout" in text for text in diagnosis.caveats)
-
-
 @pytest.mark.parametrize(
     ("rate", "hours", "gap_s"),
     [(0.01, 40.0, 0.3), (0.2, 4.0, 0.3), (0.9, 2.0, 0.0), (0.9, 2.0, 0.3), (10.0, 0.5, 0.3)],

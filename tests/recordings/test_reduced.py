@@ -77,15 +77,6 @@ def test_nothing_gives_no_slot() -> None:
     assert len(reduce([], NAMES, 10.0)) == 0
 
 
-def test_what_is_no_temperature_does_not_count() -> None:
-    block = stream(100)
-    faulty = block["temperature"].copy()
-    faulty[5], faulty[7] = 6553.5, -273.0
-    got = reduce([block.with_columns({"temperature": faulty})], ["temperature"], 1.0)
-    assert got.count.sum() == 98
-    assert np.nanmax(np.abs(got.mean)) < 10
-
-
 def resting(n: int = 6000) -> dict[str, ColumnArray]:
     """Return 600 s at 10 Hz of a unit at rest that nobody judged."""
     random = np.random.default_rng(1)

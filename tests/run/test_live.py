@@ -4,6 +4,7 @@ import errno
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from queue import SimpleQueue
 
@@ -19,6 +20,7 @@ from imumon.recordings.source import run_over, session_device
 from imumon.recordings.wire_reader import WireReader
 from imumon.run import live
 from imumon.run.live import LiveRun, nothing_decoded, warm_up
+from imumon.run.replay import identical_to_live
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators
 from imumon.simulation.virtual_device import VirtualDevice
@@ -103,6 +105,11 @@ def test_a_replay_gives_the_live_samples_bit_for_bit(tmp_path: Path) -> None:
     digest = Digest()
     digest.update(block)
     assert digest.hexdigest() == summary.results_digest == session.metadata.results_digest
+    assert identical_to_live(session, Setup(), digest) is True
+    digest.update(block)
+    assert identical_to_live(session, Setup(), digest) is False
+    metadata = session.metadata.model_copy(update={"results_digest": 64 * "a"})  # as earlier versions made it
+    assert identical_to_live(replace(session, metadata=metadata), Setup(), digest) is None
     assert pipeline.counters == summary.counters
     live = join([item.block for item in watcher.items if hasattr(item, "block")])
     for name in block.columns:

@@ -46,8 +46,8 @@ WALKS = np.geomspace(0.5, 50.0, 4)
 """The same of the slowest process alone, a random walk: by 0.01 to 0.1 of the white noise of a second."""
 SHARES = np.vstack([np.outer(STRENGTHS, np.ones(len(TAUS_S))), np.outer(WALKS, np.eye(len(TAUS_S))[-1])])
 """Variance of each process, (s, taus), for each noise that is tried."""
-SLOPES = SLOPE * np.array([[1.0, 1.0, 1.0], [1.0 / 6.0, 1.0, 1.0], [1.0 / 36.0, 1.0, 1.0]])
-"""Sizes of the slopes that are tried: about the vertical 180 to 5 °/h/K, consumer to tactical, so that a turn
+SLOPES = SLOPE * np.array([1.0, 1.0 / 6.0, 1.0 / 36.0])
+"""Sizes of the slope that are tried about the vertical: 180 to 5 °/h/K, consumer to tactical, so that a turn
 is not hidden by a slope that the history has not.  The level axes may have any: theirs says nothing of it."""
 UNKNOWN = 1e6
 """Variance of the bias at first, over that of the white noise in a unit."""
@@ -251,35 +251,35 @@ def _seen(state: State, known: Changes, columns: FloatArray, white_sd: FloatArra
     What the temperature explains adds a product to the covariance, which is inverted by Woodbury's formula.
     """
     warm = (known.whiten @ state.past.warmed(known.edges)).swapaxes(1, 2)  # (s, EFFECTS, b)
-    seen = (known.whiten @ columns).swapaxes(1, 2)  # (s, axes, b)
-    square, along = warm @ warm.swapaxes(1, 2), seen @ warm.swapaxes(1, 2)
     slopes = SLOPES if warm.any() else SLOPES[:1]
-    free = np.eye(EFFECTS) * np.square(white_sd / slopes)[..., np.newaxis, np.newaxis]
-    inverse = np.linalg.inv(square[:, np.newaxis, np.newaxis] + free)  # (s, slopes, axes, EFFECTS, EFFECTS)
-    fitted = (inverse @ along[:, np.newaxis, ..., np.newaxis])[..., 0]
-    likely = state.strengths + 3.0 * known.evidence - 0.5 * (seen * seen).sum((1, 2))
-    told = along[:, np.newaxis] * fitted
-    gained = told.sum((2, 3)) + np.linalg.slogdet(free @ inverse)[1].sum(2)
-    likely = likely[:, np.newaxis] + 0.5 * gained
+    # The vertical once with each slope, and the level axes.
+    level = len(slopes)
+    axis = np.append(np.zeros(level, np.intp), [1, 2])
+    noise2 = np.square(white_sd)[axis]
+    free = np.eye(EFFECTS) * (noise2 / np.square([*slopes, SLOPE, SLOPE]))[:, np.newaxis, np.newaxis]
+    inverse = np.linalg.inv((warm @ warm.swapaxes(1, 2))[:, np.newaxis] + free)  # (s, axes, EFFECTS, EFFECTS)
+    seen = (known.whiten @ columns).swapaxes(1, 2)  # (s, 3, b)
+    along = (seen @ warm.swapaxes(1, 2))[:, axis]
+    fitted = (inverse @ along[..., np.newaxis])[..., 0]
+    left = (seen * seen).sum(2)[:, axis] - (along * fitted).sum(2)
+    alone = 0.5 * (np.linalg.slogdet(free @ inverse)[1] - left)
+    likely = state.strengths + 3.0 * known.evidence + alone[:, level:].sum(1)
+    likely = likely[:, np.newaxis] + alone[:, :level]
     # No change of the vertical explains more than all that is seen there.
-    most = likely + 0.5 * ((seen[:, 0] * seen[:, 0]).sum(1)[:, np.newaxis] - told[:, :, 0].sum(2))
-    each, slope = np.nonzero(most > likely.max() - SURPRISE)
+    each, slope = np.nonzero(likely + 0.5 * left[:, :level] > likely.max() - SURPRISE)
     shared, products = warm @ known.shapes, seen @ known.shapes
     # What is left of a change where the temperature explains a part: 1 - shared' inverse shared.
     pairs = shared[:, _FIRST] * shared[:, _SECOND]
-    of_pairs = (inverse[..., _FIRST, _SECOND] * _TIMES).reshape(len(SHARES), -1, len(_TIMES))
-    by_axes = (len(SHARES), len(slopes), 3, -1)
-    left2 = np.maximum(1.0 - (of_pairs @ pairs).reshape(by_axes)[each, slope], LEAST_LEFT)
-    explained = fitted.reshape(len(SHARES), -1, EFFECTS) @ shared
-    change = products[each] - explained.reshape(by_axes)[each, slope]
-    ratio2 = left2 * np.square(known.size)[each, np.newaxis]
-    ratio2 /= np.square(white_sd)[:, np.newaxis]
+    left2 = np.maximum(1.0 - (inverse[..., _FIRST, _SECOND] * _TIMES) @ pairs, LEAST_LEFT)  # (s, axes, h)
+    change = products[:, axis] - fitted @ shared
+    ratio2 = left2 * (np.square(known.size)[:, np.newaxis] / noise2[:, np.newaxis])
+    axes = each, np.stack([slope, np.full_like(slope, level), np.full_like(slope, level + 1)])
     return Seen(
         each,
         likely[each, slope, np.newaxis],
-        (change * change / left2).swapaxes(0, 1),
-        ratio2.swapaxes(0, 1),
-        (change < 0.0).swapaxes(0, 1),
+        (change * change / left2)[axes],
+        ratio2[axes],
+        (change < 0.0)[axes],
     )
 
 

@@ -237,10 +237,10 @@ def _estimate(state: State, reading: Reading) -> Shown:
     )
     state.shown = _shown(state, means, reading.end_s, fresh)
     state.shown = state.shown._replace(lively=state.lively)
-    if math.isfinite(state.stuck) and not state.lively:
+    other = state.stuck if math.isfinite(state.stuck) else reading.last
+    if state.faults and not state.lively and math.isfinite(other):
         # Nobody knows which of two levels is the fault.
-        between = abs(state.stuck - state.shown.temperature)
-        sd = math.hypot(state.shown.temperature_sd, between)
+        sd = math.hypot(state.shown.temperature_sd, other - state.shown.temperature)
         state.shown = state.shown._replace(temperature_sd=sd)
     if (heard or repeats) and not state.faults:
         _keep_near(state, means.slow, reading if taken is None else taken, reading.end_s)

@@ -71,9 +71,11 @@ def test_a_leap_to_readings_that_move_is_believed() -> None:
 
 @pytest.mark.parametrize("stuck_s", [0.75, 2.0, 8.0])
 @pytest.mark.parametrize("step", [0.0625, 1.0])
-def test_the_value_at_power_on_is_doubted_and_left(stuck_s: float, step: float) -> None:
+@pytest.mark.parametrize("noisy", [False, True])
+def test_the_value_at_power_on_is_doubted_and_left(stuck_s: float, step: float, noisy: bool) -> None:
     t = np.arange(0.0, 120.0, 0.1)
-    reading = np.where(t < stuck_s, POWER_ON_DEGC, step * np.round(25.03 / step))
+    measured = read(np.full(len(t), 25.03), step) if noisy else step * np.round(25.03 / step)
+    reading = np.where(t < stuck_s, POWER_ON_DEGC, measured)
     found = TemperatureRate().process(block(t, reading))
     behind = t >= stuck_s + 1.0
     off = np.abs(found["temperature_estimate"] - 25.03)
