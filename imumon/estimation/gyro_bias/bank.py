@@ -35,9 +35,9 @@ FLICKER_CORNERS_S = (400.0, 40.0, 4.0, 0.4, 0.04)
 """Averaging times at which flicker noise overtakes the white noise, one filter each: data sheets of MEMS
 gyros have 0.3 °/h at 0.15 °/√h to 40 °/h at 0.3 °/√h.  A filter of half a step too much or too little, a
 factor of 1.8 in strength, errs by 8 % more."""
-WALK_CORNERS_S = (60.0, 12.0, 2.5)
+WALK_CORNERS_S = (60.0, 12.0, 2.5, 0.2)
 """The same for random walks: biases that follow an unknown temperature."""
-PRIORS = (0.2, 0.2, 0.2, 0.199, 0.001, 0.08, 0.07, 0.05)
+PRIORS = (0.2, 0.2, 0.2, 0.199, 0.001, 0.08, 0.07, 0.049, 0.001)
 """Weights before any measurement.  A gyro that is nearly all flicker is rare; were it likelier than this that
 one begins to be (each `DWELL_S`), a bias that jumps would look like one before it contradicts all filters."""
 DWELL_S = 3600.0
