@@ -14,14 +14,14 @@ it, and it is turned back to where it stood in the middle.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray
 from imumon.estimation.alignment.creep import Creep, Rest, Usual, creep
-from imumon.estimation.alignment.hypotheses import Seen, courses, told
+from imumon.estimation.alignment.hypotheses import SETTLING, Seen, courses, told
 from imumon.estimation.alignment.lines import without_lines
 from imumon.estimation.alignment.loudness import quietness
 from imumon.estimation.alignment.windows import (
@@ -38,11 +38,13 @@ from imumon.estimation.alignment.windows import (
 )
 
 WARM_UPS_S = np.array([100.0, 300.0, 1000.0])
-DRIFTS = (0.0, 1e-4)
-"""Time constants of accelerometers that warm up, and standard deviations of each part of the drift, in g,
-equally likely: they have warmed up, or they do.  With the larger alone what they see would always be shared
-between drift and tilt, and a tilt along a parallel, which leaves the length of the rate, would be luck.  With
-a part of 30 s slow drifts would be unlikely, and a clean warm-up of 300 s a tilt."""
+DRIFTS = {0.0: 1.0 - SETTLING, 1e-4: SETTLING}
+"""Time constants of accelerometers that warm up, and standard deviations of each part of the drift, in g, with
+their probabilities: they have warmed up, or they do, which is as likely as that the unit settles.  What
+accelerometers see change slowly is a drift or a tilt, and nothing but the length of the rate tells which; a
+drift is one kind where a tilt is one of many, so were it likelier, a tilt along a parallel, which leaves that
+length, would be luck.  With a part of 30 s slow drifts would be unlikely, and a clean warm-up of 300 s a
+tilt."""
 WALK = 1e-7
 """Random walk of an accelerometer, g/√s: 6 µg in an hour."""
 LEVEL = 1e-3
@@ -117,7 +119,7 @@ class PoseFit:
 
 
 def fit_pose(
-    record: PoseRecord, usual: Usual, drift_sds: Sequence[float] = DRIFTS, before: Rest | None = None
+    record: PoseRecord, usual: Usual, drifts: Mapping[float, float] = DRIFTS, before: Rest | None = None
 ) -> PoseFit | None:
     """Fit a pose, or return None when there is too little.
 
@@ -126,8 +128,8 @@ def fit_pose(
     record : PoseRecord
     usual : Usual
         What the vertical gyro should read at rest.
-    drift_sds : sequence of float
-        Standard deviations of each part of the drift of an accelerometer, in g, that are thought of.
+    drifts : mapping
+        Standard deviations of each part of the drift of an accelerometer, in g, and their probabilities.
     before : Rest or None
         What the pose before says of the vertical gyro.
     """
@@ -154,7 +156,7 @@ def fit_pose(
     # Of several sets, that with the least scatter may have it by luck; the vertical gyro sees no tilt.
     least = max(scatter * LUCKY, ALIKE * own_noise)
     gram = windows.products(np.column_stack([np.ones(len(slopes)), slopes, cells.rate[:, :2]]))
-    level = _accelerometers(cells, 0.5 * (angles[1:] + angles[:-1]), drift_sds)
+    level = _accelerometers(cells, 0.5 * (angles[1:] + angles[:-1]), drifts)
     found = told(Seen(gram, windows.count, least, *level))
     best = int(np.argmax(found.log_weight))
     counted = length_s * float(cells.quiet.sum())
@@ -244,7 +246,7 @@ def _sharpest(
 
 
 def _accelerometers(
-    cells: _Cells, courses: FloatArray, drift_sds: Sequence[float]
+    cells: _Cells, courses: FloatArray, drifts: Mapping[float, float]
 ) -> tuple[FloatArray, ColumnArray, FloatArray]:
     """Return what the accelerometers tell of the angles for each drift: as of `hypotheses.Seen`.
 
@@ -271,11 +273,12 @@ def _accelerometers(
     columns = np.column_stack([means[:, :-3], values.real, values.imag])
     covariance = LEVEL**2 + WALK**2 * np.minimum.outer(time, time)
     covariance[np.diag_indices(len(time))] += noise / weight + 1e-14
-    lower = np.linalg.cholesky(covariance + np.square(drift_sds)[:, None, None] * (warm_ups @ warm_ups.T))
+    variances = np.square(list(drifts))[:, None, None]
+    lower = np.linalg.cholesky(covariance + variances * (warm_ups @ warm_ups.T))
     # Whitened one by one: the products of such columns have no negative eigenvalue, whatever the rounding.
     white = np.linalg.solve(lower, columns)
     products = white.swapaxes(-1, -2) @ white
     misfit = products[:, -2, -2] + products[:, -1, -1]
     evidence = -2.0 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(-1) - 0.5 * misfit
     information, level = products[:, :-2, :-2], products[:, :-2, -2] + 1j * products[:, :-2, -1]
-    return information, level, evidence - math.log(len(drift_sds))
+    return information, level, evidence + np.log(list(drifts.values()))
