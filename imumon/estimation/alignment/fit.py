@@ -14,7 +14,7 @@ it, and it is turned back to where it stood in the middle.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,22 +25,26 @@ from imumon.estimation.alignment.hypotheses import SETTLING, Seen, courses, told
 from imumon.estimation.alignment.lines import without_lines
 from imumon.estimation.alignment.loudness import quietness
 from imumon.estimation.alignment.windows import (
+    CYCLES,
     FLOOR,
     NOTHING,
     ROWS,
     Windows,
     bank,
+    coloured,
     in_cells,
     layout,
+    of_white,
     slow_columns,
     slowly,
+    spectrum,
     weighted_bank,
 )
 
 WARM_UPS_S = np.array([100.0, 300.0, 1000.0])
 DRIFTS = {0.0: 1.0 - SETTLING, 1e-4: SETTLING}
-"""Time constants of accelerometers that warm up, and standard deviations of each part of the drift, in g, with
-their probabilities: they have warmed up, or they do, which is as likely as that the unit settles.  What
+"""Time constants of accelerometers that warm up, and standard deviations of each part of the drift, in g,
+with their probabilities: they have warmed up, or they do, which is as likely as that the unit settles.  What
 accelerometers see change slowly is a drift or a tilt, and nothing but the length of the rate tells which; a
 drift is one kind where a tilt is one of many, so were it likelier, a tilt along a parallel, which leaves that
 length, would be luck.  With a part of 30 s slow drifts would be unlikely, and a clean warm-up of 300 s a
@@ -55,6 +59,9 @@ LUCKY = 1.0 / 64.0
 """The noise may be less than its scatter by this factor, when a slow sway is in that."""
 ALIKE = 0.5
 """The noise of horizontal gyros is not less than that of the vertical one by more than this factor."""
+WORSE = 4.0
+"""It is not more by more than this, or what there is beside white noise tells nothing yet: the least of the
+spectrum of white noise, there a mean of some twenty squares, is half of it."""
 SAME = 1e-9
 """Weights that differ by less differ by rounding."""
 LEAST_CELLS = 12
@@ -197,6 +204,8 @@ class _Cells:
     quiet : array, (n,)
         By how much a cell counts.
     sets : tuple of Windows
+    white : array, (n + 1,)
+        Spectrum of the cells of white rows, over the variance of a cell; see `windows.spectrum`.
     """
 
     edges_s: FloatArray
@@ -205,6 +214,7 @@ class _Cells:
     middle: FloatArray
     quiet: FloatArray
     sets: tuple[Windows, ...]
+    white: FloatArray
 
 
 def _in_cells(record: PoseRecord, quiet: FloatArray) -> _Cells:
@@ -222,7 +232,8 @@ def _in_cells(record: PoseRecord, quiet: FloatArray) -> _Cells:
     step = float(record.time_s[-1] - record.time_s[0]) / (rows - 1)
     edges = hop * step * (np.arange(count + 1.0) + (0.5 if hop > 1 else 0.0))
     sets = bank(count, hop) if whole else weighted_bank(means[:, -1], hop)
-    return _Cells(edges, means[:, :3], means[:, 3] + 1j * means[:, 4], middle[:3], means[:, -1], sets)
+    level = means[:, 3] + 1j * means[:, 4]
+    return _Cells(edges, means[:, :3], level, middle[:3], means[:, -1], sets, of_white(count, hop))
 
 
 def _sharpest(
@@ -230,19 +241,35 @@ def _sharpest(
 ) -> tuple[_Cells, Windows, float]:
     """Return the cells and windows with the least variance of the mean of some axes, and that of a cell.
 
-    Wider edges, and less weight for what is loud, are taken when they are better by more than their scatter
-    may be wrong.  No mean is better than the gyros' own noise lets it be.
+    Wider edges, less weight for what is loud, and, where the gyros' own noise is known, weights by the
+    spectrum are taken when they are better by more than their scatter may be wrong.  No mean is better than
+    that noise lets it be.
     """
     least, found = math.inf, None
-    for cells in seen:
-        for white in cells.sets:
-            windows = white.coloured(cells.rate[:, axes], trends)
-            variance, uncertainty = windows.scatter(cells.rate[:, axes], trends)
-            of_mean = max(variance, noise) * windows.variance
-            if found is None or (1.0 + uncertainty) * of_mean < least:
-                least, found = of_mean, (cells, windows, variance)
+    for cells, windows in _tried(seen, axes, noise):
+        variance, uncertainty = windows.scatter(cells.rate[:, axes], trends)
+        of_mean = max(variance, noise) * windows.variance
+        if found is None or (1.0 + uncertainty) * of_mean < least:
+            least, found = of_mean, (cells, windows, variance)
     assert found is not None
     return found
+
+
+def _tried(seen: list[_Cells], axes: slice, noise: float) -> Iterator[tuple[_Cells, Windows]]:
+    """Yield all sets of windows; and the cells weighed by the spectrum of some axes beside white noise.
+
+    Those come last, as they take it for sure that what shakes is an angle: samples of a slammed door do not
+    add up to none.  White noise is that of the vertical gyro, or more, if the least of the spectrum is.
+    """
+    for cells in seen:
+        for windows in cells.sets:
+            yield cells, windows
+    for cells in seen if noise else ():
+        power = spectrum(cells.rate[:, axes], cells.quiet)
+        least = float((power / cells.white)[2 * CYCLES :].min())
+        white = cells.white * min(max(noise, least), WORSE * noise)
+        if power.mean() > WORSE * white.mean():
+            yield cells, coloured(cells.quiet, np.maximum(power, white) / noise)
 
 
 def _accelerometers(
