@@ -60,8 +60,9 @@ LUCKY = 1.0 / 64.0
 ALIKE = 0.5
 """The noise of horizontal gyros is not less than that of the vertical one by more than this factor."""
 WORSE = 4.0
-"""It is not more by more than this, or what there is beside white noise tells nothing yet: the least of the
-spectrum of white noise, there a mean of some twenty squares, is half of it."""
+"""It is not more by more than this, either; and if all that is seen is not, it is white noise."""
+UNDISTURBED = 0.25
+"""Share of the frequencies in which there is white noise alone: the rest may all sway."""
 SAME = 1e-9
 """Weights that differ by less differ by rounding."""
 LEAST_CELLS = 12
@@ -259,15 +260,15 @@ def _tried(seen: list[_Cells], axes: slice, noise: float) -> Iterator[tuple[_Cel
     """Yield all sets of windows; and the cells weighed by the spectrum of some axes beside white noise.
 
     Those come last, as they take it for sure that what shakes is an angle: samples of a slammed door do not
-    add up to none.  White noise is that of the vertical gyro, or more, if the least of the spectrum is.
+    add up to none.  White noise is that of the vertical gyro, or more, if a quarter of the spectrum is.
     """
     for cells in seen:
         for windows in cells.sets:
             yield cells, windows
     for cells in seen if noise else ():
         power = spectrum(cells.rate[:, axes], cells.quiet)
-        least = float((power / cells.white)[2 * CYCLES :].min())
-        white = cells.white * min(max(noise, least), WORSE * noise)
+        usual = float(np.quantile((power / cells.white)[2 * CYCLES :], UNDISTURBED))
+        white = cells.white * min(max(noise, usual), WORSE * noise)
         if power.mean() > WORSE * white.mean():
             yield cells, coloured(cells.quiet, np.maximum(power, white) / noise)
 
