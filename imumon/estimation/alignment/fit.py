@@ -265,8 +265,11 @@ def _tried(seen: list[_Cells], axes: slice, noise: float) -> Iterator[tuple[_Cel
     for cells in seen:
         for windows in cells.sets:
             yield cells, windows
-    for cells in seen if noise else ():
-        power = spectrum(cells.rate[:, axes], cells.quiet)
+    for cells in seen:
+        data = cells.rate[:, axes]
+        if not noise or np.mean(cells.quiet[:, None] * data**2) < WORSE * noise:
+            continue  # there is no more in any spectrum
+        power = spectrum(data, cells.quiet)
         usual = float(np.quantile((power / cells.white)[2 * CYCLES :], UNDISTURBED))
         white = cells.white * min(max(noise, usual), WORSE * noise)
         if power.mean() > WORSE * white.mean():
