@@ -257,23 +257,24 @@ def _sharpest(
 
 
 def _tried(seen: list[_Cells], axes: slice, noise: float) -> Iterator[tuple[_Cells, Windows]]:
-    """Yield all sets of windows; and the cells weighed by the spectrum of some axes beside white noise.
+    """Yield all sets of windows; last the cells weighed by the spectrum of some axes beside white noise.
 
-    Those come last, as they take it for sure that what shakes is an angle: samples of a slammed door do not
-    add up to none.  White noise is that of the vertical gyro, or more, if a quarter of the spectrum is.
+    A spectrum is that of what goes on all the time: what is loud counts less.  It comes last, as it takes for
+    sure that what shakes is an angle: samples of a slammed door do not add up to none.  White noise is that of
+    the vertical gyro, or more, if a quarter of the spectrum is.
     """
     for cells in seen:
         for windows in cells.sets:
             yield cells, windows
-    for cells in seen:
-        data = cells.rate[:, axes]
-        if not noise or np.mean(cells.quiet[:, None] * data**2) < WORSE * noise:
-            continue  # there is no more in any spectrum
-        power = spectrum(data, cells.quiet)
-        usual = float(np.quantile((power / cells.white)[2 * CYCLES :], UNDISTURBED))
-        white = cells.white * min(max(noise, usual), WORSE * noise)
-        if power.mean() > WORSE * white.mean():
-            yield cells, coloured(cells.quiet, np.maximum(power, white) / noise)
+    cells = seen[-1]
+    data = cells.rate[:, axes]
+    if not noise or np.mean(cells.quiet[:, None] * data**2) < WORSE * noise:
+        return  # there is no more in any spectrum
+    power = spectrum(data, cells.quiet)
+    usual = float(np.quantile((power / cells.white)[2 * CYCLES :], UNDISTURBED))
+    white = cells.white * min(max(noise, usual), WORSE * noise)
+    if power.mean() > WORSE * white.mean():
+        yield cells, coloured(cells.quiet, np.maximum(power, white) / noise)
 
 
 def _accelerometers(
