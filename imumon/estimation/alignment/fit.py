@@ -260,8 +260,8 @@ def _tried(seen: list[_Cells], axes: slice, noise: float) -> Iterator[tuple[_Cel
     """Yield all sets of windows; last the cells weighed by the spectrum of some axes beside white noise.
 
     A spectrum is that of what goes on all the time: what is loud counts less.  It comes last, as it takes for
-    sure that what shakes is an angle: samples of a slammed door do not add up to none.  White noise is that of
-    the vertical gyro, or more, if a quarter of the spectrum is.
+    sure that what shakes is an angle: samples of a slammed door do not add up to none.  White noise is that
+    of the vertical gyro, or more, if a quarter of the spectrum is.
     """
     for cells in seen:
         for windows in cells.sets:

@@ -4,7 +4,8 @@ The angle of a swaying unit is bounded.  Its rate therefore falls out of a mean 
 gradually, and it stays in one whose weights jump.  White noise is weighed best by weights that jump.  So the
 record is cut into some dozens of overlapping Hann windows, which add up to weights that are flat but for
 their ends, of several lengths; how the means of the windows scatter tells how good each length is, whatever
-it is that sways.
+it is that sways.  What sways all the time has a spectrum, too, which says best how to weigh each cell: the
+widest windows of which enough are left to scatter end too sharply for a strong sway of seconds.
 """
 
 from __future__ import annotations
