@@ -62,7 +62,8 @@ ALIKE = 0.5
 WORSE = 4.0
 """It is not more by more than this, either; and if all that is seen is not, it is white noise."""
 UNDISTURBED = 0.25
-"""Share of the frequencies in which there is white noise alone: the rest may all sway."""
+"""Share of the frequencies in which there is white noise alone: the rest may all sway.  Where more of the time
+than this is loud, what shakes comes and goes."""
 SAME = 1e-9
 """Weights that differ by less differ by rounding."""
 LEAST_CELLS = 12
@@ -259,16 +260,19 @@ def _sharpest(
 def _tried(seen: list[_Cells], axes: slice, noise: float) -> Iterator[tuple[_Cells, Windows]]:
     """Yield all sets of windows; last the cells weighed by the spectrum of some axes beside white noise.
 
-    A spectrum is that of what goes on all the time: what is loud counts less.  It comes last, as it takes for
-    sure that what shakes is an angle: samples of a slammed door do not add up to none.  White noise is that
-    of the vertical gyro, or more, if a quarter of the spectrum is.
+    All cells count alike then: weights that vary would let the rate of a bounded angle into the mean.  It
+    comes last, as it takes for sure that what shakes is an angle, which samples of a slammed door do not add
+    up to; and a spectrum is that of what goes on all the time, so none is looked at where much is loud.  White
+    noise is that of the vertical gyro, or more, if a quarter of the spectrum is.
     """
     for cells in seen:
         for windows in cells.sets:
             yield cells, windows
-    cells = seen[-1]
+    cells = seen[0]
     data = cells.rate[:, axes]
-    if not noise or np.mean(cells.quiet[:, None] * data**2) < WORSE * noise:
+    if not noise or seen[-1].quiet.sum() < (1.0 - UNDISTURBED) * cells.quiet.sum():
+        return
+    if np.mean(cells.quiet[:, None] * data**2) < WORSE * noise:
         return  # there is no more in any spectrum
     power = spectrum(data, cells.quiet)
     usual = float(np.quantile((power / cells.white)[2 * CYCLES :], UNDISTURBED))
