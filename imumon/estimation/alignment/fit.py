@@ -62,8 +62,8 @@ ALIKE = 0.5
 WORSE = 4.0
 """It is not more by more than this, either; and if all that is seen is not, it is white noise."""
 UNDISTURBED = 0.25
-"""Share of the frequencies in which there is white noise alone: the rest may all sway.  Where more of the time
-than this is loud, what shakes comes and goes."""
+"""Share of the frequencies in which there is white noise alone: the rest may all sway.  Where more of the
+time than this is loud, what shakes comes and goes."""
 SAME = 1e-9
 """Weights that differ by less differ by rounding."""
 LEAST_CELLS = 12
@@ -262,8 +262,8 @@ def _tried(seen: list[_Cells], axes: slice, noise: float) -> Iterator[tuple[_Cel
 
     All cells count alike then: weights that vary would let the rate of a bounded angle into the mean.  It
     comes last, as it takes for sure that what shakes is an angle, which samples of a slammed door do not add
-    up to; and a spectrum is that of what goes on all the time, so none is looked at where much is loud.  White
-    noise is that of the vertical gyro, or more, if a quarter of the spectrum is.
+    up to; and a spectrum is that of what goes on all the time, so none is looked at where much is loud.
+    White noise is that of the vertical gyro, or more, if a quarter of the spectrum is.
     """
     for cells in seen:
         for windows in cells.sets:
