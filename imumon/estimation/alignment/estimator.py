@@ -5,7 +5,7 @@ from __future__ import annotations
 import cmath
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -399,7 +399,7 @@ class Aligner:
         angle = -1j * (level[:, 0] + 1j * level[:, 1]) - self._known(record.time_s[rows], attitude)
         kept = fit.PoseRecord(time, weight, record.rate[rows] @ attitude.T, angle)
         known = None if before is None else self._at_rest_in(attitude, *before[1:])
-        found = fit.fit_pose(kept, self._usual(attitude[2]), self._drift_sds(), known)
+        found = fit.fit_pose(kept, self._usual(attitude[2]), self._drifts(), known)
         return None if found is None else (found, attitude)
 
     def _at_rest_in(
@@ -425,12 +425,12 @@ class Aligner:
         angle: FloatArray = -1j * (seen[:, 0] + 1j * seen[:, 1])
         return angle
 
-    def _drift_sds(self) -> Sequence[float]:
+    def _drifts(self) -> Mapping[float, float]:
         warm = self.parameters.known_warm_up
         if warm is None or warm.amplitude_sd_ug is None:
             return fit.DRIFTS
         relative = warm.time_constant_sd_s / float(np.mean(warm.time_constant_s))
-        return (math.hypot(warm.amplitude_sd_ug, relative * max(map(abs, warm.amplitude_ug))) * 1e-6,)
+        return {math.hypot(warm.amplitude_sd_ug, relative * max(map(abs, warm.amplitude_ug))) * 1e-6: 1.0}
 
     def _bias_prior(self, arw: float) -> tuple[FloatArray, FloatArray]:
         """Return sizes of biases that are thought of, rad/s, (s, 3), and the logs of their probabilities.

@@ -14,35 +14,41 @@ it, and it is turned back to where it stood in the middle.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray
 from imumon.estimation.alignment.creep import Creep, Rest, Usual, creep
-from imumon.estimation.alignment.hypotheses import Seen, courses, told
+from imumon.estimation.alignment.hypotheses import SETTLING, Seen, courses, told
 from imumon.estimation.alignment.lines import without_lines
 from imumon.estimation.alignment.loudness import quietness
 from imumon.estimation.alignment.windows import (
+    CYCLES,
     FLOOR,
     NOTHING,
     ROWS,
     Windows,
     bank,
+    coloured,
     in_cells,
     layout,
+    of_white,
     slow_columns,
     slowly,
+    spectrum,
     weighted_bank,
 )
 
 WARM_UPS_S = np.array([100.0, 300.0, 1000.0])
-DRIFTS = (0.0, 1e-4)
+DRIFTS = {0.0: 1.0 - SETTLING, 1e-4: SETTLING}
 """Time constants of accelerometers that warm up, and standard deviations of each part of the drift, in g,
-equally likely: they have warmed up, or they do.  With the larger alone what they see would always be shared
-between drift and tilt, and a tilt along a parallel, which leaves the length of the rate, would be luck.  With
-a part of 30 s slow drifts would be unlikely, and a clean warm-up of 300 s a tilt."""
+with their probabilities: they have warmed up, or they do, which is as likely as that the unit settles.  What
+accelerometers see change slowly is a drift or a tilt, and nothing but the length of the rate tells which; a
+drift is one kind where a tilt is one of many, so were it likelier, a tilt along a parallel, which leaves that
+length, would be luck.  With a part of 30 s slow drifts would be unlikely, and a clean warm-up of 300 s a
+tilt."""
 WALK = 1e-7
 """Random walk of an accelerometer, g/√s: 6 µg in an hour."""
 LEVEL = 1e-3
@@ -53,6 +59,11 @@ LUCKY = 1.0 / 64.0
 """The noise may be less than its scatter by this factor, when a slow sway is in that."""
 ALIKE = 0.5
 """The noise of horizontal gyros is not less than that of the vertical one by more than this factor."""
+WORSE = 4.0
+"""It is not more by more than this, either; and if all that is seen is not, it is white noise."""
+UNDISTURBED = 0.25
+"""Share of the frequencies in which there is white noise alone: the rest may all sway.  Where more of the
+time than this is loud, what shakes comes and goes."""
 SAME = 1e-9
 """Weights that differ by less differ by rounding."""
 LEAST_CELLS = 12
@@ -117,7 +128,7 @@ class PoseFit:
 
 
 def fit_pose(
-    record: PoseRecord, usual: Usual, drift_sds: Sequence[float] = DRIFTS, before: Rest | None = None
+    record: PoseRecord, usual: Usual, drifts: Mapping[float, float] = DRIFTS, before: Rest | None = None
 ) -> PoseFit | None:
     """Fit a pose, or return None when there is too little.
 
@@ -126,8 +137,8 @@ def fit_pose(
     record : PoseRecord
     usual : Usual
         What the vertical gyro should read at rest.
-    drift_sds : sequence of float
-        Standard deviations of each part of the drift of an accelerometer, in g, that are thought of.
+    drifts : mapping
+        Standard deviations of each part of the drift of an accelerometer, in g, and their probabilities.
     before : Rest or None
         What the pose before says of the vertical gyro.
     """
@@ -154,7 +165,7 @@ def fit_pose(
     # Of several sets, that with the least scatter may have it by luck; the vertical gyro sees no tilt.
     least = max(scatter * LUCKY, ALIKE * own_noise)
     gram = windows.products(np.column_stack([np.ones(len(slopes)), slopes, cells.rate[:, :2]]))
-    level = _accelerometers(cells, 0.5 * (angles[1:] + angles[:-1]), drift_sds)
+    level = _accelerometers(cells, 0.5 * (angles[1:] + angles[:-1]), drifts)
     found = told(Seen(gram, windows.count, least, *level))
     best = int(np.argmax(found.log_weight))
     counted = length_s * float(cells.quiet.sum())
@@ -195,6 +206,8 @@ class _Cells:
     quiet : array, (n,)
         By how much a cell counts.
     sets : tuple of Windows
+    white : array, (n + 1,)
+        Spectrum of the cells of white rows, over the variance of a cell; see `windows.spectrum`.
     """
 
     edges_s: FloatArray
@@ -203,6 +216,7 @@ class _Cells:
     middle: FloatArray
     quiet: FloatArray
     sets: tuple[Windows, ...]
+    white: FloatArray
 
 
 def _in_cells(record: PoseRecord, quiet: FloatArray) -> _Cells:
@@ -220,7 +234,8 @@ def _in_cells(record: PoseRecord, quiet: FloatArray) -> _Cells:
     step = float(record.time_s[-1] - record.time_s[0]) / (rows - 1)
     edges = hop * step * (np.arange(count + 1.0) + (0.5 if hop > 1 else 0.0))
     sets = bank(count, hop) if whole else weighted_bank(means[:, -1], hop)
-    return _Cells(edges, means[:, :3], means[:, 3] + 1j * means[:, 4], middle[:3], means[:, -1], sets)
+    level = means[:, 3] + 1j * means[:, 4]
+    return _Cells(edges, means[:, :3], level, middle[:3], means[:, -1], sets, of_white(count, hop))
 
 
 def _sharpest(
@@ -228,23 +243,46 @@ def _sharpest(
 ) -> tuple[_Cells, Windows, float]:
     """Return the cells and windows with the least variance of the mean of some axes, and that of a cell.
 
-    Wider edges, and less weight for what is loud, are taken when they are better by more than their scatter
-    may be wrong.  No mean is better than the gyros' own noise lets it be.
+    Wider edges, less weight for what is loud, and, where the gyros' own noise is known, weights by the
+    spectrum are taken when they are better by more than their scatter may be wrong.  No mean is better than
+    that noise lets it be.
     """
     least, found = math.inf, None
-    for cells in seen:
-        for white in cells.sets:
-            windows = white.coloured(cells.rate[:, axes], trends)
-            variance, uncertainty = windows.scatter(cells.rate[:, axes], trends)
-            of_mean = max(variance, noise) * windows.variance
-            if found is None or (1.0 + uncertainty) * of_mean < least:
-                least, found = of_mean, (cells, windows, variance)
+    for cells, windows in _tried(seen, axes, noise):
+        variance, uncertainty = windows.scatter(cells.rate[:, axes], trends)
+        of_mean = max(variance, noise) * windows.variance
+        if found is None or (1.0 + uncertainty) * of_mean < least:
+            least, found = of_mean, (cells, windows, variance)
     assert found is not None
     return found
 
 
+def _tried(seen: list[_Cells], axes: slice, noise: float) -> Iterator[tuple[_Cells, Windows]]:
+    """Yield all sets of windows; last the cells weighed by the spectrum of some axes beside white noise.
+
+    All cells count alike then: weights that vary would let the rate of a bounded angle into the mean.  It
+    comes last, as it takes for sure that what shakes is an angle, which samples of a slammed door do not add
+    up to; and a spectrum is that of what goes on all the time, so none is looked at where much is loud.
+    White noise is that of the vertical gyro, or more, if a quarter of the spectrum is.
+    """
+    for cells in seen:
+        for windows in cells.sets:
+            yield cells, windows
+    cells = seen[0]
+    data = cells.rate[:, axes]
+    if not noise or seen[-1].quiet.sum() < (1.0 - UNDISTURBED) * cells.quiet.sum():
+        return
+    if np.mean(cells.quiet[:, None] * data**2) < WORSE * noise:
+        return  # there is no more in any spectrum
+    power = spectrum(data, cells.quiet)
+    usual = float(np.quantile((power / cells.white)[2 * CYCLES :], UNDISTURBED))
+    white = cells.white * min(max(noise, usual), WORSE * noise)
+    if power.mean() > WORSE * white.mean():
+        yield cells, coloured(cells.quiet, np.maximum(power, white) / noise)
+
+
 def _accelerometers(
-    cells: _Cells, courses: FloatArray, drift_sds: Sequence[float]
+    cells: _Cells, courses: FloatArray, drifts: Mapping[float, float]
 ) -> tuple[FloatArray, ColumnArray, FloatArray]:
     """Return what the accelerometers tell of the angles for each drift: as of `hypotheses.Seen`.
 
@@ -271,11 +309,12 @@ def _accelerometers(
     columns = np.column_stack([means[:, :-3], values.real, values.imag])
     covariance = LEVEL**2 + WALK**2 * np.minimum.outer(time, time)
     covariance[np.diag_indices(len(time))] += noise / weight + 1e-14
-    lower = np.linalg.cholesky(covariance + np.square(drift_sds)[:, None, None] * (warm_ups @ warm_ups.T))
+    variances = np.square(list(drifts))[:, None, None]
+    lower = np.linalg.cholesky(covariance + variances * (warm_ups @ warm_ups.T))
     # Whitened one by one: the products of such columns have no negative eigenvalue, whatever the rounding.
     white = np.linalg.solve(lower, columns)
     products = white.swapaxes(-1, -2) @ white
     misfit = products[:, -2, -2] + products[:, -1, -1]
     evidence = -2.0 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(-1) - 0.5 * misfit
     information, level = products[:, :-2, :-2], products[:, :-2, -2] + 1j * products[:, :-2, -1]
-    return information, level, evidence - math.log(len(drift_sds))
+    return information, level, evidence + np.log(list(drifts.values()))

@@ -18,7 +18,7 @@ closed form (Bayesian linear regression), and the evidence of each is, too.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -124,12 +124,6 @@ class Seen:
     level: ColumnArray
     drifts: FloatArray
 
-    def of_drift(self, which: int) -> Seen:
-        """Return what is seen if the accelerometers drift so."""
-        return replace(
-            self, **{name: getattr(self, name)[[which]] for name in ("information", "level", "drifts")}
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Told:
@@ -158,14 +152,15 @@ def told(seen: Seen) -> Told:
     """Return what each hypothesis says of c'.
 
     A unit may settle and sway: what settles is tried beside the likeliest sway, and what sways beside the
-    likeliest way to settle, each with the drift that makes this the likeliest.
+    likeliest way to settle, each whether the accelerometers drift or not: what settles is what may look like
+    their drift.
     """
     settles, sways = _family(seen, SETTLES), _family(seen, SWAYS)
     parts = [_stands(seen), settles, sways, _family(seen, UNSEEN)]
     for own, other, likeliest in ((SETTLES, SWAYS, sways), (SWAYS, SETTLES, settles)):
         shape = len(other.columns), len(seen.drifts), len(other.precision)
-        k, drift, size = (int(at) for at in np.unravel_index(np.argmax(likeliest.log_weight), shape))
-        parts.append(_family(seen.of_drift(drift), own.beside(other, k, size, 0.5 * SETTLING * SWAYING)))
+        k, _, size = (int(at) for at in np.unravel_index(np.argmax(likeliest.log_weight), shape))
+        parts.append(_family(seen, own.beside(other, k, size, 0.5 * SETTLING * SWAYING)))
     parts[1].settles[:] = parts[4].settles[:] = parts[5].settles[:] = 1.0
     return Told(*(np.concatenate([getattr(part, name) for part in parts]) for name in Told.__slots__))
 

@@ -23,6 +23,8 @@ from imumon.geodesy import EARTH_RATE
 
 ROUNDS = 16
 """Newton's steps to a heading; after 8 tenths of a sigma may be left, where two are nearly as likely."""
+CLOSE = 1e-6
+"""The next step to a heading is the square of this."""
 LIKELIEST = 24
 """Hypotheses that are looked at; the others have lost by far."""
 FLAT = 1e-3
@@ -302,15 +304,25 @@ def _closest(forms: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     c, s = np.cos(axis), np.sin(axis)
     b, d = by_cos * c + by_sin * s, by_sin * c - by_cos * s
     d = np.where(np.abs(d) > FLAT, d, np.copysign(FLAT, d))
-    multiplier = np.maximum(np.abs(d), np.abs(b) - gap)
-    for _ in range(ROUNDS):
-        x, y = b / (gap + multiplier), d / multiplier
-        square = x * x + y * y
-        slope = x * x / (gap + multiplier) + y * y / multiplier
-        multiplier = multiplier + square * (np.sqrt(square) - 1.0) / slope
+    multiplier = _multiplier(gap.ravel(), b.ravel(), d.ravel()).reshape(b.shape)
     x, y = -b / (gap + multiplier), -d / multiplier
     angle = axis + np.arctan2(y, x)
     c, s = np.cos(angle), np.sin(angle)
     along, across = by_cos + cos_cos * c + cos_sin * s, by_sin + cos_sin * c + sin_sin * s
     curvature = gap * y * y + multiplier
     return angle, constant + (by_cos + along) * c + (by_sin + across) * s, curvature
+
+
+def _multiplier(gap: FloatArray, b: FloatArray, d: FloatArray) -> FloatArray:
+    """Return the m of each form in `_closest`, (n,)."""
+    found = np.maximum(np.abs(d), np.abs(b) - gap)
+    some = np.arange(len(found))
+    for _ in range(ROUNDS):
+        m = found[some]
+        x, y = b / (gap + m), d / m
+        square = x * x + y * y
+        step = square * (np.sqrt(square) - 1.0) / (x * x / (gap + m) + y * y / m)
+        found[some] = m + step
+        left = step > CLOSE * m
+        some, gap, b, d = some[left], gap[left], b[left], d[left]
+    return found

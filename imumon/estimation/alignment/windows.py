@@ -4,13 +4,14 @@ The angle of a swaying unit is bounded.  Its rate therefore falls out of a mean 
 gradually, and it stays in one whose weights jump.  White noise is weighed best by weights that jump.  So the
 record is cut into some dozens of overlapping Hann windows, which add up to weights that are flat but for
 their ends, of several lengths; how the means of the windows scatter tells how good each length is, whatever
-it is that sways.
+it is that sways.  What sways all the time has a spectrum, too, which says best how to weigh each cell: the
+widest windows of which enough are left to scatter end too sharply for a strong sway of seconds.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -28,24 +29,13 @@ TREND = (2.0, 8.0, 32.0, 128.0)
 """Time constants in a record of the exponentials that are no scatter: as a tripod settles."""
 CYCLES = 4
 """Periods in a record of the fastest of the slow sways, which are fitted, and are no scatter either."""
-BLUE = 4.0 ** np.arange(6.0)
-"""Noise of angles that jitter, as in gusts, over that of gyros, where both are seen through windows: the
-slowest that 40 windows show has a four-hundredth of the power of the fastest."""
-SURE = 4.0
-"""By this log likelihood ratio it must be likelier than none: by luck it is once in 200 records."""
+BESIDE = 2
+"""Neighbours, half a cycle in a record apart, either side of a frequency, with which its power is a mean."""
 NOTHING = 1e-2
 """A window that weighs less than this share of another tells nothing."""
 FLOOR = 1e-30
 DEPENDENT = 1e-10
 """Windows that see the same cells differ by rounding: least over largest eigenvalue of their covariance."""
-
-
-@dataclass(frozen=True, slots=True)
-class Whitened:
-    """What makes sums white and takes a trend off, (f, k), and the log determinant of that trend and them."""
-
-    rows: FloatArray
-    log_determinant: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,41 +48,22 @@ class Windows:
         A window that looks at loud cells weighs less than the others.
     covariance : array, (k, k)
         Of the sums, over the variance of a cell that is not loud, when the noise of rows is white.
+    white : array, (k, n)
+        What makes the sums white.
     slow : array, (k, t)
         Orthonormal: what a trend is in the sums; the first is the constant.
     variance : float
         Of the mean of all cells under these windows, over that of a cell.
     count : float
         How many windows of full weight they are worth.
-    whitened : (Whitened, Whitened)
-        Without the constant; without a trend.
-    bluer : tuple of Windows
-        The same, when angles that jitter add ever more noise.
     """
 
     weights: FloatArray
     covariance: FloatArray
+    white: FloatArray
     slow: FloatArray
     variance: float
     count: float
-    whitened: tuple[Whitened, Whitened]
-    bluer: tuple[Windows, ...] = ()
-
-    def likelihood(self, data: FloatArray, trends: bool = True) -> float:
-        """Return the logarithm of that of the sums of data, (n, a), whatever variance and trend (REML)."""
-        whitened = self.whitened[trends]
-        left = whitened.rows @ (self.weights @ data)
-        variance = float(np.vdot(left, left)) / left.size + FLOOR
-        return -0.5 * (left.size * math.log(variance) + int(data.shape[1]) * whitened.log_determinant)
-
-    def coloured(self, data: FloatArray, trends: bool = True) -> Windows:
-        """Return these windows with the colour of noise that data, (n, a), show for sure; else white."""
-        best, most = self, self.likelihood(data, trends) + SURE
-        for windows in self.bluer:
-            found = windows.likelihood(data, trends)
-            if found > most:
-                best, most = windows, found
-        return best
 
     def scatter(self, data: FloatArray, trends: bool = True) -> tuple[float, float]:
         """Return the variance of a cell by the scatter of the sums of data, (n, a), and its uncertainty.
@@ -111,8 +82,8 @@ class Windows:
 
     def products(self, columns: FloatArray) -> FloatArray:
         """Return the products of columns, (n, c), seen through windows and weighed by the covariance."""
-        means = self.weights @ columns
-        return np.asarray(means.T @ np.linalg.solve(self.covariance, means))
+        parts = (self.white[first : first + ROWS] @ columns for first in range(0, len(self.white), ROWS))
+        return np.asarray(np.sum([part.T @ part for part in parts], axis=0))
 
 
 def layout(rows: int) -> tuple[int, FloatArray]:
@@ -158,10 +129,7 @@ def bank(cells: int, hop: int) -> tuple[Windows, ...]:
 
 def weighted_bank(quiet: FloatArray, hop: int) -> tuple[Windows, ...]:
     """Return such sets over cells of which each counts by so much, (n,); none when that is too little."""
-    cells, beside = len(quiet), 0.0
-    if hop > 1:
-        _, taps = layout(hop * CELLS)
-        beside = float(taps[:hop] @ taps[hop:] / (taps @ taps))
+    cells, beside = len(quiet), _beside(hop)
     narrow = _made(np.eye(cells), quiet, beside)
     if narrow is None:
         return ()
@@ -175,6 +143,70 @@ def weighted_bank(quiet: FloatArray, hop: int) -> tuple[Windows, ...]:
         found.append(made)
         wide *= 2
     return tuple(found)
+
+
+def of_white(cells: int, hop: int) -> FloatArray:
+    """Return the spectrum of cells of white rows, as of `spectrum`, over the variance of a cell."""
+    return np.asarray(1.0 + 2.0 * _beside(hop) * np.cos(math.pi * np.arange(cells + 1.0) / cells))
+
+
+def _beside(hop: int) -> float:
+    """Return how much a cell of white rows correlates with its neighbour."""
+    taps = layout(hop * CELLS)[1]
+    return float(taps[:hop] @ taps[hop:] / (taps @ taps)) if hop > 1 else 0.0
+
+
+def spectrum(data: FloatArray, quiet: FloatArray) -> FloatArray:
+    """Return the power of data, (n, a), at 0 to n / 2 cycles in the record, (n + 1,), in variance of a cell.
+
+    It is that of a cell that counts fully; each counts by so much, (n,).  The taper is Hann's: far from the
+    frequency of a strong sway it leaves less than white noise of it.  Where trends and slow waves are, which
+    are no noise, it is that of the rate of angles as strong as at the slowest that is left.
+    """
+    n, root = len(data), np.sqrt(quiet)[:, None]
+    known = float(quiet.sum() ** 2 / (quiet @ quiet))
+    slow = np.linalg.qr(slow_columns(slowly(n), known) * root)[0]
+    left = root * data
+    left = left - slow @ (slow.T @ left)
+    taper = np.hanning(n + 2)[1:-1] * (quiet > NOTHING)
+    power = (np.abs(np.fft.rfft(left * taper[:, None], 2 * n, axis=0)) ** 2).mean(1) / (taper @ taper)
+    around = np.ones(2 * BESIDE + 1) / (2 * BESIDE + 1)
+    power = np.convolve(np.pad(power, BESIDE, mode="reflect"), around, "valid")
+    slowest = 2 * CYCLES
+    power[:slowest] = power[slowest] * (np.arange(slowest) / slowest) ** 2
+    return np.asarray(np.maximum(power, DEPENDENT * power.max()))
+
+
+def coloured(quiet: FloatArray, density: FloatArray) -> Windows:
+    """Return each cell for itself, made white, when they have a spectrum, (n + 1,), as of `spectrum`.
+
+    Each counts by so much, (n,).  They are not added up first: between sums of cells a sway of their spacing
+    would look like none.
+    """
+    n = len(quiet)
+    white = _whitener(np.fft.irfft(density)[:n]) * np.sqrt(quiet)
+    total, count = white.sum(1), float(quiet.sum() ** 2 / (quiet @ quiet))
+    slow = np.linalg.qr(white @ slow_columns(slowly(n), count))[0]
+    return Windows(white, np.eye(n), white, slow, 1.0 / float(total @ total), count)
+
+
+def _whitener(covariance: FloatArray) -> FloatArray:
+    """Return what makes a stationary series white, (n, n), from its covariance with itself later, (n,).
+
+    Each row is a value less what those before predict of it, in standard deviations (Levinson and Durbin): of
+    so large a matrix BLAS would wake other threads.
+    """
+    n = len(covariance)
+    found = np.zeros((n, n))
+    weights, variance = np.zeros(0), float(covariance[0])
+    for k in range(n):
+        if k:
+            last = (covariance[k] - weights @ covariance[k - 1 : 0 : -1]) / variance
+            weights = np.append(weights - last * weights[::-1], last)
+            variance *= 1.0 - last**2
+        found[k, :k], found[k, k] = -weights[::-1], 1.0
+        found[k] /= math.sqrt(variance)
+    return found
 
 
 def slow_columns(basis: FloatArray, count: float) -> FloatArray:
@@ -203,26 +235,9 @@ def _made(weights: FloatArray, quiet: FloatArray, beside: float) -> Windows | No
     if eigenvalues[0] < DEPENDENT * eigenvalues[-1]:
         return None
     slow = np.linalg.qr(weights @ slow_columns(slowly(weights.shape[1]), count))[0]
-    jitter = np.diff(weights, axis=1, prepend=0.0, append=0.0)
-    angles = jitter @ jitter.T
-    angles *= own.sum() / np.trace(angles)
-    shapes = (covariance, *(covariance + blue * angles for blue in BLUE))
-    found = [_coloured(weights, shape, slow, count) for shape in shapes]
-    return replace(found[0], bluer=tuple(found[1:]))
-
-
-def _coloured(weights: FloatArray, covariance: FloatArray, slow: FloatArray, count: float) -> Windows:
-    """Return windows whose sums have this covariance."""
-    lower = np.linalg.cholesky(covariance)
-    white = np.linalg.solve(lower, np.column_stack([slow, weights.sum(1), np.eye(len(weights))]))
-    total, inverse = white[:, slow.shape[1]], white[:, slow.shape[1] + 1 :]
-    whitened = []
-    for columns in (1, slow.shape[1]):
-        basis, triangle = np.linalg.qr(white[:, :columns], mode="complete")
-        own = np.log(np.diagonal(lower)).sum() + np.log(np.abs(np.diagonal(triangle))).sum()
-        whitened.append(Whitened(basis[:, columns:].T @ inverse, 2.0 * float(own)))
-    variance = 1.0 / float(total @ total)
-    return Windows(weights, covariance, slow, variance, count, (whitened[0], whitened[1]))
+    white = np.linalg.solve(np.linalg.cholesky(covariance), weights)
+    total = white.sum(1)
+    return Windows(weights, covariance, white, slow, 1.0 / float(total @ total), count)
 
 
 def _noisy(weights: FloatArray, beside: float) -> FloatArray:

@@ -6,11 +6,12 @@ import math
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.alignment.fit import PoseFit, PoseRecord, fit_pose
 from imumon.estimation.alignment.loudness import quietness
-from imumon.estimation.alignment.windows import bank
+from imumon.estimation.alignment.windows import Windows, bank, coloured, of_white, spectrum
 from imumon.geodesy import STANDARD_GRAVITY
 from tests.estimation.alignment.units import ANY_REST, aligned, error_deg, samples, scenario
 
@@ -134,19 +135,34 @@ def test_the_noise_of_the_gyros_is_not_that_of_what_shook_them() -> None:
     assert shaken.seconds < quiet.seconds - 10.0
 
 
-def test_angles_that_jitter_are_told_from_white_noise() -> None:
+def _coloured(data: FloatArray, noise: float) -> Windows:
+    every = np.ones(len(data))
+    return coloured(every, np.maximum(spectrum(data, every) / noise, of_white(len(data), 1)))
+
+
+def test_the_spectrum_of_white_noise_leaves_all_weights_alike() -> None:
     rng, cells = np.random.default_rng(0), 160
-    windows = bank(cells, 15)[2]
-    white = [windows.coloured(rng.normal(size=(cells, 2))) for _ in range(40)]
-    assert sum(found is windows for found in white) >= 39
+    for _ in range(10):
+        data = rng.normal(size=(cells, 2))
+        found = _coloured(data, 1.0)
+        assert 1.0 / cells < found.variance < 1.2 / cells
+        assert found.scatter(data)[0] == pytest.approx(1.0, abs=0.4)
+
+
+@pytest.mark.parametrize("at", [0.0, 0.23, 0.5])
+def test_what_sways_at_random_is_weighed_by_its_spectrum(at: float) -> None:
+    rng, cells, noise = np.random.default_rng(0), 160, 1e-4
+    errors, claimed, means = [], [], []
+    for _ in range(40):
+        angle = rng.normal(size=(cells + 1, 2))
+        if at:  # a resonance at this share of the fastest
+            angle = lfilter([1.0], [1.0, -1.9 * math.cos(math.pi * at), 0.9], angle, axis=0)
+        data = np.diff(angle, axis=0) + math.sqrt(noise) * rng.normal(size=(cells, 2))
+        found = _coloured(data, noise)
+        products = found.products(np.column_stack([np.ones(cells), data]))
+        errors.append(products[0, 1:] / products[0, 0])
+        claimed.append(max(found.scatter(data)[0], noise) * found.variance)
+        means.append(min(one.scatter(data)[0] * one.variance for one in bank(cells, 1)))
     # Their mean is known by the angles at the ends, not by the square root of time.
-    jitter = [np.diff(rng.normal(size=(cells + 1, 2)), axis=0) for _ in range(40)]
-    found = [windows.coloured(data + 1e-2 * rng.normal(size=data.shape)) for data in jitter]
-    assert sum(one is not windows for one in found) >= 36
-    claimed = np.mean([one.scatter(data)[0] * one.variance for one, data in zip(found, jitter, strict=True)])
-    means = []
-    for one, data in zip(found, jitter, strict=True):
-        products = one.products(np.column_stack([np.ones(cells), data]))
-        means.append(products[0, 1:] / products[0, 0])
-    assert float(np.mean(np.square(means))) < 2.0 * claimed
-    assert claimed < 0.2 * np.mean([windows.scatter(data)[0] * windows.variance for data in jitter])
+    assert 0.3 < np.mean(np.square(errors)) / np.mean(claimed) < 2.0
+    assert np.mean(claimed) < 0.4 * np.mean(means)
