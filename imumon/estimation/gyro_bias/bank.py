@@ -36,10 +36,12 @@ FLICKER_CORNERS_S = (400.0, 40.0, 4.0, 0.4, 0.04)
 gyros have 0.3 °/h at 0.15 °/√h to 40 °/h at 0.3 °/√h.  A filter of half a step too much or too little, a
 factor of 1.8 in strength, errs by 8 % more."""
 WALK_CORNERS_S = (60.0, 12.0, 2.5, 0.2)
-"""The same for random walks: biases that follow an unknown temperature."""
+"""The same for random walks: biases that follow an unknown temperature.  The last is of a quiet gyro that its
+temperature drives, 0.65 °/h each second (40 °/h/°C, 1 °C a minute) beside 0.001 °/√h."""
 PRIORS = (0.2, 0.2, 0.2, 0.199, 0.001, 0.08, 0.07, 0.049, 0.001)
-"""Weights before any measurement.  A gyro that is nearly all flicker is rare; were it likelier than this that
-one begins to be (each `DWELL_S`), a bias that jumps would look like one before it contradicts all filters."""
+"""Weights before any measurement.  A gyro that is nearly all flicker, or walk, is rare; were it likelier than
+this that one begins to be (each `DWELL_S`), a bias that jumps would look like one before it contradicts all
+filters."""
 DWELL_S = 3600.0
 """Mean time after which a bias begins to behave differently."""
 UNKNOWN_BIAS = 1.0

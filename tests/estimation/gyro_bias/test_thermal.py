@@ -143,3 +143,18 @@ def test_a_model_without_temperature_leaves_the_bias_where_it_is() -> None:
     stage = GyroBias(model=slope_model(SLOPE), mode="thermal")
     assert np.abs(vector(stage.process(block))[-1] - bias[-1]).max() < 20 * DPH
     assert any("lacks its temperature" in text for text in stage.notices())
+
+
+@pytest.mark.parametrize(("arw_deg", "slope_dph", "error_dph"), [(1e-3, 40.0, 2.5), (1e-2, 300.0, 9.0)])
+def test_a_quiet_gyro_is_followed_as_it_warms_up(arw_deg: float, slope_dph: float, error_dph: float) -> None:
+    rate_hz, seconds = 20.0, 600.0
+    truth = Truth(rate_hz, np.radians(arw_deg) / 60.0, 1e-4, flicker=10.0 * arw_deg * DPH, low_pass_hz=None)
+    t = np.arange(round(seconds * rate_hz)) / rate_hz
+    degc = 25.0 + 10.0 * (1.0 - np.exp(-t / 600.0))
+    thermal = np.outer(degc - 25.0, np.array([0.5, -1.0, 0.25]) * slope_dph * DPH)
+    block, bias = record(truth, seconds, 1, thermal, temperature=degc)
+    added = GyroBias(mode="learned").process(with_rest(block, np.ones(len(t), np.bool_)))
+    known = t > 60.0
+    error = (vector(added) - bias)[known]
+    assert np.sqrt(np.mean(error**2, 0)).max() < error_dph * DPH
+    assert np.abs(error / vector(added, "gyro_bias_sd")[known]).max() < 7.0
