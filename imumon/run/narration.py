@@ -33,6 +33,8 @@ GARBLED_BELOW = 0.5
 GARBLED_AFTER_BYTES = 400
 """When less than half of the bytes of the last 2 s, at least so many, frame: wrong baud rate or protocol."""
 
+RESTLESS = 3
+"""A clock that starts anew so often in 2 s is not that of one device: none boots so fast."""
 TEST_S = 600.0
 """A shorter session is no test: of ten means of 30 s, at rest and settled, it has hardly any."""
 CHART_NS = 5_000_000_000
@@ -144,6 +146,7 @@ class Narrator:
         self._last_ns = 0
         self._segment = 0
         self._segment_began_ns = 0
+        self._restless = False
         self._status: int | None = None
         self._shown: dict[str, str] = {}
         self._numbers: dict[str, float] = {}
@@ -170,7 +173,8 @@ class Narrator:
         self._emit(self._timebase.samples(block))
         segment, arrival = int(block["segment"][-1]), int(block["arrival_time_ns"][-1])
         if segment != self._segment:
-            self.log("WARN", f"the device's clock or counter started anew: segment {segment}", arrival)
+            if not self._restless:
+                self.log("WARN", f"the device's clock or counter started anew: segment {segment}", arrival)
             self._lane("clock", "jumped", arrival)
             self._segment, self._segment_began_ns = segment, arrival
         elif not self._segment_began_ns:
@@ -290,6 +294,11 @@ class Narrator:
         """The fit of the device clock needs some time in each segment; a jump stays shown until then."""
         if not dated:
             return
+        restarts = self._history[-1][1].clock_restarts - self._history[0][1].clock_restarts
+        if restarts >= RESTLESS and not self._restless:
+            text = f"clock or counter started anew {restarts} times in 2 s: do two devices send on this line?"
+            self.log("ERROR", text, now_ns)
+        self._restless = restarts >= RESTLESS or (self._restless and restarts > 0)
         if now_ns - self._segment_began_ns > SETTLING_NS:
             self._lane("clock", "synchronised", now_ns)
         elif self._lanes.get("clock") != "jumped":

@@ -74,6 +74,25 @@ def test_bytes_that_do_not_frame_are_called_so_once() -> None:
     assert "wrong baud rate or device" in lines[0].text
 
 
+def test_two_devices_on_one_line_are_called_so_once_and_not_at_each_packet() -> None:
+    pipeline, narrator, items = narrated()
+    packets = AX1.encoder().encode(SimulatedUnit(load_scenario("bench")).samples(6000))
+    both = [
+        packet for one, other in zip(packets[:500], packets[5000:], strict=False) for packet in (one, other)
+    ]
+    for number, packet in enumerate([*packets[:200], *both, *packets[500:900]]):
+        now = START + number * 10_000_000
+        pipeline.feed(packet, now)
+        narrator.received(len(packet), now)
+        if number % 25 == 0:
+            narrator.samples(pipeline.take())
+            narrator.tick(now)
+    lines = [item.text for item in items if isinstance(item, Log)]
+    assert pipeline.counters.clock_restarts > 100
+    assert sum("two devices" in line for line in lines) == 1
+    assert sum("started anew: segment" in line for line in lines) < 10
+
+
 def test_a_lost_port_does_not_fill_the_recording() -> None:
     pipeline, narrator, items = narrated()
     now = send(pipeline, narrator, 4)
