@@ -91,6 +91,11 @@ class Channel:
         return max((fault.blind for fault in self.faults), default=0.0)
 
     @property
+    def limit(self) -> float:
+        """rms that white noise and faults of the data together make of a block: no structure is below it."""
+        return float(np.hypot(self.floor.sd, self.blind))
+
+    @property
     def train(self) -> Sequence[RunBlocks]:
         """Training runs."""
         return self.pool.runs

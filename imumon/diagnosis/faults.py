@@ -119,10 +119,10 @@ def _of_atoms(look: Look, channel: str, _: float) -> Fault | None:
 def _of_repeats(look: Look, _: str, __: float) -> Fault | None:
     """Tell a channel that has a new value less often than there are samples."""
     fine = not look.step > 0.0 or look.step < 0.5 * look.noise
-    if not fine or look.repeated < REPEATED or look.atom_share > 0.0:
+    # What never has a new value has no rate.
+    if not fine or not REPEATED <= look.repeated < 1.0 or look.atom_share > 0.0:
         return None
-    every = 1.0 / max(1.0 - look.repeated, 1e-6)
-    return Fault(f"another rate: a new value with every {every:.1f}th sample only")
+    return Fault(f"another rate: a new value with every {1.0 / (1.0 - look.repeated):.1f}th sample only")
 
 
 def _of_noise(runs: Sequence[Run], channel: str, temperature: str) -> Fault | None:

@@ -94,7 +94,7 @@ def test_a_bag_is_not_decoded_as_bytes(tmp_path: Path) -> None:
     with (tmp_path / "bag").open("wb") as file:
         bag = Writer(file)
         bag.start("ros2")
-        bag.finish()
+        bag.finish()  # type: ignore[no-untyped-call]  # the library does not say
     done = imumon("decode", tmp_path / "bag", "--device", "ax1", "--out", tmp_path / "b.csv")
     assert done.returncode == 4
     assert "of profile 'ros2'" in done.stderr
