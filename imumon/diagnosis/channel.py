@@ -96,6 +96,14 @@ class Channel:
         return float(np.hypot(self.floor.sd, self.blind))
 
     @property
+    def coarse(self) -> bool:
+        """Whether faults of the data may make what matters of a smooth bias.
+
+        A course that errs by a floor at the most has 0.7 of rms: beside the white one that is too small.
+        """
+        return self.blind >= self.floor.sd
+
+    @property
     def train(self) -> Sequence[RunBlocks]:
         """Training runs."""
         return self.pool.runs

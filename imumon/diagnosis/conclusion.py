@@ -127,9 +127,11 @@ def next_steps(diagnosis: Diagnosis, folder: Path | None) -> list[NextStep]:
     if noisy := [one.name for one in unexplained if not one.slow.jumps]:
         what = f"What is left of {_together(noisy)} moves as slow noise does: {ISOTHERMAL}"
         steps.append(NextStep(f"{what} If the unit has less of that, {DRIVEN}"))
-    if small := [one.name for one in verdicts if state(one) == "not proven" and one.test_after is not None]:
+    open_ends = [one for one in verdicts if state(one) == "not proven" and one.test_after is not None]
+    if small := [one.name for one in open_ends if not one.channel.coarse]:
         steps.append(NextStep(f"What is left of {_together(small)} is little: {ISOTHERMAL}"))
-    if faulty := [verdict.name for verdict in verdicts if state(verdict) == "faulty" or verdict.hidden]:
+    coarse = [one for one in open_ends if one.channel.coarse]
+    if faulty := [one.name for one in verdicts if state(one) == "faulty" or one.hidden or one in coarse]:
         what = f"Record {_together(faulty)} again with a range and digits that its noise and bias fit in."
         steps.append(NextStep(what))
     if asked and plan:

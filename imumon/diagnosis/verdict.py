@@ -127,8 +127,7 @@ class ChannelVerdict:
         where nothing is left, as a bias that stays within a step is not read at all.
         """
         channel, test = self.channel, self.test_after
-        # A course that errs by a floor at the most has 0.7 of rms: beside the white one that is too small.
-        if self.unexplained or not channel.floor.sd <= channel.blind < np.inf:
+        if self.unexplained or not channel.coarse or np.isinf(channel.blind):
             return False
         left = np.nan if test is None else left_in_test(test) if self.claims else test.rms
         return not left >= MATERIAL * channel.limit
