@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from imumon.errors import ImumonError, Reason, missing_package
-from imumon.recordings.folder import METADATA_NAME, Session, is_session
+from imumon.recordings.folder import METADATA_NAME, WIRE_NAME, Session, is_session
 from imumon.recordings.metadata import read_metadata
 from imumon.recordings.table import SUFFIXES
 
@@ -60,7 +60,9 @@ def fetched(place: str, folder: Path | None = None) -> Iterator[Path]:
 def _here(path: Path) -> list[str]:
     if is_session(path) or path.suffix in SUFFIXES:
         return [str(path.absolute())]
-    return [str(each.parent.absolute()) for each in sorted(path.rglob(METADATA_NAME))]
+    # One whose session.yaml is lost is found by its bytes, to be told of.
+    found = {each.parent for name in (METADATA_NAME, WIRE_NAME) for each in path.rglob(name)}
+    return [str(each.absolute()) for each in sorted(found)]
 
 
 def _elsewhere(place: str) -> list[str]:
@@ -70,10 +72,11 @@ def _elsewhere(place: str) -> list[str]:
         return [place]
     try:
         files.info(root)  # which says why where there is nothing: the search below passes over errors
-        names = [str(name) for name in files.find(root) if str(name).endswith(f"/{METADATA_NAME}")]
+        parts = [str(name).rpartition("/") for name in files.find(root)]
     except OSError as error:
         raise ImumonError(Reason.BAD_DATA, f"{place}: cannot be read: {error}") from error
-    below = [name.removesuffix(f"/{METADATA_NAME}")[len(root) :] for name in sorted(names)]
+    found = {folder for folder, _, name in parts if name in (METADATA_NAME, WIRE_NAME)}
+    below = [folder[len(root) :] for folder in sorted(found)]
     return [f"{address.rstrip('/')}{rest}{mark}{options}" for rest in below]
 
 

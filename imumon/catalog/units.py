@@ -97,8 +97,12 @@ class Unit:
         return float(np.nansum([entry.hours for entry in self.entries]))
 
 
-def read_sessions(folder: Path, results: Path, tell: Tell = lambda _: None) -> list[Entry]:
-    """Return the sessions below a folder, the oldest first; what `results` does not have of them is replayed.
+def read_sessions(
+    folder: Path, results: Path, tell: Tell = lambda _: None
+) -> tuple[list[Entry], dict[str, str]]:
+    """Return the sessions below a folder, the oldest first, and why what is none by its metadata is left out.
+
+    What `results` does not have of them is replayed.
 
     Raises BAD_DATA when there is no session; as `Dataset` for the results.
 
@@ -108,28 +112,28 @@ def read_sessions(folder: Path, results: Path, tell: Tell = lambda _: None) -> l
         Folder of ``imumon batch replay``, to which the new ones are added.
     """
     options = BatchOptions(command="replay")
-    places = find(str(folder))
+    sessions, left_out = dict[str, Session](), dict[str, str]()
+    for place in find(str(folder)):
+        try:
+            sessions[place] = open_session(Path(place))
+        except ImumonError as error:
+            left_out[place] = str(error).replace("\n", "; ")
     known = Dataset(results.absolute(), options)
     try:
         done = known.done()
-        for place in places:
+        for place in sessions:
             if place not in done:
                 tell(f"replaying {Path(place).name}")
                 known.add(work(Job(place, options, str(known.folder))))
         known.write()
-        rows = known.rows(places)
+        rows = known.rows([*sessions])
     finally:
         known.close()
-    entries = [entry for place in places if (entry := _entry(Path(place), rows.get(place, []))) is not None]
-    return sorted(entries, key=lambda entry: entry.session.metadata.created_ns)
+    entries = [_entry(session, rows.get(place, [])) for place, session in sessions.items()]
+    return sorted(entries, key=lambda entry: entry.session.metadata.created_ns), left_out
 
 
-def _entry(path: Path, rows: Sequence[Mapping[str, Any]]) -> Entry | None:
-    """Return a session; None for what is none, as its metadata cannot be read."""
-    try:
-        session = open_session(path)
-    except ImumonError:
-        return None
+def _entry(session: Session, rows: Sequence[Mapping[str, Any]]) -> Entry:
     channels = {row["channel"]: row for row in rows if row["channel"]}
     failure = next((row["error"] for row in rows if row["reason"]), "")
     try:

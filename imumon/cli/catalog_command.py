@@ -55,7 +55,7 @@ def command(folder: Path, results: Path | None, out: Path | None, rrd: Path | No
             raise ImumonError(Reason.BAD_CONFIG, f"{rrd}: a recording of the viewer is a .rrd", "name it so")
         check_output(rrd, replace=True)
     with nullcontext() if out is None else results_folder(out):
-        units, unusual = read(folder, results)
+        units, unusual, left_out = read(folder, results)
         rows = tables(units, unusual)
         written = [] if out is None else write_tables(rows, out)
     warn(f"{row['session']}: {row['error']}" for row in rows["sessions"] if row["error"])
@@ -66,23 +66,27 @@ def command(folder: Path, results: Path | None, out: Path | None, rrd: Path | No
         write_recording(units, HEADS, shown, rrd)
         written.append(rrd)
     if as_json:
-        print_json(rows)
+        print_json(rows | {"left_out": [{"session": place, "error": why} for place, why in left_out.items()]})
     else:
         _show(shown)
     print_rows({path.name: str(path) for path in written})
 
 
-def read(folder: Path, results: Path | None = None) -> tuple[list[Unit], list[Outlier]]:
-    """Return the units of the sessions in a folder, and what is unusual of them."""
+def read(folder: Path, results: Path | None = None) -> tuple[list[Unit], list[Outlier], dict[str, str]]:
+    """Return the units of the sessions in a folder, what is unusual of them, and what was left out and why.
+
+    The latter is warned of.
+    """
     from imumon.catalog.drift import outliers
     from imumon.catalog.units import read_models, read_sessions, units_of
 
     if not folder.is_dir():
         raise ImumonError(Reason.BAD_DATA, f"{folder} is no folder", "give the folder of the sessions")
     with console(error=True).status("reading") as status:
-        entries = read_sessions(folder, results or folder / RESULTS, status.update)
+        entries, left_out = read_sessions(folder, results or folder / RESULTS, status.update)
     units = units_of(entries, read_models(folder))
-    return units, outliers(units)
+    warn(f"{place} is left out: {why}" for place, why in left_out.items())
+    return units, outliers(units), left_out
 
 
 def _row(unit: Unit, unusual: Sequence[Outlier]) -> list[str]:

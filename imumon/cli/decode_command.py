@@ -53,7 +53,8 @@ def command(
             blocks = run_over(source.items, pipeline)
             exported = export_run(blocks, pipeline, source, out, split_columns(columns))
     except ImumonError as error:
-        if error.reason is not Reason.BAD_DATA or pipeline.counters.samples:
+        unread = not pipeline.counters.bytes_received and file.is_file() and file.stat().st_size
+        if error.reason is not Reason.BAD_DATA or pipeline.counters.samples or unread:
             raise
         if as_json:
             print_json(_result(source, pipeline, Exported(0, {})))

@@ -7,20 +7,24 @@ from pathlib import Path
 
 import click
 
-from imumon.cli.common import PATH, json_option, print_json, say, warn
+from imumon.cli.common import PATH, device_help, json_option, print_json, say, warn
 
 
 @click.command("recover")
 @click.argument("session", type=PATH)
+@click.option(
+    "--device", help=device_help + "  Only where session.yaml is lost and wire.mcap does not hold it."
+)
 @json_option
-def command(session: Path, as_json: bool) -> None:
+def command(session: Path, device: str | None, as_json: bool) -> None:
     """Finish SESSION, which was interrupted or damaged: its recording, its counters, its view.
 
+    A session.yaml that is lost or damaged is made anew from what wire.mcap says.
     What is replaced stays beside it as NAME.original.  A session that is whole is left as it is.
     """
     from imumon.run.recovery import recover
 
-    result = recover(session)
+    result = recover(session, device)
     for sentence in result.done:
         say("INFO", sentence)
     for original in result.originals:

@@ -39,7 +39,7 @@ def command(what: str, out: Path, sessions: Path) -> None:
                 f"{what} is no session, and there is no folder {sessions} with sessions of a unit {what}",
                 "give the folder of a session, or --sessions DIR",
             )
-        units, unusual = read(sessions)
+        units, unusual, _ = read(sessions)
         unit = next((unit for unit in units if unit.name == what), None)
         if unit is None:
             names = ", ".join(unit.name for unit in units)

@@ -91,6 +91,19 @@ class Channel:
         return max((fault.blind for fault in self.faults), default=0.0)
 
     @property
+    def limit(self) -> float:
+        """rms that white noise and faults of the data together make of a block: no structure is below it."""
+        return float(np.hypot(self.floor.sd, self.blind))
+
+    @property
+    def coarse(self) -> bool:
+        """Whether faults of the data may make what matters of a smooth bias.
+
+        A course that errs by a floor at the most has 0.7 of rms: beside the white one that is too small.
+        """
+        return self.blind >= self.floor.sd
+
+    @property
     def train(self) -> Sequence[RunBlocks]:
         """Training runs."""
         return self.pool.runs

@@ -12,7 +12,7 @@ import numpy as np
 from imumon.diagnosis.engine import Diagnosis
 from imumon.diagnosis.explaining import MATERIAL
 from imumon.diagnosis.extended import with_model
-from imumon.diagnosis.verdict import BY_TEST, ChannelVerdict
+from imumon.diagnosis.verdict import BY_TEST, TOO_FEW, ChannelVerdict
 from imumon.effects.library import separated_by
 
 WELL_COVERED = 0.9
@@ -24,7 +24,7 @@ DRIVEN = (
     "record what else may drive it (supply, load, pressure, another thermometer) and train on that as well;"
     " whatever is recorded is tried."
 )
-State = Literal["named", "unexplained", "nothing missing", "not proven", "faulty"]
+State = Literal["named", "unexplained", "nothing missing", "too few digits", "not proven", "faulty"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +43,10 @@ def state(verdict: ChannelVerdict) -> State:
         return "named"
     if verdict.unexplained:
         return "unexplained"
-    test, limit = verdict.test_after, float(np.hypot(verdict.channel.floor.sd, verdict.channel.blind))
-    clean = test is not None and test.rms < MATERIAL * limit
+    if verdict.hidden:
+        return "too few digits"
+    test = verdict.test_after
+    clean = test is not None and test.rms < MATERIAL * verdict.channel.floor.sd
     return "nothing missing" if clean else "not proven"
 
 
@@ -54,10 +56,12 @@ def in_short(verdict: ChannelVerdict) -> str:
     if kind == "named":
         names = [" or ".join(claim.finding.alike) or claim.finding.name for claim in verdict.claims]
         said = " and ".join(dict.fromkeys(names))
-        return f"{said}, and more that is unexplained" if verdict.unexplained else said
+        if verdict.unexplained:
+            return f"{said}, and more that is unexplained"
+        return f"{said}; {TOO_FEW} whether there is more" if verdict.hidden else said
     if kind == "faulty":
         return "the data is at fault"
-    said = "nothing is proven" if kind == "not proven" else kind
+    said = {"not proven": "nothing is proven", "too few digits": TOO_FEW}.get(kind, kind)
     if verdict.left_out:
         refuted = " and ".join(dict.fromkeys(item["name"] for item in verdict.left_out))
         said += f"; the test refutes {refuted}"
@@ -123,9 +127,11 @@ def next_steps(diagnosis: Diagnosis, folder: Path | None) -> list[NextStep]:
     if noisy := [one.name for one in unexplained if not one.slow.jumps]:
         what = f"What is left of {_together(noisy)} moves as slow noise does: {ISOTHERMAL}"
         steps.append(NextStep(f"{what} If the unit has less of that, {DRIVEN}"))
-    if small := [one.name for one in verdicts if state(one) == "not proven" and one.test_after is not None]:
+    open_ends = [one for one in verdicts if state(one) == "not proven" and one.test_after is not None]
+    if small := [one.name for one in open_ends if not one.channel.coarse]:
         steps.append(NextStep(f"What is left of {_together(small)} is little: {ISOTHERMAL}"))
-    if faulty := [verdict.name for verdict in verdicts if state(verdict) == "faulty"]:
+    coarse = [one for one in open_ends if one.channel.coarse]
+    if faulty := [one.name for one in verdicts if state(one) == "faulty" or one.hidden or one in coarse]:
         what = f"Record {_together(faulty)} again with a range and digits that its noise and bias fit in."
         steps.append(NextStep(what))
     if asked and plan:

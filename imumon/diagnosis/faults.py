@@ -11,7 +11,7 @@ from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import BLOCK_S
 from imumon.diagnosis.recording import Run, unit_of
 from imumon.diagnosis.values import Look
-from imumon.filters.rounding import mean_error
+from imumon.filters.rounding import largest_error, mean_error
 
 ROUNDED = 0.5
 """With more of its time in which nothing changes a channel is not stuck: its digits are too coarse."""
@@ -31,7 +31,7 @@ class Fault:
 
     text: str
     blind: float = 0.0
-    """rms of what it alone makes of a smooth bias: a smaller effect cannot be seen.  Infinite where
+    """The most that it alone makes of a smooth bias: a smaller effect cannot be seen.  Infinite where
     nothing that is fitted would be the bias."""
 
 
@@ -96,15 +96,11 @@ def _of_digits(look: Look, channel: str, floor: float) -> Fault | None:
     """Tell digits that are too coarse for their noise to carry what lies between them."""
     if not look.step > 0.0:
         return None
-    ratio = look.noise / look.step if np.isfinite(look.noise) else 0.0
-    # Of samples that are mostly one value and now and then the next, the differences are those of the grid.
-    ratio *= float(np.sqrt(1.0 - look.repeated))
-    if mean_error(look.step, ratio) < 0.5 * floor:
+    if mean_error(look.step, look.ratio) < 0.5 * floor:
         return None
-    times = f"{1 / ratio:.1f}" if ratio > LEAST_NOISE else f"more than {1 / LEAST_NOISE:.0f}"
+    times = f"{1 / look.ratio:.1f}" if look.ratio > LEAST_NOISE else f"more than {1 / LEAST_NOISE:.0f}"
     text = f"quantized: steps of {look.step:.3g} {unit_of(channel)}, {times} times the noise"
-    # A curve through the stairs errs by their own rms, that of an even distribution, at most.
-    return Fault(text, look.step / float(np.sqrt(12.0)))
+    return Fault(text, largest_error(look.step, look.ratio))
 
 
 def _of_atoms(look: Look, channel: str, _: float) -> Fault | None:
@@ -119,10 +115,10 @@ def _of_atoms(look: Look, channel: str, _: float) -> Fault | None:
 def _of_repeats(look: Look, _: str, __: float) -> Fault | None:
     """Tell a channel that has a new value less often than there are samples."""
     fine = not look.step > 0.0 or look.step < 0.5 * look.noise
-    if not fine or look.repeated < REPEATED or look.atom_share > 0.0:
+    # What never has a new value has no rate.
+    if not fine or not REPEATED <= look.repeated < 1.0 or look.atom_share > 0.0:
         return None
-    every = 1.0 / max(1.0 - look.repeated, 1e-6)
-    return Fault(f"another rate: a new value with every {every:.1f}th sample only")
+    return Fault(f"another rate: a new value with every {1.0 / (1.0 - look.repeated):.1f}th sample only")
 
 
 def _of_noise(runs: Sequence[Run], channel: str, temperature: str) -> Fault | None:

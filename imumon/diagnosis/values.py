@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.filters.rounding import grid_step
+from imumon.filters.rounding import digits, grid_step
 
 KEPT = 100_000
 """Samples of a channel that are kept: evenly spaced over the whole of a recording, at least half as many."""
@@ -35,6 +35,8 @@ class Look:
     """Where it is: within the others, at their end, or away from them."""
     repeated: float
     """Share of the samples that equal the one before."""
+    ratio: float = np.inf
+    """Noise before rounding, in steps, by how often each step is read; infinite where steps are far finer."""
 
     def without(self, share: float) -> Look:
         """Return what is seen beside this share of the samples, in which its frequent value stood still."""
@@ -94,15 +96,17 @@ class Watcher:
 def _look(values: FloatArray, noise: float, repeated: float) -> Look:
     distinct, count = np.unique(values, return_counts=True)
     step = grid_step(distinct, len(values))
+    rounded = digits(values) if step > 0.0 else None
+    ratio = np.inf if rounded is None else rounded.ratio
     at = int(np.argmax(count))
     beside = max(count[max(at - 1, 0) : at].tolist() + count[at + 1 : at + 2].tolist(), default=0)
     share = count[at] / len(values)
     coarse = step > 0.0 and not step < noise
     if coarse or len(distinct) < 3 or share < OFTEN or count[at] < MORE_OFTEN * max(beside, 1):
-        return Look(step, noise, np.nan, 0.0, "inside", repeated)
+        return Look(step, noise, np.nan, 0.0, "inside", repeated, ratio)
     others = np.delete(distinct, at)
     place = "inside"
     if at in (0, len(distinct) - 1):
         far = abs(distinct[at] - (others[0] if at == 0 else others[-1])) > noise
         place = "apart" if far else "end"
-    return Look(step, noise, float(distinct[at]), float(share), place, repeated)
+    return Look(step, noise, float(distinct[at]), float(share), place, repeated, ratio)

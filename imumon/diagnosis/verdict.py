@@ -31,6 +31,7 @@ from imumon.diagnosis.selection import Finding, Search, Step
 from imumon.diagnosis.uncertainty import PartSigma, sigmas
 from imumon.effects.library import separated_by
 
+TOO_FEW = "too few digits to tell"
 BY_TEST = "the test alone proves it: in training noise as slow as the one that is seen might go as far"
 
 
@@ -117,6 +118,19 @@ class ChannelVerdict:
     def name(self) -> str:
         """That of the channel."""
         return self.channel.name
+
+    @property
+    def hidden(self) -> bool:
+        """Whether the digits hide what is as large as matters: nothing that is seen is beyond them.
+
+        What is left may be theirs alone then, or something that is missing; nobody could tell, not even
+        where nothing is left, as a bias that stays within a step is not read at all.
+        """
+        channel, test = self.channel, self.test_after
+        if self.unexplained or not channel.coarse or np.isinf(channel.blind):
+            return False
+        left = np.nan if test is None else left_in_test(test) if self.claims else test.rms
+        return not left >= MATERIAL * channel.limit
 
     def curve(self) -> list[tuple[float, float, float]]:
         """Return temperature, bias and its sigma at both ends and the middle of what training covered."""
@@ -215,8 +229,7 @@ def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -
     shape = replace(channel.declared, degree=found.channel.declared.degree)
     channel = replace(channel, declared=shape, kept=found.channel.kept)
     given = fit_given(channel)
-    # What the digits alone make of a smooth bias is no structure.
-    floor = float(np.hypot(channel.floor.sd, channel.blind))
+    floor = channel.limit  # what the digits alone make of a smooth bias is no structure
     kept = _kept(channel, found, given, floor)
     after, claims = kept.after, kept.claims
     scores = _scores(channel, given, after)
@@ -383,7 +396,6 @@ def summary(verdict: ChannelVerdict) -> str:
     """Return one sentence on a channel."""
     floor = verdict.channel.floor.sd
     before, after = verdict.before.train_rms / floor, verdict.after.train_rms / floor
-    limit = float(np.hypot(floor, verdict.channel.blind))
     if np.isinf(verdict.channel.blind):
         return "no effect is looked for beside that"
     if not verdict.claims and verdict.refit:
@@ -396,7 +408,7 @@ def summary(verdict: ChannelVerdict) -> str:
                 f"unexplained: the declared model leaves {before:.1f} white floors, structure or slow noise"
                 f" that none of the known effects explains{what}{worse}"
             )
-        return f"{_nothing(verdict.test_before, before, floor, limit)}{what}{worse}"
+        return f"{_nothing(verdict, before)}{what}{worse}"
     names, named = [], set[str]()
     for claim in verdict.claims:
         alike = claim.finding.alike or [claim.finding.name]
@@ -412,6 +424,8 @@ def summary(verdict: ChannelVerdict) -> str:
         text += "; present, too small to matter"
     if verdict.unexplained:
         text += "; the remainder is unexplained"
+    if verdict.hidden:
+        text += f"; {TOO_FEW} whether there is more: {_of_digits(verdict.channel)}"
     return text
 
 
@@ -429,17 +443,24 @@ def _refitted(verdict: ChannelVerdict) -> str:
     return text + _tested(verdict) + ("; the remainder is unexplained" if verdict.unexplained else "")
 
 
-def _nothing(test: TestScore | None, before: float, floor: float, limit: float) -> str:
+def _of_digits(channel: Channel) -> str:
+    return f"steps as coarse may make up to {channel.blind / channel.floor.sd:.1f} of a smooth bias"
+
+
+def _nothing(verdict: ChannelVerdict, before: float) -> str:
     """Say what a declared model leaves to which nothing was added; only the test can say that it is all."""
+    test, floor = verdict.test_before, verdict.channel.floor.sd
     left = f"the declared model leaves {before:.2f} white floors in training"
+    if verdict.hidden:
+        tested = "" if test is None or not np.isfinite(test.rms) else f", {test.rms / floor:.2f} in the test"
+        return f"{TOO_FEW}: {left}{tested}; {_of_digits(verdict.channel)}"
     if test is None:
         return f"no effect is proven: {left}; without a test that is no proof that nothing is missing"
     if not np.isfinite(test.rms):
         return f"no effect is proven: {left}; the test has too little inside what training covered"
     where = f"{test.rms / floor:.2f} in the test{_covered(test)}"
-    if test.rms < MATERIAL * limit:
-        what = "nothing is missing" if limit == floor else "nothing but the digits is seen"
-        return f"{what}: {left}, {where}"
+    if test.rms < MATERIAL * floor:
+        return f"nothing is missing: {left}, {where}"
     return f"no effect is proven: {left}, {where}; slow noise may do that, or something is missing"
 
 

@@ -15,7 +15,7 @@ from typing import Literal
 from imumon.config import dump_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.files import naming, write_text
-from imumon.recordings.metadata import SessionMetadata, read_metadata
+from imumon.recordings.metadata import SessionMetadata, is_of_another_version, read_metadata
 
 METADATA_NAME = "session.yaml"
 WIRE_NAME = "wire.mcap"
@@ -142,26 +142,44 @@ def remove_empty(session: Session) -> None:
 
 
 def is_session(path: Path) -> bool:
-    """Tell whether there is a session at this path, which may name the folder or its session.yaml."""
+    """Tell whether there is a session at this path: the folder, its session.yaml or its wire.mcap."""
     return (_folder(path) / METADATA_NAME).is_file()
 
 
 def open_session(path: Path) -> Session:
-    """Open a session for reading; `path` names the folder or its session.yaml.
+    """Open a session for reading; `path` names the folder, its session.yaml or its wire.mcap.
 
     Raises BAD_DATA when there is no session, saying what there is, or when its metadata or its data is
     missing.
     """
     folder = _folder(path)
     if not (folder / METADATA_NAME).is_file():
-        raise ImumonError(Reason.BAD_DATA, f"{path} is not a session: {_what_is_at(folder)}", _HINT)
-    session = Session(folder, read_metadata(folder / METADATA_NAME))
+        seen = f"{path} is not a session: {_what_is_at(folder)}"
+        raise ImumonError(Reason.BAD_DATA, seen, _advice(folder) or _HINT)
+    try:
+        session = Session(folder, read_metadata(folder / METADATA_NAME))
+    except ImumonError as error:
+        raise ImumonError(error.reason, error.seen, _advice(folder) or error.hint) from error
     if not session.truth_path.is_file():
         raise ImumonError(
             Reason.BAD_DATA,
             f"{path}: the data of this session is missing: there is no {session.truth_path.name}",
         )
     return session
+
+
+def lost_metadata(path: Path) -> Path | None:
+    """Return the wire file whose session.yaml is missing, or is damaged so that no version reads it."""
+    wire, metadata = _folder(path) / WIRE_NAME, _folder(path) / METADATA_NAME
+    if not wire.is_file():
+        return None
+    if not metadata.is_file():
+        return wire
+    try:
+        read_metadata(metadata)
+    except ImumonError:
+        return None if is_of_another_version(metadata) else wire
+    return None
 
 
 def name_unit(path: Path, serial: str | None) -> None:
@@ -183,7 +201,7 @@ def sessions_in(folder: Path, tell: Callable[[str], None] | None = None) -> list
         except ImumonError as error:
             names = (METADATA_NAME, WIRE_NAME, SAMPLES_NAME)
             if tell is not None and any((path / name).is_file() for name in names):
-                tell(f"{path.name} is left out: {error.seen}")
+                tell(f"{path.name} is left out: {error}".replace("\n", "; "))
     return sorted(found, key=lambda session: session.metadata.created_ns)
 
 
@@ -197,7 +215,16 @@ _HINT = f"a session is a folder with {METADATA_NAME}; for a raw capture use: imu
 
 
 def _folder(path: Path) -> Path:
-    return path.parent if path.name == METADATA_NAME else path
+    return path.parent if path.name in (METADATA_NAME, WIRE_NAME) else path
+
+
+def _advice(folder: Path) -> str:
+    """Say what can be done with the data of a session whose metadata cannot be read; empty without data."""
+    if lost_metadata(folder) is not None:
+        return f"{WIRE_NAME} is there: imumon recover {folder} makes {METADATA_NAME} anew from it"
+    if not (folder / METADATA_NAME).is_file() and (folder / SAMPLES_NAME).is_file():
+        return f"its samples are there, and can be read as a table: {folder / SAMPLES_NAME}"
+    return ""
 
 
 def _what_is_at(path: Path) -> str:

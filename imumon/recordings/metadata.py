@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import platform
+import re
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -11,15 +13,17 @@ from typing import Any, Final, Literal
 
 from pydantic import Field, NonNegativeInt
 
-from imumon.config import StrictModel, parse_yaml
+from imumon.config import StrictModel, dump_yaml, parse_yaml
 from imumon.errors import ImumonError, Reason
-from imumon.files import read_text
+from imumon.files import read_text, readable
 from imumon.version import __version__
 
 FORMAT: Final = "imumon-session/1"
 SourceKind = Literal["live", "simulation", "import"]
 SPAN: Final = "span_ns"
 """Counter of an imported session: what its rows span, without the gaps between segments."""
+LONGEST_SAID: Final = 1 << 19
+"""Bytes of it that a wire file holds: half of the longest record that its reader takes for one."""
 _PACKAGES = ("numpy", "numba", "scipy", "pyarrow", "mcap", "rerun-sdk")
 
 
@@ -94,6 +98,14 @@ class SessionMetadata(StrictModel):
             source=source, created=iso_utc(at_ns), created_ns=at_ns, versions=versions_in_use(), **more
         )
 
+    def for_wire(self) -> dict[str, str]:
+        """Return what a wire file says, so that session.yaml can be made anew from it (`begun_of`)."""
+        text = dump_yaml(self.model_dump())
+        # A reader takes a longer record for damage: a bias model that large stays in session.yaml alone.
+        if len(text.encode()) > LONGEST_SAID:
+            text = dump_yaml(self.model_copy(update={"pipeline_yaml": None}).model_dump())
+        return {"device": self.device, "source": self.source, "session": text}
+
     @property
     def duration_s(self) -> float:
         """How long it was recorded; NaN when it was not closed, or is a table that does not say how long."""
@@ -117,6 +129,21 @@ def versions_in_use() -> dict[str, str]:
     """Return the versions of imumon, Python, the platform and the packages that make the numbers."""
     own = {"imumon": __version__, "python": platform.python_version(), "platform": platform.platform()}
     return own | {name: version(name) for name in _PACKAGES}
+
+
+def begun_of(said: Mapping[str, str]) -> SessionMetadata | None:
+    """Return the metadata as they were at the start from what a wire file says; None where it does not."""
+    try:
+        return parse_yaml(said["session"], SessionMetadata, "the metadata of the wire file")
+    except (KeyError, ImumonError):
+        return None
+
+
+def is_of_another_version(path: Path) -> bool:
+    """Tell whether a session.yaml that this version cannot read says that another one wrote it."""
+    with readable(path), path.open("rb") as file:
+        said = re.search(rb"^format: imumon-session/(\S+)", file.read(LONGEST_SAID), re.MULTILINE)
+    return said is not None and said[1] != FORMAT.rpartition("/")[2].encode()
 
 
 def read_metadata(path: Path) -> SessionMetadata:

@@ -17,7 +17,7 @@ from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Estimator, Pipeline, Seen
 from imumon.protocols.device import DeviceFile
-from imumon.recordings.folder import fingerprint, is_session
+from imumon.recordings.folder import fingerprint, is_session, lost_metadata, open_session
 from imumon.recordings.importing import TableImport
 from imumon.recordings.source import Source, open_source, run_over
 from imumon.recordings.table import SUFFIXES, iterate_table, read_columns
@@ -108,6 +108,8 @@ def open_recording(path: Path, stages: Stages = no_stages, map_path: Path | None
         source = Source(path, table.blocks(), None, None, imported, table.warnings, table.map.range)
         return _table(source, stages, table.map.axes)
     if path.suffix not in SUFFIXES:
+        if lost_metadata(path) is not None:
+            open_session(path)  # raises, saying what to do
         raise ImumonError(
             Reason.BAD_DATA,
             f"{path} is neither a session nor a table ({', '.join(SUFFIXES)})",

@@ -6,9 +6,14 @@ import fcntl
 import os
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from imumon.errors import ImumonError, Reason
+from imumon.protocols.device import device_text, parse_device
+from imumon.recordings.metadata import PortUsed, SessionMetadata, begun_of
+from imumon.recordings.source import wire_device
 from imumon.recordings.wire import WireWriter
 from imumon.recordings.wire_reader import WireReader
 from imumon.recordings.wire_scan import WireSummary
@@ -35,6 +40,61 @@ def read_summary(path: Path) -> WireSummary:
     return reader.summary
 
 
+@dataclass(frozen=True, slots=True)
+class Anew:
+    """What a session.yaml is when it was made anew from the wire file."""
+
+    metadata: SessionMetadata
+    unknown: list[str]
+    """What could not be known, one sentence each."""
+
+
+def metadata_anew(path: Path, device_name: str | None) -> Anew:
+    """Return the metadata of a session from what its wire file says; the state is open.
+
+    Raises BAD_CONFIG when nothing says what device it was; BAD_DATA when the file holds no message.
+
+    Parameters
+    ----------
+    device_name : str or None
+        Known name or path of a device file; it comes before the one that the wire file holds.
+    """
+    text = None if device_name is None else device_text(device_name)[0]
+    said = WireReader(path).said()
+    begun = begun_of(said)
+    if begun is not None:
+        unknown = [
+            "what was written into session.yaml after the start is not known, as a serial number",
+            "the digest of the live results is not known: a replay has nothing to be compared with",
+        ]
+        if text is not None:
+            device = parse_device(text, str(device_name))
+            begun = begun.model_copy(update={"device": device.name, "axes": device.axes, "device_yaml": text})
+        return Anew(begun, unknown)
+    device = wire_device(WireReader(path)) if text is None else parse_device(text, str(device_name))
+    first = next(iter(WireReader(path)), None)
+    if first is None:
+        raise ImumonError(Reason.BAD_DATA, f"{path} holds no message", "there is nothing to recover")
+    source: Literal["live", "simulation"] = "live"
+    if said.get("source") == "simulation":
+        source = "simulation"
+    port = said.get("port")
+    metadata = SessionMetadata.begun(
+        source,
+        first.arrival_ns if isinstance(first, Bytes) else first.time_ns,
+        device=device.name,
+        axes=device.axes,
+        device_yaml=text,
+        port=None if port is None else PortUsed(url=port, settings={}),
+    )
+    unknown = [
+        f"{path.name} does not hold the session.yaml of its start: the device file is the one named",
+        "not known are place, bias model and parameters (pipeline_yaml), the serial number, the versions "
+        "that recorded it and the digest of the live results; it began with its first message",
+    ]
+    return Anew(metadata, unknown)
+
+
 def is_sound(summary: WireSummary) -> bool:
     """Tell whether a wire file is whole and as it was written."""
     damage = summary.damage
@@ -52,7 +112,7 @@ def rewrite(path: Path) -> Path:
     partial = path.with_name(f"{path.name}.partial")
     partial.unlink(missing_ok=True)
     try:
-        with closing(WireWriter(partial, read_summary(path).metadata)) as writer:
+        with closing(WireWriter(partial, WireReader(path).said())) as writer:
             flushed = 0
             for item in _items(path, writer):
                 writer.write(item)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextvars import ContextVar
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,10 +15,10 @@ from imumon.files import readable
 from imumon.pipeline import UNDATED, Pipeline
 from imumon.protocols.device import DeviceFile, load_device, parse_device
 from imumon.protocols.ranges import Ranges, declared
-from imumon.recordings.folder import METADATA_NAME, WIRE_NAME, Session, is_session, open_session
-from imumon.recordings.metadata import iso_utc
+from imumon.recordings.folder import METADATA_NAME, Session, is_session, open_session
+from imumon.recordings.metadata import begun_of, iso_utc
 from imumon.recordings.table import SUFFIXES, iterate_samples, read_columns
-from imumon.recordings.wire_reader import WireReader
+from imumon.recordings.wire_reader import WireReader, is_wire
 from imumon.recordings.wire_scan import Damage, Place
 from imumon.transport.reader import Bytes, EventKind, Item, Reads
 
@@ -108,7 +108,7 @@ class Source:
             {
                 "offset": place.offset,
                 "bytes": place.size,
-                "at_s": round((place.after_ns - self._began_ns()) * 1e-9, 6) if place.after_ns else None,
+                "at_s": None if (at_s := _since(self._began_ns(), place)) is None else round(at_s, 6),
                 "seconds": place.seconds,
                 "after_ns": place.after_ns or None,
                 "before_ns": place.before_ns or None,
@@ -127,11 +127,16 @@ class Source:
             }
         }
 
-    def _began_ns(self) -> int:
-        return 0 if self.session is None else self.session.metadata.created_ns
+    def _began_ns(self) -> int | None:
+        return None if self.session is None else self.session.metadata.created_ns
 
 
-def _damage(damage: Damage, name: str, began_ns: int) -> list[str]:
+def _since(began_ns: int | None, place: Place) -> float | None:
+    """Return when a damaged place begins, s after the start of the session; None where not known."""
+    return (place.after_ns - began_ns) * 1e-9 if place.after_ns and began_ns is not None else None
+
+
+def _damage(damage: Damage, name: str, began_ns: int | None) -> list[str]:
     """Return what there is to say of damage: the sum, and the first places."""
     said = []
     if damage.places:
@@ -150,18 +155,19 @@ def _damage(damage: Damage, name: str, began_ns: int) -> list[str]:
     return said
 
 
-def _place(place: Place, began_ns: int) -> str:
+def _place(place: Place, began_ns: int | None) -> str:
     what = "altered" if place.altered else f"{place.messages:,} missing"
     where = f"{place.size:,} bytes at byte {place.offset:,}"
     if not place.after_ns:
         return f"{where}, before the first message ({what})"
-    since = (place.after_ns - began_ns) * 1e-9
-    when = f"{place.seconds:.3f} s from {iso_utc(place.after_ns)}, {since:.3f} s after the start"
+    since = _since(began_ns, place)
+    when = f"{place.seconds:.3f} s from {iso_utc(place.after_ns)}"
+    when += "" if since is None else f", {since:.3f} s after the start"
     return f"{where}, {when} ({what})"
 
 
 def open_source(path: Path, device_name: str | None = None, rate_hz: float | None = None) -> Source:
-    """Open a session folder, or a raw capture of the device named.
+    """Open a session folder, a wire file without one, or a raw capture of the device named.
 
     Raises BAD_DATA when there is nothing to read; BAD_CONFIG for a capture without a device, or a rate for an
     imported session, whose samples have their times.
@@ -177,19 +183,9 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
         if not path.is_file() and not path.is_fifo():
             what = "is neither a file nor a pipe" if path.exists() else "there is no such file"
             raise ImumonError(Reason.BAD_DATA, f"{path}: {what}", "give a raw capture or a session")
-        if device_name is None:
-            raise ImumonError(
-                Reason.BAD_CONFIG,
-                f"{path} is not a session, so its device must be named",
-                "add --device NAME; imumon devices lists them",
-            )
-        if path.is_file() and path.name == WIRE_NAME and is_session(path.parent):
-            raise ImumonError(
-                Reason.BAD_CONFIG,
-                f"{path} is the recording of a session, not a raw capture",
-                f"give the session: {path.parent}",
-            )
-        return Source(path, capture_items(path), load_device(device_name).at_rate(rate_hz), None)
+        wire = WireReader(path) if path.is_file() and is_wire(path) else None
+        device = _named(path, device_name) if wire is None or device_name else wire_device(wire)
+        return Source(path, wire or capture_items(path), device.at_rate(rate_hz), None)
     session = open_session(path)
     if session.metadata.source == "import":
         if rate_hz is not None:
@@ -201,7 +197,42 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
         columns = tuple(read_columns(session.samples_path).values())
         return Source(path, iterate_samples(session), None, session, columns)
     device = session_device(session) if device_name is None else load_device(device_name)
-    return Source(path, WireReader(session.wire_path), device.at_rate(rate_hz), session)
+    return replace(source_of(session, device.at_rate(rate_hz)), path=path)
+
+
+def source_of(session: Session, device: DeviceFile | None = None) -> Source:
+    """Return what is read of a session that has bytes; its own device unless another is given.
+
+    Raises BAD_DATA when it keeps no device file and none is given.
+    """
+    return Source(session.path, WireReader(session.wire_path), device or session_device(session), session)
+
+
+def _named(path: Path, device_name: str | None) -> DeviceFile:
+    if device_name is None:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"{path} is not a session, so its device must be named",
+            "add --device NAME; imumon devices lists them",
+        )
+    return load_device(device_name)
+
+
+def wire_device(wire: WireReader) -> DeviceFile:
+    """Return the device of a wire file that stands alone, as it was when the file was recorded.
+
+    Raises BAD_CONFIG when the file does not say it, with the name that it says.
+    """
+    said = wire.said()
+    begun = begun_of(said)
+    if begun is None or begun.device_yaml is None:
+        named = f"; it says the name of the device, {said['device']}" if "device" in said else ""
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"{wire.path} does not hold its device file{named}",
+            f"add --device {said.get('device', 'NAME')}, or the path of its file; imumon devices lists them",
+        )
+    return parse_device(begun.device_yaml, f"{wire.path} (device_yaml)")
 
 
 def session_device(session: Session) -> DeviceFile:

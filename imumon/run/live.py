@@ -256,9 +256,9 @@ class LiveRun:
                 self._reader.mark(kind, text)
 
     def _wire_writer(self) -> WireWriter:
-        settings = self._settings
+        said = self.session.metadata.for_wire()
         try:
-            return WireWriter(self.session.wire_path, {"device": self._device.name, "port": str(settings)})
+            return WireWriter(self.session.wire_path, said | {"port": str(self._settings)})
         except OSError as error:
             remove_empty(self.session)
             raise ImumonError(

@@ -7,10 +7,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from imumon.errors import ImumonError, Reason
-from imumon.recordings.folder import METADATA_NAME, Session, open_session
+from imumon.recordings.folder import (
+    METADATA_NAME,
+    WIRE_NAME,
+    Session,
+    lost_metadata,
+    open_session,
+)
 from imumon.recordings.metadata import SessionMetadata
-from imumon.recordings.recovery import is_sound, keep_original, read_summary, refuse_recording, rewrite
-from imumon.recordings.source import Source, open_source
+from imumon.recordings.recovery import (
+    is_sound,
+    keep_original,
+    metadata_anew,
+    read_summary,
+    refuse_recording,
+    rewrite,
+)
+from imumon.recordings.source import Source, source_of
 from imumon.recordings.wire_reader import WireReader
 from imumon.recordings.wire_scan import WireSummary
 from imumon.run.live import flat_counters, stream_summaries
@@ -41,22 +54,37 @@ class Recovered:
     """What the recording lacks."""
 
 
-def recover(path: Path) -> Recovered:
+def recover(path: Path, device_name: str | None = None) -> Recovered:
     """Make a session whole that was interrupted or damaged; one that is whole is left as it is.
 
-    Raises BAD_DATA when this is no session with a wire file; BUSY when it is being recorded; OSError when the
-    disk is full or fails; each file is then as it was, or whole and new.
+    Raises BAD_DATA when this is no session with a wire file; BAD_CONFIG when session.yaml is lost and nothing
+    says the device, or when a device is named of a session that knows its own; BUSY when it is being
+    recorded; OSError when the disk is full or fails; each file is then as it was, or whole and new.
+
+    Parameters
+    ----------
+    device_name : str, optional
+        Known name or path of a device file, where session.yaml is lost and the wire file does not hold it.
     """
-    session = open_session(path)
+    lost = lost_metadata(path)
+    if lost is not None:
+        refuse_recording(lost)
+        anew = metadata_anew(lost, device_name)
+        session = Session(lost.parent, anew.metadata)
+    else:
+        anew, session = None, open_session(path)
+        if device_name is not None:
+            raise ImumonError(Reason.BAD_CONFIG, f"--device, and {path} knows its device", "leave it out")
     if session.metadata.source == "import":
         hint = "it follows from its table: imumon import makes it anew"
         raise ImumonError(Reason.BAD_DATA, f"{path} is an imported session, which has no bytes", hint)
     refuse_recording(session.wire_path)
     result = Recovered(session.path, read_summary(session.wire_path))
-    source = open_source(session.path)
+    source = source_of(session)
     sound = is_sound(result.before)
     if (
         sound
+        and anew is None
         and session.state == "closed"
         and all((session.path / n).exists() for n in session.metadata.views)
     ):
@@ -64,13 +92,16 @@ def recover(path: Path) -> Recovered:
     if not sound:
         result.originals.append(rewrite(session.wire_path))
         result.done.append(f"{session.wire_path.name}: {result.before.reads:,} reads written anew, finished")
-        source = open_source(session.path)
+        source = source_of(session)
     metadata, warnings = _run_again(session, source, result)
-    if metadata != session.metadata:
-        result.originals.append(keep_original(session.path / METADATA_NAME))
+    if anew is not None or metadata != session.metadata:
+        if (session.path / METADATA_NAME).exists():
+            result.originals.append(keep_original(session.path / METADATA_NAME))
         session.save(metadata)
-        result.done.append(f"{METADATA_NAME}: closed, with the counters of what there is")
-    result.warnings = [*source.warnings(), *warnings]
+        made = f", made anew from what {WIRE_NAME} says" if anew is not None else ""
+        result.done.append(f"{METADATA_NAME}: closed, with the counters of what there is{made}")
+    unknown = [] if anew is None else anew.unknown
+    result.warnings = [*unknown, *source.warnings(), *warnings]
     return result
 
 

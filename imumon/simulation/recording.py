@@ -73,7 +73,7 @@ def _record(
     unit = SimulatedUnit(scenario, seed, device.decoder().timing.tick_ns or MICROSECOND)
     names = [KNOWN["device_time_ns"], KNOWN["segment"], *TRUTH_COLUMNS]
     with (
-        closing(WireWriter(session.wire_path, {"device": device.name, "source": "simulation"})) as writer,
+        closing(WireWriter(session.wire_path, session.metadata.for_wire())) as writer,
         TableWriter(session.path / TRUTH_NAME, {column.name: column for column in names}) as table,
     ):
         writer.write(Event(EventKind.OPENED, START_NS, f"simulation, seed {seed}"))

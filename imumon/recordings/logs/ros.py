@@ -15,6 +15,7 @@ import numpy as np
 
 from imumon.errors import ImumonError, Reason, missing_package
 from imumon.recordings.logs.log import Log, Series, pick, triple
+from imumon.recordings.wire_reader import is_own
 
 SECOND_NS = 1_000_000_000
 SCALING = "the units that sensor_msgs/Imu defines; whether the driver keeps to them is not known"
@@ -32,6 +33,9 @@ def read(path: Path, sensor: str | None = None) -> Log:
 
     Raises BAD_DATA when it has none, or cannot be read; BAD_CONFIG when not this one.
     """
+    if path.is_file() and is_own(path):
+        advice = "imumon replay reads its session, imumon decode the file alone"
+        raise ImumonError(Reason.BAD_DATA, f"{path} is a recording of imumon, not a bag", advice)
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
