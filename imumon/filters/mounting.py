@@ -1,13 +1,14 @@
 """Which axes a magnetometer has beside the gyros', by how the field goes through turns.
 
-The field stays where it is while the unit turns.  With C the gyros' turn from one moment to a later one, and
-P the matrix that takes the magnetometer's axes to the gyros'::
+The field stays where it is while the unit turns.  With C the gyros' turn from one moment to a later one,
+P the matrix that takes the magnetometer's axes to the gyros', and q what iron on the unit adds there::
 
-    P field_0 = C P field_1
+    P field_0 - q = C (P field_1 - q)
 
-This is linear in P, so sums of products of fields and turns, a matrix of 9 by 9, hold all that slots say:
-what any P leaves over is a square form of it.  P and -P leave the same: whether a magnetometer shows the
-field or its reverse, no turn tells.  So of the 48 ways to name three axes and their signs 24 are told apart.
+This is linear in P and q, so sums of products of fields and turns, a matrix of 12 by 12, hold all that slots
+say: what any P leaves over, with the q that leaves least, is a square form of it.  P and -P leave the same:
+whether a magnetometer shows the field or its reverse, no turn tells.  So of the 48 ways to name three axes
+and their signs 24 are told apart.
 """
 
 from __future__ import annotations
@@ -33,8 +34,11 @@ def _ways() -> FloatArray:
 WAYS = _ways()
 DECISIVE = 4.0
 """By so much less another way must leave over, as a scale that is off by 50 % would leave of a turn."""
-LEAST_TURNED = np.pi**2
-"""rad²: sum of the squared angles by which the field contradicts the axes as declared, before it is said."""
+LEAST_TURNED = 3.0
+"""rad²: sum of the squared angles by which the field must contradict the axes, as of a radian about each."""
+
+ALONG = 1e-6
+"""Share of the squares of turns about other axes, below which iron along an axis does not show."""
 
 
 @dataclass(slots=True, eq=False)
@@ -43,12 +47,12 @@ class Mounting:
 
     Parameters
     ----------
-    squares : array (9, 9)
-        Of P row by row: p' squares p is the sum of the squares that P leaves over, in units of the field's
-        strength squared.
+    squares : array (12, 12)
+        Of P row by row and q behind: p' squares p is the sum of the squares that they leave over, in units of
+        the field's strength squared.
     """
 
-    squares: FloatArray = field(default_factory=lambda: np.zeros((9, 9)))
+    squares: FloatArray = field(default_factory=lambda: np.zeros((12, 12)))
 
     def add(self, before: FloatArray, after: FloatArray, rotation: FloatArray) -> None:
         """Take the field before and after turns, (n, 3), over its strength, and the turns, (n, 3, 3)."""
@@ -56,13 +60,14 @@ class Mounting:
         left = np.zeros((n, 3, 3, 3))
         left[:, range(3), range(3)] = before[:, np.newaxis]
         left -= rotation[..., np.newaxis] * after[:, np.newaxis, np.newaxis]
-        rows = left.reshape(3 * n, 9)
+        rows = np.concatenate([left.reshape(n, 3, 9), rotation - np.eye(3)], axis=2).reshape(3 * n, 12)
         self.squares += rows.T @ rows
 
     def left(self) -> FloatArray:
         """Return the sum of the squares that each of `WAYS` leaves over, (24,)."""
-        ways = WAYS.reshape(-1, 9)
-        return np.asarray(((ways @ self.squares) * ways).sum(1))
+        ways, beside = WAYS.reshape(-1, 9), self.squares[:9, 9:]
+        by_iron = beside @ np.linalg.pinv(self.squares[9:, 9:], ALONG, hermitian=True) @ beside.T
+        return np.asarray(((ways @ (self.squares[:9, :9] - by_iron)) * ways).sum(1))
 
     @property
     def found(self) -> int:

@@ -12,6 +12,7 @@ from imumon.filters.mounting import WAYS
 from imumon.models.magnetometer import MagnetometerModel
 
 FIELD = np.array([2.0, 20.0, -43.0])
+UP = np.array([0.0, 0.0, 9.81])
 HARD = np.array([12.0, -30.0, 8.0])
 BIAS = np.array([0.05, -0.03, 0.02])
 LEFT_HANDED = np.diag([1.0, 1.0, -1.0])
@@ -34,12 +35,14 @@ def turns(
     attitude, body = Rotation.identity(), []
     for step in Rotation.from_rotvec(rate / rate_hz):
         attitude = attitude * step
-        body.append(attitude.inv().apply(FIELD))
-    mag = np.roll(np.array(body), late, axis=0) @ way + HARD + 0.3 * rng.normal(size=(len(t), 3))
+        body.append(attitude.inv().apply([FIELD, UP]))
+    field, accel = np.array(body).swapaxes(0, 1)
+    mag = np.roll(field, late, axis=0) @ way + HARD + 0.3 * rng.normal(size=(len(t), 3))
     mag = mag[np.arange(len(t)) // held * held]
     gyro = rate + BIAS + 0.002 * rng.normal(size=rate.shape)
     columns = {"device_time_ns": np.round(t * 1e9).astype(np.int64), "segment": np.zeros(len(t), np.int64)}
     columns |= {f"gyro_{a}": gyro[:, j] for j, a in enumerate("xyz")}
+    columns |= {f"accel_{a}": accel[:, j] for j, a in enumerate("xyz")}
     return SampleBlock(columns | {f"mag_{a}": mag[:, j] for j, a in enumerate("xyz")})
 
 

@@ -46,6 +46,14 @@ def test_little_turned_and_turns_about_one_axis_are_not_told() -> None:
     assert told.found == 0
 
 
+def test_iron_on_a_unit_that_turns_about_one_axis_is_no_other_way() -> None:
+    turns = Rotation.from_rotvec(np.outer(np.linspace(0.0, 20.0, 200), [0.0, 0.0, 1.0]))
+    field = turns.inv().apply(FIELD) + np.array([0.9, 0.4, 0.3])
+    told = Mounting()
+    told.add(field[:-1], field[1:], (turns[:-1].inv() * turns[1:]).as_matrix())
+    assert told.found == 0
+
+
 def test_a_way_is_named_with_its_reverse() -> None:
     swapped = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     assert named(swapped) == "+y, +x, -z or -y, -x, +z"
