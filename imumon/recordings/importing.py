@@ -129,6 +129,7 @@ class TableImport:
     def report(self) -> ImportReport:
         """Return what became of the table, once its blocks were read."""
         span_s = self._times.span_ns * 1e-9
+        inertial = self.map.gyro is not None or self.map.accel is not None
         rate_hz = self.map.rate_hz or self._times.intervals.rate_hz or math.nan
         used = {source.column for source in self.map.sources()}
         used |= {self.map.time.column} if self.map.time else set()
@@ -142,7 +143,7 @@ class TableImport:
             span_s=span_s,
             rate_hz=rate_hz,
             bad_rows=tuple(self._listed),
-            warnings=(*self.warnings(), *rate_doubts(rate_hz)),
+            warnings=(*self.warnings(), *(rate_doubts(rate_hz) if inertial else ())),
         )
 
     def warnings(self) -> list[str]:
