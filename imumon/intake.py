@@ -2,7 +2,8 @@
 
 Stages see such a value as missing and such a row not at all; tables keep both as they were sent.  So a fault
 is kept out at one place, whatever a stage would make of it, and its end is the end of what is left out.  An
-axis that says the same for long while another does not is told.
+axis that says the same for long while another does not is told, and a specific force that cannot be in the
+unit that was declared.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.magnitudes import SpecificForce
 from imumon.protocols.ranges import Ranges
 
 RANGES: dict[str, tuple[float, float, str]] = {
@@ -90,6 +92,7 @@ class Intake:
         """Gyros and thermometers that have said something: not only zero, nor gyros their first reading."""
         self._first: FloatArray | None = None
         """First reading of the gyros."""
+        self._force = SpecificForce()
         self._left_out: Counter[str] = Counter()
         self._said: set[str] = set()
 
@@ -121,7 +124,10 @@ class Intake:
         if "device_time_ns" in taken and "segment" in taken:
             for unchanged in self._unchanged.values():
                 unchanged.look(taken)
-        return Taken(taken.with_columns(changed) if changed else taken, rows)
+        taken = taken.with_columns(changed) if changed else taken
+        if "segment" in taken:
+            self._force.look(taken)
+        return Taken(taken, rows)
 
     def _timely(self, block: SampleBlock) -> tuple[SampleBlock, BoolArray | None]:
         """Return the rows whose time goes on, and which these are; None for all."""
@@ -135,12 +141,14 @@ class Intake:
         return SampleBlock({name: values[rows] for name, values in taken.columns.items()}), rows
 
     def notices(self, ended: bool = False) -> list[str]:
-        """Return, once each, what is left out, at the end with how many, and which axes do not change."""
+        """Return, once each, what is left out, at the end with how many, and what seems wrong otherwise."""
         every = {
             what: f"left out of all estimates: {what}" + (f" ({count:,} in all)" if ended else "")
             for what, count in self._left_out.items()
         }
         every |= {text: text for unchanged in self._unchanged.values() for text in unchanged.found.values()}
+        if self._force.found is not None:
+            every[self._force.found] = self._force.found
         new = [text for what, text in every.items() if what not in self._said]
         self._said.update(every)
         return new

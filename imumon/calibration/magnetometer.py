@@ -6,7 +6,8 @@ size one); Gauss and Newton then make the squares of what is left of the strengt
     r_k = |A (m_k - b)| - F,    A symmetric, det A = 1
 
 The covariance is that of least squares, with the scatter that is left, times how much slower than white it
-is: a field that differs from place to place does not average as noise does.
+is: a field that differs from place to place does not average as noise does.  Where the two halves of the
+turns contradict each other, by a current that was switched on meanwhile, half their difference is added.
 """
 
 from __future__ import annotations
@@ -32,6 +33,10 @@ WORST_SD = 0.01
 """Of the field's strength: an error of 0.6° of the heading where the field is level, 1.5° in Europe."""
 MOST_LEFT = 0.1
 """Of the strength: what scatters more is another field at every place."""
+EARTH_UT = (22.0, 67.0)
+"""Strength of the earth's field, from Paraguay to Siberia (IGRF-13); in a house half or twice that."""
+BY_CHANCE = 3.0
+"""Times its mean: a square of nine normal differences is larger once in 1e4 times."""
 STEPS = 20
 TRIANGLE = np.triu_indices(3)
 
@@ -46,6 +51,17 @@ class MagnetometerFit:
     """As sent, and corrected, (n, 3); the readings that counted."""
     residual_before: float
     """Scatter of the strength as sent, in the same unit."""
+
+    @property
+    def doubts(self) -> list[str]:
+        """What is to be said beside it."""
+        strength, (low, high) = self.model.field, EARTH_UT
+        if self.model.unit != "uT" or 0.5 * low < strength < 2.0 * high:
+            return []
+        return [
+            f"the field is {strength:.3g} uT strong, that of the earth {low:g} to {high:g}: is the unit "
+            "right? 1 gauss is 100 uT"
+        ]
 
 
 def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> MagnetometerFit:
@@ -204,7 +220,8 @@ def _model(
     """Return the model, in the unit of the readings, with standard deviations."""
     n = len(residual)
     variance = float(residual @ residual) / (n - len(parameters))
-    covariance = np.linalg.inv(jacobian.T @ jacobian) * variance * slower_than_white(residual)
+    scatter = variance * slower_than_white(residual)
+    covariance = np.linalg.inv(jacobian.T @ jacobian) * scatter + _changed(jacobian, residual, scatter)
     matrix = _symmetric(parameters[3:])
     field = float(np.linalg.det(matrix)) ** (-1.0 / 3.0)
     # A = F W with F = det(W)^(-1/3): the derivative of A for each element of W.
@@ -221,6 +238,24 @@ def _model(
         field=field,
         residual_sd=field * float(np.sqrt(variance)),
         coverage=coverage,
+    )
+
+
+def _changed(jacobian: FloatArray, residual: FloatArray, scatter: float) -> FloatArray:
+    """Return the covariance, (9, 9), by what has changed between the halves of the turns.
+
+    It is the square of half their difference, less the share of it that scatter makes in the mean.
+    """
+    half = len(residual) // 2
+    found = []
+    for rows in (slice(None, half), slice(half, None)):
+        normal = np.linalg.pinv(jacobian[rows].T @ jacobian[rows], hermitian=True)
+        found.append((normal @ jacobian[rows].T @ -residual[rows], normal * scatter))
+    (one, of_one), (other, of_other) = found
+    differ = one - other
+    square = float(differ @ np.linalg.pinv(of_one + of_other, hermitian=True) @ differ)
+    return np.asarray(
+        np.outer(differ, differ) / 4.0 * max(0.0, 1.0 - len(differ) * BY_CHANCE / max(square, 1e-300))
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from imumon.files import check_output
 
 if TYPE_CHECKING:
     from imumon.calibration.magnetometer import MagnetometerFit
+    from imumon.calibration.magnetometer_axes import Axes
 
 
 @click.command("magnetometer")
@@ -23,7 +25,8 @@ if TYPE_CHECKING:
 def command(session: Path, out: Path, model: Path | None, plot: Path | None, as_json: bool) -> None:
     """Find hard and soft iron from SESSION, in which the unit was moved in figure-eights and turned over.
 
-    Stay away from iron and cables.  Too few directions are refused, with what to turn next.
+    Stay away from iron and cables.  Too few directions are refused, with what to turn next; so are axes that
+    are not the gyros'.
     """
     check_output(out)
     if plot is not None:
@@ -31,6 +34,7 @@ def command(session: Path, out: Path, model: Path | None, plot: Path | None, as_
     from datetime import UTC, datetime
 
     from imumon.calibration.magnetometer import fit_magnetometer
+    from imumon.calibration.magnetometer_axes import Gathered, doubts, refuse_other_axes
     from imumon.models.model import BiasModel, load_model
     from imumon.recordings.reader import open_recording
     from imumon.version import __version__
@@ -42,8 +46,11 @@ def command(session: Path, out: Path, model: Path | None, plot: Path | None, as_
     def warnings() -> list[str]:
         return [f"{session}: {text}" for text in recording.warnings()]
 
+    gathered = Gathered()
     with with_warnings(warnings):
-        fit = fit_magnetometer(recording.blocks(), units.get("mag_x", "uT"), str(session))
+        fit = fit_magnetometer(gathered.passing(recording.blocks()), units.get("mag_x", "uT"), str(session))
+        axes = gathered.axes(fit.model)
+        refuse_other_axes(axes, str(session))
     named = {"session": recording.name, "sha256": recording.sha256()}
     found = fit.model.model_copy(update=named)
     if known is None:
@@ -59,15 +66,18 @@ def command(session: Path, out: Path, model: Path | None, plot: Path | None, as_
         from imumon.calibration.magnetometer_plot import write_magnetometer_plot
 
         write_magnetometer_plot(plot, fit, recording.name)
-    told = warnings()
+    told = [*warnings(), *(f"{session}: {text}" for text in [*fit.doubts, *doubts(axes)])]
     warn(told)
     if as_json:
         said = {"out": out, "residual_before": fit.residual_before, "points": len(fit.field)}
+        turned = axes is not None and axes.told
+        said["axes_off_deg"] = degrees(axes.angle) if axes is not None and turned else None
+        said["axes_off_sd_deg"] = degrees(axes.sd) if axes is not None and turned else None
         print_json({**said, **found.model_dump(), "warnings": told})
-    print_rows(_rows(fit, out))
+    print_rows(_rows(fit, axes, out))
 
 
-def _rows(fit: MagnetometerFit, out: Path) -> dict[str, str]:
+def _rows(fit: MagnetometerFit, axes: Axes | None, out: Path) -> dict[str, str]:
     model = fit.model
     hard = zip(model.hard_iron, model.hard_iron_sd, strict=True)
     worst = max(value for row in model.soft_iron_sd for value in row)
@@ -78,5 +88,8 @@ def _rows(fit: MagnetometerFit, out: Path) -> dict[str, str]:
         + f", ± {worst:.1g}",
         "strength": f"{model.field:.2f} {model.unit}, scatter {fit.residual_before:.2g} as sent, "
         f"{model.residual_sd:.2g} corrected",
+        "axes": "not checked, for want of gyros or turns"
+        if axes is None or not axes.told
+        else f"the gyros', turned against them by {degrees(axes.angle):.1f} ± {degrees(axes.sd):.1g}°",
         "written": str(out),
     }

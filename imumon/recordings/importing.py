@@ -15,6 +15,7 @@ from imumon.columns import KNOWN, Column
 from imumon.config import parse_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.files import read_text
+from imumon.magnitudes import rate_doubts
 from imumon.recordings.folder import SAMPLES_NAME, Session, fingerprint, whole_session
 from imumon.recordings.foreign import BadRow, Part, read_foreign
 from imumon.recordings.map import TableMap
@@ -128,6 +129,8 @@ class TableImport:
     def report(self) -> ImportReport:
         """Return what became of the table, once its blocks were read."""
         span_s = self._times.span_ns * 1e-9
+        inertial = self.map.gyro is not None or self.map.accel is not None
+        rate_hz = self.map.rate_hz or self._times.intervals.rate_hz or math.nan
         used = {source.column for source in self.map.sources()}
         used |= {self.map.time.column} if self.map.time else set()
         return ImportReport(
@@ -138,9 +141,9 @@ class TableImport:
             columns_unused=tuple(name for name in self._names if name not in used),
             segments=self._times.segment + 1,
             span_s=span_s,
-            rate_hz=self.map.rate_hz or self._times.intervals.rate_hz or math.nan,
+            rate_hz=rate_hz,
             bad_rows=tuple(self._listed),
-            warnings=tuple(self.warnings()),
+            warnings=(*self.warnings(), *(rate_doubts(rate_hz) if inertial else ())),
         )
 
     def warnings(self) -> list[str]:

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from imumon.blocks import SampleBlock
 from imumon.models.model import load_model
 from tests.calibration.test_magnetometer import HARD, RATE_HZ, figure_eight
+from tests.calibration.test_magnetometer_axes import turns
 from tests.cli.command import imumon
 
 MAP = """
@@ -24,8 +26,13 @@ mag: {columns: [mx, my, mz], unit: uT}
 def imported(folder: Path, *, over: bool) -> Path:
     """Make a session of a figure-eight by the real command."""
     block, _ = figure_eight(1, over=over, swing=(1.2, 1.0, 3.0) if over else (0.1, 0.1, 1.0))
+    zeros = {f"gyro_{a}": np.zeros(len(block)) for a in "xyz"}
+    return session_of(block.with_columns(zeros), folder)
+
+
+def session_of(block: SampleBlock, folder: Path) -> Path:
     t = np.arange(len(block)) / RATE_HZ
-    columns = [t, *np.zeros((3, len(t))), *(block[f"{s}_{a}"] for s in ("accel", "mag") for a in "xyz")]
+    columns = [t, *(block[f"{s}_{a}"] for s in ("gyro", "accel", "mag") for a in "xyz")]
     table, map_path = folder / "table.csv", folder / "map.yaml"
     header = "t,gx,gy,gz,ax,ay,az,mx,my,mz"
     np.savetxt(table, np.column_stack(columns), "%.17g", delimiter=",", header=header, comments="")
@@ -44,6 +51,8 @@ def test_a_figure_eight_becomes_part_of_the_model(tmp_path: Path) -> None:
     assert report["hard_iron"] == model.magnetometer.hard_iron
     np.testing.assert_allclose(model.magnetometer.hard_iron, HARD, atol=0.1)
     assert model.magnetometer.session == "session"
+    assert report["axes_off_deg"] is None
+    assert "not checked" in done.stderr
     with Image.open(plot) as picture:
         assert np.asarray(picture.convert("L")).std() > 10.0
     again = imumon("magnetometer", session, "--model", out, "--out", tmp_path / "more.yaml")
@@ -62,6 +71,21 @@ def test_too_little_turned_is_refused(tmp_path: Path) -> None:
     assert "of the directions" in done.stderr
     assert "next: turn the" in done.stderr
     assert not (tmp_path / "unit.yaml").exists()
+
+
+def test_axes_that_are_not_the_gyros_are_refused(tmp_path: Path) -> None:
+    block = turns(1, np.eye(3), RATE_HZ)
+    session, out = session_of(block, tmp_path), tmp_path / "unit.yaml"
+    done = imumon("magnetometer", session, "--out", out, "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["axes_off_deg"] < 2.0
+    assert "the gyros', turned against them by" in done.stderr
+    swapped = block.with_columns({"mag_x": block["mag_y"], "mag_y": block["mag_x"], "mag_z": -block["mag_z"]})
+    (tmp_path / "other").mkdir()
+    done = imumon("magnetometer", session_of(swapped, tmp_path / "other"), "--out", tmp_path / "no.yaml")
+    assert done.returncode == 4
+    assert "+y, +x, -z or" in done.stderr
+    assert not (tmp_path / "no.yaml").exists()
 
 
 @pytest.mark.parametrize("name", ["out", "plot"])

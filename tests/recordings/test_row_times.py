@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from imumon.errors import ImumonError
 from imumon.recordings import foreign
-from imumon.recordings.importing import ImportReport, import_table
+from imumon.recordings.importing import ImportReport, TableImport, import_table
 from imumon.recordings.reader import open_recording
 from imumon.recordings.table import read_table
 
@@ -182,6 +182,18 @@ def test_local_time_that_is_put_back_is_told_from_a_restart(tmp_path: Path) -> N
 def test_nothing_is_said_of_other_times(tmp_path: Path, times: list[str]) -> None:
     report, *_ = run(tmp_path, times, DATES)
     assert report.warnings == ()
+
+
+@pytest.mark.parametrize(("step_s", "said"), [(20.0, 1), (2e-5, 1), (0.01, 0)])
+def test_a_rate_of_no_inertial_sensor_is_said(tmp_path: Path, step_s: float, said: int) -> None:
+    table, map_path = tmp_path / "t.csv", tmp_path / "map.yaml"
+    table.write_text("t,x,y,z\n" + "".join(f"{step_s * k:.6f},0.1,0.2,9.8\n" for k in range(50)))
+    map_path.write_text("time: {column: t, unit: s}\naccel: {columns: [x, y, z], unit: m/s^2}\n")
+    imported = TableImport(table, map_path)
+    assert sum(len(block) for block in imported.blocks()) == 50
+    report = imported.report()
+    assert len(report.warnings) == said
+    assert all("is the unit of the time right?" in text for text in report.warnings)
 
 
 @pytest.mark.parametrize(("zone", "leaps"), [(None, 1), ("UTC", 0)])

@@ -411,7 +411,8 @@ class Alignment:
                 status.tilting > LIKELY and status.observable
             ),
             "heading not observable with this gyro: its bias is not small beside the earth's horizontal "
-            f"rate of {level:.1f} °/h; a turn by half a circle, and a rest, tell them apart": status.phase
+            f"rate of {level:.1f} °/h; a turn by half a circle, and a rest, tell them apart; or an axis is "
+            "swapped or reversed, or the unit of the gyros or the latitude is wrong": status.phase
             == "not observable",
             "alignment: the gyros' turn-on bias is not declared (gyro_bias_sd_deg_per_h): the sigma takes it "
             f"for that of gyros of such noise; {0.01 * level:.2g} °/h more on a gyro that points east turn "

@@ -116,6 +116,11 @@ class Fusion:
         """How far the field has turned the heading from level axes of its own, rad; NaN while it is free."""
         return float(self._vqf.getDelta()) if self._vqf is not None and self.north else math.nan
 
+    def lose_north(self) -> None:
+        """Let the heading be free from here; it began with where the gyros have it now."""
+        self.north = self.disturbed = False
+        self.first_heading = float(heading(self.last[np.newaxis])[0])
+
     def process(self, readings: Readings, start: int, stop: int, bias_known: bool, found: Found) -> None:
         """Follow rows start..stop, and fill in what is found."""
         start = self._learn(readings, start, stop)

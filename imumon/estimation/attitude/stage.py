@@ -32,6 +32,7 @@ from imumon.estimation.attitude.uncertainty import (
     Slot,
     begin,
 )
+from imumon.filters.mounting import WAYS, Mounting, named
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 from imumon.models.magnetometer import MagnetometerModel
@@ -41,6 +42,10 @@ SLOT_NS = 1_000_000_000
 GAP_NS = 250_000_000
 """A longer pause hides turns."""
 CERTAIN = 0.95
+NEAR = 0.2
+"""Share by which the field may differ from its calibrated strength and still show how the unit turned."""
+LOST = 0.01
+"""rad²: variance of a turn for want of samples beyond which it is not compared with the field."""
 Q = tuple(f"attitude_estimate_{part}" for part in "wxyz")
 NORTH = "attitude_estimate_north"
 _REST = 6
@@ -110,6 +115,11 @@ class AttitudeEstimate:
         self._since = np.zeros(1, SINCE)
         self._field = np.full(3, np.nan)
         self._bias_sd = np.full(3, np.nan)
+        self._mounting = Mounting()
+        self._field_before = np.full(3, np.nan)
+        """Field at the end of the last slot, over its calibrated strength."""
+        self._other_axes = 0
+        """Which of `WAYS` the magnetometer has, once the gyros have contradicted its axes."""
         self._anew = 0
         """How often an attitude has ended, for another to begin."""
         self._reported = False
@@ -170,7 +180,7 @@ class AttitudeEstimate:
         n, gyro, accel, mag = len(block), block.gyro, block.accel, None
         assert gyro is not None
         assert accel is not None
-        if self._parameters.use_magnetometer:
+        if self._parameters.use_magnetometer and not self._other_axes:
             mag = block.mag
         if mag is None:
             mag = np.full((n, 3), np.nan)
@@ -207,6 +217,10 @@ class AttitudeEstimate:
         for start, stop in pairwise(edges):
             if start in ended:
                 self._judge(rows, ended[start], start)
+                if self._contradicts(rows, ended[start]):
+                    self._turn_free(rows, begun, start)
+                    self._lose_north(rows, start)
+                    begun = start
             if start in rows.begins:
                 self._anew += self._fusion.begun
                 self._fusion, self._since[:] = Fusion(), 0
@@ -275,6 +289,32 @@ class AttitudeEstimate:
             )
         )
 
+    def _contradicts(self, rows: _Rows, k: int) -> bool:
+        """Compare the field with how the gyros have turned in a slot; tell whether it has other axes by now.
+
+        Where the gyros contradict gravity as well, it is theirs that are wrong.
+        """
+        if self._magnetometer is None or self._other_axes or not self._fusion.north:
+            return False
+        slots, before = rows.slots, self._field_before
+        self._field_before = after = self._field / self._magnetometer.field
+        strengths = np.array([np.linalg.norm(before), np.linalg.norm(after)])
+        turn = slots.turns.at(k)
+        lost = float(turn.coning @ turn.coning) + turn.fast**2 + turn.missed
+        near = bool((np.abs(strengths - 1.0) < NEAR).all())
+        if slots.begins[k] or slots.smallest[k, _REST] == 1.0 or lost > LOST or not near:
+            return False
+        self._mounting.add(before[np.newaxis], after[np.newaxis], turn.rotation[np.newaxis])
+        if self._uncertainty.gyros.now.usual >= 1.0 - CERTAIN:
+            self._other_axes = self._mounting.found
+        return self._other_axes > 0
+
+    def _lose_north(self, rows: _Rows, row: int) -> None:
+        """Go on from a row without the magnetometer: the heading is free from there."""
+        rows.readings.has_mag[row:] = False
+        self._fusion.lose_north()
+        self._uncertainty.lose_north()
+
     def lanes(self) -> Mapping[str, str]:
         """Return what the heading of the estimated attitude refers to."""
         if not self._fusion.begun:
@@ -304,7 +344,10 @@ class AttitudeEstimate:
                 abs(magnitude - STANDARD_GRAVITY) > GRAVITY_SPREAD + BEYOND * accel_sd
             ),
             "attitude: without a magnetometer the heading is free; it counts from "
-            f"{reference:.0f}° at the beginning": begun and not self._fusion.north,
+            f"{reference:.0f}° at the beginning": begun and not self._fusion.north and not self._other_axes,
+            "attitude: while the unit turns the field goes as if the magnetometer had not the gyros' axes: "
+            f"their x, y, z seem to be its {named(WAYS[self._other_axes])}; north is not taken from it any "
+            f"more, the heading is free and counts from {reference:.0f}° there": self._other_axes > 0,
             "attitude: the magnetometer is not calibrated, so nobody knows how far the heading is off; "
             "record a figure-eight, then: imumon magnetometer SESSION --out MODEL.yaml": (
                 self._fusion.north and self._magnetometer is None

@@ -220,6 +220,12 @@ class Uncertainty:
         """Return what is known when the attitude begins anew."""
         return Uncertainty(self.errors, self.gyros, self.accels, self.iron)
 
+    def lose_north(self) -> None:
+        """Let the heading be free from here: what it may be off is its change since."""
+        self.since_north, self.heading_variance, self.twisted = Turned(), 0.0, 0.0
+        self.to_north, self.pulled = math.nan, 0.0
+        self.heading_sd = 0.0 if math.isfinite(self.accel_sd) else math.nan
+
     def step(self, slot: Slot) -> None:
         """Follow one slot."""
         self.levelling = slot.levelling

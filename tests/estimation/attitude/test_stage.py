@@ -18,6 +18,7 @@ from imumon.estimation.rest.stage import RestDetector
 from imumon.filters.turns import STILL
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.models.magnetometer import MagnetometerModel
+from tests.calibration.test_magnetometer_axes import HARD, LEFT_HANDED, MPU_9250, turns
 from tests.estimation.attitude.scenes import NORTH_DEG, matrices, scene, without_mag, wrapped
 
 Q = [f"attitude_estimate_{part}" for part in "wxyz"]
@@ -381,6 +382,30 @@ def test_what_the_filter_follows_is_what_its_low_pass_lets_through() -> None:
         turned.parts[:] = 2.0 * parts[100 * k] - followed.last
         followed.follow(turned, 1.0)
         np.testing.assert_allclose(followed.parts, through[100 * k + 99], atol=0.02 * np.abs(parts).max())
+
+
+@pytest.mark.parametrize("way", [MPU_9250, LEFT_HANDED])
+def test_a_magnetometer_that_has_not_the_gyros_axes_loses_north(way: FloatArray) -> None:
+    sent = {}
+    for name, axes in (("as declared", np.eye(3)), ("other", way)):
+        block, model = turns(1, axes), CALIBRATED.model_copy(update={"hard_iron": HARD.tolist()})
+        stage = AttitudeEstimate(axes="FLU", magnetometer=model)
+        found = estimated(block, stage)
+        said = [text for text in stage.notices() if "had not the gyros' axes" in text]
+        sent[name] = found["attitude_estimate_north"][-1], len(said)
+        cuts = [0, 777, 778, len(block)]
+        stage = AttitudeEstimate(axes="FLU", magnetometer=model)
+        for before in (RestDetector(), GyroBias(mode="learned")):
+            block = block.with_columns(before.process(block))
+        parts = [SampleBlock(dict(stage.process(block.rows(a, b)))) for a, b in pairwise(cuts)]
+        for column, expected in found.columns.items():
+            np.testing.assert_array_equal(join(parts)[column], expected, err_msg=column)
+        if name == "other":
+            free = np.flatnonzero(found["attitude_estimate_north"] == 0)
+            assert free[0] < 15 * 50
+            assert (np.diff(free) == 1).all()
+            assert wrapped(found["attitude_estimate_heading"][free[0]]) == pytest.approx(0.0, abs=0.1)
+    assert sent == {"as declared": (1, 0), "other": (0, 1)}
 
 
 def test_gyros_without_gravity_have_no_attitude() -> None:

@@ -1,0 +1,82 @@
+"""What cannot be the unit that was declared: magnitudes and rates that no unit on earth has.
+
+At rest gravity says so within percents; here it is what holds in any motion.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imumon.blocks import NO_INT, SampleBlock
+from imumon.geodesy import STANDARD_GRAVITY
+
+GRAVITIES = (0.3, 3.0)
+"""Of the specific force, its median: what has less falls and what has more is thrown, neither for minutes."""
+MINUTE_NS, MINUTES = 60_000_000_000, 3
+"""So many in a row, the first of which may be cut short: rockets burn with three times gravity for a minute
+or two, parabolas last half a minute."""
+RATES_HZ = (0.1, 40e3)
+"""Of samples: slower is no motion sensor, and the fastest that is sold has 32 kHz (ICM-42688)."""
+
+
+def rate_doubts(rate_hz: float) -> list[str]:
+    """Return what is to be said of a rate of samples, Hz; nothing of NaN."""
+    slowest, fastest = RATES_HZ
+    if not (rate_hz < slowest or rate_hz > fastest):
+        return []
+    return [
+        f"the rows come at {rate_hz:.3g} Hz, as those of no inertial sensor: is the unit of the time right?"
+    ]
+
+
+class SpecificForce:
+    """Judges the magnitude of the specific force minute by minute, whatever the division into blocks."""
+
+    def __init__(self) -> None:
+        self._minute = (NO_INT, NO_INT)
+        """Segment, and number of the minute in device time."""
+        self._counts = np.zeros(3, np.int64)
+        """Readings in it that are below `GRAVITIES`, above, and all."""
+        self._total = 0.0
+        """Sum of those magnitudes that are beyond, over gravity."""
+        self._beyond = 0
+        """Minutes in a row most of which was below, or above: negative where below."""
+        self.found: str | None = None
+        """What is to be said, once it is certain."""
+
+    def look(self, block: SampleBlock) -> None:
+        """Take samples, with what is left out of them missing, where they have a time."""
+        accel = block.accel
+        if self.found is not None or accel is None or "device_time_ns" not in block:
+            return
+        magnitude = np.sqrt(np.einsum("ij,ij->i", accel, accel)) / STANDARD_GRAVITY
+        time_ns = block["device_time_ns"]
+        there = np.isfinite(magnitude) & (time_ns != NO_INT)
+        minute, segment = time_ns[there] // MINUTE_NS, block["segment"][there]
+        magnitude = magnitude[there]
+        if not len(magnitude):
+            return
+        edges = np.flatnonzero((np.diff(minute) != 0) | (np.diff(segment) != 0)) + 1
+        firsts = np.concatenate([[0], edges])
+        for first, part in zip(firsts.tolist(), np.split(magnitude, edges), strict=True):
+            now = int(segment[first]), int(minute[first])
+            if now != self._minute:
+                self._end(now)
+            low, high = part < GRAVITIES[0], part > GRAVITIES[1]
+            self._counts += [low.sum(), high.sum(), len(part)]
+            self._total += float(part[low | high].sum())
+
+    def _end(self, now: tuple[int, int]) -> None:
+        """Judge the minute that has ended."""
+        (low, high, every), before = self._counts.tolist(), self._minute
+        way = -1 if 2 * low > every else 1 if 2 * high > every else 0
+        goes_on = now == (before[0], before[1] + 1)
+        self._beyond = way + (self._beyond if way * self._beyond > 0 else 0)
+        if abs(self._beyond) >= MINUTES and self.found is None:
+            self.found = (
+                f"the specific force is {self._total / (low + high):.2g} times gravity for minutes, which no "
+                "vehicle on earth bears: is its unit right?"
+            )
+        if not goes_on:
+            self._beyond = 0
+        self._minute, self._counts, self._total = now, np.zeros(3, np.int64), 0.0
