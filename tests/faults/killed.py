@@ -34,6 +34,13 @@ WAITS = 2
 PREPARED_S = 12.0
 EXIT_S = 3.0
 ARRIVAL_S = 0.3
+OPENED = b'"kind": "opened"'
+
+
+def wait_for_reader(child: subprocess.Popen[str] | subprocess.Popen[bytes], wire: Path) -> None:
+    """Wait until the recording says that the port is open: what came before is thrown away as it opens."""
+    while not (wire.exists() and OPENED in wire.read_bytes()) and child.poll() is None:
+        time.sleep(0.02)
 
 
 class Machine:
@@ -157,9 +164,7 @@ def kill_one(folder: Path, rate_hz: float, after_s: float) -> tuple[float, float
     wire = folder / "wire.mcap"
     with Machine() as machine, subprocess.Popen(program, stderr=subprocess.DEVNULL) as child:
         try:
-            while not wire.exists() and child.poll() is None:
-                time.sleep(0.02)
-            time.sleep(0.2)  # the reader runs
+            wait_for_reader(child, wire)
             line.start()
             time.sleep(after_s)
             child.kill()
@@ -181,8 +186,7 @@ def interrupt(folder: Path, number: int, stopped_s: float = 2.0, patience: float
     program = [sys.executable, "-c", "from imumon.cli import main; main()", *arguments]
     with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
         try:
-            while not (folder / "wire.mcap").exists() and child.poll() is None:
-                time.sleep(0.02)
+            wait_for_reader(child, folder / "wire.mcap")
             assert child.stderr is not None
             child.stderr.readline()  # it is ready, and says that the port was opened
             line.start()

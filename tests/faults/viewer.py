@@ -24,7 +24,7 @@ from imumon.recordings.wire_format import (
     RECORD,
     WIRE_CHANNEL,
 )
-from tests.faults.killed import HELD_S, Line, Machine, allowed_s, end_in_order
+from tests.faults.killed import HELD_S, Line, Machine, allowed_s, end_in_order, wait_for_reader
 from tests.faults.rows import Row
 
 RATE_HZ = 100.0
@@ -156,8 +156,7 @@ def harm(folder: Path, name: str, seconds: float, patience: float = 1.0) -> tupl
         scene = Scene(child)
         try:
             assert child.stderr is not None
-            while not (folder / "wire.mcap").exists() and child.poll() is None:
-                time.sleep(POLL_S)
+            wait_for_reader(child, folder / "wire.mcap")
             lag = Lag(folder / "wire.mcap", line)
             line.start()
             said = child.stderr.readline()
