@@ -23,6 +23,7 @@ from imumon.estimation.attitude.angles import (
 from imumon.estimation.attitude.fusion import Found, Fusion, Readings
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.uncertainty import (
+    CERTAIN,
     GRAVITY_SPREAD,
     LEAST_BIAS,
     SINCE,
@@ -41,7 +42,6 @@ SLOT_NS = 1_000_000_000
 """So often it is judged how far the attitude may be off: bias and path grow little in a second."""
 GAP_NS = 250_000_000
 """A longer pause hides turns."""
-CERTAIN = 0.95
 NEAR = 0.2
 """Share by which the field may differ from its calibrated strength and still show how the unit turned."""
 LOST = 0.01
@@ -346,8 +346,9 @@ class AttitudeEstimate:
             "attitude: without a magnetometer the heading is free; it counts from "
             f"{reference:.0f}° at the beginning": begun and not self._fusion.north and not self._other_axes,
             "attitude: while the unit turns the field goes as if the magnetometer had not the gyros' axes: "
-            f"their x, y, z seem to be its {named(WAYS[self._other_axes])}; north is not taken from it any "
-            f"more, the heading is free and counts from {reference:.0f}° there": self._other_axes > 0,
+            f"their x, y, z seem to be its {named(WAYS[self._other_axes])}; or the gyros are wrong. "
+            "North is not taken from it any more, the heading is free and counts from "
+            f"{reference:.0f}° there": bool(self._other_axes),
             "attitude: the magnetometer is not calibrated, so nobody knows how far the heading is off; "
             "record a figure-eight, then: imumon magnetometer SESSION --out MODEL.yaml": (
                 self._fusion.north and self._magnetometer is None

@@ -63,6 +63,8 @@ may have one is zero, one reversed (-2), and four have -1 and ±1.  Axes are rig
 wrong by tens of percent: sizes that nothing makes would take from the probability of those that happen."""
 UP = np.array([0.0, 0.0, 1.0])
 CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
+CERTAIN = 0.95
+"""Probability from which on something is taken for so."""
 UNKNOWN = 1.0
 """Beyond so much, rad, an error is no small angle any more, and its standard deviation says nothing."""
 
@@ -215,16 +217,18 @@ class Uncertainty:
     magnitude: float = math.nan
     tilt_sd: float = math.nan
     heading_sd: float = math.nan
+    contradicted: bool = False
+    """Whether the field has contradicted the gyros: either is wrong, and gravity alone can say which."""
 
     def anew(self) -> Uncertainty:
         """Return what is known when the attitude begins anew."""
-        return Uncertainty(self.errors, self.gyros, self.accels, self.iron)
+        return Uncertainty(self.errors, self.gyros, self.accels, self.iron, contradicted=self.contradicted)
 
     def lose_north(self) -> None:
         """Let the heading be free from here: what it may be off is its change since."""
         self.since_north, self.heading_variance, self.twisted = Turned(), 0.0, 0.0
-        self.to_north, self.pulled = math.nan, 0.0
-        self.heading_sd = 0.0 if math.isfinite(self.accel_sd) else math.nan
+        self.to_north, self.pulled, self.contradicted = math.nan, 0.0, True
+        self.heading_sd = self._free()
 
     def step(self, slot: Slot) -> None:
         """Follow one slot."""
@@ -248,7 +252,12 @@ class Uncertainty:
         if math.isfinite(slot.to_north):
             self.heading_sd = self._magnetic(slot)
         else:
-            self.heading_sd = _small(self._drifted()) if math.isfinite(self.accel_sd) else math.nan
+            self.heading_sd = self._free()
+
+    def _free(self) -> float:
+        """Return the standard deviation of a free heading; NaN where it may be the gyros that are wrong."""
+        known = not self.contradicted or self.gyros.now.usual >= CERTAIN
+        return _small(self._drifted()) if known and math.isfinite(self.accel_sd) else math.nan
 
     def at(
         self, since: Any, rows: range, motion: Motion, bias_sd: FloatArray, levelling: FloatArray,
