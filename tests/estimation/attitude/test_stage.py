@@ -405,7 +405,7 @@ def test_a_magnetometer_that_has_not_the_gyros_axes_loses_north(way: FloatArray)
             assert free[0] < 15 * 50
             assert (np.diff(free) == 1).all()
             assert wrapped(found["attitude_estimate_heading"][free[0]]) == pytest.approx(0.0, abs=0.1)
-            assert np.isnan(found["attitude_estimate_heading_sd"][free[0]])  # nor do the gyros say which is wrong
+            assert np.isnan(found["attitude_estimate_heading_sd"][free[0]])  # which of the two is wrong?
     assert sent == {"as declared": (1, 0), "other": (0, 1)}
 
 
