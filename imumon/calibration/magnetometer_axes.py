@@ -13,7 +13,7 @@ import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray, SampleBlock
 from imumon.errors import ImumonError, Reason
-from imumon.filters.mounting import WAYS, Mounting, named
+from imumon.filters.mounting import WAYS, Mounting, are_known, named
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.filters.turns import PAUSE_S, rotation_by
 from imumon.models.magnetometer import MagnetometerModel
@@ -25,8 +25,6 @@ LEAST_SLOTS = 20
 GYRO_SCALE = 0.01
 """Of gyros without calibration, each element of scale and misalignment, as in `AttitudeParameters`: what is
 fitted to such gyros is known to no better, rad."""
-LOST = 0.01
-"""rad²: variance of a turn for want of samples beyond which it says nothing."""
 WORST_SD = np.radians(10.0)
 """A rotation that is known to no better says nothing of axes, which are 90° apart."""
 MOST_LEFT, BEYOND = 0.25, 3.0
@@ -131,10 +129,9 @@ class Gathered:
             field[:-1], field[1:], rate[:-1], rate[1:],
             every(lambda slots: slots.turns.rotation)[1:], every(lambda slots: slots.turns.by_bias)[1:],
         )  # fmt: skip
-        lost = every(lambda slots: (slots.turns.coning**2).sum(1) + slots.turns.fast**2 + slots.turns.missed)
         missing_s = 1e-9 * np.diff(end_ns) - every(lambda slots: slots.turns.seconds)[1:]
         known = ~every(lambda slots: slots.begins)[1:] & (np.abs(missing_s) < PAUSE_S)
-        known &= (lost[1:] < LOST) & np.isfinite(last[1:] + last[:-1]).all(1)
+        known &= every(lambda slots: are_known(slots.turns))[1:] & np.isfinite(last[1:] + last[:-1]).all(1)
         return pairs[known]
 
 

@@ -18,7 +18,8 @@ from itertools import permutations, product
 
 import numpy as np
 
-from imumon.blocks import FloatArray
+from imumon.blocks import BoolArray, FloatArray
+from imumon.filters.turns import Turn, Turns
 
 
 def _ways() -> FloatArray:
@@ -36,7 +37,8 @@ DECISIVE = 4.0
 """By so much less another way must leave over, as a scale that is off by 50 % would leave of a turn."""
 LEAST_TURNED = 3.0
 """rad²: sum of the squared angles by which the field must contradict the axes, as of a radian about each."""
-
+LOST = 0.01
+"""rad²: variance of a turn for want of samples beyond which it is not compared with the field."""
 ALONG = 1e-6
 """Share of the squares of turns about other axes, below which iron along an axis does not show."""
 
@@ -76,6 +78,11 @@ class Mounting:
         least = int(left.argmin())
         certain = left[0] > DECISIVE * left[least] and left[0] - left[least] > LEAST_TURNED
         return least if certain else 0
+
+
+def are_known(turns: Turn | Turns) -> BoolArray:
+    """Tell of which turns enough is known between their samples, (m,), or () of one."""
+    return np.asarray((turns.coning**2).sum(-1) + turns.fast**2 + turns.missed < LOST)
 
 
 def named(way: FloatArray) -> str:

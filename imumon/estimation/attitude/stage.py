@@ -33,7 +33,7 @@ from imumon.estimation.attitude.uncertainty import (
     Slot,
     begin,
 )
-from imumon.filters.mounting import WAYS, Mounting, named
+from imumon.filters.mounting import WAYS, Mounting, are_known, named
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 from imumon.models.magnetometer import MagnetometerModel
@@ -44,8 +44,6 @@ GAP_NS = 250_000_000
 """A longer pause hides turns."""
 NEAR = 0.2
 """Share by which the field may differ from its calibrated strength and still show how the unit turned."""
-LOST = 0.01
-"""rad²: variance of a turn for want of samples beyond which it is not compared with the field."""
 Q = tuple(f"attitude_estimate_{part}" for part in "wxyz")
 NORTH = "attitude_estimate_north"
 _REST = 6
@@ -300,9 +298,8 @@ class AttitudeEstimate:
         self._field_before = after = self._field / self._magnetometer.field
         strengths = np.array([np.linalg.norm(before), np.linalg.norm(after)])
         turn = slots.turns.at(k)
-        lost = float(turn.coning @ turn.coning) + turn.fast**2 + turn.missed
         near = bool((np.abs(strengths - 1.0) < NEAR).all())
-        if slots.begins[k] or slots.smallest[k, _REST] == 1.0 or lost > LOST or not near:
+        if slots.begins[k] or slots.smallest[k, _REST] == 1.0 or not (near and are_known(turn)):
             return False
         self._mounting.add(before[np.newaxis], after[np.newaxis], turn.rotation[np.newaxis])
         if self._uncertainty.gyros.now.usual >= 1.0 - CERTAIN:
