@@ -3,14 +3,13 @@ from __future__ import annotations
 import os
 import socket
 import subprocess
-import time
 from collections.abc import Callable, Iterator
 
 import pytest
 
 from imumon.view.viewer import Answer, probe, start_viewer
-
-STARTED_S = 10.0
+from tests.needs import need_vulkan
+from tests.waiting import wait_until
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -37,18 +36,22 @@ StartViewer = Callable[[int], subprocess.Popen[bytes]]
 
 
 @pytest.fixture
+def vulkan() -> None:
+    """Skip the test where no viewer can draw."""
+    need_vulkan()
+
+
+@pytest.fixture
 def headless() -> Iterator[StartViewer]:
-    """Start real viewers without a window; skip where the machine cannot."""
+    """Start real viewers without a window; skip the test where none can draw."""
+    need_vulkan()
     started: list[subprocess.Popen[bytes]] = []
 
     def start(port: int) -> subprocess.Popen[bytes]:
         viewer = start_viewer(port, "--headless")
         started.append(viewer)
-        deadline = time.monotonic() + STARTED_S
-        while probe(port) is not Answer.RERUN:
-            if viewer.poll() is not None or time.monotonic() > deadline:
-                pytest.skip(f"the viewer does not start here (exit code {viewer.poll()}): no Vulkan driver?")
-            time.sleep(0.05)
+        assert wait_until(lambda: viewer.poll() is not None or probe(port) is Answer.RERUN)
+        assert viewer.poll() is None, f"the viewer ended with exit code {viewer.returncode}"
         return viewer
 
     yield start

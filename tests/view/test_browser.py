@@ -27,11 +27,10 @@ LINES, LINE_PIXELS = (AXIS_COLORS["z"], ORANGE), 200
 
 
 @pytest.mark.viewer
-@pytest.mark.timeout(240)
 def test_two_tabs_in_a_browser_show_something_and_nothing_goes_out(tmp_path: Path) -> None:
     binary = browser_binary()
     if binary is None:
-        pytest.skip("no Chromium here: apt install chromium")
+        pytest.skip("no Chromium on this machine: sudo apt install chromium")
     port = free_port(29800)
     site = WebServer(listen(29890), ("127.0.0.1", port), "AX1")
     rec = rr.RecordingStream("imumon", recording_id="browser")

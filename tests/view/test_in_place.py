@@ -19,8 +19,6 @@ from imumon.view import in_place
 from imumon.view.blueprint import arranged
 from imumon.view.in_place import InPlace
 from imumon.view.rrd import LIVE_APPLICATION, messages
-from imumon.view.viewer import free_port
-from tests.view.conftest import StartViewer
 
 SEEN_S = 20.0
 
@@ -118,8 +116,8 @@ def wait_for(viewer: ViewerClient, names: Sequence[str]) -> str:
 
 
 @pytest.mark.viewer
-def test_whoever_looks_at_a_tab_stays_there(headless: StartViewer) -> None:
-    headless(free_port(29600)).kill()  # skips where no viewer starts
+@pytest.mark.usefixtures("vulkan")
+def test_whoever_looks_at_a_tab_stays_there() -> None:
     with studio() as place:
         rec = rr.RecordingStream(LIVE_APPLICATION, recording_id="test")
         rec.set_sinks(rr.GrpcSink(place.url))
