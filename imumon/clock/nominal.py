@@ -11,6 +11,8 @@ MEASURED_S = 10.0
 """Arrivals scatter by 0.1 s and more; over so long they tell a rate to a few percent."""
 SILENT_NS = 3_000_000_000
 """After a longer silence nobody knows how many packets there would have been."""
+SETTLE_NS = 1_000_000_000
+"""What comes so soon after a silence, or first of all, may have been sent long before: it is not counted."""
 
 
 class NominalRate:
@@ -27,7 +29,8 @@ class NominalRate:
     def __init__(self, rate_hz: float | None, given: bool) -> None:
         self._rate_hz, self._given = rate_hz, given
         self._last: tuple[int, int, int] | None = None
-        self._device_s = self._arrived_s = 0.0
+        self._device_s = self._arrived_s = self._latest_s = 0.0
+        self._since_ns = 0
         self._said = False
 
     @property
@@ -45,9 +48,17 @@ class NominalRate:
             return
         if self._last is not None:
             rows = np.vstack([self._last, rows])
+        else:
+            self._since_ns = int(rows[0, 2])
         self._last = int(rows[-1, 0]), int(rows[-1, 1]), int(rows[-1, 2])
         step, change, arrived = np.diff(rows, axis=0).T
-        near = (change == 0) & (arrived >= 0) & (arrived < SILENT_NS)
+        since = np.where(arrived >= SILENT_NS, rows[1:, 2], self._since_ns)
+        since = np.maximum.accumulate(np.append(self._since_ns, since))
+        self._since_ns = int(since[-1])
+        settled = rows[:-1, 2] - since[:-1] > SETTLE_NS
+        known = (arrived >= 0) & (arrived < SILENT_NS)
+        near = settled & known & (change == 0)
+        self._latest_s = max(self._latest_s, float(arrived[known].max(initial=0)) * 1e-9)
         self._device_s += float(step[near].sum()) * 1e-9
         self._arrived_s += float(arrived[near].sum()) * 1e-9
 
@@ -59,7 +70,9 @@ class NominalRate:
         whose = "the given" if self._given else "the device file's nominal"
         spaced = f"no packet says when it was measured: the rows are spaced at {whose} {rate:g} Hz"
         if measured is not None:
-            if abs(measured / rate - 1.0) * RATE_STEADINESS < 1.0:
+            # The packets at either end may have waited for as long as the longest time without a read.
+            late_s = 2.0 * self._latest_s
+            if abs(self._device_s - self._arrived_s) <= self._arrived_s / RATE_STEADINESS + late_s:
                 return []
             self._said = True
             found = f"{float(f'{measured:.3g}'):g}"

@@ -143,6 +143,7 @@ class Narrator:
         self._history: deque[tuple[int, PipelineCounters]] = deque()
         self._lanes: dict[str, str] = {}
         self._began_ns: int | None = None
+        self._first_bytes = 0
         self._last_ns = 0
         self._segment = 0
         self._segment_began_ns = 0
@@ -157,7 +158,7 @@ class Narrator:
     def received(self, n_bytes: int, time_ns: int) -> None:
         """Count bytes that arrived."""
         if self._began_ns is None:
-            self._began_ns = time_ns
+            self._began_ns, self._first_bytes = time_ns, n_bytes
         self._last_ns = time_ns
         if self._link is not None:
             self._link.add(n_bytes, time_ns)
@@ -250,7 +251,7 @@ class Narrator:
         span_s = 0.0 if self._began_ns is None else (self._last_ns - self._began_ns) * 1e-9
         if span_s <= 0.0:
             return last
-        bytes_per_s = last.counters.bytes_received / span_s
+        bytes_per_s = (last.counters.bytes_received - self._first_bytes) / span_s  # the first came before it
         load = self._link.load_of(bytes_per_s) if self._link is not None else None
         packets_per_s = max(last.counters.packets - 1, 0) / span_s  # as many intervals
         return replace(last, packets_per_s=packets_per_s, bytes_per_s=bytes_per_s, link_load=load)

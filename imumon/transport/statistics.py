@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from imumon.transport.settings import PortSettings
 
 BUCKET_NS = 100_000_000
 """Bytes are counted per 0.1 s."""
 WINDOW_BUCKETS = 20
-"""The rate is that of the last 2 s."""
+"""The rate is that of the last 2 s, and of the silence before it."""
+LONGEST_WINDOW = 600
+"""A silence of the last 60 s may have been a late read."""
 WARN_ABOVE = 0.80
 """Load at which the warning comes: above it, a packet that grows or a device that sends more overruns."""
 CALM_BELOW = 0.70
@@ -29,14 +33,16 @@ class LinkStatistics:
     def __init__(self, settings: PortSettings) -> None:
         self._capacity = settings.capacity_bytes_per_s
         self._buckets: deque[tuple[int, int]] = deque()  # number of the 0.1 s, bytes in it
-        self._first_bucket: int | None = None
+        self._first_bucket: int | None = None  # behind what had queued up before the port was opened
         self._warning = False
 
     def add(self, n_bytes: int, time_ns: int) -> None:
         """Count bytes that arrived at `time_ns`, which must not go back."""
         bucket = time_ns // BUCKET_NS
         if self._first_bucket is None:
-            self._first_bucket = bucket
+            self._first_bucket = bucket + 1
+        if bucket < self._first_bucket:
+            return
         in_bucket = n_bytes
         if self._buckets and self._buckets[-1][0] == bucket:
             in_bucket += self._buckets.pop()[1]
@@ -44,19 +50,24 @@ class LinkStatistics:
         self._forget(bucket)
 
     def bytes_per_s(self, now_ns: int) -> float:
-        """Return the mean rate over the last 2 s (over the time since the first byte, when that is shorter).
+        """Return the rate at which bytes were sent, over the last 2 s.
 
-        The 0.1 s that is not over yet does not count.
+        The first 0.1 s does not count: it holds what had queued up before the port was opened.  Nor does the
+        one that is not over yet.
+        A read that comes late brings what was sent during the silence before it.  So the rate is the smallest
+        of those over the last 2 s, and from the beginning of each earlier silence (0.1 s without a byte).
         """
-        if self._first_bucket is None:
-            return 0.0
         bucket = now_ns // BUCKET_NS
-        self._forget(bucket)
-        n_buckets = min(WINDOW_BUCKETS, bucket - self._first_bucket)
-        if n_buckets <= 0:
+        if self._first_bucket is None or bucket <= self._first_bucket:
             return 0.0
-        complete = sum(count for number, count in self._buckets if number < bucket)
-        return complete / (n_buckets * BUCKET_NS * 1e-9)
+        self._forget(bucket)
+        before = max(self._first_bucket, bucket - LONGEST_WINDOW) - 1
+        number, count = np.array([(before, 0), *self._buckets], np.int64).T
+        begin = max(self._first_bucket, bucket - WINDOW_BUCKETS)
+        silences = number[:-1][np.diff(number) > 1] + 1
+        begins = np.append(silences[silences < begin], begin)
+        until = np.append(0, np.cumsum(count))[np.searchsorted(number, [*begins, bucket])]
+        return float(np.min((until[-1] - until[:-1]) / (bucket - begins))) / (BUCKET_NS * 1e-9)
 
     def load(self, now_ns: int) -> float | None:
         """Return the share of the line's capacity in use, or None when there is no line."""
@@ -72,12 +83,12 @@ class LinkStatistics:
         Not in the first 2 s: what had queued up before the port was opened comes at once.
         """
         load = self.load(now_ns)
-        if load is not None and now_ns // BUCKET_NS - (self._first_bucket or 0) > WINDOW_BUCKETS:
+        if load is not None and now_ns // BUCKET_NS - (self._first_bucket or 0) >= WINDOW_BUCKETS:
             self._warning = load > (CALM_BELOW if self._warning else WARN_ABOVE)
         return self._warning
 
     def _forget(self, bucket: int) -> None:
-        while self._buckets and self._buckets[0][0] < bucket - WINDOW_BUCKETS:
+        while self._buckets and self._buckets[0][0] < bucket - LONGEST_WINDOW:
             self._buckets.popleft()
 
 

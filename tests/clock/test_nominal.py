@@ -60,3 +60,23 @@ def test_a_silence_is_no_low_rate() -> None:
     arrival_ns[len(arrival_ns) // 2 :] += 60_000_000_000
     watch = watched(arrival_ns, counted=False)
     assert watch.measured_hz == pytest.approx(NOMINAL_HZ, rel=2e-3)
+
+
+@pytest.mark.parametrize("stalls_s", [[(0.0, 8.0)], [(5.0, 12.0)], [(0.5, 2.5)], [(6.0, 8.9), (12.0, 14.5)]])
+@pytest.mark.parametrize("rate_hz", [NOMINAL_HZ, 40.0])
+def test_a_burst_of_late_reads_is_no_other_rate(stalls_s: list[tuple[float, float]], rate_hz: float) -> None:
+    sent_s = np.arange(round(60 * rate_hz)) / rate_hz
+    arrived_s = sent_s.copy()
+    for start, stop in stalls_s:
+        arrived_s[(sent_s >= start) & (sent_s < stop)] = stop
+    clock, watch = DeviceClock(Timing(rate_hz=NOMINAL_HZ)), NominalRate(NOMINAL_HZ, False)
+    notices = list[str]()
+    for part in np.split((arrived_s * 1e9).astype(np.int64) + 10**18, np.arange(10, len(sent_s), 10)):
+        watch.add(*clock.process(None, None, part, len(part)), part)
+        notices += watch.notices(ended=False)
+    if rate_hz == NOMINAL_HZ:
+        assert notices == []
+    else:
+        assert len(notices) == 1
+        found = float(notices[0].partition("arrive at ")[2].split()[0])
+        assert found == pytest.approx(rate_hz, rel=0.1)

@@ -62,7 +62,15 @@ def test_the_rates_of_a_run_that_has_ended_are_those_from_its_first_byte_to_its_
     assert last.packets_per_s < 50
     ended = narrator.ended(last)
     assert ended.packets_per_s == pytest.approx(100.0)
-    assert ended.link_load == pytest.approx(ended.bytes_per_s / 11520, rel=1e-6)
+    assert ended.link_load == pytest.approx(5800 / 11520, rel=1e-3)
+
+
+def test_what_had_queued_up_before_the_start_is_no_load_of_the_run() -> None:
+    pipeline, narrator, _ = narrated()
+    narrator.received(100_000, START)
+    pipeline.feed(bytes(100_000), START)
+    ended = narrator.ended(narrator.tick(send(pipeline, narrator, 10)))
+    assert ended.link_load == pytest.approx(0.5, rel=0.02)
 
 
 def test_bytes_that_do_not_frame_are_called_so_once() -> None:

@@ -71,3 +71,37 @@ def test_a_backlog_at_the_start_is_no_overload() -> None:
     for tick in range(1, 60):
         statistics.add(576, tick * 100_000_000)
         assert not statistics.overloaded(tick * 100_000_000)
+
+
+def late(arrivals_ms: range, stalls_s: list[tuple[float, float]]) -> list[int]:
+    """Return the times at which reads end that cannot happen during the stalls (begin and end, s), ms."""
+    ends = []
+    for time_ms in arrivals_ms:
+        stall = next((stop for start, stop in stalls_s if start <= time_ms / 1000 < stop), None)
+        ends.append(time_ms if stall is None else int(stall * 1000))
+    return ends
+
+
+@pytest.mark.parametrize(
+    "stalls_s", [[(10.0, 10.9)], [(10.0, 14.0)], [(10.0, 50.0)], [(10.0, 14.0), (14.3, 15.9)], [(0.0, 9.0)]]
+)
+def test_a_read_that_comes_late_is_no_load(stalls_s: list[tuple[float, float]]) -> None:
+    statistics = LinkStatistics(LINE)
+    loads = []
+    for number, time_ms in enumerate(late(range(0, 90_000, 10), stalls_s)):
+        statistics.add(50, time_ms * 1_000_000)
+        if number % 10 == 0:
+            loads.append(statistics.load(time_ms * 1_000_000))
+            assert not statistics.overloaded(time_ms * 1_000_000)
+    assert max(load or 0.0 for load in loads) < 0.6
+    assert loads[-1] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("bytes_per_s", [9000, 11_500])
+def test_a_line_that_is_full_is_reported_on_a_busy_computer_too(bytes_per_s: int) -> None:
+    statistics = LinkStatistics(LINE)
+    warned = False
+    for time_ms in late(range(0, 30_000, 10), [(10.0, 11.0), (20.0, 20.4)]):
+        statistics.add(bytes_per_s // 100, time_ms * 1_000_000)
+        warned |= statistics.overloaded(time_ms * 1_000_000)
+    assert warned

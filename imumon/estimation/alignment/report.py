@@ -27,8 +27,9 @@ def rows(status: Status, wanted_deg: float) -> dict[str, str]:
     if status.shown is not None and status.observable and not status.bias_declared and status.positions == 1:
         holds = status.shown.sd * status.earth_rate / DEG_PER_H
         told["condition"] = (
-            "the gyros' turn-on bias is not declared: sigma holds only if that of the one that points east "
-            f"is below {_short(holds)} °/h (gyro_bias_sd_deg_per_h; or --positions 2 removes it)"
+            "the gyros' turn-on bias is not declared: sigma is right only if the bias of the gyro that "
+            f"points east is below {_short(holds)} °/h, which turns the heading by one sigma; declare it "
+            "(gyro_bias_sd_deg_per_h), or measure it with --positions 2"
         )
     if status.shown is not None and status.observable and status.positions == 1:
         per_g = math.sqrt(max((EARTH_RATE / status.earth_rate) ** 2 - 1.0, 0.0))  # tan L

@@ -414,9 +414,9 @@ class Alignment:
             f"rate of {level:.1f} °/h; a turn by half a circle, and a rest, tell them apart; or an axis is "
             "swapped or reversed, or the unit of the gyros or the latitude is wrong": status.phase
             == "not observable",
-            "alignment: the gyros' turn-on bias is not declared (gyro_bias_sd_deg_per_h): the sigma takes it "
-            f"for that of gyros of such noise; {0.01 * level:.2g} °/h more on a gyro that points east turn "
-            "the heading by 0.57°, unseen; a turn by half a circle and a rest take it off": (
+            "alignment: the gyros' turn-on bias is not declared (gyro_bias_sd_deg_per_h), and from one "
+            "position it cannot be told from the earth's rotation: sigma takes it for that of gyros of such "
+            "noise, and is too small where it is larger; a turn by half a circle and a rest take it off": (
                 status.phase in ("aligning", "settled") and not status.bias_declared and status.positions == 1
             ),
             "alignment: the rates contradict the declared bias of the gyros, or the latitude is wrong": bool(
