@@ -13,6 +13,7 @@ densities, N in rad/s/√Hz or m/s²/√Hz, K in rad/s²/√Hz or m/s³/√Hz.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ from imumon.geodesy import STANDARD_GRAVITY
 
 SENSORS = {"accel": ("accelerometer", "acc"), "gyro": ("gyroscope", "gyr")}
 OPENCV = "%YAML:1.0\n"
-"""What OpenCV wants in the first line of a file."""
+"""The first line of a file that OpenCV's FileStorage reads."""
 
 
 def write_kalibr(path: Path, results: Mapping[str, Result], source: Path) -> None:
@@ -56,7 +57,8 @@ def write_openvins(path: Path, results: Mapping[str, Result], source: Path) -> N
         **{name: np.eye(3).tolist() for name in ("Tw", "R_IMUtoGYRO", "Ta", "R_IMUtoACC")},
         "Tg": np.zeros((3, 3)).tolist(),
     }
-    text = dump_yaml({"imu0": chain}, flow=None)
+    # OpenCV refuses a list that stands at the column of its key.
+    text = re.sub(r"^( *)- ", r"\1  - ", dump_yaml({"imu0": chain}, flow=None), flags=re.MULTILINE)
     write_text(path, OPENCV + "\n".join(head) + "\n" + text)
 
 

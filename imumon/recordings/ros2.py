@@ -3,6 +3,9 @@
 Topics are those of REP 145; body axes are forward-left-up (REP 103), also of a device whose own are
 forward-right-down.  Covariances are the squares of the sigmas of the estimators; where there is none they are
 zero, which says unknown, and -1 in the first place where there is no quantity, as `sensor_msgs/Imu` has it.
+
+The covariance of the orientation is about the fixed axes east, north and up, rad².  The message has no sign
+for an unknown heading beside a known tilt: its variance is then `ANY_HEADING`, as while the heading is free.
 """
 
 from __future__ import annotations
@@ -26,6 +29,8 @@ CLOCKS = ("host_time_ns", "arrival_time_ns", "device_time_ns")
 SECOND_NS = 1_000_000_000
 TESLA = {"T": 1.0, "mT": 1e-3, "uT": 1e-6, "nT": 1e-9, "gauss": 1e-4, "mgauss": 1e-7}
 UNKNOWN, NOTHING = [0.0] * 9, [-1.0] + [0.0] * 8
+ANY_HEADING = np.pi**2 / 3
+"""rad²: of a heading that may be any, uniform over the circle."""
 OK, WARN = 0, 1
 FIX, DIAGONAL_KNOWN = "sensor_msgs/msg/NavSatFix", 2
 NOISY = ("gyro", "accel")
@@ -234,8 +239,13 @@ class Stream:
         x, y, z, w = (block[name] for name in names)
         # From forward-left-up to forward-right-down, then as estimated: the product with i.
         q = np.column_stack([w, z, -y, -x] if self.flip else [x, y, z, w])
-        tilt, heading = (block[f"attitude_estimate_{name}_sd"] for name in ("tilt", "heading"))
-        return q, np.column_stack([tilt, tilt, heading]) ** 2
+        missing = np.full(len(block), np.nan)
+        tilt, heading, north = (
+            block.columns.get(f"attitude_estimate_{name}", missing)
+            for name in ("tilt_sd", "heading_sd", "north")
+        )
+        yaw = np.where((north == 1) & np.isfinite(heading), heading**2, ANY_HEADING)
+        return q, np.column_stack([tilt**2, tilt**2, yaw])
 
     def _diagnostics(self, block: SampleBlock, row: int) -> Message | None:
         values = {name: float(block[name][row]) for name in SAID if name in block}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import subprocess
 from pathlib import Path
@@ -118,6 +119,11 @@ def test_the_written_files_say_the_same(done: subprocess.CompletedProcess[str], 
     head, _, rest = (table.parent / "chain.yaml").read_text().partition("\n")
     assert head == "%YAML:1.0"
     assert "&" not in rest
+    lines = [line for line in rest.splitlines() if not line.startswith("#")]
+    for key, item in itertools.pairwise(lines):
+        # As OpenCV's FileStorage has it: a list stands deeper than its key.
+        if key.endswith(":") and item.lstrip().startswith("- "):
+            assert _indent(item) > _indent(key), item
     chain = yaml.safe_load(rest)["imu0"]
     assert {name: chain[name] for name in kalibr} == kalibr
     assert np.array(chain["T_i_b"]).shape == (4, 4)
@@ -127,6 +133,10 @@ def test_the_written_files_say_the_same(done: subprocess.CompletedProcess[str], 
     assert vins["acc_w"] == pytest.approx(max(walks) * np.sqrt(50.0), rel=1e-4)
     with Image.open(table.parent / "a.png") as picture:
         assert picture.size[0] > picture.size[1] > 400
+
+
+def _indent(line: str) -> int:
+    return len(line) - len(line.lstrip(" "))
 
 
 def test_people_read_degrees_and_hours(table: Path) -> None:

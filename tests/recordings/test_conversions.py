@@ -17,6 +17,7 @@ from imumon.columns import KNOWN, Column
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Pipeline
 from imumon.recordings.conversions import convert
+from imumon.recordings.logs.importing import import_log
 from imumon.recordings.ros2 import SECOND_NS, write_ros2
 from imumon.recordings.side_tables import export_run
 from imumon.recordings.source import open_source, run_over
@@ -26,7 +27,8 @@ from tests.protocols.wire import mtdata2_gnss, mtdata2_inertial
 N, START_NS = 400, 1_700_000_000 * SECOND_NS
 ATTITUDE = [Column(f"attitude_estimate_{name}", "1") for name in (*"wxyz", "tilt_sd", "heading_sd")]
 BIAS = [Column(f"{name}_{axis}", "rad/s") for name in ("gyro_bias", "gyro_bias_sd") for axis in "xyz"]
-COLUMNS = {one.name: one for one in [*KNOWN.values(), *ATTITUDE, *BIAS, Column("at_rest", "1", "int64")]}
+FLAGS = [Column(name, "1", "int64") for name in ("at_rest", "attitude_estimate_north")]
+COLUMNS = {one.name: one for one in [*KNOWN.values(), *ATTITUDE, *BIAS, *FLAGS]}
 
 
 def samples() -> SampleBlock:
@@ -50,6 +52,10 @@ def samples() -> SampleBlock:
         columns[f"attitude_estimate_{part}"] = np.full(N, value)
     columns["attitude_estimate_tilt_sd"] = np.full(N, 0.01)
     columns["attitude_estimate_heading_sd"] = np.full(N, 0.1)
+    columns["attitude_estimate_north"] = np.ones(N, np.int64)
+    columns["attitude_estimate_heading_sd"][1] = np.nan
+    columns["attitude_estimate_north"][2] = 0
+    columns["attitude_estimate_tilt_sd"][3] = np.nan
     columns["gyro_x"][7] = np.nan
     return SampleBlock(columns)
 
@@ -100,6 +106,11 @@ def test_ros_has_forward_left_up_axes_and_covariances_of_the_estimators(table: P
         np.diag(estimated[0].angular_velocity_covariance.reshape(3, 3)), 1.01e-6, rtol=0.3
     )
     np.testing.assert_allclose(np.diag(estimated[0].orientation_covariance.reshape(3, 3)), [1e-4, 1e-4, 1e-2])
+    # A heading that is not known, or is free, may be any; without a tilt nothing is known.
+    for row in (1, 2):
+        of_any = np.diag(estimated[row].orientation_covariance.reshape(3, 3))
+        np.testing.assert_allclose(of_any, [1e-4, 1e-4, np.pi**2 / 3])
+    assert not estimated[3].orientation_covariance.any()
     assert raw[0].orientation_covariance[0] == -1.0
     np.testing.assert_allclose(
         rotated(estimated[0].orientation, np.array([1.0, 0, 0])), [0, 1, 0], atol=1e-12
@@ -117,6 +128,12 @@ def test_ros_has_forward_left_up_axes_and_covariances_of_the_estimators(table: P
     assert [one.temperature for one in found["/imu/temperature"]] == [20.0, 20.0, 20.5, 20.5]
     (status,) = found["/diagnostics"][0].status
     assert {pair.key: float(pair.value) for pair in status.values}["gyro_bias_sd_x"] == 1e-4
+
+
+def test_import_prefers_what_the_unit_sent_to_rates_without_their_bias(table: Path, tmp_path: Path) -> None:
+    write_ros2({"imu": table}, tmp_path / "run.mcap", "FRD")
+    made = import_log(tmp_path / "run.mcap", None, tmp_path / "session")
+    assert (made.sensor, made.others) == ("/imu/data_raw", ["/imu/data"])
 
 
 def test_axes_that_nobody_said_stay_as_they_are(table: Path, tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ def is_one(path: Path, head: bytes) -> bool:
 
 
 def read(path: Path, sensor: str | None = None) -> Log:
-    """Return an Imu topic of a bag, the first by name unless it is named.
+    """Return an Imu topic of a bag, the first by name unless it is named; data_raw comes before data.
 
     Raises BAD_DATA when it has none, or cannot be read; BAD_CONFIG when not this one.
     """
@@ -43,7 +43,8 @@ def read(path: Path, sensor: str | None = None) -> Log:
         raise missing_package("this log", "rosbags", "ros2") from error
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
-            topics = sorted({one.topic for one in bag.connections if one.msgtype == IMU and one.msgcount})
+            found = {one.topic for one in bag.connections if one.msgtype == IMU and one.msgcount}
+            topics = sorted(found, key=_raw_first)
             name, others = pick(path, topics, sensor)
             (gyro, *beside), undated = _collect(bag, [name, *(_first(bag, kind) for kind in BESIDE)])
     except ImumonError:
@@ -56,6 +57,11 @@ def read(path: Path, sensor: str | None = None) -> Log:
         ) from error
     warnings = [_undated(name, undated[name], len(gyro.time_ns))] if undated[name] else []
     return Log(name, others, gyro, beside, "FLU", SCALING, warnings=tuple(warnings))
+
+
+def _raw_first(topic: str) -> tuple[str, bool]:
+    """Sort by name, but what a sensor sent before what was made of it, such as rates without their bias."""
+    return topic.removesuffix("_raw"), not topic.endswith("_raw")
 
 
 def _undated(topic: str, count: int, n: int) -> str:
