@@ -22,6 +22,7 @@ from imumon.diagnosis.earth import EarthRate, earth_rate, turned, without
 from imumon.diagnosis.faults import faults
 from imumon.diagnosis.gravity import Length, at_poses, length
 from imumon.diagnosis.known import (
+    check_range,
     effects_of,
     modelled,
     order_of,
@@ -119,7 +120,8 @@ def diagnose(
     `drivers` are what may drive an effect beside temperature, time and specific force; None: all that was
     recorded and varies.
 
-    Raises BAD_DATA when the data cannot show anything, saying why; BAD_CONFIG for a wrong declared model.
+    Raises BAD_DATA when the data cannot show anything, saying why; BAD_CONFIG for a wrong declared model,
+    or a known one that holds at no temperature of the training.
     """
     degree, offsets = parse_declared(declared)
     caveats = [*dict.fromkeys(text for run in (*train, *test) for text in run.warnings)]
@@ -139,6 +141,8 @@ def diagnose(
     blocks = blocks_of_training(train, names, block_s, caveats)
     tested = blocks_of_test(test, names, block_s, caveats)
     seen = survey(blocks, used[0], degree, block_s)
+    if model is not None and seen.thermal:  # else no curve is fitted, and that of the model stays as it is
+        check_range(model, temperatures, blocks)
     _remark(blocks, tested, seen, caveats)
     asked = Asked(temperatures, degree if seen.thermal else 0, "run" if offsets else "")
     if names.drivers and seen.thermal and (said := shadows(blocks, used[0], seen.scale, asked.degree)):

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.recording import Run, common_temperature
 from imumon.effects.base import Effect
 from imumon.errors import ImumonError, Reason
@@ -40,6 +41,23 @@ def temperature_of(channel: str, model: BiasModel, runs: Sequence[Run]) -> str:
     """
     name = model.channels[channel].temperature_column.replace("_estimate", "")
     return common_temperature(name, runs, f"the bias model needs {name}, which not every run has")
+
+
+def check_range(model: BiasModel, temperatures: Mapping[str, str], runs: Sequence[RunBlocks]) -> None:
+    """Refuse a model whose curves hold at no temperature of the runs: nothing of them could be fitted anew.
+
+    Raises BAD_CONFIG, naming both ranges.
+    """
+    for name, temperature in temperatures.items():
+        found = np.concatenate([run.temperature[temperature] for run in runs])
+        low, high = model.channels[name].temperature_range_degc
+        if max(low, float(found.min())) >= min(high, float(found.max())):
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"the bias model of {name} holds from {low:.2f} to {high:.2f} °C, the training data has"
+                f" {found.min():.2f} to {found.max():.2f} °C: they do not overlap",
+                "give a model that was calibrated at these temperatures, or none: leave --model out",
+            )
 
 
 def order_of(channel: ChannelModel) -> int:

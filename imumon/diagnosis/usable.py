@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import LEAST_BLOCKS, REST_SHARE, RunBlocks, make_blocks
 from imumon.diagnosis.device_clock import CLOCK
 from imumon.diagnosis.faults import without_standstill
@@ -18,6 +19,8 @@ LEAST_REST = 0.5
 LEAST_THERE = 0.1
 """Share of its time in which a channel that is used has samples."""
 MANY_GAPS = 0.2
+RESOLUTION = 1e-12
+"""Share of its value below which the changes of a channel are rounding in the computation of its means."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +56,7 @@ def _channels(runs: Sequence[Run], sensors: Sequence[str], caveats: list[str]) -
         if len(there) < len(runs):
             lacking = ", ".join(run.name for run in runs if run not in there)
             caveats.append(f"{name} is left out: {lacking} hardly has it")
-        elif not any(np.nanstd(run.mean[name]) > 0 or np.nanmax(run.variance[name]) > 0 for run in runs):
+        elif not any(_varies(run.mean[name], run.variance[name]) for run in runs):
             value = float(np.nanmean(runs[0].mean[name]))
             caveats.append(f"{name} is left out: it has one value throughout, {value:g} {unit_of(name)}")
         else:
@@ -65,6 +68,13 @@ def _channels(runs: Sequence[Run], sensors: Sequence[str], caveats: list[str]) -
             "give sessions that have them, or a map that says which columns they are",
         )
     return found
+
+
+def _varies(mean: FloatArray, variance: FloatArray) -> bool:
+    """Tell whether a channel changes by more than the rounding of its means, in or between its slots."""
+    known, scatter = mean[np.isfinite(mean)], variance[np.isfinite(variance)]
+    resolution = RESOLUTION * float(np.abs(known).max())
+    return bool(np.ptp(known) > resolution or (scatter > resolution**2).any())
 
 
 def temperature_of_axis(channel: str, runs: Sequence[Run]) -> str:

@@ -14,10 +14,10 @@ from imumon.diagnosis.engine import Diagnosis, diagnose
 from imumon.diagnosis.extended import extended_model
 from imumon.diagnosis.recording import Origin, Run, read_runs
 from imumon.diagnosis.report import report
-from imumon.errors import ImumonError
+from imumon.errors import ImumonError, Reason
 from imumon.estimation.rest.stage import RestDetector
 from imumon.models.curves.points import Points
-from imumon.models.curves.polynomial import fit_polynomial
+from imumon.models.curves.polynomial import PolynomialCurve, fit_polynomial
 from imumon.models.curves.spline import SplineCurve
 from imumon.models.model import BiasModel, ChannelModel, load_model
 from imumon.models.predictor import BiasPredictor
@@ -326,6 +326,25 @@ def test_a_known_model_is_taken_off_first_and_goes_into_the_file_with_what_it_la
     again = diagnose(*three(lag), model=extended_model(diagnosis))
     assert names(again) == []
     assert not again.verdicts[0].unexplained
+
+
+def test_a_known_model_of_other_temperatures_is_refused_before_the_search() -> None:
+    channel = ChannelModel(
+        unit="rad/s",
+        temperature_column="temperature",
+        temperature_range_degc=[-20.0, -0.5],
+        residual_sd=1e-6,
+        curve=PolynomialCurve(center_degc=-10.25, half_width_degc=9.75, coefficients=[0.0, 1e-5]),
+    )
+    known = BiasModel(made_by="a test", created="2026-01-01T00:00:00Z", channels={"gyro_x": channel})
+    done: list[str] = []
+    with pytest.raises(
+        ImumonError, match=r"from -20.00 to -0.50 °C.*has 1\d\.\d\d to \d\d\.\d\d °C"
+    ) as error:
+        diagnose(*three(lag), progress=done.append, model=known)
+    assert error.value.reason is Reason.BAD_CONFIG
+    assert "--model" in error.value.hint
+    assert done == []
 
 
 def test_a_curve_that_was_fitted_with_the_effect_in_it_is_fitted_anew_until_nothing_is_found() -> None:

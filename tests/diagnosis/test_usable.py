@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from imumon.diagnosis.blocks import common_block_s
+from imumon.diagnosis.engine import diagnose
 from imumon.diagnosis.recording import SENSORS, Run
 from imumon.diagnosis.usable import Names, blocks_of_test, blocks_of_training, resting, usable_channels
 from tests.diagnosis.units import three
@@ -32,6 +33,18 @@ def test_a_channel_with_one_value_is_left_out_and_said() -> None:
     caveats: list[str] = []
     assert usable_channels(train, test, SENSORS, caveats) == ["gyro_x"]
     assert caveats == ["gyro_y is left out: it has one value throughout, 0 rad/s"]
+
+
+def test_a_channel_of_one_value_whose_means_differ_in_the_last_bit_is_left_out_and_said() -> None:
+    train, test = three(still, SECONDS)
+    for one in (*train, *test):
+        value = np.full(SECONDS, 0.001)
+        value[::2] = np.nextafter(0.001, 1.0)
+        one.mean["gyro_y"], one.variance["gyro_y"] = value, np.full(SECONDS, np.spacing(0.001) ** 2)
+        one.count["gyro_y"] = one.count["gyro_x"]
+    diagnosis = diagnose(train, test)
+    assert [verdict.name for verdict in diagnosis.verdicts] == ["gyro_x"]
+    assert "gyro_y is left out: it has one value throughout, 0.001 rad/s" in diagnosis.caveats
 
 
 def test_a_channel_that_a_training_run_lacks_is_left_out_and_said() -> None:
