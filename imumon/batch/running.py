@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
+import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from itertools import islice
+from multiprocessing import resource_tracker
 from typing import Any
 
 from imumon.batch.dataset import Row
@@ -36,29 +37,45 @@ def workers(scheduler: str | None, number: int) -> Iterator[Any]:
     try:
         import dask
         from distributed import Client, LocalCluster
+        from distributed.utils import silence_logging_cmgr
     except ImportError as error:
         raise missing_package("a batch", "distributed", "batch") from error
     if scheduler is None:
-        with (
-            dask.config.set({"distributed.deploy.lost-worker-timeout": RESTART_S}),
-            LocalCluster(
-                n_workers=number,
-                threads_per_worker=1,
-                dashboard_address=f"{LOCALHOST}:0",  # any port: another batch may run
-                silence_logs=logging.CRITICAL,
-            ) as cluster,
-            Client(cluster) as client,
-        ):
-            yield client
+        with dask.config.set({"distributed.deploy.lost-worker-timeout": RESTART_S}):
+            with _deaf_to_interrupts():
+                cluster = LocalCluster(
+                    n_workers=number,
+                    threads_per_worker=1,
+                    dashboard_address=f"{LOCALHOST}:0",  # any port: another batch may run
+                    silence_logs=logging.CRITICAL,
+                )
+            with cluster, Client(cluster) as client:
+                yield client
         return
+    with silence_logging_cmgr(logging.CRITICAL):
+        try:
+            client = Client(scheduler, timeout=CONNECT_S)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise ImumonError(
+                Reason.NOT_FOUND, f"no scheduler at {scheduler}: {error}", "start one: dask scheduler"
+            ) from error
+        with client:
+            yield client
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Begin threads and processes that take no Ctrl-C: a terminal sends it to the workers as well.
+
+    The mask is inherited, also by a worker that such a thread begins anew later.  The tracker of
+    multiprocessing would lift it, were it begun with the first worker.
+    """
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        client = Client(scheduler, timeout=CONNECT_S)
-    except (OSError, ValueError, TimeoutError) as error:
-        raise ImumonError(
-            Reason.NOT_FOUND, f"no scheduler at {scheduler}: {error}", "start one: dask scheduler"
-        ) from error
-    with client:
-        yield client
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def run_jobs(
@@ -70,6 +87,8 @@ def run_jobs(
     """Do all jobs, in the order in which they end; `take` is given the rows of each.
 
     The tasks of a worker that dies are done by another one; a task with which several die has failed.
+
+    Raises LOST where the scheduler has lost a task: that is no failure of its session.
     """
     from distributed import as_completed
 
@@ -94,15 +113,22 @@ def _rows(future: Any, job: Job) -> Sequence[Row]:
 
     Whether it has is for `result` to say: the rows of one that ended are lost when the worker that holds them
     dies before they are fetched, and then are made again.
+
+    Raises LOST where the scheduler has lost the task.
     """
     from distributed.scheduler import KilledWorker
 
     try:
         rows: Sequence[Row] = future.result()
-    except CancelledError:
-        return [failure(job.place, "lost", "the scheduler has forgotten the task")]
     except KilledWorker:
         return [failure(job.place, "worker died", "each of several workers died with this session")]
-    except Exception as error:  # noqa: BLE001 whatever a session met is its failure, not the batch's
+    except Exception as error:
+        if future.status != "error":
+            raise ImumonError(
+                Reason.LOST,
+                "the scheduler has lost the tasks of this batch: it ended, or was started anew",
+                "what is done is kept; with a scheduler that runs, the same command does the rest",
+            ) from error
+        # Whatever a session met is its failure, not the batch's.
         return [failure(job.place, "defect", f"{type(error).__name__}: {error}")]
     return rows

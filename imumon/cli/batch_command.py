@@ -10,13 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imumon.cli.common import PATH, SECONDS, Number, console, json_option, print_json, print_rows, warn
+from imumon.cli.common import PATH, SECONDS, Number, console, json_option, note, print_json, print_rows, warn
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK
+from imumon.files import write_text
+from imumon.harmless import for_log
 
 if TYPE_CHECKING:
     from imumon.batch.tasks import Job
 
-SHOWN_FAILURES = 5
+SHOWN_FAILURES = 20
+FAILED_NAME = "failed.txt"
+"""Lists all that failed, where that is more than is shown."""
 
 
 @click.group("batch")
@@ -130,10 +134,15 @@ def _run(
         if left:
             jobs = (Job(place, options, str(results.folder), limit_s=timeout) for place in left)
             _work(jobs, len(left), results, scheduler, workers, quiet=as_json)
+    except KeyboardInterrupt:
+        results.write()
+        kept = f"{len(results.done().intersection(every)):,} of {len(every):,} sessions are done"
+        note(f"imumon: interrupted: {kept}; the same command does the rest")
+        raise
     finally:
         results.close()
     failures = {place: why for place, why in results.failures().items() if place in set(every)}
-    warn(f"{place}: {why}" for place, why in [*failures.items()][:SHOWN_FAILURES])
+    _show_failures(failures, out / FAILED_NAME)
     reasons = Counter(why.partition(":")[0] for why in failures.values())
     if as_json:
         print_json(
@@ -147,6 +156,16 @@ def _run(
         }
     )
     return EXIT_NEGATIVE if len(failures) == len(every) else EXIT_OK
+
+
+def _show_failures(failures: dict[str, str], path: Path) -> None:
+    """Name what failed; all of it in a file where that is too much for a screen."""
+    lines = [f"{place}: {why}" for place, why in sorted(failures.items())]
+    path.unlink(missing_ok=True)
+    warn(lines[:SHOWN_FAILURES])
+    if len(lines) > SHOWN_FAILURES:
+        write_text(path, "".join(f"{for_log(line)}\n" for line in lines))
+        warn([f"{len(lines) - SHOWN_FAILURES:,} more failed; all {len(lines):,} are in {path}"])
 
 
 def _work(

@@ -163,7 +163,7 @@ def open_session(path: Path) -> Session:
     if not session.truth_path.is_file():
         raise ImumonError(
             Reason.BAD_DATA,
-            f"{path}: the data of this session is missing: there is no {session.truth_path.name}",
+            f"{path}: the data of this session is missing: {_instead_of(session.truth_path)}",
         )
     return session
 
@@ -225,6 +225,15 @@ def _advice(folder: Path) -> str:
     if not (folder / METADATA_NAME).is_file() and (folder / SAMPLES_NAME).is_file():
         return f"its samples are there, and can be read as a table: {folder / SAMPLES_NAME}"
     return ""
+
+
+def _instead_of(file: Path) -> str:
+    """Say what is where a file should be."""
+    if file.is_symlink() and not file.exists():
+        return f"{file.name} is a link to {file.readlink()}, which is not there"
+    if not file.exists():
+        return f"there is no {file.name}"
+    return f"{file.name} is {'a folder' if file.is_dir() else 'a pipe or a device'}, not a file"
 
 
 def _what_is_at(path: Path) -> str:

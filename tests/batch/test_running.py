@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import socket
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from imumon.batch.dataset import RESULTS, ROWS, Row, schema_of
+from imumon.batch.dataset import RESULTS, ROWS, Dataset, Row, schema_of
 from imumon.batch.limit import limited
 from imumon.batch.options import BatchOptions
 from imumon.batch.running import run_jobs, workers
@@ -24,7 +26,7 @@ from imumon.batch.tasks import Job, work
 from imumon.errors import ImumonError, Reason
 from tests.batch.sessions import tiny
 from tests.calibration.records import few_steps
-from tests.cli.command import answer, imumon
+from tests.cli.command import IMUMON, answer, imumon
 from tests.transport.helpers import wait_until
 
 DECODE = BatchOptions(command="decode")
@@ -80,6 +82,111 @@ def test_command_resumes_and_lists_failures(sessions: Path, tmp_path: Path, clie
     again = answer("batch", "decode", sessions, *options, "--retry")
     assert list(again["failed"]) == [str(sessions / "s07")]
     assert len(table(out)) == len(found) - 1 + len(first_channels(found))
+
+
+def test_what_a_scheduler_lost_is_no_failure_and_is_done_by_the_same_command(
+    sessions: Path, tmp_path: Path, client: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    out, good, add = tmp_path / "out", [sessions / f"s{n:02}" for n in range(5)], Dataset.add
+    with (
+        dask("scheduler", "--host", address, "--no-dashboard") as scheduler,
+        dask("worker", address, "--nthreads", "1", "--no-dashboard"),
+    ):
+
+        def killing(self: Dataset, rows: Any) -> None:
+            add(self, rows)
+            scheduler.kill()
+            scheduler.wait()
+
+        assert wait_until(lambda: answers(address), 60.0)
+        with monkeypatch.context() as patch:
+            patch.setattr(Dataset, "add", killing)
+            broken = imumon("batch", "decode", *good, "--out", out, "--scheduler", address)
+    assert broken.returncode == 3
+    assert "imumon: lost: the scheduler has lost the tasks" in broken.stderr
+    assert "the same command does the rest" in broken.stderr
+    rows = table(out)
+    assert {row["session"] for row in rows} < set(map(str, good))
+    assert {row["reason"] for row in rows} == {None}
+    again = answer("batch", "decode", *good, "--out", out, "--scheduler", client.scheduler.address)
+    assert (again["sessions"], again["done_before"], again["failed"]) == (5, 1, {})
+
+
+@contextmanager
+def dask(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a program of Dask."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "dask", *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.terminate()
+
+
+def answers(address: str) -> bool:
+    """Tell whether a scheduler is there, with a worker."""
+    try:
+        with workers(address, 1) as found:
+            return bool(found.nthreads())
+    except ImumonError:
+        return False
+
+
+def test_ctrl_c_on_a_terminal_says_in_one_line_how_to_go_on(tmp_path: Path) -> None:
+    lab = tmp_path / "lab"
+    first = tiny(lab / "s00", seconds=30.0)
+    for number in range(1, 60):
+        (lab / f"s{number:02}").mkdir()
+        shutil.copy(first / "session.yaml", lab / f"s{number:02}")
+        (lab / f"s{number:02}" / "wire.mcap").symlink_to(first / "wire.mcap")
+    command = [IMUMON, "batch", "replay", str(lab), "--out", str(tmp_path / "out"), "--workers", "2"]
+    with subprocess.Popen(
+        [sys.executable, "-c", TERMINAL, *command],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        bufsize=0,
+        env=os.environ | {"TERM": "xterm", "COLUMNS": "100"},
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        shown = ""
+        while not re.search(r"[1-9]\d?%", shown):
+            data = process.stdout.read(1 << 16)
+            assert data, shown
+            shown += data.decode(errors="replace")
+        process.stdin.write(b"\x03")
+        shown += process.stdout.read().decode(errors="replace")
+    assert process.returncode == 130
+    text = re.sub(r"\x1b\[[?0-9;]*[A-Za-z]", "", shown)
+    lines = [line.strip() for line in re.split(r"[\r\n]+", text) if line.strip()]
+    (said,) = (line for line in lines if not re.match(r"(\^C)?sessions ", line))
+    done = re.fullmatch(
+        r"imumon: interrupted: (\d+) of 60 sessions are done; the same command does the rest", said
+    )
+    assert done is not None, said
+    assert len({row["session"] for row in table(tmp_path / "out")}) == int(done[1]) > 0
+
+
+TERMINAL = "import os, pty, sys; sys.exit(os.waitstatus_to_exitcode(pty.spawn(sys.argv[1:])))"
+
+
+def test_more_failures_than_a_screen_takes_are_all_in_a_file(tmp_path: Path, client: Any) -> None:
+    for number in range(25):
+        (tmp_path / "lab" / f"s{number:02}").mkdir(parents=True)
+        (tmp_path / "lab" / f"s{number:02}" / "session.yaml").write_text("format: nothing of ours\n")
+    out, every = tmp_path / "out", tmp_path / "lab"
+    options = ("--out", out, "--scheduler", client.scheduler.address)
+    few = imumon("batch", "decode", *sorted(every.iterdir())[:13], *options)
+    assert all(f"{every}/s{number:02}: bad data" in few.stderr for number in range(13))
+    assert not (out / "failed.txt").exists()
+    many = imumon("batch", "decode", every, *options)
+    assert many.returncode == 1
+    assert f"5 more failed; all 25 are in {out}/failed.txt" in many.stderr
+    lines = (out / "failed.txt").read_text().splitlines()
+    assert [line.partition(":")[0] for line in lines] == [f"{every}/s{number:02}" for number in range(25)]
 
 
 def first_channels(rows: list[Row]) -> list[Row]:

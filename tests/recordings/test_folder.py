@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import errno
+import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -83,6 +85,22 @@ def test_a_path_that_is_no_session_is_refused_with_what_is_there(tmp_path: Path)
 def test_a_session_without_its_data_is_refused(tmp_path: Path) -> None:
     create_session(tmp_path / "s", metadata())
     with pytest.raises(ImumonError, match=r"there is no wire\.mcap"):
+        open_session(tmp_path / "s")
+
+
+@pytest.mark.parametrize(
+    ("make", "seen"),
+    [
+        (lambda path: path.mkdir(), "is a folder, not a file"),
+        (os.mkfifo, "is a pipe or a device, not a file"),
+        (lambda path: path.symlink_to("gone"), "is a link to gone, which is not there"),
+    ],
+)
+def test_what_is_in_the_place_of_the_data_is_named(
+    make: Callable[[Path], object], seen: str, tmp_path: Path
+) -> None:
+    make(create_session(tmp_path / "s", metadata()).wire_path)
+    with pytest.raises(ImumonError, match=rf"is missing: wire\.mcap {seen}"):
         open_session(tmp_path / "s")
 
 
