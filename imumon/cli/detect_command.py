@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     "--propose",
     "proposed",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Write the device file that is proposed for lines of text that nobody knows; must not exist.",
+    help="Write the device file that is proposed for a device that is not known; must not exist.",
 )
 @json_option
 def command(
@@ -41,8 +41,9 @@ def command(
 ) -> None:
     """Find baud rate and protocol of the device on PORT by trying, and show the evidence.
 
-    For lines of text that no device file describes one is proposed, with the reasons: look at it, and give
-    its path as --device.  Exit code 0 when a device was found, 3 when nothing frames.
+    For lines of text and for binary packets of fixed length that no device file describes one is proposed,
+    with the reasons: look at it, and give its path as --device.  Exit code 0 when a device was found; 3 when
+    nothing came, or what came are packets of none of the devices tried.
     """
     from imumon.files import check_output
     from imumon.protocols.device import device_names, load_device
@@ -50,11 +51,17 @@ def command(
 
     if proposed is not None:
         check_output(proposed)
-    heard = bytearray()
+    heard = dict[int | None, bytearray]()
+    rate: int | None = None
 
     def begin(settings: PortSettings) -> None:
-        heard.clear()
+        nonlocal rate
+        rate = settings.baudrate if settings.has_line else None
+        heard[rate] = bytearray()
         note(f"listening to {_where(settings)}")
+
+    def keep(data: bytes) -> None:
+        heard[rate] += data
 
     devices = {name: load_device(name) for name in names or device_names()}
     own_rates = [rate for device in devices.values() for rate in device.serial.baudrates[:1]]
@@ -64,18 +71,18 @@ def command(
         list(rates) or baudrates_to_try(own_rates),
         seconds,
         begin,
-        heard.extend,
+        keep,
     )
     wrong = failure(port, evidence)
     fit = [item for item in evidence if item.verdict is Verdict.FRAMES]
-    proposal = _propose(bytes(heard), evidence) if wrong else None
+    proposal = _propose(heard, evidence) if wrong else None
     if as_json:
         print_json(_as_data(evidence, fit, proposal))
     else:
         _show(evidence)
         _suggest(port, fit)
         if proposal:
-            show(f"\nlines of text that no device file describes; this one may:\n\n{proposal}")
+            show(f"\nno device file describes what came; this one may:\n\n{proposal}")
     if proposal and proposed:
         from imumon.files import write_text
 
@@ -92,14 +99,20 @@ def _as_data(evidence: list[Evidence], fit: list[Evidence], proposal: str | None
     return {"found": found[0] if found else None, "fit": found, "evidence": rows, "proposal": proposal}
 
 
-def _propose(heard: bytes, evidence: list[Evidence]) -> str | None:
-    """Return a device file for what was heard at the last rate, when that is lines of text."""
-    last = max(evidence, key=lambda item: (item.tells_the_rate, item.text_share), default=None)
-    if last is None or not last.tells_the_rate:
-        return None
-    from imumon.protocols.text_proposal import propose
+def _propose(heard: dict[int | None, bytearray], evidence: list[Evidence]) -> str | None:
+    """Return a device file for lines of text, or for binary packets of fixed length at one of the rates."""
+    from imumon.protocols import binary_proposal, text_proposal
+    from imumon.transport.detect import Verdict
 
-    return propose(heard, last.seconds, last.baudrate)
+    last = max(evidence, key=lambda item: (item.tells_the_rate, item.text_share), default=None)
+    if last is not None and last.tells_the_rate:
+        return text_proposal.propose(bytes(heard[last.baudrate]), last.seconds, last.baudrate)
+    if any(item.verdict is Verdict.PARTLY for item in evidence):
+        return None  # a known device whose bytes are damaged
+    seconds = {item.baudrate: item.seconds for item in evidence}
+    tried = [binary_proposal.propose(bytes(heard[rate]), s, rate) for rate, s in seconds.items()]
+    found = max((one for one in tried if one is not None), key=lambda one: one.weight, default=None)
+    return None if found is None else found.text
 
 
 def _suggest(port: str, fit: list[Evidence]) -> None:

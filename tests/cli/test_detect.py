@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from imumon.protocols.device import device_text, load_device
+from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.virtual_device import VirtualDevice
 from imumon.simulation.virtual_port import VirtualPort
 from tests.cli.command import answer, imumon
@@ -44,3 +45,28 @@ def test_lines_of_text_get_a_device_file_that_reads_them(tmp_path: Path) -> None
 def test_devices_say_against_what_they_were_checked() -> None:
     assert "checked against 24 frames" in imumon("devices").stdout
     assert all(device["verified"] != "not said" for device in answer("devices").values())
+
+
+def test_binary_packets_get_a_device_file_that_reads_them(tmp_path: Path) -> None:
+    unit = SimulatedUnit(load_scenario("bench")).samples(400)
+    packets = list(load_device("ax1").encoder().encode(unit))
+    board, capture = tmp_path / "board.yaml", tmp_path / "capture.bin"
+    capture.write_bytes(b"".join(packets))
+    rates = ["--baud", 57600, "--baud", 115200]
+    with VirtualPort(baudrate=115200) as port, sending(port, lambda n: packets[n % 400]):
+        done = imumon("detect", port.path, "--propose", board, "--device", "sbg", *rates, "--seconds", 1)
+    assert done.returncode == 3, done.stderr
+    assert "no device file describes what came" in done.stdout
+    assert "type: fletcher16-256" in done.stdout
+    assert load_device(str(board)).serial.baudrates == [115200]
+    result = answer("decode", capture, "--device", board, "--out", tmp_path / "t.csv")
+    assert result["samples"] == 400
+
+
+def test_noise_gets_no_device_file(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    with VirtualPort(baudrate=115200) as port, sending(port, lambda _: rng.bytes(40)):
+        options = ["--device", "sbg", "--baud", 115200, "--seconds", 1]
+        done = imumon("detect", port.path, "--propose", tmp_path / "board.yaml", *options)
+    assert done.returncode == 3, done.stderr
+    assert not (tmp_path / "board.yaml").exists()

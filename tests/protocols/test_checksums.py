@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -46,6 +47,21 @@ def test_every_checksum_has_a_check_value() -> None:
 @pytest.mark.parametrize("name", CHECK)
 def test_check_values(name: str) -> None:
     assert compute(name, b"123456789") == CHECK[name]
+
+
+def test_the_manual_has_the_parameters_and_check_values_of_all() -> None:
+    page = Path(__file__).parents[2] / "docs" / "device-files.md"
+    lines = page.read_text(encoding="utf-8").splitlines()
+    rows = {
+        cells[1].strip("`"): cells[2:-1] for x in lines if len(cells := x.replace(" ", "").split("|")) > 4
+    }
+    for name, value in CHECK.items():
+        assert int(rows[name][-1], 16) == value
+    for name, crc in CRCS.items():
+        polynomial, initial, reflected, final_xor, _ = rows[name]
+        numbers = [int(text, 16) for text in (polynomial, initial, final_xor)]
+        assert numbers == [crc.polynomial, crc.initial, crc.final_xor]
+        assert reflected == ("yes" if crc.reflected else "no")
 
 
 @pytest.mark.parametrize("name", CRCS)

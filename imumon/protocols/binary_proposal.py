@@ -1,0 +1,363 @@
+"""A device file proposed from binary packets of fixed length that no device file describes.
+
+What repeats at a fixed distance is the sync pattern, and the distance is the length.  Every checksum of the
+catalogue is tried at the end of the packet.  Bytes that count are found by their differences; all others stay
+unknown, for somebody to fill in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from imumon.blocks import BoolArray, IntArray
+from imumon.protocols.checksums import CHECKSUM_NAMES
+from imumon.protocols.frame_checks import Trailing, sent, trailing
+from imumon.protocols.framing import windows
+from imumon.protocols.stream import ByteArray
+
+LEAST_PACKETS: Final = 8
+"""Packets from which a layout is proposed."""
+SHORTEST, LONGEST = 6, 1024
+"""Lengths of packets that are looked for."""
+MOST_BYTES: Final = 1 << 16
+USUAL: Final = 0.1
+"""Share of the distances between sync patterns from which a distance is the length of a packet."""
+CONSTANT: Final = 0.9
+"""Share of the packets in which a byte that is always the same must be so: some are damaged."""
+COVERED: Final = 0.5
+"""Share of the bytes that must be in packets; a damaged sync pattern takes two packets out of the count."""
+COVERED_UNCHECKED: Final = 0.8
+"""The same where no checksum proves the packets."""
+RIGHT: Final = 0.3
+LEAST_RIGHT: Final = 5
+"""Share and number of packets whose checksum must fit: 0.3 of 120 bytes with 1 % of bytes damaged."""
+TRIED_PACKETS: Final = 24
+TRIED_PATTERNS: Final = 8
+FIRSTS: Final = np.arange(9)
+"""Places at which a checksum may begin: it often leaves out the sync pattern."""
+UNITS: Final = {"us": 1e-6, "ms": 1e-3}
+"""Units of a clock of 32 bits; in ns it would wrap after 4 s."""
+LONGEST_SYNC: Final = 4
+"""A constant byte behind these may be a status that changes one day."""
+COUNTS: Final = 0.8
+"""Share of the packets that must count on from the one before."""
+BYTES_PER_LINE: Final = 8
+MOSTLY_TEXT: Final = 0.95
+"""Share of printable bytes from which a stream is text, whose lines may all be of one length."""
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """A device file, and how well it is founded."""
+
+    text: str
+    checked: bool
+    """Whether a checksum fits."""
+    covered: float
+    """Share of the bytes that are in packets."""
+
+    @property
+    def weight(self) -> tuple[bool, float]:
+        """What orders proposals, the best last."""
+        return self.checked, self.covered
+
+
+@dataclass(frozen=True, slots=True)
+class _Check:
+    """A checksum at the end of packets, over all bytes from `first` on."""
+
+    name: str
+    first: int
+    big: bool
+    zeros: int
+
+    @property
+    def trailing(self) -> Trailing:
+        return trailing(self.name, self.first, self.big, self.zeros)
+
+    def right(self, kind: _Kind) -> int:
+        """Return in how many packets it fits."""
+        n, size = kind.packets.shape
+        right = self.trailing(kind.packets.reshape(-1), np.arange(n) * size, np.full(n, size))
+        return int(np.count_nonzero(right))
+
+
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    """Packets of one length: where they begin, their bytes (n, length)."""
+
+    at: IntArray
+    packets: ByteArray
+
+    @property
+    def length(self) -> int:
+        return int(self.packets.shape[1])
+
+    def rate(self, seconds: float) -> float:
+        """Return how many come a second."""
+        return len(self.at) / seconds if seconds > 0 else 0.0
+
+
+def propose(data: bytes, seconds: float, baudrate: int | None) -> Proposal | None:
+    """Return a device file for binary packets; None when nothing repeats as packets do.
+
+    Parameters
+    ----------
+    data : bytes
+        What came; may begin and end anywhere.
+    seconds : float
+        Time in which it came.
+    baudrate : int or None
+        Rate in bit/s at which it came.
+    """
+    held = np.frombuffer(data[:MOST_BYTES], np.uint8)
+    seconds *= len(held) / max(len(data), 1)
+    best: Proposal | None = None
+    for anchors, lengths in _repeating(held):
+        found = _proposal(held, anchors, lengths, seconds, baudrate)
+        if found is not None and (best is None or found.weight > best.weight):
+            best = found
+        if best is not None and best.checked:
+            break
+    return best
+
+
+def _repeating(held: ByteArray) -> list[tuple[IntArray, IntArray]]:
+    """Return places of patterns of one or two bytes, and the usual distances between them, the best first."""
+    if len(held) < LEAST_PACKETS * SHORTEST:
+        return []
+    if np.mean((held >= 0x20) & (held < 0x7F) | np.isin(held, (0x09, 0x0A, 0x0D))) > MOSTLY_TEXT:
+        return []
+    pairs = held[:-1].astype(np.int64) << 8 | held[1:]
+    often = np.argsort(np.bincount(pairs, minlength=1 << 16), kind="stable")[:-65:-1]
+    places = [
+        *(np.flatnonzero(pairs == pair) for pair in often),
+        *(np.flatnonzero(held == b) for b in range(256)),
+    ]
+    found: dict[tuple[int, ...], tuple[float, IntArray, IntArray]] = {}
+    for at in places:
+        distances = np.diff(at)
+        count = np.bincount(distances[distances <= LONGEST], minlength=SHORTEST + 1)
+        count[:SHORTEST] = 0
+        lengths = np.flatnonzero(count >= max(LEAST_PACKETS, USUAL * len(distances)))
+        covered = float(count[lengths] @ lengths) / len(held)
+        score = covered - USUAL * len(lengths)
+        key = tuple(lengths.tolist())
+        if covered > COVERED and (key not in found or score > found[key][0]):
+            found[key] = score, at, lengths
+    best = sorted(found.values(), key=lambda one: -one[0])[:TRIED_PATTERNS]
+    return [(at, lengths) for _, at, lengths in best]
+
+
+def _proposal(
+    held: ByteArray, anchors: IntArray, lengths: IntArray, seconds: float, baudrate: int | None
+) -> Proposal | None:
+    """Return the device file for packets of these lengths that repeat a pattern at these places."""
+    distances = np.diff(anchors)
+    apart = {n: anchors[:-1][distances == n] for n in lengths.tolist()}
+    main = max(apart, key=lambda n: n * len(apart[n]))
+    shift, check = _beginning(held, apart[main], main)
+    if shift is None or (check is None and len(apart) > 1):
+        return None
+    kinds = [_cut(held, places, n, shift) for n, places in apart.items()]
+    if check is not None:
+        kinds = [k for k in kinds if check.right(k) >= RIGHT * len(k.at) and _constant(k.packets)[0]]
+    covered = sum(kind.packets.size for kind in kinds) / len(held)
+    if covered < (COVERED if check else COVERED_UNCHECKED):
+        return None
+    text = "\n".join([*_head(kinds, seconds, baudrate, covered), *_layouts(kinds, check, seconds)]) + "\n"
+    return Proposal(text, check is not None, covered)
+
+
+def _cut(held: ByteArray, anchors: IntArray, length: int, shift: int) -> _Kind:
+    at = anchors + shift
+    at = at[(at >= 0) & (at + length <= len(held))]
+    return _Kind(at, windows(held, at, length))
+
+
+def _constant(packets: ByteArray) -> BoolArray:
+    """Return which bytes are the same in nearly all packets, (length,)."""
+    return np.asarray(np.mean(packets == np.median(packets, axis=0), axis=0) >= CONSTANT)
+
+
+def _beginning(held: ByteArray, anchors: IntArray, length: int) -> tuple[int | None, _Check | None]:
+    """Return where packets begin, from the pattern on, and their checksum; None where nothing tells it."""
+    constant = _constant(_cut(held, anchors, length, 0).packets)
+    begins = np.flatnonzero(constant & ~np.roll(constant, 1))
+    # The high byte of a sum may be constant as well: then the packet begins behind it.
+    places = np.append(begins, (begins + 1) % length)
+    places = places[constant[places]]
+    shifts = np.where(places > length // 2, places - length, places).tolist()
+    best: tuple[float, int, int, _Check] | None = None
+    for shift in shifts:
+        packets = np.unique(_cut(held, anchors, length, shift).packets, axis=0)
+        packets = packets[np.linspace(0, len(packets) - 1, min(len(packets), TRIED_PACKETS)).astype(int)]
+        for right, check in _fitting(packets):
+            if best is None or (right, check.trailing.size) > best[:2]:
+                best = right, check.trailing.size, shift, check
+    if best is not None:
+        return best[2:]
+    runs = {s: int(np.argmin(np.append(np.roll(constant, -s), False))) for s in shifts}
+    longest = max(runs, key=lambda s: runs[s], default=0)
+    return (None, None) if constant.all() or runs.get(longest, 0) < 2 else (longest, None)
+
+
+def _fitting(packets: ByteArray) -> Iterator[tuple[float, _Check]]:
+    """Yield checksums that fit at the end of different packets, and in which share of them."""
+    n, size = packets.shape
+    held, begin = packets.reshape(-1), np.arange(n) * size
+    for name in CHECKSUM_NAMES[1:]:
+        for zeros in range(4 if name.startswith("crc32") else 1):
+            check = trailing(name, zeros=zeros)
+            firsts = FIRSTS[: size - check.size - 1]
+            first, last = (begin[:, np.newaxis] + firsts).reshape(-1), begin + size - check.size
+            values = check.values(held, first, last.repeat(len(firsts))).reshape(n, -1)
+            for big in (False, True)[: check.size]:
+                stored = sent(held, begin + size, check.size, big)
+                right = np.sum(values == stored[:, np.newaxis], axis=0)
+                k = int(np.argmax(right))
+                if right[k] >= max(LEAST_RIGHT, RIGHT * n) and len(np.unique(stored)) >= LEAST_RIGHT:
+                    yield float(right[k]) / n, _Check(name, int(firsts[k]), big, zeros)
+
+
+def _head(kinds: list[_Kind], seconds: float, baudrate: int | None, covered: float) -> Iterator[str]:
+    """Yield the lines of the file that do not describe packets."""
+    n = sum(len(kind.packets) for kind in kinds)
+    rate = max(kind.rate(seconds) for kind in kinds) / covered
+    yield "# Proposed from what came; the reasons stand beside the lines.  Look at it before you trust it."
+    yield f"# {covered:.0%} of the bytes are in {n} packets that begin alike, each with another behind it."
+    if len(kinds) > 1:
+        sizes = ", ".join(f"{len(kind.packets)} of {kind.length} bytes" for kind in kinds)
+        yield f"# They are of several lengths: {sizes}."
+    yield from ("format: imumon-device/1", "name: proposed", "title: proposed from binary packets")
+    yield 'verified: "nothing: proposed from the stream"'
+    yield f"protocol: {'fixed' if len(kinds) == 1 else 'fixed-several'}"
+    yield "axes: FLU  # cannot be seen: x forward, y left, z up, or FRD"
+    yield f"rate_hz: {max(rate, 0.01):.3g}  # in {seconds:.2g} s"
+    yield f"serial: {{baudrates: [{baudrate or 115_200}]}}"
+
+
+def _layouts(kinds: list[_Kind], check: _Check | None, seconds: float) -> Iterator[str]:
+    """Yield the description of the packets."""
+    if len(kinds) == 1:
+        yield "packet:"
+        yield from (f"  {line}" for line in _layout(kinds[0], check, seconds, several=False))
+        return
+    yield f"sends: [packet_{kinds[0].length}]"
+    yield "packets:"
+    for kind in kinds:
+        yield f"  - name: packet_{kind.length}"
+        yield from (f"    {line}" for line in _layout(kind, check, seconds, several=True))
+
+
+def _layout(kind: _Kind, check: _Check | None, seconds: float, several: bool) -> Iterator[str]:
+    """Yield the description of one packet."""
+    prefix = f"packet_{kind.length}_" if several else ""
+    packets, length = kind.packets, kind.length
+    constant, usual = _constant(packets), np.median(packets, axis=0).astype(int)
+    sync = int(np.argmin(np.append(constant[:LONGEST_SYNC], False)))
+    if check is not None and not several and 2 <= check.first < sync:
+        sync = check.first
+    at = length - (0 if check is None else check.trailing.size)
+    known = np.ones(length, np.bool_)
+    known[sync:at] = False
+    fields = _counting(kind, known, kind.rate(seconds))
+    yield f"length: {length}"
+    yield f"byte_order: {'big' if any(order == 'big' for _, _, order in fields) else 'little'}"
+    yield f"sync: [{', '.join(f'0x{byte:02X}' for byte in usual[:sync])}]"
+    if check is None:
+        yield "# No checksum that imumon knows fits at the end: where a packet begins is a guess, and at"
+        yield "# another baud rate the bytes may repeat as well."
+        yield "checksum: {type: none, first: 0, last: 0, at: 0}"
+    else:
+        keys = f"type: {check.name}, first: {check.first}, last: {at - 1}, at: {at}"
+        order = f", byte_order: {'big' if check.big else 'little'}" if at < length - 1 else ""
+        zeros = f", zeros: {check.zeros}" if check.zeros else ""
+        yield f"checksum: {{{keys}{order}{zeros}}}  # right in {check.right(kind)} of {len(packets)} packets"
+    yield "fields:"
+    for why, keys, _ in fields:
+        yield f"  # {why}"
+        yield f"  - {{{keys}}}"
+    unknown = np.flatnonzero(~known)
+    for run in np.split(unknown, np.flatnonzero(np.diff(unknown) > 1) + 1):
+        yield "  # unknown: give type, column or columns, scale and unit"
+        for part in np.split(run, range(BYTES_PER_LINE, len(run), BYTES_PER_LINE)):
+            names = ", ".join(f"{prefix}byte_{k}" for k in part)
+            yield f"  - {{at: {part[0]}, type: u8, columns: [{names}]}}{_always(part, constant, usual)}"
+
+
+def _always(part: IntArray, constant: BoolArray, usual: IntArray) -> str:
+    same = [f"{k} (0x{usual[k]:02X})" for k in part if constant[k]]
+    return f"  # always the same: {', '.join(same)}" if same else ""
+
+
+def _counting(kind: _Kind, known: BoolArray, rate: float) -> list[tuple[str, str, str]]:
+    """Return reason, keys and byte order of the counter and the clock, and mark their bytes as known."""
+    follows = np.diff(kind.at) == kind.length
+    before, after = kind.packets[:-1][follows], kind.packets[1:][follows]
+    if len(before) < LEAST_PACKETS // 2:
+        return []
+    return [*_counter(before, after, known), *_clock(before, after, known, rate)]
+
+
+def _counter(before: ByteArray, after: ByteArray, known: BoolArray) -> Iterator[tuple[str, str, str]]:
+    """Yield the byte or word that rises by one a packet; of a larger word its low byte counts as well."""
+    for order in ("big", "little"):
+        step, free = _steps(before, after, known, 2, order)
+        carried = np.any((_numbers(after, 2, order) & 0xFF == 0) & (step == 1), axis=0)
+        for k in np.flatnonzero(free & carried & (np.mean(step == 1, axis=0) >= COUNTS))[:1].tolist():
+            known[k : k + 2] = True
+            yield "rises by one a packet", f"at: {k}, type: u16, column: packet_counter", order
+            return
+    masks = np.array([0xFF, 0x7F, 0x3F, 0x1F, 0x0F])
+    share = np.mean((after - before)[:, np.newaxis] & masks[:, np.newaxis] == 1, axis=0) * ~known
+    n, k = np.unravel_index(np.argmax(share), share.shape)
+    if share[n, k] >= COUNTS:
+        known[k] = True
+        bits = "" if n == 0 else f", mask: {masks[n]:#x}"
+        wrapped = np.any(after[:, k] & masks[n] < before[:, k] & masks[n])
+        why = "rises by one a packet" + (
+            "" if wrapped else "; it did not wrap, so how many bits it has is a guess"
+        )
+        yield why, f"at: {k}, type: u8, column: packet_counter{bits}", ""
+
+
+def _clock(
+    before: ByteArray, after: ByteArray, known: BoolArray, rate: float
+) -> Iterator[tuple[str, str, str]]:
+    """Yield the number of 32 bits that rises as time does, in a unit that fits the rate."""
+    best = (0.4, "", 0, "", 0.0)
+    for order in ("big", "little"):
+        step, free = _steps(before, after, known, 4, order)
+        middle = np.median(step, axis=0)
+        steady = free & (middle > 1) & (np.mean(np.abs(step - middle) <= 0.2 * middle, axis=0) >= COUNTS)
+        for k in np.flatnonzero(steady).tolist():
+            for unit, size in UNITS.items():
+                best = min(
+                    best, (abs(float(middle[k]) * size * rate - 1.0), unit, k, order, float(middle[k]))
+                )
+    _, unit, k, order, middle_step = best
+    if unit:
+        known[k : k + 4] = True
+        why = f"rises by {middle_step:.6g} a packet: at {rate:.4g} packets a second that is {unit}"
+        yield why, f"at: {k}, type: u32, column: device_ticks, unit: {unit}", order
+
+
+def _numbers(packets: ByteArray, size: int, order: str) -> IntArray:
+    """Return the unsigned numbers of `size` bytes that begin at each byte, (n, length - size + 1)."""
+    n = packets.shape[1] - size + 1
+    places = range(size)[:: -1 if order == "big" else 1]
+    return np.asarray(sum(packets[:, k : k + n].astype(np.int64) << 8 * j for j, k in enumerate(places)))
+
+
+def _steps(
+    before: ByteArray, after: ByteArray, known: BoolArray, size: int, order: str
+) -> tuple[IntArray, BoolArray]:
+    """Return the differences of such numbers, modulo their size, and which have no byte that is known."""
+    step = (_numbers(after, size, order) - _numbers(before, size, order)) & (1 << 8 * size) - 1
+    taken = np.convolve(known, np.ones(size, np.int64), "valid")
+    return step, np.asarray(taken == 0)
