@@ -76,6 +76,11 @@ class ImumonError(Exception):
         self.seen = seen
         self.hint = hint
 
+    @property
+    def line(self) -> str:
+        """The whole message in one line, for a log."""
+        return "; ".join(str(self).splitlines())
+
 
 def missing_package(what: str, package: str, extra: str) -> ImumonError:
     """Return the error of what needs a package that few need, with the extra of imumon that brings it."""

@@ -36,6 +36,7 @@ _SAID = [("warnings", pa.list_(_TEXT)), ("reason", _TEXT), ("error", _TEXT)]
 _SAMPLES = [
     ("samples", pa.int64()),
     *((name, _NUMBER) for name in ("mean", "sd", "least", "greatest")),
+    ("duration_s", _NUMBER),
     ("lost", pa.int64()),
     ("file", _TEXT),
 ]

@@ -17,7 +17,7 @@ from imumon.batch.dataset import Row
 from imumon.batch.limit import limited
 from imumon.batch.options import BatchOptions
 from imumon.batch.places import fetched
-from imumon.blocks import ColumnArray, SampleBlock
+from imumon.blocks import NO_INT, ColumnArray, SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Digest, Pipeline, Seen
 from imumon.recordings.folder import is_session, open_session
@@ -27,6 +27,9 @@ from imumon.run.replay import digested, identical_to_live
 from imumon.run.setup import parse_setup, recorded_setup
 from imumon.run.stages import pipeline_of
 from imumon.version import __version__
+
+GAP_S, GAP_STEPS = 1.0, 10.0
+"""A step of time longer than both, of which the latter is in usual steps, is a gap in what was recorded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +79,7 @@ def work(job: Job) -> list[Row]:
                 Reason.BAD_DATA, f"{job.place}: has no channel that {job.options.command} knows"
             )
     except ImumonError as error:
-        return [failure(job.place, error.reason.value, error.seen, what)]
+        return [failure(job.place, error.reason.value, error.line, what)]
     except OSError as error:
         return [
             failure(job.place, "system", f"{error.filename or job.place}: {error.strerror or error}", what)
@@ -141,9 +144,23 @@ class _Channels:
 
     def __init__(self) -> None:
         self.moments: dict[str, Moments] = {}
+        self.duration_s = 0.0
+        """Of the samples; gaps and what is between segments are left out."""
+        self._last = np.zeros(0, np.int64), np.zeros(0, np.int64)
+        """Time and segment of the latest row."""
 
     def add(self, block: SampleBlock) -> None:
         """Add the samples of a block."""
+        there = np.flatnonzero(block["device_time_ns"] != NO_INT)
+        time_ns, segment = (
+            np.append(last, block[name][there])
+            for last, name in zip(self._last, ("device_time_ns", "segment"), strict=True)
+        )
+        steps = np.diff(time_ns)[np.diff(segment) == 0] * 1e-9
+        if len(steps):
+            gap_s = max(GAP_S, GAP_STEPS * float(np.median(steps)))
+            self.duration_s += float(steps[(steps > 0) & (steps < gap_s)].sum())
+        self._last = time_ns[-1:], segment[-1:]
         for name, values in block.columns.items():
             if values.dtype == np.float64:
                 self.moments.setdefault(name, Moments()).add(values)
@@ -184,7 +201,8 @@ def _samples(
         if found.count:
             yield {
                 "channel": name, "unit": units.get(name), "samples": found.count, "mean": found.mean,
-                "sd": found.sd, "least": found.least, "greatest": found.greatest, "lost": lost,
+                "sd": found.sd, "least": found.least, "greatest": found.greatest,
+                "duration_s": seen.duration_s, "lost": lost,
                 "file": None if file is None else str(file), "warnings": said,
             }  # fmt: skip
 

@@ -107,7 +107,8 @@ def _sessions(entries: Sequence[Entry]) -> Section:
     rows: list[Sequence[str | float]] = [
         [
             entry.session.path.name, day(entry.session.metadata.created_ns), entry.hours, *entry.temperatures,
-            *(PER_HOUR * sigma for sigma in entry.sigmas), float(entry.lost), entry.failure,
+            *(PER_HOUR * sigma for sigma in entry.sigmas),
+            np.nan if entry.lost is None else float(entry.lost), entry.failure,
         ]
         for entry in entries
     ]  # fmt: skip

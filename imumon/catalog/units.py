@@ -40,8 +40,10 @@ class Entry:
 
     @property
     def hours(self) -> float:
-        """Its length; NaN when that is not known."""
-        return self.session.metadata.duration_s / 3600.0
+        """Length of the samples that can be read; NaN when that is not known."""
+        read_s = next((row.get("duration_s") for row in self.channels.values()), 0.0)
+        # Results of an earlier version do not have it.
+        return (self.session.metadata.duration_s if read_s is None else float(read_s)) / 3600.0
 
     @property
     def temperatures(self) -> tuple[float, float]:
@@ -57,9 +59,9 @@ class Entry:
         return min(reached, default=np.nan), max(reached, default=np.nan)
 
     @property
-    def lost(self) -> int:
-        """Packets that are missing or damaged."""
-        return max((row["lost"] for row in self.channels.values()), default=0)
+    def lost(self) -> int | None:
+        """Packets that are missing or damaged in what can be read; None where nothing can."""
+        return max((row["lost"] for row in self.channels.values()), default=None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +95,7 @@ class Unit:
 
     @property
     def hours(self) -> float:
-        """Of all sessions whose length is known."""
+        """Of all samples that can be read."""
         return float(np.nansum([entry.hours for entry in self.entries]))
 
 
@@ -117,7 +119,7 @@ def read_sessions(
         try:
             sessions[place] = open_session(Path(place))
         except ImumonError as error:
-            left_out[place] = str(error).replace("\n", "; ")
+            left_out[place] = error.line
     known = Dataset(results.absolute(), options)
     try:
         done = known.done()
@@ -139,7 +141,7 @@ def _entry(session: Session, rows: Sequence[Mapping[str, Any]]) -> Entry:
     try:
         model = recorded_setup(session).bias_model
     except ImumonError as error:
-        return Entry(session, None, channels, failure or error.seen)
+        return Entry(session, None, channels, failure or error.line)
     return Entry(session, model, channels, failure)
 
 

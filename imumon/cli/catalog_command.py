@@ -5,19 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from imumon.cli.common import PATH, console, json_option, print_json, print_rows, results_folder, warn
 from imumon.errors import ImumonError, Reason
 from imumon.files import check_output
+from imumon.harmless import for_log
 
 if TYPE_CHECKING:
     from imumon.catalog.drift import Outlier
     from imumon.catalog.units import Unit
 
 RESULTS = "catalog"
+WIDEST = 10_000
+"""Characters in which any table has room."""
 HEADS = (
     "unit",
     "device",
@@ -114,13 +117,22 @@ def _from_to(of: tuple[float, float], factor: float) -> str:
 
 
 def _show(rows: Sequence[Sequence[str]]) -> None:
+    """Print a table, or where that is wider than the terminal a line for each value."""
     from rich.box import SIMPLE
+    from rich.measure import Measurement
     from rich.table import Table
 
     table = Table(box=SIMPLE, padding=(0, 1, 0, 0))
     for head in HEADS:
-        table.add_column(head, overflow="fold", no_wrap=head in ("first", "last"))
+        table.add_column(head, no_wrap=True)
     for row in rows:
         table.add_row(*row)
-    shown: Any = console()
-    shown.print(table)
+    out = console()
+    if Measurement.get(out, out.options.update(width=WIDEST), table).maximum <= out.width:
+        out.print(table)
+        return
+    width = max(map(len, HEADS))
+    for row in rows:
+        for head, cell in zip(HEADS, map(for_log, row), strict=True):
+            out.print(f"  {head:<{width}}  {cell}", soft_wrap=True)
+        out.print()

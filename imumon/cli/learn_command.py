@@ -97,7 +97,7 @@ def _read(session: Session) -> list[Run]:
     try:
         runs = read(session.path, None, at_rest=False)
     except ImumonError as error:
-        warn([f"{session.path.name} is left out: {error.seen}"])
+        warn([f"{session.path.name} is left out: {error.line}"])
         return []
     still = [run for run in runs if resting(run)]
     warn(f"{run.name} is left out: it moves" for run in runs if not resting(run))

@@ -190,4 +190,4 @@ class _Bench:
         try:
             self.rack.change(load_rack(self.watched.path))
         except ImumonError as error:
-            self.lines.put("ERROR", f"{error.seen}; the rack goes on as it is")
+            self.lines.put("ERROR", f"{error.line}; the rack goes on as it is")

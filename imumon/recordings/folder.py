@@ -201,7 +201,7 @@ def sessions_in(folder: Path, tell: Callable[[str], None] | None = None) -> list
         except ImumonError as error:
             names = (METADATA_NAME, WIRE_NAME, SAMPLES_NAME)
             if tell is not None and any((path / name).is_file() for name in names):
-                tell(f"{path.name} is left out: {error}".replace("\n", "; "))
+                tell(f"{path.name} is left out: {error.line}")
     return sorted(found, key=lambda session: session.metadata.created_ns)
 
 

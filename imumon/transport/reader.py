@@ -267,7 +267,7 @@ class Reader:
             except ImumonError as error:
                 if error.seen != said:
                     said = error.seen
-                    self._say(EventKind.UNAVAILABLE, str(error))
+                    self._say(EventKind.UNAVAILABLE, error.line)
             delay_s = min(2 * delay_s, LONGEST_DELAY_S)
         return None
 

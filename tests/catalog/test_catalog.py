@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from imumon.catalog.drift import MONTH_NS, drifts, line, outliers
 from imumon.catalog.units import Dated, Unit, read_models, units_of
+from tests.batch.sessions import tiny
 from tests.catalog.fleet import DEG_PER_H, PER_MONTH, RUNAWAY, SD, fleet, model_of
 from tests.cli.command import imumon
 
@@ -94,6 +96,39 @@ def test_catalog_of_a_folder(folder: Path, tmp_path: Path) -> None:
     assert json.loads(again.stdout) == rows
     assert sorted((folder / "catalog" / "rows").iterdir()) == rows_before
     assert "ax1" in imumon("catalog", folder).stdout
+
+
+def test_hours_and_packets_are_those_that_can_be_read(tmp_path: Path) -> None:
+    whole, cut, holed, unreadable = (tmp_path / name for name in ("a", "b", "c", "d"))
+    recorded = (tiny(whole, seconds=60.0) / "wire.mcap").read_bytes()
+    for path in (cut, holed, unreadable):
+        shutil.copytree(whole, path)
+    half, third = len(recorded) // 2, len(recorded) // 3
+    (cut / "wire.mcap").write_bytes(recorded[:half])
+    (holed / "wire.mcap").write_bytes(recorded[:third] + bytes(third) + recorded[2 * third :])
+    (unreadable / "wire.mcap").write_bytes(bytes(half))
+    done = imumon("catalog", tmp_path, "--json")
+    rows = {Path(row["session"]).name: row for row in json.loads(done.stdout)["sessions"]}
+    hours = {name: row["hours"] for name, row in rows.items()}
+    assert hours["a"] == pytest.approx(60.0 / 3600.0, rel=1e-3)
+    assert hours["b"] == pytest.approx(hours["a"] / 2.0, rel=0.1)
+    assert hours["c"] == pytest.approx(hours["a"] * 2.0 / 3.0, rel=0.1)
+    assert hours["d"] == 0.0
+    assert rows["a"]["lost"] == 0
+    assert rows["c"]["lost"] == pytest.approx(2000, rel=0.1)
+    assert rows["d"]["lost"] is None
+    assert json.loads(done.stdout)["units"][0]["hours"] == pytest.approx(sum(hours.values()))
+
+
+def test_a_narrow_terminal_tears_no_word(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = {}
+    for columns in ("80", "160"):
+        monkeypatch.setenv("COLUMNS", columns)
+        shown[columns] = imumon("catalog", folder).stdout
+    assert max(map(len, shown["80"].splitlines())) <= 80
+    for text in shown.values():
+        assert {"sessions", "outliers", "°/h/month", "SN05"} <= set(text.replace(",", " ").split())
+    assert len(shown["160"].splitlines()) < 12 < len(shown["80"].splitlines())
 
 
 def test_record_of_a_unit_and_of_a_session(folder: Path, tmp_path: Path) -> None:

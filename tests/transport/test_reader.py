@@ -110,6 +110,8 @@ def test_an_unplugged_device_is_lost_and_found_again(all_read: bool, tmp_path: P
     assert sink.kinds[:3] == [EventKind.OPENED, EventKind.LOST, EventKind.UNAVAILABLE]
     assert sink.kinds[-2:] == [EventKind.OPENED, EventKind.CLOSED]
     assert "ENOENT" in sink.events[2].detail
+    assert "; Plug the device in" in sink.events[2].detail  # an event is a line of the log
+    assert "\n" not in sink.events[2].detail
     assert "again after" in sink.events[-2].detail
 
 
