@@ -19,6 +19,8 @@ import pytest
 from hypothesis import settings
 from xdist.scheduler import LoadScopeScheduling
 
+from tests.waiting import LIMIT_S
+
 # As in the command line; read when NumPy is imported, which no test has done yet.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -140,7 +142,7 @@ def no_leaks() -> Iterator[None]:
     _collect_and_freeze()
     descriptors, threads = _descriptors(), set(threading.enumerate())
     yield
-    end = time.monotonic() + 2.0
+    end = time.monotonic() + LIMIT_S
     while True:
         gc.collect()
         leaked = sorted(_descriptors() - descriptors)

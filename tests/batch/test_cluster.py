@@ -16,7 +16,7 @@ import pytest
 
 from tests.batch.sessions import tiny
 from tests.cli.command import answer
-from tests.transport.helpers import wait_until
+from tests.waiting import LIMIT_S, wait_until
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "batch.md"
 WORKERS = 1
@@ -87,9 +87,9 @@ def test_a_batch_on_workers_that_a_queue_began(queue: str, tmp_path: Path) -> No
             assert all(line in job.splitlines() for line in asked)
             assert "--nthreads 1 " in job  # of which --timeout of a batch takes advantage
             assert "--nanny" in job
-        cluster.communicate("\n", timeout=60.0)
+        cluster.communicate("\n", timeout=LIMIT_S)
         assert cluster.returncode == 0
-        assert wait_until(lambda: not any(map(psutil.pid_exists, pids(tmp_path))), 60.0)
+        assert wait_until(lambda: not any(map(psutil.pid_exists, pids(tmp_path))))
     finally:
         cluster.kill()
         cluster.wait()

@@ -16,6 +16,7 @@ from imumon.batch.places import fetched, find
 from imumon.batch.tasks import Job, work
 from imumon.errors import ImumonError
 from tests.batch.sessions import tiny
+from tests.waiting import LIMIT_S
 
 SERVER = Path(sys.prefix, "s3", "bin", "moto_server")
 
@@ -73,7 +74,7 @@ def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
         env={k: v for k, v in os.environ.items() if k != "PYTHONPATH"},
     )
     try:
-        end = time.monotonic() + 60
+        end = time.monotonic() + LIMIT_S
         while time.monotonic() < end:
             with socket.socket() as asking:
                 if not asking.connect_ex(("127.0.0.1", port)):

@@ -27,7 +27,7 @@ from imumon.errors import ImumonError, Reason
 from tests.batch.sessions import tiny
 from tests.calibration.records import few_steps
 from tests.cli.command import IMUMON, answer, imumon
-from tests.transport.helpers import wait_until
+from tests.waiting import LIMIT_S, wait_until
 
 DECODE = BatchOptions(command="decode")
 
@@ -206,10 +206,10 @@ def test_nothing_is_lost_or_doubled_when_a_worker_dies_with_results_not_yet_fetc
         def take(rows: Any) -> None:
             taken.extend(rows)
             if len(taken) == 1:
-                assert wait_until(lambda: set(statuses()) == {"finished"}, 60.0)
+                assert wait_until(lambda: set(statuses()) == {"finished"})
                 (process,) = client.run(os.getpid).values()
                 os.kill(process, signal.SIGKILL)
-                assert wait_until(lambda: "lost" in statuses(), 60.0)
+                assert wait_until(lambda: "lost" in statuses())
 
         run_jobs(client, jobs, take)
     assert sorted(row["error"].rpartition(" ")[2] for row in taken) == sorted(str(n) for n in range(40))
@@ -244,7 +244,7 @@ def test_a_session_that_hangs_has_failed_and_the_others_are_done(tmp_path: Path,
     good, taken = Job(str(tiny(tmp_path / "good")), DECODE, str(tmp_path), limit_s=600.0), list[Row]()
     with socket.create_server(("127.0.0.1", 0)) as silent:  # a server that never says a word
         url = f"ftp://127.0.0.1:{silent.getsockname()[1]}/one"
-        run_jobs(client, [Job(url, DECODE, str(tmp_path), limit_s=1.0), good], taken.extend)
+        run_jobs(client, [Job(url, DECODE, str(tmp_path), limit_s=5.0), good], taken.extend)
     (late,) = (row for row in taken if "reason" in row)
     assert (late["session"], late["reason"]) == (url, "timeout")
     assert late["error"].startswith(
@@ -259,7 +259,7 @@ def test_code_that_never_lets_go_of_the_interpreter_is_ended_too(tmp_path: Path)
         "import re, sys, pathlib\nfrom imumon.batch.limit import limited\n"
         "with limited(pathlib.Path(sys.argv[1]), 1.0):\n    re.match('(a+)+$', 'a' * 60 + 'b')\n"
     )
-    done = subprocess.run([sys.executable, "-c", script, tmp_path / "note"], timeout=60, check=False)
+    done = subprocess.run([sys.executable, "-c", script, tmp_path / "note"], timeout=LIMIT_S, check=False)
     assert done.returncode == 1
     with (
         pytest.raises(ImumonError, match="not done after its --timeout") as error,

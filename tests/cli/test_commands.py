@@ -27,6 +27,7 @@ from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.virtual_device import VirtualDevice
 from tests.cli.command import IMUMON, answer, imumon
 from tests.data_folder import measured
+from tests.waiting import LIMIT_S, wait_until
 
 
 @pytest.fixture(scope="module")
@@ -51,12 +52,11 @@ def started(ahrs: VirtualDevice, out: Path, before: Sequence[str] = ()) -> subpr
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def wait_for_bytes(session: Path) -> None:
-    """Return when a hundred packets or more are on disk."""
-    wire, deadline = session / "wire.mcap", time.monotonic() + 30
-    while not (wire.exists() and wire.stat().st_size > 15_000):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+def wait_for_bytes(session: Path, size: int = 15_000) -> int:
+    """Wait until so much is on disk, by default of a hundred packets or more; return how much is."""
+    wire = session / "wire.mcap"
+    assert wait_until(lambda: wire.exists() and wire.stat().st_size > size)
+    return wire.stat().st_size
 
 
 @pytest.fixture(scope="module")
@@ -295,7 +295,7 @@ def shell(line: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     """Run a line of bash in which imumon is the command under test."""
     script = f'set -o pipefail; imumon() {{ "{IMUMON}" "$@"; }}; {line}'
     return subprocess.run(
-        ["bash", "-c", script], capture_output=True, text=True, timeout=90, cwd=cwd, check=False
+        ["bash", "-c", script], capture_output=True, text=True, timeout=LIMIT_S, cwd=cwd, check=False
     )
 
 
@@ -381,13 +381,13 @@ def test_a_kill_and_a_closed_terminal_end_the_monitor_in_order_but_not_under_noh
 ) -> None:
     with VirtualDevice(load_device("ax1"), tmp_path / "ahrs") as ahrs:
         child = started(ahrs, tmp_path / "s", before)
-        wait_for_bytes(tmp_path / "s")
+        size = wait_for_bytes(tmp_path / "s")
         for harmless in ignored:
             child.send_signal(harmless)
-            time.sleep(0.5)
+            wait_for_bytes(tmp_path / "s", size + 10_000)
             assert child.poll() is None
         child.send_signal(number)
-        out, err = child.communicate(timeout=90)
+        out, err = child.communicate(timeout=LIMIT_S)
     assert child.returncode == 0, err
     assert json.loads(out)["packets"] > 50
     assert "imumon replay" in err
@@ -403,7 +403,7 @@ def test_two_monitors_started_at_once_get_sessions_of_their_own(tmp_path: Path) 
             )
             for name in ("a", "b")
         ]
-        results = [json.loads(child.communicate(timeout=60)[0]) for child in children]
+        results = [json.loads(child.communicate(timeout=LIMIT_S)[0]) for child in children]
     assert [child.returncode for child in children] == [0, 0]
     assert len({result["session"] for result in results}) == 2
     for result in results:

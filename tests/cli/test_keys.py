@@ -7,13 +7,15 @@ import pty
 import subprocess
 import sys
 
+from tests.waiting import LIMIT_S
+
 OWN = "import fcntl, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0)\n"
-PRESSED = """
+PRESSED = f"""
 from imumon.cli.keys import single_keys
 import sys, time
 with single_keys() as keys:
     print("ready", keys.possible, flush=True)
-    end, found = time.monotonic() + 10, ""
+    end, found = time.monotonic() + {LIMIT_S}, ""
     while keys.possible and time.monotonic() < end and len(found) < 2:
         found += keys.pressed()
         time.sleep(0.01)
@@ -23,7 +25,7 @@ IN_BACKGROUND = f"""
 import subprocess, sys
 done = subprocess.Popen([sys.executable, "-c", {PRESSED!r}], process_group=0)
 try:
-    done.wait(20)
+    done.wait({LIMIT_S})
 except subprocess.TimeoutExpired:
     done.kill()
     print("it was stopped")

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.command import IMUMON, imumon
+from tests.waiting import LIMIT_S
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +37,7 @@ def on_a_terminal(*arguments: object) -> tuple[str, str]:
     except OSError:  # Linux says so that the other side is closed
         pass
     os.close(ours)
-    out, _ = process.communicate(timeout=60)
+    out, _ = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 0, shown
     return out.decode(), shown.decode()
 

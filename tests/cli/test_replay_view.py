@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.command import IMUMON, imumon
+from tests.waiting import LIMIT_S
 
 
 @pytest.fixture
@@ -40,10 +41,10 @@ def test_a_session_in_the_browser_is_served_until_it_is_interrupted_and_its_read
     port = re.search(r"http://\S+:(\d+)/", said)
     assert port, said
     assert "every computer that reaches this one can read" in said
-    with urllib.request.urlopen(f"http://127.0.0.1:{port[1]}/", timeout=10) as page:
+    with urllib.request.urlopen(f"http://127.0.0.1:{port[1]}/", timeout=LIMIT_S) as page:
         assert page.status == 200
     process.send_signal(signal.SIGINT)
-    out, rest = process.communicate(timeout=30)
+    out, rest = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 0, rest
     assert told in out
 

@@ -23,6 +23,7 @@ from imumon.errors import EXIT_DATA, EXIT_INTERRUPTED, EXIT_OK, Reason
 from imumon.protocols.device import load_device
 from imumon.simulation.virtual_device import VirtualDevice
 from tests.faults.rows import Row
+from tests.waiting import LIMIT_S
 
 PROGRAM = [sys.executable, "-m", "imumon"]
 STEP_S, LAST_S = 0.05, 3.0
@@ -32,8 +33,6 @@ TICK_S = 0.01
 IDLE_S = 1.0
 """A command that takes no processor time for so long waits for something."""
 RECORDED_S, RATE_HZ = 20, 100
-ENDS_S = 60.0
-"""A command that goes on for so long after Ctrl-C has not heard it."""
 TRACE = re.compile(r"Traceback|Exception ignored|KeyboardInterrupt|Fatal Python error")
 BEFORE_US = re.compile(r"init_import_site|<frozen site>|site\.py|<frozen runpy>")
 """In a traceback: Python was still getting ready, or looked for the program it was to run."""
@@ -108,9 +107,9 @@ def staged(folder: Path, port: str) -> Stage:
     return Stage(folder, port, session)
 
 
-def _left(mark: str, within_s: float = 10.0) -> list[str]:
+def _left(mark: str) -> list[str]:
     """Return what still runs of all that a command has started."""
-    until = time.monotonic() + within_s
+    until = time.monotonic() + LIMIT_S
     while True:
         found = []
         for process in psutil.process_iter():
@@ -161,9 +160,9 @@ def interrupt(stage: Stage, name: str, after_s: float) -> Ended:
         if reached:
             os.killpg(child.pid, signal.SIGINT)
         try:
-            said, _ = child.communicate(timeout=ENDS_S)
+            said, _ = child.communicate(timeout=LIMIT_S)
         except subprocess.TimeoutExpired:
-            return Ended(None, f"goes on {ENDS_S:g} s after Ctrl-C")
+            return Ended(None, f"goes on {LIMIT_S:g} s after Ctrl-C")
         wrong = _judged(command, child.returncode, said, [*folder.iterdir()])
         if not wrong and (left := _left(mark)):
             wrong = f"left behind: {', '.join(left)}"

@@ -24,6 +24,7 @@ from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.unit import MICROSECOND
 from imumon.transport.reader import Bytes
 from tests.faults.rows import Row
+from tests.waiting import LIMIT_S
 
 PROMISED_S = 0.2
 HELD_S = 0.12
@@ -71,7 +72,7 @@ print(most_s)
 
     def __exit__(self, *_: object) -> None:
         """End, and note the longest wait."""
-        self.late_s = float(self._watch.communicate(timeout=60)[0])
+        self.late_s = float(self._watch.communicate(timeout=LIMIT_S)[0])
 
 
 def allowed_s(late_s: float) -> float:
@@ -139,7 +140,7 @@ def end_in_order(
     """
     child.send_signal(number)
     began = time.monotonic()
-    out, err = child.communicate(timeout=60)
+    out, err = child.communicate(timeout=LIMIT_S)
     took_s = time.monotonic() - began
     told, wrong = json.loads(out), []
     if child.returncode or took_s > patience * EXIT_S:

@@ -298,7 +298,9 @@ class Watched:
         """Return the samples that were shown."""
         return join([item.block for item in self.items[since:] if hasattr(item, "block")])
 
-    def strike(self, fault: LineFault, healthy_s: float = HEALTHY_S) -> Outcome:
+    def strike(
+        self, fault: LineFault, healthy_s: float = HEALTHY_S, promised_s: float = PROMISED_S
+    ) -> Outcome:
         """Let one fault happen between two healthy stretches."""
         line, outcome = self.line, Outcome()
         line.send(healthy_s / 2)
@@ -311,7 +313,7 @@ class Watched:
         arrivals = self.rows(at)["arrival_time_ns"] if at < len(self.items) else np.zeros(0, np.int64)
         later = arrivals[arrivals >= good]
         outcome.recovered_s = float(later[0] - good) * 1e-9 if len(later) else np.inf
-        if outcome.recovered_s > PROMISED_S:
+        if outcome.recovered_s > promised_s:
             outcome.wrong.append(f"first packet after {outcome.recovered_s:.2f} s")
         after = self.run.pipeline.counters
         restarts = after.clock_restarts - before.clock_restarts
@@ -378,7 +380,11 @@ def as_rows(packets: Counter[bytes]) -> Counter[Sample]:
 
 
 def strike_all(
-    folder: Path, names: Sequence[str], seed: int, healthy_s: float = HEALTHY_S
+    folder: Path,
+    names: Sequence[str],
+    seed: int,
+    healthy_s: float = HEALTHY_S,
+    promised_s: float = PROMISED_S,
 ) -> Iterator[tuple[str, Outcome]]:
     """Let faults happen one after the other in one session; the last outcome is that of all of it."""
     warm_up(DEVICE, Setup())
@@ -387,7 +393,7 @@ def strike_all(
         watched = Watched(line, folder / "session")
         line.send(0.3)
         for name in names:
-            yield name, watched.strike(FAULTS[name], healthy_s)
+            yield name, watched.strike(FAULTS[name], healthy_s, promised_s)
         yield "the session of all these", Outcome(0.0, watched.finish())
     finally:
         line.close()
@@ -408,7 +414,7 @@ print(taken, flush=True)
 """
 
 
-def steal(folder: Path, seed: int, healthy_s: float = HEALTHY_S) -> Outcome:
+def steal(folder: Path, seed: int, healthy_s: float = HEALTHY_S, promised_s: float = PROMISED_S) -> Outcome:
     """Let another process that has the port open take bytes for a while."""
     warm_up(DEVICE, Setup())
     line = Line(folder / "ahrs", seed)
@@ -429,7 +435,7 @@ def steal(folder: Path, seed: int, healthy_s: float = HEALTHY_S) -> Outcome:
         try:
             says.readline()
             watched = Watched(line, folder / "session")
-            outcome = watched.strike(LineFault(strike, data="warning: losses"), healthy_s)
+            outcome = watched.strike(LineFault(strike, data="warning: losses"), healthy_s, promised_s)
             outcome.wrong += watched.finish()
         finally:
             thief.kill()

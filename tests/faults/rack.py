@@ -26,14 +26,14 @@ from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.unit import MICROSECOND
 from imumon.transport.reader import Bytes
 from tests.faults.rows import Row
-from tests.transport.helpers import wait_until
+from tests.waiting import wait_until
 
 ROUND_S = 0.0125
 """As often as an adapter with a latency timer of 16 ms hands its bytes over."""
 CATCH_UP = 4
 """A feeder that was not run in time sends so many times the line's bytes until it has caught up: a line
 cannot send all at once, and a pseudo-terminal holds 4 kB."""
-STARTING_S, SETTLING_S = 120.0, 5.0
+SETTLING_S = 5.0
 FIRST = -10
 """Niceness of the feeder, where the system lets it."""
 MEGABYTE = 1e6
@@ -64,9 +64,15 @@ class Feeder:
         Packets of one length.
     rate_hz : float
         Packets per second.
+    waits : bool
+        Whether bytes that a port does not take are sent later: that a device's clock does not wait for a busy
+        computer is left out.  Otherwise they are lost.
     """
 
-    def __init__(self, folder: Path, names: Sequence[str], sent: Sequence[bytes], rate_hz: float) -> None:
+    def __init__(
+        self, folder: Path, names: Sequence[str], sent: Sequence[bytes], rate_hz: float, waits: bool = False
+    ) -> None:
+        self._waits = waits
         self.ports = {name: folder / name for name in names}
         self.stream = b"".join(sent)
         self._bytes_per_s = len(sent[0]) * rate_hz
@@ -110,7 +116,9 @@ class Feeder:
                 taken = 0
                 with suppress(BlockingIOError):
                     taken = os.write(master, data)
-                if name not in self.flooding:
+                if self._waits:
+                    self._at[name] += 0 if name in self.flooding else taken
+                elif name not in self.flooding:
                     self._at[name] += len(data)
                     self.lost[name] += len(data) - taken
                     if taken < len(data):
@@ -169,7 +177,7 @@ def measure(folder: Path, units: int, rate_hz: float, minutes: float, view: str)
         command = rack_command(rack, folder, view)
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as child:
             try:
-                assert wait_until(feeder.is_open, STARTING_S)
+                assert wait_until(feeder.is_open)
                 time.sleep(SETTLING_S)
                 load = os.getloadavg()[0]
                 costs = Costs(child.pid)

@@ -12,6 +12,8 @@ import threading
 import time
 from pathlib import Path
 
+from tests.waiting import LIMIT_S
+
 UNIT = Path(__file__).parents[2] / "configs" / "systemd" / "imumon@.service"
 
 
@@ -62,9 +64,9 @@ class Service:
         return code
 
 
-def wait_for_sessions(folder: Path, count: int, size: int, timeout_s: float = 60.0) -> list[Path]:
+def wait_for_sessions(folder: Path, count: int, size: int) -> list[Path]:
     """Wait until there are so many sessions with so many bytes each; return them, oldest first."""
-    end = time.monotonic() + timeout_s
+    end = time.monotonic() + LIMIT_S
     while time.monotonic() < end:
         made = sorted(path for path in folder.glob("sessions/*/wire.mcap") if path.stat().st_size >= size)
         if len(made) >= count:

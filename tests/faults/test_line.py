@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.faults.line import steal, strike_all
+from tests.waiting import LIMIT_S
 
 BRIEF = [
     "bits flipped in every third packet",
@@ -20,9 +21,9 @@ BRIEF = [
 
 @pytest.mark.usefixtures("no_leaks")
 def test_a_line_that_fails_costs_what_it_touched_and_is_told(tmp_path: Path) -> None:
-    wrong = {name: o.wrong for name, o in strike_all(tmp_path, BRIEF, 1, 0.5) if o.wrong}
+    wrong = {name: o.wrong for name, o in strike_all(tmp_path, BRIEF, 1, 0.5, LIMIT_S) if o.wrong}
     assert not wrong
 
 
 def test_what_another_process_takes_is_missing_and_told(tmp_path: Path) -> None:
-    assert not steal(tmp_path, 1, 0.5).wrong
+    assert not steal(tmp_path, 1, 0.5, LIMIT_S).wrong

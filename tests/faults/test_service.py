@@ -12,6 +12,7 @@ from imumon.recordings.folder import open_session
 from imumon.simulation.virtual_device import VirtualDevice
 from tests.cli.command import answer
 from tests.faults.service import Service, wait_for_sessions
+from tests.waiting import LIMIT_S
 
 
 @pytest.mark.usefixtures("no_leaks")
@@ -44,7 +45,7 @@ def test_every_exit_code_is_documented() -> None:
 
 def test_a_wrong_device_is_not_tried_again(tmp_path: Path) -> None:
     service = Service(tmp_path, "/dev/null", "no-such-device")
-    service.child.wait(60)
+    service.child.wait(LIMIT_S)
     service.stop()
     assert service.starts == 1
     assert service.child.returncode == int(service.section["RestartPreventExitStatus"])

@@ -26,11 +26,10 @@ from imumon.recordings.wire_format import (
 )
 from tests.faults.killed import HELD_S, Line, Machine, allowed_s, end_in_order, wait_for_reader
 from tests.faults.rows import Row
+from tests.waiting import LIMIT_S
 
 RATE_HZ = 100.0
 POLL_S = 0.02
-STARTED_S = 20.0
-"""A monitor with its view has started by then on a machine that has much else to do."""
 BROWSERS = 50
 MOST_MB = 600.0
 """Of the monitor; 32 MB of them may wait for the view, 64 MB are its last two minutes."""
@@ -109,7 +108,7 @@ def _browsers(scene: Scene, seconds: float) -> None:
     """Let browsers come, read a little, and go; every fifth stays and reads nothing."""
     port = scene.stream_port()
     for number in range(BROWSERS):
-        browser = socket.create_connection(("127.0.0.1", port), timeout=5)
+        browser = socket.create_connection(("127.0.0.1", port), timeout=LIMIT_S)
         browser.sendall(READ)
         if number % 5:
             browser.recv(1000)
@@ -140,7 +139,7 @@ def harm(folder: Path, name: str, seconds: float, patience: float = 1.0) -> tupl
     The end may take so many times as long as promised, on a machine that has other tests to run.
     """
     mode, action = HARMS[name]
-    line = Line(RATE_HZ, seconds + STARTED_S)
+    line = Line(RATE_HZ, seconds + LIMIT_S)
     arguments = ["monitor", line.path, "--device", "ax1", "--view", mode, "--out", str(folder), "--json"]
     program = [sys.executable, "-c", "from imumon.cli import main; main()", *arguments]
     taken = [socket.socket() for _ in range(2)] if name.startswith("ports") else []

@@ -17,11 +17,11 @@ from imumon.publishing.publisher import Publisher
 from imumon.publishing.target import parse_target
 from imumon.view.items import ViewSetup
 from tests.view.streams import GYRO, Stream
+from tests.waiting import LIMIT_S, wait_until
 
 pytest.importorskip("foxglove", reason="foxglove-sdk is not installed: scripts/environment dev")
 client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
 
-LIMIT_S = 20.0
 PROTOCOL = "foxglove.sdk.v1"
 DATA = struct.Struct("<BIQ")
 """Of a message: opcode 1, subscription, time in ns; then the payload."""
@@ -80,16 +80,17 @@ def port() -> int:
 def test_a_viewer_sees_samples_with_units_states_and_the_log(port: int) -> None:
     with publishing(port) as publisher:
         stream = Stream(publisher.publish)
-        stream.run_until(lambda: publisher.state.ready, LIMIT_S, "serving")
+        stream.run_until(lambda: publisher.state.ready, "serving")
         assert publisher.state.text == f"ws://127.0.0.1:{port}"
         with client.connect(f"ws://127.0.0.1:{port}", subprotocols=[PROTOCOL]) as connection:
             viewer = Viewer(connection)
-            stream.run_until(lambda: viewer.read(0.1), LIMIT_S, "subscribed")
+            stream.run_until(lambda: viewer.read(0.1), "subscribed")
             before = stream.sent
             stream.run(1.0)
-            viewer.read(0.5)
+            assert wait_until(
+                lambda: viewer.read(0.1) and viewer.rows("/imu")[-1]["sample"] == stream.sent - 1
+            )
             rows = viewer.rows("/imu")
-            assert rows[-1]["sample"] == stream.sent - 1
             assert [row["sample"] for row in rows] == [*range(rows[0]["sample"], stream.sent)]
             for name in GYRO:
                 sent = np.concatenate([one[name] for one in stream.blocks])[rows[0]["sample"] :]
@@ -109,20 +110,20 @@ def test_a_viewer_sees_samples_with_units_states_and_the_log(port: int) -> None:
 def test_a_port_that_another_program_has_is_said_and_tried_again(port: int) -> None:
     with socket.create_server(("127.0.0.1", port)) as other, publishing(port) as publisher:
         stream = Stream(publisher.publish)
-        stream.run_until(lambda: "cannot serve" in publisher.state.text, LIMIT_S, "said")
+        stream.run_until(lambda: "cannot serve" in publisher.state.text, "said")
         assert not publisher.state.ready
         other.close()
-        stream.run_until(lambda: publisher.state.ready, LIMIT_S, "serving")
+        stream.run_until(lambda: publisher.state.ready, "serving")
         assert publisher.state.dropped > 0
 
 
 def test_a_viewer_that_does_not_read_is_said_and_holds_nobody_up(port: int) -> None:
     with publishing(port) as publisher:
         stream = Stream(publisher.publish)
-        stream.run_until(lambda: publisher.state.ready, LIMIT_S, "serving")
+        stream.run_until(lambda: publisher.state.ready, "serving")
         with client.connect(f"ws://127.0.0.1:{port}", subprotocols=[PROTOCOL], max_queue=1) as connection:
             viewer = Viewer(connection)
-            stream.run_until(lambda: viewer.read(0.1), LIMIT_S, "subscribed")
+            stream.run_until(lambda: viewer.read(0.1), "subscribed")
             end = time.monotonic() + LIMIT_S
             while "too slow" not in publisher.state.text and time.monotonic() < end:
                 stream.send(1000)

@@ -17,21 +17,28 @@ from imumon.rack.unit import Task, Update, run_unit
 from imumon.recordings.folder import open_session
 from imumon.view.items import Log, OfUnit, Overview, Samples, Shown, State
 from tests.cli.command import imumon
+from tests.faults.killed import OPENED
 from tests.faults.rack import Feeder, packets, rack_command, recorded, write_rack
-from tests.transport.helpers import wait_until
+from tests.waiting import LIMIT_S, wait_until
 
 RATE_HZ = 100.0
-STARTING_S = 60.0
-"""A machine that has much else to do."""
-IMPATIENT = Patience(said=3.0, ended=1.0)
+IMPATIENT = Patience(said=6.0, ended=2.0)
+SENT_S = 600.0
+"""As long as a test may take."""
 
 
 @contextmanager
-def feeding(folder: Path, *names: str, seconds: float = 120.0) -> Iterator[Feeder]:
+def feeding(folder: Path, *names: str) -> Iterator[Feeder]:
     """Feed ports of these names from a thread, once it is started."""
-    sent = packets(load_device("ax1"), RATE_HZ, seconds)
-    with closing(Feeder(folder, names, sent, RATE_HZ)) as feeder:
+    sent = packets(load_device("ax1"), RATE_HZ, SENT_S)
+    with closing(Feeder(folder, names, sent, RATE_HZ, waits=True)) as feeder:
         yield feeder
+
+
+def is_recorded(sessions: Path, *names: str) -> bool:
+    """Tell whether recordings say that the ports of these units are open: what came before is thrown away."""
+    wires = {name: sessions.glob(f"*-{name}/wire.mcap") for name in names}
+    return all(any(OPENED in wire.read_bytes() for wire in wires[name]) for name in names)
 
 
 class Watching:
@@ -45,13 +52,13 @@ class Watching:
     def _say(self, level: str, text: str) -> None:
         self.said.append(f"{level} {text}")
 
-    def until(self, condition: Callable[[], bool], timeout_s: float = STARTING_S) -> None:
+    def until(self, condition: Callable[[], bool]) -> None:
         def met() -> bool:
             self.rack.look()
             time.sleep(0.02)
             return condition()
 
-        assert wait_until(met, timeout_s), self.said
+        assert wait_until(met), self.said
 
     def unit(self, name: str) -> Unit:
         return next(unit for unit in self.rack.units if unit.plan.name == name)
@@ -72,7 +79,7 @@ def test_a_unit_that_hangs_dies_or_floods_harms_no_other(tmp_path: Path) -> None
         three = load_rack(write_rack(tmp_path, feeder, "ax1", names[:3]))
         rack.change(three)
         try:
-            watching.until(lambda: feeder.is_open(*names[:3]))
+            watching.until(lambda: is_recorded(tmp_path / "sessions", *names[:3]))
             feeder.flooding.add("flooding")
             feeder.start()
             for name in names[:3]:
@@ -92,17 +99,18 @@ def test_a_unit_that_hangs_dies_or_floods_harms_no_other(tmp_path: Path) -> None
             watching.until(lambda: unit("stopped").process is not None)
             watching.until(watching.has_packets("stopped", 20))
             watching.until(lambda: watching.state("flooding") == "no packets")
+            watching.until(lambda: unit("flooding").vitals.bytes_received > 100_000)
 
             rack.change(three)
             watching.until(lambda: len(rack.units) == 3)
             watching.until(watching.has_packets("good", 20))
             feeder.end()
-            time.sleep(0.2)
+            sessions = sorted((tmp_path / "sessions").glob("*-good"))
+            watching.until(lambda: recorded(sessions) == feeder.written("good"))
         finally:
             rack.stop()
         told = rack.as_dict()
 
-        sessions = sorted((tmp_path / "sessions").glob("*-good"))
         assert recorded(sessions) == feeder.written("good")
         assert len(sessions) == 1
         assert told["good"]["deaths"] == []
@@ -154,7 +162,7 @@ def test_the_command_follows_its_file_and_ends_in_order(tmp_path: Path) -> None:
         command = rack_command(path, tmp_path, "none")
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
             try:
-                assert wait_until(lambda: feeder.is_open("a"), STARTING_S)
+                assert wait_until(lambda: is_recorded(tmp_path / "sessions", "a"))
                 feeder.start()
                 good = path.read_text()
                 path.write_text(good.replace("ax1", "ax2"))
@@ -166,12 +174,14 @@ def test_the_command_follows_its_file_and_ends_in_order(tmp_path: Path) -> None:
                 assert "no device 'ax2'" in said[-1]
                 write_rack(tmp_path, feeder, "ax1", ["a", "b"])
                 path.write_text(path.read_text() + "  absent: {port: /dev/ttyNONE}\n")
-                assert wait_until(lambda: feeder.is_open("b"), STARTING_S)
-                time.sleep(1.5)
+                assert wait_until(lambda: is_recorded(tmp_path / "sessions", "b"))
+                of_b = list((tmp_path / "sessions").glob("*-b"))
+                assert wait_until(lambda: len(recorded(of_b)) > 0)
                 feeder.end()
-                time.sleep(0.2)
+                of_a = list((tmp_path / "sessions").glob("*-a"))
+                assert wait_until(lambda: recorded(of_a) == feeder.written("a"))
                 child.send_signal(signal.SIGINT)
-                out, err = child.communicate(timeout=60.0)
+                out, err = child.communicate(timeout=LIMIT_S)
             finally:
                 child.kill()
         told = json.loads(out)["units"]
@@ -195,13 +205,13 @@ def test_a_unit_whose_rack_is_gone_closes_its_session(tmp_path: Path) -> None:
         process.start()
         theirs.close()
         try:
-            assert wait_until(lambda: feeder.is_open("left"), STARTING_S)
+            assert wait_until(lambda: feeder.is_open("left"))
             feeder.start()
             for _ in range(2):
-                assert ours.poll(STARTING_S)
+                assert ours.poll(LIMIT_S)
                 assert isinstance(ours.recv(), Update)
             ours.close()
-            process.join(STARTING_S)
+            process.join(LIMIT_S)
             assert process.exitcode == 0
         finally:
             process.kill()

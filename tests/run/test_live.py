@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import errno
 import threading
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -28,7 +27,7 @@ from imumon.transport.reader import Bytes, Event, EventKind, Item, Reads
 from imumon.transport.settings import PortSettings
 from imumon.view.items import Log, State, Status, ViewItem
 from tests.models.models import three_curves
-from tests.transport.helpers import wait_until
+from tests.waiting import wait_until
 
 AX1 = load_device("ax1")
 
@@ -98,7 +97,7 @@ def test_a_replay_gives_the_live_samples_bit_for_bit(tmp_path: Path) -> None:
     watcher = Watcher()
     with VirtualDevice(AX1, tmp_path / "ahrs") as device:
         run = start(device.port.path, tmp_path / "session", watcher)
-        assert wait_until(lambda: run.pipeline.counters.packets > 150, 15.0)
+        assert wait_until(lambda: run.pipeline.counters.packets > 150)
         summary = run.stop(["view.rrd"])
     session = open_session(tmp_path / "session")
     block, pipeline = replayed(session)
@@ -127,13 +126,13 @@ def test_an_unplugged_device_comes_back_and_a_reboot_begins_a_segment(
 ) -> None:
     watcher = Watcher()
     run = start(ahrs.port.path, tmp_path / "session", watcher)
-    assert wait_until(lambda: run.pipeline.counters.packets > 30, 15.0)
+    assert wait_until(lambda: run.pipeline.counters.packets > 30)
     ahrs.port.unplug()
-    assert wait_until(lambda: "lost" in watcher.states("port"), 15.0)
+    assert wait_until(lambda: "lost" in watcher.states("port"))
     ahrs.reboot()
     ahrs.port.replug()
     before = run.pipeline.counters.packets
-    assert wait_until(lambda: run.pipeline.counters.packets > before + 30, 15.0)
+    assert wait_until(lambda: run.pipeline.counters.packets > before + 30)
     summary = run.stop()
     assert watcher.states("port") == ["open", "lost", "open", "closed"]
     assert summary.counters.clock_restarts == 1
@@ -150,13 +149,13 @@ def test_an_unplugged_device_comes_back_and_a_reboot_begins_a_segment(
 def test_silence_is_said_and_ends_by_itself(tmp_path: Path, ahrs: VirtualDevice) -> None:
     watcher = Watcher()
     run = start(ahrs.port.path, tmp_path / "session", watcher)
-    assert wait_until(lambda: run.pipeline.counters.packets > 10, 15.0)
+    assert wait_until(lambda: run.pipeline.counters.packets > 10)
     ahrs.port.silence()
-    assert wait_until(lambda: "silent" in watcher.states("port"), 15.0)
+    assert wait_until(lambda: "silent" in watcher.states("port"))
     ahrs.port.resume()
     before = run.pipeline.counters.packets
-    assert wait_until(lambda: watcher.states("port")[-1] == "open", 15.0)
-    assert wait_until(lambda: run.pipeline.counters.packets > before, 15.0)
+    assert wait_until(lambda: watcher.states("port")[-1] == "open")
+    assert wait_until(lambda: run.pipeline.counters.packets > before)
     summary = run.stop()
     assert summary.counters.clock_restarts == 0
     assert summary.counters.packets_missing > 50
@@ -165,7 +164,7 @@ def test_silence_is_said_and_ends_by_itself(tmp_path: Path, ahrs: VirtualDevice)
 def test_a_wrong_baud_rate_is_named(tmp_path: Path, ahrs: VirtualDevice) -> None:
     watcher = Watcher()
     run = start(ahrs.port.path, tmp_path / "session", watcher, baudrate=57600)
-    assert wait_until(lambda: "bad: does not frame" in watcher.states("data"), 15.0)
+    assert wait_until(lambda: "bad: does not frame" in watcher.states("data"))
     summary = run.stop()
     problem = nothing_decoded(PortSettings(ahrs.port.path, 57600), AX1, summary.counters)
     assert problem is not None
@@ -184,7 +183,7 @@ def test_a_port_that_cannot_be_opened_leaves_nothing_behind(tmp_path: Path) -> N
 
 def test_a_session_is_not_overwritten(tmp_path: Path, ahrs: VirtualDevice) -> None:
     run = start(ahrs.port.path, tmp_path / "session", Watcher())
-    assert wait_until(lambda: run.pipeline.counters.packets > 5, 15.0)
+    assert wait_until(lambda: run.pipeline.counters.packets > 5)
     run.stop()
     before = (tmp_path / "session" / "wire.mcap").read_bytes()
     with pytest.raises(ImumonError) as caught:
@@ -214,15 +213,16 @@ def test_a_run_that_did_not_decode_everything_has_no_digest_to_compare_with(
     monkeypatch.setattr(threading, "excepthook", lambda event: seen.append(event.exc_value))
     with VirtualDevice(AX1, tmp_path / "ahrs") as device:
         run = start(device.port.path, tmp_path / "session", Watcher())
-        assert wait_until(lambda: run.pipeline.counters.packets > 20, 15.0)
+        assert wait_until(lambda: run.pipeline.counters.packets > 20)
 
         def fail() -> SampleBlock:
             raise ValueError("a defect")
 
         monkeypatch.setattr(run.pipeline, "take", fail)
-        assert wait_until(lambda: not run.processing, 15.0)
-        received = run.pipeline.counters.bytes_received
-        time.sleep(0.5)
+        assert wait_until(lambda: not run.processing)
+        received, wire = run.pipeline.counters.bytes_received, tmp_path / "session" / "wire.mcap"
+        before = wire.stat().st_size
+        assert wait_until(lambda: wire.stat().st_size > before + 20_000)
         summary = run.stop()
     assert [str(error) for error in seen] == ["a defect"]
     assert run.failure is not None
@@ -242,6 +242,6 @@ def test_a_device_that_sends_every_two_seconds_is_not_called_silent(tmp_path: Pa
         run = LiveRun(slow, text, PortSettings(device.port.path), Setup(), tmp_path / "session", watcher.say)
         run.open()
         run.begin([watcher.items.append])
-        assert wait_until(lambda: run.pipeline.counters.packets == 2, 15.0)
+        assert wait_until(lambda: run.pipeline.counters.packets == 2)
         run.stop()
     assert watcher.states("port") == ["open", "closed"]

@@ -16,7 +16,7 @@ from imumon.simulation.virtual_device import VirtualDevice
 from imumon.transport.reader import Event, EventKind
 from imumon.view.items import Log
 from tests.run.test_live import AX1, Watcher, start
-from tests.transport.helpers import wait_until
+from tests.waiting import wait_until
 
 KINDS = (EventKind.MARK, EventKind.START, EventKind.STOP)
 

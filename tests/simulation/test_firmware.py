@@ -14,6 +14,7 @@ from imumon.protocols.device import load_device
 from imumon.simulation.firmware.vectornav import VectorNavFirmware
 from imumon.simulation.virtual_device import VirtualDevice
 from imumon.simulation.virtual_port import VirtualPort
+from tests.waiting import LIMIT_S
 
 
 @pytest.fixture
@@ -56,7 +57,7 @@ def test_a_command_with_a_bad_checksum_is_not_heard(device: VectorNavFirmware) -
 def test_a_host_at_another_rate_is_not_understood() -> None:
     with VirtualPort(baudrate=115_200) as device, serial.Serial(device.path, 9600, timeout=1) as host:
         host.write(VectorNav().hello().frame)
-        heard = device.read(2.0)
+        heard = device.read(LIMIT_S)
         assert heard
         assert VectorNav().messages(heard)[0] == []
 
@@ -71,7 +72,7 @@ def virtual() -> Iterator[VirtualDevice]:
 def test_the_answer_comes_at_the_old_rate_and_the_next_at_the_new(virtual: VirtualDevice) -> None:
     with serial.Serial(virtual.port.path, 115_200, timeout=0.05) as host:
         host.write(frame("VNASY,0") + frame("VNWRG,05,921600"))
-        end, data = time.monotonic() + 5.0, b""
+        end, data = time.monotonic() + LIMIT_S, b""
         while frame("VNWRG,05,921600") not in data and time.monotonic() < end:
             data += host.read(4096)
         assert frame("VNWRG,05,921600") in data
@@ -81,7 +82,7 @@ def test_the_answer_comes_at_the_old_rate_and_the_next_at_the_new(virtual: Virtu
             data += host.read(4096)
         assert frame("VNRRG,05,921600") in data
     virtual.reboot()
-    end = time.monotonic() + 5.0
+    end = time.monotonic() + LIMIT_S
     while virtual.port.baudrate != 115_200 and time.monotonic() < end:
         time.sleep(0.01)
     assert virtual.port.baudrate == 115_200

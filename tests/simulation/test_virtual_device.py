@@ -11,12 +11,13 @@ from imumon.pipeline import Pipeline
 from imumon.protocols.device import load_device
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.virtual_device import VirtualDevice
+from tests.waiting import LIMIT_S
 
 
 def read(path: str, n_bytes: int) -> bytes:
     """Open the port as a host does and read until so many bytes have come."""
     descriptor, data = os.open(path, os.O_RDONLY | os.O_NOCTTY), b""
-    end = time.monotonic() + 20.0
+    end = time.monotonic() + LIMIT_S
     try:
         while len(data) < n_bytes and time.monotonic() < end:
             data += os.read(descriptor, 4096)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from imumon.errors import ImumonError, Reason
 from imumon.simulation.virtual_port import Sampler, VirtualPort
+from tests.waiting import LIMIT_S, wait_until
 
 pytestmark = pytest.mark.usefixtures("no_leaks")
 
@@ -18,14 +19,14 @@ MESSAGE = bytes(range(256))
 
 
 def test_a_host_at_the_rate_of_the_device_reads_what_was_written() -> None:
-    with VirtualPort(baudrate=921600) as device, serial.Serial(device.path, 921600, timeout=2) as host:
+    with VirtualPort(baudrate=921600) as device, serial.Serial(device.path, 921600, timeout=LIMIT_S) as host:
         device.write(MESSAGE)
         assert host.read(256) == MESSAGE
     assert (device.bytes_sent, device.bytes_lost, device.bytes_overrun) == (256, 0, 0)
 
 
 def test_bytes_leave_no_faster_than_the_line_carries_them() -> None:
-    with VirtualPort(baudrate=38400) as device, serial.Serial(device.path, 38400, timeout=2) as host:
+    with VirtualPort(baudrate=38400) as device, serial.Serial(device.path, 38400, timeout=LIMIT_S) as host:
         start = time.monotonic()
         device.write(bytes(384))
         assert len(host.read(384)) == 384
@@ -33,21 +34,22 @@ def test_bytes_leave_no_faster_than_the_line_carries_them() -> None:
 
 
 def test_a_host_at_another_rate_reads_garbage_of_the_length_that_fits_its_rate() -> None:
-    with VirtualPort(baudrate=115200) as device, serial.Serial(device.path, 57600, timeout=0.5) as host:
+    with VirtualPort(baudrate=115200) as device, serial.Serial(device.path, 57600, timeout=LIMIT_S) as host:
         device.write(MESSAGE * 4)
-        seen = host.read(4096)
-    assert seen == Sampler(2.0).feed(MESSAGE * 4)
+        garbage = Sampler(2.0).feed(MESSAGE * 4)
+        seen = host.read(len(garbage))
+    assert seen == garbage
     assert MESSAGE[:8] not in seen
     assert 0.3 < len(seen) / 1024 < 0.7
 
 
 def test_a_rate_without_a_termios_constant_is_told_apart_as_well() -> None:
     with VirtualPort(baudrate=250000) as device:
-        with serial.Serial(device.path, 250000, timeout=2) as host:
+        with serial.Serial(device.path, 250000, timeout=LIMIT_S) as host:
             assert device.host_baudrate() == 250000
             device.write(MESSAGE)
             assert host.read(256) == MESSAGE
-        with serial.Serial(device.path, 256000, timeout=2) as host:  # within the tolerance of a UART
+        with serial.Serial(device.path, 256000, timeout=LIMIT_S) as host:  # within the tolerance of a UART
             device.write(MESSAGE)
             assert host.read(256) == MESSAGE
 
@@ -55,7 +57,7 @@ def test_a_rate_without_a_termios_constant_is_told_apart_as_well() -> None:
 def test_bytes_that_no_host_listens_to_are_lost_and_counted() -> None:
     with VirtualPort(baudrate=921600) as device:
         device.write(MESSAGE)
-        assert device.drain()
+        assert wait_until(device.drain)
         assert device.bytes_lost == 256
         with serial.Serial(device.path, 921600, timeout=0.1) as host:
             assert host.read(1) == b""
@@ -64,7 +66,7 @@ def test_bytes_that_no_host_listens_to_are_lost_and_counted() -> None:
 def test_a_host_that_does_not_read_overruns_instead_of_blocking_the_device() -> None:
     with VirtualPort(baudrate=8000000) as device, serial.Serial(device.path, 8000000, timeout=0) as host:
         device.write(bytes(400_000))
-        assert device.drain()
+        assert wait_until(device.drain)
         assert device.bytes_overrun > 0
         seen = 0
         while chunk := host.read(65536):
@@ -77,7 +79,7 @@ def test_what_the_host_writes_reaches_the_device() -> None:
         assert device.read() == b""
         with serial.Serial(device.path, 115200) as host:
             host.write(b"\r\n\x03\x11\x13?")
-            assert device.read(2.0) == b"\r\n\x03\x11\x13?"
+            assert device.read(LIMIT_S) == b"\r\n\x03\x11\x13?"
 
 
 def test_a_mute_device_sends_nothing_until_it_resumes() -> None:
@@ -86,18 +88,19 @@ def test_a_mute_device_sends_nothing_until_it_resumes() -> None:
         device.write(b"lost")
         assert host.read(4) == b""
         device.resume()
+        host.timeout = LIMIT_S
         device.write(b"back")
         assert host.read(4) == b"back"
         assert device.bytes_lost == 4
 
 
 def test_what_is_under_way_when_the_cable_is_pulled_is_lost() -> None:
-    with VirtualPort(baudrate=9600) as device, serial.Serial(device.path, 9600, timeout=0.2) as host:
-        device.write(bytes(960))
+    with VirtualPort(baudrate=9600) as device, serial.Serial(device.path, 9600, timeout=LIMIT_S) as host:
+        device.write(bytes(96_000))
         device.unplug()
-        assert device.bytes_lost > 800
+        assert device.bytes_lost > 80_000
         with pytest.raises(serial.SerialException):
-            host.read(960)
+            host.read(96_000)
 
 
 def test_the_link_names_the_node_while_plugged_in(tmp_path: Path) -> None:
@@ -110,7 +113,7 @@ def test_the_link_names_the_node_while_plugged_in(tmp_path: Path) -> None:
         with pytest.raises(serial.SerialException):
             serial.Serial(str(link), 115200)
         device.replug()
-        with serial.Serial(str(link), 115200, timeout=2) as host:
+        with serial.Serial(str(link), 115200, timeout=LIMIT_S) as host:
             device.write(b"again")
             assert host.read(5) == b"again"
     assert not link.is_symlink()

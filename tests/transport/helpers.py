@@ -10,21 +10,12 @@ from collections.abc import Callable, Iterator
 
 from imumon.transport.port import Port
 from imumon.transport.reader import Bytes, Event, EventKind, Item
+from tests.waiting import LIMIT_S, wait_until
 
 
-def wait_until(condition: Callable[[], bool], timeout_s: float = 5.0) -> bool:
-    """Wait until the condition holds; return whether it does."""
-    end = time.monotonic() + timeout_s
-    while not condition():
-        if time.monotonic() > end:
-            return False
-        time.sleep(0.002)
-    return True
-
-
-def read_exactly(port: Port, n_bytes: int, timeout_s: float = 5.0) -> bytes:
+def read_exactly(port: Port, n_bytes: int) -> bytes:
     """Read until so many bytes have come (or time is up)."""
-    end, data = time.monotonic() + timeout_s, b""
+    end, data = time.monotonic() + LIMIT_S, b""
     while len(data) < n_bytes and time.monotonic() < end:
         data += port.read(0.1)
     return data
@@ -51,11 +42,11 @@ class Collector:
     def kinds(self) -> list[EventKind]:
         return [event.kind for event in self.events]
 
-    def saw(self, kind: EventKind, times: int = 1, timeout_s: float = 5.0) -> bool:
-        return wait_until(lambda: self.kinds.count(kind) >= times, timeout_s)
+    def saw(self, kind: EventKind, times: int = 1) -> bool:
+        return wait_until(lambda: self.kinds.count(kind) >= times)
 
-    def got(self, data: bytes, timeout_s: float = 5.0) -> bool:
-        return wait_until(lambda: self.data.endswith(data), timeout_s)
+    def got(self, data: bytes) -> bool:
+        return wait_until(lambda: self.data.endswith(data))
 
 
 @contextlib.contextmanager
@@ -72,7 +63,7 @@ def tcp_server(serve: Callable[[socket.socket], None]) -> Iterator[int]:
                 except TimeoutError:
                     continue
                 with client:
-                    client.settimeout(5.0)
+                    client.settimeout(LIMIT_S)
                     serve(client)
 
         thread = threading.Thread(target=run)

@@ -13,8 +13,12 @@ from imumon.transport.detect import COMMON_BAUDRATES, Verdict, baudrates_to_try,
 from imumon.transport.settings import PortSettings
 from imumon.transport.statistics import Counters
 from tests.transport.helpers import tcp_server
+from tests.waiting import LIMIT_S
 
 pytestmark = pytest.mark.usefixtures("no_leaks")
+
+TEXT_S = 2.0
+"""Text and packets in part are listened to for as long as asked: enough for some to come."""
 
 
 class Framer:
@@ -82,16 +86,27 @@ def sending(device: VirtualPort, make: Callable[[int], bytes] = packet) -> Itera
         thread.join()
 
 
+@pytest.fixture
+def no_glance(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Listen at every rate until there is enough, however slowly it comes."""
+    monkeypatch.setattr("imumon.transport.detect.GLANCE_S", LIMIT_S)
+
+
+@pytest.mark.usefixtures("no_glance")
 def test_rate_and_protocol_are_found_among_wrong_ones() -> None:
     tried: list[int] = []
     with VirtualPort(baudrate=57600) as device, sending(device):
         evidence = detect(
-            device.path, CANDIDATES, [115200, 230400, 57600, 9600], 0.2, lambda s: tried.append(s.baudrate)
+            device.path,
+            CANDIDATES,
+            [115200, 230400, 57600, 9600],
+            LIMIT_S,
+            lambda s: tried.append(s.baudrate),
         )
     best = evidence[0]
     assert (best.protocol, best.baudrate, best.verdict) == ("mine", 57600, Verdict.FRAMES)
     assert best.share_framed > 0.8
-    assert best.bytes_per_s > 1000
+    assert best.bytes_per_s == best.bytes_received / best.seconds
     assert tried == [115200, 230400, 57600]  # 9600 need not be tried any more
     assert {item.verdict for item in evidence[1:]} <= {Verdict.NOTHING, Verdict.PARTLY}
     assert failure(device.path, evidence) is None
@@ -100,7 +115,7 @@ def test_rate_and_protocol_are_found_among_wrong_ones() -> None:
 def test_of_two_that_frame_the_one_that_understands_the_packets_comes_first() -> None:
     relatives = {"deaf": lambda: Framer(b"\xaa\x55", understands=False), "mine": CANDIDATES["mine"]}
     with VirtualPort(baudrate=115200) as device, sending(device):
-        first, second = detect(device.path, relatives, [115200], 0.2)
+        first, second = detect(device.path, relatives, [115200], LIMIT_S)
     assert (first.protocol, second.protocol) == ("mine", "deaf")
     assert (first.verdict, second.verdict) == (Verdict.FRAMES, Verdict.UNREAD)
     assert first.samples == first.packets >= 5
@@ -109,9 +124,9 @@ def test_of_two_that_frame_the_one_that_understands_the_packets_comes_first() ->
 
 def test_listening_ends_early_when_the_evidence_is_overwhelming() -> None:
     with VirtualPort(baudrate=921600) as device, sending(device):
-        evidence = detect(device.path, CANDIDATES, [921600], 60.0)
+        evidence = detect(device.path, CANDIDATES, [921600], LIMIT_S)
     assert evidence[0].packets >= 50
-    assert evidence[0].seconds < 50
+    assert evidence[0].seconds < LIMIT_S
 
 
 def test_a_silent_port_is_an_honest_result() -> None:
@@ -128,9 +143,9 @@ def test_a_silent_port_is_an_honest_result() -> None:
 def test_a_protocol_that_nobody_knows_is_a_wrong_baud_rate_or_protocol() -> None:
     with (
         VirtualPort(baudrate=115200) as device,
-        sending(device, lambda n: bytes([n & 0xFF, 3, 129, 77, 200])),
+        sending(device, lambda n: bytes([n & 0xFF, 3, 129, 77, 200]) * 10),
     ):
-        evidence = detect(device.path, CANDIDATES, [115200], 0.2)
+        evidence = detect(device.path, CANDIDATES, [115200], LIMIT_S)
         error = failure(device.path, evidence)
     assert evidence[0].verdict is Verdict.NOTHING
     assert error is not None
@@ -141,7 +156,7 @@ def test_a_protocol_that_nobody_knows_is_a_wrong_baud_rate_or_protocol() -> None
 
 def test_text_points_to_command_mode() -> None:
     with VirtualPort(baudrate=115200) as device, sending(device, lambda _: b"cmd> \r\n"):
-        error = failure(device.path, detect(device.path, CANDIDATES, [115200], 0.2))
+        error = failure(device.path, detect(device.path, CANDIDATES, [115200], TEXT_S))
     assert error is not None
     assert "command mode" in error.hint
 
@@ -153,16 +168,16 @@ def test_text_is_listened_to_for_as_long_as_asked_at_its_rate() -> None:
         heard.clear()
         tried.append(settings.baudrate)
 
-    with VirtualPort(baudrate=57600) as device, sending(device, lambda n: b"%d,2,3\r\n" % n):
-        evidence = detect(device.path, CANDIDATES, [115200, 57600, 9600], 1.0, begin, heard.extend)
+    with VirtualPort(baudrate=57600) as device, sending(device, lambda n: b"%d,2,3\r\n" % n * 10):
+        evidence = detect(device.path, CANDIDATES, [115200, 57600, 9600], TEXT_S, begin, heard.extend)
     assert tried == [115200, 57600, 57600]
-    assert all(item.baudrate == 57600 and item.seconds >= 1.0 for item in evidence)
+    assert all(item.baudrate == 57600 and item.seconds >= TEXT_S for item in evidence)
     assert heard.count(b"\n") > 100
 
 
 def test_bytes_of_one_kind_point_to_the_line() -> None:
-    with VirtualPort(baudrate=115200) as device, sending(device, lambda _: b"\x00\xff\x00"):
-        error = failure(device.path, detect(device.path, CANDIDATES, [115200], 0.2))
+    with VirtualPort(baudrate=115200) as device, sending(device, lambda _: b"\x00\xff\x00" * 20):
+        error = failure(device.path, detect(device.path, CANDIDATES, [115200], LIMIT_S))
     assert error is not None
     assert "inverted" in error.hint
 
@@ -172,7 +187,7 @@ def test_damaged_packets_frame_in_part() -> None:
         return packet(number)[: 16 if number % 2 else 11]
 
     with VirtualPort(baudrate=115200) as device, sending(device, damaged):
-        evidence = detect(device.path, CANDIDATES, [115200], 0.3)
+        evidence = detect(device.path, CANDIDATES, [115200], TEXT_S)
         error = failure(device.path, evidence)
     assert evidence[0].verdict is Verdict.PARTLY
     assert error is not None
@@ -181,7 +196,7 @@ def test_damaged_packets_frame_in_part() -> None:
 
 def test_a_network_stream_is_listened_to_once() -> None:
     with tcp_server(lambda client: client.sendall(b"".join(map(packet, range(100))))) as number:
-        evidence = detect(f"socket://127.0.0.1:{number}", CANDIDATES, seconds_each=5.0)
+        evidence = detect(f"socket://127.0.0.1:{number}", CANDIDATES, seconds_each=LIMIT_S)
     assert (evidence[0].protocol, evidence[0].baudrate) == ("mine", None)
     assert evidence[0].verdict is Verdict.FRAMES
 

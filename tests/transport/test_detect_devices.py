@@ -9,6 +9,7 @@ from imumon.blocks import SampleBlock
 from imumon.protocols.device import device_names, load_device
 from imumon.transport.detect import Verdict, detect
 from tests.transport.helpers import tcp_server
+from tests.waiting import LIMIT_S
 
 pytestmark = pytest.mark.usefixtures("no_leaks")
 LOOK_ALIKES = {"xsens": {"xsens", "xsens-legacy"}}
@@ -25,10 +26,10 @@ def test_a_device_is_named_from_the_middle_of_its_stream(name: str) -> None:
     stream = b"".join(load_device(name).encoder().encode(block))[13:]
     candidates = {known: load_device(known).decoder for known in device_names()}
     with tcp_server(lambda client: client.sendall(stream)) as port:
-        evidence = detect(f"socket://127.0.0.1:{port}", candidates, seconds_each=3.0)
+        evidence = detect(f"socket://127.0.0.1:{port}", candidates, seconds_each=LIMIT_S)
     fit = [item.protocol for item in evidence if item.verdict is Verdict.FRAMES]
     assert name in fit
     assert evidence[0].samples > 0
     assert evidence[0].protocol == name
-    assert sum({item.baudrate: item.seconds for item in evidence}.values()) < 5
+    assert sum({item.baudrate: item.seconds for item in evidence}.values()) < LIMIT_S
     assert set(fit) <= LOOK_ALIKES.get(name, {name})

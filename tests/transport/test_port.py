@@ -22,7 +22,8 @@ from imumon.simulation.virtual_port import VirtualPort
 from imumon.transport import port as port_module
 from imumon.transport.port import open_port
 from imumon.transport.settings import PortSettings
-from tests.transport.helpers import read_exactly, tcp_server, wait_until
+from tests.transport.helpers import read_exactly, tcp_server
+from tests.waiting import LIMIT_S, wait_until
 
 pytestmark = pytest.mark.usefixtures("no_leaks")
 
@@ -63,7 +64,7 @@ def test_bytes_arrive_unchanged_and_writes_reach_the_device() -> None:
         device.write(MESSAGE * 4)
         assert read_exactly(port, 1024) == MESSAGE * 4
         port.write(b"?\r\n\x00\xff")
-        assert device.read(2.0) == b"?\r\n\x00\xff"
+        assert device.read(LIMIT_S) == b"?\r\n\x00\xff"
 
 
 def test_reading_an_idle_port_ends_at_the_timeout_and_at_the_wake_up() -> None:
@@ -73,8 +74,8 @@ def test_reading_an_idle_port_ends_at_the_timeout_and_at_the_wake_up() -> None:
         assert port.read(0.02) == b""
         os.write(waker, b"!")
         start = time.monotonic()
-        assert port.read(10.0, wake) == b""
-        assert time.monotonic() - start < 5.0
+        assert port.read(2 * LIMIT_S, wake) == b""
+        assert time.monotonic() - start < LIMIT_S
     os.close(wake)
     os.close(waker)
 
@@ -105,7 +106,7 @@ def test_bytes_stolen_by_another_program_are_not_taken_for_a_hang_up(monkeypatch
             with monkeypatch.context() as patch:
                 patch.setattr(port_module, "select", SelectThenSteal)
                 device.write(b"?")
-                assert port.read(2.0) == b""
+                assert port.read(LIMIT_S) == b""
             assert port.vanished_reads == 1
             device.write(b"mine")
             assert read_exactly(port, 4) == b"mine"
@@ -221,7 +222,7 @@ def test_rfc2217_sets_the_rate_and_carries_bytes_both_ways() -> None:
             device.write(MESSAGE)
             assert read_exactly(port, 256) == MESSAGE
             port.write(b"hi\xff")
-            assert device.read(2.0) == b"hi\xff"
+            assert device.read(LIMIT_S) == b"hi\xff"
             assert port.read(0.06) == b""
 
 

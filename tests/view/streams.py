@@ -12,6 +12,7 @@ from rerun.chunk import RrdReader
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.view.items import Log, Numbers, State, Status, Timebase, ViewItem
+from tests.waiting import LIMIT_S
 
 RATE_HZ = 100
 HOST_NS = 1_790_000_000_000_000_000
@@ -81,11 +82,11 @@ class Stream:
             self.send(RATE_HZ // 20)
             time.sleep(0.05)
 
-    def run_until(self, condition: Callable[[], bool], limit_s: float, what: str) -> None:
-        """Publish in real time until the condition holds; fail when it does not within the limit."""
-        end = time.monotonic() + limit_s
+    def run_until(self, condition: Callable[[], bool], what: str) -> None:
+        """Publish in real time until the condition holds; fail when it never does."""
+        end = time.monotonic() + LIMIT_S
         while not condition():
-            assert time.monotonic() < end, f"not within {limit_s} s: {what}"
+            assert time.monotonic() < end, f"not within {LIMIT_S} s: {what}"
             self.run(0.1)
 
     def column(self, names: tuple[str, ...]) -> FloatArray:

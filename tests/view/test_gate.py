@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from imumon.view.gate import Gate, refusal
 from imumon.view.viewer import listen
 from tests.transport.helpers import tcp_server
+from tests.waiting import LIMIT_S
 
 
 @pytest.mark.parametrize(
@@ -41,7 +42,7 @@ def test_any_header_is_judged(host: str, origin: str) -> None:
 
 
 def asked(port: int, head: bytes) -> bytes:
-    with socket.create_connection(("127.0.0.1", port), timeout=5) as client:
+    with socket.create_connection(("127.0.0.1", port), timeout=LIMIT_S) as client:
         client.sendall(head)
         return client.recv(1000)
 

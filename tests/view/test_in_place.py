@@ -19,8 +19,7 @@ from imumon.view import in_place
 from imumon.view.blueprint import arranged
 from imumon.view.in_place import InPlace
 from imumon.view.rrd import LIVE_APPLICATION, messages
-
-SEEN_S = 20.0
+from tests.waiting import LIMIT_S
 
 
 def tabs(names: Sequence[str]) -> rrb.Blueprint:
@@ -103,7 +102,7 @@ def looked_at(viewer: ViewerClient) -> tuple[dict[str, Any], dict[str, Any], lis
 
 def wait_for(viewer: ViewerClient, names: Sequence[str]) -> str:
     """Wait until the viewer has these tabs; return which is seen."""
-    deadline, found = time.monotonic() + SEEN_S, list[str]()
+    deadline, found = time.monotonic() + LIMIT_S, list[str]()
     while time.monotonic() < deadline:
         try:
             _, _, found, seen = looked_at(viewer)

@@ -26,8 +26,7 @@ from imumon.view.publisher import History, ViewPublisher
 from imumon.view.viewer import Mode, proxy_url, quiet_environment, viewer_binary
 from tests.view.conftest import StartViewer
 from tests.view.streams import DEVICE_NS, GYRO, RATE_HZ, Stream, block, scalars
-
-CLOSE_S = 3.0
+from tests.waiting import LIMIT_S, wait_until
 
 Publish = Callable[[Mode, int], ViewPublisher]
 
@@ -82,13 +81,12 @@ def test_viewer_shows_the_stream(publish: Publish, headless: StartViewer, port: 
     headless(port)
     publisher = publish("native", port)
     stream = Stream(publisher.publish)
-    stream.run_until(lambda: publisher.state.connected, 20, "connected")
-    stream.run_until(lambda: "device_time" in seen(port), 20, "samples seen")
+    stream.run_until(lambda: publisher.state.connected, "connected")
+    stream.run_until(lambda: "device_time" in seen(port), "samples seen")
     before = seen(port)
-    stream.run(2.0)
+    stream.run_until(lambda: seen(port)["sample"][1] > before["sample"][1], "it goes on")
     after = seen(port)
     assert {"sample", "device_time", "host_time"} <= after.keys()
-    assert after["sample"][1] > before["sample"][1]
     assert after["sample"][0] == 0
     with ViewerClient.connect(f"rerun+http://127.0.0.1:{port}") as client:
         views = {view.name: view for view in client.get_state().views}
@@ -113,15 +111,15 @@ def test_restarted_viewer_gets_the_picture_back(publish: Publish, headless: Star
     first = headless(port)
     publisher = publish("native", port)
     stream = Stream(publisher.publish)
-    stream.run_until(lambda: "sample" in seen(port), 20, "samples seen")
+    stream.run_until(lambda: "sample" in seen(port), "samples seen")
     first.kill()
     first.wait()
-    stream.run_until(lambda: not publisher.state.connected, 20, "noticed")
+    stream.run_until(lambda: not publisher.state.connected, "noticed")
     assert "brings it back" in publisher.state.text
     headless(port)
-    stream.run_until(lambda: seen(port).get("sample", (1, 0))[0] == 0, 20, "what was before is shown again")
+    stream.run_until(lambda: seen(port).get("sample", (1, 0))[0] == 0, "what was before is shown again")
     end = seen(port)["sample"][1]
-    stream.run_until(lambda: seen(port)["sample"][1] > end, 20, "it goes on")
+    stream.run_until(lambda: seen(port)["sample"][1] > end, "it goes on")
     assert publisher.state.restarts == 0
     assert publisher.state.dropped == 0
 
@@ -133,20 +131,20 @@ def test_stopped_viewer_costs_nothing_and_gets_what_it_missed(
     viewer = headless(port)
     publisher = publish("native", port)
     stream = Stream(publisher.publish)
-    stream.run_until(lambda: "sample" in seen(port), 20, "samples seen")
+    stream.run_until(lambda: "sample" in seen(port), "samples seen")
     viewer.send_signal(signal.SIGSTOP)
-    stream.run_until(lambda: publisher.state.text == "viewer does not respond", 20, "noticed")
+    stream.run_until(lambda: publisher.state.text == "viewer does not respond", "noticed")
     resident = child().memory_info().rss
     for _ in range(2000):
         stream.send(50)
     assert publisher.state.dropped == 0
     assert child().memory_info().rss - resident < 64 << 20
     viewer.send_signal(signal.SIGCONT)
-    stream.run_until(lambda: seen(port)["sample"][1] >= 100_000, 20, "what was missed is shown")
+    stream.run_until(lambda: seen(port)["sample"][1] >= 100_000, "what was missed is shown")
     viewer.send_signal(signal.SIGSTOP)
     started = time.monotonic()
     publisher.close()
-    assert time.monotonic() - started < CLOSE_S
+    assert time.monotonic() - started < LIMIT_S
 
 
 @pytest.mark.viewer
@@ -166,7 +164,7 @@ def test_second_reader_gets_exact_samples_from_the_web_stream(
 
 def _second_reader_gets_exact_samples(publisher: ViewPublisher, path: Path) -> None:
     stream = Stream(publisher.publish)
-    stream.run_until(lambda: publisher.state.connected, 20, "connected")
+    stream.run_until(lambda: publisher.state.connected, "connected")
     command = [
         str(viewer_binary()),
         proxy_url(publisher._report.port),
@@ -179,7 +177,7 @@ def _second_reader_gets_exact_samples(publisher: ViewPublisher, path: Path) -> N
         command, env=quiet_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
     try:
-        stream.run_until(lambda: path.exists() and path.stat().st_size > 500_000, 20, "captured")
+        stream.run_until(lambda: path.exists() and path.stat().st_size > 500_000, "captured")
     finally:
         reader.kill()
         reader.wait()
@@ -195,11 +193,11 @@ def _second_reader_gets_exact_samples(publisher: ViewPublisher, path: Path) -> N
 def test_killed_view_process_is_started_again_on_the_same_ports(publish: Publish, port: int) -> None:
     publisher = publish("web", port)
     stream = Stream(publisher.publish)
-    stream.run_until(lambda: publisher.state.connected, 20, "serving")
+    stream.run_until(lambda: publisher.state.connected, "serving")
     url, stream_port = publisher.url, publisher._report.port
     child().kill()
-    stream.run_until(lambda: publisher.state.restarts == 1, 20, "noticed")
-    stream.run_until(lambda: publisher.state.connected, 20, "serving again")
+    stream.run_until(lambda: publisher.state.restarts == 1, "noticed")
+    stream.run_until(lambda: publisher.state.connected, "serving again")
     assert (publisher.url, publisher._report.port) == (url, stream_port)
 
 
@@ -219,7 +217,7 @@ def test_on_this_machine_only_and_by_no_other_web_site_the_stream_is_read(
     publish: Publish, port: int
 ) -> None:
     publisher = publish("web", port)
-    Stream(publisher.publish).run_until(lambda: publisher.state.connected, 20, "serving")
+    Stream(publisher.publish).run_until(lambda: publisher.state.connected, "serving")
     listening = [one.laddr for one in child().net_connections() if one.status == psutil.CONN_LISTEN]
     assert all(address.ip.startswith("127.") for address in listening)
     assert {address.port for address in listening if address.ip == "127.0.0.1"} == {
@@ -229,24 +227,27 @@ def test_on_this_machine_only_and_by_no_other_web_site_the_stream_is_read(
     path = "/rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages"
     ports = publisher._report.port, publisher._report.port + 1
     for at, (headers, status) in product(ports, ASKED):
-        connection = http.client.HTTPConnection("127.0.0.1", at, timeout=10)
+        connection = http.client.HTTPConnection("127.0.0.1", at, timeout=LIMIT_S)
         asked = {"Content-Type": "application/grpc-web+proto", "X-Grpc-Web": "1", **headers}
         connection.request("POST", path, bytes(5), asked)
         with closing(connection), connection.getresponse() as response:
             assert response.status == status
-            assert (b"live-1" in response.read1(1 << 16)) == (status == 200)
+            shown = response.read1(1 << 16)
+            while status == 200 and b"live-1" not in shown:
+                shown += response.read1(1 << 16)
+            assert (b"live-1" in shown) == (status == 200)
 
 
 def test_without_any_viewer_publishing_goes_on_and_the_state_says_why(publish: Publish, port: int) -> None:
     publisher = publish("native", port)
     stream = Stream(publisher.publish)
-    stream.run_until(lambda: "could not start" in publisher.state.text, 20, "noticed")
+    stream.run_until(lambda: "could not start" in publisher.state.text, "noticed")
     stream.run(0.5)
     assert not publisher.state.connected
     assert publisher.state.dropped == 0
     started = time.monotonic()
     publisher.close()
-    assert time.monotonic() - started < CLOSE_S
+    assert time.monotonic() - started < LIMIT_S
 
 
 def test_stopped_view_process_costs_bounded_memory_and_does_not_block_exit(
@@ -254,16 +255,15 @@ def test_stopped_view_process_costs_bounded_memory_and_does_not_block_exit(
 ) -> None:
     publisher = publish("web", port)
     stream = Stream(publisher.publish)
-    stream.run_until(lambda: publisher.state.connected, 20, "serving")
+    stream.run_until(lambda: publisher.state.connected, "serving")
     os.kill(child().pid, signal.SIGSTOP)
     large = Timebase().samples(block(0, 100_000))
     for _ in range(2 * QUEUE_BYTES // item_bytes(large) + 20):
         publisher.publish(large)
-    stream.run(0.5)
-    assert publisher.state.dropped > 0
+    stream.run_until(lambda: publisher.state.dropped > 0, "counted")
     started = time.monotonic()
     publisher.close()
-    assert time.monotonic() - started < CLOSE_S
+    assert time.monotonic() - started < LIMIT_S
 
 
 def test_view_process_that_takes_nothing_is_started_again(
@@ -271,13 +271,13 @@ def test_view_process_that_takes_nothing_is_started_again(
 ) -> None:
     publisher = publish("web", port)
     stream = Stream(publisher.publish)
-    stream.run_until(lambda: publisher.state.connected, 20, "serving")
+    stream.run_until(lambda: publisher.state.connected, "serving")
     with monkeypatch.context() as impatient:  # on a busy machine it takes longer to start
         impatient.setattr("imumon.view.fed.STUCK_S", 1.0)
         os.kill(child().pid, signal.SIGSTOP)
         stream.send(20_000)  # more than a pipe holds
-        stream.run_until(lambda: publisher.state.restarts == 1, 20, "noticed")
-    stream.run_until(lambda: publisher.state.connected, 20, "serving again")
+        stream.run_until(lambda: publisher.state.restarts >= 1, "noticed")
+    stream.run_until(lambda: publisher.state.connected, "serving again")
 
 
 @pytest.mark.parametrize("after_s", [0.0, 0.1, 0.2, 0.3, 0.4])
@@ -285,10 +285,7 @@ def test_close_at_any_time_leaves_no_process(publish: Publish, port: int, after_
     publisher = publish("web", port)
     time.sleep(after_s)
     publisher.close(timeout_s=0.5)
-    deadline = time.monotonic() + 5
-    while (left := programs_of(port)) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert left == []
+    assert wait_until(lambda: not programs_of(port)), programs_of(port)
 
 
 def programs_of(port: int) -> list[list[str]]:

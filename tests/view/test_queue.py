@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from imumon.view.items import Log, Samples, State, Status, Timebase, ViewItem, item_bytes
 from imumon.view.queue import DropOldestQueue
 from tests.view.streams import block
+from tests.waiting import LIMIT_S
 
 
 def samples(count: int) -> list[Samples]:
@@ -56,18 +57,18 @@ def test_take_waits_for_the_first_item() -> None:
     item = samples(1)[0]
     timer = threading.Timer(0.05, queue.put, [item])
     timer.start()
-    assert queue.take(0.0, 10.0) == [item]
+    assert queue.take(0.0, LIMIT_S) == [item]
     timer.join()
 
 
 def test_batches_come_at_once_but_not_sooner_after_each_other() -> None:
     queue: DropOldestQueue[ViewItem] = DropOldestQueue(1 << 20)
     first, *rest = samples(3)
-    time.sleep(1.0)
     asked = time.monotonic()
+    queue._taken_s = asked - LIMIT_S  # as if nothing had come for so long
     queue.put(first)
-    assert queue.take(1.0, 0.0) == [first]
-    assert time.monotonic() - asked < 0.9
+    assert queue.take(LIMIT_S, 0.0) == [first]
+    assert time.monotonic() - asked < LIMIT_S
     taken = time.monotonic()
     queue.put(rest[0])
     timer = threading.Timer(0.05, queue.put, [rest[1]])
@@ -83,7 +84,7 @@ def test_close_ends_waiting_and_gathering() -> None:
     timer = threading.Timer(0.05, queue.close)
     timer.start()
     started = time.monotonic()
-    assert len(queue.take(60.0, 60.0)) == 1
-    assert queue.take(60.0, 60.0) == []
+    assert len(queue.take(2 * LIMIT_S, 2 * LIMIT_S)) == 1
+    assert queue.take(2 * LIMIT_S, 2 * LIMIT_S) == []
     timer.join()
-    assert time.monotonic() - started < 30.0
+    assert time.monotonic() - started < LIMIT_S

@@ -18,6 +18,7 @@ from imumon.view.items import Status, Timebase, ViewSetup
 from imumon.view.recorder import ViewRecorder
 from imumon.view.viewer import quiet_environment, viewer_binary
 from tests.view.streams import ACCEL, RATE_HZ, Stream, block, entities, record_batches, scalars
+from tests.waiting import LIMIT_S, wait_until
 
 SETUP = ViewSetup("test", "recording-1", properties={"device": "synthetic"})
 
@@ -188,7 +189,7 @@ def test_full_disk_is_reported_and_what_is_missing_counted(tmp_path: Path) -> No
     """
     command = [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "view.rrd")]
     root = Path(__file__).parents[2]
-    done = subprocess.run(command, cwd=root, check=True, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, cwd=root, check=True, capture_output=True, text=True, timeout=LIMIT_S)
     assert "cannot be written any more" in done.stdout
     assert int(done.stdout.split()[-1]) >= 500
 
@@ -206,10 +207,8 @@ def test_finished_segments_are_compacted_and_hold_the_same(
     while len(recorder.files) < 2:
         time.sleep(0.01)
     first = tmp_path / "view.rrd"
-    deadline = time.monotonic() + 20
-    while (chunks := len(list(record_batches(first, "/samples/accel")))) > 2 and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert chunks <= 2  # of about 50 that were written
+    # Of about 50 that were written.
+    assert wait_until(lambda: len(list(record_batches(first, "/samples/accel"))) <= 2)
     recorder.close()
     assert len(list(record_batches(recorder.files[-1], "/samples/accel"))) <= 2, "the last one as well"
     check_extremes(recorder.files, stream)

@@ -25,6 +25,7 @@ from imumon.view.items import Instant, Log, State, Timebase, ViewSetup
 from imumon.view.terminal import Screen, TerminalView, sparkline
 from tests.cli.command import IMUMON
 from tests.view.streams import block
+from tests.waiting import LIMIT_S
 
 SETUP = ViewSetup("bench", "bench")
 CONTROL = re.compile(r"\x1b\[(\??)([\d;]*)([A-Za-z])")
@@ -135,7 +136,7 @@ def _in_terminal(
     os.close(theirs)
     os.set_blocking(ours, False)
     parts: list[bytes] = []
-    end = time.monotonic() + 60
+    end = time.monotonic() + LIMIT_S
     while time.monotonic() < end:
         try:
             part = os.read(ours, 65536)
@@ -155,7 +156,7 @@ def _in_terminal(
                 break
             time.sleep(0.05)
     os.close(ours)
-    return process.wait(10), b"".join(parts).decode()
+    return process.wait(LIMIT_S), b"".join(parts).decode()
 
 
 SHOWN = ("Port open", "angular rate", "specific force", "temperature", "°/s", "packets")

@@ -17,6 +17,7 @@ from imumon.view.viewer import (
     quiet_environment,
     viewer_binary,
 )
+from tests.waiting import LIMIT_S
 
 
 def test_binary_is_the_program_itself_not_the_script() -> None:
@@ -45,7 +46,7 @@ def test_another_program_is_told_apart(port: int, reply: bytes) -> None:
 
         thread = threading.Thread(target=answer)
         thread.start()
-        assert probe(port) is Answer.OTHER
+        assert probe(port, LIMIT_S) is Answer.OTHER
         thread.join()
 
 
