@@ -101,7 +101,7 @@ def command(
     try:
         # The view's process starts while this one gets ready.
         shown = view_setup(run.session, run.pipeline.units, window)
-        views = _Views(shown, run.session.view_path, mode, bind, targets)
+        views = _Views(shown, run, mode, bind, targets)
         live.begin(views.publish)
         _watch(live, views)
     finally:
@@ -137,7 +137,7 @@ class _Views:
     """The live view, if any, the recording of the view, and what other programs get."""
 
     def __init__(
-        self, setup: ViewSetup, recording: Path, mode: View, bind: str, targets: Sequence[Target]
+        self, setup: ViewSetup, run: LiveRun, mode: View, bind: str, targets: Sequence[Target]
     ) -> None:
         from imumon.view.recorder import ViewRecorder
 
@@ -151,7 +151,7 @@ class _Views:
             from imumon.view.publisher import ViewPublisher
 
             self._live = ViewPublisher(mode, setup, bind=bind).start()
-        self._recorder = ViewRecorder(recording, setup)
+        self._recorder = ViewRecorder(run.session.view_path, setup, on_error=run.report_view_error)
         self.published = Published(targets, setup)
         self.publish: list[Callable[[ViewItem], None]] = [self._recorder.publish, *self.published.publish]
         if self._live is not None:

@@ -96,7 +96,7 @@ def _run(task: Task, rack: Connection) -> None:
     whole = view_setup(run.session, run.pipeline.units, task.window_s)
     # Of the unit, not of its session: a tab that is there goes on when a process was begun anew.
     own = ViewSetup(plan.name, plan.name, whole.units, whole.z_down, whole.window_s)
-    recorder = ViewRecorder(run.session.view_path, whole)
+    recorder = ViewRecorder(run.session.view_path, whole, on_error=run.report_view_error)
     feed = Feed(str(run.session.path), pictures=task.pictures)
     run.begin([recorder.publish, feed.publish])
     said = False

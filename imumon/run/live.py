@@ -250,6 +250,16 @@ class LiveRun:
         except OSError as error:
             self._say("ERROR", f"no mark can be made: {error.strerror}")
 
+    def report_view_error(self, why: str) -> None:
+        """Log that the recording of the view has stopped; may be called from any thread."""
+        problem = self._recorder.problem
+        wire = "wire.mcap has all so far" if problem is None else f"wire.mcap has a problem, too: {problem}"
+        self._say(
+            "ERROR",
+            f"the view is not recorded any more: {why}; {wire}; make room on the disk;"
+            f" afterwards imumon replay {self.session.path} --view native shows the whole run",
+        )
+
     def _take_marks(self) -> None:
         with self._marking:
             for kind, text in self._marks.take():

@@ -7,6 +7,7 @@ import os
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -53,9 +54,18 @@ class ViewRecorder:
         As for the live view, so that both are the same recording.
     segment_s : float
         A new segment begins when this much time has passed in the data.
+    on_error : callable
+        Called with `error` once, from the thread that writes.
     """
 
-    def __init__(self, path: Path, setup: ViewSetup, *, segment_s: float = SEGMENT_S) -> None:
+    def __init__(
+        self,
+        path: Path,
+        setup: ViewSetup,
+        *,
+        segment_s: float = SEGMENT_S,
+        on_error: Callable[[str], None] = lambda _: None,
+    ) -> None:
         if path.exists():
             raise ImumonError(Reason.EXISTS, f"{path} exists already", "name another folder")
         if not path.parent.is_dir():
@@ -68,6 +78,7 @@ class ViewRecorder:
         self._queue: DropOldestQueue[ViewItem] = DropOldestQueue(QUEUE_BYTES)
         self._refused = 0
         self._error = ""
+        self._on_error = on_error
         self._compaction: Compaction | None = None
         self._files: list[Path] = []
         self._open_segment()
@@ -137,6 +148,7 @@ class ViewRecorder:
         except RuntimeError as error:  # rerun has no exceptions of its own
             if "timed out" not in str(error).lower():
                 self._error = f"{self._files[-1]} cannot be written any more: {error}"
+                self._on_error(self._error)
 
     def _write(self, items: list[ViewItem]) -> None:
         """Log items in order of their kind; where a segment ends, go on in the next one."""

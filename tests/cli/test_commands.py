@@ -23,6 +23,7 @@ from imumon.cli import COMMANDS
 from imumon.cli.live_run import Ending, ending_signals
 from imumon.errors import EXIT_INTERRUPTED
 from imumon.protocols.device import load_device
+from imumon.recordings.recorder import Recorder
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.virtual_device import VirtualDevice
 from tests.cli.command import IMUMON, answer, imumon
@@ -70,6 +71,27 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert result["packets"] > 150
     assert result["bytes_recorded"] == result["bytes_received"]
     return folder / "s"
+
+
+@pytest.mark.parametrize("disk", ["view", "both"])
+def test_a_view_that_cannot_be_written_is_reported_once(
+    disk: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import rerun as rr
+
+    def stopped(*_: object, **__: object) -> None:
+        raise RuntimeError("File-writer thread shut down prematurely")
+
+    monkeypatch.setattr(rr.RecordingStream, "flush", stopped)
+    if disk == "both":
+        monkeypatch.setattr(Recorder, "problem", "the recording cannot be written: No space left on device")
+    with VirtualDevice(load_device("ax1"), tmp_path / "ahrs") as ahrs:
+        done = imumon(*monitoring(ahrs, tmp_path / "s"), "--seconds", 1)
+    (line,) = [line for line in done.stderr.splitlines() if "the view is not recorded any more" in line]
+    assert "view.rrd cannot be written any more" in line
+    assert f"imumon replay {tmp_path / 's'} --view native" in line
+    assert ("wire.mcap has all so far" in line) == (disk == "view")
+    assert ("No space left on device" in line) == (disk == "both")
 
 
 def test_help_lists_every_command_and_imports_nothing_heavy() -> None:

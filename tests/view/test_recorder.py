@@ -177,7 +177,8 @@ def test_full_disk_is_reported_and_what_is_missing_counted(tmp_path: Path) -> No
         rooms.BATCH_S = 0.05
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, 500_000))
-        recorder = ViewRecorder(Path(sys.argv[1]), ViewSetup("test", "full"))
+        said = []
+        recorder = ViewRecorder(Path(sys.argv[1]), ViewSetup("test", "full"), on_error=said.append)
         stream = Stream(recorder.publish)
         while not recorder.error:
             stream.send(5000)
@@ -185,6 +186,7 @@ def test_full_disk_is_reported_and_what_is_missing_counted(tmp_path: Path) -> No
         before = recorder.dropped
         stream.send(500)
         recorder.close()
+        assert said == [recorder.error]
         print(recorder.error, recorder.dropped - before)
     """
     command = [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "view.rrd")]
