@@ -37,7 +37,8 @@ Attitude
     frame; ``roll, pitch, yaw`` in rad as the device reports them.  Heading is clockwise from north.
 
 Missing values
-    NaN in float columns; a quantity that the device never sends has no column.
+    NaN; an integer column that lacks values is float64 then, a complete one is int64.  A quantity that the
+    device never sends has no column.  Within imumon a missing integer is `imumon.blocks.NO_INT`.
 """
 
 from __future__ import annotations
@@ -51,7 +52,9 @@ from imumon.version import __version__
 if TYPE_CHECKING:
     from imumon.blocks import SampleBlock
     from imumon.columns import Column
-    from imumon.library import Live, Samples, open, read
+    from imumon.library.live import Live, open
+    from imumon.library.reading import read, read_blocks
+    from imumon.library.samples import Samples
     from imumon.models.model import load_model
     from imumon.pipeline import Estimator, Pipeline
     from imumon.run.setup import Setup, load_setup
@@ -71,22 +74,28 @@ __all__ = [
     "load_setup",
     "open",
     "read",
+    "read_blocks",
 ]
 
 _ROOMS = {
     "Column": "columns",
     "Estimator": "pipeline",
-    "Live": "library",
+    "Live": "library.live",
     "Pipeline": "pipeline",
     "SampleBlock": "blocks",
-    "Samples": "library",
+    "Samples": "library.samples",
     "Setup": "run.setup",
     "load_model": "models.model",
     "load_setup": "run.setup",
-    "open": "library",
-    "read": "library",
+    "open": "library.live",
+    "read": "library.reading",
+    "read_blocks": "library.reading",
 }
 """Where a name is made: imported when it is asked for, so that the command line starts at once."""
+
+
+def __dir__() -> list[str]:
+    return list(__all__)
 
 
 def __getattr__(name: str) -> object:

@@ -29,6 +29,10 @@ class SampleBlock:
 
     columns: Mapping[str, ColumnArray]
 
+    def __repr__(self) -> str:
+        """Return the size in a line."""
+        return f"<SampleBlock: {len(self):,} rows of {len(self.columns)} columns>"
+
     def __post_init__(self) -> None:
         """Check that all columns have the same length."""
         lengths = {len(values) for values in self.columns.values()}
@@ -94,7 +98,7 @@ class SampleBlock:
 
 
 NO_INT = int(np.iinfo(np.int64).min)
-"""Stands for "not sent" in an int64 column; tables write it as null."""
+"""Stands for "not sent" in an int64 column within imumon; tables write it as null, `with_nan` as NaN."""
 
 
 def missing(n: int, dtype: npt.DTypeLike) -> ColumnArray:
@@ -102,6 +106,18 @@ def missing(n: int, dtype: npt.DTypeLike) -> ColumnArray:
     if np.dtype(dtype) == np.int64:
         return np.full(n, NO_INT, np.int64)
     return np.full(n, np.nan, np.float64)
+
+
+def nan_for_missing(values: ColumnArray) -> ColumnArray:
+    """Return a column as users get it: integers of which some are missing as float64, those as NaN."""
+    if values.dtype != np.int64 or not (absent := values == NO_INT).any():
+        return values
+    return np.where(absent, np.nan, values)
+
+
+def with_nan(block: SampleBlock) -> SampleBlock:
+    """Return a block whose missing integers are NaN; columns that lack nothing are the same arrays."""
+    return SampleBlock({name: nan_for_missing(values) for name, values in block.columns.items()})
 
 
 def join(blocks: Sequence[SampleBlock]) -> SampleBlock:

@@ -23,7 +23,7 @@ class Reason(Enum):
     """Why an operation failed."""
 
     NOT_FOUND = "not found"
-    """No such port, or it went away."""
+    """No such port, or it went away; no such file."""
     PERMISSION = "permission denied"
     """The port exists but this user may not open it."""
     BUSY = "busy"

@@ -28,6 +28,13 @@ def bundled(kind: str) -> dict[str, Path]:
     return {path.stem: path for path in folder.glob("*.yaml")}
 
 
+def as_path(argument: str, value: object) -> Path:
+    """Return a path; raises BAD_CONFIG, naming the argument, for what is neither text nor a path."""
+    if not isinstance(value, str | Path):
+        raise ImumonError(Reason.BAD_CONFIG, f"{argument}={value!r:.60}: expected a path")
+    return Path(value)
+
+
 def read_text(path: Path, reason: Reason = Reason.BAD_CONFIG, hint: str = "") -> str:
     """Return the text of a file; raises an `ImumonError` of this reason when it is huge or unreadable."""
     try:

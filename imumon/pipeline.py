@@ -18,7 +18,7 @@ from typing import Any, Protocol, get_args, runtime_checkable
 
 import numpy as np
 
-from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join, missing
+from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join, missing, nan_for_missing
 from imumon.charts import Chart
 from imumon.clock import DeviceClock, HostClock
 from imumon.clock.held import HeldReadings
@@ -431,7 +431,7 @@ def _processed(stage: Estimator, seen: SampleBlock) -> Mapping[str, ColumnArray]
         return stage.process(seen)
     # It cannot write to what was sent.  Compiled code of imumon's own stages would have to be compiled anew
     # for arrays that are read only.
-    views = {name: values.view() for name, values in seen.columns.items()}
+    views = {name: nan_for_missing(values).view() for name, values in seen.columns.items()}
     for view in views.values():
         view.flags.writeable = False
     with _failing(stage, "process"):

@@ -52,16 +52,16 @@ def test_the_page_runs_as_it_stands(
     for program in examples():
         exec(program.replace("/dev/ttyUSB0", str(unit / "imu")), {})
         said.append(capsys.readouterr().out)
-    assert len(said) == 5
+    assert len(said) == 7
     assert all(said)
     times = [float(line.split()[0]) for line in said[0].splitlines()]
     assert times == sorted(times)
     assert len(times) > 5
-    rows, unit_of_rate, deviation = said[1].split()
+    rows, unit_of_rate, deviation = said[2].split()
     assert int(rows) >= 100
     assert unit_of_rate == "rad/s"
     assert 0.0 < float(deviation) < 1.0
-    assert 0.0 < float(said[3].split()[0]) < 1.0
+    assert 0.0 < float(said[5].split()[0]) < 1.0
 
 
 def test_the_table_of_names_is_that_of_the_package() -> None:
@@ -133,11 +133,6 @@ def test_a_table_without_units_is_said_to_be_one(tmp_path: Path, caplog: pytest.
     assert imumon.read(tmp_path / "t.csv").units == {"gyro_x": "rad/s", "flow": ""}
     assert "without t.units.yaml known names have the units of imumon" in caplog.text
     assert "nothing says the unit of flow" in caplog.text
-
-
-def test_a_capture_takes_its_device_as_the_second_argument(tmp_path: Path) -> None:
-    (tmp_path / "c.bin").write_bytes(bytes(100))
-    assert len(imumon.read(tmp_path / "c.bin", "ax1")) == 0
 
 
 class Doubled:

@@ -42,7 +42,7 @@ def command(
     """Decode FILE, a raw capture of any tool or a session, into a table."""
     from imumon.pipeline import Pipeline
     from imumon.recordings.side_tables import Exported, export_run
-    from imumon.recordings.source import open_source, run_over
+    from imumon.recordings.source import no_samples, open_source, run_over
     from imumon.run.narration import describe_losses, describe_streams
 
     source = open_source(file, device, rate)
@@ -58,7 +58,7 @@ def command(
             raise
         if as_json:
             print_json(_result(source, pipeline, Exported(0, {})))
-        raise _nothing(source, pipeline) from error
+        raise no_samples(source, pipeline) from error
     warn([*source.warnings(), *pipeline.warnings(), *exported.warnings])
     for notice in pipeline.notices():
         say("INFO", f"device: {notice}")
@@ -85,18 +85,3 @@ def _result(source: Source, pipeline: Pipeline, exported: Exported) -> dict[str,
 def exported_as_data(source: Source, pipeline: Pipeline, exported: Exported) -> dict[str, object]:
     """Return what ``--json`` prints of a run that was exported: the table, what came, what is missing."""
     return {**exported.as_dict(), **pipeline.counters.as_dict(), **source.losses()}
-
-
-def _nothing(source: Source, pipeline: Pipeline) -> ImumonError:
-    counters = pipeline.counters
-    if not counters.bytes_received:
-        return ImumonError(Reason.BAD_DATA, f"{source.path} is empty")
-    others = ", ".join(f"{count} {name}" for name, count in counters.packets_by_type.items())
-    device = source.device.name if source.device is not None else "table"
-    return ImumonError(
-        Reason.BAD_DATA,
-        f"no samples of {device} in the {counters.bytes_received:,} bytes of {source.path}: "
-        f"{counters.checksum_errors} checksum errors, {counters.length_errors} length errors, "
-        f"{others or 'no other'} messages",
-        "is it another device, or text?  Nothing was written",
-    )

@@ -13,7 +13,7 @@ from imumon.blocks import BoolArray, FloatArray
 from imumon.config import StrictModel, dump_yaml, load_yaml
 from imumon.effects.library import AnyEffect
 from imumon.errors import ImumonError, Reason
-from imumon.files import write_text
+from imumon.files import as_path, write_text
 from imumon.models.curves.network import NetworkCurve
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.curves.spline import SplineCurve
@@ -175,7 +175,7 @@ def load_model(path: str | Path) -> BiasModel:
     Raises BAD_CONFIG, naming file and line, what was found and what was expected.
     """
     try:
-        return load_yaml(Path(path), BiasModel)
+        return load_yaml(as_path("path", path), BiasModel)
     except ImumonError as error:
         hint = error.hint or f"a model file is what imumon calibrate writes, of format {FORMAT}"
         raise ImumonError(Reason.BAD_CONFIG, error.seen, hint) from error

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, BinaryIO, Literal
 from zipfile import BadZipFile
 
 from imumon.blocks import SampleBlock
@@ -55,16 +55,16 @@ def convert(
         return dict.fromkeys(written.streams, first), written.left_out
     for stream, path in tables.items():
         block, columns = read_table(path)
-        {".npz": _npz, ".mat": _mat}[first.suffix](out[stream], dict(block.columns), columns)
+        {".npz": write_npz, ".mat": _mat}[first.suffix](out[stream], dict(block.columns), columns)
     return dict(out), []
 
 
-def _npz(path: Path, values: dict[str, Any], columns: Mapping[str, Column]) -> None:
+def write_npz(file: Path | BinaryIO, values: Mapping[str, Any], columns: Mapping[str, Column]) -> None:
     """Write the columns, and `units`, a text in JSON."""
     import numpy as np
 
     units = json.dumps({name: column.unit for name, column in columns.items()})
-    np.savez_compressed(path, units=np.array(units), **values)
+    np.savez_compressed(file, units=np.array(units), **values)
 
 
 def read_npz(path: Path) -> tuple[SampleBlock, dict[str, Column]]:
@@ -95,7 +95,7 @@ def read_npz(path: Path) -> tuple[SampleBlock, dict[str, Column]]:
     return block, columns
 
 
-def _mat(path: Path, values: dict[str, Any], columns: Mapping[str, Column]) -> None:
+def _mat(path: Path, values: Mapping[str, Any], columns: Mapping[str, Column]) -> None:
     """Write the columns as vectors, and the struct `units`."""
     from scipy.io import savemat
 

@@ -131,6 +131,22 @@ class Source:
         return None if self.session is None else self.session.metadata.created_ns
 
 
+def no_samples(source: Source, pipeline: Pipeline) -> ImumonError:
+    """Return why a run over a source gave no rows."""
+    counters = pipeline.counters
+    if not counters.bytes_received:
+        return ImumonError(Reason.BAD_DATA, f"{source.path} is empty")
+    others = ", ".join(f"{count} {name}" for name, count in counters.packets_by_type.items())
+    device = source.device.name if source.device is not None else "table"
+    return ImumonError(
+        Reason.BAD_DATA,
+        f"no samples of {device} in the {counters.bytes_received:,} bytes of {source.path}: "
+        f"{counters.checksum_errors} checksum errors, {counters.length_errors} length errors, "
+        f"{others or 'no other'} messages",
+        "is it another device, or text?",
+    )
+
+
 def _since(began_ns: int | None, place: Place) -> float | None:
     """Return when a damaged place begins, s after the start of the session; None where not known."""
     return (place.after_ns - began_ns) * 1e-9 if place.after_ns and began_ns is not None else None

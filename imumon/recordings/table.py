@@ -240,13 +240,20 @@ def _rows(path: Path) -> int:
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error}") from error
 
 
-def iterate_table(path: Path, rows_per_block: int = READ_ROWS) -> Iterator[SampleBlock]:
+def iterate_table(
+    path: Path, rows_per_block: int = READ_ROWS, columns: Sequence[str] | None = None
+) -> Iterator[SampleBlock]:
     """Yield the samples of a table that imumon wrote, or one with the same names, in order.
 
     Raises BAD_DATA when the table cannot be read or has a column that is neither float nor integer.
+
+    Parameters
+    ----------
+    columns : sequence of str, optional
+        Only these columns, which the table must have; others are not read.
     """
-    columns = read_columns(path)
-    schema = _schema(columns.values())
+    there = read_columns(path)
+    schema = _schema(there.values() if columns is None else [there[name] for name in columns])
     try:
         for batch in _batches(path, schema, rows_per_block):
             for start in range(0, len(batch), rows_per_block):
@@ -388,10 +395,12 @@ def _batches(path: Path, schema: Any, rows: int) -> Iterator[Any]:
     """Yield record batches of a table file."""
     if path.suffix == ".parquet":
         with pq.ParquetFile(path, pre_buffer=False) as file:
-            yield from file.iter_batches(batch_size=rows)
+            yield from file.iter_batches(batch_size=rows, columns=schema.names)
         return
     options = pa_csv.ConvertOptions(
-        column_types={field.name: field.type for field in schema}, null_values=["", "nan", "NaN"]
+        column_types={field.name: field.type for field in schema},
+        include_columns=schema.names,
+        null_values=["", "nan", "NaN"],
     )
     with pa_csv.open_csv(path, convert_options=options) as reader:
         yield from reader

@@ -171,9 +171,9 @@ class LiveRun:
         self._recorder = Recorder(self._writer, self._recording_problem, self._save)
         self._reader = reader_of(device, settings, self._recorder.put, self._items.put)
         card = {"device": device.title, "port": str(settings), "recording": str(self.session.path)}
-        self._narrator = Narrator(self.pipeline, settings, (), self._say, card, self.session.path)
+        self.narrator = Narrator(self.pipeline, settings, (), self._say, card, self.session.path)
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
-        self._progress = self._narrator.progress(self._began_ns)
+        self._progress = self.narrator.progress(self._began_ns)
         self._finished = False
         self.failure: ImumonError | None = None
 
@@ -181,6 +181,11 @@ class LiveRun:
     def progress(self) -> Progress:
         """The numbers of the moment, renewed twice a second; in the end with the rates of the whole run."""
         return self._progress
+
+    @property
+    def newest_ns(self) -> int:
+        """Arrival of the newest bytes, Unix time; 0 before the first."""
+        return self._reader.newest_ns
 
     @property
     def processing(self) -> bool:
@@ -206,7 +211,7 @@ class LiveRun:
 
     def begin(self, publish: Sequence[Publish]) -> None:
         """Decode what has come and what comes, and show it to `publish` as view items."""
-        self._narrator.publish = tuple(publish)
+        self.narrator.publish = tuple(publish)
         self._thread.start()
 
     def stop(self, views: Sequence[str] = ()) -> LiveSummary:
@@ -324,10 +329,10 @@ class LiveRun:
                 self._hand_on(self.pipeline.take())
                 if time.monotonic() >= next_tick or closed:
                     next_tick = time.monotonic() + TICK_S
-                    self._progress = self._narrator.tick(self._clock.now_ns())
+                    self._progress = self.narrator.tick(self._clock.now_ns())
             self.pipeline.finish()
             self._hand_on(self.pipeline.take())
-            self._progress = self._narrator.ended(self._narrator.tick(self._clock.now_ns()))
+            self._progress = self.narrator.ended(self.narrator.tick(self._clock.now_ns()))
             self._finished = True
         except ImumonError as error:
             # Reading and recording go on; what could not be decoded can be decoded from the recording.
@@ -337,19 +342,17 @@ class LiveRun:
         self._digest.update(block, self.pipeline.side)
         if self.taken is not None:
             self.taken(block, self.pipeline.side)
-        self._narrator.samples(block, self.pipeline.side)
+        self.narrator.samples(block, self.pipeline.side)
 
     def _take_batch(self) -> bool:
         """Feed what comes within a batch's time; return True after the last item."""
         closed = False
         for item in arrived(self._items):
             feed(item, self.pipeline)
+            self.narrator.item(item)
             if isinstance(item, Reads):
-                for length, arrival_ns in zip(item.lengths.tolist(), item.arrivals_ns.tolist(), strict=True):
-                    self._narrator.received(length, arrival_ns)
-                self._outages.received(arrival_ns)
+                self._outages.received(int(item.arrivals_ns[-1]))
             else:
-                self._narrator.event(item)
                 self._outages.event(item)
                 closed = item.kind is EventKind.CLOSED
         return closed
@@ -362,11 +365,16 @@ def reader_of(device: DeviceFile, settings: PortSettings, record: Sink, take: Si
 
 
 def arrived(items: SimpleQueue[Item]) -> Iterator[Reads | Event]:
-    """Yield what comes within the time of a batch, reads in a row at once; nothing follows the event CLOSED.
+    """Yield what comes within the time of a batch, as `waiting`.
 
     The time is slept through: to be woken by each read costs more than to decode it.
     """
     time.sleep(BATCH_S)
+    return waiting(items)
+
+
+def waiting(items: SimpleQueue[Item]) -> Iterator[Reads | Event]:
+    """Yield what has come, reads in a row at once; nothing follows the event CLOSED."""
     reads: list[Bytes] = []
     for _ in range(items.qsize()):
         item = items.get_nowait()

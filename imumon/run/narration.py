@@ -16,7 +16,7 @@ from imumon.blocks import NO_INT, SampleBlock
 from imumon.harmless import for_log
 from imumon.pipeline import Pipeline, PipelineCounters
 from imumon.recordings.folder import Session
-from imumon.transport.reader import Event, EventKind
+from imumon.transport.reader import Event, EventKind, Reads
 from imumon.transport.settings import PortSettings
 from imumon.transport.statistics import LinkStatistics
 from imumon.view.cards import measured
@@ -29,6 +29,7 @@ Say = Callable[[str, str], None]
 RATE_WINDOW_NS = 2_000_000_000
 SETTLING_NS = 60_000_000_000
 """The clock fit is called synchronised after this much time in a segment."""
+GARBLED = "bad: does not frame"
 GARBLED_BELOW = 0.5
 GARBLED_AFTER_BYTES = 400
 """When less than half of the bytes of the last 2 s, at least so many, frame: wrong baud rate or protocol."""
@@ -154,6 +155,20 @@ class Narrator:
         self._overloaded = False
         self._charts_ns = 0
         self._charts_samples = 0
+
+    @property
+    def state(self) -> str:
+        """What port and data do: open, silent, lost, closed, or does not frame."""
+        port = self._lanes.get("port", "open")
+        return "does not frame" if port == "open" and self._lanes.get("data") == GARBLED else port
+
+    def item(self, item: Reads | Event) -> None:
+        """Take what came from the port: count bytes, or show an event."""
+        if isinstance(item, Event):
+            self.event(item)
+            return
+        for length, arrival_ns in zip(item.lengths.tolist(), item.arrivals_ns.tolist(), strict=True):
+            self.received(length, arrival_ns)
 
     def received(self, n_bytes: int, time_ns: int) -> None:
         """Count bytes that arrived."""
@@ -322,14 +337,8 @@ class Narrator:
         if received < GARBLED_AFTER_BYTES:
             return
         damaged = now.lost + now.bytes_skipped > then.lost + then.bytes_skipped
-        state = (
-            "bad: does not frame"
-            if framed < GARBLED_BELOW * received
-            else "warning: losses"
-            if damaged
-            else "ok"
-        )
-        if state == "bad: does not frame" and self._lanes.get("data") != "bad: does not frame":
+        state = GARBLED if framed < GARBLED_BELOW * received else "warning: losses" if damaged else "ok"
+        if state == GARBLED and self._lanes.get("data") != GARBLED:
             share = framed / received
             self.log(
                 "ERROR", f"only {share:.0%} of the bytes are packets: wrong baud rate or device?", now_ns

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, ValidationError, field_validator
 
 from imumon.allan.parameters import AllanParameters, Noise
 from imumon.config import StrictModel, dump_yaml, parse_yaml
@@ -16,7 +16,7 @@ from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.watch.parameters import WatchParameters
-from imumon.files import read_text
+from imumon.files import as_path, read_text
 from imumon.models.magnetometer import MagnetometerModel
 from imumon.models.model import BiasModel, load_model
 from imumon.protocols.ranges import Ranges
@@ -54,6 +54,18 @@ class Setup(StrictModel):
     noise: Noise = Noise()
     allan: AllanParameters = AllanParameters()
     published: list[PublishedMethod] = Field(default_factory=list)
+
+    if not TYPE_CHECKING:  # type checkers know the arguments from the fields
+
+        def __init__(self, **given: Any) -> None:
+            """Check the arguments; raises BAD_CONFIG, naming each that is wrong."""
+            try:
+                super().__init__(**given)
+            except ValidationError as error:
+                raise ImumonError(Reason.BAD_CONFIG, "\n".join(map(_described, error.errors()))) from error
+
+        # Else pydantic calls it for files as well, whose errors `parse_yaml` gives with their lines.
+        __init__.__pydantic_base_init__ = True
 
     @field_validator("published")
     @classmethod
@@ -151,6 +163,14 @@ class Setup(StrictModel):
         return dump_yaml(said)
 
 
+def _described(wrong: Any) -> str:
+    """Return what pydantic found wrong of an argument of `Setup`."""
+    name = wrong["loc"][0]
+    if wrong["type"] == "extra_forbidden":
+        return f"Setup: there is no argument {name}"
+    return f"Setup: {name}={wrong['input']!r:.60}: {wrong['msg']}"
+
+
 def parse_setup(text: str, source: str) -> Setup:
     """Read the text of a pipeline file; a model that it names is read from beside `source`.
 
@@ -176,4 +196,5 @@ def load_setup(path: str | Path) -> Setup:
 
     Raises BAD_CONFIG, naming file and line, what was found and what was expected.
     """
-    return parse_setup(read_text(Path(path), hint=f"give a pipeline file (format: {FORMAT})"), str(path))
+    text = read_text(as_path("path", path), hint=f"give a pipeline file (format: {FORMAT})")
+    return parse_setup(text, str(path))

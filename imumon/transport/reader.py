@@ -175,6 +175,8 @@ class Reader:
         self._sinks = sinks
         self._silent_after_s = silent_after_s
         self._clock = Clock()
+        self.newest_ns = 0
+        """Arrival of the newest bytes, Unix time; 0 before the first."""
         self._running: tuple[threading.Thread, Wakeup] | None = None
 
     def start(self) -> None:
@@ -244,6 +246,7 @@ class Reader:
                     self._say(EventKind.RESUMED, f"bytes again after {quiet_s:.1f} s", now_ns)
                 silent, last_ns, wait_s = False, now_ns, self._silent_after_s
                 self._hand_on(Bytes(data, now_ns))
+                self.newest_ns = now_ns
             elif quiet_s < self._silent_after_s:
                 wait_s = self._silent_after_s - quiet_s
             else:

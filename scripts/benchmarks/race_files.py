@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.measure import Table
 from benchmarks.peers import named
 from imumon.blocks import FloatArray
-from imumon.library import read
+from imumon.library.reading import read
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_text, load_device
 from imumon.recordings.side_tables import export_run

@@ -1,0 +1,340 @@
+"""Samples of a port as they come, recorded or not."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from queue import SimpleQueue
+from types import TracebackType
+from typing import Self
+
+from imumon.blocks import SampleBlock, join, with_nan
+from imumon.files import as_path
+from imumon.library.arguments import expect, expect_list, expect_seconds, refuse
+from imumon.pipeline import Estimator, Pipeline, PipelineCounters
+from imumon.protocols.device import DeviceFile, device_text, parse_device
+from imumon.recordings.source import feed
+from imumon.run.live import BATCH_S, TICK_S, LiveRun, nothing_decoded, reader_of, waiting, warm_up
+from imumon.run.narration import Narrator
+from imumon.run.setup import Setup
+from imumon.run.stages import pipeline_of
+from imumon.transport.errors import lost_error, silent_error, wrong_baud_error
+from imumon.transport.reader import Clock, Event, EventKind, Item
+from imumon.transport.settings import PortSettings
+
+_log = logging.getLogger("imumon")
+LEVELS = {"WARN": logging.WARNING, "ERROR": logging.ERROR}
+NEWEST_NS = round(BATCH_S * 1e9)
+"""With `latest`, a block has what arrived within so much time."""
+
+Taken = tuple[SampleBlock, Mapping[str, SampleBlock]]
+
+
+class Live(ABC):
+    """Samples of a port with the estimates, as they come: iterate over it in a ``with`` statement.
+
+    Iterating (``for`` or ``async for``) ends when `close` is called, from this thread or another; a lost port
+    is reopened meanwhile.  What came while the loop was busy is one block.
+    """
+
+    def __init__(
+        self,
+        device: DeviceFile,
+        settings: PortSettings,
+        pipeline: Pipeline,
+        timeout: float | None,
+        latest: bool,
+    ) -> None:
+        self.pipeline = pipeline
+        self.side: Mapping[str, SampleBlock] = {}
+        """The rows of the side streams that belong to the latest block."""
+        self.skipped = 0
+        """Rows that came and were left out, with `latest`."""
+        self._device, self._settings = device, settings
+        self._timeout, self._latest = timeout, latest
+        self._ended = False
+        self._last_ns: int | None = None
+        """Arrival of the last row that was handed out."""
+        self._next_batch = self._valid_at = time.monotonic()
+        self._before = pipeline.counters
+        """Counters when the last valid row came."""
+
+    def __repr__(self) -> str:
+        """Return device, port and state in a line."""
+        samples = f"{self.counters.samples:,} samples"
+        return f"<imumon.Live: {self._device.name} on {self._settings}, {self.state}, {samples}>"
+
+    @property
+    def counters(self) -> PipelineCounters:
+        """What became of every byte and packet so far."""
+        return self.pipeline.counters
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of every column that may come."""
+        return self.pipeline.units
+
+    @property
+    def state(self) -> str:
+        """What the port does: open, silent, lost, closed, or does not frame (wrong device or baud rate)."""
+        return self._narrator.state
+
+    @property
+    def lag_s(self) -> float:
+        """How far the loop is behind: from the last row handed out to the newest bytes, seconds."""
+        newest_ns = self._newest_ns
+        return 0.0 if self._last_ns is None else max(newest_ns - self._last_ns, 0) * 1e-9
+
+    @property
+    @abstractmethod
+    def _narrator(self) -> Narrator:
+        """What follows the state of port and data."""
+
+    @property
+    @abstractmethod
+    def _newest_ns(self) -> int:
+        """Arrival of the newest bytes, Unix time."""
+
+    @abstractmethod
+    def _take(self) -> Taken:
+        """Return at once what came since the last call; at the end of all, set `_ended`."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the port; what has come can still be iterated over."""
+
+    def __iter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __next__(self) -> SampleBlock:
+        """Return the next samples, a block about every 0.08 s while some come.
+
+        Raises LOST, SILENT or WRONG_BAUD when no row came for `timeout`.
+        """
+        while not self._ended:
+            time.sleep(self._until_batch())
+            if (block := self._block()) is not None:
+                return block
+        raise StopIteration
+
+    def __aiter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    async def __anext__(self) -> SampleBlock:
+        """Return the next samples, as `__next__`; nothing is lost when it is cancelled."""
+        while not self._ended:
+            await asyncio.sleep(self._until_batch())
+            if (block := self._block()) is not None:
+                return block
+        raise StopAsyncIteration
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
+    ) -> None:
+        """Close the port."""
+        self.close()
+
+    def _until_batch(self) -> float:
+        """Return how long to wait for the next batch; a loop that was busy for so long waits no more."""
+        return max(self._next_batch - time.monotonic(), 0.0)
+
+    def _block(self) -> SampleBlock | None:
+        """Return what came, as users get it; None when no row did."""
+        self._next_batch = time.monotonic() + BATCH_S
+        block, side = self._take()
+        if not len(block) and not side:
+            self._raise_overdue()
+            return None
+        self._valid_at, self._before = time.monotonic(), self.counters
+        if len(block):
+            self._last_ns = int(block["arrival_time_ns"][-1])
+        if self._latest:
+            rows = len(block)
+            block, side = _newest(block), {stream: _newest(rows) for stream, rows in side.items()}
+            self.skipped += rows - len(block)
+        self.side = {stream: with_nan(rows) for stream, rows in side.items()}
+        return with_nan(block)
+
+    def _raise_overdue(self) -> None:
+        """Raise the reason why no row came for too long, once in each such time."""
+        waited_s = time.monotonic() - self._valid_at
+        if self._timeout is None or waited_s < self._timeout or self._ended:
+            return
+        now, before = self.counters, self._before
+        self._valid_at, self._before = time.monotonic(), now
+        if self.state == "lost":
+            raise lost_error(self._settings, f"no row for {waited_s:.1f} s")
+        received = now.bytes_received - before.bytes_received
+        if not received:
+            raise silent_error(self._settings, waited_s)
+        framed = (now.bytes_in_packets - before.bytes_in_packets) / received
+        never = nothing_decoded(self._settings, self._device, now)
+        raise never or wrong_baud_error(self._settings, received / waited_s, framed)
+
+
+class _Unrecorded(Live):
+    """Reads in a thread, and decodes and estimates in the caller's."""
+
+    def __init__(
+        self,
+        device: DeviceFile,
+        settings: PortSettings,
+        pipeline: Pipeline,
+        timeout: float | None,
+        latest: bool,
+    ) -> None:
+        super().__init__(device, settings, pipeline, timeout, latest)
+        self._items: SimpleQueue[Item] = SimpleQueue()
+        self._clock, self._next_tick = Clock(), time.monotonic() + TICK_S
+        self._narration = Narrator(pipeline, settings, (), _logged, {}, Path("SESSION"))
+        self._reader = reader_of(device, settings, lambda _: None, self._items.put)
+        self._reader.start()
+
+    @property
+    def _narrator(self) -> Narrator:
+        return self._narration
+
+    @property
+    def _newest_ns(self) -> int:
+        return self._reader.newest_ns
+
+    def close(self) -> None:
+        """Close the port; what has come can still be iterated over."""
+        self._reader.stop()
+
+    def _take(self) -> Taken:
+        for item in waiting(self._items):
+            feed(item, self.pipeline)
+            self._narrator.item(item)
+            self._ended = isinstance(item, Event) and item.kind is EventKind.CLOSED
+        if self._ended:
+            self.pipeline.finish()
+        block = self.pipeline.take()
+        self._narrator.samples(block, self.pipeline.side)
+        if self._ended or time.monotonic() >= self._next_tick:
+            self._next_tick = time.monotonic() + TICK_S
+            self._narrator.tick(self._clock.now_ns())
+        return block, self.pipeline.side
+
+
+class _Recorded(Live):
+    """Records, decodes and estimates in threads of its own, and hands the samples on."""
+
+    def __init__(
+        self, device: DeviceFile, settings: PortSettings, run: LiveRun, timeout: float | None, latest: bool
+    ) -> None:
+        super().__init__(device, settings, run.pipeline, timeout, latest)
+        self._run, self._stopped = run, False
+        self._ready: SimpleQueue[Taken] = SimpleQueue()
+        run.taken = lambda block, side: self._ready.put((block, side))
+        run.open()
+        run.begin([])
+
+    @property
+    def session(self) -> Path:
+        """Where the recording is."""
+        return self._run.session.path
+
+    @property
+    def _narrator(self) -> Narrator:
+        return self._run.narrator
+
+    @property
+    def _newest_ns(self) -> int:
+        return self._run.newest_ns
+
+    def close(self) -> None:
+        """Close port and recording; what has come can still be iterated over."""
+        if not self._stopped:
+            self._stopped = True
+            self._run.stop()
+
+    def _take(self) -> Taken:
+        processing = self._run.processing  # looked at first: what it hands on until its end is taken now
+        taken = [self._ready.get() for _ in range(self._ready.qsize())]
+        if not taken and not processing:
+            self._ended = True
+            if self._run.failure is not None:
+                raise self._run.failure
+        streams = dict.fromkeys(stream for _, side in taken for stream in side)
+        side = {name: join([side[name] for _, side in taken if name in side]) for name in streams}
+        return join([block for block, _ in taken]), side
+
+
+def open(
+    port: str,
+    device: str | Path,
+    *,
+    baudrate: int | None = None,
+    record: str | Path | None = None,
+    setup: Setup | None = None,
+    stages: Sequence[Estimator] = (),
+    timeout: float | None = None,
+    latest: bool = False,
+) -> Live:
+    """Open a port and return its samples with the estimates, as they come.
+
+    Raises BAD_CONFIG for a wrong argument or device file; NOT_FOUND, PERMISSION, BUSY or LOST when the port
+    cannot be opened; EXISTS when the folder holds a session.
+
+    Parameters
+    ----------
+    port : str
+        Anything that pyserial opens: a device, ``socket://host:port``, ``rfc2217://host:port``.
+    device : str or path
+        Name of a known device, or path of a device file.
+    baudrate : int, optional
+        The first of the device file when not given.
+    record : path, optional
+        Session folder to make; nothing is recorded without.
+    setup : Setup, optional
+        Place, model and parameters of the estimators.
+    stages : sequence of Estimator, optional
+        Stages of one's own, behind the others, in their order.
+    timeout : float, optional
+        Iterating raises LOST, SILENT or WRONG_BAUD when no row came for so many seconds; it waits for ever
+        when not given.
+    latest : bool
+        Whether a loop that was busy gets only the newest rows, those of the last 0.08 s; the estimators see
+        all rows.
+    """
+    expect("port", port, str, "the name of a port")
+    expect("device", device, (str, Path), "the name of a device or the path of its file")
+    expect("baudrate", baudrate, (int, type(None)), "a whole number of bits per second")
+    if baudrate is not None and baudrate <= 0:
+        raise refuse("baudrate", baudrate, "a whole number of bits per second")
+    expect("setup", setup, (Setup, type(None)), "an imumon.Setup")
+    expect_list("stages", stages, "a list of stages")
+    expect_seconds("timeout", timeout, positive=True)
+    expect("latest", latest, bool, "True or False")
+    folder = None if record is None else as_path("record", record)
+    text, source = device_text(str(device))
+    known, setup = parse_device(text, source), setup or Setup()
+    settings = known.port_settings(port, baudrate)
+    warm_up(known, setup)
+    if folder is None:
+        return _Unrecorded(known, settings, pipeline_of(known, setup, stages), timeout, latest)
+    run = LiveRun(known, text, settings, setup, folder, _logged, stages)
+    return _Recorded(known, settings, run, timeout, latest)
+
+
+def _newest(block: SampleBlock) -> SampleBlock:
+    """Return the rows that arrived last."""
+    if not len(block):
+        return block
+    arrival_ns = block["arrival_time_ns"]
+    return block.rows(int((arrival_ns <= arrival_ns[-1] - NEWEST_NS).sum()), len(block))
+
+
+def _logged(level: str, text: str) -> None:
+    _log.log(LEVELS.get(level, logging.INFO), text)

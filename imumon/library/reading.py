@@ -1,0 +1,313 @@
+"""Sessions, raw captures and tables, read whole or block by block."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from imumon.blocks import NO_INT, BoolArray, SampleBlock, missing
+from imumon.columns import KNOWN, TIME_COLUMNS, Column
+from imumon.errors import ImumonError, Reason
+from imumon.files import as_path
+from imumon.library.arguments import expect, expect_list, expect_seconds, refuse
+from imumon.library.samples import TIMES, Samples
+from imumon.pipeline import Estimator, Pipeline
+from imumon.protocols.base import MAIN
+from imumon.recordings.conversions import CONVERTED, read_npz
+from imumon.recordings.source import Source, no_samples, open_source, run_over
+from imumon.recordings.table import SUFFIXES, iterate_table, read_columns, units_path
+from imumon.run.setup import Setup, recorded_setup
+from imumon.run.stages import pipeline_of
+
+_log = logging.getLogger("imumon")
+
+
+def read(
+    path: str | Path,
+    device: str | Path | None = None,
+    *,
+    setup: Setup | None = None,
+    estimates: bool = True,
+    stages: Sequence[Estimator] = (),
+    columns: Sequence[str] | None = None,
+    begin_s: float | None = None,
+    end_s: float | None = None,
+) -> Samples:
+    """Read a session, a raw capture or a table into memory.
+
+    Raises NOT_FOUND when there is no such file; BAD_DATA when it cannot be read, or holds nothing that can be
+    decoded; BAD_CONFIG for a wrong argument, or a column that is not there.
+
+    Parameters
+    ----------
+    path : path
+        Session folder, capture, or table (``.parquet``, ``.csv``, ``.npz``) with the columns of imumon.
+    device : str or path, optional
+        What sent a raw capture: a known device, or a device file.
+    setup : Setup, optional
+        Place, model and parameters of the estimators; as the session was recorded when not given.  Refused
+        for a table.
+    estimates : bool
+        Whether the estimators run over a session or capture; they never run over a table.
+    stages : sequence of Estimator, optional
+        Stages of one's own, behind the others.
+    columns : sequence of str, optional
+        Only these columns, in this order, and no side streams.  The estimators run only if one is theirs.
+    begin_s, end_s : float, optional
+        Only rows from `begin_s` on and before `end_s`, in seconds since the first row, by host time, or by
+        device time where no host time is known.
+    """
+    run = _Run(path, device, setup, estimates, stages, columns, begin_s, end_s)
+    blocks: list[SampleBlock] = []
+    aside: dict[str, list[SampleBlock]] = {}
+    for block, side in run.blocks():
+        blocks.append(block)
+        for stream, rows in side.items():
+            aside.setdefault(stream, []).append(rows)
+    whole = _joined(blocks)
+    if columns is not None and (absent := [name for name in columns if name not in whole]) and len(whole):
+        raise run.absent(absent, whole.columns)
+    side_samples = {stream: run.samples(_joined(rows), stream=stream) for stream, rows in aside.items()}
+    return run.samples(whole, side_samples)
+
+
+def read_blocks(
+    path: str | Path,
+    device: str | Path | None = None,
+    *,
+    setup: Setup | None = None,
+    estimates: bool = True,
+    stages: Sequence[Estimator] = (),
+    columns: Sequence[str] | None = None,
+    begin_s: float | None = None,
+    end_s: float | None = None,
+) -> Iterator[Samples]:
+    """Yield what `read` would return block by block, for recordings larger than memory.
+
+    Blocks have some thousands of rows.  A column that begins late is absent from the blocks before, unless
+    `columns` names it.  Parameters and errors are those of `read`.
+    """
+    run = _Run(path, device, setup, estimates, stages, columns, begin_s, end_s)
+
+    def parts() -> Iterator[Samples]:
+        for block, side in run.blocks():
+            if len(block) or side:
+                yield run.samples(
+                    block, {stream: run.samples(rows, stream=stream) for stream, rows in side.items()}
+                )
+
+    return parts()
+
+
+class _Run:
+    """A recording on its way through a pipeline; parameters as those of `read`."""
+
+    def __init__(
+        self,
+        path: str | Path,
+        device: str | Path | None,
+        setup: Setup | None,
+        estimates: bool,
+        stages: Sequence[Estimator],
+        columns: Sequence[str] | None,
+        begin_s: float | None,
+        end_s: float | None,
+    ) -> None:
+        where = as_path("path", path)
+        expect("device", device, (str, Path, type(None)), "the name of a device or the path of its file")
+        expect("setup", setup, (Setup, type(None)), "an imumon.Setup")
+        expect("estimates", estimates, bool, "True or False")
+        expect_list("stages", stages, "a list of stages")
+        if columns is not None:
+            expect_list("columns", columns, 'a list of names, as ["gyro_x"]')
+            for name in columns:
+                expect("columns", name, str, "names of columns")
+        self._columns = columns
+        self._span = _Span(begin_s, end_s) if begin_s is not None or end_s is not None else None
+        if not where.exists():
+            raise ImumonError(Reason.NOT_FOUND, f"{where}: there is no such file", "check path and folder")
+        if device is None and where.is_file() and where.suffix in (*SUFFIXES, *CONVERTED):
+            self._source = _table(where, setup, None if stages else columns)
+            self._pipeline = Pipeline(None, stages)
+            return
+        self._source = source = open_source(where, None if device is None else str(device))
+        if setup is None and source.session is not None:
+            setup = recorded_setup(source.session)
+        needed = estimates and (bool(stages) or columns is None or not _sent(source).issuperset(columns))
+        self._pipeline = pipeline_of(source, setup, stages, (object,) if needed else ())
+
+    def blocks(self) -> Iterator[tuple[SampleBlock, Mapping[str, SampleBlock]]]:
+        """Yield the rows that are wanted, and those of side streams; log what is missing at the end."""
+        begun = False
+        for block in run_over(self._source.items, self._pipeline):
+            side = self._pipeline.side
+            begun = begun or len(block) > 0 or bool(side)
+            if self._span is not None:
+                block = self._span.of(block)
+                side = {stream: self._span.of(rows, side=True) for stream, rows in side.items()}
+            yield self._chosen(block), {} if self._columns is not None else side
+            if self._span is not None and self._span.over:
+                break
+        else:  # what is missing from a recording is known at its end
+            for text in self._source.warnings():
+                _log.warning(text)
+        for text in self._pipeline.warnings():
+            _log.warning(text)
+        if not begun and self._source.device is not None:
+            raise no_samples(self._source, self._pipeline)
+
+    def _chosen(self, block: SampleBlock) -> SampleBlock:
+        """Return the columns that are wanted.
+
+        Raises BAD_CONFIG for one that can never come.
+        """
+        if self._columns is None or not len(block):
+            return block if self._columns is None else SampleBlock({})
+        known = {column.name: column for column in self._source.columns(self._pipeline)}
+        possible = {*block.columns, *known, *self._pipeline.units}
+        if unknown := [name for name in self._columns if name not in possible]:
+            raise self.absent(unknown, known)
+        return SampleBlock({name: block[name] for name in self._columns if name in block})
+
+    def absent(self, names: Sequence[str], there: Mapping[str, object]) -> ImumonError:
+        """Return the error for columns that the samples do not have."""
+        return ImumonError(
+            Reason.BAD_CONFIG,
+            f"columns: there is no {', '.join(names)} in {self._source.path}",
+            f"there are: {', '.join(there)}",
+        )
+
+    def samples(
+        self, block: SampleBlock, side: Mapping[str, Samples] | None = None, stream: str = MAIN
+    ) -> Samples:
+        """Return a block with unit and meaning of its columns, in the order of a table."""
+        if stream == MAIN:
+            known = self._source.columns(self._pipeline)
+        else:
+            known = self._pipeline.stream_columns(stream)
+        if self._columns is not None:
+            by_name = {column.name: column for column in known}
+            known = [by_name.get(name) or KNOWN.get(name) or Column(name, "") for name in self._columns]
+        declared = {column.name: column for column in known}
+        names = [name for name in declared if name in block or self._is_expected(name)]
+        columns = {name: declared[name] for name in names}
+        columns |= {name: Column(name, "") for name in block.columns if name not in columns}
+        complete = {
+            name: block[name] if name in block else missing(len(block), column.dtype)
+            for name, column in columns.items()
+        }
+        return Samples(SampleBlock(complete), columns, side or {})
+
+    def _is_expected(self, name: str) -> bool:
+        """Return whether a column has its place even where it holds nothing."""
+        wanted = self._columns is not None and name in self._columns
+        return wanted or any(column.name == name for column in self._source.imported)
+
+
+def _table(path: Path, setup: Setup | None, columns: Sequence[str] | None) -> Source:
+    """Open a table, which needs no decoder.
+
+    Raises BAD_DATA for a table that imumon cannot read; BAD_CONFIG when a setup is given.
+    """
+    if setup is not None:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"setup: {path} is a table, and the estimators, which a setup is for, do not run over one",
+            "leave setup out; imumon import makes a session of a table, and estimators run over that",
+        )
+    if path.suffix in SUFFIXES:
+        there = read_columns(path)
+        chosen = there if columns is None else [name for name in (*columns, *TIME_COLUMNS) if name in there]
+        items = iterate_table(path, columns=list(dict.fromkeys(chosen)))
+    elif path.suffix == ".npz":
+        block, there = read_npz(path)
+        items = iter([block])
+    else:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{path}: of tables read takes {', '.join(SUFFIXES)} and .npz, not {path.suffix}",
+            "export the session to one of these, or read the session; a raw capture needs device=",
+        )
+    if path.suffix == ".csv" and not units_path(path).is_file():
+        _log.warning("%s: without %s known names have the units of imumon", path, units_path(path).name)
+    if unknown := [name for name, column in there.items() if not column.unit]:
+        _log.warning(
+            "%s: nothing says the unit of %s; imumon import takes tables from elsewhere",
+            path,
+            ", ".join(unknown),
+        )
+    return Source(path, items, None, None, tuple(there.values()))
+
+
+def _sent(source: Source) -> set[str]:
+    """Return the names of the columns that need no estimator."""
+    possible = () if source.device is None else source.device.decoder().possible_columns
+    return {*TIME_COLUMNS, *(column.name for column in (*source.imported, *possible))}
+
+
+def _joined(blocks: list[SampleBlock]) -> SampleBlock:
+    """Join blocks column by column, and give each part back at once: two copies of all take twice the memory.
+
+    The list is emptied.
+    """
+    parts = [(len(block), dict(block.columns)) for block in blocks]
+    blocks.clear()
+    types = {name: values.dtype for _, part in parts for name, values in part.items()}
+    return SampleBlock(
+        {
+            name: np.concatenate([part.pop(name) if name in part else missing(n, dtype) for n, part in parts])
+            for name, dtype in types.items()
+        }
+    )
+
+
+class _Span:
+    """The rows of a span of time, in seconds since the first row.
+
+    The clock is the host time where the first row has one; it goes on when the device starts anew.
+    """
+
+    def __init__(self, begin_s: float | None, end_s: float | None) -> None:
+        expect_seconds("begin_s", begin_s)
+        expect_seconds("end_s", end_s)
+        if begin_s is not None and end_s is not None and end_s <= begin_s:
+            raise refuse("end_s", end_s, f"more than begin_s={begin_s!r}")
+        self._begin_s, self._end_s = begin_s or 0.0, np.inf if end_s is None else end_s
+        self._clock, self._first_ns, self._segment = "", 0, 0
+        self.over = False
+        """Whether what comes is later than the span."""
+
+    def of(self, block: SampleBlock, *, side: bool = False) -> SampleBlock:
+        """Return the rows within the span."""
+        if not len(block) or (side and not self._clock):
+            return block
+        if not self._clock:
+            self._start(block)
+        if (
+            self._clock == "device_time_ns"
+            and "segment" in block
+            and (block["segment"] != self._segment).any()
+        ):
+            raise ImumonError(
+                Reason.BAD_DATA,
+                "begin_s, end_s: the device started anew, and nobody noted the time of arrival",
+                "read the recording whole, and select by the columns segment and device_time_ns",
+            )
+        since_s = (block[self._clock] - self._first_ns) * 1e-9
+        self.over = self.over or (not side and bool(since_s.min() >= self._end_s))
+        wanted: BoolArray = (since_s >= self._begin_s) & (since_s < self._end_s)
+        return SampleBlock({name: values[wanted] for name, values in block.columns.items()})
+
+    def _start(self, block: SampleBlock) -> None:
+        self._clock = next((name for name in TIMES if name in block and block[name][0] != NO_INT), "")
+        if not self._clock:
+            raise ImumonError(
+                Reason.BAD_DATA,
+                "begin_s, end_s: the first row has neither host_time_ns nor device_time_ns",
+                "read it whole",
+            )
+        self._first_ns = int(block[self._clock][0])
+        self._segment = int(block["segment"][0]) if "segment" in block else 0

@@ -1,0 +1,170 @@
+"""Samples in memory, and what other programs make of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+
+from imumon.blocks import NO_INT, ColumnArray, FloatArray, SampleBlock, nan_for_missing, with_nan
+from imumon.columns import Column
+from imumon.errors import ImumonError, Reason
+from imumon.files import as_path, check_output, replacing
+from imumon.protocols.base import MAIN
+from imumon.recordings.conversions import write_npz
+from imumon.recordings.side_tables import side_path
+from imumon.recordings.table import SUFFIXES, TableWriter, arrow_table
+
+TIMES = {"host_time_ns": "datetime64[ns]", "device_time_ns": "timedelta64[ns]"}
+"""Columns that date a row, the better first, and NumPy's type of such times."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Samples:
+    """Samples in memory, with the unit of every column.
+
+    A missing value is NaN; an integer column that lacks values is float64, a complete one is int64.
+
+    Parameters
+    ----------
+    table : SampleBlock
+        The samples, n of them, as the pipeline has them.
+    columns : mapping of str to Column
+        Unit, type and meaning of each column, in the order of a table.
+    side : mapping of str to Samples
+        The side streams of the device, such as a receiver, by name.
+    """
+
+    _table: SampleBlock
+    columns: Mapping[str, Column]
+    side: Mapping[str, Samples] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """Return the size in a line."""
+        side = f", side streams {', '.join(self.side)}" if self.side else ""
+        return f"<imumon.Samples: {len(self):,} rows of {len(self.columns)} columns{side}>"
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self._table)
+
+    @overload
+    def __getitem__(self, key: str) -> ColumnArray: ...
+
+    @overload
+    def __getitem__(self, key: slice) -> Samples: ...
+
+    def __getitem__(self, key: str | slice) -> ColumnArray | Samples:
+        """Return a column, shape (n,), or the rows of a slice as views; side streams stay whole."""
+        if isinstance(key, slice):
+            rows = {name: values[key] for name, values in self._table.columns.items()}
+            return Samples(SampleBlock(rows), self.columns, self.side)
+        return nan_for_missing(self._table[key])
+
+    def __contains__(self, name: object) -> bool:
+        """Tell whether there is a column of this name."""
+        return name in self._table
+
+    @property
+    def block(self) -> SampleBlock:
+        """All columns as a block, for a stage or a pipeline."""
+        return with_nan(self._table)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of every column."""
+        return {name: column.unit for name, column in self.columns.items()}
+
+    def to_numpy(self, *names: str) -> FloatArray:
+        """Return these columns, or all, side by side as float64, shape (n, number of columns)."""
+        return np.column_stack([np.asarray(self[name], np.float64) for name in names or self.columns])
+
+    def to_arrow(self) -> Any:
+        """Return a pyarrow table; missing values are null, unit and meaning stand in the fields' metadata."""
+        return arrow_table(self._table, self.columns.values())
+
+    def to_pandas(self) -> Any:
+        """Return a pandas data frame indexed by time; ``attrs["units"]`` has the units.  Needs pandas.
+
+        The index `time` is the host time (UTC), or the device time (timedelta) where no host time is known.
+        The column `device_time` is the device time as timedelta.
+        """
+        import pandas as pd
+
+        frame = self.to_arrow().to_pandas()
+        device = self._time("device_time_ns")
+        if device is not None and "device_time" not in frame:
+            frame.insert(0, "device_time", device)
+        host = self._time("host_time_ns")
+        if host is not None:
+            frame.index = pd.DatetimeIndex(host, tz="UTC", name="time")
+        elif device is not None:
+            frame.index = pd.TimedeltaIndex(device, name="time")
+        frame.attrs["units"] = self.units
+        return frame
+
+    def to_polars(self) -> Any:
+        """Return a polars data frame.  Needs polars."""
+        import polars
+
+        return polars.from_arrow(self.to_arrow())
+
+    def to_xarray(self) -> Any:
+        """Return an xarray dataset over the dimension ``time``, units as attributes.  Needs xarray.
+
+        The coordinate `time` is the host time (UTC), or the device time where no host time is known; the
+        dimension is `sample` where neither is.
+        """
+        import xarray
+
+        times = {name: found for name in TIMES if (found := self._time(name)) is not None}
+        dimension = "time" if times and "time" not in self.columns else "sample"
+        values = {}
+        for name, column in self.columns.items():
+            array = self[name]
+            # Written as the integers that were sent, although NaN makes them floats in memory.
+            gaps = array.dtype != self._table[name].dtype
+            encoding = {"dtype": "int64", "_FillValue": NO_INT} if gaps else {}
+            values[name] = xarray.Variable(dimension, array, {"units": column.unit}, encoding)
+        coordinates = {}
+        if dimension == "time":
+            coordinates["time"] = (dimension, next(iter(times.values())))
+        if "device_time_ns" in times and "device_time" not in self.columns:
+            coordinates["device_time"] = (dimension, times["device_time_ns"])
+        return xarray.Dataset(values, coordinates)
+
+    def write(self, path: str | Path) -> None:
+        """Write a table that `read` reads back; side streams go beside it, as NAME.STREAM.parquet.
+
+        Raises BAD_CONFIG for a suffix other than .parquet, .csv and .npz, or without the folder; EXISTS when
+        it would replace a file of a session; OSError when the disk is full or fails.  An existing file is
+        replaced.
+        """
+        out = as_path("path", path)
+        if out.suffix not in (*SUFFIXES, ".npz"):
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"{out}: a table cannot have the suffix {out.suffix!r}",
+                f"use {', '.join(SUFFIXES)} or .npz; imumon export writes other formats of a session",
+            )
+        for stream, part in {MAIN: self, **self.side}.items():
+            part._write(out if stream == MAIN else side_path(out, stream))
+
+    def _write(self, out: Path) -> None:
+        if out.suffix == ".npz":
+            check_output(out, replace=True)
+            with replacing(out) as partial, partial.open("wb") as file:
+                write_npz(file, self._table.columns, self.columns)
+            return
+        with TableWriter(out, self.columns) as table:
+            table.write(self._table)
+
+    def _time(self, name: str) -> Any:
+        """Return a time column as NumPy's times, or None where it is absent or wholly missing."""
+        values = self._table.columns.get(name)
+        if values is None or values.dtype != np.int64 or (len(values) and (values == NO_INT).all()):
+            return None
+        return values.view(TIMES[name])  # a missing integer is the number that means NaT
