@@ -1,0 +1,116 @@
+"""Numbers that a page repeats are those of the committed tables."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[1] / "docs"
+NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
+
+
+def text(page: str) -> str:
+    """Return a page of the docs with each line break as a space."""
+    return " ".join((DOCS / page).read_text(encoding="utf-8").split("\n"))
+
+
+def tables(page: str) -> list[list[list[str]]]:
+    """Return the cells of each table of a page, its head first."""
+    found: list[list[list[str]]] = [[]]
+    for line in (DOCS / page).read_text(encoding="utf-8").splitlines():
+        if line.startswith("|"):
+            found[-1].append([cell.strip() for cell in line.strip("|").split("|")])
+        elif found[-1]:
+            found.append([])
+    return [[table[0], *table[2:]] for table in found if table]
+
+
+def numbers(cells: list[str]) -> list[str]:
+    return [number for cell in cells for number in NUMBER.findall(cell)]
+
+
+def is_rounded(number: str, of: list[str]) -> bool:
+    """Tell whether a number is one of these, rounded to the places that it has."""
+    half = 0.5001 * 10.0 ** -len(number.partition(".")[2])
+    return any(abs(float(number) - float(one)) <= half for one in of)
+
+
+def numbers_in(page: str, pattern: str) -> list[float]:
+    match = re.search(pattern, text(page))
+    assert match, f"{page} has no {pattern}"
+    return [float(number) for number in match.groups()]
+
+
+@pytest.mark.parametrize(
+    ("page", "appendix", "at_least"),
+    [("alignment.md", "alignment-site-results.md", 30), ("batch.md", "performance-table.md", 2)],
+)
+def test_rows_of_a_page_are_those_of_the_appendix(page: str, appendix: str, at_least: int) -> None:
+    source = {row[0]: numbers(row[1:]) for table in tables(f"appendix/{appendix}") for row in table[1:]}
+    rows = [row for table in tables(page) for row in table[1:] if row[0] in source]
+    assert len(rows) >= at_least
+    for row in rows:
+        assert all(is_rounded(number, source[row[0]]) for number in numbers(row[1:])), row
+
+
+def test_kinds_of_sites_and_what_is_said_of_them() -> None:
+    sites, _, creeps = tables("appendix/alignment-site-results.md")
+    kinds = [len(sites) - 1, len(creeps) - 1]
+    assert numbers_in("alignment.md", r"runs (\d+) kinds of sites and (\d+) of creeps") == kinds
+    assert numbers_in("appendix/README.md", r"on (\d+) kinds of sites and (\d+) of creeps") == kinds
+    value = {name: [float(row[k].strip("% ")) for row in sites[1:]] for k, name in enumerate(sites[0]) if k}
+    shown = [
+        n for n in range(kinds[0]) if not any(math.isnan(value[f"rms error °, {s} s"][n]) for s in (60, 600))
+    ]
+    counts = {
+        (what, s): sum(value[f"{what}, {s} s"][n] <= limit for n in shown)
+        for what, limit in (("over the better mean", 1.5), ("rms z", 1.8), ("max z", 5.0))
+        for s in (60, 600)
+    }
+    pattern = (
+        r"Of (\d+) sites with a heading.* in (\d+) and (\d+); .* below 1.8 in (\d+) and all (\d+), "
+        r"the largest below 5 in (\d+) and (\d+)"
+    )
+    assert numbers_in("alignment.md", pattern) == [len(shown), *counts.values()]
+
+
+def test_number_of_simulated_cases() -> None:
+    cases = numbers_in("appendix/closing-the-loop-results.md", r"(\d+) of its \d+ cases")
+    assert numbers_in("appendix/README.md", r"(\d+) simulated cases") == cases
+    assert numbers_in("closing-the-loop.md", r"are of all (\d+) cases") == cases
+
+
+def test_worst_seeds_of_the_bias_race() -> None:
+    worst = [float(row[2]) for table in tables("bias-race.md") for row in table if row[0] == "imumon thermal"]
+    assert [float(row[1]) for row in tables("bias-race.md")[0][1:3]] == worst
+    assert numbers_in("bias-race.md", r"warm-up, worst of the seeds: ([\d.]+) ") == worst[:1]
+    assert numbers_in("bias-race.md", r"ramp, worst of the seeds: ([\d.]+) ") == worst[1:]
+
+
+def test_thermal_calibration() -> None:
+    page = "appendix/thermal-calibration-results.md"
+    chosen = next(row for table in tables(page) for row in table if "its choice" in row[0])
+    said = numbers_in("thermal-calibration.md", r"found to ([\d.]+) / ([\d.]+) / ([\d.]+) °/h/°C")
+    assert said == [float(cell) for cell in chosen[1:4]]
+    cycle = [table for table in tables(page) if "chosen" in table[0]]
+    before, after = (sorted(row[k] for table in cycle for row in table if row[0] == "z") for k in (1, 6))
+    said = numbers_in(
+        "thermal-calibration.md",
+        r"([\d.]+)-([\d.]+) °/s with a constant, ([\d.]+)-([\d.]+) with the chosen",
+    )
+    for number, value in zip(said, [before[0], before[-1], after[0], after[-1]], strict=True):
+        assert is_rounded(f"{number:.2f}", [value])
+
+
+def test_bias_at_corners_of_a_profile() -> None:
+    shares = [
+        float(row[3].partition("% ")[2].partition(",")[0])
+        for table in tables("appendix/field-results.md")
+        for row in table
+        if re.match(r"(triangle|trapezoid) of 1 °C/min, .*: bias", row[1])
+    ]
+    said = numbers_in("tczupt.md", r"the bias learned is beyond 5 sigma for ([\d.]+) to ([\d.]+) %")
+    assert said == [round(min(shares), 2), round(max(shares), 2)]
