@@ -7,8 +7,6 @@ import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime, timedelta, timezone
-from decimal import Decimal, InvalidOperation
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -23,15 +21,13 @@ from imumon.blocks import FloatArray, IntArray
 from imumon.errors import ImumonError, Reason
 from imumon.files import readable
 from imumon.recordings.map import TIMESTAMPS, TextFormat, TimeColumn
-from imumon.units import parse_unit
+from imumon.recordings.time_text import ZONE, not_a_number, time_parser
 
 ROWS_PER_PART = 20_000
 CONTROL_SHARE = 0.05
 """Text has a few control codes where a serial line was disturbed; a file with more of them is not text."""
 SHOWN = 160
 """Characters of a bad row that are kept."""
-
-ParseTime = Callable[[str], int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,65 +78,19 @@ def read_foreign(
         _check_columns(path, names, wanted)
         return names, _read_parquet(path, columns, time)
     encoding = _encoding(path, head)
+    text_format = _by_first_line(path, encoding, text_format)
     names, skip = _text_names(path, encoding, text_format)
     _check_columns(path, names, wanted)
     columns_at = [names.index(name) for name in wanted]
-    layout = _Layout(text_format.delimiter, len(names), columns_at, text_format.decimal)
+    layout = _Layout(
+        text_format.delimiter,
+        len(names),
+        columns_at,
+        text_format.decimal,
+        text_format.comment,
+        has_dates=time is not None and time.unit == TIMESTAMPS,
+    )
     return names, _read_text(path, encoding, skip, layout, time)
-
-
-def time_parser(unit: str) -> ParseTime:
-    """Return a function from the text of a time to integer nanoseconds, without rounding through floats.
-
-    The function raises ValueError for text that is no time, or out of the range of int64.
-    """
-    if unit == TIMESTAMPS:
-        return _parse_timestamp
-    factor = parse_unit(unit, "ns").factor
-    scale = Decimal(factor.numerator) / Decimal(factor.denominator)
-
-    def parse(text: str) -> int:
-        if "_" in text:  # which Decimal accepts, but no table means
-            raise ValueError(f"time {text.strip()!r} is not a number")
-        try:
-            value = Decimal(text) * scale
-        except InvalidOperation as error:
-            raise ValueError(f"time {_no_number(text.strip())}") from error
-        except ArithmeticError as error:
-            raise ValueError(f"time {text.strip()!r} is out of range") from error
-        if not value.is_finite() or abs(value) >= 2**63:
-            raise ValueError(f"time {text.strip()!r} is out of range")
-        return int(value.to_integral_value())
-
-    return parse
-
-
-def _no_number(text: str) -> str:
-    """Say that a text is no number, and what it would be one with."""
-    said = f"{text!r} is not a number"
-    return f'{said} (unless the map has csv: {{decimal: ","}})' if _DECIMAL_COMMA.fullmatch(text) else said
-
-
-_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
-_TIMESTAMP = re.compile(
-    r"\s*(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,9}))?\s*(Z|UTC|[+-]\d\d:?\d\d)?\s*", re.ASCII
-)
-_ZONE = re.compile(r"(Z|UTC|[+-]\d\d:?\d\d)\s*$")
-_EPOCH = datetime(1970, 1, 1, tzinfo=timezone(timedelta(0)))
-
-
-def _parse_timestamp(text: str) -> int:
-    """Return Unix time in ns; a time without zone is UTC."""
-    match = _TIMESTAMP.fullmatch(text)
-    if match is None:
-        raise ValueError(f"time {text.strip()!r} is not a date with time, as 2026-01-31T12:00:00.5Z")
-    date, time, fraction, zone = match.groups()
-    zone = "+00:00" if zone in (None, "Z", "UTC") else zone
-    since = datetime.fromisoformat(f"{date}T{time}{zone}") - _EPOCH
-    time_ns = (since.days * 86_400 + since.seconds) * 10**9 + int((fraction or "").ljust(9, "0"))
-    if not abs(time_ns) < 2**63:
-        raise ValueError(f"time {text.strip()!r} is out of range")
-    return time_ns
 
 
 DELIMITERS = (";", "\t", ",", "|")
@@ -169,6 +119,7 @@ def _check_columns(path: Path, names: Sequence[str], wanted: Sequence[str]) -> N
 
 
 _NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
+_SEPARATOR = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
 _NO_VALUE = r"^(nan|na|n/a|null|none)?$"
 
 
@@ -180,6 +131,13 @@ class _Layout:
     width: int
     wanted: list[int]
     decimal: str = "."
+    comment: str | None = None
+    has_dates: bool = False
+    """Whether the time is no number."""
+
+    def is_row(self, line: str) -> bool:
+        """Tell whether a line is neither blank nor a comment."""
+        return bool(line) and not (self.comment and line.startswith(self.comment))
 
     def split(self, line: str) -> list[str]:
         """Return the cells of a line."""
@@ -190,14 +148,15 @@ class _Layout:
         return line.split(self.delimiter)
 
     def bare(self, line: str) -> str:
-        """Return a line without quotes and with one delimiter between cells."""
-        if self.delimiter != "whitespace" and '"' not in line:
-            return line
-        try:
-            cells = self.split(line)
-        except csv.Error:
-            return line
-        return self.between.join(cell.replace(self.between, " ").replace("\n", " ") for cell in cells)
+        """Return a line without quotes, with one delimiter between cells and none behind the last."""
+        if self.delimiter == "whitespace" or '"' in line:
+            try:
+                cells = self.split(line)
+            except csv.Error:
+                return line
+            line = self.between.join(cell.replace(self.between, " ").replace("\n", " ") for cell in cells)
+        ends = line.endswith(self.between) and line.count(self.between) == self.width
+        return line[:-1] if ends else line
 
     @property
     def between(self) -> str:
@@ -218,14 +177,24 @@ def _encoding(path: Path, head: bytes) -> str:
     return "utf-8-sig"
 
 
+def _by_first_line(path: Path, encoding: str, text_format: TextFormat) -> TextFormat:
+    """Return the layout of a table whose first line may be ``sep=;``, as for Excel; the map comes first."""
+    with path.open(encoding=encoding, errors="replace") as file:
+        match = _SEPARATOR.fullmatch(file.readline().rstrip("\r\n"))
+    if match is None:
+        return text_format
+    delimiter = text_format.delimiter if "delimiter" in text_format.model_fields_set else match[1]
+    return text_format.model_copy(update={"delimiter": delimiter, "skip_rows": max(1, text_format.skip_rows)})
+
+
 def _text_names(path: Path, encoding: str, text_format: TextFormat) -> tuple[list[str], int]:
     """Return the names of the columns, and how many lines there are before the data."""
     if text_format.columns is not None:
         return text_format.columns, text_format.skip_rows
-    layout = _Layout(text_format.delimiter, 0, [])
+    layout = _Layout(text_format.delimiter, 0, [], comment=text_format.comment)
     with path.open(encoding=encoding, errors="replace") as file:
         for number, line in enumerate(islice(file, text_format.skip_rows, None), text_format.skip_rows + 1):
-            if line.strip():
+            if layout.is_row(line.strip()):
                 return [name.strip() for name in layout.split(line.rstrip("\r\n"))], number
     raise ImumonError(Reason.BAD_DATA, f"{path}: has no line of column names")
 
@@ -238,7 +207,9 @@ def _read_text(
     with readable(path), path.open(encoding=encoding, errors="replace") as file:
         numbered = enumerate(islice(file, skip, None), skip + 1)
         while chunk := list(islice(numbered, ROWS_PER_PART)):
-            rows = [(number, stripped) for number, line in chunk if (stripped := line.strip(" \r\n"))]
+            rows = [
+                (number, stripped) for number, line in chunk if layout.is_row(stripped := line.strip(" \r\n"))
+            ]
             if rows:
                 yield _text_part(rows, first_row, layout, time)
             first_row += len(rows)
@@ -288,7 +259,9 @@ def _cells(lines: list[str], layout: _Layout) -> tuple[Any, dict[int, str]]:
     )
     chosen = cells.select(wanted).combine_chunks()
     if layout.decimal != ".":
-        points = [pc.replace_substring(column, layout.decimal, ".") for column in chosen.columns]
+        numbers = chosen.columns[:-1] if layout.has_dates else chosen.columns
+        points = [pc.replace_substring(column, layout.decimal, ".") for column in numbers]
+        points += chosen.columns[len(points) :]
         chosen = pa.table(points, names=wanted)
     return chosen, wrong
 
@@ -301,7 +274,7 @@ def _numbers_of_text(column: Any) -> tuple[FloatArray, dict[int, str]]:
     values = np.asarray(pc.cast(bare, pa.float64()).to_numpy(), np.float64)
     fine = pc.or_(number, pc.match_substring_regex(pc.utf8_lower(text), _NO_VALUE))
     odd, large = np.flatnonzero(~fine.to_numpy()), np.flatnonzero(np.isinf(values))
-    wrong = {row: _no_number(text[row].as_py()) for row in odd.tolist()}
+    wrong = {row: not_a_number(text[row].as_py()) for row in odd.tolist()}
     wrong |= {row: f"{text[row].as_py()!r} is too large" for row in large.tolist()}
     return values, wrong
 
@@ -371,7 +344,7 @@ class _Times:
 
 
 def _texts_as_times(texts: Sequence[str | None], time: TimeColumn) -> _Times:
-    parse, wrap_ns = time_parser(time.unit), time.wrap_ns
+    parse, wrap_ns = time_parser(time.unit, time.format), time.wrap_ns
 
     def time_of(text: str | None) -> int | str:
         if text is None:
@@ -384,7 +357,10 @@ def _texts_as_times(texts: Sequence[str | None], time: TimeColumn) -> _Times:
             return f"time {text!r} is not from 0 to below {time.wraps_at:g}, where it wraps"
         return time_ns
 
-    zoned = time.unit != TIMESTAMPS or any(text and _ZONE.search(text) for text in texts)
+    if time.format is not None:
+        zoned = "%z" in time.format
+    else:
+        zoned = time.unit != TIMESTAMPS or any(text and ZONE.search(text) for text in texts)
     return _Times(dict(enumerate(map(time_of, texts))), local=not zoned)
 
 

@@ -158,7 +158,8 @@ class TableImport:
         return ImumonError(
             Reason.BAD_DATA,
             "\n".join([seen, *shown]),
-            "mend the table, pass over lines before the data with csv: {skip_rows: N},"
+            "mend the table, pass over lines before the data with csv: {skip_rows: N}"
+            ' and comments with csv: {comment: "#"},'
             " or add bad_rows: drop to the map to import the others",
         )
 

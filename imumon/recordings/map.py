@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from fractions import Fraction
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
     AfterValidator,
@@ -34,14 +35,31 @@ def _check_time_unit(text: str) -> str:
     return text
 
 
+MOMENT = datetime(2026, 1, 31, 13, 14, 15, tzinfo=UTC)
+"""Whose parts differ, so that a format which mixes them up is found."""
+
+
+def _check_format(text: str) -> str:
+    if "%Z" in text:
+        raise ValueError("%Z: the name of a zone does not say its offset; %z is +01:00")
+    parsed = datetime.strptime(MOMENT.strftime(text), text).replace(tzinfo=UTC)
+    if parsed not in (MOMENT, MOMENT.replace(1900, 1, 1)):
+        raise ValueError(
+            "a format has hours, minutes and seconds, and a whole date or none: %d.%m.%Y %H:%M:%S.%f"
+        )
+    return text
+
+
 class TimeColumn(StrictModel):
     """The column of time; `backwards` says what a time before the one above means.
 
-    `wraps_at`, in its unit, is where a count begins at 0 again.
+    `wraps_at`, in its unit, is where a count begins at 0 again.  `format`, in place of a unit, is how dates
+    are written, by the directives of `datetime.strptime`.
     """
 
     column: str
     unit: Annotated[str, AfterValidator(_check_time_unit)]
+    format: Annotated[str, AfterValidator(_check_format)] | None = None
     backwards: Literal["error", "segment"] = "error"
     wraps_at: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
 
@@ -51,6 +69,15 @@ class TimeColumn(StrictModel):
         if self.wraps_at is None:
             return None
         return Fraction(str(self.wraps_at)) * parse_unit(self.unit, "ns").factor
+
+    @model_validator(mode="before")
+    @classmethod
+    def _a_format_is_of_dates(cls, given: Any) -> Any:
+        if isinstance(given, dict) and given.get("format") is not None:
+            if given.get("unit", TIMESTAMPS) != TIMESTAMPS:
+                raise ValueError("time has a unit, or the format of its dates; not both")
+            return {**given, "unit": TIMESTAMPS}
+        return given
 
     @model_validator(mode="after")
     def _wraps_as_a_count_can(self) -> TimeColumn:
@@ -193,6 +220,7 @@ class TextFormat(StrictModel):
 
     delimiter: Annotated[str, Field(min_length=1, max_length=1)] | Literal["whitespace"] = ","
     decimal: Literal[".", ","] = "."
+    comment: Annotated[str, Field(min_length=1)] | None = None
     header: bool = True
     skip_rows: Annotated[int, Field(ge=0, le=MOST_SKIPPED)] = 0
     columns: list[str] | None = None

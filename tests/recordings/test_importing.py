@@ -14,9 +14,9 @@ from imumon.blocks import SampleBlock, join
 from imumon.errors import ImumonError, Reason
 from imumon.recordings import foreign
 from imumon.recordings.folder import open_session
-from imumon.recordings.foreign import time_parser
 from imumon.recordings.importing import ImportReport, import_table
 from imumon.recordings.table import iterate_samples, iterate_table, read_columns
+from imumon.recordings.time_text import time_parser
 from tests.data_folder import measured
 
 MAP = "time: {column: t, unit: s}\ngyro: {columns: [x, y, z], unit: deg/s}\naxes: FRD\n"
@@ -214,14 +214,63 @@ def test_a_time_that_goes_back_begins_a_segment_when_the_map_says_so(
         ("0.5,1,2,3\n", "csv: {header: false, columns: [t, x, y, z]}"),
         ('"t","x","y","z"\r\n"0.5","1","2","3"\r\n', ""),
         ("\ufefft, x, y, z\n0.5, 1, 2, 3", ""),
+        ("# made by\nt,x,y,z\n# a, b\n0.5,1,2,3\n #,1,2,3\n", 'csv: {comment: "#"}'),
+        ("t,x,y,z\n0.5,1,2,3,\n", ""),
+        ("t,x,y,z,\n0.5,1,2,3,\n", ""),
+        ('t,x,y,z\n0.5,"1",2,3,\n', ""),
+        ("sep=;\nt;x;y;z\n0.5;1;2;3\n", ""),
+        ("\ufeffsep=\t\r\nt\tx\ty\tz\r\n0.5\t1\t2\t3\r\n", ""),
+        ("sep=;\nt;x;y;z\n0,5;1;2;3\n", 'csv: {delimiter: ";", decimal: ",", skip_rows: 1}'),
+        ("sep=;\n0.5;1;2;3\n", "csv: {header: false, columns: [t, x, y, z]}"),
     ],
 )
 def test_text_comes_in_many_layouts(tmp_path: Path, table: str, extra: str) -> None:
     report, samples = run(tmp_path, table, MAP.replace("deg/s", "rad/s") + extra)
-    assert report.rows_out == 1
+    assert (report.rows_in, report.rows_out) == (1, 1)
     assert samples["device_time_ns"].tolist() == [500_000_000]
     assert samples.gyro is not None
     assert samples.gyro.tolist() == [[1, 2, 3]]
+
+
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [
+        ("# a comment", "t.csv:3: 1 cells, expected 4: '# a comment'"),
+        ("0.6,1,2,3,4", "t.csv:3: 5 cells, expected 4"),
+        ("0.6,1,2,3,,", "t.csv:3: 6 cells, expected 4"),
+    ],
+)
+def test_a_line_that_the_map_does_not_name_a_comment_is_a_row(tmp_path: Path, line: str, why: str) -> None:
+    error = refused(tmp_path, f"t,x,y,z\n0.5,1,2,3\n{line}\n")
+    assert why in error.seen
+    assert 'csv: {comment: "#"}' in error.hint
+
+
+@pytest.mark.parametrize(
+    ("date_format", "text"),
+    [
+        ("%d.%m.%Y %H:%M:%S.%f", "31.01.2026 12:00:01.123456789"),
+        ("%m/%d/%y %I:%M:%S,%f %p", "01/31/26 12:00:01,123456789 PM"),
+        ("%H:%M:%S.%f %d-%m-%Y", "12:00:01.123456789 31-01-2026"),
+        ("%Y%m%dT%H%M%S.%f%z", "20260131T130001.123456789+0100"),
+    ],
+)
+def test_dates_have_the_format_of_the_map(tmp_path: Path, date_format: str, text: str) -> None:
+    dates = MAP.replace("unit: s", f'format: "{date_format}"')
+    table = f"t;x;y;z\n{text};1,5;2;3\n"
+    _, samples = run(tmp_path, table, dates + 'csv: {delimiter: ";", decimal: ","}')
+    assert samples["gyro_x"].tolist() == pytest.approx([np.radians(1.5)])
+    expected = int(datetime(2026, 1, 31, 12, 0, 1, tzinfo=UTC).timestamp()) * 10**9 + 123_456_789
+    assert samples["device_time_ns"].tolist() == [expected]
+
+
+def test_a_date_in_another_format_is_a_row_that_cannot_be_taken(tmp_path: Path) -> None:
+    dates = MAP.replace("unit: s", 'format: "%d.%m.%Y %H:%M:%S.%f"')
+    table = "t,x,y,z\n31.01.2026 12:00:01.5,1,2,3\n01/31/2026 12:00:02.5,1,2,3\n32.01.2026 12:00:03.5,1,2,3\n"
+    error = refused(tmp_path, table, dates)
+    assert "2 of 3 rows" in error.seen
+    assert "t.csv:3: time '01/31/2026 12:00:02.5' is not as '%d.%m.%Y %H:%M:%S.%f'" in error.seen
+    assert "t.csv:4: time '32.01.2026 12:00:03.5'" in error.seen
 
 
 def test_text_in_utf_16_is_read(tmp_path: Path) -> None:

@@ -53,6 +53,15 @@ def test_three_temperatures_and_three_angles() -> None:
         ("  unit: g", "  unit: gram", r"map.yaml:5: accel.unit: unit 'gram' does not measure what"),
         ("unit: degC", "unit: xyzzy", r"map.yaml:7: temperature.unit: unit 'xyzzy' is not known"),
         ("unit: s", "unit: m", r"map.yaml:1: time.unit: unit 'm' does not measure"),
+        ("unit: s", "unit: s, format: '%d.%m.%Y %H:%M:%S'", r"map.yaml:1: time: .*unit, or the format"),
+        ("unit: s", "format: '%d.%m.%Y %Q'", r"map.yaml:1: time.format: 'Q' is a bad directive"),
+        (
+            "unit: s",
+            "format: '%d.%m.%Y %H:%M'",
+            r"map.yaml:1: time.format: a format has hours, minutes and sec",
+        ),
+        ("unit: s", "format: '%d.%m. %H:%M:%S'", r"map.yaml:1: time.format: .*a whole date or none"),
+        ("unit: s", "format: '%Y-%m-%d %T %Z'", r"map.yaml:1: time.format: %Z: the name of a zone"),
         ("[gx, gy, gz]", "[gx, gy]", r"map.yaml:2: gyro.columns: expected 3 columns, got 2"),
         ("[temp]", "[t1, t2]", r"map.yaml:7: temperature.columns: expected 1 or 3 columns, got 2"),
         (
