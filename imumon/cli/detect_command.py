@@ -112,7 +112,17 @@ def _propose(heard: dict[int | None, bytearray], evidence: list[Evidence]) -> st
     seconds = {item.baudrate: item.seconds for item in evidence}
     tried = [binary_proposal.propose(bytes(heard[rate]), s, rate) for rate, s in seconds.items()]
     found = max((one for one in tried if one is not None), key=lambda one: one.weight, default=None)
-    return None if found is None else found.text
+    if found is not None:
+        return found.text
+    for rate in seconds:
+        if lengths := binary_proposal.repeated_lengths(bytes(heard[rate])):
+            at = "" if rate is None else f"at {rate} baud "
+            every = " or ".join(map(str, lengths))
+            note(
+                f"{at}the bytes begin alike every {every} bytes: packets of several lengths, and no checksum"
+                " that imumon knows fits them; no device file is proposed"
+            )
+    return None
 
 
 def _suggest(port: str, fit: list[Evidence]) -> None:
