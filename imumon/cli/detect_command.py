@@ -43,7 +43,7 @@ def command(
 
     For lines of text and for binary packets of fixed length that no device file describes one is proposed,
     with the reasons: look at it, and give its path as --device.  Exit code 0 when a device was found; 3 when
-    nothing came, or what came are packets of none of the devices tried.
+    the port cannot be opened, nothing came, or what came are packets of none of the devices tried.
     """
     from imumon.files import check_output
     from imumon.protocols.device import device_names, load_device

@@ -80,3 +80,11 @@ def test_noise_gets_no_device_file(tmp_path: Path) -> None:
     assert done.returncode == 3, done.stderr
     assert not (tmp_path / "board.yaml").exists()
     assert "begin alike" not in done.stderr
+
+
+def test_the_help_says_in_plain_words_when_no_device_was_found() -> None:
+    text = " ".join(imumon("detect", "--help").stdout.split())
+    assert (
+        "3 when the port cannot be opened, nothing came, or what came are packets of none of the devices"
+        in text
+    )
