@@ -100,7 +100,7 @@ def test_what_a_scheduler_lost_is_no_failure_and_is_done_by_the_same_command(
             scheduler.kill()
             scheduler.wait()
 
-        assert wait_until(lambda: answers(address), 60.0)
+        assert wait_until(lambda: answers(address))
         with monkeypatch.context() as patch:
             patch.setattr(Dataset, "add", killing)
             broken = imumon("batch", "decode", *good, "--out", out, "--scheduler", address)
