@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imumon.cli.common import PATH, SECONDS, Number, console, json_option, note, print_json, print_rows, warn
+from imumon.cli.progress import progress_lines
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK
 from imumon.files import write_text
 from imumon.harmless import for_log
@@ -178,7 +180,10 @@ def _work(
 
     with (
         workers(scheduler, min(number, count)) as client,
-        Progress(console=console(error=True), transient=True, disable=quiet) as bar,
+        Progress(
+            console=console(error=True), transient=True, disable=quiet or not sys.stderr.isatty()
+        ) as bar,
+        progress_lines(lambda: f"{bar.tasks[0].completed:,.0f} of {count:,} sessions", quiet=quiet),
     ):
         task = bar.add_task("sessions", total=count)
 

@@ -1,17 +1,52 @@
-"""How far long work has come, with the time left: on a terminal, and never beside ``--json``."""
+"""How far long work has come, never beside ``--json``: a bar on a terminal, else a line from time to time."""
 
 from __future__ import annotations
 
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from imumon.cli.common import console
+from imumon.cli.common import console, say
 from imumon.harmless import for_log
 
 Tell = Callable[[str], None]
 """Takes what is being done now."""
+FIRST_LINE_S, LINE_S = 30.0, 60.0
+"""Until the first line without a terminal, and between two."""
+
+
+@contextmanager
+def progress_lines(state: Callable[[], str], *, quiet: bool) -> Iterator[None]:
+    """Say from time to time what is being done, where standard error is no terminal.
+
+    Parameters
+    ----------
+    state : callable
+        Returns what is being done now; called by another thread.
+    quiet : bool
+        Say nothing.
+    """
+    if quiet or sys.stderr.isatty():
+        yield
+        return
+    began, ended = time.monotonic(), threading.Event()
+
+    def lines() -> None:
+        wait_s = FIRST_LINE_S
+        while not ended.wait(wait_s):
+            wait_s = LINE_S
+            say("INFO", f"{state()}, {time.monotonic() - began:.0f} s so far")
+
+    thread = threading.Thread(target=lines, name="progress", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 @contextmanager
@@ -23,18 +58,49 @@ def reading_bar(paths: Sequence[Path], *, quiet: bool) -> Iterator[Tell]:
     paths : sequence of Path
         Sessions, captures or tables, as they are read one after the other.
     quiet : bool
-        Show nothing, as where standard error is no terminal.
+        Show nothing.
     """
-    if quiet or not sys.stderr.isatty():
+    if quiet:
         yield lambda _: None
         return
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-    from imumon.recordings.source import reading, recorded_bytes
+    from imumon.recordings.source import recorded_bytes
 
     sizes = [recorded_bytes(path) for path in paths]
     known = [size for size in sizes if size is not None]
     total = sum(known) if len(known) == len(sizes) else None
+    what = for_log(f"reading {', '.join(path.name for path in paths)}")
+    with _bar(what, total) if sys.stderr.isatty() else _lines(what, total) as tell:
+        yield tell
+
+
+@contextmanager
+def _lines(what: str, total: int | None) -> Iterator[Tell]:
+    from imumon.recordings.source import reading
+
+    done, now = 0, ""
+
+    def count(more: int) -> None:
+        nonlocal done
+        done += more
+
+    def tell(text: str) -> None:
+        nonlocal now
+        now = text
+
+    token = reading.set(count)
+    try:
+        with progress_lines(lambda: now or (f"{what}: {done / total:.0%}" if total else what), quiet=False):
+            yield tell
+    finally:
+        reading.reset(token)
+
+
+@contextmanager
+def _bar(what: str, total: int | None) -> Iterator[Tell]:
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    from imumon.recordings.source import reading
+
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),
@@ -43,7 +109,7 @@ def reading_bar(paths: Sequence[Path], *, quiet: bool) -> Iterator[Tell]:
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=console(error=True), transient=True) as bar:
-        task = bar.add_task(for_log(f"reading {', '.join(path.name for path in paths)}"), total=total)
+        task = bar.add_task(what, total=total)
 
         def tell(text: str) -> None:
             bar.update(task, description=for_log(text), total=None)

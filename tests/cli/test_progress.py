@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import os
 import pty
 import subprocess
+import threading
 from pathlib import Path
+from queue import Queue
 
 import pytest
 
+from imumon.cli import progress
+from imumon.recordings.source import reading, recorded_bytes
 from tests.cli.command import IMUMON, imumon
 from tests.waiting import LIMIT_S
 
@@ -48,9 +53,37 @@ def test_a_terminal_shows_how_much_is_left(session: Path, tmp_path: Path) -> Non
     assert "left:" in shown
 
 
-def test_nothing_is_shown_beside_json_or_without_a_terminal(session: Path, tmp_path: Path) -> None:
+def test_nothing_is_shown_beside_json_or_of_short_work_without_a_terminal(
+    session: Path, tmp_path: Path
+) -> None:
     out, shown = on_a_terminal("decode", session, "--out", tmp_path / "a.parquet", "--json")
     assert out.startswith("{")
     assert "reading session" not in shown
     done = imumon("decode", session, "--out", tmp_path / "b.parquet")
     assert "reading session" not in done.stderr
+
+
+def test_without_a_terminal_long_work_says_from_time_to_time_how_far_it_has_come(
+    session: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines: Queue[str] = Queue()
+    for name in ("FIRST_LINE_S", "LINE_S"):
+        monkeypatch.setattr(progress, name, 0.01)
+    monkeypatch.setattr(progress, "say", lambda _, text: lines.put(text))
+    monkeypatch.setattr("sys.stderr", io.StringIO())
+
+    def until(start: str) -> None:
+        while not lines.get(timeout=60.0).startswith(start):
+            pass
+
+    total = recorded_bytes(session)
+    assert total
+    with progress.reading_bar([session], quiet=False) as tell:
+        until("reading session: 0%, ")
+        reading.get()(total // 2)
+        until("reading session: 50%, ")
+        tell("trying curves for gyro_x")
+        until("trying curves for gyro_x, ")
+    assert "progress" not in [thread.name for thread in threading.enumerate()]
+    with progress.reading_bar([session], quiet=True):
+        assert "progress" not in [thread.name for thread in threading.enumerate()]
