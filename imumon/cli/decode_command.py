@@ -43,14 +43,16 @@ def command(
     from imumon.pipeline import Pipeline
     from imumon.recordings.side_tables import Exported, export_run
     from imumon.recordings.source import no_samples, open_source, run_over
+    from imumon.run.doubts import Doubts
     from imumon.run.narration import describe_losses, describe_streams
 
     source = open_source(file, device, rate)
     source.refuse_output(out)
     pipeline = Pipeline(source.device)
+    doubts = Doubts(source.device is not None and source.device.protocol.startswith("fixed"))
     try:
         with reading_bar([file], quiet=as_json):
-            blocks = run_over(source.items, pipeline)
+            blocks = doubts.through(run_over(source.items, pipeline))
             exported = export_run(blocks, pipeline, source, out, split_columns(columns))
     except ImumonError as error:
         unread = not pipeline.counters.bytes_received and file.is_file() and file.stat().st_size
@@ -59,11 +61,12 @@ def command(
         if as_json:
             print_json(_result(source, pipeline, Exported(0, {})))
         raise no_samples(source, pipeline) from error
-    warn([*source.warnings(), *pipeline.warnings(), *exported.warnings])
+    doubtful = doubts.found(pipeline.counters)
+    warn([*source.warnings(), *pipeline.warnings(), *exported.warnings, *doubtful])
     for notice in pipeline.notices():
         say("INFO", f"device: {notice}")
     if as_json:
-        print_json(_result(source, pipeline, exported))
+        print_json(_result(source, pipeline, exported) | {"doubts": doubtful})
     counters = pipeline.counters
     print_rows(
         {
