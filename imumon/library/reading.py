@@ -12,6 +12,7 @@ from imumon.blocks import NO_INT, BoolArray, SampleBlock, missing
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
 from imumon.errors import ImumonError, Reason
 from imumon.files import as_path
+from imumon.heap import trim_heap
 from imumon.library.arguments import expect, expect_list, expect_seconds, refuse
 from imumon.library.samples import TIMES, Samples
 from imumon.pipeline import Estimator, Pipeline
@@ -23,6 +24,8 @@ from imumon.run.setup import Setup, recorded_setup
 from imumon.run.stages import pipeline_of
 
 _log = logging.getLogger("imumon")
+LARGE_BYTES = 1 << 20
+"""Of a column, from which on memory is worth the time that it takes to give it back."""
 
 
 def read(
@@ -249,19 +252,21 @@ def _sent(source: Source) -> set[str]:
 
 
 def _joined(blocks: list[SampleBlock]) -> SampleBlock:
-    """Join blocks column by column, and give each part back at once: two copies of all take twice the memory.
+    """Join blocks column by column, and give the parts of each back at once: else all is there twice.
 
     The list is emptied.
     """
     parts = [(len(block), dict(block.columns)) for block in blocks]
     blocks.clear()
     types = {name: values.dtype for _, part in parts for name, values in part.items()}
-    return SampleBlock(
-        {
-            name: np.concatenate([part.pop(name) if name in part else missing(n, dtype) for n, part in parts])
-            for name, dtype in types.items()
-        }
-    )
+    columns = {}
+    for name, dtype in types.items():
+        columns[name] = np.concatenate(
+            [part.pop(name) if name in part else missing(n, dtype) for n, part in parts]
+        )
+        if columns[name].nbytes > LARGE_BYTES:
+            trim_heap()
+    return SampleBlock(columns)
 
 
 class _Span:

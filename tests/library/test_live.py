@@ -16,7 +16,7 @@ from imumon.blocks import NO_INT
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import load_device
 from imumon.simulation.virtual_device import VirtualDevice
-from tests.transport.helpers import wait_until
+from tests.waiting import wait_until
 
 pytestmark = pytest.mark.usefixtures("no_leaks")
 
@@ -123,7 +123,7 @@ def test_another_device_than_the_one_named_is_logged_and_raised(
 def test_what_came_while_the_loop_was_busy_is_one_block(device: VirtualDevice, record: Path | None) -> None:
     with imumon.open(device.port.path, "ax1", record=record) as unit:
         first = next(unit)
-        assert wait_until(lambda: unit.lag_s > 0.5, 30.0)
+        assert wait_until(lambda: unit.lag_s > 0.5)
         block = next(unit)
         assert len(block) >= 40
         assert block["packet_counter"][0] == first["packet_counter"][-1] + 1
@@ -134,7 +134,7 @@ def test_what_came_while_the_loop_was_busy_is_one_block(device: VirtualDevice, r
 def test_with_latest_a_busy_loop_gets_the_newest_rows(device: VirtualDevice, record: Path | None) -> None:
     with imumon.open(device.port.path, "ax1", latest=True, record=record) as unit:
         first = next(unit)
-        assert wait_until(lambda: unit.lag_s > 0.5, 30.0)
+        assert wait_until(lambda: unit.lag_s > 0.5)
         block = next(unit)
         assert np.ptp(block["arrival_time_ns"]) < 0.08e9
         came = block["packet_counter"][-1] - first["packet_counter"][-1]
