@@ -67,55 +67,59 @@ def test_a_missing_integer_is_nan_for_loops_and_stages(device: VirtualDevice, re
     assert block["packet_counter"].dtype == block["host_time_ns"].dtype == np.int64
 
 
+def raised(unit: imumon.Live, reason: Reason) -> ImumonError:
+    """Iterate until an error of this reason comes; return it.  A busy computer may cause others before."""
+    while True:
+        try:
+            next(unit)
+        except ImumonError as error:
+            if error.reason is reason:
+                return error
+
+
+def first_rows(unit: imumon.Live) -> imumon.SampleBlock:
+    """Return the first block, however long it takes."""
+    while True:
+        try:
+            return next(unit)
+        except ImumonError:
+            continue
+
+
 def test_a_lost_port_is_logged_and_raised_and_comes_back(
     device: VirtualDevice, record: Path | None, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with imumon.open(device.port.path, "ax1", timeout=1.0, record=record) as unit:
-        next(unit)
+    with imumon.open(device.port.path, "ax1", timeout=0.5, record=record) as unit:
+        first_rows(unit)
         assert unit.state == "open"
         device.port.unplug()
-        with pytest.raises(ImumonError, match="was lost: no row for") as caught:
-            list(unit)
-        assert caught.value.reason is Reason.LOST
+        assert "was lost: no row for" in str(raised(unit, Reason.LOST))
         assert unit.state == "lost"
-        lost = [record for record in caplog.records if record.message.startswith("port lost")]
-        assert [record.levelno for record in lost] == [logging.ERROR]
+        assert any(r.levelno == logging.ERROR and "port lost" in r.message for r in caplog.records)
         device.port.replug()
-        while not len(_next_or_nothing(unit)):
-            pass
+        first_rows(unit)
         assert unit.state == "open"
     list(unit)
     assert unit.state == "closed"
 
 
-def _next_or_nothing(unit: imumon.Live) -> imumon.SampleBlock:
-    try:
-        return next(unit)
-    except ImumonError:
-        return imumon.SampleBlock({})
-
-
 def test_a_silent_port_is_logged_and_raised(
     device: VirtualDevice, record: Path | None, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with imumon.open(device.port.path, "ax1", timeout=1.5, record=record) as unit:
-        next(unit)
+    with imumon.open(device.port.path, "ax1", timeout=0.5, record=record) as unit:
+        first_rows(unit)
         device.port.silence()
-        with pytest.raises(ImumonError, match="is open but silent") as caught:
-            list(unit)
-        assert caught.value.reason is Reason.SILENT
-        assert unit.state == "silent"
+        while unit.state != "silent":
+            assert "is open but silent" in str(raised(unit, Reason.SILENT))
         assert any(r.levelno == logging.WARNING and "port silent" in r.message for r in caplog.records)
 
 
 def test_another_device_than_the_one_named_is_logged_and_raised(
     device: VirtualDevice, record: Path | None, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with imumon.open(device.port.path, "vectornav", timeout=2.5, record=record) as unit:
-        with pytest.raises(ImumonError, match="none of them a packet of vectornav") as caught:
-            next(unit)
-        assert caught.value.reason is Reason.WRONG_BAUD
-        assert unit.state == "does not frame"
+    with imumon.open(device.port.path, "vectornav", timeout=0.5, record=record) as unit:
+        while unit.state != "does not frame":
+            assert "none of them a packet of vectornav" in str(raised(unit, Reason.WRONG_BAUD))
         assert repr(unit).startswith(f"<imumon.Live: vectornav on {device.port.path} at 115200 8N1, does not")
         assert "only 0% of the bytes are packets: wrong baud rate or device?" in caplog.text
 
@@ -123,18 +127,18 @@ def test_another_device_than_the_one_named_is_logged_and_raised(
 def test_what_came_while_the_loop_was_busy_is_one_block(device: VirtualDevice, record: Path | None) -> None:
     with imumon.open(device.port.path, "ax1", record=record) as unit:
         first = next(unit)
-        assert wait_until(lambda: unit.lag_s > 0.5)
+        assert wait_until(lambda: unit.lag_s > 1.0)
         block = next(unit)
         assert len(block) >= 40
         assert block["packet_counter"][0] == first["packet_counter"][-1] + 1
-        assert unit.lag_s < 0.5
+        assert unit.lag_s < 1.0
         assert unit.skipped == 0
 
 
 def test_with_latest_a_busy_loop_gets_the_newest_rows(device: VirtualDevice, record: Path | None) -> None:
     with imumon.open(device.port.path, "ax1", latest=True, record=record) as unit:
         first = next(unit)
-        assert wait_until(lambda: unit.lag_s > 0.5)
+        assert wait_until(lambda: unit.lag_s > 1.0)
         block = next(unit)
         assert np.ptp(block["arrival_time_ns"]) < 0.08e9
         came = block["packet_counter"][-1] - first["packet_counter"][-1]
