@@ -8,17 +8,14 @@ from __future__ import annotations
 
 import hashlib
 import pickle
-import re
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from types import MappingProxyType
-from typing import Any, Protocol, get_args, runtime_checkable
 
 import numpy as np
 
-from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join, missing, nan_for_missing
+from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join, missing
 from imumon.charts import Chart
 from imumon.clock import DeviceClock, HostClock
 from imumon.clock.held import HeldReadings
@@ -26,48 +23,19 @@ from imumon.clock.nominal import NominalRate
 from imumon.clock.rate import Intervals
 from imumon.clock.repeats import Repeats
 from imumon.clock.side import SharedCounter, SideClock
-from imumon.columns import KNOWN, NAME, TIME_COLUMNS, Column, ColumnType
-from imumon.errors import ImumonError, Reason
+from imumon.columns import KNOWN, TIME_COLUMNS, Column
 from imumon.intake import Intake
 from imumon.protocols.base import COMMON, MAIN, Timing
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.epochs import EpochAssembler, EpochCounters
 from imumon.protocols.ranges import Ranges
 from imumon.protocols.stream import ByteArray
+from imumon.stage import Estimator as Estimator
+from imumon.stage import GuardedStage
 from imumon.transport.statistics import Counters
 
 UNDATED = NO_INT
 """Arrival time of bytes whose arrival nobody noted, as in a raw capture."""
-
-
-class Estimator(Protocol):
-    """A stage behind the clock: columns in, more columns out, sample by sample."""
-
-    @property
-    def columns(self) -> Sequence[Column]:
-        """The columns that `process` adds."""
-
-    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
-        """Return the new columns of a block; the result must not depend on the division into blocks."""
-
-    def notices(self) -> list[str]:
-        """Return, once each, what the user should know of the data or of the parameters."""
-
-
-@runtime_checkable
-class Charting(Protocol):
-    """A stage that has more to show than its columns."""
-
-    def charts(self) -> Sequence[Chart]:
-        """Return its charts as they are now; empty while there is nothing to show."""
-
-
-@runtime_checkable
-class Judging(Protocol):
-    """A stage that judges: each judgement is a lane of states in the view."""
-
-    def lanes(self) -> Mapping[str, str]:
-        """Return the state of each of its lanes as it is now."""
 
 
 class Seen:
@@ -153,11 +121,10 @@ class Pipeline:
         self._decoder = device.decoder() if device is not None else None
         self._device_clock = DeviceClock(self._decoder.timing if self._decoder is not None else Timing())
         self.host_clock = HostClock(self._device_clock.drift_limit_ppm)
-        self._estimators = tuple(estimators)
-        for stage in self._estimators:
-            _refuse_stage(stage)
-        self._checked: list[dict[str, np.dtype[Any]]] = [{} for _ in self._estimators]
-        """Columns of each stage that it has declared, and their types."""
+        self._stages = tuple(GuardedStage(stage) for stage in estimators)
+        self.live = False
+        """Whether a stage of imumon that fails is switched off, as one of another package always is; else
+        its error is raised."""
         self._intake = Intake((ranges or Ranges()).over(device.range if device is not None else Ranges()))
         given = device is not None and device.rate_given
         self._nominal = NominalRate(self._device_clock.timing.rate_hz, given)
@@ -177,12 +144,22 @@ class Pipeline:
     @property
     def estimators(self) -> tuple[Estimator, ...]:
         """The stages, in their order."""
-        return self._estimators
+        return tuple(guarded.stage for guarded in self._stages)
+
+    @property
+    def irreproducible(self) -> frozenset[str]:
+        """Columns of the stages from the first on that was switched off.
+
+        From which sample on they are missing depends on the division into blocks.
+        """
+        off = [stage.switched_off for stage in self._stages]
+        first = off.index(True) if True in off else len(off)
+        return frozenset(column.name for stage in self._stages[first:] for column in stage.columns)
 
     @property
     def columns(self) -> list[Column]:
         """Columns of the decoded blocks so far, in the order in which tables have them."""
-        return [*self.stream_columns(MAIN), *(c for stage in self._estimators for c in stage.columns)]
+        return [*self.stream_columns(MAIN), *(c for stage in self._stages for c in stage.columns)]
 
     def stream_columns(self, stream: str) -> list[Column]:
         """Return the columns of a stream's blocks so far, without those of the estimators."""
@@ -198,7 +175,7 @@ class Pipeline:
     def units(self) -> dict[str, str]:
         """Unit of every column that may ever come."""
         decoded = self._decoder.possible_columns if self._decoder is not None else ()
-        added = [column for stage in self._estimators for column in stage.columns]
+        added = [column for stage in self._stages for column in stage.columns]
         return {column.name: column.unit for column in (*decoded, *added)}
 
     @property
@@ -320,18 +297,15 @@ class Pipeline:
             decoded = [*decoded, *self._nominal.notices(self._ended)]
         repeated = self._repeats.notices(self._device_clock.dated_by)
         decoded = [*decoded, *repeated, *self._intake.notices(self._ended)]
-        return [*decoded, *(text for stage in self._estimators for text in _notices(stage))]
+        return [*decoded, *(text for stage in self._stages for text in stage.notices(self.live))]
 
     def charts(self) -> list[Chart]:
         """Return the charts of the estimators as they are now."""
-        return [
-            chart for stage in self._estimators if isinstance(stage, Charting) for chart in stage.charts()
-        ]
+        return [chart for stage in self._stages for chart in stage.charts(self.live)]
 
     def lanes(self) -> dict[str, str]:
         """Return the states that the estimators judge, by lane."""
-        judging = [stage for stage in self._estimators if isinstance(stage, Judging)]
-        return {lane: state for stage in judging for lane, state in stage.lanes().items()}
+        return {lane: state for stage in self._stages for lane, state in stage.lanes(self.live).items()}
 
     def _decoded(self, end: bool = False) -> SampleBlock:
         """Put together and date what the decoder has completed, and estimate."""
@@ -389,119 +363,15 @@ class Pipeline:
 
     def _estimate(self, block: SampleBlock) -> SampleBlock:
         """Run the stages over what no sensor fault spoils; the columns that were sent stay as they are."""
-        if not self._estimators:
+        if not self._stages:
             return block
         taken = self._intake.process(block)
         seen, added = taken.block, dict[str, ColumnArray]()
-        for at, stage in enumerate(self._estimators):
-            new = _processed(stage, seen)
-            if len(block):
-                new = self._checked_columns(at, new, seen)
+        for stage in self._stages:
+            new = stage.process(seen, self.live)
             seen = seen.with_columns(new)
             added |= {name: taken.spread(values) for name, values in new.items()}
         return block.with_columns(added)
-
-    def _checked_columns(
-        self, at: int, new: Mapping[str, ColumnArray], seen: SampleBlock
-    ) -> dict[str, ColumnArray]:
-        """Return what a stage adds, in the types that it declares.
-
-        Raises BAD_CONFIG for what it did not declare, what is there already, and what is no column.
-        """
-        stage = self._estimators[at]
-        types = self._checked[at]
-        if not types.keys() >= new.keys():
-            declared = {column.name: np.dtype(column.dtype) for column in stage.columns}
-            for column in new:
-                if column in seen:
-                    raise _wrong(stage, f"adds {column}, which is there already", "give it another name")
-                if column not in declared:
-                    what = f"adds {column}, which its columns do not declare"
-                    raise _wrong(stage, what, "tables and view need its unit")
-            types |= {column: declared[column] for column in new}
-        return {name: _as_declared(stage, name, new[name], types[name], len(seen)) for name in new}
-
-
-def _processed(stage: Estimator, seen: SampleBlock) -> Mapping[str, ColumnArray]:
-    """Return what a stage makes of a block.
-
-    Raises BAD_CONFIG, naming the stage, where one from outside fails or returns no mapping.
-    """
-    if _is_own(stage):
-        return stage.process(seen)
-    # It cannot write to what was sent.  Compiled code of imumon's own stages would have to be compiled anew
-    # for arrays that are read only.
-    views = {name: nan_for_missing(values).view() for name, values in seen.columns.items()}
-    for view in views.values():
-        view.flags.writeable = False
-    with _failing(stage, "process"):
-        new = stage.process(SampleBlock(views))
-    if not isinstance(new, Mapping):
-        raise _wrong(stage, f"process returned {_shown(new)}", "return a dict: an array for each column")
-    return new
-
-
-@contextmanager
-def _failing(stage: Estimator, call: str) -> Iterator[None]:
-    """Raise BAD_CONFIG, naming the stage and the call, for whatever somebody else's code raises."""
-    try:
-        yield
-    except Exception as error:
-        what = f"{call} failed: {type(error).__name__}: {error}"
-        raise _wrong(stage, what, "mend it, or run without it") from error
-
-
-def _is_own(stage: Estimator) -> bool:
-    return type(stage).__module__.partition(".")[0] == "imumon"
-
-
-def _notices(stage: Estimator) -> list[str]:
-    """Return what a stage has to say; BAD_CONFIG, naming it, where one from outside fails or says no text."""
-    if _is_own(stage):
-        return stage.notices()
-    with _failing(stage, "notices"):
-        said = list(stage.notices())
-    if not all(isinstance(text, str) for text in said):
-        raise _wrong(stage, "notices returned what is no text", "return a list of str")
-    return said
-
-
-def _as_declared(
-    stage: Estimator, name: str, values: ColumnArray, dtype: np.dtype[Any], n: int
-) -> ColumnArray:
-    """Return a column of a stage in its type, where nothing is lost by that."""
-    if not isinstance(values, np.ndarray) or values.ndim != 1:
-        raise _wrong(stage, f"{name} is {_shown(values)}", "return an array of one dimension")
-    if len(values) != n:
-        raise _wrong(stage, f"{name} has {len(values)} values for {n} samples", "return one for each")
-    if values.dtype != dtype and not np.can_cast(values.dtype, dtype):
-        raise _wrong(stage, f"{name} is {values.dtype} and declared as {dtype}", "declare it as it is")
-    return values.astype(dtype, copy=False)
-
-
-def _wrong(stage: object, what: str, hint: str) -> ImumonError:
-    return ImumonError(Reason.BAD_CONFIG, f"stage {type(stage).__name__}: {what}", hint)
-
-
-def _shown(values: object) -> str:
-    if isinstance(values, np.ndarray):
-        return f"an array of shape {values.shape}"
-    return "None" if values is None else f"a {type(values).__name__}"
-
-
-def _refuse_stage(stage: Estimator) -> None:
-    """Raise BAD_CONFIG for a stage that lacks something, or declares what no table can have."""
-    for needed in ("columns", "process", "notices"):
-        if not hasattr(stage, needed):
-            raise _wrong(stage, f"has no {needed}", "a stage has columns, process and notices")
-    for column in stage.columns:
-        if not isinstance(column, Column):
-            raise _wrong(stage, f"{column!r} is no column", "declare imumon.Column(name, unit)")
-        if not isinstance(column.name, str) or not re.fullmatch(NAME, column.name):
-            raise _wrong(stage, f"{column.name!r} is no name of a column", "small letters, digits and _")
-        if column.dtype not in get_args(ColumnType):
-            hint = f"use {' or '.join(get_args(ColumnType))}"
-            raise _wrong(stage, f"{column.name} has type {column.dtype!r}", hint)
 
 
 class Digest:

@@ -2,46 +2,108 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
+from traceback import extract_tb
 from typing import Any
 
 from imumon.errors import ImumonError, Reason
 
 STAGES = "imumon.stages"
-"""Callables without arguments that return a stage (`imumon.pipeline.Estimator`)."""
+"""Callables without arguments that return a stage (`imumon.stage.Estimator`)."""
 DEVICES = "imumon.devices"
 """Folders of device files."""
 EFFECTS = "imumon.effects"
 """Effects (`imumon.effects.base.Effect`), under the name that they have."""
+WITHOUT = "IMUMON_WITHOUT_PLUGINS"
+"""Environment variable of ``imumon --without-plugins``: no plug-in is loaded, in child processes neither."""
+FRAMES = 8
+"""Calls of a traceback that are reported, the innermost ones: a line of the log is limited."""
 
 
-@cache
-def plugins(group: str, needed: str, fits: Callable[[str, Any], bool]) -> dict[str, Any]:
-    """Return what installed packages offer in a group, by name.
+@dataclass(frozen=True, slots=True)
+class Plugin:
+    """What an installed package offers in a group under a name."""
 
-    Raises BAD_CONFIG when one cannot be imported or is something else, or two have the same name.
+    group: str
+    name: str
+    package: str
+    version: str
+    offered: Any
+
+    def error(self, what: str) -> ImumonError:
+        """Return the error that says what is wrong with it."""
+        return plugin_error(self.group, self.name, self.package, what)
+
+
+def plugin_error(group: str, name: str, package: str, what: str) -> ImumonError:
+    """Return the error that says what is wrong with a plug-in."""
+    hint = f"mend it, run with imumon --without-plugins, or remove it: pip uninstall {package}"
+    return ImumonError(Reason.BAD_CONFIG, f"the plug-in {name} of {package} ({group}) {what}", hint)
+
+
+def package_of(entry: EntryPoint) -> tuple[str, str]:
+    """Return name and version of the package that an entry point is of."""
+    return (entry.dist.name, entry.dist.version) if entry.dist is not None else ("an unknown package", "")
+
+
+def entries(group: str) -> list[EntryPoint]:
+    """Return the entry points of a group by name; none with ``--without-plugins``."""
+    return [] if os.environ.get(WITHOUT) else sorted(entry_points(group=group), key=lambda entry: entry.name)
+
+
+def load(entry: EntryPoint, needed: str, fits: Callable[[str, Any], bool]) -> Plugin:
+    """Return what an entry point offers.
+
+    Raises BAD_CONFIG when it cannot be imported or is something else.
 
     Parameters
     ----------
     needed : str
-        What is offered there, in words.
+        What is offered in its group, in words.
     fits : callable
         Tells of a name and what is offered under it whether it is that.
     """
-    found: dict[str, Any] = {}
-    for entry in sorted(entry_points(group=group), key=lambda entry: entry.name):
-        package = entry.dist.name if entry.dist is not None else "an unknown package"
-        what, hint = f"{entry.name} of {package} ({group})", f"mend or remove it: pip uninstall {package}"
-        try:
-            offered = entry.load()
-        except Exception as error:
-            said = f"{what} cannot be imported: {type(error).__name__}: {error}"
-            raise ImumonError(Reason.BAD_CONFIG, said, hint) from error
-        if not fits(entry.name, offered):
-            raise ImumonError(Reason.BAD_CONFIG, f"{what} is no {needed}: {offered!r}", hint)
+    package, version = package_of(entry)
+    try:
+        plugin = Plugin(entry.group, entry.name, package, version, entry.load())
+    except Exception as error:
+        what = f"cannot be imported: {type(error).__name__}: {error}"
+        raise plugin_error(entry.group, entry.name, package, what) from error
+    if not fits(plugin.name, plugin.offered):
+        raise plugin.error(f"is no {needed}: {plugin.offered!r}")
+    return plugin
+
+
+@cache
+def plugins(group: str, needed: str, fits: Callable[[str, Any], bool]) -> tuple[Plugin, ...]:
+    """Return what installed packages offer in a group, by name.
+
+    Raises BAD_CONFIG as `load`, and when two have the same name.
+    """
+    found: dict[str, Plugin] = {}
+    for entry in entries(group):
+        plugin = load(entry, needed, fits)
         if entry.name in found:
-            raise ImumonError(Reason.BAD_CONFIG, f"two packages offer {entry.name} as {group}", "remove one")
-        found[entry.name] = offered
-    return found
+            raise plugin.error(f"has the name of one of {found[entry.name].package}")
+        found[entry.name] = plugin
+    return tuple(found.values())
+
+
+def described(error: Exception, caller: str) -> str:
+    """Return what somebody else's code raised, with its traceback in one line, the innermost call first.
+
+    Parameters
+    ----------
+    caller : str
+        File of imumon that called the code; it is left out of the traceback.
+    """
+    if isinstance(error, ImumonError):
+        return error.seen
+    what = f"{type(error).__name__}: {error}"
+    frames = [frame for frame in extract_tb(error.__traceback__) if frame.filename != caller]
+    calls = [f"{frame.filename}:{frame.lineno} in {frame.name}" for frame in frames[: -FRAMES - 1 : -1]]
+    return f"{what} (at {', called at '.join(calls)})" if calls else what

@@ -9,7 +9,7 @@ import textwrap
 from collections.abc import Iterator
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,8 +17,6 @@ import pytest
 import imumon
 from imumon import plugins
 from imumon.columns import Column
-from imumon.effects.drift import Drift
-from imumon.effects.library import _is_effect
 from imumon.errors import ImumonError
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_names, load_device
@@ -214,28 +212,44 @@ class Talks(Doubled):
     ("offer", "said"),
     [
         ("NUMBER", r"mine of .* \(imumon.stages\) is no callable that returns a stage: 3"),
-        ("_raises", r"the plug-in mine \(imumon.stages\) makes no stage: RuntimeError: no licence"),
-        ("_nothing", "stage NoneType: has no columns"),
-        ("Broken", "stage Broken: process failed: ZeroDivisionError: of mine"),
-        ("Silent", "stage Silent: process returned None"),
-        ("Talks", "stage Talks: notices returned what is no text"),
+        ("_raises", r"mine of .* \(imumon.stages\) makes no stage: RuntimeError: no licence"),
+        (
+            "_nothing",
+            r"mine of .* \(imumon.stages\) makes no stage: stage NoneType of builtins has no columns",
+        ),
     ],
 )
-def test_a_stage_that_fails_is_one_error_that_names_it(
+def test_what_makes_no_stage_is_one_error_that_names_it(
     offered: dict[str, str], monkeypatch: pytest.MonkeyPatch, offer: str, said: str
 ) -> None:
     monkeypatch.setattr(sys.modules[__name__], "NUMBER", 3, raising=False)
     offered[plugins.STAGES] = f"{__name__}:{offer}"
+    with pytest.raises(ImumonError, match=said):
+        estimators(None)
+
+
+@pytest.mark.parametrize(
+    ("offer", "said"),
+    [
+        ("Broken", "process: ZeroDivisionError: of mine"),
+        ("Silent", "process: it returned None"),
+        ("Talks", "notices: it returned what is no text"),
+    ],
+)
+def test_a_stage_of_another_package_that_fails_is_reported_once(
+    offered: dict[str, str], offer: str, said: str
+) -> None:
+    offered[plugins.STAGES] = f"{__name__}:{offer}"
     for n in (0, 3):
-        with pytest.raises(ImumonError, match=said):
-            _run_plugins(n)
-
-
-def _run_plugins(n: int) -> None:
-    pipeline = Pipeline(None, estimators(None))
-    pipeline.push(imumon.SampleBlock({"device_time_ns": np.arange(n), "segment": np.zeros(n, np.int64),
-                                      "gyro_x": np.arange(float(n))}))  # fmt: skip
-    pipeline.warnings()
+        pipeline = Pipeline(None, estimators(None))
+        block = {"device_time_ns": np.arange(n), "segment": np.zeros(n, np.int64), "gyro_x": np.ones(n)}
+        pipeline.push(imumon.SampleBlock(block))
+        [report] = [text for text in pipeline.warnings() if "switched off" in text]
+        assert f"stage {offer} of {__name__} is switched off" in report
+        assert said in report
+        assert not any("switched off" in text for text in pipeline.warnings())
+        pipeline.push(imumon.SampleBlock({name: values + n for name, values in block.items()}))
+        assert np.isnan(pipeline.take()["doubled"][n:]).all()
 
 
 @pytest.mark.parametrize("folder", ["/no/such/folder", 3, None])
@@ -246,15 +260,6 @@ def test_a_folder_of_devices_that_is_none_is_named(
     offered[plugins.DEVICES] = f"{__name__}:FOLDER"
     with pytest.raises(ImumonError, match=r"mine of .* is no path of a folder of device files"):
         device_names()
-
-
-def test_an_effect_has_the_name_under_which_it_is_offered() -> None:
-    class Creep(Drift):
-        kind: Literal["creep"] = "creep"  # type: ignore[assignment]
-
-    assert _is_effect("creep", Creep)
-    for name, offered in (("other", Creep), ("drift", Drift), ("creep", 3), ("creep", "creep")):
-        assert not _is_effect(name, offered)
 
 
 def test_files_are_named_by_text_or_by_path(tmp_path: Path) -> None:

@@ -10,7 +10,8 @@ import os
 import signal
 import sys
 import threading
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -57,6 +58,7 @@ COMMANDS = {
     "catalog": "List the units of a folder of sessions, with what changed.",
     "report": "Write the calibration record of a session or a unit as a page.",
     "devices": "List the devices that imumon knows.",
+    "plugins": "List what other packages add, and whether it loads.",
     "virtual": "Be a device: a simulated AHRS on a pseudo-terminal.",
     "simulate": "Make a session or a table of a scenario, with the truth.",
 }
@@ -87,8 +89,26 @@ class _LazyGroup(click.Group):
     epilog="Exit codes: 0 done; 1 the answer is no; 2 wrong option or file; 3 port; 4 data.",
 )
 @click.version_option(package_name="imumon")
-def cli() -> None:
+@click.option("--without-plugins", is_flag=True, help="Load nothing that other packages add.")
+@click.pass_context
+def cli(context: click.Context, without_plugins: bool) -> None:
     """Watch, record and understand an IMU or AHRS on the bench."""
+    if without_plugins:
+        context.with_resource(_without_plugins())
+
+
+@contextmanager
+def _without_plugins() -> Iterator[None]:
+    """Load no plug-ins, in child processes neither."""
+    from imumon.plugins import WITHOUT  # not for --help: it loads importlib.metadata
+
+    before = os.environ.get(WITHOUT)
+    os.environ[WITHOUT] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[WITHOUT]
 
 
 def main() -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Union
 from pydantic import AfterValidator, Field
 
 from imumon.effects.base import DrivenEffect, Effect
+from imumon.effects.offered import EFFECT, guarded, is_effect
 from imumon.plugins import EFFECTS as OFFERED
 from imumon.plugins import plugins
 
@@ -38,15 +39,8 @@ def _effect(name: str) -> type[Effect]:
     )
 
 
-def _is_effect(name: str, offered: object) -> bool:
-    """Tell whether an effect is offered, under the name that it has and that none of imumon's has."""
-    known = isinstance(offered, type) and issubclass(offered, Effect) and name not in FILES
-    return known and getattr(offered, "name", None) == name
-
-
-EFFECTS: dict[str, type[Effect]] = {name: _effect(name) for name in FILES} | plugins(
-    OFFERED, "effect of that name", _is_effect
-)
+EFFECTS: dict[str, type[Effect]] = {name: _effect(name) for name in FILES}
+EFFECTS |= {plugin.name: guarded(plugin) for plugin in plugins(OFFERED, EFFECT, is_effect)}
 _OPERATORS = {kind.operator: kind for kind in EFFECTS.values() if issubclass(kind, DrivenEffect)}
 
 

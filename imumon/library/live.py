@@ -194,6 +194,7 @@ class _Unrecorded(Live):
         latest: bool,
     ) -> None:
         super().__init__(device, settings, pipeline, timeout, latest)
+        pipeline.live = True
         self._items: SimpleQueue[Item] = SimpleQueue()
         self._clock, self._next_tick = Clock(), time.monotonic() + TICK_S
         self._narration = Narrator(pipeline, settings, (), _logged, {}, Path("SESSION"))

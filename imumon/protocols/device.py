@@ -36,6 +36,8 @@ PROTOCOLS = {
     "mip": "imumon.protocols.mip:MipDevice",
 }
 """Class that reads the device files of each protocol; imported when a device of it is loaded."""
+FOLDER = "path of a folder of device files"
+"""What a plug-in offers in the group `imumon.plugins.DEVICES`, in words."""
 
 
 class SerialSettings(StrictModel):
@@ -112,11 +114,13 @@ def device_names() -> list[str]:
 
 def _files() -> dict[str, Path]:
     """Return the device files by name: those of imumon, which come first, and of plug-ins."""
-    folders = map(Path, plugins(DEVICES, "path of a folder of device files", _is_folder).values())
+    found = plugins(DEVICES, FOLDER, is_folder)
+    folders = [Path(plugin.offered) for plugin in found]
     return {path.stem: path for folder in folders for path in folder.glob("*.yaml")} | bundled("devices")
 
 
-def _is_folder(_: str, offered: object) -> bool:
+def is_folder(_: str, offered: object) -> bool:
+    """Tell whether a plug-in offers a folder."""
     return isinstance(offered, str | os.PathLike) and Path(offered).is_dir()
 
 

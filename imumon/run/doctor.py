@@ -16,6 +16,7 @@ from importlib import metadata
 from pathlib import Path
 
 from imumon.errors import ImumonError
+from imumon.run.plugins import installed
 from imumon.transport.errors import open_error
 from imumon.transport.ports import PortInfo, latency_timer_path, list_ports
 from imumon.transport.settings import PortSettings
@@ -72,6 +73,7 @@ def examine(folder: Path) -> Iterator[Finding]:
     """
     looks: tuple[Callable[[], Iterator[Finding]], ...] = (
         packages,
+        plug_ins,
         compiled_code,
         lambda: disk(folder),
         serial_ports,
@@ -106,6 +108,17 @@ def packages() -> Iterator[Finding]:
             "packages", State.FAULT, "; ".join(wrong), "install imumon again, with what it requires"
         )
     yield Finding("packages", State.GOOD, ", ".join(found))
+
+
+def plug_ins() -> Iterator[Finding]:
+    """Look whether each plug-in loads."""
+    found = installed()
+    for plugin in found:
+        if plugin.problem:
+            remedy = f"mend or remove it (pip uninstall {plugin.package}), or imumon --without-plugins"
+            yield Finding("plug-ins", State.FAULT, plugin.problem, remedy)
+    if whole := [f"{plugin.name} of {plugin.package}" for plugin in found if not plugin.problem]:
+        yield Finding("plug-ins", State.GOOD, ", ".join(whole))
 
 
 def compiled_code() -> Iterator[Finding]:

@@ -154,6 +154,7 @@ class LiveRun:
     ) -> None:
         self._device = device
         self.pipeline = pipeline_of(device, setup, stages)
+        self.pipeline.live = True
         self.taken: Callable[[SampleBlock, Mapping[str, SampleBlock]], None] | None = None
         """Given, in the pipeline's thread, the samples and those of the side streams as they come."""
         self._settings = settings

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from functools import partial
 
 from imumon.allan.stage import AllanStage
-from imumon.errors import ImumonError, Reason
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
@@ -20,6 +19,7 @@ from imumon.protocols.ranges import Ranges
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.source import Source
 from imumon.run.setup import Setup
+from imumon.stage import STAGE, is_callable, made_by
 
 
 def pipeline_of(
@@ -81,21 +81,7 @@ def _of_plugins() -> list[Estimator]:
 
     Raises BAD_CONFIG, naming it, when it makes none.
     """
-    made: list[Estimator] = []
-    for name, make in plugins(STAGES, "callable that returns a stage", _is_callable).items():
-        try:
-            made.append(make())
-        except Exception as error:  # whatever somebody else's code raises
-            raise ImumonError(
-                Reason.BAD_CONFIG,
-                f"the plug-in {name} ({STAGES}) makes no stage: {type(error).__name__}: {error}",
-                "mend or remove the package that offers it",
-            ) from error
-    return made
-
-
-def _is_callable(_: str, offered: object) -> bool:
-    return callable(offered)
+    return [made_by(plugin) for plugin in plugins(STAGES, STAGE, is_callable)]
 
 
 def _better_model(setup: Setup, others: Sequence[Estimator]) -> list[Estimator]:

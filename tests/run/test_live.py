@@ -10,11 +10,13 @@ from queue import SimpleQueue
 import numpy as np
 import pytest
 
-from imumon.blocks import SampleBlock, join
+from imumon.blocks import ColumnArray, SampleBlock, join
+from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Digest, Pipeline
 from imumon.protocols.device import device_text, load_device, parse_device
 from imumon.recordings.folder import Session, open_session
+from imumon.recordings.session_log import LOG_NAME
 from imumon.recordings.source import run_over, session_device
 from imumon.recordings.wire_reader import WireReader
 from imumon.run import live
@@ -233,6 +235,48 @@ def test_a_run_that_did_not_decode_everything_has_no_digest_to_compare_with(
     assert session.metadata.results_digest is None
     assert session.metadata.counters["bytes_unrecorded"] == 0
     assert len(replayed(session)[0]) > 40
+
+
+class _Fails:
+    """A stage of another package that fails after ten samples."""
+
+    columns = (Column("mine", "1"),)
+
+    def __init__(self) -> None:
+        self._samples = 0
+
+    def process(self, block: SampleBlock) -> dict[str, ColumnArray]:
+        self._samples += len(block)
+        if self._samples > 10:
+            raise ZeroDivisionError("of mine")
+        return {"mine": np.ones(len(block))}
+
+    def notices(self) -> list[str]:
+        return []
+
+
+@pytest.mark.usefixtures("no_leaks")
+def test_a_stage_that_fails_ends_neither_the_view_nor_the_recording(tmp_path: Path) -> None:
+    watcher, folder = Watcher(), tmp_path / "session"
+    with VirtualDevice(AX1, tmp_path / "ahrs") as device:
+        settings, text = PortSettings(device.port.path), device_text("ax1")[0]
+        run = LiveRun(AX1, text, settings, Setup(), folder, watcher.say, [_Fails()])
+        run.open()
+        run.begin([watcher.items.append])
+        assert wait_until(lambda: any("switched off" in line for line in watcher.lines), 15.0)
+        samples = run.pipeline.counters.samples
+        assert wait_until(lambda: run.pipeline.counters.samples > samples + 20, 15.0)
+        assert run.processing
+        summary = run.stop()
+    assert run.failure is None
+    [line] = [line for line in watcher.lines if "switched off" in line]
+    assert f"{__file__}:" in line
+    assert line.removeprefix("WARN ") in (folder / LOG_NAME).read_text()
+    shown = join([item.block for item in watcher.items if hasattr(item, "block")])
+    assert np.isnan(shown["mine"][-20:]).all()
+    session = open_session(folder)
+    assert session.metadata.state == "closed"
+    assert summary.wire.bytes_on_disk == summary.counters.bytes_received
 
 
 def test_a_device_that_sends_every_two_seconds_is_not_called_silent(tmp_path: Path) -> None:

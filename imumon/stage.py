@@ -1,0 +1,278 @@
+"""What a stage is, and how it is run: its results are checked, and one that fails is switched off."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from typing import Any, Protocol, TypeVar, get_args, runtime_checkable
+
+import numpy as np
+
+from imumon.blocks import ColumnArray, SampleBlock, missing, nan_for_missing
+from imumon.charts import Chart
+from imumon.columns import KNOWN, NAME, Column, ColumnType
+from imumon.errors import ImumonError, Reason
+from imumon.plugins import Plugin, described
+from imumon.units import parse_own_unit
+
+STAGE = "callable that returns a stage"
+"""What a plug-in offers in the group `imumon.plugins.STAGES`, in words."""
+STRICT = "IMUMON_STRICT"
+"""Environment variable, set in tests: a defect of a stage of imumon is raised in a live run as well."""
+_USUAL_UNITS = {column.unit for column in KNOWN.values()}
+"""Known without pint, which takes half a second to load."""
+
+T = TypeVar("T")
+
+
+class Estimator(Protocol):
+    """A stage behind the clock: columns in, more columns out, sample by sample."""
+
+    @property
+    def columns(self) -> Sequence[Column]:
+        """The columns that `process` adds."""
+
+    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+        """Return the new columns of a block; the result must not depend on the division into blocks."""
+
+    def notices(self) -> list[str]:
+        """Return, once each, what the user should know of the data or of the parameters."""
+
+
+@runtime_checkable
+class Charting(Protocol):
+    """A stage that has more to show than its columns."""
+
+    def charts(self) -> Sequence[Chart]:
+        """Return its charts as they are now; empty while there is nothing to show."""
+
+
+@runtime_checkable
+class Judging(Protocol):
+    """A stage that judges: each judgement is a lane of states in the view."""
+
+    def lanes(self) -> Mapping[str, str]:
+        """Return the state of each of its lanes as it is now."""
+
+
+class GuardedStage:
+    """A stage whose results are checked, and which is switched off when it fails.
+
+    From the block on in which it failed, its columns are missing.
+
+    Raises BAD_CONFIG as `check_stage`.
+    """
+
+    def __init__(self, stage: Estimator) -> None:
+        check_stage(stage)
+        self.stage = stage
+        self.switched_off = False
+        self._own = is_own(stage)
+        self._columns = tuple(stage.columns)
+        """Those of a stage of imumon may change until it is switched off: it knows by then what is sent."""
+        self._types: dict[str, np.dtype[Any]] = {}
+        """Columns that were compared with those declared, and their types."""
+        self._samples = 0
+        self._report: list[str] = []
+
+    @property
+    def columns(self) -> Sequence[Column]:
+        """The columns that it adds."""
+        return self.stage.columns if self._own and not self.switched_off else self._columns
+
+    def process(self, seen: SampleBlock, live: bool) -> Mapping[str, ColumnArray]:
+        """Return the new columns of a block.
+
+        Raises whatever a stage of imumon raises where the run is not live: a result without its columns
+        would pass for a whole one, and the recording can be read again.
+        """
+        if not self.switched_off:
+            new = self._call("process", lambda: self._processed(seen), None, live, seen)
+            if new is not None:
+                self._samples += len(seen)
+                return new
+        return {column.name: missing(len(seen), column.dtype) for column in self._columns}
+
+    def notices(self, live: bool) -> list[str]:
+        """Return, once each, what it has to say, and why it was switched off."""
+        nothing: list[str] = []
+        said = self._call("notices", lambda: _texts(self.stage.notices()), nothing, live)
+        report, self._report = self._report, []
+        return [*said, *report]
+
+    def charts(self, live: bool) -> Sequence[Chart]:
+        """Return its charts as they are now."""
+        stage, nothing = self.stage, list[Chart]()
+        if not isinstance(stage, Charting):
+            return nothing
+        return self._call("charts", lambda: _charts(stage.charts()), nothing, live)
+
+    def lanes(self, live: bool) -> Mapping[str, str]:
+        """Return the state of each of its lanes as it is now."""
+        stage, nothing = self.stage, dict[str, str]()
+        if not isinstance(stage, Judging):
+            return nothing
+        return self._call("lanes", lambda: _lanes(stage.lanes()), nothing, live)
+
+    def _call(
+        self, name: str, function: Callable[[], T], otherwise: T, live: bool, seen: SampleBlock | None = None
+    ) -> T:
+        """Return what a call of the stage returns; where it fails, switch it off."""
+        if self.switched_off:
+            return otherwise
+        try:
+            return function()
+        except Exception as error:  # whatever somebody else's code raises
+            if self._own and (not live or STRICT in os.environ):
+                raise
+            self._switch_off(name, error, seen)
+            return otherwise
+
+    def _switch_off(self, call: str, error: Exception, seen: SampleBlock | None) -> None:
+        declared = {column.name: column for column in (*self._columns, *self._declared())}
+        # What another has added already is not its own.
+        others = set(seen.columns if seen is not None else ()) - self._types.keys()
+        self._columns = tuple(column for name, column in declared.items() if name not in others)
+        self.switched_off = True
+        advice = "report this defect of imumon" if self._own else "mend it, or run with --without-plugins"
+        self._report.append(
+            f"{name_of(self.stage)} is switched off after {self._samples:,} samples, its columns are missing "
+            f"from there on: {call}: {described(error, __file__)}; {advice}"
+        )
+
+    def _declared(self) -> Sequence[Column]:
+        """Return the columns that a stage of imumon declares by now; it has failed, and may fail here too."""
+        with suppress(Exception):
+            return self.columns
+        return ()
+
+    def _processed(self, seen: SampleBlock) -> Mapping[str, ColumnArray]:
+        if self._own:
+            new = self.stage.process(seen)
+            return self._checked(new, seen) if len(seen) else new
+        # It cannot write to what was sent.  Compiled code of imumon's own stages would have to be compiled
+        # anew for arrays that are read only.
+        views = {name: nan_for_missing(values).view() for name, values in seen.columns.items()}
+        for view in views.values():
+            view.flags.writeable = False
+        new = self.stage.process(SampleBlock(views))
+        if not isinstance(new, Mapping):
+            raise _wrong(f"it returned {_shown(new)}", "return a dict: an array for each column")
+        return self._checked(new, seen) if len(seen) else {}
+
+    def _checked(self, new: Mapping[str, ColumnArray], seen: SampleBlock) -> Mapping[str, ColumnArray]:
+        """Return the new columns.
+
+        Raises BAD_CONFIG for one that was not declared, is there already or does not come, or is otherwise
+        than declared.
+        """
+        if self._types.keys() != new.keys():
+            declared = {column.name: np.dtype(column.dtype) for column in self.columns}
+            for name in new:
+                if name in seen:
+                    raise _wrong(f"it adds {name}, which is there already", "give it another name")
+                if name not in declared:
+                    what = f"it adds {name}, which its columns do not declare"
+                    raise _wrong(what, "tables and view need its unit")
+            if absent := declared.keys() - new.keys():
+                what = f"it declares {', '.join(sorted(absent))}, which did not come"
+                raise _wrong(what, "return every column, NaN where there is nothing")
+            self._types = {name: declared[name] for name in new}
+        for name, values in new.items():
+            _check_column(name, values, self._types[name], len(seen))
+        return new
+
+
+def check_stage(stage: Estimator) -> None:
+    """Raise BAD_CONFIG for a stage that lacks something, or declares what no table can have."""
+    for needed in ("columns", "process", "notices"):
+        if not hasattr(stage, needed):
+            raise _wrong(f"{name_of(stage)} has no {needed}", "a stage has columns, process and notices")
+    for column in stage.columns:
+        if not isinstance(column, Column):
+            raise _wrong(f"{name_of(stage)}: {column!r} is no column", "declare imumon.Column(name, unit)")
+        named = f"{name_of(stage)}: {column.name}"
+        if not isinstance(column.name, str) or not re.fullmatch(NAME, column.name):
+            raise _wrong(f"{named} is no name of a column", "small letters, digits and _")
+        if column.dtype not in get_args(ColumnType):
+            raise _wrong(f"{named} has type {column.dtype!r}", f"use {' or '.join(get_args(ColumnType))}")
+        if not is_own(stage):
+            _check_unit(named, column.unit)
+
+
+def made_by(plugin: Plugin) -> Estimator:
+    """Return a new stage of a plug-in.
+
+    Raises BAD_CONFIG, naming it, when it makes none.
+    """
+    try:
+        stage: Estimator = plugin.offered()
+        check_stage(stage)
+    except Exception as error:  # whatever somebody else's code raises
+        raise plugin.error(f"makes no stage: {described(error, __file__)}") from error
+    return stage
+
+
+def is_callable(_: str, offered: object) -> bool:
+    """Tell whether a plug-in offers what can be called."""
+    return callable(offered)
+
+
+def is_own(stage: object) -> bool:
+    """Tell whether a stage is one of imumon."""
+    return type(stage).__module__.partition(".")[0] == "imumon"
+
+
+def name_of(stage: object) -> str:
+    """Return what messages call a stage: its class, and the module of one from another package."""
+    name = type(stage).__name__
+    return f"stage {name}" if is_own(stage) else f"stage {name} of {type(stage).__module__}"
+
+
+def _check_unit(named: str, unit: object) -> None:
+    if not isinstance(unit, str) or not unit.strip():
+        raise _wrong(f"{named} has unit {unit!r}", 'give its unit; "1" where it has none')
+    if unit not in _USUAL_UNITS:
+        try:
+            parse_own_unit(unit)
+        except ValueError as error:
+            raise _wrong(f"{named}: {error}", "write the unit as pint does") from error
+
+
+def _check_column(name: str, values: object, dtype: np.dtype[Any], n: int) -> None:
+    if not isinstance(values, np.ndarray) or values.ndim != 1:
+        raise _wrong(f"{name} is {_shown(values)}", "return an array of one dimension")
+    if len(values) != n:
+        raise _wrong(f"{name} has {len(values)} values for {n} samples", "return one for each")
+    if values.dtype != dtype:
+        raise _wrong(f"{name} is {values.dtype} and declared as {dtype}", "return what is declared")
+
+
+def _texts(said: object) -> list[str]:
+    if not isinstance(said, list | tuple) or not all(isinstance(text, str) for text in said):
+        raise _wrong("it returned what is no text", "return a list of str")
+    return [*said]
+
+
+def _charts(drawn: object) -> list[Chart]:
+    if not isinstance(drawn, list | tuple) or not all(isinstance(chart, Chart) for chart in drawn):
+        raise _wrong("it returned what is no chart", "return a list of imumon.charts.Chart")
+    return [*drawn]
+
+
+def _lanes(states: object) -> Mapping[str, str]:
+    if isinstance(states, Mapping) and all(isinstance(text, str) for text in [*states, *states.values()]):
+        return states
+    raise _wrong("it returned what is no state", "return a dict of str: the state of each lane")
+
+
+def _wrong(what: str, hint: str) -> ImumonError:
+    return ImumonError(Reason.BAD_CONFIG, what, hint)
+
+
+def _shown(values: object) -> str:
+    if isinstance(values, np.ndarray):
+        return f"an array of shape {values.shape}"
+    return "None" if values is None else f"a {type(values).__name__}"

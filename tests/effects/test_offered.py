@@ -1,0 +1,99 @@
+"""Effects of other packages: what is wrong with one is an error that names it and its package."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar, Literal, Self
+
+import numpy as np
+import pytest
+
+from imumon.blocks import FloatArray
+from imumon.effects.base import Drive, Effect, Memory, Survey
+from imumon.effects.drift import Drift
+from imumon.effects.offered import guarded, is_effect
+from imumon.errors import ImumonError, Reason
+from imumon.plugins import EFFECTS, Plugin
+
+
+def creep(columns: Callable[[FloatArray], Any], **attributes: Any) -> type[Effect]:
+    """Return a new effect of another package, which makes its columns of the time."""
+
+    class Creep(Effect):
+        kind: Literal["creep"] = "creep"
+        scope = attributes.get("scope", "shared")
+        sensors: ClassVar[tuple[str, ...]] = attributes.get("sensors", ("gyro", "accel"))
+        nonlinear: ClassVar[tuple[str, ...]] = attributes.get("nonlinear", ())
+
+        @classmethod
+        def grid(cls, survey: Survey) -> list[Self]:  # noqa: ARG003 - as an effect has it
+            found: list[Self] = attributes.get("grid", [cls()])
+            return found
+
+        def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - as an effect has it
+            result: FloatArray = columns(drive.time_s)
+            return result
+
+    return Creep
+
+
+def plugin(effect: type[Effect]) -> Plugin:
+    return Plugin(EFFECTS, "creep", "their-package", "1.2", effect)
+
+
+def hours(time_s: FloatArray) -> FloatArray:
+    return time_s[:, np.newaxis] / 3600.0
+
+
+def fails(_: FloatArray) -> FloatArray:
+    raise ZeroDivisionError("of theirs")
+
+
+def until_an_hour(time_s: FloatArray) -> FloatArray:
+    return np.where(time_s < 3600.0, 1.0, np.nan)[:, np.newaxis]
+
+
+def test_an_effect_without_fault_gives_its_own_numbers() -> None:
+    effect = guarded(plugin(creep(hours)))
+    drive = Drive(np.array([0.0, 3600.0]), np.full(2, 25.0))
+    assert effect().with_coefficients([2.0]).simulate(drive).tolist() == [0.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("effect", "said"),
+    [
+        (creep(fails), "failed in advance: ZeroDivisionError: of theirs (at "),
+        (creep(lambda t: t), "returned from advance an array of shape (25,): expected (25, 1)"),
+        (creep(lambda t: np.ones((len(t), 2))), "an array of shape (25, 2): expected (25, 1)"),
+        (creep(lambda t: np.ones((len(t), 1), np.float32)), "from advance float32: expected float64"),
+        (creep(lambda t: np.full((len(t), 1), np.nan)), "from advance values that are not finite"),
+        (creep(lambda _: None), "from advance a NoneType: expected an array"),
+        (creep(lambda t: hours(t - t[0])), "adds another bias where its samples are divided otherwise"),
+        (creep(hours, grid=None), "returned from grid a NoneType: expected a list of effects"),
+        (creep(hours, scope="some"), "has scope 'some'"),
+        (creep(hours, sensors=("magnetometer",)), "has sensors ('magnetometer',)"),
+        (creep(hours, nonlinear=("tau_s",)), "has nonlinear parameters that are none of its fields: tau_s"),
+    ],
+)
+def test_what_is_wrong_with_an_effect_is_found_at_load(effect: type[Effect], said: str) -> None:
+    with pytest.raises(ImumonError) as caught:
+        guarded(plugin(effect))
+    assert caught.value.reason is Reason.BAD_CONFIG
+    assert caught.value.seen.startswith("the plug-in creep of their-package (imumon.effects) ")
+    assert said in caught.value.seen
+
+
+def test_what_goes_wrong_later_is_the_same_error() -> None:
+    effect = guarded(plugin(creep(until_an_hour)))().with_coefficients([1.0])
+    for use in (effect.simulate, lambda drive: effect.added(Memory(), drive)):
+        with pytest.raises(ImumonError, match=r"their-package .* from advance values that are not finite"):
+            use(Drive(np.array([0.0, 7200.0]), np.full(2, 25.0)))
+
+
+def test_an_effect_has_the_name_under_which_it_is_offered() -> None:
+    class Typed(Drift):
+        kind: str = "creep"  # type: ignore[assignment]
+
+    assert is_effect("creep", creep(hours))
+    for name, offered in (("other", creep(hours)), ("drift", Drift), ("creep", 3), ("creep", Typed)):
+        assert not is_effect(name, offered)
