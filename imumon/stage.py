@@ -93,7 +93,7 @@ class GuardedStage:
             if new is not None:
                 self._samples += len(seen)
                 return new
-        return {column.name: missing(len(seen), column.dtype) for column in self._columns}
+        return self._missing(seen)
 
     def notices(self, live: bool) -> list[str]:
         """Return, once each, what it has to say, and why it was switched off."""
@@ -160,7 +160,12 @@ class GuardedStage:
         new = self.stage.process(SampleBlock(views))
         if not isinstance(new, Mapping):
             raise _wrong(f"it returned {_shown(new)}", "return a dict: an array for each column")
-        return self._checked(new, seen) if len(seen) else {}
+        return self._checked(new, seen) if len(seen) else self._missing(seen)
+
+    def _missing(self, seen: SampleBlock) -> Mapping[str, ColumnArray]:
+        """Return its columns without values, but for what another adds."""
+        own = [column for column in self._columns if column.name not in seen]
+        return {column.name: missing(len(seen), column.dtype) for column in own}
 
     def _checked(self, new: Mapping[str, ColumnArray], seen: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns.
