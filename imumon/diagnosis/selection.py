@@ -197,16 +197,18 @@ class Search:
     def resume(self, kept: Sequence[Finding], refuted: Sequence[str]) -> bool:
         """Look again beside what is kept, without what the test has refuted; tell whether there is more.
 
-        The channel goes by itself now: with what others have in common it was led wrong.
+        The channel goes by itself now: with what others have in common it was led wrong.  What is kept may be
+        refined or exchanged for another effect here; the findings that were given stay as they were judged.
         """
-        self.findings = list(kept)
+        begun = [replace(one) for one in kept]
+        self.findings = list(begun)
         self.turns.append(Step(f"the test refutes {', '.join(refuted)}", self.found))
         self.tried = [one for one in self.tried if one.family not in refuted]
         self.finished = self.many_events
         while not self.finished and len(self.findings) < len(kept) + MOST_STAGES:
             self.decide(self.table(), {})
         self.tidy()
-        return {id(one) for one in self.findings} != {id(one) for one in kept}
+        return {id(one) for one in self.findings} != {id(one) for one in begun}
 
     # One stage
 

@@ -9,7 +9,7 @@ import pytest
 
 from imumon.diagnosis.candidates import Candidate, Part
 from imumon.diagnosis.gains import Leader, Scored, Table
-from imumon.diagnosis.selection import Search
+from imumon.diagnosis.selection import Finding, Search
 from imumon.effects.library import EFFECTS
 
 FLOOR_SD = 1.0
@@ -48,3 +48,21 @@ def test_what_the_axes_leave_open_together_one_of_them_does_not_settle(
     table = Table([one.scored for one in leaders.values()], len(leaders), leaders)
     axis = cast(Any, SimpleNamespace(channel=SimpleNamespace(floor=SimpleNamespace(sd=FLOOR_SD))))
     assert Search._alike(axis, leaders["thermal_lag"], table, pooled, FLOOR_SD) == alike
+
+
+class _Exchanging(Search):
+    """Takes another effect in place of one that was kept, as `tidy` may."""
+
+    def __init__(self) -> None:
+        self.turns, self.tried, self.many_events = [], [], True
+
+    def tidy(self) -> None:
+        self.findings[0].candidate = leader("hysteresis").scored.candidate
+
+
+def test_another_look_after_the_test_refuted_something_changes_no_finding_of_the_verdict_before() -> None:
+    kept = Finding(leader("thermal_lag").scored.candidate, 35.0, 35.0, {}, [], 1.0)
+    search = _Exchanging()
+    search.resume([kept], ["temperature_curve"])
+    assert [one.name for one in search.findings] == ["hysteresis"]
+    assert kept.name == "thermal_lag"
