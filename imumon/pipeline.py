@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import pickle
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from types import MappingProxyType
 
@@ -402,6 +402,19 @@ class Digest:
         if len(block) and absent:
             raise ValueError(f"columns {sorted(absent)} vanished between blocks")
         self._rows += len(block)
+
+    def columns(self, without: Collection[str] = ()) -> dict[str, int]:
+        """Return the CRC-32 of each column so far, of side streams as ``STREAM/COLUMN``.
+
+        Parameters
+        ----------
+        without : collection of str
+            Columns to leave out.
+        """
+        own = {name: value for name, value in self._sums.items() if name not in without}
+        for stream, digest in self._side.items():
+            own |= {f"{stream}/{name}": value for name, value in digest.columns().items()}
+        return own
 
     def hexdigest(self) -> str:
         """Return the fingerprint of the samples so far."""

@@ -23,7 +23,7 @@ from imumon.pipeline import Digest, Pipeline, Seen
 from imumon.recordings.folder import is_session, open_session
 from imumon.recordings.side_tables import export_run
 from imumon.recordings.source import Source, open_source, run_over
-from imumon.run.replay import digested, identical_to_live
+from imumon.run.replay import compare_with_live, digested
 from imumon.run.setup import parse_setup, recorded_setup
 from imumon.run.stages import pipeline_of
 from imumon.version import __version__
@@ -180,7 +180,7 @@ def _replay(path: Path, job: Job) -> Iterator[Row]:
     pipeline = pipeline_of(source, setup, [Seen(seen.add)])
     blocks = digested(run_over(source.items, pipeline), pipeline, digest)
     rows = [*_samples(source, job, pipeline, blocks, seen)]
-    identical = identical_to_live(session, setup, digest)
+    identical = compare_with_live(session, setup, digest, pipeline).identical
     yield from ({**row, "identical_to_live": identical} for row in rows)
 
 

@@ -27,13 +27,14 @@ from imumon.cli.decode_command import exported_as_data
 from imumon.cli.live_run import serve
 from imumon.cli.progress import reading_bar
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
-from imumon.errors import EXIT_OK, ImumonError, Reason
+from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
 from imumon.files import check_output
 
 if TYPE_CHECKING:
     from imumon.pipeline import Estimator, Pipeline
     from imumon.recordings.folder import Session
     from imumon.recordings.source import Source
+    from imumon.run.replay import Comparison
     from imumon.view.items import ViewSetup
     from imumon.view.publisher import ViewPublisher
     from imumon.view.viewer import Mode
@@ -42,11 +43,6 @@ STARTING_S = 10.0
 """How long a view may take until it has an address."""
 CLOSE_S = 5.0
 """How long the view may take to show the last samples of a replay."""
-VERDICT = {
-    True: "bit for bit those of the live run",
-    False: "NOT those of the live run",
-    None: "with no live run of the same setup to compare",
-}
 
 
 @click.command("replay")
@@ -82,7 +78,10 @@ def command(
     compare_models: tuple[Path, Path] | None,
     **options: Unpack[SetupOptions],
 ) -> int:
-    """Run SESSION again through the same code, bit for bit, to a table or to the view."""
+    """Run SESSION again through the same code, bit for bit, to a table or to the view.
+
+    Exits with 1 when the results are not those of the live run.
+    """
     if compare_models is not None:
         return _compare(session, compare_models, out, as_json)
     from imumon.pipeline import Digest
@@ -90,7 +89,7 @@ def command(
     from imumon.recordings.side_tables import Exported, export_run
     from imumon.recordings.source import open_source
     from imumon.run.narration import Narrator, describe_losses, describe_streams
-    from imumon.run.replay import digested, identical_to_live, replay
+    from imumon.run.replay import Comparison, compare_with_live, digested, replay
     from imumon.run.stages import pipeline_of
 
     opened = open_session(session)  # a raw capture has no times: that is for decode
@@ -125,21 +124,23 @@ def command(
         if publisher is not None:
             publisher.close(CLOSE_S)
     as_live = not smooth and rate is None
-    identical = identical_to_live(opened, setup, digest) if as_live else None
-    _warn(source, pipeline, opened.path, identical)
+    comparison = Comparison(None, "it ran otherwise, by --smooth or --rate")
+    if as_live:
+        comparison = compare_with_live(opened, setup, digest, pipeline)
+    _warn(source, pipeline, opened.path, comparison)
     warn(exported.warnings)
     if as_json:
-        compared = {"results_digest": digest.hexdigest(), "identical_to_live": identical}
+        compared = {"results_digest": digest.hexdigest()} | comparison.as_dict()
         smoothing = {} if disagreement is None else {"disagreement": disagreement}
         print_json(
             {"session": source.path} | exported_as_data(source, pipeline, exported) | compared | smoothing
         )
     said = {
-        "samples": f"{exported.rows:,}, {VERDICT[identical]}",
+        "samples": f"{exported.rows:,}, {comparison}",
         "losses": describe_losses(pipeline.counters),
     }
     print_rows(said | describe_streams(pipeline.counters, exported.tables) | _smoothing(disagreement))
-    return EXIT_OK
+    return EXIT_NEGATIVE if comparison.identical is False else EXIT_OK
 
 
 def _compare(session: Path, given: tuple[Path, Path], out: Path | None, as_json: bool) -> int:
@@ -182,11 +183,11 @@ def _begun(view: Mode, setup: ViewSetup, bind: str) -> ViewPublisher:
     return publisher
 
 
-def _warn(source: Source, pipeline: Pipeline, session: Path, identical: bool | None) -> None:
+def _warn(source: Source, pipeline: Pipeline, session: Path, comparison: Comparison) -> None:
     from imumon.run.narration import advised
 
     warn(advised(text, session) for text in [*source.warnings(), *pipeline.warnings()])
-    if identical is False:
+    if comparison.identical is False:
         warn(["the samples differ from those of the live run: another version, or bytes missing"])
 
 

@@ -87,6 +87,8 @@ class SessionMetadata(StrictModel):
     streams: dict[str, StreamSummary] = Field(default_factory=dict)
     events: NonNegativeInt = 0
     results_digest: str | None = None
+    column_crc32: dict[str, NonNegativeInt] = Field(default_factory=dict)
+    """As `imumon.pipeline.Digest.columns` has them, without those that a replay cannot reproduce."""
     views: list[str] = Field(default_factory=list)
 
     @classmethod

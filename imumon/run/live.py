@@ -236,6 +236,7 @@ class LiveRun:
             counters=flat_counters(counters) | {"bytes_unrecorded": wire.bytes_unrecorded},
             events=wire.events,
             results_digest=digest,
+            column_crc32=self._digest.columns(self.pipeline.irreproducible) if self._finished else {},
             streams=stream_summaries(counters),
             views=list(views),
         )

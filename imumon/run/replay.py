@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
 from imumon.blocks import SampleBlock
 from imumon.pipeline import Digest, Pipeline
 from imumon.recordings.folder import Session
+from imumon.recordings.metadata import SessionMetadata
 from imumon.recordings.source import feed, reading, run_over
 from imumon.run.narration import Narrator
 from imumon.run.setup import Setup
+from imumon.stage import is_own
 from imumon.transport.reader import Bytes, Item
+from imumon.version import __version__
 
 BATCH_NS = 50_000_000
 TICK_NS = 500_000_000
 LONGEST_WAIT_S = 1e9
 """More is no time to wait for but a damaged stamp, and the system refuses it."""
+SHOWN = 5
+"""So many names of columns are in a verdict."""
 
 
 def replay(
@@ -48,14 +54,83 @@ def digested(blocks: Iterable[SampleBlock], pipeline: Pipeline, digest: Digest) 
         yield block
 
 
-def identical_to_live(session: Session, setup: Setup, digest: Digest) -> bool | None:
-    """Tell whether the results of a replay are those of the live run; None where there was no such run.
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """The results of a replay beside those of the live run, column by column."""
 
-    Nor where an earlier version made the digest of it in another way.
+    identical: bool | None
+    """None where they cannot be compared."""
+    reason: str = ""
+    """Why they cannot be compared."""
+    compared: int = 0
+    """How many columns both have."""
+    differing: tuple[str, ...] = ()
+    only_live: tuple[str, ...] = ()
+    """Columns of stages that did not run in the replay, or were switched off in it."""
+    only_replay: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, object]:
+        """Return it as ``--json`` has it."""
+        return {
+            "identical_to_live": self.identical,
+            "columns_compared": self.compared,
+            "columns_differing": self.differing,
+            "columns_only_live": self.only_live,
+            "columns_only_replay": self.only_replay,
+        }
+
+    def __str__(self) -> str:
+        """Return the verdict."""
+        if self.identical is None:
+            return f"not compared with a live run: {self.reason}"
+        sides = {"only in the live run": self.only_live, "only in the replay": self.only_replay}
+        rest = "".join(f"; {side}: {_listed(names)}" for side, names in sides.items() if names)
+        if self.identical:
+            count = f" ({self.compared} columns compared)" if rest else ""
+            return f"bit for bit those of the live run{count}{rest}"
+        differing = f": {_listed(self.differing)}" if self.differing else ""
+        return f"NOT those of the live run{differing}{rest}"
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return ", ".join(names[:SHOWN]) + more
+
+
+def compare_with_live(session: Session, setup: Setup, digest: Digest, pipeline: Pipeline) -> Comparison:
+    """Compare the results of a replay, which went through `pipeline`, with those of the live run.
+
+    A column of a stage that only one of the two ran does not count.
     """
     metadata = session.metadata
-    live = metadata.results_digest if setup.text() == metadata.pipeline_yaml else None
-    return None if live is None or not live.startswith(Digest.KIND) else live == digest.hexdigest()
+    if metadata.results_digest is None or setup.text() != metadata.pipeline_yaml:
+        return Comparison(None, "there is none of the same setup")
+    if not metadata.column_crc32:
+        return _whole(metadata, digest, pipeline)
+    live, again = metadata.column_crc32, digest.columns(pipeline.irreproducible)
+    common = live.keys() & again.keys()
+    # No stage makes a column of a side stream: one that lacks was lost.
+    lost = {name for name in live.keys() ^ again.keys() if "/" in name}
+    differing = sorted(lost | {name for name in common if live[name] != again[name]})
+    sides = ((live, again), (again, live))
+    only_live, only_replay = (tuple(sorted(here.keys() - there.keys() - lost)) for here, there in sides)
+    identical = bool(common) and not differing
+    return Comparison(identical, "", len(common), tuple(differing), only_live, only_replay)
+
+
+def _whole(metadata: SessionMetadata, digest: Digest, pipeline: Pipeline) -> Comparison:
+    """Compare by one digest of all columns, which is what earlier versions kept."""
+    live = metadata.results_digest
+    if live is None or not live.startswith(Digest.KIND):
+        return Comparison(None, "an earlier version made its digest in another way")
+    if live == digest.hexdigest():
+        return Comparison(True, compared=len(digest.columns()))
+    one = "it has one digest of all columns"
+    if not all(map(is_own, pipeline.estimators)):
+        return Comparison(None, f"{one}, and plug-ins ran in the replay: try imumon --without-plugins replay")
+    if metadata.versions.get("imumon") != __version__:
+        return Comparison(None, f"{one}, and another version of imumon made it")
+    return Comparison(False)
 
 
 def _narrated(

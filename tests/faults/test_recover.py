@@ -89,7 +89,8 @@ def test_what_damage_took_is_said_before_and_after_the_recovery(killed: Path) ->
     items = list(WireReader(killed / "wire.mcap"))
     told = answer("replay", killed)["recording"]
     assert told["damage"]["messages"] > 10
-    assert 4096 <= told["damage"]["bytes"] < 5000
+    # A message of 97 bytes at the edge, whose header is whole, is read as altered.
+    assert 4096 - 97 <= told["damage"]["bytes"] < 5000
     assert "is damaged in 1 place" in imumon("export", killed, "--to", "csv").stderr
     assert answer("decode", killed, "--out", killed / "t.csv")["recording"] == told
     assert answer("recover", killed)["before"]["damage"]["messages"] == told["damage"]["messages"]
