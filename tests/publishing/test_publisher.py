@@ -86,7 +86,7 @@ def publishing_process() -> psutil.Process:
 def test_every_sample_comes_as_it_was_published(receiver: Receiver) -> None:
     with publishing(f"udp-json=127.0.0.1:{receiver.port}") as publisher:
         stream = Stream(publisher.publish)
-        stream.run_until(lambda: publisher.state.ready, "ready")
+        assert wait_until(lambda: publisher.state.ready)  # what waits comes at once: too much for UDP
         for _ in range(20):  # as 1 kHz is published
             stream.send(80)
             assert wait_until(lambda: len(receiver.rows("imu")) == stream.sent)
@@ -169,10 +169,11 @@ def test_monitor_publishes_what_it_records(receiver: Receiver, tmp_path: Path) -
     assert to == f"udp-json=127.0.0.1:{receiver.port}"
     assert dropped == 0
     assert sent > found["samples"] > 100, "states and log lines are sent as well"
-    assert wait_until(lambda: [row["sample"] for row in receiver.rows("imu")[-1:]] == [found["samples"] - 1])
+    assert wait_until(lambda: len(receiver.rows("imu")) > 0)
     rows = receiver.rows("imu")
     numbers = [row["sample"] for row in rows]
-    assert numbers == sorted({*numbers}), "what a busy receiver missed are gaps"
+    assert numbers == sorted({*numbers}), "what a busy receiver missed are gaps, also at the end"
+    assert numbers[-1] < found["samples"]
     assert {"gyro_x", "at_rest", "host_time_ns", "sample"} <= rows[-1].keys()
 
 
