@@ -137,11 +137,11 @@ def answers(address: str) -> bool:
 
 def test_ctrl_c_on_a_terminal_says_in_one_line_how_to_go_on(tmp_path: Path) -> None:
     lab = tmp_path / "lab"
-    first = tiny(lab / "s00", seconds=30.0)
-    for number in range(1, 60):
-        (lab / f"s{number:02}").mkdir()
-        shutil.copy(first / "session.yaml", lab / f"s{number:02}")
-        (lab / f"s{number:02}" / "wire.mcap").symlink_to(first / "wire.mcap")
+    first = tiny(lab / "s000", seconds=30.0)
+    for number in range(1, 400):
+        (lab / f"s{number:03}").mkdir()
+        shutil.copy(first / "session.yaml", lab / f"s{number:03}")
+        (lab / f"s{number:03}" / "wire.mcap").symlink_to(first / "wire.mcap")
     command = [IMUMON, "batch", "replay", str(lab), "--out", str(tmp_path / "out"), "--workers", "2"]
     with subprocess.Popen(
         [sys.executable, "-c", TERMINAL, *command],
@@ -164,7 +164,7 @@ def test_ctrl_c_on_a_terminal_says_in_one_line_how_to_go_on(tmp_path: Path) -> N
     lines = [line.strip() for line in re.split(r"[\r\n]+", text) if line.strip()]
     (said,) = (line for line in lines if not re.match(r"(\^C)?sessions ", line))
     done = re.fullmatch(
-        r"imumon: interrupted: (\d+) of 60 sessions are done; the same command does the rest", said
+        r"imumon: interrupted: (\d+) of 400 sessions are done; the same command does the rest", said
     )
     assert done is not None, said
     assert len({row["session"] for row in table(tmp_path / "out")}) == int(done[1]) > 0

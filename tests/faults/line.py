@@ -7,8 +7,12 @@ with what was sent: no bad packet accepted, no good one lost, every byte account
 
 from __future__ import annotations
 
+import fcntl
+import os
+import select
 import subprocess
 import sys
+import termios
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -34,6 +38,7 @@ from imumon.transport.reader import Event, EventKind
 from imumon.transport.settings import PortSettings
 from imumon.view.items import State, ViewItem
 from tests.faults.rows import Row
+from tests.waiting import wait_until
 
 DEVICE = load_device("ax1")
 RATE_HZ = 150.0
@@ -105,13 +110,24 @@ class Line:
         self.port.unplug()
 
     def settle(self) -> None:
-        """Let everything arrive."""
+        """Let everything arrive, and be read where a host listens."""
         self.port.drain()
+        if self.port.host_listens():
+            slave = os.open(self.port.path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
+            try:
+                wait_until(lambda: not unread(slave))
+            finally:
+                os.close(slave)
         time.sleep(0.1)
 
     def close(self) -> None:
         """Close the port."""
         self.port.close()
+
+
+def unread(slave: int) -> int:
+    """Return how many bytes wait at the host's end of a pseudo-terminal."""
+    return int.from_bytes(fcntl.ioctl(slave, termios.FIONREAD, bytes(4)), sys.byteorder)
 
 
 def flip_bits(packets: Packets, rng: np.random.Generator) -> tuple[Packets, Packets]:
@@ -310,9 +326,8 @@ class Watched:
         good, at = time.time_ns(), len(self.items)
         line.send(healthy_s)
         line.settle()
-        arrivals = self.rows(at)["arrival_time_ns"] if at < len(self.items) else np.zeros(0, np.int64)
-        later = arrivals[arrivals >= good]
-        outcome.recovered_s = float(later[0] - good) * 1e-9 if len(later) else np.inf
+        wait_until(lambda: self._recovered_s(at, good) < np.inf)
+        outcome.recovered_s = self._recovered_s(at, good)
         if outcome.recovered_s > promised_s:
             outcome.wrong.append(f"first packet after {outcome.recovered_s:.2f} s")
         after = self.run.pipeline.counters
@@ -322,12 +337,20 @@ class Watched:
         port = self.states("port", since)
         if port != ["open", *fault.port]:
             outcome.wrong.append(f"lane of the port: {port}")
-        if fault.data and fault.data not in self.states("data", since):
+        if fault.data and not wait_until(lambda: fault.data in self.states("data", since)):
             outcome.wrong.append(f"lane of the data: {self.states('data', since)}")
         rate = self.run.progress.packets_per_s
         if not 0.1 * RATE_HZ < rate < 2.1 * RATE_HZ:
             outcome.wrong.append(f"{rate:.0f} packets/s are shown, {RATE_HZ:g} are sent")
         return outcome
+
+    def _recovered_s(self, since: int, good_ns: int) -> float:
+        """Return how long after a time the first packet was read; infinite while none was."""
+        if since == len(self.items):
+            return np.inf
+        arrivals = self.rows(since)["arrival_time_ns"]
+        later = arrivals[arrivals >= good_ns]
+        return float(later[0] - good_ns) * 1e-9 if len(later) else np.inf
 
     def finish(self) -> list[str]:
         """Stop, and compare what was accepted with what was sent, and the recording with the run."""
@@ -399,13 +422,15 @@ def strike_all(
         line.close()
 
 
+LOOT = 200
+"""Bytes that the other process takes before it stops."""
 THIEF = """
-import os, sys, time
+import os, sys
 port = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
 print("open", flush=True)
 sys.stdin.readline()
-end, taken = time.monotonic() + float(sys.argv[2]), 0
-while time.monotonic() < end:
+taken = 0
+while taken < int(sys.argv[2]):
     try:
         taken += len(os.read(port, 4096))
     except BlockingIOError:
@@ -415,10 +440,10 @@ print(taken, flush=True)
 
 
 def steal(folder: Path, seed: int, healthy_s: float = HEALTHY_S, promised_s: float = PROMISED_S) -> Outcome:
-    """Let another process that has the port open take bytes for a while."""
+    """Let another process that has the port open take some bytes."""
     warm_up(DEVICE, Setup())
     line = Line(folder / "ahrs", seed)
-    command = [sys.executable, "-c", THIEF, line.port.path, str(FAULT_S)]
+    command = [sys.executable, "-c", THIEF, line.port.path, str(LOOT)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as thief:
         asked, says = thief.stdin, thief.stdout
         assert asked is not None
@@ -428,7 +453,8 @@ def steal(folder: Path, seed: int, healthy_s: float = HEALTHY_S, promised_s: flo
             sure = line.sure.copy()
             asked.write("go\n")
             asked.flush()
-            line.send(FAULT_S + 0.2)
+            while not select.select([says], [], [], 0.0)[0]:
+                line.send(0.1)
             line.stolen = int(says.readline())
             line.unsure, line.sure = line.sure - sure, sure
 
@@ -457,7 +483,7 @@ def attack_all(folder: Path, times: int, seed: int, healthy_s: float = HEALTHY_S
         ):
             found.setdefault(name, []).append(outcome)
         stolen = steal(folder / str(n) / "thief", n, healthy_s)
-        found.setdefault("another process takes bytes for 0.6 s", []).append(stolen)
+        found.setdefault("another process takes 200 bytes", []).append(stolen)
     for name in (*FAULTS, *(found.keys() - FAULTS)):
         outcomes = found[name]
         wrong = [text for outcome in outcomes for text in outcome.wrong]

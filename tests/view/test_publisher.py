@@ -222,10 +222,10 @@ def test_on_this_machine_only_and_by_no_other_web_site_the_stream_is_read(
     assert all(address.ip.startswith("127.") for address in listening)
     assert {address.port for address in listening if address.ip == "127.0.0.1"} == {
         publisher._report.port,
-        publisher._report.port + 1,
+        publisher._report.web_port,
     }
     path = "/rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages"
-    ports = publisher._report.port, publisher._report.port + 1
+    ports = publisher._report.port, publisher._report.web_port
     for at, (headers, status) in product(ports, ASKED):
         connection = http.client.HTTPConnection("127.0.0.1", at, timeout=LIMIT_S)
         asked = {"Content-Type": "application/grpc-web+proto", "X-Grpc-Web": "1", **headers}
