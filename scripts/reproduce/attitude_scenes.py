@@ -123,6 +123,15 @@ def rover(rng: np.random.Generator, t: FloatArray, much: FloatArray) -> Moves:
     return much[:, np.newaxis] * angles, way + much[:, np.newaxis] * waves(rng, t, 2.0, 15.0, 3e-4)
 
 
+def car(rng: np.random.Generator, t: FloatArray, much: FloatArray) -> Moves:
+    """Driven at 10 m/s through bends that last for seconds: accelerations as long as VQF's time constant."""
+    angles = waves(rng, t, 0.1, 2.0, 0.02)
+    angles[:, 2] = waves(rng, t, 0.01, 0.05, 1.5)[:, 2]
+    angles *= much[:, np.newaxis]
+    ahead = np.column_stack([np.cos(angles[:, 2]), np.sin(angles[:, 2]), np.zeros(len(t))])
+    return angles, np.cumsum(10.0 * much[:, np.newaxis] * ahead, axis=0) / FINE_HZ
+
+
 SCENES = {
     "at rest": Scene(still),
     "at rest, warming up": Scene(still, warms=True),
@@ -132,6 +141,7 @@ SCENES = {
     "swing": Scene(swing),
     "drone": Scene(drone),
     "rover": Scene(rover),
+    "car": Scene(car),
     "by hand, magnet comes near": Scene(hand, magnet="near"),
     "at rest, magnet comes near": Scene(still, magnet="near"),
     "by hand, magnet on the body": Scene(hand, magnet="body"),

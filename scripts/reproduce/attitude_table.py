@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import json
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
 from itertools import product
+from pathlib import Path
 from typing import Literal, cast
 
 import imufusion
 import numpy as np
+from attitude_figure import draw
+from attitude_measured import HEADS as MEASURED_HEADS
+from attitude_measured import measured_rows
 from attitude_scenes import SCENES, Record, Scene, calibrated, simulate
 from scipy.spatial.transform import Rotation
 from vqf import VQF
@@ -23,6 +29,8 @@ from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import STANDARD_GRAVITY
 
+ROOT = Path(__file__).resolve().parents[2]
+DATA = Path(os.environ.get("IMUMON_DATA", ROOT.parent / "shared" / "data"))
 RMS_BAR, LARGEST_BAR = 1.8, 7.0
 RATES_HZ = (50.0, 100.0, 400.0)
 HEADS = (
@@ -126,9 +134,14 @@ def add(tilt: Kind, turn: Kind, record: Record, with_mag: bool, dt: float, given
     for stage in (TemperatureRate(), RestDetector(), GyroBias(mode="learned"), attitude):
         told = told.with_columns(stage.process(told))
     ours = np.column_stack([told[f"attitude_estimate_{part}"] for part in "wxyz"])
-    known = np.isfinite(told["attitude_estimate_tilt_sd"])
-    since, free = int(np.argmax(known)), not with_mag
-    later = slice(since + 1, None)
+    tilt_known, heading_known = (
+        np.isfinite(told[f"attitude_estimate_{name}_sd"]) for name in ("tilt", "heading")
+    )
+    later, since, free = (
+        slice(int(np.argmax(tilt_known)) + 1, None),
+        int(np.argmax(heading_known)),
+        not with_mag,
+    )
     found = {"ours": ours, **{name: method(samples, dt) for name, method in PEERS.items()}}
     for name, q in found.items():
         getattr(tilt, name).append(tilt_error(q[later], record.attitude[later]).ravel())
@@ -141,14 +154,14 @@ def add(tilt: Kind, turn: Kind, record: Record, with_mag: bool, dt: float, given
 
 def row(
     name: str, rate_hz: float, with_mag: bool, records: Iterable[Record], given: AttitudeParameters
-) -> tuple[float, str]:
-    """Return how bad a row is, and the row."""
+) -> tuple[float, list[str]]:
+    """Return how bad a row is, and its cells."""
     tilt, turn = Kind(), Kind()
     for record in records:
         add(tilt, turn, record, with_mag, 1.0 / rate_hz, given)
     (first, tilt_cells, known), (second, turn_cells, tied) = tilt.row(), turn.row()
     cells = [name, f"{rate_hz:.0f}", "yes" if with_mag else "no", *tilt_cells, *turn_cells]
-    return max(first, second), f"| {' | '.join(cells)} | {100.0 * min(known, tied):.0f} |"
+    return max(first, second), [*cells, f"{100.0 * min(known, tied):.0f}"]
 
 
 def worth(scene: Scene, with_mag: bool) -> bool:
@@ -156,36 +169,78 @@ def worth(scene: Scene, with_mag: bool) -> bool:
     return with_mag or not scene.magnet
 
 
+def table(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """Return a table in Markdown."""
+    heads = list(heads)
+    return "\n".join(
+        [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|", *(f"| {' | '.join(r)} |" for r in rows)]
+    )
+
+
+def beside(rows: list[list[str]], path: Path) -> str:
+    """Return the rows beside those of another version that `--out` has saved."""
+    others = {tuple(row[:3]): row for row in json.loads(path.read_text(encoding="utf-8"))}
+    pairs = [(row, others[tuple(row[:3])]) for row in rows if tuple(row[:3]) in others]
+    columns = (3, 6, 7, 8, 9, 12, 13, 14)  # errors, z, largest and sigma of tilt and heading
+    cells = [[*new[:3], *(f"{new[j]} / {old[j]}" for j in columns)] for new, old in pairs]
+    ratios = {
+        name: np.exp(np.mean([np.log((float(new[j]) + 1e-3) / (float(old[j]) + 1e-3)) for new, old in pairs]))
+        for name, j in (("tilt", 3), ("its sigma", 8), ("heading", 9), ("its sigma ", 14))
+    }
+    means = ", ".join(f"{name} {ratio:.2f}" for name, ratio in ratios.items())
+    heads = [*HEADS[:3], *(HEADS[j] for j in columns)]
+    return f"{table(heads, cells)}\n\nThis version over the other, geometric mean: {means}."
+
+
+def print_measured(data: Path, given: AttitudeParameters) -> None:
+    """Print the rows of measured recordings, or why there are none."""
+    folder = data / "broad"
+    rows = list(measured_rows(folder, given)) if folder.is_dir() else []
+    if rows:
+        print(f"\n{table(MEASURED_HEADS, rows)}")
+    else:
+        print(f"\nMeasured rows skipped: no recordings in {folder} (set IMUMON_DATA).")
+
+
 def main() -> None:
     """Print the table, worst row first."""
     parser = argparse.ArgumentParser(prog="scripts/reproduce/attitude", description=__doc__)
     parser.add_argument("--seeds", type=int, default=4, help="runs of each scene (default: %(default)s)")
     parser.add_argument("--first", type=int, default=700, help="first seed (default: %(default)s)")
-    parser.add_argument("--only", choices=list(SCENES), help="one scene")
+    parser.add_argument("--only", choices=[*SCENES, "measured"], help="one scene, or the measured recordings")
     parser.add_argument("--rates", type=float, nargs="+", default=RATES_HZ, help="sample rates, Hz")
     parser.add_argument("--quick", action="store_true", help="some seconds of one scene at the lowest rate")
-    for of in ("accel", "axes", "magnet"):
-        parser.add_argument(
-            f"--{of}-error", type=float, help="its probability, of the stage (default: its own)"
-        )
-    parser.add_argument("--accel-bias", type=float, help="of the stage, m/s² (default: not declared)")
+    parser.add_argument("--accel-bias", type=float, help="declared to the stage, m/s² (default: not)")
+    parser.add_argument("--gyro-scale", type=float, help="declared to the stage (default: not)")
+    parser.add_argument("--out", type=Path, help="save the rows as JSON")
+    parser.add_argument("--beside", type=Path, help="print them beside the rows of another version")
+    parser.add_argument("--figure", type=Path, help="draw the figure of docs/attitude.md there, and end")
     given = parser.parse_args()
-    errors = {f"{of}_error_probability": getattr(given, f"{of}_error") for of in ("accel", "axes", "magnet")}
-    declared = {name: value for name, value in errors.items() if value is not None}
-    stage = AttitudeParameters(accel_bias_m_per_s2=given.accel_bias, **declared)
+    if given.figure:
+        draw(given.figure)
+        return
+    declared = {"accel_bias_m_per_s2": given.accel_bias, "gyro_scale": given.gyro_scale}
+    stage = AttitudeParameters(**{name: value for name, value in declared.items() if value is not None})
     seeds = range(given.first, given.first + given.seeds)
-    print(f"| {' | '.join(HEADS)} |\n{'|---' * len(HEADS)}|")
     if given.quick:
         record = simulate(SCENES["robot arm"], RATES_HZ[0], given.first, 30.0)
-        print(row("robot arm", RATES_HZ[0], True, [record], stage)[1])
+        print(table(HEADS, [row("robot arm", RATES_HZ[0], True, [record], stage)[1]]))
         return
     rows = [
         row(name, rate_hz, with_mag, (simulate(SCENES[name], rate_hz, seed) for seed in seeds), stage)
         for name, rate_hz, with_mag in product(SCENES, given.rates, (True, False))
         if given.only in (None, name) and worth(SCENES[name], with_mag)
     ]
-    print("\n".join(text for _, text in sorted(rows, reverse=True)))
-    print(f"\nWorst over its bar (rms {RMS_BAR}, largest {LARGEST_BAR:.0f}): {max(rows)[0]:.2f}.")
+    cells = [each for _, each in sorted(rows, reverse=True)]
+    if rows:
+        print(table(HEADS, cells))
+        print(f"\nWorst over its bar (rms {RMS_BAR}, largest {LARGEST_BAR:.0f}): {max(rows)[0]:.2f}.")
+    if given.out:
+        given.out.write_text(json.dumps(cells), encoding="utf-8")
+    if given.beside:
+        print(f"\n{beside(cells, given.beside)}")
+    if given.only in (None, "measured"):
+        print_measured(DATA, stage)
 
 
 if __name__ == "__main__":

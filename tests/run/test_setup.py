@@ -118,11 +118,13 @@ def test_a_pipeline_file_declares_the_range_and_a_session_keeps_it() -> None:
     assert parse_setup(kept, "session") == setup
 
 
-def test_a_session_with_the_older_names_of_a_probability_is_read() -> None:
+def test_a_session_with_retired_probabilities_is_read_and_does_not_write_them_again() -> None:
     setup = parse_setup(
-        f"format: {FORMAT}\nattitude: {{accel_doubt: 0.2, axes_doubt: 0.0}}\n", "session.yaml"
+        f"format: {FORMAT}\nattitude: {{accel_doubt: 0.2, axes_error_probability: 0.1, gyro_scale: 0.02}}\n",
+        "session.yaml",
     )
-    assert setup.attitude == AttitudeParameters(accel_error_probability=0.2, axes_error_probability=0.0)
+    assert setup.attitude == AttitudeParameters(gyro_scale=0.02)
+    assert "probability" not in (setup.text() or "")
     assert parse_setup(setup.text() or "", "session.yaml") == setup
 
 

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.geodesy import LEAST_HORIZONTAL
 
 BEYOND = 3.0
-"""Standard deviations that are no chance."""
+"""Standard deviations that count as significant; convention."""
 
 
 def matrix(q: FloatArray) -> FloatArray:
@@ -73,28 +71,14 @@ def slope(q: FloatArray, tilt_sd: FloatArray) -> FloatArray:
     return np.where(np.abs(level - LEAST_HORIZONTAL) < BEYOND * tilt_sd, np.inf, tangent)
 
 
-def turned_clockwise(q: FloatArray, angle: float) -> FloatArray:
-    """Return attitudes whose heading is larger by an angle in rad, (n, 4)."""
-    c, s = np.cos(0.5 * angle), -np.sin(0.5 * angle)
+def turned_about_up(q: FloatArray, angle: FloatArray) -> FloatArray:
+    """Return attitudes (n, 4) turned counterclockwise about the vertical by angles in rad, (n,)."""
+    c, s = np.cos(0.5 * angle), np.sin(0.5 * angle)
     w, x, y, z = q.T
     return np.column_stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
 
 
-def times(p: FloatArray, q: FloatArray) -> FloatArray:
-    """Return products of quaternions, (n, 4) or (4,) each: the rotation q, and p after it."""
-    a, b, c, d = p.T
+def up_of(q: FloatArray) -> FloatArray:
+    """Return the third axis of the frame that q, (n, 4), leads to, in the frame it starts from, (n, 3)."""
     w, x, y, z = q.T
-    product = [
-        a * w - b * x - c * y - d * z,
-        a * x + b * w + c * z - d * y,
-        a * y - b * z + c * w + d * x,
-        a * z + b * y - c * x + d * w,
-    ]
-    return np.array(product).T
-
-
-def shortest(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the quaternion, (4,), of the least rotation of one direction to another that is not opposite."""
-    (u, v, w), (x, y, z) = a.tolist(), b.tolist()
-    q = np.array([1.0 + u * x + v * y + w * z, v * z - w * y, w * x - u * z, u * y - v * x])
-    return np.asarray(q / math.sqrt(q @ q))
+    return np.column_stack([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)])

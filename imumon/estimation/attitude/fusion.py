@@ -9,23 +9,46 @@ from __future__ import annotations
 import copyreg
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from vqf import VQF
 
-from imumon.blocks import BoolArray, FloatArray, IntArray
+from imumon.blocks import BoolArray, IntArray
 from imumon.estimation.attitude.angles import heading
 
-LEARNED = 16
-"""Intervals that the rate is taken from."""
+FIRST = 16
+"""Intervals that the sample rate is taken from."""
 TAU_ACC_S, TAU_MAG_S = 3.0, 9.0
-"""VQF's defaults: so slowly the vertical follows the accelerometers, and the heading the magnetometer."""
+"""VQF's defaults, s: so slowly the vertical follows the accelerometers, and the heading the magnetometer."""
+
+ROW = np.dtype(
+    [(name, np.float64, (3,)) for name in ("angle", "accel", "mag", "field", "bias_sd", "path", "ignored")]
+    + [(name, np.float64, (4,)) for name in ("q", "levelling", "carried")]
+    + [(name, np.float64) for name in ("low_force", "delta", "follows", "free")]
+    + [("north", np.int64)]
+)
+"""A sample and what the filter makes of it; NaN before it has begun.
+
+angle : turn since the sample before, rad, zero at rest
+accel, mag : m/s² and any unit, zero where there is none
+field : latest of mag; NaN before the first
+bias_sd : standard deviation of the gyro bias, rad/s
+path, ignored : running sums of the angles in motion, and of those while at rest, rad
+q, levelling, carried : w, x, y, z, from body to level axes without north; from gyro-carried to level; from
+    body to gyro-carried
+low_force : magnitude of the low-passed specific force, m/s²
+delta, follows : by how much the field has turned the heading from where the gyros have it, rad, and how fast
+    the heading follows: 1 as usual, 0 not at all while VQF rejects the field
+free : what turns a heading without north clockwise to where it was declared to begin, rad
+north : whether the field has shown north
+"""
+Rows = npt.NDArray[np.void]
 
 
 def _stored(filter_: VQF) -> tuple[Callable[..., VQF], tuple[Any, ...]]:
-    """Tell pickle what a filter is made of, so that a stage can be stored and go on."""
+    """Return what a filter is made of, for pickle, so that a stage can be stored and go on."""
     rates = [filter_.coeffs[name] for name in ("gyrTs", "accTs", "magTs")]
     return _restored, (rates, filter_.params, filter_.state)
 
@@ -39,121 +62,78 @@ def _restored(rates: list[float], parameters: dict[str, Any], state: dict[str, A
 copyreg.pickle(VQF, _stored)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Readings:
-    """Rows that have a time and a rate.
-
-    Parameters
-    ----------
-    time_ns : array of int64 (n,)
-    angle, accel, mag : array (n, 3)
-        Turn since the row before, rad, m/s² and any unit; of accel and mag zero where there is none.
-    has_mag : array of bool (n,)
-    """
-
-    time_ns: IntArray
-    angle: FloatArray
-    accel: FloatArray
-    mag: FloatArray
-    has_mag: BoolArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Found:
-    """What the filter finds, row by row; NaN and 0 where it has not begun.
-
-    Parameters
-    ----------
-    q : array (n, 4)
-        w, x, y, z, from body axes to north, or to level axes of its own.
-    levelling : array (n, 4)
-        From where the gyros alone have carried the level axes to where the filter has them.
-    north : array of int64 (n,)
-        Whether q refers to north.
-    """
-
-    q: FloatArray
-    levelling: FloatArray
-    north: IntArray
-
-
 class Fusion:
-    """Attitude from one begin to the next: a restart, a gap."""
+    """Attitude from one begin to the next: a restart, a gap.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    begins_at : float
+        Heading at which a free one begins, rad.
+    """
+
+    def __init__(self, begins_at: float) -> None:
+        self._begins_at = begins_at
         self._first: list[int] = []
-        self._seen_mag = 0
+        self._mags = 0
         self._vqf: VQF | None = None
         self._interval_s = 0.0
         self._bias_known = False
-        self.first_heading = 0.0
-        """Heading in axes of its own that the body began with, rad."""
+        self._free = math.nan
         self.north = False
         """Whether the heading refers to the magnetometer."""
         self.disturbed = False
         """Whether VQF takes the magnetic field for disturbed."""
-        self.last = np.full(4, np.nan)
-        """The latest quaternion, w, x, y, z, (4,), from body axes to level axes of its own."""
-
-        self.levelling = np.full(4, np.nan)
-        """The latest of `Found`."""
 
     @property
     def begun(self) -> bool:
         """Whether there is an attitude."""
-        return not math.isnan(self.last[0])
+        return not math.isnan(self._free)
 
-    def follows(self) -> float:
-        """Return how fast the heading follows the field: 1 as usual, 0 not at all, between: slower."""
-        if self._vqf is None or not self.disturbed:
-            return 1.0
-        given = self._vqf.params
-        rejected = self._vqf.state["magRejectT"] <= given["magMaxRejectionTime"]
-        return 0.0 if rejected else float(1.0 / given["magRejectionFactor"])
-
-    @property
-    def to_north(self) -> float:
-        """How far the field has turned the heading from level axes of its own, rad; NaN while it is free."""
-        return float(self._vqf.getDelta()) if self._vqf is not None and self.north else math.nan
-
-    def lose_north(self) -> None:
-        """Let the heading be free from here; it began with where the gyros have it now."""
+    def lose_north(self, rows: Rows, start: int) -> None:
+        """Make the heading free from a row on: it begins there where it was declared to."""
         self.north = self.disturbed = False
-        self.first_heading = float(heading(self.last[np.newaxis])[0])
+        self._free = self._begins_at - float(heading(rows["q"][start - 1 : start])[0])
+        rows["north"][start:], rows["free"][start:] = 0, self._free
 
-    def process(self, readings: Readings, start: int, stop: int, bias_known: bool, found: Found) -> None:
-        """Follow rows start..stop, and fill in what is found."""
-        start = self._learn(readings, start, stop)
-        if start == stop or self._vqf is None:
+    def process(self, rows: Rows, time_ns: IntArray, has_mag: BoolArray, bias_known: bool) -> None:
+        """Follow rows, (n,), and fill in what is found."""
+        start = self._learn_rate(rows, time_ns, has_mag)
+        if start == len(rows) or self._vqf is None:
             return
         self._know_bias(self._vqf, bias_known)
-        level = start
-        if not self.north:
-            # Up to here nothing says where north is.
-            has_mag = readings.has_mag[start:stop]
-            level = start + int(np.argmax(has_mag)) if has_mag.any() else stop
-        gyro = readings.angle[start:stop] * (1.0 / self._interval_s)
-        if start < level:
-            said = self._vqf.updateBatchFullState(gyro[: level - start], readings.accel[start:level])
-            found.q[start:level], found.levelling[start:level] = said["quat6D"], said["accQuat"]
-            if not self.begun:
-                self.first_heading = float(heading(said["quat6D"][:1])[0])
-        if level < stop:
-            self.north = True
-            mag = readings.mag[level:stop]
-            said = self._vqf.updateBatchFullState(gyro[level - start :], readings.accel[level:stop], mag)
-            found.q[level:stop], found.levelling[level:stop] = said["quat9D"], said["accQuat"]
-            # Before it has taken a field as its reference VQF calls every field disturbed, and follows it.
-            self.disturbed = bool(said["magDistDetected"][-1]) and self._vqf.getMagRefNorm() > 0.0
-            found.north[level:stop] = 1
-        self.last, self.levelling = said["quat6D"][-1].copy(), said["accQuat"][-1].copy()
+        rows, has_mag = rows[start:], has_mag[start:]
+        gyro, accel = rows["angle"] * (1.0 / self._interval_s), rows["accel"].copy()
+        with_mag = self.north or bool(has_mag.any())
+        found = self._vqf.updateBatchFullState(gyro, accel, *([rows["mag"].copy()] if with_mag else []))
+        for name, of_vqf in (("q", "quat6D"), ("levelling", "accQuat"), ("carried", "gyrQuat")):
+            rows[name] = found[of_vqf]
+        rows["low_force"] = np.sqrt((found["lastAccLp"] ** 2).sum(1))
+        if not self.begun:
+            self._free = self._begins_at - float(heading(rows["q"][:1])[0])
+        rows["free"] = self._free
+        if with_mag:
+            self._follow_field(rows, found, has_mag)
 
-    def _learn(self, readings: Readings, start: int, stop: int) -> int:
+    def _follow_field(self, rows: Rows, found: dict[str, Any], has_mag: BoolArray) -> None:
+        """Fill in where north is, and how fast the heading follows the field."""
+        assert self._vqf is not None
+        given = self._vqf.params
+        rows["delta"] = found["delta"]
+        rows["north"] = self.north | np.logical_or.accumulate(has_mag)
+        # Before it has taken a field as its reference VQF calls every field disturbed, and follows it.
+        disturbed = found["magDistDetected"] & (found["magRefNorm"] > 0.0)
+        rejected = found["magRejectT"] <= given["magMaxRejectionTime"]
+        slower = np.where(rejected, 0.0, 1.0 / given["magRejectionFactor"])
+        rows["follows"] = np.where(disturbed, slower, 1.0)
+        self.north, self.disturbed = True, bool(disturbed[-1])
+
+    def _learn_rate(self, rows: Rows, time_ns: IntArray, has_mag: BoolArray) -> int:
         """Take the rate from the first intervals; return the first row that the filter may have."""
-        while self._vqf is None and start < stop:
-            self._first.append(int(readings.time_ns[start]))
-            self._seen_mag += bool(readings.has_mag[start])
-            if len(self._first) > LEARNED and readings.accel[start].any():
+        start = 0
+        while self._vqf is None and start < len(rows):
+            self._first.append(int(time_ns[start]))
+            self._mags += bool(has_mag[start])
+            if len(self._first) > FIRST and rows["accel"][start].any():
                 self._begin()
             start += 1
         return start
@@ -162,9 +142,9 @@ class Fusion:
         intervals = np.diff(self._first)
         usual = intervals[intervals <= 1.5 * np.median(intervals)]
         self._interval_s = max(float(usual.mean()), 1.0) * 1e-9
-        between_mag = len(self._first) / self._seen_mag if self._seen_mag else 1.0
+        between_mags = len(self._first) / self._mags if self._mags else 1.0
         self._vqf = VQF(
-            self._interval_s, magTs=between_mag * self._interval_s, tauAcc=TAU_ACC_S, tauMag=TAU_MAG_S
+            self._interval_s, magTs=between_mags * self._interval_s, tauAcc=TAU_ACC_S, tauMag=TAU_MAG_S
         )
 
     def _know_bias(self, vqf: VQF, known: bool) -> None:

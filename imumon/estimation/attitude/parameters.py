@@ -2,41 +2,48 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated
 
-from pydantic import AliasChoices, Field
+from pydantic import AliasChoices, BeforeValidator, Field
 
 from imumon.config import StrictModel
 
-
-def _probability(sensor: str, usual: float) -> Any:
-    """Return the field of a probability; sessions of before have it by another name."""
-    names = AliasChoices(f"{sensor}_error_probability", f"{sensor}_doubt")
-    return Field(default=usual, ge=0.0, le=0.5, validation_alias=names)
+Retired = Annotated[None, BeforeValidator(lambda _: None)]
+"""A key of earlier versions: any value is read and dropped, and a session does not write it again."""
+RETIRED = ("accel_error_probability", "axes_error_probability", "magnet_error_probability")
 
 
 class AttitudeParameters(StrictModel):
-    """Which sensors are used, and what of their errors rest does not show.
+    """Which sensors are used, and what is declared of their errors.
 
     Parameters
     ----------
     use_magnetometer : bool
         Whether the heading is taken from the magnetometer, where there is one.
     accel_bias_m_per_s2 : float, optional
-        Standard deviation of what the accelerometers are off at rest.  When it is not given it may be
-        anything that data sheets state, from the 5 mg of calibrated MEMS units to the 80 mg of an MPU-6050.
-    gyro_scale : float
-        Standard deviation of each element of the matrix of scale and misalignment: 1 % without calibration.
-    accel_error_probability, axes_error_probability, magnet_error_probability : float
-        How likely it is that the accelerometers are off by more than was given, that a gyro has another scale
-        or shows other axes than declared, and that iron has come to the unit since its magnetometer was
-        calibrated: in the sigma until rests and turns have spoken.  Judged, not measured; docs/attitude.md
-        says what they cost.
+        Standard deviation of the accelerometers' error at rest.  When it is not given, 7.5 mg are taken, and
+        more where the magnitude of the specific force shows more.
+    gyro_scale : float, optional
+        Standard deviation of each element of the gyros' matrix of scale and misalignment: 1 % of a calibrated
+        unit.  When it is not given, 2 % are taken.
+    accel_error_probability, axes_error_probability, magnet_error_probability
+        Not used any more; their older names end in ``_doubt``.
     """
 
     use_magnetometer: bool = True
     accel_bias_m_per_s2: float | None = Field(default=None, ge=0.0, le=10.0)
-    gyro_scale: float = Field(default=0.01, ge=0.0, le=0.5)
-    accel_error_probability: float = _probability("accel", 0.05)
-    axes_error_probability: float = _probability("axes", 0.1)
-    magnet_error_probability: float = _probability("magnet", 0.1)
+    gyro_scale: float | None = Field(default=None, ge=0.0, le=0.5)
+    accel_error_probability: Retired = Field(
+        default=None, exclude=True, validation_alias=AliasChoices(RETIRED[0], "accel_doubt")
+    )
+    axes_error_probability: Retired = Field(
+        default=None, exclude=True, validation_alias=AliasChoices(RETIRED[1], "axes_doubt")
+    )
+    magnet_error_probability: Retired = Field(
+        default=None, exclude=True, validation_alias=AliasChoices(RETIRED[2], "magnet_doubt")
+    )
+
+    @property
+    def retired(self) -> list[str]:
+        """The keys that were given and are not used any more."""
+        return [name for name in RETIRED if name in self.model_fields_set]

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -18,51 +16,42 @@ from imumon.estimation.attitude.angles import (
     level_angles,
     matrix,
     slope,
-    turned_clockwise,
+    turned_about_up,
+    up_of,
 )
-from imumon.estimation.attitude.fusion import Found, Fusion, Readings
+from imumon.estimation.attitude.fusion import ROW, Fusion, Rows
+from imumon.estimation.attitude.heading_sigma import HeadingSigma
 from imumon.estimation.attitude.parameters import AttitudeParameters
-from imumon.estimation.attitude.uncertainty import (
-    CERTAIN,
-    GRAVITY_SPREAD,
-    LEAST_BIAS,
-    SINCE,
-    UNKNOWN,
-    Errors,
-    Motion,
+from imumon.estimation.attitude.tilt_sigma import (
+    ACCEL_SD,
+    SLOT_S,
+    Accelerometers,
+    Gyros,
     Slot,
-    begin,
+    TiltSigma,
 )
 from imumon.filters.mounting import WAYS, Mounting, are_known, named
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 from imumon.models.magnetometer import MagnetometerModel
 
-SLOT_NS = 1_000_000_000
-"""So often it is judged how far the attitude may be off: bias and path grow little in a second."""
 GAP_NS = 250_000_000
 """A longer pause hides turns."""
 NEAR = 0.2
 """Share by which the field may differ from its calibrated strength and still show how the unit turned."""
+GRAVITY_SPREAD = 0.03
+"""m/s²: between equator and poles gravity differs by no more from the standard (WGS-84: 9.780 to 9.832)."""
+UNKNOWN = 1.0
+"""rad: a larger error is no small angle, and its standard deviation says nothing."""
 Q = tuple(f"attitude_estimate_{part}" for part in "wxyz")
 NORTH = "attitude_estimate_north"
-_REST = 6
-_COLUMNS = 7
+_REST, _COLUMNS = 6, 7
 """Of the slots: rate and force, three each, and whether it is at rest."""
-
-
-@dataclass(slots=True, eq=False)
-class _Rows:
-    """Rows that have a time and a rate: what goes in, where it begins anew, and what is found for each."""
-
-    readings: Readings
-    bias_known: BoolArray
-    bias_sd: FloatArray
-    begins: set[int]
-    slots: Slots
-    motion: Motion
-    found: Found
-    variance: FloatArray
+_KNOWN = np.dtype(
+    [("tilt", np.float64), ("heading", np.float64), ("scale", np.float64)]
+    + [(name, np.float64, (3,)) for name in ("path", "ignored", "up")]
+)
+"""Variances at the end of a slot, rad², that of the gyros' scale, and path, ignored (`ROW`) and u there."""
 
 
 class AttitudeEstimate:
@@ -91,38 +80,33 @@ class AttitudeEstimate:
         latitude_deg: float | None = None,
         heading_deg: float | None = None,
     ) -> None:
-        self._parameters = parameters or AttitudeParameters()
+        self._parameters = given = parameters or AttitudeParameters()
         self._down = 0.0 if axes is None else (1.0 if axes == "FRD" else -1.0)
         self._magnetometer = magnetometer
-        self._errors = Errors(
-            self._parameters.accel_bias_m_per_s2,
-            self._parameters.gyro_scale,
-            0.0 if latitude_deg is None else EARTH_RATE,
-            math.nan if magnetometer is None else magnetometer.error_sd,
-            math.nan if magnetometer is None else magnetometer.field,
-            self._parameters.accel_error_probability,
-            self._parameters.axes_error_probability,
-            self._parameters.magnet_error_probability,
-        )
         self._heading = math.radians(heading_deg or 0.0)
-        self._slots = SlotGatherer(_COLUMNS, SLOT_NS, rates=0)
-        self._last: tuple[int, int] | None = None
-        self._ended_ns = 0
-        self._fusion = Fusion()
-        self._uncertainty = begin(self._errors)
-        self._since = np.zeros(1, SINCE)
-        self._field = np.full(3, np.nan)
-        self._bias_sd = np.full(3, np.nan)
+        self._slots = SlotGatherer(_COLUMNS, int(SLOT_S * 1e9), rates=0)
+        self._fusion = Fusion(self._heading)
+        self._tilt = TiltSigma(Accelerometers(given.accel_bias_m_per_s2), Gyros(given.gyro_scale))
+        earth_rate = 0.0 if latitude_deg is None else EARTH_RATE
+        self._turn = HeadingSigma(self._tilt.gyros, magnetometer, earth_rate)
+        self._last = np.zeros(1, ROW)
+        self._last["field"] = math.nan
+        self._last_time: tuple[int, int] | None = None
+        self._known = np.full(1, math.nan, _KNOWN)
+        self._ignored = np.zeros(3)
+        """Turned in the last slot while it was taken for at rest, rad."""
         self._mounting = Mounting()
-        self._field_before = np.full(3, np.nan)
+        self._field_before = np.full(3, math.nan)
         """Field at the end of the last slot, over its calibrated strength."""
         self._other_axes = 0
         """Which of `WAYS` the magnetometer has, once the gyros have contradicted its axes."""
+        self._force = math.nan
+        """Magnitude of the specific force at the last rest, m/s²."""
         self._anew = 0
         """How often an attitude has ended, for another to begin."""
-        self._reported = False
-        self._names = [column.name for column in self.columns if column.name != NORTH]
-        self._said: set[str] = set()
+        self._sent = False
+        """Whether the device sends an attitude."""
+        self._named: set[str] = set()
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -153,164 +137,182 @@ class AttitudeEstimate:
         gyro, accel = block.gyro, block.accel
         if gyro is None or accel is None:
             return {}
-        self._reported |= "q_w" in block or "roll" in block
+        self._sent |= "q_w" in block or "roll" in block
         n = len(block)
         which = np.flatnonzero((block["device_time_ns"] != NO_INT) & _whole(gyro))
-        rows = self._rows(
-            block
-            if len(which) == n
-            else SampleBlock({name: values[which] for name, values in block.columns.items()})
-        )
-        self._follow(rows)
-        q, variance = rows.found.q, rows.variance
-        roll, pitch = level_angles(q, self._down)
-        variance[1] += slope(q, np.sqrt(variance[0])) ** 2 * variance[0]
-        tilt_sd, heading_sd = np.sqrt(np.where(variance < UNKNOWN**2, variance, np.nan))
-        values = [*(part.copy() for part in q.T), roll, pitch, tilt_sd, heading(q), heading_sd]
-        north = np.where(np.isnan(q[:, 0]), NO_INT, rows.found.north)
         if len(which) < n:
-            values = [_spread(part, np.nan, which, n) for part in values]
+            block = SampleBlock({name: values[which] for name, values in block.columns.items()})
+        values, north = self._angles(*self._follow(block))
+        if len(which) < n:
+            values = [_spread(part, math.nan, which, n) for part in values]
             north = _spread(north, NO_INT, which, n)
-        return {**dict(zip(self._names, values, strict=True)), NORTH: north}
+        names = [column.name for column in self.columns if column.name != NORTH]
+        return {**dict(zip(names, values, strict=True)), NORTH: north}
 
-    def _rows(self, block: SampleBlock) -> _Rows:
-        """Gather what the filter takes, of rows that it can take."""
-        n, gyro, accel, mag = len(block), block.gyro, block.accel, None
+    def _rows(self, block: SampleBlock) -> tuple[Rows, BoolArray, BoolArray, Slots, list[int]]:
+        """Gather what the filter and the sigmas take.
+
+        Returns the samples as `ROW`, (n + 1,), behind the last one of the block before; whether each has a
+        field and a known bias, (n,); the slots that end; and the rows that begin anew.
+        """
+        n, gyro, accel, mag = len(block), block.gyro, block.accel, block.mag
         assert gyro is not None
         assert accel is not None
-        if self._parameters.use_magnetometer and not self._other_axes:
-            mag = block.mag
-        if mag is None:
-            mag = np.full((n, 3), np.nan)
-        elif self._magnetometer is not None:
-            mag = self._magnetometer.corrected(mag)
+        rows = np.zeros(n + 1, ROW)
+        rows[0], sent = self._last[0], rows[1:]
+        begins, interval_s = self._intervals(block["device_time_ns"], block["segment"])
         corrected, bias_sd = block.vector("gyro_corrected"), block.vector("gyro_bias_sd")
-        if bias_sd is None:
-            bias_sd = np.full((n, 3), np.nan)
-        known, rest, rate = np.zeros(n, bool), np.zeros(n, bool), gyro
-        if corrected is not None:
-            known = _whole(corrected)
-            rate = corrected if known.all() else np.where(known[:, np.newaxis], corrected, gyro)
-            rest = known & np.asarray(block.columns.get("at_rest", np.zeros(n, np.int64)) == 1)
-        values = np.empty((n, _COLUMNS))
-        values[:, :3], values[:, 3:6], values[:, _REST] = rate, accel, rest
-        time_ns, segment = block["device_time_ns"], block["segment"]
-        begins, interval_s = self._intervals(time_ns, segment)
-        turned, moving = rate * interval_s[:, np.newaxis], ~rest
-        angle = turned * moving[:, np.newaxis]
-        motion = Motion(angle, turned - angle, interval_s * moving)
-        has_mag = _whole(mag)
-        readings = Readings(time_ns, angle, _or_zero(accel), _or_zero(mag), has_mag)
-        slots = self._slots.process(time_ns, segment, values)
-        found = Found(np.full((n, 4), np.nan), np.full((n, 4), np.nan), np.zeros(n, np.int64))
-        return _Rows(readings, known, bias_sd, begins, slots, motion, found, np.empty((2, n)))
+        known = np.zeros(n, bool) if corrected is None else _whole(corrected)
+        rate = gyro if corrected is None else np.where(known[:, np.newaxis], corrected, gyro)
+        rest = known & np.asarray(block.columns.get("at_rest", np.zeros(n, np.int64)) == 1)
+        slots = self._slots.process(
+            block["device_time_ns"], block["segment"], np.column_stack([rate, accel, rest])
+        )
+        turned = rate * interval_s[:, np.newaxis]
+        sent["angle"] = np.where(rest[:, np.newaxis], 0.0, turned)
+        sent["path"], sent["ignored"] = sent["angle"], turned - sent["angle"]
+        for name in ("path", "ignored"):  # running sums, the same whatever the blocks
+            rows[name] = np.cumsum(rows[name], axis=0)
+        sent["accel"] = np.where(_whole(accel)[:, np.newaxis], accel, 0.0)
+        sent["bias_sd"] = math.nan if bias_sd is None else bias_sd
+        has_mag = np.zeros(n, bool)
+        if mag is not None and self._parameters.use_magnetometer and not self._other_axes:
+            field = mag if self._magnetometer is None else self._magnetometer.corrected(mag)
+            has_mag = _whole(field)
+            sent["mag"] = np.where(has_mag[:, np.newaxis], field, 0.0)
+            latest = np.maximum.accumulate(np.where(has_mag, np.arange(1, n + 1), 0))
+            sent["field"] = np.where((latest > 0)[:, np.newaxis], rows["mag"][latest], rows["field"][0])
+        else:
+            sent["field"] = rows["field"][0]
+        for name in ("q", "levelling", "carried", "low_force"):
+            sent[name] = math.nan
+        return rows, has_mag, known, slots, begins
 
-    def _follow(self, rows: _Rows) -> None:
-        """Run the filter from edge to edge: a slot has ended, it begins anew, the bias is known from here."""
-        n, known = len(rows.bias_known), rows.bias_known
-        ended = {int(row): k for k, row in enumerate(rows.slots.row)}
-        learned = np.flatnonzero(known[1:] != known[:-1]) + 1
-        edges = sorted({0, n, *rows.begins, *ended, *learned.tolist()})
-        begun = 0
-        for start, stop in pairwise(edges):
-            if start in ended:
-                self._judge(rows, ended[start], start)
-                if self._contradicts(rows, ended[start]):
-                    self._turn_free(rows, begun, start)
-                    self._lose_north(rows, start)
-                    begun = start
-            if start in rows.begins:
-                self._anew += self._fusion.begun
-                self._fusion, self._since[:] = Fusion(), 0
-                self._uncertainty = self._uncertainty.anew()
-            fusion = self._fusion
-            fusion.process(rows.readings, start, stop, bool(known[start]), rows.found)
-            if self._down == 0.0 and fusion.begun:
-                self._down = 1.0 if matrix(fusion.last)[2, 2] < 0.0 else -1.0
-            sent = rows.motion, rows.bias_sd, rows.found.levelling
-            self._uncertainty.at(self._since, range(start, stop), *sent, rows.variance)
-            if stop == n or stop in rows.begins:
-                self._turn_free(rows, begun, stop)
-                begun = stop
-        self._keep_latest(rows, n)
+    def _follow(self, block: SampleBlock) -> tuple[Rows, Rows]:
+        """Run the filter over a block; return its rows, `ROW`, and what was known at each, `_KNOWN`, (n,)."""
+        rows, has_mag, bias_known, slots, begins = self._rows(block)
+        time_ns, n = block["device_time_ns"], len(block)
+        learned = np.flatnonzero(bias_known[1:] != bias_known[:-1]) + 1
+        edges = sorted({0, n, *begins, *learned.tolist()})
+        # A slot ends before the row behind it, which may begin anew.
+        ended = [0, *np.searchsorted(slots.row, edges, side="right").tolist()]
+        known: list[tuple[int, Rows]] = [(0, self._known)]
+        for j, start in enumerate(edges):
+            for k in range(ended[j], ended[j + 1]):
+                known.append((int(slots.row[k]), self._end_slot(rows, has_mag, slots, k)))
+            if start == n:
+                break
+            if start in begins:
+                self._begin_anew()
+                known.append((start, self._known))
+            part = slice(start, edges[j + 1])
+            self._fusion.process(rows[1:][part], time_ns[part], has_mag[part], bool(bias_known[start]))
+        self._last = rows[-1:].copy()
+        at = np.array([row for row, _ in known] + [n])
+        return rows[1:], np.repeat(np.concatenate([each for _, each in known]), np.diff(at))
 
-    def _turn_free(self, rows: _Rows, start: int, stop: int) -> None:
-        """Let the heading of rows that nothing ties to north begin where it was said."""
-        q, free = rows.found.q, np.flatnonzero(rows.found.north[start:stop] == 0) + start
-        if len(free) and self._fusion.begun:
-            q[free] = turned_clockwise(q[free], self._heading - self._fusion.first_heading)
+    def _begin_anew(self) -> None:
+        self._anew += self._fusion.begun
+        self._fusion = Fusion(self._heading)
+        self._tilt, self._turn = self._tilt.begin_anew(), self._turn.begin_anew()
+        self._known, self._ignored = np.full(1, math.nan, _KNOWN), np.zeros(3)
 
-    def _keep_latest(self, rows: _Rows, stop: int) -> None:
-        """Keep the latest reading of the magnetometer before a row, and how well the bias was known there."""
-        found = np.flatnonzero(rows.readings.has_mag[:stop])
-        if len(found):
-            self._field = rows.readings.mag[found[-1]].copy()
-        if stop:
-            self._bias_sd = rows.bias_sd[stop - 1].copy()
-
-    def _intervals(self, time_ns: IntArray, segment: IntArray) -> tuple[set[int], FloatArray]:
+    def _intervals(self, time_ns: IntArray, segment: IntArray) -> tuple[list[int], FloatArray]:
         """Return the rows that begin anew, after a restart or a gap, and the time since the row before, s."""
         if not len(time_ns):
-            return set(), np.empty(0)
-        last_ns, last_segment = self._last or (int(time_ns[0]), int(segment[0]))
-        self._last = int(time_ns[-1]), int(segment[-1])
-        interval = np.empty_like(time_ns)
-        interval[0], interval[1:] = time_ns[0] - last_ns, time_ns[1:] - time_ns[:-1]
-        changed = np.empty(len(segment), bool)
-        changed[0], changed[1:] = segment[0] != last_segment, segment[1:] != segment[:-1]
-        begins = set(np.flatnonzero(changed | (interval > GAP_NS) | (interval < 0)).tolist())
-        return begins, np.asarray(interval * 1e-9, np.float64)
+            return [], np.empty(0)
+        last_ns, last_segment = self._last_time or (int(time_ns[0]), int(segment[0]))
+        self._last_time = int(time_ns[-1]), int(segment[-1])
+        interval = np.diff(time_ns, prepend=last_ns)
+        changed = np.diff(segment, prepend=last_segment) != 0
+        begins = np.flatnonzero(changed | (interval > GAP_NS) | (interval < 0))
+        return begins.tolist(), np.asarray(interval * 1e-9)
 
-    def _judge(self, rows: _Rows, k: int, row: int) -> None:
-        """Say how far the attitude may be off, by a slot that has ended before a row."""
-        fusion, slots = self._fusion, rows.slots
-        start_ns = int(slots.start_ns[k]) if slots.begins[k] else self._ended_ns
-        self._ended_ns = int(slots.end_ns[k])
-        ignored = self._since["ignored"][0].copy()
-        self._since[:] = 0
-        if not fusion.begun:
-            return
-        self._keep_latest(rows, row)
-        self._uncertainty.step(
-            Slot(
-                seconds=(self._ended_ns - start_ns) * 1e-9,
-                rest=bool(slots.smallest[k, _REST] == 1.0),
-                turn=slots.turns.at(k),
-                force=slots.mean[k, 3:6],
-                mag=self._field,
-                bias_sd=self._bias_sd,  # the row behind may be of a new segment: nothing is known there
-                attitude=matrix(fusion.last),
-                levelling=fusion.levelling,
-                ignored=ignored,
-                to_north=fusion.to_north,
-                follows=fusion.follows(),
-            )
+    def _end_slot(self, rows: Rows, has_mag: BoolArray, slots: Slots, k: int) -> Rows:
+        """Estimate how far the attitude is off at the end of a slot: `_KNOWN`, (1,)."""
+        row, end = int(slots.row[k]), rows[slots.row[k]]
+        if not self._fusion.begun or np.isnan(end["q"][0]):
+            return self._known
+        slot = self._slot(end, slots, k)
+        tilt = self._tilt.step(slot)
+        turn = self._turn.step(slot, tilt)
+        if slot.north and self._contradicts(slot.mag, slots, k):
+            self._fusion.lose_north(rows, row + 1)
+            has_mag[row:] = False
+            self._turn = self._turn.begin_anew()
+            turn = math.nan
+        gyros = self._tilt.gyros
+        if gyros.contradicted or (self._other_axes and not gyros.confirmed.all()):
+            turn = math.nan  # gyros or magnetometer: nobody knows which is wrong
+        self._known = np.zeros(1, _KNOWN)
+        self._known[0] = (tilt, turn, gyros.variance, end["path"], end["ignored"], slot.up)
+        return self._known
+
+    def _slot(self, end: Rows, slots: Slots, k: int) -> Slot:
+        """Return a slot for the sigmas, from its last row."""
+        turns, carried = slots.turns, matrix(end["carried"])
+        force = carried @ slots.mean[k, 3:6]
+        rest = bool(slots.smallest[k, _REST] == 1.0) and math.isfinite(force[0])
+        ignored = end["ignored"] - self._known["ignored"][0]
+        if math.isnan(ignored[0]):
+            ignored = np.zeros(3)  # the first slot
+        since, self._ignored = self._ignored + ignored, ignored if rest else np.zeros(3)
+        if rest:
+            self._force = float(np.linalg.norm(force))
+        up_body = matrix(end["q"])[2]
+        return Slot(
+            rest=rest,
+            up=matrix(end["levelling"])[2],
+            up_body=up_body,
+            force=force,
+            low_force=float(end["low_force"]) or math.nan,
+            turn=carried @ turns.rotation[k].T @ turns.by_scale[k].reshape(3, 9),
+            lost=float(turns.fast[k] ** 2 + turns.missed[k] + turns.coning[k] @ turns.coning[k] / 3.0),
+            ignored=float(since @ since),
+            bias_sd=float(np.linalg.norm(up_body * end["bias_sd"])),
+            north=bool(end["north"]),
+            mag=end["field"].copy(),
+            delta=float(end["delta"]),
+            follows=float(end["follows"]),
         )
 
-    def _contradicts(self, rows: _Rows, k: int) -> bool:
-        """Compare the field with how the gyros have turned in a slot; tell whether it has other axes by now.
+    def _contradicts(self, mag: FloatArray, slots: Slots, k: int) -> bool:
+        """Compare the field with how the gyros have turned in a slot; return whether it has other axes.
 
         Where the gyros contradict gravity as well, it is theirs that are wrong.
         """
-        if self._magnetometer is None or self._other_axes or not self._fusion.north:
+        if self._magnetometer is None:
             return False
-        slots, before = rows.slots, self._field_before
-        self._field_before = after = self._field / self._magnetometer.field
-        strengths = np.array([np.linalg.norm(before), np.linalg.norm(after)])
-        turn = slots.turns.at(k)
+        before, self._field_before = self._field_before, mag / self._magnetometer.field
+        strengths = np.array([np.linalg.norm(before), np.linalg.norm(self._field_before)])
         near = bool((np.abs(strengths - 1.0) < NEAR).all())
-        if slots.begins[k] or slots.smallest[k, _REST] == 1.0 or not (near and are_known(turn)):
+        if slots.begins[k] or slots.smallest[k, _REST] == 1.0 or not (near and are_known(slots.turns.at(k))):
             return False
-        self._mounting.add(before[np.newaxis], after[np.newaxis], turn.rotation[np.newaxis])
-        if self._uncertainty.gyros.now.usual >= 1.0 - CERTAIN:
+        self._mounting.add(
+            before[np.newaxis], self._field_before[np.newaxis], slots.turns.rotation[k : k + 1]
+        )
+        if not self._tilt.gyros.contradicted:
             self._other_axes = self._mounting.found
         return self._other_axes > 0
 
-    def _lose_north(self, rows: _Rows, row: int) -> None:
-        """Go on from a row without the magnetometer: the heading is free from there."""
-        rows.readings.has_mag[row:] = False
-        self._fusion.lose_north()
-        self._uncertainty.lose_north()
+    def _angles(self, rows: Rows, known: Rows) -> tuple[list[FloatArray], IntArray]:
+        """Return quaternion, roll, pitch, tilt sigma, heading and its sigma of rows, (n,) each, and north."""
+        q = turned_about_up(rows["q"], np.where(rows["north"] == 1, rows["delta"], -rows["free"]))
+        # What was turned wrong since the last slot, and half an interval: a rate may be the mean of the
+        # interval before or that of the moment.
+        turned2 = ((rows["path"] - known["path"]) ** 2).sum(1)
+        late = known["scale"] * turned2 + ((rows["ignored"] - known["ignored"]) ** 2).sum(1)
+        late += (rows["angle"] ** 2).sum(1) / 12.0
+        moved2 = ((up_of(rows["levelling"]) - known["up"]) ** 2).sum(1)
+        tilt = known["tilt"] + late + 0.5 * moved2
+        turn = known["heading"] + late + slope(q, np.sqrt(tilt)) ** 2 * tilt
+        tilt_sd, heading_sd = (np.sqrt(np.where(each < UNKNOWN**2, each, math.nan)) for each in (tilt, turn))
+        if self._down == 0.0 and np.isfinite(q[:, 0]).any():
+            first = int(np.argmax(np.isfinite(q[:, 0])))
+            self._down = 1.0 if up_of(q[first : first + 1])[0, 2] < 0.0 else -1.0
+        roll, pitch = level_angles(q, self._down)
+        north = np.where(np.isnan(q[:, 0]), NO_INT, rows["north"])
+        return [*(part.copy() for part in q.T), roll, pitch, tilt_sd, heading(q), heading_sd], north
 
     def lanes(self) -> Mapping[str, str]:
         """Return what the heading of the estimated attitude refers to."""
@@ -325,40 +327,42 @@ class AttitudeEstimate:
 
     def notices(self) -> list[str]:
         """Return, once each, what an attitude lacks and when it began anew, where the device sends none."""
-        if self._reported:
-            return []
-        begun, declared = self._fusion.begun, self._parameters.gyro_scale
-        usual, magnitude = self._uncertainty.gyros.now.usual, self._uncertainty.magnitude
-        accel_sd = LEAST_BIAS if self._errors.accel is None else self._errors.accel
-        reference = math.degrees(self._heading)
-        conditions = {
-            "attitude: after turns the accelerometers show another vertical than the gyros have carried, "
-            f"by more than gyro_scale ({declared:.1%}) allows: are axes, signs and units right?": (
-                usual < 1.0 - CERTAIN
-            ),
+        retired = self._parameters.retired
+        conditions = dict.fromkeys((f"attitude: {name} is not used any more" for name in retired), True)
+        if not self._sent:
+            conditions |= self._conditions()
+        texts = [text for text, true in conditions.items() if true and text not in self._named]
+        self._named.update(texts)
+        return texts
+
+    def _conditions(self) -> dict[str, bool]:
+        """Return the texts of `notices`, and whether each applies."""
+        north, begun = self._fusion.north, self._fusion.begun
+        declared = self._parameters.accel_bias_m_per_s2
+        accel_sd = ACCEL_SD if declared is None else declared
+        reference, gyros = math.degrees(self._heading), self._tilt.gyros
+        return {
+            "attitude: in turns the accelerometers show another vertical than the gyros carry, so the "
+            "heading has no standard deviation: are axes, signs and units right? Accelerations that last for "
+            "many seconds, as in a car, show the same": gyros.contradicted,
             "attitude: the specific force at rest is not gravity within what accelerometers are off by "
             f"({accel_sd:.2g} m/s²): are its scale and unit right?": (
-                abs(magnitude - STANDARD_GRAVITY) > GRAVITY_SPREAD + BEYOND * accel_sd
+                abs(self._force - STANDARD_GRAVITY) > GRAVITY_SPREAD + BEYOND * accel_sd
             ),
             "attitude: without a magnetometer the heading is free; it counts from "
-            f"{reference:.0f}° at the beginning": begun and not self._fusion.north and not self._other_axes,
+            f"{reference:.0f}° at the beginning": begun and not north and not self._other_axes,
             "attitude: while the unit turns the field goes as if the magnetometer had not the gyros' axes: "
             f"their x, y, z seem to be its {named(WAYS[self._other_axes])}; or the gyros are wrong. "
             "North is not taken from it any more, the heading is free and counts from "
             f"{reference:.0f}° there": bool(self._other_axes),
             "attitude: the magnetometer is not calibrated, so nobody knows how far the heading is off; "
             "record a figure-eight, then: imumon magnetometer SESSION --out MODEL.yaml": (
-                self._fusion.north and self._magnetometer is None
+                north and self._magnetometer is None
             ),
             f"attitude: begun anew, {self._anew} times so far, after a restart or a gap of more than "
             f"{GAP_NS * 1e-9:g} s, in which the unit may have turned"
-            + ("" if self._fusion.north else f": the free heading counts from {reference:.0f}° again"): (
-                self._anew > 0
-            ),
+            + ("" if north else f": the free heading counts from {reference:.0f}° again"): self._anew > 0,
         }
-        texts = [text for text, true in conditions.items() if true and text not in self._said]
-        self._said.update(texts)
-        return texts
 
 
 def _whole(vectors: FloatArray) -> BoolArray:
@@ -366,14 +370,8 @@ def _whole(vectors: FloatArray) -> BoolArray:
     return np.asarray(np.isfinite(vectors[:, 0] + vectors[:, 1] + vectors[:, 2]))
 
 
-def _or_zero(vectors: FloatArray) -> FloatArray:
-    """Return whole vectors as they are, others as zero: what VQF passes over, (n, 3)."""
-    finite = _whole(vectors)
-    return vectors if finite.all() else np.where(finite[:, np.newaxis], vectors, 0.0)
-
-
 def _spread(values: ColumnArray, missing: float, which: IntArray, n: int) -> ColumnArray:
-    """Return values of some rows among n, (..., n)."""
-    result = np.full((*values.shape[:-1], n), missing, values.dtype)
-    result[..., which] = values
+    """Return values of some rows among n, (n,)."""
+    result = np.full(n, missing, values.dtype)
+    result[which] = values
     return result

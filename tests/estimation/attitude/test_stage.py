@@ -8,14 +8,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imumon.blocks import NO_INT, FloatArray, SampleBlock, join
+from imumon.config import parse_yaml
 from imumon.estimation.attitude.angles import slope
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.stage import AttitudeEstimate
-from imumon.estimation.attitude.turned import Followed, Turned
-from imumon.estimation.attitude.uncertainty import Errors, Slot, begin
+from imumon.estimation.attitude.tilt_sigma import Accelerometers
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
-from imumon.filters.turns import STILL
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.models.magnetometer import MagnetometerModel
 from tests.calibration.test_magnetometer_axes import HARD, LEFT_HANDED, MPU_9250, turns
@@ -67,7 +66,7 @@ def test_it_follows_turns_and_its_errors_are_as_its_sigma_says(
         assert np.sqrt(np.mean(error[later] ** 2)) < 1.8
         assert np.abs(error[later]).max() < 5.0
         settled = later & made.at_rest & (np.arange(len(later)) > 100 * rate_hz)
-        assert found["attitude_estimate_heading_sd"][settled].max() < np.radians(2.0)
+        assert found["attitude_estimate_heading_sd"][settled].max() < np.radians(3.6)
         # Of a single pose the magnitude says little of what the accelerometers are off by: 0.18° is declared.
         assert found["attitude_estimate_tilt_sd"][settled].max() < np.radians(0.4)
         assert stage.lanes() == {"attitude": "magnetic north"}
@@ -128,7 +127,7 @@ def test_a_heading_at_rest_does_not_drift() -> None:
     assert np.ptp(heading) < np.radians(0.02)  # the bias alone would turn it by seven degrees
 
 
-def test_axes_that_are_mixed_up_are_said_and_widen_the_sigma() -> None:
+def test_mixed_up_axes_are_reported_widen_the_tilt_sigma_and_leave_the_heading_none() -> None:
     made = scene()
     mixed = without_mag(made.block).with_columns({"gyro_z": -made.block["gyro_z"]})
     right, stage = AttitudeEstimate(axes="FRD"), AttitudeEstimate(axes="FRD")
@@ -136,6 +135,9 @@ def test_axes_that_are_mixed_up_are_said_and_widen_the_sigma() -> None:
     wrong = estimated(mixed, stage)["attitude_estimate_tilt_sd"]
     assert [text for text in stage.notices() if "are axes, signs and units right?" in text]
     assert not [text for text in right.notices() if "right?" in text]
+    heading_sd = estimated(mixed, AttitudeEstimate(axes="FRD"))["attitude_estimate_heading_sd"]
+    assert np.isfinite(heading_sd[3000])
+    assert np.isnan(heading_sd[-1])
     again = slice(8000, 8300)  # the third turn: the first two have shown it
     assert not np.nanmax(wrong[again]) < 3.0 * np.nanmax(usual[again])
 
@@ -143,7 +145,7 @@ def test_axes_that_are_mixed_up_are_said_and_widen_the_sigma() -> None:
 def test_the_first_motion_of_mixed_axes_is_in_the_sigma_before_gravity_shows_it() -> None:
     made = scene(seconds=60.0)
     mixed = without_mag(made.block).with_columns({"gyro_z": -made.block["gyro_z"]})
-    for block, most in ((without_mag(made.block), 3.0), (mixed, 7.0)):
+    for block, most in ((without_mag(made.block), 3.0), (mixed, 12.0)):
         found = estimated(block, AttitudeEstimate(AttitudeParameters(gyro_scale=1e-3), "FRD"))
         turn = matrices(np.column_stack([found[name] for name in Q])) @ np.swapaxes(made.attitude, 1, 2)
         tilt = np.column_stack([turn[:, 1, 2], turn[:, 0, 2]])
@@ -152,20 +154,19 @@ def test_the_first_motion_of_mixed_axes_is_in_the_sigma_before_gravity_shows_it(
 
 
 @pytest.mark.parametrize("off_mg", [1.0, 5.0, 20.0, 50.0])
-def test_accelerometers_of_any_grade_are_in_the_first_sigma_without_being_declared(off_mg: float) -> None:
+def test_accelerometers_of_any_grade_are_in_the_sigma_once_six_faces_were_up(off_mg: float) -> None:
     rng = np.random.default_rng(11)
-    errors = Errors(None, 0.01, 0.0, np.nan, np.nan, 0.05, 0.25, 0.1)
     ratios = []
     for off in off_mg * 1e-3 * STANDARD_GRAVITY * rng.normal(size=(400, 3)):
-        told = begin(errors)
-        force = off + np.array([0.0, 0.0, STANDARD_GRAVITY + rng.uniform(-0.03, 0.03)])
-        none = np.zeros(3)
-        level = np.array([1.0, 0.0, 0.0, 0.0])
-        told.step(Slot(1.0, True, STILL, force, none, none, np.eye(3), level, none, np.nan, 1.0))
-        ratios.append(off[:2] / STANDARD_GRAVITY / told.tilt_sd)
+        accelerometers = Accelerometers(None)
+        for up in np.vstack([np.eye(3), -np.eye(3)]):
+            for _ in range(6):
+                accelerometers.learn(up, float(np.linalg.norm(STANDARD_GRAVITY * up + off)))
+        ratios.append(off / np.sqrt(accelerometers.variance))
     z = np.array(ratios)
-    assert np.sqrt(np.mean(z**2)) < 1.8
-    assert np.abs(z).max() < 7.0
+    assert np.sqrt(np.mean(z**2)) < 1.0
+    assert np.abs(z).max() < 4.0
+    assert off_mg < 10.0 or np.sqrt(np.mean(z**2)) > 0.5
 
 
 def test_a_magnet_that_is_put_on_while_it_rests_is_in_the_sigma_before_it_turns() -> None:
@@ -203,7 +204,7 @@ def test_iron_that_comes_to_the_unit_is_in_the_sigma_once_turns_have_shown_it() 
         sd[name] = found["attitude_estimate_heading_sd"]
         later = np.isfinite(sd[name]) & (np.arange(len(error)) > 5000)
         assert np.abs(error / sd[name])[later].max() < 5.0
-    assert np.degrees(np.nanmedian(sd["as calibrated"][7000:])) < 2.0
+    assert np.degrees(np.nanmedian(sd["as calibrated"][7000:])) < 3.6
     assert not np.degrees(np.nanmedian(sd["iron"][7000:])) < 10.0
 
 
@@ -368,22 +369,6 @@ def test_in_a_motion_the_tilt_is_known_as_the_filter_follows_gravity() -> None:
     assert np.max(sd[late]) < np.radians(6.0)  # of the gyros alone: 15°
 
 
-def test_what_the_filter_follows_is_what_its_low_pass_lets_through() -> None:
-    rng, dt, tau = np.random.default_rng(1), 0.01, 3.0
-    parts = np.repeat(np.cumsum(rng.normal(size=40)), 100)
-    low, slope_, through = 0.0, 0.0, []
-    for value in parts:  # Butterworth, second order, 1/e after the time constant
-        slope_ += dt * 2.0 * ((value - low) / tau**2 - slope_ / tau)
-        low += dt * slope_
-        through.append(low)
-    followed, turned = Followed(), Turned()
-    for k in range(40):
-        # It takes what comes in a second for half of it on the average: a ramp is given as one.
-        turned.parts[:] = 2.0 * parts[100 * k] - followed.last
-        followed.follow(turned, 1.0)
-        np.testing.assert_allclose(followed.parts, through[100 * k + 99], atol=0.02 * np.abs(parts).max())
-
-
 @pytest.mark.parametrize("way", [MPU_9250, LEFT_HANDED])
 def test_a_magnetometer_that_has_not_the_gyros_axes_loses_north(way: FloatArray) -> None:
     sent = {}
@@ -407,6 +392,18 @@ def test_a_magnetometer_that_has_not_the_gyros_axes_loses_north(way: FloatArray)
             assert wrapped(found["attitude_estimate_heading"][free[0]]) == pytest.approx(0.0, abs=0.1)
             assert np.isnan(found["attitude_estimate_heading_sd"][free[0]])  # which of the two is wrong?
     assert sent == {"as declared": (1, 0), "other": (0, 1)}
+
+
+def test_retired_parameters_are_read_ignored_and_named_once() -> None:
+    text = "use_magnetometer: false\naxes_doubt: 0.3\naccel_error_probability: 0.2\n"
+    given = parse_yaml(text, AttitudeParameters, "session.yaml")
+    assert given == AttitudeParameters(use_magnetometer=False)
+    assert "axes" not in given.model_dump_json()
+    stage = AttitudeEstimate(given)
+    assert stage.notices() == [
+        f"attitude: {name}_error_probability is not used any more" for name in ("accel", "axes")
+    ]
+    assert stage.notices() == []
 
 
 def test_gyros_without_gravity_have_no_attitude() -> None:

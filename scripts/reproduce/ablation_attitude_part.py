@@ -1,0 +1,130 @@
+"""Ablations of the attitude's sigma: simulated scenes, with and without a magnetometer, and recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from ablation_outcome import Outcome
+from attitude_measured import measured
+from attitude_scenes import SCENES, calibrated, simulate
+from attitude_table import heading_error, rms, tilt_error
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.attitude import heading_sigma, tilt_sigma
+from imumon.estimation.attitude.parameters import AttitudeParameters
+from imumon.estimation.attitude.stage import AttitudeEstimate
+from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.rest.stage import RestDetector
+
+FREE = (
+    "by hand", "robot arm", "swing", "drone", "rover", "car", "by hand, consumer gyros",
+    "by hand, consumer accelerometers", "at rest, consumer accelerometers",
+)  # fmt: skip
+MAGNETIC = ("by hand", "by hand, magnet on the body", "by hand, magnet put on", "at rest, magnet comes near")
+RATE_HZ, FLOOR_DEG = 50.0, 0.01
+TITLE = "Attitude, °: the angles are those of VQF in all rows, so the first columns are of the median sigma."
+Change = tuple[Any, str, Any]
+"""Object, name and what stands there instead."""
+
+
+def _prior(gyros: tilt_sigma.Gyros) -> float:
+    return gyros.prior
+
+
+def _nothing(*_: Any) -> float:
+    return 0.0
+
+
+def _as_in_motion(tilt: tilt_sigma.TiltSigma, slot: tilt_sigma.Slot) -> float:
+    tilt.rested = True
+    return tilt._in_motion(slot, float(((slot.up - tilt.ups[0]) ** 2).sum()))
+
+
+VARIANTS: dict[str, list[Change]] = {
+    "lag 3 s": [(tilt_sigma, "LAG_S", 3.0)],
+    "lag 12 s": [(tilt_sigma, "LAG_S", 12.0)],
+    "memory 5 s": [(tilt_sigma, "MEMORY_S", 5.0)],
+    "memory 60 s": [(tilt_sigma, "MEMORY_S", 60.0)],
+    "onset not doubled": [(tilt_sigma, "ONSET", 0.0)],
+    "scale not learned": [(tilt_sigma.Gyros, "variance", property(_prior))],
+    "s0 1 %": [(tilt_sigma, "SCALE_SD", 0.01)],
+    "s0 4 %": [(tilt_sigma, "SCALE_SD", 0.04)],
+    "g0 0.5 rad²": [(tilt_sigma, "SCALE_TURN", 0.5)],
+    "g0 8 rad²": [(tilt_sigma, "SCALE_TURN", 8.0)],
+    "no late term": [(tilt_sigma.TiltSigma, "_late", _nothing)],
+    "no wrong axes": [(tilt_sigma, "WRONG_AXES", 0.0)],
+    "cleared at 1 rad²": [(tilt_sigma, "CLEARED", 1.0)],
+    "contradicts at 1 %": [(tilt_sigma, "CONTRADICTS", 0.01)],
+    "contradicts at 10 %": [(tilt_sigma, "CONTRADICTS", 0.1)],
+    "a0 5 mg": [(tilt_sigma, "ACCEL_SD", 0.05)],
+    "a0 15 mg": [(tilt_sigma, "ACCEL_SD", 0.15)],
+    "|f| - g not used": [(tilt_sigma, "ACCEL_SHOWN", 0.0)],
+    "rest not used": [(tilt_sigma.TiltSigma, "_at_rest", _as_in_motion)],
+    "i0 1 %": [(heading_sigma, "IRON", 0.01)],
+    "i0 4 %": [(heading_sigma, "IRON", 0.04)],
+    "iron never shows": [(heading_sigma, "IRON_SHOWN", 0.0)],
+}
+"""What is left out or set otherwise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Input:
+    """A record as the stage before leaves it, the true attitude, (n, 3, 3), and the body axes."""
+
+    samples: SampleBlock
+    truth: FloatArray
+    axes: Any
+
+
+@cache
+def simulated(name: str, with_mag: bool, seed: int) -> Input:
+    """Return a record of a scene."""
+    record = simulate(SCENES[name], RATE_HZ, seed)
+    columns = record.samples.columns.items()
+    samples = SampleBlock({key: each for key, each in columns if with_mag or not key.startswith("mag")})
+    for before in (RestDetector(), GyroBias(mode="learned")):
+        samples = samples.with_columns(before.process(samples))
+    return Input(samples, record.attitude, record.axes)
+
+
+def outcomes(change: list[Change] | None, seeds: range, data: Path) -> Iterator[Outcome]:
+    """Yield the outcome of every scene with a change; the error is the median sigma, for the angles stay."""
+    with ExitStack() as patches:
+        for where, name, value in change or []:
+            patches.enter_context(patch.object(where, name, value))
+        for name, with_mag in [*((name, False) for name in FREE), *((name, True) for name in MAGNETIC)]:
+            found = [_errors(simulated(name, with_mag, seed), with_mag) for seed in seeds]
+            tilt, tilt_sd, turn, turn_sd = (np.concatenate(each) for each in zip(*found, strict=True))
+            if not with_mag:
+                yield _outcome(f"{name}, tilt", tilt, tilt_sd)
+            yield _outcome(f"{name}, {'magnetic' if with_mag else 'free'} heading", turn, turn_sd)
+        for trial in measured(data / "broad", AttitudeParameters()):
+            yield _outcome(f"{trial.name}, tilt", trial.tilt, trial.tilt_sd)
+            yield _outcome(f"{trial.name}, free heading", trial.turn, trial.turn_sd)
+
+
+def _errors(given: Input, with_mag: bool) -> list[FloatArray]:
+    """Return error and sigma of the tilt, and of the heading, rad, (n,) each."""
+    found = AttitudeEstimate(axes=given.axes, magnetometer=calibrated()).process(given.samples)
+    q = np.column_stack([found[f"attitude_estimate_{part}"] for part in "wxyz"])
+    tilt_sd, heading_sd = (found[f"attitude_estimate_{name}_sd"] for name in ("tilt", "heading"))
+    began, since = (int(np.argmax(np.isfinite(of))) for of in (q[:, 0], heading_sd))
+    q, truth = q[began:], given.truth[began:]
+    tilt, turn = tilt_error(q, truth), heading_error(q, truth, since - began, not with_mag)
+    return [tilt.ravel(), np.repeat(tilt_sd[began:], 2), turn, heading_sd[began:]]
+
+
+def _outcome(scene: str, error: FloatArray, sd: FloatArray) -> Outcome:
+    known = np.isfinite(sd)
+    ratio = error[known] / sd[known]
+    sigma = float(np.degrees(np.median(sd[known]))) if known.any() else 0.0
+    return Outcome(
+        scene, sigma, FLOOR_DEG, rms(ratio) if known.any() else 0.0, float(np.abs(ratio).max(initial=0.0))
+    )
