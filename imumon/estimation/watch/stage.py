@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 
 import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
-from imumon.estimation.watch import evidence
+from imumon.estimation.watch.evidence import BLOCK, LEARNING, State, limit, step
 from imumon.estimation.watch.parameters import WatchParameters
 from imumon.estimation.watch.verdict import judge
 from imumon.filters.segments import Breaks
 
-AXES = "xyz"
-LANE = "model"
 SUSPECT = Column("model_suspect", "1", "int64", "1 once the bias filter is caught at being wrong, else 0")
-INNOVATION = "zupt_innovation"
 
 
 class ModelWatch:
@@ -35,13 +31,13 @@ class ModelWatch:
 
     def __init__(self, parameters: WatchParameters | None = None, modelled: bool = False) -> None:
         given = parameters or WatchParameters()
-        self._alarm_at = evidence.limit(given.false_alarm_hours)
+        self._alarm_at = limit(given.false_alarm_hours)
         self._modelled = modelled
-        self._state = evidence.begin()
+        self._state = State()
         self._breaks, self._origin_ns = Breaks(), NO_INT
         self._suspect_segment: int | None = None
         self._pending: list[str] = []
-        self._said: set[str] = set()
+        self._reported: set[str] = set()
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -55,7 +51,7 @@ class ModelWatch:
         ``temperature_estimate`` and ``temperature_rate``, of each axis before those of the unit.
         """
         suspect = np.zeros(len(block), np.int64)
-        names = [f"{INNOVATION}_{axis}" for axis in AXES]
+        names = [f"zupt_innovation_{axis}" for axis in "xyz"]
         if any(name not in block for name in names):
             return {SUSPECT.name: suspect}
         segment = block["segment"]
@@ -82,38 +78,33 @@ class ModelWatch:
         time_ns, segments = block["device_time_ns"][slots], block["segment"][slots]
         temperature = _of_axes(block, "temperature_estimate", slots)
         rate = _of_axes(block, "temperature_rate", slots)
-        breaks = self._breaks.rows(time_ns, segments)
-        for start, stop in pairwise(sorted({0, *breaks, len(slots)})):
-            if start in breaks:
-                self._state = evidence.begin()
-                changes.append((int(slots[start]), None))
-            if start in breaks or self._origin_ns == NO_INT:
-                self._origin_ns = int(time_ns[start])
-            found = evidence.watch(
-                self._state,
-                1e-9 * (time_ns[start:stop] - self._origin_ns),
-                innovation[start:stop],
-                temperature[start:stop],
-                rate[start:stop],
-                self._alarm_at,
-            )
-            if found >= 0:
-                changes.append((int(slots[start + found]), int(segments[start])))
-                self._say(judge(self._state.at_alarm, self._modelled).notice)
+        breaks = set(self._breaks.rows(time_ns, segments))
+        for k, row in enumerate(slots.tolist()):
+            if k in breaks:
+                self._state = State()
+                changes.append((row, None))
+            if k in breaks or self._origin_ns == NO_INT:
+                self._origin_ns = int(time_ns[k])
+            now_s = 1e-9 * (int(time_ns[k]) - self._origin_ns)
+            highest = step(self._state, now_s, innovation[k], temperature[k], rate[k])
+            if highest >= self._alarm_at and not self._state.alarm:
+                self._state.alarm = True
+                changes.append((row, int(segments[k])))
+                self._report(judge(self._state.peaks, self._modelled).notice)
         return changes
 
-    def _say(self, text: str) -> None:
-        if text not in self._said:
-            self._said.add(text)
+    def _report(self, text: str) -> None:
+        if text not in self._reported:
+            self._reported.add(text)
             self._pending.append(text)
 
     def lanes(self) -> Mapping[str, str]:
         """Return the lane ``model``: MODEL OK, MODEL SUSPECT with the reason, waiting, or no model."""
         if self._state.alarm:
-            return {LANE: f"MODEL SUSPECT: {judge(self._state.peaks, self._modelled).reason}"}
-        if self._state.slots < evidence.LEARNING + evidence.BLOCK:
-            return {LANE: "waiting for rest"}
-        return {LANE: "MODEL OK" if self._modelled else "no model; the filter agrees with itself"}
+            return {"model": f"MODEL SUSPECT: {judge(self._state.peaks, self._modelled).reason}"}
+        if self._state.slots < LEARNING + BLOCK:
+            return {"model": "waiting for rest"}
+        return {"model": "MODEL OK" if self._modelled else "no model; the filter agrees with itself"}
 
     def notices(self) -> list[str]:
         """Return, once each, what is suspected and which command tells more; for the log."""
@@ -125,7 +116,7 @@ def _of_axes(block: SampleBlock, name: str, rows: IntArray) -> FloatArray:
     """Return a column at some rows, of each axis where it has its own, else of the unit, (rows, 3)."""
     common = np.asarray(block[name][rows]) if name in block else np.full(len(rows), np.nan)
     result = np.tile(common[:, np.newaxis], (1, 3))
-    for j, axis in enumerate(AXES):
+    for j, axis in enumerate("xyz"):
         own = block.columns.get(f"{name}_{axis}")
         if own is not None:
             result[:, j] = np.where(np.isfinite(own[rows]), own[rows], common)

@@ -11,6 +11,7 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.watch import evidence
+from imumon.estimation.watch.evidence import Trait
 from imumon.estimation.watch.parameters import WatchParameters
 from imumon.estimation.watch.stage import ModelWatch
 from imumon.models.curves.polynomial import PolynomialCurve
@@ -39,7 +40,11 @@ def _three(values: FloatArray) -> FloatArray:
 def alarm(
     seconds: FloatArray, innovation: FloatArray, temperature: FloatArray, rate: FloatArray, hours: float
 ) -> int:
-    return evidence.watch(evidence.begin(), seconds, innovation, temperature, rate, evidence.limit(hours))
+    state, alarm_at = evidence.State(), evidence.limit(hours)
+    for i, now_s in enumerate(seconds.tolist()):
+        if evidence.step(state, now_s, innovation[i], temperature[i], rate[i]) >= alarm_at:
+            return i
+    return -1
 
 
 def highest_sum(gains: FloatArray) -> float:
@@ -54,21 +59,23 @@ def test_the_evidence_is_the_largest_sum_of_logarithms_of_e_factors() -> None:
     rate[300:] = np.nan
     innovation[:, 1] += 0.5
     innovation[700:720] *= 9.0
-    state = evidence.begin()
-    evidence.watch(state, seconds, innovation, temperature, rate, 1e9)
+    state = evidence.State()
+    for i, now_s in enumerate(seconds.tolist()):
+        evidence.step(state, now_s, innovation[i], temperature[i], rate[i])
     v = np.clip(innovation, -evidence.CLIP, evidence.CLIP)[evidence.LEARNING :, 1]
     past = np.clip(
         np.clip(innovation, -evidence.CLIP, evidence.CLIP)[evidence.LEARNING - 1 : -1, 1] / 3, -1, 1
     )
-    for place, r in ((evidence.CONSTANT, np.ones(len(v))), (evidence.PAST, past)):
+    constant, first_past = (evidence.columns_of(trait)[0] for trait in (Trait.TIME, Trait.PAST))
+    for place, r in ((constant, np.ones(len(v))), (first_past, past)):
         gains = [
             theta * (r * v - evidence.TOLERANCE * np.abs(r)) - theta**2 * r**2 * evidence.KAPPA / 2
-            for theta in evidence.THETAS
+            for theta in evidence.THETAS[:3]
         ]
         blocks = [gain[: len(v) // 10 * 10].reshape(-1, 10).sum(1) for gain in gains]
         expected = max(highest_sum(block) for block in blocks)
         assert state.peaks[1, place] == pytest.approx(max(expected, 0.0), rel=1e-9, abs=1e-9)
-    assert state.peaks[1, evidence.CONSTANT] > 50.0
+    assert state.peaks[1, constant] > 50.0
 
 
 def test_a_pause_forgets_the_extremes_of_the_temperature() -> None:
@@ -76,10 +83,13 @@ def test_a_pause_forgets_the_extremes_of_the_temperature() -> None:
     seconds[200:] += 4 * evidence.SCALE_S
     temperature[:200] += 100.0 * np.sin(seconds[:200, np.newaxis])
     temperature[200:], rate[:] = 25.0, 0.0
-    state = evidence.begin()
-    evidence.watch(state, seconds, innovation, temperature, rate, 1e9)
-    assert state.scale[:, : evidence.RATE] == pytest.approx(100.0 * np.exp(-4.0), rel=0.5)
-    assert state.scale[:, evidence.RATE :] == pytest.approx(evidence.LEAST_RATE)
+    state = evidence.State()
+    for i, now_s in enumerate(seconds.tolist()):
+        evidence.step(state, now_s, innovation[i], temperature[i], rate[i])
+    assert state.scale[:, evidence.columns_of(Trait.TEMPERATURE)] == pytest.approx(
+        100.0 * np.exp(-4.0), rel=0.5
+    )
+    assert state.scale[:, evidence.columns_of(Trait.RATE)] == pytest.approx(evidence.LEAST[Trait.RATE])
 
 
 def test_false_alarms_are_as_rare_as_promised() -> None:
