@@ -47,7 +47,8 @@ class AlignmentParameters(StrictModel):
     settled_deg : float
         The heading is settled when its sigma is at most this.
     observable_deg : float
-        A heading with a larger sigma is not shown.
+        A heading with a larger sigma is not shown.  The sigma of a MEMS gyro whose bias happens to be small is
+        7 to 12 degrees.
     gyro_bias_sd_deg_per_h : float, optional
         Standard deviation of a gyro's bias, from run to run.  When it is not given, it is judged by the noise
         (a noisy gyro has a large bias) and by how well the rate fits the earth's.
@@ -67,7 +68,7 @@ class AlignmentParameters(StrictModel):
     corner_hz: float = Field(default=2.0, ge=0.05, le=50.0)
     damping: float = Field(default=0.7, ge=0.2, le=2.0)
     settled_deg: float = Field(default=0.05, gt=0.0, le=90.0)
-    observable_deg: float = Field(default=10.0, gt=0.0, le=60.0)
+    observable_deg: float = Field(default=5.0, gt=0.0, le=60.0)
     gyro_bias_sd_deg_per_h: float | None = Field(default=None, ge=0.0, le=1e5)
     gyro_flicker_deg_per_h: float | None = Field(default=None, ge=0.0, le=1e5)
     gyro_scale_sd_ppm: float | None = Field(default=None, ge=0.0, le=1e5)

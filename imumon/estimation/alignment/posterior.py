@@ -1,9 +1,12 @@
-"""The heading from all poses: mean and standard deviation over what cannot be known.
+"""The heading from all positions: a mixture over hypotheses and sizes of the gyros' bias.
 
-The hypotheses of `fit` are weighed by their probability, and so is the size of the gyros' bias: what the
-vertical gyro shows beyond Ω sin L, and the horizontal ones beyond the length Ω cos L, tell of it.  A turn
-about the vertical that has gone on all the time adds to the vertical rate as a bias does, and it has turned
-the unit away from where each pose saw north.
+Given a hypothesis and a size s of the bias, rates are linear in the direction z = (cos a, sin a) of north and
+the bias b, which turns with the body::
+
+    y_p = R z + C_p b + noise,    v_p = R tan L + C_p b + noise,    b ~ N(0, s²),    R = Ω cos L
+
+Eliminating b leaves r.z - ½ z' Λ z as the log density on the circle: a von Mises distribution where Λ is
+isotropic, and a generalised one (Gatto and Jammalamadaka 2007) where one gyro is worse than the others.
 """
 
 from __future__ import annotations
@@ -11,318 +14,257 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import i0e, i1e
 
-from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.alignment.account import ANY_ANGLE_SD
-from imumon.estimation.alignment.creep import ALL_ALONG, RATES, Rest, mixture, probabilities
-from imumon.estimation.alignment.fit import FINEST, PoseFit
-from imumon.geodesy import EARTH_RATE
+from imumon.blocks import FloatArray
+from imumon.estimation.alignment.hypotheses import PositionFit
+from imumon.estimation.alignment.status import ANY_ANGLE_SD
+from imumon.filters.turns import rotation_by
+from imumon.geodesy import DEG_PER_H, EARTH_RATE
 
-ROUNDS = 16
-"""Newton's steps to a heading; after 8 tenths of a sigma may be left, where two are nearly as likely."""
-CLOSE = 1e-6
-"""The next step to a heading is the square of this."""
-LIKELIEST = 24
-"""Hypotheses that are looked at; the others have lost by far."""
-FLAT = 1e-3
-"""1/rad²: where two directions opposite each other are as likely, so much decides, which knows no heading."""
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Where the unit is, and what its gyros may be wrong by.
-
-    Parameters
-    ----------
-    latitude : float
-        rad.
-    bias_sds : array, (s, 3)
-        Standard deviations of the gyros' biases that are thought of, body axes, rad/s.
-    bias_log_prior : array, (s,)
-    flicker : float
-        Standard deviation by which a bias changes from pose to pose, rad/s.
-    level_sd : float
-        Standard deviation of an accelerometer's bias, in g.
-    """
-
-    latitude: float
-    bias_sds: FloatArray
-    bias_log_prior: FloatArray
-    flicker: float
-    level_sd: float
+CLASS_BIAS, CLASS_ARW, CLASS_POWER, CLASS_SCATTER = 2.0 * DEG_PER_H, math.radians(0.1) / 60.0, 1.86, 1.5
+"""A gyro with the noise N has a bias of about 2 °/h (N / 0.1 °/√h)^1.86, and 1.5 is the standard deviation of
+its logarithm: regression over the data sheets in docs/alignment.md."""
+LEAST_ARW, LARGEST_CLASS_BIAS = math.radians(0.002) / 60.0, EARTH_RATE
+"""The quietest of these gyros, and a bias that hides the north anyway."""
+LOG_SIZES = np.linspace(-4.0, 12.0, 17)
+"""Logarithms of the sizes of the bias over that of the class: up to 200 °/h for the best gyros."""
+P_WORSE = 0.02
+"""Prior probability that all gyros are worse than their class, by any factor; assumed."""
+P_SINGLE, SINGLE = 0.003, np.exp([2.0, 4.0, 6.0, 8.0, 10.0])
+"""Prior probability that one or two gyros are worse than the others, as seldom as a normal value beyond three
+standard deviations, and by which factors."""
+SOME_AXES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1], [1, 0, 1], [1, 1, 0]], dtype=bool)
+P_DECLARED = 0.999
+"""Prior probability that a declared bias holds."""
+LEAST_BIAS = 1e-11
+"""rad/s: a bias declared as zero."""
+LIKELY = -15.0
+"""Log weight below the largest from which on a hypothesis counts."""
+DIRECTIONS, NEWTON_STEPS, LONGEST_STEP = 32, 6, 0.2
+"""Start values around the circle, and steps of at most 0.2 rad from the two largest: they converge
+quadratically."""
 
 
 @dataclass(frozen=True, slots=True)
 class Heading:
-    """The posterior.
+    """The posterior of the direction of north.
 
     Parameters
     ----------
     north : float
-        Direction of north at the end of the last pose, in the frame of the attitudes, rad from its forward to
-        its left.
+        Direction of north in the reference frame at the end of the last position, rad, counter-clockwise.
     sd : float
         rad.
-    bias_sd : float
-        Posterior root mean square of a horizontal gyro's bias that the poses do not cancel, rad/s.
-    supposed_sd : float
-        Posterior root mean square of the size of the bias, rad/s.
-    tilting : float
-        Probability that the unit settles, or tilts ever farther.
     noise_sd : float
-        What white noise alone leaves, rad.
-    rest : Rest
-        What the vertical gyro reads at rest in the last pose.
+        What noise without a bias leaves, rad.
+    bias_sd : float
+        What the bias may add to the level rate, root mean square, rad/s.
+    size_sd : float
+        Root mean square of the size of the bias, rad/s.
+    settling : float
+        Probability that the unit settles.
     """
 
     north: float
     sd: float
-    bias_sd: float
-    supposed_sd: float
-    tilting: float
     noise_sd: float
-    rest: Rest
+    bias_sd: float
+    size_sd: float
+    settling: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Seen:
-    """What is seen of all poses, which is linear in the direction of north and in rates.
+def bias_sizes(arw: float, declared: float | None) -> tuple[FloatArray, FloatArray]:
+    """Return sizes of the biases of the three gyros, rad/s, (s, 3), and their log probabilities, (s,).
 
     Parameters
     ----------
-    columns : array, (h, 3 p, 3)
-        Their products with (1, cos a, sin a) are the residuals of a direction a of north, by each hypothesis.
-    noise : array, (h, 3 p)
-        Variances.
-    by_rates : array, (3 p, k)
-        What the biases change, and last one rate all along; this is the one that is taken first.
-    sizes : sequence of array, (k,)
-        Standard deviations of these rates that are thought of, which broadcast to (r, s).
-    rate_log_prior : array, (r, 1)
-        Of the sizes of the last.
-    log_weight, settles : array, (h,)
-        Of each hypothesis, and whether the unit settles by it, or tilts ever farther.
+    arw : float
+        White noise of the quietest gyro, rad/√s.
+    declared : float or None
+        Standard deviation of a bias by the pipeline file, rad/s.
     """
+    typical = min(CLASS_BIAS * (max(arw, LEAST_ARW) / CLASS_ARW) ** CLASS_POWER, LARGEST_CLASS_BIAS)
+    worse = LOG_SIZES > 0.0
+    if declared is not None:
+        larger = max(typical, declared) * np.exp(LOG_SIZES[worse])
+        probability = np.r_[P_DECLARED, np.full(len(larger), (1.0 - P_DECLARED) / len(larger))]
+        return np.tile(np.r_[max(declared, LEAST_BIAS), larger][:, None], (1, 3)), np.log(probability)
+    density = np.exp(-0.5 * (LOG_SIZES / CLASS_SCATTER) ** 2)
+    alike = (1.0 - P_WORSE - P_SINGLE) * density / density.sum() + P_WORSE * worse / worse.sum()
+    some = np.where(SOME_AXES, SINGLE[:, None, None], 1.0).reshape(-1, 3)
+    sizes = np.concatenate([np.tile(np.exp(LOG_SIZES)[:, None], (1, 3)), some])
+    return typical * sizes, np.log(np.r_[alike, np.full(len(some), P_SINGLE / len(some))])
 
-    columns: FloatArray
-    noise: FloatArray
-    by_rates: FloatArray
-    sizes: Sequence[FloatArray]
-    rate_log_prior: FloatArray
-    log_weight: FloatArray
-    settles: FloatArray
 
-
-def heading(
-    fits: Sequence[PoseFit], attitudes: Sequence[FloatArray], turn_variances: FloatArray, place: Place
+def heading_posterior(
+    fits: Sequence[PositionFit],
+    turn_variances: FloatArray,
+    latitude: float,
+    sizes: FloatArray,
+    log_prior: FloatArray,
+    flicker: float,
+    level_sd: float,
 ) -> Heading:
-    """Return the direction of north.
+    """Return the heading at the end of the last position.
 
     Parameters
     ----------
-    fits : sequence of PoseFit, (p,)
-    attitudes : sequence of array (3, 3)
-        Body axes in the middle of each pose to a level frame, that of the means of the fits.
+    fits : sequence of PositionFit
+        Earlier ones count by mean and variance over their hypotheses.
     turn_variances : array, (p,)
-        Of their angles about the vertical, rad².
+        Of the angle by which the unit was turned since the first position, rad².
+    latitude : float
+        rad.
+    sizes, log_prior : array, (s, 3) and (s,)
+        Of `bias_sizes`.
+    flicker : float
+        Standard deviation by which a bias changes from position to position, rad/s.
+    level_sd : float
+        Of an accelerometer's bias, g.
     """
-    standing = _seen(fits, attitudes, turn_variances, place)
-    # What turns do to the rates depends on where north is, of which the likeliest hypothesis tells enough.
-    likeliest = replace(
-        standing, columns=standing.columns[:1], noise=standing.noise[:1], log_weight=standing.log_weight[:1]
-    )
-    about = _weighed(likeliest, place).centre
-    level = EARTH_RATE * math.cos(place.latitude)
-    seen = _with_turns(standing, fits, level * cmath.exp(1j * about), place)
-    found = _weighed(seen, place)
-    angle, curvature, probability, centre = found.angle, found.curvature, found.probability, found.centre
-    off = np.remainder(angle - centre + math.pi, 2.0 * math.pi) - math.pi
-    variance = float(np.sum(probability * (1.0 / curvature + off**2)))
-    turned = (place.level_sd * math.tan(place.latitude)) ** 2 if abs(place.latitude) < 1.5 else math.inf
-    white = 1.0 / float(np.sum(1.0 / seen.noise[0, : len(fits)])) / level**2
-    by_size = probability.sum(0)
-    supposed = math.sqrt(float(by_size.sum(0) @ np.mean(place.bias_sds**2, axis=1)))
-    left_over = max(float(np.vdot(by_size, 1.0 / curvature[0])) - white, 0.0)
-    upright = _upward_bias(seen, probability)
-    return Heading(
-        centre,
-        min(math.sqrt(variance + turned), ANY_ANGLE_SD),
-        math.sqrt(left_over) * level,
-        supposed,
-        float(probability.sum((1, 2)) @ seen.settles),
-        math.sqrt(white),
-        Rest(EARTH_RATE * math.sin(place.latitude) + upright.rate, upright.variance),
-    )
+    last = fits[-1]
+    keep = last.log_weight > LIKELY
+    log_weight, settles = last.log_weight[keep], last.settles[keep]
+    level_rate, earth_vertical = EARTH_RATE * math.cos(latitude), EARTH_RATE * math.sin(latitude)
+    information, vector = np.zeros((5, 5)), np.zeros(5)
+    crept, creep_s = last.crept, last.seconds if last.crept else 0.0
+    for one, turned in zip(fits[-2::-1], (turn_variances[-1] - turn_variances)[-2::-1].tolist(), strict=True):
+        rate, variance = one.together()
+        rate *= cmath.exp(-1j * crept)
+        design = _design(one, rate, level_rate, crept, creep_s)
+        weight = _weights(one, variance, turned, level_rate, flicker)
+        crept, creep_s = crept + one.crept, creep_s + (one.seconds if one.crept else 0.0)
+        information += design.T @ (weight[:, None] * design)
+        vector += design.T @ (weight * [rate.real, rate.imag, one.vertical - earth_vertical])
+    rate, _ = last.together()
+    design = _design(last, rate, level_rate, 0.0, 0.0)
+    weights = np.array([_weights(last, v, 0.0, level_rate, flicker) for v in last.variance[keep].tolist()])
+    rates = last.rate[keep]
+    observed = np.column_stack([rates.real, rates.imag, np.full(len(rates), last.vertical - earth_vertical)])
+    informations = information + np.einsum("ri,hr,rj->hij", design, weights, design)
+    vectors = vector + (weights * observed) @ design
+    misfit = 0.5 * np.sum(weights * observed**2, axis=1) - 0.5 * np.log(weights).sum(axis=1)
+    form = _without_bias(informations, vectors, sizes)
+    log_density = form.log_factor - misfit[:, None] + log_weight[:, None] + log_prior
+    return _mixture(form, log_density, settles, sizes, level_rate, level_sd * math.tan(latitude))
 
 
-def _seen(
-    fits: Sequence[PoseFit], attitudes: Sequence[FloatArray], turn_variances: FloatArray, place: Place
-) -> Seen:
-    """Return what is seen of poses that stand; parameters as those of `heading`."""
-    poses, level = len(fits), EARTH_RATE * math.cos(place.latitude)
-    log_weight, which, rests = _together(fits)
-    values = np.stack([fit.mean[k] for fit, k in zip(fits, which, strict=True)], 1)  # (h, p)
-    common = FINEST**2 + place.flicker**2
-    spread = np.stack([fit.variance[k] for fit, k in zip(fits, which, strict=True)], 1)
-    spread += common + level**2 * turn_variances
-    settles = np.max([fit.settles[k] for fit, k in zip(fits, which, strict=True)], axis=0)
-    rate = np.stack([fit.creep.rests.rate[k] for fit, k in zip(fits, rests, strict=True)], 1)
-    vertical = np.stack([
-        np.maximum(fit.creep.rests.variance[k], fit.vertical_variance)
-        for fit, k in zip(fits, rests, strict=True)
-    ], 1)  # fmt: skip
-    by_bias = np.concatenate([np.stack([matrix[axis] for matrix in attitudes]) for axis in range(3)])
-    of_bias = np.array([fit.creep.of_bias for fit in fits])[:, None]
-    of_bias = of_bias * (by_bias[:poses] + 1j * by_bias[poses : 2 * poses])
-    by_bias[: 2 * poses] = np.concatenate([of_bias.real, of_bias.imag])
-    columns = np.zeros((len(values), 3 * poses, 3))
-    upward = EARTH_RATE * math.sin(place.latitude)
-    columns[..., 0] = np.concatenate([values.real, values.imag, rate - upward], 1)
-    columns[:, :poses, 1] = columns[:, poses : 2 * poses, 2] = -level
-    all_along = np.r_[np.zeros(2 * poses), np.ones(poses)]
-    share = np.log(np.r_[1.0 - ALL_ALONG, np.full(len(RATES), ALL_ALONG / len(RATES))])
-    return Seen(
-        columns,
-        np.concatenate([spread, spread, vertical + common], 1),
-        np.column_stack([by_bias, all_along]),
-        [*place.bias_sds.T, np.r_[0.0, RATES][:, None]],
-        share[:, None],
-        log_weight,
-        settles,
-    )
+def _design(one: PositionFit, rate: complex, level_rate: float, crept: float, creep_s: float) -> FloatArray:
+    """Return the derivatives of level rates and vertical rate by z and b, (3, 5).
 
-
-def _with_turns(seen: Seen, fits: Sequence[PoseFit], north: complex, place: Place) -> Seen:
-    """Return what is seen of poses that turn beyond their `creep`.
-
-    What each turns is what it takes for rest there less what rest is.  `north` is about the horizontal earth
-    rate, rad/s.
+    Where the unit creeps about the vertical, its rates were turned by the angle that the vertical gyro shows.
+    Its bias turned them as well: those of the position by half of what it adds up to, and by all of it in
+    later positions, which took `creep_s` and turned the unit by `crept`, rad.
     """
-    level = slice(0, 2 * len(fits))
-    later_s = np.triu(np.tile([fit.creep.before_s + fit.creep.after_s for fit in fits], (len(fits), 1)), 1)
-    turned = 1j * north * (later_s + np.diag([fit.creep.after_s for fit in fits]))
-    beyond = np.concatenate([turned.real, turned.imag])
-    columns, by_rates = seen.columns.copy(), seen.by_rates.copy()
-    at_rest = np.array([fit.creep.rest.rate for fit in fits]) - EARTH_RATE * math.sin(place.latitude)
-    columns[:, level, 0] -= beyond @ at_rest
-    by_rates[level, :-1] -= beyond @ by_rates[level.stop :, :-1]
-    return replace(seen, columns=columns, by_rates=by_rates)
+    design = np.zeros((3, 5))
+    design[0, 0] = design[1, 1] = level_rate
+    design[:, 2:] = rotation_by(np.array([0.0, 0.0, -crept])) @ one.attitude
+    late_s = creep_s + (0.5 * one.seconds if one.crept else 0.0)
+    earth = level_rate * rate / max(abs(rate), 1e-30)
+    design[:2, 2:] += late_s * np.outer([earth.imag, -earth.real], one.attitude[2])
+    return design
+
+
+def _weights(
+    one: PositionFit, variance: float, turned: float, level_rate: float, flicker: float
+) -> FloatArray:
+    """Return the inverse variances of level rates and vertical rate, (3,)."""
+    level = variance + level_rate**2 * turned + flicker**2
+    return 1.0 / np.array([level, level, one.vertical_variance + flicker**2])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Weighed:
-    """Directions of north by each hypothesis and sizes of the rates, all (h, r, s), and their mean.
+class _Form:
+    """r.z - ½ z' Λ z of each hypothesis and size: `vector` (h, s, 2), `matrix` (h, s, 2, 2).
 
-    Parameters
-    ----------
-    angle, curvature, probability : array
-        rad; 1/rad²; a sum of 1.
-    centre : float
-        rad.
+    `log_factor` (h, s) is the density of what does not depend on z; `unbiased` (h, 2, 2) is Λ without bias.
     """
 
-    angle: FloatArray
-    curvature: FloatArray
-    probability: FloatArray
-    centre: float
+    vector: FloatArray
+    matrix: FloatArray
+    log_factor: FloatArray
+    unbiased: FloatArray
 
 
-def _weighed(seen: Seen, place: Place) -> Weighed:
-    """Return the direction by each hypothesis, and its probability."""
-    forms, log_determinant = _without_bias(seen)
-    prior = seen.log_weight[:, None, None] + seen.rate_log_prior + place.bias_log_prior
-    angle, misfit, curvature = _closest(forms)
-    logs = prior - 0.5 * (log_determinant + misfit + np.log(curvature))
-    probability = probabilities(logs)
-    return Weighed(angle, curvature, probability, float(np.angle(np.sum(probability * np.exp(1j * angle)))))
+def _without_bias(information: FloatArray, vector: FloatArray, sizes: FloatArray) -> _Form:
+    """Eliminate the bias from information (h, 5, 5) and its vector (h, 5)."""
+    precision = information[:, None, 2:, 2:] + np.eye(3) / sizes[:, None, :] ** 2
+    covariance = np.linalg.inv(precision)
+    cross = information[:, None, :2, 2:] @ covariance
+    bias = vector[:, None, 2:, None]
+    reduced = vector[:, None, :2] - (cross @ bias)[..., 0]
+    matrix = information[:, None, :2, :2] - cross @ information[:, None, 2:, :2]
+    log_factor = 0.5 * (bias.swapaxes(-1, -2) @ covariance @ bias)[..., 0, 0]
+    log_factor -= 0.5 * np.linalg.slogdet(precision)[1] + np.log(sizes).sum(axis=1)
+    return _Form(reduced, matrix, log_factor, information[:, :2, :2])
 
 
-def _together(fits: Sequence[PoseFit]) -> tuple[FloatArray, IntArray, IntArray]:
-    """Return the likeliest hypotheses of all poses: log weight (h,), and which of tilt and creep, (p, h)."""
-    weight, log_weight = np.zeros(1), np.zeros(1)  # the first with what is usual, which is not known twice
-    which = np.zeros((2, 0, 1), np.int64)
-    for fit in fits:
-        rests = fit.creep.rests
-        own = np.argsort(-fit.log_weight)[:LIKELIEST]
-        pairs = np.stack(np.meshgrid(own, np.arange(len(rests.rate)), indexing="ij")).reshape(2, 1, -1)
-        more = (fit.log_weight[pairs[0]] + rests.log_weight[pairs[1]]).ravel()
-        log_weight = (log_weight[:, None] + more).ravel()
-        weight = (weight[:, None] + more + fit.creep.log_usual[pairs[1]]).ravel()
-        which = np.concatenate(
-            [np.repeat(which, pairs.shape[2], axis=2), np.tile(pairs, which.shape[2])], axis=1
-        )
-        best = np.argsort(-weight)[:LIKELIEST]
-        weight, log_weight, which = weight[best], log_weight[best], which[..., best]
-    return log_weight, which[0], which[1]
-
-
-def _without_bias(seen: Seen) -> tuple[FloatArray, FloatArray]:
-    """Return products of columns, weighted by noise and rates, (h, r, s, 3, 3), and the log determinant.
-
-    The covariance is D + Σ sⱼ² aⱼ aⱼᵀ.  Each term is of rank one and changes the products by one, too
-    (Sherman and Morrison): those with the a that are still to come among them, as in Gauss elimination.
-    """
-    noise = seen.noise
-    every = np.concatenate(
-        [seen.columns, np.broadcast_to(seen.by_rates, (*noise.shape, len(seen.sizes)))], axis=2
+def _mixture(
+    form: _Form,
+    log_density: FloatArray,
+    settles: FloatArray,
+    sizes: FloatArray,
+    level_rate: float,
+    level_sd: float,
+) -> Heading:
+    """Return mean and standard deviation over all hypotheses and sizes."""
+    isotropic = 0.5 * (form.matrix[..., 0, 0] + form.matrix[..., 1, 1])
+    along = 0.25 * (form.matrix[..., 0, 0] - form.matrix[..., 1, 1])
+    across = 0.5 * form.matrix[..., 0, 1]
+    waves = np.stack([form.vector[..., 0], form.vector[..., 1], -along, -across], axis=-1)
+    angle, height, sharpness = _peaks(waves)
+    log_mass = log_density - 0.5 * isotropic + height + np.log(i0e(sharpness))
+    mass = np.exp(log_mass - log_mass.max())
+    mass /= mass.sum()
+    length = i1e(sharpness) / i0e(sharpness)
+    north = float(np.angle(np.sum(mass * length * np.exp(1j * angle))))
+    off = np.remainder(angle - north + np.pi, 2.0 * np.pi) - np.pi
+    spread = np.minimum(-2.0 * np.log(np.maximum(length, 1e-9)), ANY_ANGLE_SD**2)
+    variance = float(np.sum(mass * (spread + off**2))) + level_sd**2
+    tangent = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)[..., None, :]
+    sharp, free = (
+        (tangent @ matrix @ tangent.swapaxes(-1, -2))[..., 0, 0]
+        for matrix in (form.matrix, form.unbiased[:, None])
     )
-    products = ((every / noise[..., None]).swapaxes(1, 2) @ every)[:, None, None]
-    log_determinant = np.log(noise).sum(1)[:, None, None]
-    for size in reversed(seen.sizes):
-        of_rate, pivot = products[..., :-1, -1], 1.0 + size**2 * products[..., -1, -1]
-        share = (size**2 / pivot)[..., None] * of_rate
-        products = products[..., :-1, :-1] - share[..., :, None] * of_rate[..., None, :]
-        log_determinant = log_determinant + np.log(pivot)
-    return products, log_determinant
+    noise_variance = float(np.sum(mass / np.maximum(free, 1.0 / ANY_ANGLE_SD**2)))
+    whole_variance = float(np.sum(mass / np.maximum(sharp, 1e-12 * free + 1e-30)))
+    return Heading(
+        north,
+        min(math.sqrt(variance), ANY_ANGLE_SD),
+        math.sqrt(noise_variance),
+        level_rate * math.sqrt(max(whole_variance - noise_variance, 0.0)),
+        math.sqrt(float(mass.sum(axis=(0, 1)) @ np.mean(sizes**2, axis=1))),
+        float(np.sum(mass.sum(axis=(0, 2)) * settles)),
+    )
 
 
-def _upward_bias(seen: Seen, probability: FloatArray) -> Rest:
-    """Return the bias of the vertical gyro in the last pose: what it reads there, and the sizes, tell of it.
+def _peaks(waves: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return place, height and sharpness (minus the second derivative) of the two largest peaks, (2, ...).
 
-    The other poses do not: large sizes leave no digits in what all of them tell together.
+    The function is w0 cos a + w1 sin a + w2 cos 2a + w3 sin 2a, `waves` (..., 4).  A second peak that is not
+    there has the height -inf.
     """
-    own = sum(size**2 * share**2 for size, share in zip(seen.sizes[:-1], seen.by_rates[-1], strict=False))
-    other = seen.noise[:, -1, None, None] + seen.sizes[-1] ** 2  # (h, r, 1)
-    means = seen.columns[:, -1, 0, None, None] * own / (own + other)
-    return mixture(probability, means, own * other / (own + other))
-
-
-def _closest(forms: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return where (1, cos a, sin a) makes each form least, (h, r, s): a, the form, and its curvature.
-
-    Of all a: the least of a quadratic form on the circle, a trust region's (Moré and Sorensen 1983).  In the
-    axes in which its quadratic part is diagonal, gap and zero, it is at -b / (gap + m, m), with the m > 0 for
-    which this has length one; Newton's steps to it, of one over the length, come from below and only grow.
-    """
-    constant, by_cos, by_sin = forms[..., 0, 0], forms[..., 0, 1], forms[..., 0, 2]
-    cos_cos, cos_sin, sin_sin = forms[..., 1, 1], forms[..., 1, 2], forms[..., 2, 2]
-    half = 0.5 * (cos_cos - sin_sin)
-    gap, axis = 2.0 * np.hypot(half, cos_sin), 0.5 * np.arctan2(cos_sin, half)
-    c, s = np.cos(axis), np.sin(axis)
-    b, d = by_cos * c + by_sin * s, by_sin * c - by_cos * s
-    d = np.where(np.abs(d) > FLAT, d, np.copysign(FLAT, d))
-    multiplier = _multiplier(gap.ravel(), b.ravel(), d.ravel()).reshape(b.shape)
-    x, y = -b / (gap + multiplier), -d / multiplier
-    angle = axis + np.arctan2(y, x)
-    c, s = np.cos(angle), np.sin(angle)
-    along, across = by_cos + cos_cos * c + cos_sin * s, by_sin + cos_sin * c + sin_sin * s
-    curvature = gap * y * y + multiplier
-    return angle, constant + (by_cos + along) * c + (by_sin + across) * s, curvature
-
-
-def _multiplier(gap: FloatArray, b: FloatArray, d: FloatArray) -> FloatArray:
-    """Return the m of each form in `_closest`, (n,)."""
-    found = np.maximum(np.abs(d), np.abs(b) - gap)
-    some = np.arange(len(found))
-    for _ in range(ROUNDS):
-        m = found[some]
-        x, y = b / (gap + m), d / m
-        square = x * x + y * y
-        step = square * (np.sqrt(square) - 1.0) / (x * x / (gap + m) + y * y / m)
-        found[some] = m + step
-        left = step > CLOSE * m
-        some, gap, b, d = some[left], gap[left], b[left], d[left]
-    return found
+    around = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    values = waves @ np.stack([np.cos(around), np.sin(around), np.cos(2.0 * around), np.sin(2.0 * around)])
+    local = (values >= np.roll(values, 1, axis=-1)) & (values > np.roll(values, -1, axis=-1))
+    ranked = np.where(local, values, -np.inf)
+    first = np.argmax(np.where(local.any(axis=-1, keepdims=True), ranked, values), axis=-1)
+    np.put_along_axis(ranked, first[..., None], -np.inf, axis=-1)
+    second = np.argmax(ranked, axis=-1)
+    missing = ~np.isfinite(np.take_along_axis(ranked, second[..., None], axis=-1)[..., 0])
+    angle = around[np.stack([first, second])]
+    c, s, c2, s2 = np.moveaxis(waves, -1, 0)
+    for _ in range(NEWTON_STEPS):
+        one, two = np.exp(1j * angle), np.exp(2j * angle)
+        slope = s * one.real - c * one.imag + 2.0 * (s2 * two.real - c2 * two.imag)
+        sharp = c * one.real + s * one.imag + 4.0 * (c2 * two.real + s2 * two.imag)
+        angle = angle + np.clip(slope / np.maximum(np.abs(sharp), 1e-30), -LONGEST_STEP, LONGEST_STEP)
+    one, two = np.exp(1j * angle), np.exp(2j * angle)
+    height = c * one.real + s * one.imag + c2 * two.real + s2 * two.imag
+    sharp = c * one.real + s * one.imag + 4.0 * (c2 * two.real + s2 * two.imag)
+    height[1][missing] = -np.inf
+    return angle, height, np.maximum(sharp, 0.0)

@@ -1,117 +1,154 @@
-"""What the alignment keeps: slots of a unit at rest, in poses, with the turns between them.
-
-Slots are cells of a quarter of a second at first; when there are too many, neighbours are merged.  A slot in
-which the unit was disturbed keeps its place and does not count.
-"""
+"""Rows of a unit at rest in one position, and its rates in level axes."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
-from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.alignment.fit import PoseFit
+from imumon.blocks import BoolArray, ColumnArray, FloatArray
+from imumon.geodesy import STANDARD_GRAVITY, forward
 
 CAPACITY = 4096
-"""Cells that are kept: 17 minutes of quarters of a second, then of halves, and so on."""
-AXES = 3
-
-
-@dataclass
-class Pose:
-    """A position in which the unit rested.
-
-    Parameters
-    ----------
-    attitude : array (3, 3)
-        Body axes to the frame of the first pose: its `geodesy.forward`, left of that, and up.
-    turn_variance : float
-        Of the angle about the vertical by which the unit was turned since the first pose, rad².
-    counted_s : float
-        Undisturbed time before it.
-    passage_variance : float
-        Of the angle since the pose before.
-    crept_after : float
-        How far it has turned about the vertical unnoticed after this pose, rad, counter-clockwise.
-    told : PoseFit and array (3, 3), or None
-        What it tells, and its attitude with the level of all of it, once it is over.
-    """
-
-    attitude: FloatArray
-    turn_variance: float
-    counted_s: float
-    passage_variance: float = 0.0
-    crept_after: float = 0.0
-    told: tuple[PoseFit, FloatArray] | None = None
+"""Rows kept for a position: 17 minutes of slots of 1/4 s; then neighbours are merged."""
 
 
 @dataclass
 class Record:
-    """Cells side by side, the first `count` rows of each array.
+    """Rows of equal length; a slot that does not count keeps its place with weight zero.
 
     Parameters
     ----------
-    time_s : array (CAPACITY,)
-        Middle of the cell, since the first sample of the segment.
-    weight : array (CAPACITY,)
-        Samples in it; zero where the unit was disturbed or nothing came.
-    rate, force : array (CAPACITY, 3)
-        Mean of the gyros, rad/s, and of the accelerometers, m/s², body axes.
-    pose : array of int64, (CAPACITY,)
+    begun_s, ended_s : float
+        Time of the first and behind the last slot, since the first sample.
+    rows : array, (CAPACITY, 7)
+        Samples that count, mean rate of the gyros (3), rad/s, and specific force (3), m/s², body axes.
+    slots : int
+        Slots in all rows.
+    slots_per_row : int
+    counted_s : float
+        Time of the slots that count.
     """
 
-    time_s: FloatArray = field(default_factory=lambda: np.zeros(CAPACITY))
-    weight: FloatArray = field(default_factory=lambda: np.zeros(CAPACITY))
-    rate: FloatArray = field(default_factory=lambda: np.zeros((CAPACITY, AXES)))
-    force: FloatArray = field(default_factory=lambda: np.zeros((CAPACITY, AXES)))
-    pose: IntArray = field(default_factory=lambda: np.zeros(CAPACITY, np.int64))
-    count: int = 0
-    merged: int = 1
-    """Slots in a cell."""
-    open: int = 0
-    """Slots that the last cell lacks."""
+    begun_s: float
+    ended_s: float = 0.0
+    rows: FloatArray = field(default_factory=lambda: np.zeros((CAPACITY, 7)))
+    slots: int = 0
+    slots_per_row: int = 1
+    counted_s: float = 0.0
 
-    def add(self, time_s: float, weight: float, rate: FloatArray, force: FloatArray, pose: int) -> None:
-        """Add a slot."""
-        if self.open and self.pose[self.count - 1] == pose:
-            k = self.count - 1
-            done = self.merged - self.open
-            self.time_s[k] += (time_s - self.time_s[k]) / (done + 1)
-            total = self.weight[k] + weight
-            share = weight / total if total > 0.0 else 0.5
-            self.rate[k] += share * (rate - self.rate[k])
-            self.force[k] += share * (force - self.force[k])
-            self.weight[k] = total
-            self.open -= 1
-            return
-        if self.count == CAPACITY:
-            self._halve()
-        k, self.count, self.open = self.count, self.count + 1, self.merged - 1
-        self.time_s[k], self.weight[k], self.pose[k] = time_s, weight, pose
-        self.rate[k], self.force[k] = rate, force
+    def add(self, samples: float, values: FloatArray, ended_s: float, length_s: float) -> None:
+        """Add a slot; samples is zero when it does not count."""
+        k, within = divmod(self.slots, self.slots_per_row)
+        if k == CAPACITY:
+            self._merge()
+            k, within = divmod(self.slots, self.slots_per_row)
+        row = self.rows[k]
+        if not within:
+            row[0], row[1:] = samples, values
+        elif samples:
+            row[0] += samples
+            row[1:] += samples / row[0] * (values - row[1:])
+        self.slots += 1
+        self.ended_s = ended_s
+        self.counted_s += length_s if samples else 0.0
 
-    def leave_out(self, since_s: float) -> None:
-        """Count nothing of what was added since a time."""
-        first = int(np.searchsorted(self.time_s[: self.count], since_s))
-        self.weight[first : self.count] = 0.0
+    def _merge(self) -> None:
+        pairs = self.rows.reshape(-1, 2, 7)
+        weight = pairs[:, :, :1]
+        total = weight.sum(axis=1)
+        half = CAPACITY // 2
+        self.rows[:half, 1:] = (weight * pairs[:, :, 1:]).sum(axis=1) / np.maximum(total, 1e-9)
+        self.rows[:half, :1] = total
+        self.slots_per_row *= 2
 
-    def _halve(self) -> None:
-        """Merge neighbours; two of different poses were a turn, and do not count."""
-        same = self.pose[0::2] == self.pose[1::2]
-        pair = self.weight.reshape(-1, 2)
-        total = pair.sum(1)
-        share = np.divide(pair, total[:, None], out=np.full_like(pair, 0.5), where=total[:, None] > 0.0)
-        half, self.count = len(same), len(same)
-        self.time_s[:half] = self.time_s.reshape(-1, 2).mean(1)
-        for values in (self.rate, self.force):
-            values[:half] = np.einsum("kj,kji->ki", share, values.reshape(-1, 2, AXES))
-        self.weight[:half] = np.where(same, total, 0.0)
-        self.pose[:half] = self.pose[1::2]
-        self.merged, self.open = 2 * self.merged, 0
+    @property
+    def row_s(self) -> float:
+        """Length of a row."""
+        return (self.ended_s - self.begun_s) / max(self.slots, 1) * self.slots_per_row
 
-    def of_pose(self, number: int) -> npt.NDArray[np.int64]:
-        """Return the rows of a pose from its first to its last that counts."""
-        rows = np.flatnonzero((self.pose[: self.count] == number) & (self.weight[: self.count] > 0.0))
-        return np.arange(rows[0], rows[-1] + 1) if len(rows) else rows
+    @property
+    def whole_rows(self) -> FloatArray:
+        """The rows that are complete, (n, 7)."""
+        return self.rows[: self.slots // self.slots_per_row]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Levelled:
+    """A record in level axes, complex: forward + i left of the reference frame.
+
+    Parameters
+    ----------
+    row_s : float
+    valid : array of bool, (n,)
+    rate : array of complex, (n,)
+        Level gyros, rad/s, as they would read in axes that follow the accelerometers' level.
+    vertical : array, (n,)
+        Vertical gyro, rad/s.
+    level : array of complex, (n,)
+        Tilt by the accelerometers, rad: gyros see its derivative.
+    attitude : array, (3, 3)
+        Body axes to level axes, by all of the record.
+    """
+
+    row_s: float
+    valid: BoolArray
+    rate: ColumnArray
+    vertical: FloatArray
+    level: ColumnArray
+    attitude: FloatArray
+
+
+def levelled(
+    record: Record, attitude: FloatArray, earth_vertical: float, known_tau_s: FloatArray, known_g: FloatArray
+) -> Levelled:
+    """Return a record in level axes.
+
+    Parameters
+    ----------
+    record : Record
+    attitude : array, (3, 3)
+        Body axes to the reference frame, which tells the azimuth; the level is that of the record.
+    earth_vertical : float
+        Ω sin L, rad/s.
+    known_tau_s, known_g : array, (3,)
+        Time constant and amplitude of the accelerometers' known warm-up since the first sample.
+    """
+    rows, row_s = record.whole_rows, record.row_s
+    valid = rows[:, 0] > 0.0
+    attitude = upright(attitude, rows[valid, 4:].mean(axis=0))
+    time_s = record.begun_s + row_s * (np.arange(len(rows)) + 0.5)
+    warm_up = -np.expm1(-time_s[:, None] / known_tau_s) * known_g
+    force = (rows[:, 4:] / STANDARD_GRAVITY - warm_up) @ attitude.T
+    rate = rows[:, 1:4] @ attitude.T
+    level = np.where(valid, force[:, 1] - 1j * force[:, 0], 0.0)
+    horizontal = rate[:, 0] + 1j * rate[:, 1] - 1j * level * earth_vertical
+    return Levelled(row_s, valid, horizontal, rate[:, 2], level, attitude)
+
+
+def upright(attitude: FloatArray, force: FloatArray) -> FloatArray:
+    """Return the attitude, (3, 3), of the same azimuth whose vertical is a specific force, (3,)."""
+    up = force / math.sqrt(float(force @ force))
+    ahead = attitude[0] - (attitude[0] @ up) * up
+    ahead /= math.sqrt(float(ahead @ ahead))
+    return np.vstack([ahead, np.cross(up, ahead), up])
+
+
+def first_attitude(force: FloatArray) -> FloatArray:
+    """Return the attitude, (3, 3), of the first position: its forward, left and up are the reference."""
+    up = force / math.sqrt(float(force @ force))
+    ahead = forward(up)
+    return np.vstack([ahead, np.cross(up, ahead), up])
+
+
+def direction_of(attitude: FloatArray) -> float:
+    """Return the direction in which a body points in the reference frame, rad, from forward to left."""
+    ahead = attitude @ forward(attitude[2])
+    return math.atan2(ahead[1], ahead[0])
+
+
+def turned_about_vertical(before: FloatArray, after: FloatArray) -> float:
+    """Return the angle about the vertical between two attitudes, rad, counter-clockwise from above."""
+    turn = after @ before.T
+    return math.atan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])

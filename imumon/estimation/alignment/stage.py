@@ -13,9 +13,9 @@ from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.charts import Chart
 from imumon.columns import Column
 from imumon.estimation.alignment import charting
-from imumon.estimation.alignment.estimator import SLOT_S, Aligner, State
-from imumon.estimation.alignment.motion import LEAST, RECENT, Slot
+from imumon.estimation.alignment.aligner import SLOT_S, Aligner
 from imumon.estimation.alignment.parameters import AlignmentParameters
+from imumon.estimation.alignment.positions import CALM, Slot
 from imumon.estimation.alignment.status import Estimate, Position, Status, instead
 from imumon.filters.slots import SlotGatherer, Slots, held
 from imumon.geodesy import DEG_PER_H
@@ -28,10 +28,12 @@ LIKELY = 0.5
 """Probability of a tilt from which on it is said."""
 POINTS = 400
 """Points that a chart keeps at the most."""
+GAP, LONGEST_INTERVAL_S = 2.5, 30.0
+"""A longer step between slots of one sample, in usual intervals, is a gap; the first may take so many s."""
 _ANGLES = ("roll", "pitch")
 _STATE = (
-    "_aligner", "_down", "_prefix", "_begun", "_yaw", "_origin_ns", "_last_ns", "_said", "_points",
-    "_spacing", "_added", "_last", "_segment", "_status",
+    "_aligner", "_down", "_prefix", "_begun", "_yaw", "_origin_ns", "_last_ns", "_interval_s", "_level", "_up",
+    "_first", "_said", "_points", "_spacing", "_added", "_last", "_segment", "_status",
 )  # fmt: skip
 _CHANNELS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel", "mag") for axis in "xyz")
 
@@ -69,12 +71,18 @@ class Alignment:
         self._begun = False
         self._yaw = math.nan
         self._origin_ns = self._last_ns = self._segment = 0
+        self._interval_s = 0.0
+        self._level: list[list[float]] = []
+        """Specific force of the last slots at rest, m/s²."""
+        self._up = (0.0, 0.0, 1.0)
+        self._first = (math.nan, math.nan)
+        """Roll and pitch of the first rest, rad."""
         self._said: set[str] = set()
         self._points: list[tuple[float, float]] = []
         self._spacing = 1.0
         self._added = [column.name for column in self.columns]
         self._last = np.full(len(self._added), np.nan)
-        self._status = self._judge()
+        self._status = self._stands()
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -103,129 +111,78 @@ class Alignment:
             self._begun = True
             self._prefix = "aligned_" if "roll" in block or "pitch" in block else self._prefix
             self._added = [column.name for column in self.columns]
-        values = np.full((n, len(_CHANNELS) + 1), np.nan)
-        for j, name in enumerate(_CHANNELS):
-            if name in block:
-                values[:, j] = block[name]
-        unknown = ~np.isfinite(sum(values[:, j] for j in range(6)))
-        if unknown.any():
-            values[unknown, :6] = np.nan
-        # Unknown is no motion.
-        values[:, -1] = np.asarray(block.columns.get("at_rest", np.ones(n, np.int64))) != 0
+        slots = self._slots.process(block["device_time_ns"], block["segment"], self._values(block))
         yaw = block.columns.get("yaw", np.empty(0))
         self._yaw = next(iter(yaw[np.isfinite(yaw)][-1:].tolist()), self._yaw)
-        slots = self._slots.process(block["device_time_ns"], block["segment"], values)
-        rows = np.empty((len(slots), len(self._added)))
-        spread = np.stack([slots.mean[:, :6], slots.variance[:, :6]], axis=1)
-        k = 0
-        while k < len(slots):
-            taken = self._rest_on(slots, spread, k, rows)
-            if not taken:
-                self._step(slots, spread, k)
-                rows[k], taken = self._row(), 1
-            k += taken
+        rows = self._rows(slots)
         out = held(slots.row, rows.T, self._last, n, axis=-1)
-        # What was said of another segment does not hold in a new one.
+        # The columns of one segment do not hold in a new one.
         other = held(slots.row, slots.segment, np.array(self._segment), n) != block["segment"]
         if other.any():
             out[:, other] = np.nan
         if len(slots):
             self._last, self._segment = rows[-1], int(slots.segment[-1])
-            self._status = self._judge()
+            self._status = self._stands()
         return dict(zip(self._added, out, strict=True))
 
-    def _step(self, slots: Slots, values: FloatArray, k: int) -> None:
-        """Give a slot to the estimator; `values` are means and variances of all, (m, 2, 6)."""
-        start, end = int(slots.start_ns[k]), int(slots.end_ns[k])
-        state = self._aligner.state
-        if slots.begins[k] or not self._origin_ns:
-            if not slots.begins[k] or state.poses:
-                self._aligner.begin_anew("the device started anew")
-            self._aligner.run += int(slots.begins[k])
-            self._aligner.state = state = State(
-                events=self._aligner.state.events, restarts=self._aligner.state.restarts
-            )
-            self._origin_ns, self._last_ns = start, start
-            self._points, self._spacing = [], 1.0
-        samples, valid = int(slots.samples[k]), int(slots.count[k, :6].min())
+    def _values(self, block: SampleBlock) -> FloatArray:
+        """Return gyros, accelerometers and magnetometer, NaN where unknown, and whether the unit rests, (n, 10)."""
+        n = len(block)
+        values = np.full((n, len(_CHANNELS) + 1), np.nan)
+        for j, name in enumerate(_CHANNELS):
+            if name in block:
+                values[:, j] = block[name]
+        values[~np.isfinite(values[:, :6].sum(axis=1)), :6] = np.nan
+        values[:, -1] = np.asarray(block.columns.get("at_rest", np.ones(n, np.int64))) != 0  # unknown is rest
+        return values
+
+    def _rows(self, slots: Slots) -> FloatArray:
+        """Give slots to the estimator; return the columns after each, (m, k)."""
+        m = len(slots)
+        rows, up, first = np.full((m, len(self._added)), np.nan), np.zeros((m, 3)), np.full((m, 2), np.nan)
+        valid = slots.count[:, :6].min(axis=1) if m else np.zeros(0)
+        begins, start, end = slots.begins.tolist(), slots.start_ns.tolist(), slots.end_ns.tolist()
+        samples, counts, rest = slots.samples.tolist(), valid.tolist(), (slots.smallest[:, -1] > 0.0).tolist()
+        magnetic, rates = slots.mean[:, 6:9].tolist(), slots.mean[:, :3].tolist()
+        for k in range(m):
+            self._time(begins[k], start[k], end[k], samples[k])
+            if counts[k]:
+                if self._down == 0.0:
+                    self._down = 1.0 if slots.mean[k, 5] < 0.0 else -1.0
+                time_s = 0.5 * (start[k] - self._origin_ns + end[k] - self._origin_ns) * 1e-9
+                length_s = samples[k] * (self._interval_s or SLOT_S)
+                slot = Slot(time_s, length_s, counts[k], slots.mean[k, :6], tuple(rates[k]))
+                self._aligner.step(slot, magnetic[k], rest[k], slots.turns, k)
+                self._collect(slots.mean[k, 3:6].tolist())
+            if self._aligner.state.positions:
+                rows[k], up[k], first[k] = self._row(), self._up, self._first
+        known = np.isfinite(first[:, 0])
+        angles = self._angles(up[known])
+        rows[known, 2:4] = angles
+        rows[known, 4:6] = np.remainder(angles - first[known] + math.pi, 2.0 * math.pi) - math.pi
+        return rows
+
+    def _time(self, begins: bool, start: int, end: int, samples: int) -> None:
+        """Renew origin and sample interval by a slot."""
+        if begins or not self._origin_ns:
+            self._aligner.begin_run()
+            self._origin_ns = self._last_ns = start
+            self._interval_s, self._level, self._points, self._spacing = 0.0, [], [], 1.0
+            self._first = (math.nan, math.nan)
+        since_s = (start - self._last_ns) * 1e-9
         if samples > 1:
-            state.interval_s = (end - start) * 1e-9 / (samples - 1)
-        elif start > self._last_ns:
-            state.interval_s = (start - self._last_ns) * 1e-9
+            self._interval_s = (end - start) * 1e-9 / (samples - 1)
+        elif 0.0 < since_s < (GAP * self._interval_s or LONGEST_INTERVAL_S):
+            self._interval_s = since_s
         self._last_ns = end
-        if valid == 0:
-            return
-        if self._down == 0.0:
-            self._down = 1.0 if slots.mean[k, 5] < 0.0 else -1.0
-        slot = Slot(
-            time_s=0.5 * (start - self._origin_ns + end - self._origin_ns) * 1e-9,
-            length_s=samples * state.interval_s if state.interval_s < 30.0 else SLOT_S,
-            samples=valid,
-            values=values[k],
-            at_rest=bool(slots.smallest[k, -1] > 0.0),
-            turn=slots.turns.at(k),
-        )
-        self._aligner.step(slot, slots.mean[k, 6:9].tolist())
-        self._collect()
-
-    def _rest_on(self, slots: Slots, values: FloatArray, first: int, rows: FloatArray) -> int:
-        """Give slots from the first on to the estimator while the unit rests as before; return how many.
-
-        What `_step` does one by one, it does at once for those that nothing disturbs.
-        """
-        aligner, state = self._aligner, self._aligner.state
-        if state.motion.disturbed or not self._origin_ns:
-            return 0
-        ahead = slots[first : first + RECENT]
-        start, end = ahead.start_ns - self._origin_ns, ahead.end_ns - self._origin_ns
-        samples, valid = ahead.samples, ahead.count[:, :6].min(axis=1)
-        interval_s = (end - start) * 1e-9 / np.maximum(samples - 1, 1)
-        time_s, length_s = 0.5 * (start + end) * 1e-9, samples * interval_s
-        before = np.r_[state.slot_end_s, (time_s + 0.5 * length_s)[:-1]]
-        even = time_s - 0.5 * length_s - before <= np.maximum(SLOT_S, 2.5 * length_s)
-        even &= (
-            ~ahead.begins & (samples > 1) & (valid > 0) & (ahead.smallest[:, -1] > 0.0) & (interval_s < 30.0)
-        )
-        many = len(even) if even.all() else int(even.argmin())
-        levels = state.motion.rest_on(values[first : first + many])
-        times, lengths, counts = time_s.tolist(), length_s.tolist(), valid.tolist()
-        magnetic = ahead.mean[:, 6:9].tolist()
-        row, due_s = self._headings(), state.due_s
-        for k in range(len(levels)):
-            slot = Slot(times[k], lengths[k], counts[k], values[first + k], True)
-            aligner.count(slot, magnetic[k])
-            self._collect()
-            if state.due_s != due_s:
-                row, due_s = self._headings(), state.due_s
-            if not math.isnan(row[0]):
-                row[:2] = aligner.heading, aligner.heading_sd  # a creep is followed from fit to fit
-            row[6] = self._magnetic()
-            rows[first + k] = row
-        if len(levels):
-            state.interval_s = float(interval_s[len(levels) - 1])
-            self._last_ns = int(ahead.end_ns[len(levels) - 1])
-            rows[first : first + len(levels), 2:6] = self._angles(levels)
-        return len(levels)
 
     def _row(self) -> list[float]:
-        """Return the columns of now."""
-        row, state = self._headings(), self._aligner.state
-        if state.poses:
-            if state.first_angles is None and len(state.motion.recent) >= LEAST:
-                state.first_angles = self._level()
-            row[2:6] = self._angles(self._up()[None])[0].tolist()
-            row[6] = self._magnetic()
-        return row
-
-    def _headings(self) -> list[float]:
-        """Return the columns of now, without level and magnetic heading."""
-        aligner, state = self._aligner, self._aligner.state
+        """Return the columns of now, without level."""
+        aligner = self._aligner
+        shown, state = aligner.observable, aligner.state
         row = [math.nan] * len(self._added)
-        if not state.poses:
-            return row
-        shown = aligner.observable
-        row[0] = aligner.heading if shown else math.nan
-        row[1] = aligner.heading_sd
+        row[0], row[1] = aligner.heading if shown else math.nan, aligner.heading_sd
+        row[6] = self._magnetic()
         for j, name in enumerate(MEANS):
             if name in state.means:
                 estimate = state.means[name]
@@ -233,42 +190,41 @@ class Alignment:
                 row[8 + 2 * j] = estimate.sd
         return row
 
-    def _up(self) -> FloatArray:
-        """Return the vertical in body axes, (3,), by the accelerometers of the last two seconds."""
-        state = self._aligner.state
-        return state.attitude[2] if state.motion.disturbed else state.motion.level
-
-    def _angles(self, up: FloatArray) -> FloatArray:
-        """Return roll and pitch, rad, ZYX, and their change since the first rest, (n, 4), from (n, 3)."""
-        x, y, z = (-self._down * up).T
-        angles = np.column_stack([np.arctan2(y, z), -np.arctan2(x, np.hypot(y, z))])
-        first = self._aligner.state.first_angles or (math.nan, math.nan)
-        return np.hstack([angles, np.remainder(angles - first + math.pi, 2.0 * math.pi) - math.pi])
-
-    def _level(self) -> tuple[float, float]:
-        """Return roll and pitch, rad."""
-        roll, pitch = self._angles(self._up()[None])[0, :2].tolist()
-        return roll, pitch
-
-    def _magnetic(self) -> float:
-        state = self._aligner.state
-        if not state.field_sum[3]:
-            return math.nan
-        ahead, left, _ = (state.attitude @ state.field_sum[:3]).tolist()
-        return self._aligner.as_heading(math.atan2(left, ahead))
-
-    def _collect(self) -> None:
-        """Keep points for the charts, half of them when there are too many."""
-        state = self._aligner.state
+    def _collect(self, force: list[float]) -> None:
+        """Renew the vertical of the last 2 s, and keep points for the charts, half of them when too many."""
+        aligner, state = self._aligner, self._aligner.state
+        if not aligner.resting:
+            self._level.clear()
+            self._up = state.vertical
+            return
+        self._level.append(force)
+        del self._level[:-CALM]
+        x, y, z = (sum(column) for column in zip(*self._level, strict=True))
+        self._up = (x, y, z)
+        if math.isnan(self._first[0]):
+            roll, pitch = self._angles(np.array([self._up]))[0].tolist()
+            self._first = roll, pitch
         time_s = state.counted_s
-        if not state.poses or state.found is None or state.motion.disturbed:
+        if state.found is None:
             return
         if self._points and time_s < self._points[-1][0]:
             self._points, self._spacing = [], 1.0
         if not self._points or time_s >= self._points[-1][0] + self._spacing:
-            self._points.append((time_s, self._aligner.heading_sd))
+            self._points.append((time_s, aligner.heading_sd))
         if len(self._points) > POINTS:
             self._points, self._spacing = self._points[::2], 2.0 * self._spacing
+
+    def _angles(self, up: FloatArray) -> FloatArray:
+        """Return roll and pitch, rad, ZYX, (n, 2), from verticals in body axes, (n, 3)."""
+        x, y, z = (-self._down * up).T
+        return np.column_stack([np.arctan2(y, z), -np.arctan2(x, np.hypot(y, z))])
+
+    def _magnetic(self) -> float:
+        state = self._aligner.state
+        if not state.field_sum[3] or not state.positions:
+            return math.nan
+        ahead, left, _ = (state.attitude @ state.field_sum[:3]).tolist()
+        return self._aligner.as_heading(math.atan2(left, ahead))
 
     def snapshot(self) -> dict[str, object]:
         """Return a copy of all that is remembered."""
@@ -297,7 +253,7 @@ class Alignment:
         """Where the alignment stood after the last block; may be read by another thread."""
         return self._status
 
-    def _judge(self) -> Status:
+    def _stands(self) -> Status:
         aligner, state = self._aligner, self._aligner.state
         observable = aligner.observable
         estimates: dict[str, Estimate] = {}
@@ -308,9 +264,11 @@ class Alignment:
             for name, mean in state.means.items():
                 heading = aligner.as_heading(mean.heading) if observable else math.nan
                 estimates[name] = Estimate(heading, mean.sd)
-        rests = bool(state.poses) and len(state.motion.recent) >= LEAST
-        roll, pitch = self._level() if rests else (math.nan, math.nan)
-        last = state.fits[-1] if state.fits and len(state.fits) == len(state.poses) else None
+        roll, pitch = (
+            self._angles(np.array([self._up]))[0].tolist() if aligner.resting else (math.nan, math.nan)
+        )
+        last = state.positions[-1] if state.positions else None
+        fit = None if last is None else last.fit
         return Status(
             phase=self._phase(),
             observable=observable,
@@ -323,28 +281,28 @@ class Alignment:
             time_s=state.counted_s,
             roll=roll,
             pitch=pitch,
-            arw=math.nan if not state.fits else math.sqrt(state.fits[-1].white),
+            arw=math.nan if fit is None else math.sqrt(fit.white),
             bias_sd=math.nan if state.found is None else state.found.bias_sd,
-            tilting=0.0 if state.found is None else state.found.tilting,
+            tilting=0.0 if state.found is None else state.found.settling,
             restarts=state.restarts,
             disturbed=state.disturbed,
-            seconds=state.slot_end_s,
+            seconds=state.ended_s,
             shaken_s=state.shaken_s,
             wanted=math.radians(self._parameters.settled_deg),
             earth_rate=aligner.level_rate,
-            positions=len(self._aligner.positions),
-            position_s=0.0 if last is None else last.seconds,
-            position_sd=math.inf if last is None else math.sqrt(last.variance[0]) / aligner.level_rate,
-            turned=self._aligner.turned,
+            positions=0 if last is None else last.number,
+            position_s=0.0 if fit is None else fit.seconds,
+            position_sd=math.inf if fit is None else math.sqrt(fit.variance[0]) / aligner.level_rate,
+            turned=aligner.turned,
             bias_declared=self._parameters.gyro_bias_sd_deg_per_h is not None,
-            force_sd=aligner.force_sd,
+            force_sd=aligner.level_sd,
         )
 
     def _phase(self) -> str:
         state = self._aligner.state
-        if not self._begun or not state.slot_end_s:
+        if not self._begun or not state.ended_s:
             return "waiting"
-        if state.poses and state.motion.disturbed:
+        if state.positions and state.motion.turning:
             return "disturbed"
         if state.found is None:
             return "coarse"
@@ -404,7 +362,7 @@ class Alignment:
         declared = self._parameters.gyro_bias_sd_deg_per_h
         contradicted = (
             declared is not None and state.found is not None
-            and state.found.supposed_sd > 3.0 * max(declared, 1e-3) * DEG_PER_H
+            and state.found.size_sd > 3.0 * max(declared, 1e-3) * DEG_PER_H
         )  # fmt: skip
         return {
             "alignment: the level changes as the gyros turn: the unit is tilting (a tripod that settles?)": (

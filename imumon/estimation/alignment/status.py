@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from imumon.estimation.alignment.account import ANY_ANGLE_SD
-
+ANY_ANGLE_SD = math.pi / math.sqrt(3.0)
+"""Standard deviation, rad, of an angle of which nothing is known."""
 PATIENCE_S = 120.0
 """So much undisturbed time must show whether a gyro sees the north."""
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from imumon.blocks import ColumnArray, SampleBlock, join
-from imumon.estimation.alignment.creep import Usual
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.stage import Alignment
 from imumon.simulation.unit import SimulatedUnit
@@ -18,8 +17,6 @@ from imumon.simulation.unit.scenario import Scenario
 NAVIGATION_ARW = 2.43e-4
 """deg/√h: 1e-6 rad/s per sample at 200 Hz."""
 MEMS_ARW = 0.28
-ANY_REST = Usual(0.0, np.array([1.0]), np.zeros(1))
-"""Nothing is known of what a vertical gyro reads at rest."""
 INPUTS = ("device_time_ns", "segment", *(f"{s}_{a}" for s in ("gyro", "accel") for a in "xyz"))
 
 
