@@ -43,6 +43,8 @@ LEVEL_TREND_ORDER = 8
 """Coefficients of the course of the level that is no noise."""
 LEAST_LEVEL_SD = 1e-7
 """rad."""
+LEAST_COURSE = 1e-9
+"""rad: a smaller angle about the vertical turns no bias."""
 LEAST_ROWS, LINE_ROWS = 12, 40
 """Rows for a fit, and for lines: five periods of a sway below half the row rate."""
 
@@ -71,6 +73,8 @@ class PositionFit:
     crept : float
         Angle by which the unit turned slowly about the vertical, rad, counter-clockwise, 0 where it did not;
         its rates are turned to the end of the record.
+    turned_bias : complex
+        Mean of the factor by which they, and so the bias, were turned.
     """
 
     log_weight: FloatArray
@@ -83,6 +87,7 @@ class PositionFit:
     attitude: FloatArray
     seconds: float
     crept: float
+    turned_bias: complex
 
     @property
     def weight(self) -> FloatArray:
@@ -113,11 +118,10 @@ def fit_position(
     n = len(data.rate)
     if data.valid.sum() < LEAST_ROWS:
         return None
-    rate, turned = data.rate, np.zeros(n)
     creeps = cells.turns_about_vertical(data)
-    if creeps:
-        turned = np.cumsum(np.where(data.valid, data.vertical - earth_vertical, 0.0)) * data.row_s
-        rate = rate * np.exp(1j * (turned - turned[-1]))
+    turned = np.cumsum(creeps * data.valid * (data.vertical - earth_vertical)) * data.row_s
+    factor = np.exp(1j * (turned - turned[-1]))
+    rate = data.rate * factor
     if n >= LINE_ROWS:
         rate = cells.without_lines(rate, data.valid)
     found = cells.divide(data, rate, creeps)
@@ -125,14 +129,16 @@ def fit_position(
         return None
     edge_s = data.row_s * np.arange(n + 1.0)
     basis = -np.expm1(-edge_s[:, None] / SETTLING_TAU_S)
-    gyros = _gyros(found, cells.hann_means(np.diff(basis, axis=0) / data.row_s, len(found.used)))
+    slopes = np.column_stack([np.diff(basis, axis=0) / data.row_s, factor.real, factor.imag])
+    slopes = cells.hann_means(slopes, len(found.used))
+    gyros = _gyros(found, slopes[:, :-2], slopes[:, -2] + 1j * slopes[:, -1])
     middles = cells.hann_means(0.5 * (basis[1:] + basis[:-1]), len(found.used))[found.used]
     parts = [_stands_or_settles(gyros, one) for one in _accelerometers(data, found, middles, warm_up_sds)]
     log_weight, mean, variance, settles = (np.concatenate(part) for part in zip(*parts, strict=True))
     log_weight = TEMPER * (log_weight - log_weight.max())
     return PositionFit(
         log_weight, mean + gyros.offset, variance, settles, found.vertical, found.vertical_variance,
-        found.white, data.attitude, n * data.row_s, float(turned[-1]),
+        found.white, data.attitude, n * data.row_s, float(turned[-1]), gyros.turned_bias,
     )  # fmt: skip
 
 
@@ -142,7 +148,7 @@ class _Gyros:
 
     `constant` is the weight of the rate, `rate` its weighted sum, `by_tilt` (8,) its products with the slopes
     of the exponentials; `tilt` (8, 8) and `tilt_sum` (8,) are those of the slopes with the rate eliminated.
-    The rates are less `offset`.
+    The rates are less `offset`; `turned_bias` is the mean factor of the bias.
     """
 
     constant: float
@@ -151,23 +157,35 @@ class _Gyros:
     tilt: FloatArray
     tilt_sum: ColumnArray
     offset: complex
+    turned_bias: complex
 
 
-def _gyros(found: cells.Cells, slopes: FloatArray) -> _Gyros:
+def _gyros(found: cells.Cells, slopes: FloatArray, factor: ColumnArray) -> _Gyros:
+    """Return the normal equations, from the slopes (J, 8) and the factor by which rates were turned (J,).
+
+    That factor has turned the bias from cell to cell: a course of any size with its shape is eliminated.
+    """
     used = found.used
     offset = complex(found.rate[used].mean())
-    data = found.rate[used] - offset
-    m = int(used.sum())
-    columns = np.column_stack([np.ones(m), slopes[used], data.real, data.imag])
-    white = np.linalg.solve(
-        np.linalg.cholesky(_overlapping(m)), columns * np.sqrt(found.weight[used])[:, None]
+    data, factor = found.rate[used] - offset, factor[used]
+    columns = np.column_stack(
+        [np.ones(len(data)), factor.real, factor.imag, slopes[used], data.real, data.imag]
     )
+    factored = np.linalg.cholesky(_overlapping(len(data)))
+    white = np.linalg.solve(factored, columns * np.sqrt(found.weight[used])[:, None])
+    constant = float(white[:, 0] @ white[:, 0])
+    turned = complex(*(white[:, 0] @ white[:, 1:3]) / constant)
+    course = white[:, 2] - turned.imag * white[:, 0]
+    white = np.delete(white, (1, 2), axis=1)
+    size = float(course @ course)
+    if size > LEAST_COURSE**2 * constant:
+        white[:, 1:] -= np.outer(course, course @ white[:, 1:] / size)
     normal = white.T @ white / found.variance
     constant, rate = float(normal[0, 0]), complex(normal[0, -2], normal[0, -1])
     by_tilt = normal[1:-2, 0]
     tilt = normal[1:-2, 1:-2] - np.outer(by_tilt, by_tilt) / constant
     tilt_sum = normal[1:-2, -2] + 1j * normal[1:-2, -1] - by_tilt * rate / constant
-    return _Gyros(constant, rate, by_tilt, tilt, tilt_sum, offset)
+    return _Gyros(constant, rate, by_tilt, tilt, tilt_sum, offset, turned)
 
 
 def _overlapping(m: int) -> FloatArray:

@@ -22,7 +22,6 @@ from scipy.special import i0e, i1e
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment.hypotheses import PositionFit
 from imumon.estimation.alignment.status import ANY_ANGLE_SD
-from imumon.filters.turns import rotation_by
 from imumon.geodesy import DEG_PER_H, EARTH_RATE
 
 CLASS_BIAS, CLASS_ARW, CLASS_POWER, CLASS_SCATTER = 2.0 * DEG_PER_H, math.radians(0.1) / 60.0, 1.86, 1.5
@@ -108,6 +107,7 @@ def heading_posterior(
     log_prior: FloatArray,
     flicker: float,
     level_sd: float,
+    north: float | None = None,
 ) -> Heading:
     """Return the heading at the end of the last position.
 
@@ -125,7 +125,14 @@ def heading_posterior(
         Standard deviation by which a bias changes from position to position, rad/s.
     level_sd : float
         Of an accelerometer's bias, g.
+    north : float, optional
+        About where north is, rad, for a unit that creeps about the vertical: found in a first pass.
     """
+    if north is None:
+        north = float(np.angle(fits[-1].together()[0]))
+        if any(one.crept for one in fits):
+            given = fits, turn_variances, latitude, sizes, log_prior, flicker, level_sd
+            north = heading_posterior(*given, north).north
     last = fits[-1]
     keep = last.log_weight > LIKELY
     log_weight, settles = last.log_weight[keep], last.settles[keep]
@@ -135,13 +142,12 @@ def heading_posterior(
     for one, turned in zip(fits[-2::-1], (turn_variances[-1] - turn_variances)[-2::-1].tolist(), strict=True):
         rate, variance = one.together()
         rate *= cmath.exp(-1j * crept)
-        design = _design(one, rate, level_rate, crept, creep_s)
+        design = _design(one, north, level_rate, crept, creep_s)
         weight = _weights(one, variance, turned, level_rate, flicker)
         crept, creep_s = crept + one.crept, creep_s + (one.seconds if one.crept else 0.0)
         information += design.T @ (weight[:, None] * design)
         vector += design.T @ (weight * [rate.real, rate.imag, one.vertical - earth_vertical])
-    rate, _ = last.together()
-    design = _design(last, rate, level_rate, 0.0, 0.0)
+    design = _design(last, north, level_rate, 0.0, 0.0)
     weights = np.array([_weights(last, v, 0.0, level_rate, flicker) for v in last.variance[keep].tolist()])
     rates = last.rate[keep]
     observed = np.column_stack([rates.real, rates.imag, np.full(len(rates), last.vertical - earth_vertical)])
@@ -153,7 +159,7 @@ def heading_posterior(
     return _mixture(form, log_density, settles, sizes, level_rate, level_sd * math.tan(latitude))
 
 
-def _design(one: PositionFit, rate: complex, level_rate: float, crept: float, creep_s: float) -> FloatArray:
+def _design(one: PositionFit, north: float, level_rate: float, crept: float, creep_s: float) -> FloatArray:
     """Return the derivatives of level rates and vertical rate by z and b, (3, 5).
 
     Where the unit creeps about the vertical, its rates were turned by the angle that the vertical gyro shows.
@@ -162,9 +168,10 @@ def _design(one: PositionFit, rate: complex, level_rate: float, crept: float, cr
     """
     design = np.zeros((3, 5))
     design[0, 0] = design[1, 1] = level_rate
-    design[:, 2:] = rotation_by(np.array([0.0, 0.0, -crept])) @ one.attitude
+    level = one.turned_bias * cmath.exp(-1j * crept) * (one.attitude[0] + 1j * one.attitude[1])
+    design[:, 2:] = level.real, level.imag, one.attitude[2]
     late_s = creep_s + (0.5 * one.seconds if one.crept else 0.0)
-    earth = level_rate * rate / max(abs(rate), 1e-30)
+    earth = level_rate * cmath.exp(1j * north)
     design[:2, 2:] += late_s * np.outer([earth.imag, -earth.real], one.attitude[2])
     return design
 

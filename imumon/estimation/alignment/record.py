@@ -12,6 +12,9 @@ from imumon.geodesy import STANDARD_GRAVITY, forward
 
 CAPACITY = 4096
 """Rows kept for a position: 17 minutes of slots of 1/4 s; then neighbours are merged."""
+KNOCK_ROWS, KNOCK = 9, 15.0
+"""A knock lasts less than half of so many rows, and leaves their median by so many medians of that distance,
+10 standard deviations."""
 
 
 @dataclass
@@ -122,9 +125,26 @@ def levelled(
     warm_up = -np.expm1(-time_s[:, None] / known_tau_s) * known_g
     force = (rows[:, 4:] / STANDARD_GRAVITY - warm_up) @ attitude.T
     rate = rows[:, 1:4] @ attitude.T
-    level = np.where(valid, force[:, 1] - 1j * force[:, 0], 0.0)
+    level = without_knocks(np.where(valid[:, None], force[:, :2], 0.0)) @ [-1j, 1.0]
     horizontal = rate[:, 0] + 1j * rate[:, 1] - 1j * level * earth_vertical
     return Levelled(row_s, valid, horizontal, rate[:, 2], level, attitude)
+
+
+def without_knocks(level: FloatArray) -> FloatArray:
+    """Return the level by the accelerometers, (n, 2), with the median of 9 rows where a knock disturbs it.
+
+    A knock is an acceleration, which the gyros do not feel (Hampel filter).
+    """
+    if len(level) < KNOCK_ROWS:
+        return level
+    half = KNOCK_ROWS // 2
+    windows = np.lib.stride_tricks.sliding_window_view(
+        np.pad(level, ((half, half), (0, 0)), "edge"), KNOCK_ROWS, axis=0
+    )
+    middle = np.median(windows, axis=-1)
+    off = np.abs(level - middle)
+    knocked = (off > KNOCK * np.median(off, axis=0)).any(axis=1, keepdims=True)
+    return np.where(knocked, middle, level)
 
 
 def upright(attitude: FloatArray, force: FloatArray) -> FloatArray:

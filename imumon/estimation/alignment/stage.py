@@ -164,7 +164,7 @@ class Alignment:
 
     def _time(self, begins: bool, start: int, end: int, samples: int) -> None:
         """Renew origin and sample interval by a slot."""
-        if begins or not self._origin_ns:
+        if begins:
             self._aligner.begin_run()
             self._origin_ns = self._last_ns = start
             self._interval_s, self._level, self._points, self._spacing = 0.0, [], [], 1.0

@@ -10,11 +10,8 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray
-from imumon.estimation.alignment.creep import Rest, Usual, creep
-from tests.estimation.alignment.units import ANY_REST, aligned, samples, scenario
+from tests.estimation.alignment.units import aligned, samples, scenario
 
-NOISE = 3e-7
-"""rad/s: of slots of 1/4 s of a gyro of 5e-4 °/√h."""
 ARW = 1e-3
 HALF_TURN = {"kind": "turn", "at_s": 50.0, "duration_s": 6.0, "heading_deg": 180.0}
 
@@ -85,42 +82,3 @@ def test_a_creep_all_along_at_a_constant_rate_is_in_the_sigma() -> None:
     sure = {"offset_deg_per_h": [0.0, 0.0, 20.0]}
     stage, _ = aligned(samples(scenario(200.0, arw=ARW, rate_hz=50.0, gyro_turn_on=sure)))
     assert not stage.status.observable or math.degrees(stage.status.shown.sd) > 0.5  # type: ignore[union-attr]
-
-
-def test_what_a_gyro_reads_at_rest_is_told_from_its_turn() -> None:
-    rng = np.random.default_rng(1)
-    time = 0.25 * np.arange(800.0)
-    turning = 1e-4 * np.exp(-0.5 * ((time - 120.0) / 20.0) ** 2)
-    rate = 3e-5 + turning + NOISE * rng.standard_normal(800)
-    one = creep(time, np.ones(800), rate, ANY_REST)
-    assert one.rest.rate == pytest.approx(3e-5, abs=4.0 * math.sqrt(one.rest.variance))
-    assert math.sqrt(one.rest.variance) < 1e-7
-    assert one.before + one.after == pytest.approx(0.25 * turning.sum(), abs=1e-4)
-    assert one.noise.std() < 1.3 * NOISE  # the rate is 300 times that
-
-
-def test_a_unit_that_stands_is_not_turned_and_its_noise_stays() -> None:
-    rate = 3e-5 + NOISE * np.random.default_rng(2).standard_normal(800)
-    one = creep(0.25 * np.arange(800.0), np.ones(800), rate, ANY_REST)
-    assert abs(one.angle).max() < 3.0 * NOISE * 0.25 * math.sqrt(800)
-    assert one.rest.variance == pytest.approx(NOISE**2 / 800, rel=0.5)
-    np.testing.assert_allclose(one.noise, rate, atol=0.3 * NOISE)
-
-
-def test_the_pose_before_tells_a_turn_that_lasts_a_whole_pose() -> None:
-    rate = 8e-5 + NOISE * np.random.default_rng(3).standard_normal(400)
-    alone = creep(0.25 * np.arange(400.0), np.ones(400), rate, ANY_REST)
-    after = creep(0.25 * np.arange(400.0), np.ones(400), rate, ANY_REST, Rest(3e-5, (2e-8) ** 2))
-    assert alone.before + alone.after == pytest.approx(0.0, abs=1e-5)
-    assert after.before + after.after == pytest.approx(5e-5 * 100.0, rel=0.01)
-
-
-def test_what_is_usual_tells_a_turn_that_lasts_the_whole_record() -> None:
-    time = 0.25 * np.arange(800.0)
-    turning = 1e-4 * (1.0 + np.sin(time / 40.0))
-    rate = 4e-5 + turning + NOISE * np.random.default_rng(4).standard_normal(800)
-    one = creep(time, np.ones(800), rate, Usual(4e-5, np.array([1e-9, 1e-6]) ** 2, np.log([0.9, 0.1])))
-    assert one.before + one.after == pytest.approx(0.25 * turning.sum(), rel=0.01)
-    any_rest = one.rests.together()  # without it, the rates tell no more than their own size
-    assert abs(any_rest.rate - 4e-5) < 2.0 * math.sqrt(any_rest.variance)
-    assert math.sqrt(any_rest.variance) > 3e-5

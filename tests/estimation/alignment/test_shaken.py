@@ -6,14 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.alignment.fit import PoseFit, PoseRecord, fit_pose
-from imumon.estimation.alignment.loudness import quietness
-from imumon.estimation.alignment.windows import Windows, bank, coloured, of_white, spectrum
 from imumon.geodesy import STANDARD_GRAVITY
-from tests.estimation.alignment.units import ANY_REST, aligned, error_deg, samples, scenario
+from tests.estimation.alignment.units import aligned, error_deg, samples, scenario
 
 ARW, RATE_HZ, SLOT_S = 1e-3, 50.0, 0.25
 DEG_PER_SQRT_H = math.pi / 180.0 / 60.0
@@ -100,69 +96,3 @@ def test_a_detector_that_sees_no_rest_in_a_sway_stops_nothing() -> None:
     assert stage.status.shown is not None
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 3.0 * math.degrees(stage.status.shown.sd)
     assert math.degrees(stage.status.shown.sd) < 2.0
-
-
-def _fit(rate: FloatArray) -> PoseFit:
-    rng, n = np.random.default_rng(1), len(rate)
-    level = 1e-5 * (rng.normal(size=n) + 1j * rng.normal(size=n))
-    found = fit_pose(PoseRecord(SLOT_S * np.arange(0.5, n), np.full(n, 25.0), rate, level), ANY_REST)
-    assert found is not None
-    return found
-
-
-def test_white_noise_is_nowhere_loud_and_a_knock_is() -> None:
-    rng = np.random.default_rng(0)
-    rate, all_of_them = rng.normal(size=(1200, 3)), np.ones(1200, bool)
-    assert (quietness(rate, all_of_them) == 1.0).all()
-    rate[600:604, 1] += [100.0, -100.0, 50.0, -50.0]
-    quiet = quietness(rate, all_of_them)
-    assert (quiet[596:608] < 0.02).all()
-    assert (quiet[:580] == 1.0).all()
-    assert (quiet[624:] == 1.0).all()
-    all_of_them[600:604] = False
-    assert (quietness(rate, all_of_them) == all_of_them).all()
-
-
-def test_the_noise_of_the_gyros_is_not_that_of_what_shook_them() -> None:
-    rng, n = np.random.default_rng(0), 1200
-    rate = 5.8e-7 * rng.normal(size=(n, 3)) + [5e-5, 2e-5, 4e-5]
-    quiet = _fit(rate)
-    rate[500:560, :2] += 1e-4 * rng.normal(size=(60, 2))
-    shaken = _fit(rate)
-    assert shaken.white < 1.3 * quiet.white
-    assert shaken.variance[0] < 1.5 * quiet.variance[0]
-    assert abs(shaken.mean[0] - quiet.mean[0]) < math.sqrt(quiet.variance[0])
-    assert shaken.seconds < quiet.seconds - 10.0
-
-
-def _coloured(data: FloatArray, noise: float) -> Windows:
-    every = np.ones(len(data))
-    return coloured(every, np.maximum(spectrum(data, every) / noise, of_white(len(data), 1)))
-
-
-def test_the_spectrum_of_white_noise_leaves_all_weights_alike() -> None:
-    rng, cells = np.random.default_rng(0), 160
-    for _ in range(10):
-        data = rng.normal(size=(cells, 2))
-        found = _coloured(data, 1.0)
-        assert 1.0 / cells < found.variance < 1.2 / cells
-        assert found.scatter(data)[0] == pytest.approx(1.0, abs=0.4)
-
-
-@pytest.mark.parametrize("at", [0.0, 0.23, 0.5])
-def test_what_sways_at_random_is_weighed_by_its_spectrum(at: float) -> None:
-    rng, cells, noise = np.random.default_rng(0), 160, 1e-4
-    errors, claimed, means = [], [], []
-    for _ in range(40):
-        angle = rng.normal(size=(cells + 1, 2))
-        if at:  # a resonance at this share of the fastest
-            angle = lfilter([1.0], [1.0, -1.9 * math.cos(math.pi * at), 0.9], angle, axis=0)
-        data = np.diff(angle, axis=0) + math.sqrt(noise) * rng.normal(size=(cells, 2))
-        found = _coloured(data, noise)
-        products = found.products(np.column_stack([np.ones(cells), data]))
-        errors.append(products[0, 1:] / products[0, 0])
-        claimed.append(max(found.scatter(data)[0], noise) * found.variance)
-        means.append(min(one.scatter(data)[0] * one.variance for one in bank(cells, 1)))
-    # Their mean is known by the angles at the ends, not by the square root of time.
-    assert 0.3 < np.mean(np.square(errors)) / np.mean(claimed) < 2.0
-    assert np.mean(claimed) < 0.4 * np.mean(means)

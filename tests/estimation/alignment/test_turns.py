@@ -9,7 +9,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.alignment.account import Account, Passage, typical_scale
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.stage import Alignment
 from imumon.filters.turns import Turn
@@ -129,30 +128,6 @@ def test_the_heading_says_while_it_is_waved_how_far_it_may_be_off() -> None:
     sd = np.degrees(out["heading_sd"])
     before, during = sd[round((BEGIN_S - 2.0) * 20.0)], sd[round((BEGIN_S + 28.0) * 20.0)]
     assert during > 2.0 * before
-
-
-def test_turns_the_same_way_add_up_and_a_turn_back_takes_its_error_back() -> None:
-    by_scale = np.zeros((3, 3, 3))
-    by_scale[2, 2, 2] = math.pi / 2.0
-    there = Passage(Turn(by_scale=by_scale), np.eye(3), 0.0, 0.0)
-    back = Passage(Turn(by_scale=-by_scale), np.eye(3), 0.0, 0.0)
-    two = Account().after(there).after(there)
-    assert math.sqrt(two.azimuth_variance(1e-3)) == pytest.approx(1e-3 * math.pi)
-    assert two.after(back).after(back).azimuth_variance(1e-3) == 0.0
-
-
-def test_what_gravity_contradicts_is_wrong_about_the_vertical_too() -> None:
-    off = Rotation.from_rotvec([0.03, 0.0, 0.0]).as_matrix()
-    passage = Passage(Turn(rotation=off), np.eye(3), 10.0, 0.0)
-    assert math.sqrt(passage.unexplained(UP, 3e-4, 1e-4)) == pytest.approx(0.03 / math.sqrt(2.0), rel=1e-3)
-    assert passage.unexplained(UP, 3e-4, 0.03) == 0.0
-
-
-def test_a_noisy_gyro_has_a_large_scale_error() -> None:
-    ppm = [1e6 * typical_scale(math.radians(arw) / 60.0) for arw in (1e-3, 0.1, 0.84, 100.0)]
-    assert ppm[:2] == pytest.approx([300.0, 300.0])
-    assert 4e3 < ppm[2] < 1e4
-    assert ppm[3] == pytest.approx(3e4)
 
 
 def test_a_turn_beyond_the_declared_range_is_in_the_sigma() -> None:
