@@ -32,7 +32,7 @@ from imumon.estimation.alignment.record import (
 )
 from imumon.estimation.alignment.status import ANY_ANGLE_SD, Estimate, Position
 from imumon.filters.turns import Turns
-from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G, STANDARD_GRAVITY
+from imumon.geodesy import DEG_PER_H, EARTH_RATE
 
 SLOT_S = 0.25
 REFIT_SHARE, REFIT_S, FIRST_FIT_S = 1.0 / 3.0, (1.0, 60.0), 3.0
@@ -81,6 +81,8 @@ class State:
     vertical: tuple[float, float, float] = (0.0, 0.0, 1.0)
     field_sum: list[float] = field(default_factory=lambda: [0.0] * 4)
     found: Heading | None = None
+    heading_sd: float = math.nan
+    first_vertical: tuple[float, float, float] | None = None
     means: dict[str, Estimate] = field(default_factory=dict)
     now_s: float = 0.0
     ended_s: float = 0.0
@@ -217,6 +219,7 @@ class Aligner:
         held = self.state.motion.settle()
         up = np.mean([slot.values[3:] for slot in held], axis=0)
         self._begin_position(first_attitude(up), 0.0, 1, held[0].time_s - 0.5 * held[0].length_s)
+        self.state.first_vertical = self.state.vertical
         for slot in held:
             self._count(slot)
 
@@ -237,6 +240,7 @@ class Aligner:
                 self._count(slot)
         elif outcome is Outcome.TURNED:
             self._turned()
+        self.state.heading_sd = self._sd()
 
     def _turned(self) -> None:
         """Begin a position after a turn; begin anew when nobody can say by which angle."""
@@ -349,6 +353,7 @@ class Aligner:
         state.crept = 0.0
         trusted = last.vertical_variance < (EARTH_RATE * 1e-2) ** 2
         state.vertical_rest = last.vertical if trusted else math.nan
+        state.heading_sd = self._sd()
         self._settle()
 
     def _settle(self) -> None:
@@ -373,7 +378,11 @@ class Aligner:
 
     @property
     def heading_sd(self) -> float:
-        """Standard deviation of the heading of now, rad, with that of a turn that goes on; NaN before a fit."""
+        """Standard deviation of the heading of now, rad; NaN before a fit."""
+        return self.state.heading_sd
+
+    def _sd(self) -> float:
+        """Return the standard deviation of the heading with that of turns since the last fit, rad."""
         state, motion = self.state, self.state.motion
         if state.found is None:
             return math.nan

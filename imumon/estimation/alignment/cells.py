@@ -6,6 +6,7 @@ trend is their noise; cells that knocks disturbed have less weight (Huber).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,8 +31,8 @@ LEAST_VARIANCE = 1e-24
 """(rad/s)² or rad²: readings that do not change at all have a variance, too."""
 LINES, LINE = 3, 40.0
 """Narrow sways that are fitted at most; their power over the median of the spectrum: by chance e^-40 a bin."""
-PADDING, LEAST_QUARTERS = 4, 20
-"""Bins of the spectrum per period in the record; a line has five periods, below which it is like a trend."""
+PADDING, LEAST_PERIODS = 4, 5
+"""Bins of the spectrum per period in the record, at least; a line has five periods, fewer are like a trend."""
 CREEPS = 8.0
 """Scatter of the vertical gyro's cells over its white noise from which on the unit turns about the vertical."""
 CREEP_CELLS = 12
@@ -100,7 +101,7 @@ def trend(n: int, order: int) -> FloatArray:
     return np.asarray(np.polynomial.chebyshev.chebvander((np.arange(n) + 0.5) / n * 2.0 - 1.0, order - 1))
 
 
-def fit(basis: FloatArray, data: ColumnArray, weight: FloatArray) -> ColumnArray:
+def fit(basis: FloatArray, data: FloatArray, weight: FloatArray) -> FloatArray:
     """Return the coefficients of weighted least squares, (m, ...)."""
     weighted = basis.T * weight
     normal = weighted @ basis
@@ -139,27 +140,26 @@ def scatter(values: FloatArray, ok: BoolArray, order: int) -> tuple[float, Float
 def without_lines(rate: ColumnArray, valid: BoolArray) -> ColumnArray:
     """Return level rates, (n,), without narrow sways: sines fitted beside a slow trend, strongest first."""
     n = len(rate)
-    basis, weight = trend(n, TREND_ORDER), valid.astype(np.float64)
-    taper, phase = np.hanning(n + 2)[1:-1] * weight, 2.0 * np.pi * np.arange(n) / (PADDING * n)
+    data, weight = np.column_stack([rate.real, rate.imag]), valid.astype(np.float64)
+    basis, taper = trend(n, TREND_ORDER), (np.hanning(n + 2)[1:-1] * valid)[:, None]
+    bins = 1 << (PADDING * n - 1).bit_length()
+    half, least = bins // 2, math.ceil(LEAST_PERIODS * bins / n)
+    phase = 2.0 * np.pi * np.arange(n) / bins
     found = basis
     for _ in range(LINES):
-        left = (rate - found @ fit(found, rate, weight)) * taper
-        power = np.abs(np.fft.fft(left, PADDING * n)) ** 2
-        half = PADDING // 2 * n
-        both = power[:half] + power[: half - 1 : -1]  # either sense of rotation
-        both[:LEAST_QUARTERS] = 0.0
-        peak = int(np.argmax(both))
-        if both[peak] <= LINE * np.median(both[LEAST_QUARTERS:]):
+        left = (data - found @ fit(found, data, weight)) * taper
+        power = np.sum(np.abs(np.fft.rfft(left, bins, axis=0)) ** 2, axis=1)[:half]
+        power[:least] = 0.0
+        peak = int(np.argmax(power))
+        if power[peak] <= LINE * np.median(power[least:]):
             break
         at = float(peak)
-        if LEAST_QUARTERS < peak < half - 2:
-            a, b, c = np.log(np.maximum(both[peak - 1 : peak + 2], 1e-300))
+        if least < peak < half - 1:
+            a, b, c = np.log(np.maximum(power[peak - 1 : peak + 2], 1e-300))
             at += 0.5 * (a - c) / (a - 2.0 * b + c) if a - 2.0 * b + c < 0.0 else 0.0
         found = np.column_stack([found, np.cos(at * phase), np.sin(at * phase)])
-    if found is basis:
-        return rate
-    lines = fit(found, rate, weight)[TREND_ORDER:]
-    return np.asarray(rate - found[:, TREND_ORDER:] @ lines)
+    lines = found[:, TREND_ORDER:] @ fit(found, data, weight)[TREND_ORDER:]
+    return np.asarray(rate - lines[:, 0] - 1j * lines[:, 1]) if found is not basis else rate
 
 
 def turns_about_vertical(data: Levelled) -> bool:

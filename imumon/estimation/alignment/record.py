@@ -125,7 +125,8 @@ def levelled(
     warm_up = -np.expm1(-time_s[:, None] / known_tau_s) * known_g
     force = (rows[:, 4:] / STANDARD_GRAVITY - warm_up) @ attitude.T
     rate = rows[:, 1:4] @ attitude.T
-    level = without_knocks(np.where(valid[:, None], force[:, :2], 0.0)) @ [-1j, 1.0]
+    ahead, left = without_knocks(np.where(valid[:, None], force[:, :2], 0.0)).T
+    level = left - 1j * ahead
     horizontal = rate[:, 0] + 1j * rate[:, 1] - 1j * level * earth_vertical
     return Levelled(row_s, valid, horizontal, rate[:, 2], level, attitude)
 
@@ -133,18 +134,16 @@ def levelled(
 def without_knocks(level: FloatArray) -> FloatArray:
     """Return the level by the accelerometers, (n, 2), with the median of 9 rows where a knock disturbs it.
 
-    A knock is an acceleration, which the gyros do not feel (Hampel filter).
+    A knock is an acceleration, which the gyros do not feel.
     """
-    if len(level) < KNOCK_ROWS:
-        return level
     half = KNOCK_ROWS // 2
-    windows = np.lib.stride_tricks.sliding_window_view(
-        np.pad(level, ((half, half), (0, 0)), "edge"), KNOCK_ROWS, axis=0
-    )
-    middle = np.median(windows, axis=-1)
-    off = np.abs(level - middle)
-    knocked = (off > KNOCK * np.median(off, axis=0)).any(axis=1, keepdims=True)
-    return np.where(knocked, middle, level)
+    if len(level) < 2 * KNOCK_ROWS:
+        return level
+    off = np.abs(level[half:-half] - 0.5 * (level[: -2 * half] + level[2 * half :]))
+    level = level.copy()
+    for k in (np.flatnonzero((off > KNOCK * np.median(off, axis=0)).any(axis=1)) + half).tolist():
+        level[k] = np.median(level[k - half : k + half + 1], axis=0)
+    return level
 
 
 def upright(attitude: FloatArray, force: FloatArray) -> FloatArray:

@@ -32,8 +32,8 @@ GAP, LONGEST_INTERVAL_S = 2.5, 30.0
 """A longer step between slots of one sample, in usual intervals, is a gap; the first may take so many s."""
 _ANGLES = ("roll", "pitch")
 _STATE = (
-    "_aligner", "_down", "_prefix", "_begun", "_yaw", "_origin_ns", "_last_ns", "_interval_s", "_level", "_up",
-    "_first", "_said", "_points", "_spacing", "_added", "_last", "_segment", "_status",
+    "_aligner", "_down", "_prefix", "_begun", "_yaw", "_origin_ns", "_last_ns", "_interval_s", "_force",
+    "_said", "_points", "_spacing", "_added", "_last", "_segment", "_status",
 )  # fmt: skip
 _CHANNELS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel", "mag") for axis in "xyz")
 
@@ -72,11 +72,8 @@ class Alignment:
         self._yaw = math.nan
         self._origin_ns = self._last_ns = self._segment = 0
         self._interval_s = 0.0
-        self._level: list[list[float]] = []
-        """Specific force of the last slots at rest, m/s²."""
-        self._up = (0.0, 0.0, 1.0)
-        self._first = (math.nan, math.nan)
-        """Roll and pitch of the first rest, rad."""
+        self._force = np.full((CALM, 3), np.nan)
+        """Specific force of the last slots, m/s²."""
         self._said: set[str] = set()
         self._points: list[tuple[float, float]] = []
         self._spacing = 1.0
@@ -139,7 +136,11 @@ class Alignment:
     def _rows(self, slots: Slots) -> FloatArray:
         """Give slots to the estimator; return the columns after each, (m, k)."""
         m = len(slots)
-        rows, up, first = np.full((m, len(self._added)), np.nan), np.zeros((m, 3)), np.full((m, 2), np.nan)
+        rows, up, first = (
+            np.full((m, len(self._added)), np.nan),
+            np.full((m, 3), np.nan),
+            np.full((m, 3), np.nan),
+        )
         valid = slots.count[:, :6].min(axis=1) if m else np.zeros(0)
         begins, start, end = slots.begins.tolist(), slots.start_ns.tolist(), slots.end_ns.tolist()
         samples, counts, rest = slots.samples.tolist(), valid.tolist(), (slots.smallest[:, -1] > 0.0).tolist()
@@ -153,13 +154,19 @@ class Alignment:
                 length_s = samples[k] * (self._interval_s or SLOT_S)
                 slot = Slot(time_s, length_s, counts[k], slots.mean[k, :6], tuple(rates[k]))
                 self._aligner.step(slot, magnetic[k], rest[k], slots.turns, k)
-                self._collect(slots.mean[k, 3:6].tolist())
-            if self._aligner.state.positions:
-                rows[k], up[k], first[k] = self._row(), self._up, self._first
-        known = np.isfinite(first[:, 0])
-        angles = self._angles(up[known])
-        rows[known, 2:4] = angles
-        rows[known, 4:6] = np.remainder(angles - first[known] + math.pi, 2.0 * math.pi) - math.pi
+                self._collect()
+            state = self._aligner.state
+            if state.positions:
+                rows[k], first[k] = self._row(), state.first_vertical
+                if state.motion.turning:
+                    up[k] = state.vertical
+        force = np.concatenate([self._force, slots.mean[valid > 0, 3:6]])
+        means = _moving_sums(force)
+        resting = np.isnan(up[:, 0]) & np.isfinite(first[:, 0])
+        up[resting] = means[np.cumsum(valid > 0)[resting]]
+        self._force = force[len(force) - CALM :]
+        rows[:, 2:4] = self._angles(up)
+        rows[:, 4:6] = np.remainder(rows[:, 2:4] - self._angles(first) + math.pi, 2.0 * math.pi) - math.pi
         return rows
 
     def _time(self, begins: bool, start: int, end: int, samples: int) -> None:
@@ -167,8 +174,7 @@ class Alignment:
         if begins:
             self._aligner.begin_run()
             self._origin_ns = self._last_ns = start
-            self._interval_s, self._level, self._points, self._spacing = 0.0, [], [], 1.0
-            self._first = (math.nan, math.nan)
+            self._interval_s, self._points, self._spacing = 0.0, [], 1.0
         since_s = (start - self._last_ns) * 1e-9
         if samples > 1:
             self._interval_s = (end - start) * 1e-9 / (samples - 1)
@@ -190,22 +196,11 @@ class Alignment:
                 row[8 + 2 * j] = estimate.sd
         return row
 
-    def _collect(self, force: list[float]) -> None:
-        """Renew the vertical of the last 2 s, and keep points for the charts, half of them when too many."""
+    def _collect(self) -> None:
+        """Keep points for the charts, half of them when there are too many."""
         aligner, state = self._aligner, self._aligner.state
-        if not aligner.resting:
-            self._level.clear()
-            self._up = state.vertical
-            return
-        self._level.append(force)
-        del self._level[:-CALM]
-        x, y, z = (sum(column) for column in zip(*self._level, strict=True))
-        self._up = (x, y, z)
-        if math.isnan(self._first[0]):
-            roll, pitch = self._angles(np.array([self._up]))[0].tolist()
-            self._first = roll, pitch
         time_s = state.counted_s
-        if state.found is None:
+        if state.found is None or not aligner.resting:
             return
         if self._points and time_s < self._points[-1][0]:
             self._points, self._spacing = [], 1.0
@@ -264,9 +259,7 @@ class Alignment:
             for name, mean in state.means.items():
                 heading = aligner.as_heading(mean.heading) if observable else math.nan
                 estimates[name] = Estimate(heading, mean.sd)
-        roll, pitch = (
-            self._angles(np.array([self._up]))[0].tolist() if aligner.resting else (math.nan, math.nan)
-        )
+        roll, pitch = self._last[2:4].tolist() if aligner.resting else (math.nan, math.nan)
         last = state.positions[-1] if state.positions else None
         fit = None if last is None else last.fit
         return Status(
@@ -381,3 +374,11 @@ class Alignment:
                 contradicted
             ),
         }
+
+
+def _moving_sums(force: FloatArray) -> FloatArray:
+    """Return the sums of each CALM rows, (n - CALM + 1, 3), in the same order however many at once."""
+    total = np.zeros((len(force) - CALM + 1, 3))
+    for k in range(CALM):
+        total += force[k : k + len(total)]
+    return total
