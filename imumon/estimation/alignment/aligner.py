@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.alignment.hypotheses import P_WARMS_UP, WARM_UP_SD, fit_position
+from imumon.estimation.alignment.hypotheses import DRIFTS, Drift, fit_position
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.positions import (
     CALM,
@@ -297,26 +297,27 @@ class Aligner:
         declared = self.parameters.accel_bias_sd_ug
         return self._by_noise(LEVEL_SD, LARGEST_LEVEL_SD) if declared is None else declared * 1e-6
 
-    def _warm_up(self) -> tuple[FloatArray, FloatArray, dict[float, float]]:
-        """Return time constants, s, and amplitudes, g, of the known warm-up, and sizes of the unknown one."""
+    def _warm_up(self) -> tuple[FloatArray, FloatArray, Sequence[Drift]]:
+        """Return time constants, s, and amplitudes, g, of the known warm-up, and drifts beside it."""
         known = self.parameters.known_warm_up
-        sizes = {0.0: 1.0 - P_WARMS_UP, WARM_UP_SD: P_WARMS_UP}
+        drifts: Sequence[Drift] = DRIFTS
         if known is None:
-            return np.ones(3), np.zeros(3), sizes
+            return np.ones(3), np.zeros(3), drifts
         if known.amplitude_sd_ug is not None:
             relative = known.time_constant_sd_s / float(np.mean(known.time_constant_s))
             largest = max(map(abs, known.amplitude_ug))
-            sizes = {math.hypot(known.amplitude_sd_ug, relative * largest) * 1e-6: 1.0}
-        return np.array(known.time_constant_s), np.array(known.amplitude_ug) * 1e-6, sizes
+            size = math.hypot(known.amplitude_sd_ug, relative * largest) * 1e-6
+            drifts = [Drift(1.0, DRIFTS[0].walk, size)]
+        return np.array(known.time_constant_s), np.array(known.amplitude_ug) * 1e-6, drifts
 
     def _evaluate_position(self) -> None:
         """Fit the position of now."""
         position, record = self.state.positions[-1], self._record()
         if not (record.whole_rows[:, 0] > 0.0).any():
             return
-        tau_s, amplitude, sizes = self._warm_up()
+        tau_s, amplitude, drifts = self._warm_up()
         data = levelled(record, position.attitude, self.earth_vertical, tau_s, amplitude)
-        position.fit = fit_position(data, self.earth_vertical, sizes)
+        position.fit = fit_position(data, self.earth_vertical, drifts)
         if position.fit is not None:
             self._means(data.rate[data.valid], position.fit.white / record.counted_s)
 

@@ -6,7 +6,6 @@ trend is their noise; cells that knocks disturbed have less weight (Huber).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,10 +28,6 @@ TREND_ORDER = 5
 """Coefficients of the trend that is no scatter, and at most a quarter of the cells."""
 LEAST_VARIANCE = 1e-24
 """(rad/s)² or rad²: readings that do not change at all have a variance, too."""
-LINES, LINE = 3, 40.0
-"""Narrow sways that are fitted at most; their power over the median of the spectrum: by chance e^-40 a bin."""
-PADDING, LEAST_PERIODS = 4, 5
-"""Bins of the spectrum per period in the record, at least; a line has five periods, fewer are like a trend."""
 CREEPS = 8.0
 """Scatter of the vertical gyro's cells over its white noise from which on the unit turns about the vertical."""
 CREEP_CELLS = 12
@@ -135,31 +130,6 @@ def scatter(values: FloatArray, ok: BoolArray, order: int) -> tuple[float, Float
             break
     freedom = axes * free
     return variance * freedom / max(freedom - 2.0, 1.0), weight, freedom
-
-
-def without_lines(rate: ColumnArray, valid: BoolArray) -> ColumnArray:
-    """Return level rates, (n,), without narrow sways: sines fitted beside a slow trend, strongest first."""
-    n = len(rate)
-    data, weight = np.column_stack([rate.real, rate.imag]), valid.astype(np.float64)
-    basis, taper = trend(n, TREND_ORDER), (np.hanning(n + 2)[1:-1] * valid)[:, None]
-    bins = 1 << (PADDING * n - 1).bit_length()
-    half, least = bins // 2, math.ceil(LEAST_PERIODS * bins / n)
-    phase = 2.0 * np.pi * np.arange(n) / bins
-    found = basis
-    for _ in range(LINES):
-        left = (data - found @ fit(found, data, weight)) * taper
-        power = np.sum(np.abs(np.fft.rfft(left, bins, axis=0)) ** 2, axis=1)[:half]
-        power[:least] = 0.0
-        peak = int(np.argmax(power))
-        if power[peak] <= LINE * np.median(power[least:]):
-            break
-        at = float(peak)
-        if least < peak < half - 1:
-            a, b, c = np.log(np.maximum(power[peak - 1 : peak + 2], 1e-300))
-            at += 0.5 * (a - c) / (a - 2.0 * b + c) if a - 2.0 * b + c < 0.0 else 0.0
-        found = np.column_stack([found, np.cos(at * phase), np.sin(at * phase)])
-    lines = found[:, TREND_ORDER:] @ fit(found, data, weight)[TREND_ORDER:]
-    return np.asarray(rate - lines[:, 0] - 1j * lines[:, 1]) if found is not basis else rate
 
 
 def turns_about_vertical(data: Levelled) -> bool:

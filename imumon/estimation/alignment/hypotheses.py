@@ -13,13 +13,16 @@ each are closed forms; c has a flat prior.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray
 from imumon.estimation.alignment import cells
 from imumon.estimation.alignment.record import Levelled
+from imumon.estimation.alignment.sway import find_sway
 
 SETTLING_TAU_S = np.geomspace(5.0, 640.0, 8)
 """Time constants of a tripod, in octaves."""
@@ -28,14 +31,10 @@ NEIGHBOURS = 3
 TILT_SD = np.array([1e-5, 1e-4, 1e-3])
 """rad: sizes of a tilt."""
 WARM_UP_TAU_S = np.array([100.0, 300.0, 1000.0])
-WARM_UP_SD = 1e-4
-"""g: size of each exponential of a warm-up."""
 P_SETTLES = 0.03
 """Prior probability that the unit settles; ablation: 0.01 to 0.3 changes little."""
-P_WARMS_UP = 0.5
-"""Ablation: with 0.1 settling beside a warm-up has an error/sigma of 4.5 instead of 2.5."""
-WALK, LEVEL_SD = 1e-7, 1e-3
-"""Random walk of an accelerometer, g/√s, and constant of its level, rad."""
+LEVEL_SD = 1e-3
+"""Constant of an accelerometer's level, rad."""
 TEMPER = 0.7
 """Power of prior and evidence, as the courses are no exact exponentials and the noise is estimated.
 Ablation: with 1, settling at 120 s has an error/sigma of 2.8 instead of 2.2."""
@@ -43,10 +42,23 @@ LEVEL_TREND_ORDER = 8
 """Coefficients of the course of the level that is no noise."""
 LEAST_LEVEL_SD = 1e-7
 """rad."""
-LEAST_COURSE = 1e-9
-"""rad: a smaller angle about the vertical turns no bias."""
-LEAST_ROWS, LINE_ROWS = 12, 40
-"""Rows for a fit, and for lines: five periods of a sway below half the row rate."""
+LARGEST_BIAS = 1e-3
+"""rad/s: 200 °/h."""
+LEAST_ROWS = 12
+"""Rows for a fit."""
+
+
+class Drift(NamedTuple):
+    """What accelerometers may do: walk, g/√s, and size of the exponentials of a warm-up, g."""
+
+    probability: float
+    walk: float
+    warm_up_sd: float
+
+
+DRIFTS = (Drift(0.495, 1e-7, 0.0), Drift(0.495, 1e-7, 1e-4), Drift(0.01, 3e-6, 0.0))
+"""They have warmed up, warm up, or one jumps.  Ablation: with 0.1 for the warm-up, settling beside one has an
+error/sigma of 4.5 instead of 2.5."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,9 +114,7 @@ class PositionFit:
         return mean, float(weight @ (self.variance + 0.5 * np.abs(self.rate - mean) ** 2))
 
 
-def fit_position(
-    data: Levelled, earth_vertical: float, warm_up_sds: dict[float, float]
-) -> PositionFit | None:
+def fit_position(data: Levelled, earth_vertical: float, drifts: Sequence[Drift]) -> PositionFit | None:
     """Return what a record says; None when it is too short.
 
     Parameters
@@ -112,8 +122,8 @@ def fit_position(
     data : Levelled
     earth_vertical : float
         Ω sin L, rad/s.
-    warm_up_sds : dict of float
-        Size of the accelerometers' warm-up, g, to its probability.
+    drifts : sequence of Drift
+        What the accelerometers may do.
     """
     n = len(data.rate)
     if data.valid.sum() < LEAST_ROWS:
@@ -122,18 +132,21 @@ def fit_position(
     turned = np.cumsum(creeps * data.valid * (data.vertical - earth_vertical)) * data.row_s
     factor = np.exp(1j * (turned - turned[-1]))
     rate = data.rate * factor
-    if n >= LINE_ROWS:
-        rate = cells.without_lines(rate, data.valid)
-    found = cells.divide(data, rate, creeps)
-    if found is None:
-        return None
     edge_s = data.row_s * np.arange(n + 1.0)
     basis = -np.expm1(-edge_s[:, None] / SETTLING_TAU_S)
-    slopes = np.column_stack([np.diff(basis, axis=0) / data.row_s, factor.real, factor.imag])
-    slopes = cells.hann_means(slopes, len(found.used))
-    gyros = _gyros(found, slopes[:, :-2], slopes[:, -2] + 1j * slopes[:, -1])
+    slopes = np.diff(basis, axis=0) / data.row_s
+    slow = np.column_stack([cells.trend(n, cells.TREND_ORDER), slopes])
+    sways = find_sway(rate, data.level, data.valid, slow)
+    found = cells.divide(data, rate - sways.rate, creeps)
+    if found is None:
+        return None
+    columns = np.column_stack([slopes, sways.columns, factor.real, factor.imag])
+    gyros = _gyros(found, cells.hann_means(columns, len(found.used)))
     middles = cells.hann_means(0.5 * (basis[1:] + basis[:-1]), len(found.used))[found.used]
-    parts = [_stands_or_settles(gyros, one) for one in _accelerometers(data, found, middles, warm_up_sds)]
+    parts = [
+        _stands_or_settles(gyros, one)
+        for one in _accelerometers(data, data.level - sways.level, found, middles, drifts)
+    ]
     log_weight, mean, variance, settles = (np.concatenate(part) for part in zip(*parts, strict=True))
     log_weight = TEMPER * (log_weight - log_weight.max())
     return PositionFit(
@@ -160,27 +173,29 @@ class _Gyros:
     turned_bias: complex
 
 
-def _gyros(found: cells.Cells, slopes: FloatArray, factor: ColumnArray) -> _Gyros:
-    """Return the normal equations, from the slopes (J, 8) and the factor by which rates were turned (J,).
+def _gyros(found: cells.Cells, columns: FloatArray) -> _Gyros:
+    """Return the normal equations, by the means of columns in all cells, (J, 8 + 4 l + 2).
 
-    That factor has turned the bias from cell to cell: a course of any size with its shape is eliminated.
+    These are the slopes of the exponentials, the sways, and real and imaginary part of the factor by which
+    rates were turned.  Sways are eliminated with the prior that they are as large as they were found; and what
+    that factor does to a bias of any size, as it has turned it from cell to cell.
     """
-    used = found.used
+    used, tilts = found.used, len(SETTLING_TAU_S)
     offset = complex(found.rate[used].mean())
-    data, factor = found.rate[used] - offset, factor[used]
-    columns = np.column_stack(
-        [np.ones(len(data)), factor.real, factor.imag, slopes[used], data.real, data.imag]
-    )
+    data = found.rate[used] - offset
+    every = np.column_stack([np.ones(len(data)), columns[used], data.real, data.imag])
     factored = np.linalg.cholesky(_overlapping(len(data)))
-    white = np.linalg.solve(factored, columns * np.sqrt(found.weight[used])[:, None])
+    white = np.linalg.solve(factored, every * np.sqrt(found.weight[used] / found.variance)[:, None])
     constant = float(white[:, 0] @ white[:, 0])
-    turned = complex(*(white[:, 0] @ white[:, 1:3]) / constant)
-    course = white[:, 2] - turned.imag * white[:, 0]
-    white = np.delete(white, (1, 2), axis=1)
-    size = float(course @ course)
-    if size > LEAST_COURSE**2 * constant:
-        white[:, 1:] -= np.outer(course, course @ white[:, 1:] / size)
-    normal = white.T @ white / found.variance
+    turned = complex(*(white[:, 0] @ white[:, -4:-2]) / constant)
+    white[:, -3] = LARGEST_BIAS * (white[:, -3] - turned.imag * white[:, 0])
+    normal = white.T @ white
+    kept = np.r_[: tilts + 1, len(normal) - 2 : len(normal)]
+    gone = np.r_[tilts + 1 : len(normal) - 4, len(normal) - 3]
+    across = normal[np.ix_(kept, gone)]
+    normal = normal[np.ix_(kept, kept)] - across @ np.linalg.solve(
+        normal[np.ix_(gone, gone)] + np.eye(len(gone)), across.T
+    )
     constant, rate = float(normal[0, 0]), complex(normal[0, -2], normal[0, -1])
     by_tilt = normal[1:-2, 0]
     tilt = normal[1:-2, 1:-2] - np.outer(by_tilt, by_tilt) / constant
@@ -206,18 +221,17 @@ class _Accelerometers:
 
 
 def _accelerometers(
-    data: Levelled, found: cells.Cells, middles: FloatArray, warm_up_sds: dict[float, float]
+    data: Levelled, tilt: ColumnArray, found: cells.Cells, middles: FloatArray, drifts: Sequence[Drift]
 ) -> list[_Accelerometers]:
-    """Return one for each size of warm-up; `middles` are the exponentials in the used cells, (m, 8)."""
-    used, count, n = found.used, len(found.used), len(data.level)
+    """Return one for each drift; `middles` are the exponentials in the used cells, (m, 8)."""
+    used, count, n = found.used, len(found.used), len(tilt)
     time_s = cells.hann_means(data.row_s * (np.arange(n)[:, None] + 0.5), count)[:, 0]
-    level = cells.hann_means(np.column_stack([data.level.real, data.level.imag]), count)
+    level = cells.hann_means(np.column_stack([tilt.real, tilt.imag]), count)
     noise, _, _ = cells.scatter(level, cells.whole(data.valid, count), LEVEL_TREND_ORDER)
     level = level[used] - level[used].mean(axis=0)
     at, root = time_s[used], np.sqrt(found.weight[used])
     m = len(at)
     covariance = noise * _overlapping(m) / np.outer(root, root) + LEVEL_SD**2 + LEAST_LEVEL_SD**2 * np.eye(m)
-    covariance += WALK**2 * np.minimum.outer(at, at)
     # Behind a knock, where cells are left out, the level is unknown anew.
     knocked = ~used & np.r_[True, used[:-1]]
     for knock_s in time_s[knocked]:
@@ -225,8 +239,9 @@ def _accelerometers(
         covariance += LEVEL_SD**2 * np.outer(behind, behind)
     warm_up = -np.expm1(-at[:, None] / WARM_UP_TAU_S)
     parts = []
-    for size, probability in warm_up_sds.items():
-        factor = np.linalg.cholesky(covariance + size**2 * warm_up @ warm_up.T)
+    for drift in drifts:
+        course = drift.warm_up_sd**2 * warm_up @ warm_up.T + drift.walk**2 * np.minimum.outer(at, at)
+        factor = np.linalg.cholesky(covariance + course)
         white = np.linalg.solve(factor, np.column_stack([middles, level]))
         normal = white.T @ white
         log_density = -2.0 * float(np.log(np.diag(factor)).sum()) - 0.5 * float(
@@ -234,7 +249,9 @@ def _accelerometers(
         )
         parts.append(
             _Accelerometers(
-                normal[:-2, :-2], normal[:-2, -2] + 1j * normal[:-2, -1], log_density + math.log(probability)
+                normal[:-2, :-2],
+                normal[:-2, -2] + 1j * normal[:-2, -1],
+                log_density + math.log(drift.probability),
             )
         )
     return parts

@@ -1,0 +1,107 @@
+"""Narrow sways of a record: sines that are fitted to the gyros beside a slow course, strongest first.
+
+Each has an amplitude and a frequency that may change along the record, as a sway that swells or wanders.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from imumon.blocks import BoolArray, ColumnArray, FloatArray
+
+LINES, ROWS_PER_LINE = 3, 60
+"""Sways that are fitted at most, and one in so many rows."""
+LINE = 40.0
+"""Power of a line over the median of the spectrum: by chance exp(-40) a bin."""
+PADDING, LEAST_PERIODS = 4, 1.5
+"""Bins of the spectrum per period in the record, at least, and periods below which a sway is a slow course."""
+RIDGE = 1e-9
+"""Of slow courses of length 1, which are nearly alike."""
+REFINED, LONGEST_STEP = 4, 0.3
+"""Gauss-Newton steps to the frequency, of 0.3 periods at most."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sway:
+    """What sways.
+
+    Parameters
+    ----------
+    columns : array, (n, 4 l)
+        Sine and cosine of each line, and both times the time from -1 to 1, of the size of its amplitude, rad/s.
+    rate, level : array of complex, (n,)
+        What gyros and accelerometers show of it, rad/s and rad.
+    """
+
+    columns: FloatArray
+    rate: ColumnArray
+    level: ColumnArray
+
+
+def find_sway(rate: ColumnArray, level: ColumnArray, valid: BoolArray, slow: FloatArray) -> Sway:
+    """Return the sway of level rates and level, (n,), beside slow courses, (n, m)."""
+    n = len(rate)
+    slow = slow / np.sqrt(np.sum(slow**2, axis=0)) * valid[:, None]
+    inverse = np.linalg.inv(slow.T @ slow + RIDGE * np.eye(slow.shape[1]))
+
+    def beside(values: FloatArray) -> FloatArray:
+        values = values * valid[:, None]
+        return np.asarray(values - slow @ (inverse @ (slow.T @ values)))
+
+    data = beside(np.column_stack([rate.real, rate.imag, level.real, level.imag]))
+    left = data[:, :2]
+    columns, fitted = np.zeros((n, 0)), np.zeros((0, 4))
+    for _ in range(min(LINES, n // ROWS_PER_LINE)):
+        start = _strongest(left * (np.hanning(n + 2)[1:-1] * valid)[:, None])
+        if start is None:
+            break
+        found = _line(n, _refined(start, left, beside))
+        columns = np.column_stack([columns, found])
+        clean = beside(columns)
+        fitted = _least_squares(clean, data)
+        left = data[:, :2] - clean @ fitted[:, :2]
+    sways = columns @ fitted if columns.size else np.zeros((n, 4))
+    size = (
+        np.sqrt(np.mean(fitted[:, :2] ** 2, axis=1)).reshape(-1, 4).max(axis=1).repeat(4)
+        if columns.size
+        else 1.0
+    )
+    return Sway(columns * size, sways[:, 0] + 1j * sways[:, 1], sways[:, 2] + 1j * sways[:, 3])
+
+
+def _line(n: int, omega: float) -> FloatArray:
+    """Return cosine, sine, and both times the time, (n, 4); omega in rad a row."""
+    row = np.arange(n) - 0.5 * (n - 1)
+    wave = np.column_stack([np.cos(omega * row), np.sin(omega * row)])
+    return np.column_stack([wave, wave * (row / (0.5 * n))[:, None]])
+
+
+def _least_squares(columns: FloatArray, data: FloatArray) -> FloatArray:
+    normal = columns.T @ columns
+    normal[np.diag_indices_from(normal)] *= 1.0 + 1e-9
+    return np.asarray(np.linalg.solve(normal, columns.T @ data))
+
+
+def _strongest(left: FloatArray) -> float | None:
+    """Return the frequency of the strongest line, rad a row, or None when there is none."""
+    n = len(left)
+    bins = 1 << (PADDING * n - 1).bit_length()
+    least = math.ceil(LEAST_PERIODS * bins / n)
+    power = np.sum(np.abs(np.fft.rfft(left, bins, axis=0)) ** 2, axis=1)[: bins // 2]
+    power[:least] = 0.0
+    peak = int(np.argmax(power))
+    return 2.0 * math.pi * peak / bins if power[peak] > LINE * np.median(power[least:]) else None
+
+
+def _refined(omega: float, left: FloatArray, beside: Callable[[FloatArray], FloatArray]) -> float:
+    """Return the frequency of a line: a step in it makes the cosine change by the time times the sine."""
+    n = len(left)
+    for _ in range(REFINED):
+        a, b, by_a, by_b = _least_squares(beside(_line(n, omega)), left)
+        step = float(np.sum(by_a * b - by_b * a) / np.sum(a * a + b * b)) / (0.5 * n)
+        omega += float(np.clip(step, -LONGEST_STEP * math.tau / n, LONGEST_STEP * math.tau / n))
+    return omega
