@@ -21,6 +21,8 @@ PADDING, LEAST_PERIODS = 4, 1.5
 """Bins of the spectrum per period in the record, at least, and periods below which a sway is a slow course."""
 RIDGE = 1e-9
 """Of slow courses of length 1, which are nearly alike."""
+FEW_PERIODS, EXPLAINED = 5.0, 0.3
+"""A line of few periods counts where it leaves less of the scatter: a knock has power at all frequencies."""
 REFINED, LONGEST_STEP = 4, 0.3
 """Gauss-Newton steps to the frequency, of 0.3 periods at most."""
 
@@ -53,23 +55,26 @@ def find_sway(rate: ColumnArray, level: ColumnArray, valid: BoolArray, slow: Flo
         return np.asarray(values - slow @ (inverse @ (slow.T @ values)))
 
     data = beside(np.column_stack([rate.real, rate.imag, level.real, level.imag]))
-    left = data[:, :2]
-    columns, fitted = np.zeros((n, 0)), np.zeros((0, 4))
+    left, taper = data[:, :2], (np.hanning(n + 2)[1:-1] * valid)[:, None]
+    columns, fitted, size = np.zeros((n, 0)), np.zeros((0, 4)), np.zeros(0)
     for _ in range(min(LINES, n // ROWS_PER_LINE)):
-        start = _strongest(left * (np.hanning(n + 2)[1:-1] * valid)[:, None])
+        start = _strongest(left * taper)
         if start is None:
             break
-        found = _line(n, _refined(start, left, beside))
-        columns = np.column_stack([columns, found])
-        clean = beside(columns)
-        fitted = _least_squares(clean, data)
-        left = data[:, :2] - clean @ fitted[:, :2]
-    sways = columns @ fitted if columns.size else np.zeros((n, 4))
-    size = (
-        np.sqrt(np.mean(fitted[:, :2] ** 2, axis=1)).reshape(-1, 4).max(axis=1).repeat(4)
-        if columns.size
-        else 1.0
-    )
+        omega = _refined(start, left, beside)
+        periods = omega * n / math.tau
+        line = np.column_stack([columns, _line(n, omega)])
+        clean = beside(line)
+        coefficients = _least_squares(clean, data)
+        remains = data[:, :2] - clean @ coefficients[:, :2]
+        if periods < LEAST_PERIODS or abs(omega - start) * n > math.tau:
+            break
+        if periods < FEW_PERIODS and np.sum(remains**2) > EXPLAINED * np.sum(left**2):
+            break
+        columns, fitted, left = line, coefficients, remains
+        swing = _line(n, omega) @ coefficients[-4:, :2]
+        size = np.r_[size, np.full(4, math.sqrt(2.0 * float(np.mean(swing**2))))]
+    sways = columns @ fitted
     return Sway(columns * size, sways[:, 0] + 1j * sways[:, 1], sways[:, 2] + 1j * sways[:, 3])
 
 
