@@ -21,7 +21,8 @@ from imumon.estimation.alignment.positions import (
     Stance,
     turn_variance,
 )
-from imumon.estimation.alignment.posterior import CLASS_ARW, Heading, bias_sizes, heading_posterior
+from imumon.estimation.alignment.posterior import Heading, heading_posterior
+from imumon.estimation.alignment.prior import SensorErrors, sensor_errors
 from imumon.estimation.alignment.record import (
     Record,
     direction_of,
@@ -43,9 +44,6 @@ MOST_POSITIONS = 100
 """The latest positions make the heading."""
 STILL_SETTLED = 1.25
 """A settled heading remains settled until its sigma is larger by this factor."""
-SCALE_SD, LARGEST_SCALE_SD, LEVEL_SD, LARGEST_LEVEL_SD, NOISE_POWER = 3e-4, 0.03, 7.5e-4, 0.04, 1.4
-"""Scale error of a gyro, and bias of an accelerometer in g, beside a gyro with the noise N: so much times
-(N / 0.1 °/√h)^1.4, no less than that and no more than the second; data sheets in docs/alignment.md."""
 
 
 @dataclass
@@ -81,6 +79,7 @@ class State:
     vertical: tuple[float, float, float] = (0.0, 0.0, 1.0)
     field_sum: list[float] = field(default_factory=lambda: [0.0] * 4)
     found: Heading | None = None
+    found_variance: float = 0.0
     heading_sd: float = math.nan
     first_vertical: tuple[float, float, float] | None = None
     means: dict[str, Estimate] = field(default_factory=dict)
@@ -245,13 +244,13 @@ class Aligner:
     def _turned(self) -> None:
         """Begin a position after a turn; begin anew when nobody can say by which angle."""
         state, motion = self.state, self.state.motion
-        before, calm = state.positions[-1], motion.held[-CALM // 2 :]
+        before, calm, errors = state.positions[-1], motion.held[-CALM // 2 :], self.errors
         force = np.mean([slot.values[3:] for slot in calm], axis=0)
         attitude = upright(state.attitude, force)
         seconds = motion.moving_s - sum(slot.length_s for slot in motion.held[-CALM:])
         variance = turn_variance(
             motion.turned, before.attitude, force / math.sqrt(force @ force), seconds, motion.noise,
-            self.scale_sd, math.sqrt(2.0) * self.level_sd,
+            errors.scale, math.sqrt(2.0) * errors.level,
         )  # fmt: skip
         begun_s = motion.begun_s
         if variance > ANY_ANGLE_SD**2:
@@ -277,25 +276,11 @@ class Aligner:
         for slot in rest:
             self._count(slot)
 
-    def _noise(self) -> float:
-        """Return the angular random walk of the quietest gyro, rad/√s."""
-        fits = [one.fit.white for one in self.state.positions if one.fit is not None]
-        return math.sqrt(min(fits, default=0.0))
-
-    def _by_noise(self, least: float, largest: float) -> float:
-        return min(max(least * (self._noise() / CLASS_ARW) ** NOISE_POWER, least), largest)
-
     @property
-    def scale_sd(self) -> float:
-        """Standard deviation of the gyros' scale factor, as declared or by their noise."""
-        declared = self.parameters.gyro_scale_sd_ppm
-        return self._by_noise(SCALE_SD, LARGEST_SCALE_SD) if declared is None else declared * 1e-6
-
-    @property
-    def level_sd(self) -> float:
-        """Standard deviation of the accelerometers' bias, g, as declared or by the noise of the gyros."""
-        declared = self.parameters.accel_bias_sd_ug
-        return self._by_noise(LEVEL_SD, LARGEST_LEVEL_SD) if declared is None else declared * 1e-6
+    def errors(self) -> SensorErrors:
+        """What the sensors may be wrong by, as declared or by the noise of the quietest gyro."""
+        white = [one.fit.white for one in self.state.positions if one.fit is not None]
+        return sensor_errors(math.sqrt(min(white, default=0.0)), self.parameters)
 
     def _warm_up(self) -> tuple[FloatArray, FloatArray, Sequence[Drift]]:
         """Return time constants, s, and amplitudes, g, of the known warm-up, and drifts beside it."""
@@ -346,10 +331,8 @@ class Aligner:
         fitted = [one for one in state.positions if one.fit is not None][-MOST_POSITIONS:]
         fits = [one.fit for one in fitted if one.fit is not None]
         turned = np.array([one.turn_variance for one in fitted])
-        declared = self.parameters.gyro_bias_sd_deg_per_h
-        sizes, log_prior = bias_sizes(self._noise(), None if declared is None else declared * DEG_PER_H)
-        flicker = (self.parameters.gyro_flicker_deg_per_h or 0.0) * DEG_PER_H
-        state.found = heading_posterior(fits, turned, self.latitude, sizes, log_prior, flicker, self.level_sd)
+        state.found = heading_posterior(fits, turned, self.latitude, self.errors)
+        state.found_variance = fitted[-1].turn_variance
         last = fits[-1]
         state.crept = 0.0
         trusted = last.vertical_variance < (EARTH_RATE * 1e-2) ** 2
@@ -387,17 +370,13 @@ class Aligner:
         state, motion = self.state, self.state.motion
         if state.found is None:
             return math.nan
-        variance = state.positions[-1].turn_variance - self._fitted_turn_variance()
+        variance = state.positions[-1].turn_variance - state.found_variance
         if motion.turning and motion.held:
             before, up = state.positions[-1].attitude, state.attitude[2]
             variance += turn_variance(
-                motion.turned, before, up, motion.moving_s, motion.noise, self.scale_sd, 1.0
+                motion.turned, before, up, motion.moving_s, motion.noise, self.errors.scale, 1.0
             )
         return min(math.hypot(state.found.sd, math.sqrt(max(variance, 0.0))), ANY_ANGLE_SD)
-
-    def _fitted_turn_variance(self) -> float:
-        """Return the turn variance of the last position that is in the posterior."""
-        return next((one.turn_variance for one in reversed(self.state.positions) if one.fit is not None), 0.0)
 
     @property
     def heading(self) -> float:

@@ -102,14 +102,14 @@ class PositionFit:
     turned_bias: complex
 
     @property
-    def weight(self) -> FloatArray:
-        """Probability of each hypothesis by this position alone, (h,)."""
-        weight = np.exp(self.log_weight)
-        return np.asarray(weight / weight.sum())
+    def creep_s(self) -> float:
+        """Time in which it crept, s."""
+        return self.seconds if self.crept else 0.0
 
     def together(self) -> tuple[complex, float]:
         """Return mean and variance of each part of the rate over all hypotheses."""
-        weight = self.weight
+        weight = np.exp(self.log_weight)
+        weight /= weight.sum()
         mean = complex(weight @ self.rate)
         return mean, float(weight @ (self.variance + 0.5 * np.abs(self.rate - mean) ** 2))
 

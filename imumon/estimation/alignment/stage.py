@@ -288,7 +288,7 @@ class Alignment:
             position_sd=math.inf if fit is None else math.sqrt(fit.variance[0]) / aligner.level_rate,
             turned=aligner.turned,
             bias_declared=self._parameters.gyro_bias_sd_deg_per_h is not None,
-            force_sd=aligner.level_sd,
+            force_sd=aligner.errors.level,
         )
 
     def _phase(self) -> str:

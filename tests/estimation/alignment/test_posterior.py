@@ -14,7 +14,9 @@ WAVES = np.stack([np.cos(AROUND), np.sin(AROUND), np.cos(2.0 * AROUND), np.sin(2
 @pytest.mark.parametrize("of_second", [0.0, 1e-3, 0.3, 1.0, 1e3])
 def test_no_direction_is_likelier_than_the_one_that_is_found(of_second: float) -> None:
     waves = np.random.default_rng(1).normal(size=(500, 4)) * [1e4, 1e4, 1e4 * of_second, 1e4 * of_second]
-    angle, height, sharpness = _peaks(waves)
+    c2, s2 = waves[:, 2:].T
+    matrix = np.array([[-2.0 * c2, -2.0 * s2], [-2.0 * s2, 2.0 * c2]]).transpose(2, 0, 1)
+    angle, height, sharpness = _peaks(waves[:, :2], matrix)
     values = waves @ WAVES
     at = np.stack([np.cos(angle), np.sin(angle), np.cos(2.0 * angle), np.sin(2.0 * angle)], axis=-1)
     known = np.isfinite(height)

@@ -140,7 +140,11 @@ def test_a_turn_beyond_the_declared_range_is_in_the_sigma() -> None:
     pipeline = Pipeline(None, [stage], Ranges(gyro_deg_per_s=165.0))
     pipeline.push(SampleBlock(sent))
     out = pipeline.take()
-    off, sd = error_deg(out["heading"][-1], 210.0), math.degrees(out["heading_sd"][-1])
+    after, end = round(33.5 * 50.0), len(out["heading"]) - 1
+    (off, sd), (last, last_sd) = (
+        (error_deg(out["heading"][k], 210.0), math.degrees(out["heading_sd"][k])) for k in (after, end)
+    )
     assert 0.3 < abs(off) < 3.0 * sd
     assert sd < 10.0
+    assert abs(last) < 3.0 * last_sd < 1.0  # by the second position alone
     assert pipeline.counters.left_out > 5

@@ -1,0 +1,83 @@
+"""What data sheets say of sensors beside gyros with the noise N; docs/alignment.md has the table."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from imumon.blocks import FloatArray
+from imumon.estimation.alignment.parameters import AlignmentParameters
+from imumon.geodesy import DEG_PER_H, EARTH_RATE
+
+
+class ByNoise(NamedTuple):
+    """A regression: factor (N / 0.1 °/√h)^power, and no less and no more than these."""
+
+    factor: float
+    power: float
+    least: float
+    most: float
+
+    def at(self, noise: float) -> float:
+        """Return the value beside gyros with this angular random walk, rad/√s."""
+        return min(
+            max(self.factor * (noise / (math.radians(0.1) / 60.0)) ** self.power, self.least), self.most
+        )
+
+
+BIAS = ByNoise(2.0 * DEG_PER_H, 1.86, 0.0014 * DEG_PER_H, EARTH_RATE)
+"""Bias of a gyro, rad/s: not below that of the quietest gyro in the table, nor above what hides the north anyway."""
+SCALE = ByNoise(3e-4, 1.4, 3e-4, 0.03)
+"""Scale factor and misalignment of a gyro."""
+LEVEL = ByNoise(7.5e-4, 1.4, 7.5e-4, 0.04)
+"""Bias of an accelerometer, g."""
+LOG_SIZES, SCATTER = np.linspace(-4.0, 12.0, 17), 1.5
+"""Logarithms of the sizes of a bias over that of the regression, up to 200 °/h for the best gyros, and their
+standard deviation."""
+WORSE = np.exp([2.0, 4.0, 6.0, 8.0, 10.0])
+"""Factors by which one or two gyros may be worse than the others."""
+P_ALL_WORSE, P_SOME_WORSE, P_DECLARED = 0.02, 0.003, 0.999
+"""Prior probabilities that all gyros are worse than the regression by any factor (assumed), that one or two are
+worse than the others (as seldom as a normal value beyond three sigmas), and that a declared bias holds."""
+
+
+class SensorErrors(NamedTuple):
+    """Standard deviations of what the gyros and accelerometers may be wrong by.
+
+    `sizes` (s, 3) of the gyros' biases, rad/s, have the log probabilities `log_prior` (s,); `flicker` is the
+    change of a bias from position to position, rad/s; `scale`; and `level`, in g.
+    """
+
+    sizes: FloatArray
+    log_prior: FloatArray
+    flicker: float
+    scale: float
+    level: float
+
+
+def sensor_errors(noise: float, parameters: AlignmentParameters) -> SensorErrors:
+    """Return what is declared, and else what data sheets say beside this angular random walk, rad/√s."""
+    ppm, micro_g = parameters.gyro_scale_sd_ppm, parameters.accel_bias_sd_ug
+    return SensorErrors(
+        *_bias_sizes(BIAS.at(noise), parameters.gyro_bias_sd_deg_per_h),
+        flicker=(parameters.gyro_flicker_deg_per_h or 0.0) * DEG_PER_H,
+        scale=SCALE.at(noise) if ppm is None else ppm * 1e-6,
+        level=LEVEL.at(noise) if micro_g is None else micro_g * 1e-6,
+    )
+
+
+def _bias_sizes(typical: float, declared: float | None) -> tuple[FloatArray, FloatArray]:
+    worse = LOG_SIZES > 0.0
+    if declared is not None:
+        sd = max(declared * DEG_PER_H, 1e-11)  # a bias of zero has no logarithm
+        sizes = np.r_[sd, max(typical, sd) * np.exp(LOG_SIZES[worse])]
+        probability = np.r_[P_DECLARED, np.full(len(sizes) - 1, (1.0 - P_DECLARED) / (len(sizes) - 1))]
+        return np.tile(sizes[:, None], (1, 3)), np.log(probability)
+    density = np.exp(-0.5 * (LOG_SIZES / SCATTER) ** 2)
+    alike = (1.0 - P_ALL_WORSE - P_SOME_WORSE) * density / density.sum() + P_ALL_WORSE * worse / worse.sum()
+    one = np.eye(3, dtype=bool)
+    some = np.where(np.concatenate([one, ~one]), WORSE[:, None, None], 1.0).reshape(-1, 3)
+    factors = np.concatenate([np.tile(np.exp(LOG_SIZES)[:, None], (1, 3)), some])
+    return typical * factors, np.log(np.r_[alike, np.full(len(some), P_SOME_WORSE / len(some))])
