@@ -1,4 +1,4 @@
-"""Tables of the alignment: closed forms, seeded runs, the published times, disturbances."""
+"""Tables of the alignment: closed forms, seeded runs, disturbances."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 from alignment_figures import bound_free, bound_known, draw_all
 from alignment_loop import Loop, comparisons, short_heading, simulate
 from alignment_runs import CASES, ESTIMATORS, EVENTS, TURNED, Case, Run, align, plan, runs, within_from
-from alignment_times import beginning, solutions, straight
 
 FIGURES = Path(__file__).resolve().parents[2] / "docs" / "figures" / "alignment"
 CHECKED_S = (60, 120, 180, 300)
@@ -95,32 +94,6 @@ def _rms(ratios: Sequence[float]) -> str:
     return f"{math.sqrt(np.mean(known**2)):.2f}" + (f" ({len(known)})" if len(known) < len(ratios) else "")
 
 
-def times() -> None:
-    """The published 529 s and 355 s."""
-    table(
-        "Errors in ° where the paper says 0.05°, and s from which the error stays within 0.05° of zero, and "
-        "of the estimator's own value after 900 s (83.7 µg from power-on, 36°, no noise)",
-        [
-            "T_i, s",
-            "averaged from, s",
-            "average at 529 s",
-            "fit at 355 s",
-            "average",
-            "fit",
-            "average, own",
-            "fit, own",
-        ],
-        straight(),
-    )
-    table(
-        "T_i and warm-up that give both times",
-        ["averaged from, s", "T_i, s", "µg from power-on", "µg after that", "or 83.7 µg and truth off by, °"],
-        solutions(),
-    )
-    start, tau = beginning()
-    print(f"\nWith 83.7 µg from power-on: averages that begin {start:.0f} s after it, and T_i = {tau:.0f} s")
-
-
 def disturbances(seeds: int) -> None:
     """What happens to each event: what is said, what is shown."""
     rows = []
@@ -163,7 +136,6 @@ def main() -> None:
         return
     for case in CASES:
         statistics(case, list(runs(case, count)))
-    times()
     disturbances(max(count // 5, 1))
     draw_all(FIGURES)
     print(f"\nFigures: {FIGURES.relative_to(FIGURES.parents[2])}")

@@ -1,4 +1,4 @@
-"""The alignment slot by slot: rest and turns, the record of each position, and from time to time a new fit."""
+"""The alignment slot by slot: rest and turns, the record of each position, and now and then a new fit."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from imumon.estimation.alignment.positions import (
     Slot,
     Stance,
     turn_variance,
-)
+)  # fmt: skip
 from imumon.estimation.alignment.posterior import Heading, heading_posterior
 from imumon.estimation.alignment.prior import SensorErrors, sensor_errors
 from imumon.estimation.alignment.record import (
@@ -30,65 +30,54 @@ from imumon.estimation.alignment.record import (
     levelled,
     turned_about_vertical,
     upright,
-)
+)  # fmt: skip
 from imumon.estimation.alignment.status import ANY_ANGLE_SD, Estimate, Position
 from imumon.filters.turns import Turns
-from imumon.geodesy import DEG_PER_H, EARTH_RATE
+from imumon.geodesy import EARTH_RATE
 
 SLOT_S = 0.25
-REFIT_SHARE, REFIT_S, FIRST_FIT_S = 1.0 / 3.0, (1.0, 60.0), 3.0
-"""A position is fitted anew when its time at rest grew by a third, sigma falling by an eighth; between these, s."""
+FIRST_FIT_S, LONGEST_REFIT_S = 3.0, 60.0
+"""A position is fitted when it has so much rest, then when that grew by a third, sigma falling by an eighth,
+but at least every minute."""
 LONGEST_GAP_S = 30.0
 """After a longer gap the alignment begins anew."""
+KNOWN_REST = 0.01
+"""Earth rates: error of the vertical gyro's rate at rest, which turns a heading by 0.0025° in the minute
+between two fits."""
 MOST_POSITIONS = 100
-"""The latest positions make the heading."""
-STILL_SETTLED = 1.25
-"""A settled heading remains settled until its sigma is larger by this factor."""
+"""The latest positions make the heading, so that a fit takes no ever longer time."""
 
 
 @dataclass
 class State:
-    """All that is remembered.
-
-    Parameters
-    ----------
-    attitude : array, (3, 3)
-        Body axes to the reference frame, now.
-    direction : float
-        Direction of the body in that frame, rad, counter-clockwise.
-    crept : float
-        Angle about the vertical that the vertical gyro has shown since the last fit, rad, counter-clockwise.
-    vertical_rest : float
-        What it reads at rest, rad/s.
-    field_sum : list of float
-        Of the magnetometer in this position, body axes, and its samples.
-    ended_s : float
-        End of the last slot.
-    due_s : float
-        Time counted at which the next fit is due.
-    disturbed, restarts : int
-        How often something was left out, and how often the alignment began anew.
-    """
+    """All that is remembered."""
 
     motion: Motion = field(default_factory=Motion)
     positions: list[Stance] = field(default_factory=list)
     attitude: FloatArray = field(default_factory=lambda: np.eye(3))
+    """Body axes to the reference frame, now, (3, 3)."""
     direction: float = 0.0
-    crept: float = 0.0
-    vertical_rest: float = math.nan
-    vertical: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Direction of the body in that frame, rad, counter-clockwise."""
+    first_vertical: tuple[float, ...] = (math.nan,) * 3
+    """Vertical of the first position, body axes."""
     field_sum: list[float] = field(default_factory=lambda: [0.0] * 4)
+    """Of the magnetometer in this position, body axes, and its samples."""
     found: Heading | None = None
-    found_variance: float = 0.0
+    found_turns: float = 0.0
+    """Turn variance of the last position in it, rad²."""
     heading_sd: float = math.nan
-    first_vertical: tuple[float, float, float] | None = None
+    """Of the heading of now, rad; NaN before a fit."""
+    vertical_rest: float = math.nan
+    """Rate of the vertical gyro at rest by the last fit, rad/s; NaN when it is not known."""
+    crept: float = 0.0
+    """Angle about the vertical that it has shown since, rad, counter-clockwise."""
     means: dict[str, Estimate] = field(default_factory=dict)
-    now_s: float = 0.0
     ended_s: float = 0.0
-    slot_s: float = 0.0
+    """End of the last slot, since the first sample."""
     counted_s: float = 0.0
-    counted_before_s: float = 0.0
+    """Time at rest."""
     due_s: float = FIRST_FIT_S
+    """Time at rest at which the next fit is due."""
     shaken_s: float = 0.0
     settled_s: float | None = None
     events: list[str] = field(default_factory=list)
@@ -120,114 +109,92 @@ class Aligner:
         """Begin a segment of the device."""
         if self.state.positions:
             self.begin_anew("the device started anew")
-        old = self.state
+        self.state = State(events=self.state.events, restarts=self.state.restarts)
         self.run += 1
-        self.state = State(events=old.events, restarts=old.restarts)
 
     def begin_anew(self, why: str) -> None:
-        """Forget all positions; say why, when there were any."""
+        """Forget all positions and say why."""
         self.past, old = self.finish(), self.state
+        old.events.append(f"alignment: {why}: the alignment starts anew")
         self.state = State(
-            now_s=old.now_s, ended_s=old.ended_s, slot_s=old.slot_s, shaken_s=old.shaken_s, events=old.events,
-            disturbed=old.disturbed, restarts=old.restarts,
+            ended_s=old.ended_s, shaken_s=old.shaken_s, events=old.events, disturbed=old.disturbed,
+            restarts=old.restarts + 1,
         )  # fmt: skip
-        if old.positions:
-            self.state.restarts += 1
-            self.state.events.append(f"alignment: {why}: the alignment starts anew")
 
     def step(self, slot: Slot, magnetic: Sequence[float], at_rest: bool, turns: Turns, k: int) -> None:
-        """Go on by a slot, its mean of the magnetometer (3,), and turn k."""
-        self._bridge(slot)
+        """Go on by a slot, its mean of the magnetometer, (3,), whether it is called rest, and turn k."""
+        gap = slot.time_s - 0.5 * slot.length_s - self.state.ended_s
+        if self.state.positions and gap > max(SLOT_S, 2.5 * slot.length_s):
+            self._bridge(gap, slot)
         state = self.state
-        state.now_s, state.ended_s, state.slot_s = (
-            slot.time_s,
-            slot.time_s + 0.5 * slot.length_s,
-            slot.length_s,
-        )
+        state.ended_s = slot.ended_s
         outcome = state.motion.classify(slot, at_rest)
         if outcome is Outcome.REST:
             self._count(slot)
         elif outcome is Outcome.FIRST_REST:
-            self._first_rest()
+            held = state.motion.end()
+            self._begin_position(
+                first_attitude(np.mean([one.values[3:] for one in held], axis=0)), 0.0, 1, held
+            )
+            state.first_vertical = tuple(state.attitude[2].tolist())
         elif outcome is not Outcome.WAITING:
             self._moved(outcome, turns, k)
         if self.resting:
-            self._rest(slot, magnetic)
+            if math.isfinite(sum(magnetic)):
+                new = *(slot.samples * value for value in magnetic), slot.samples
+                self.state.field_sum = [a + b for a, b in zip(self.state.field_sum, new, strict=True)]
+            if self.state.counted_s >= self.state.due_s:
+                self.evaluate()
 
-    def _bridge(self, slot: Slot) -> None:
+    def _bridge(self, gap: float, slot: Slot) -> None:
         """Fill the record where slots are missing, or begin anew."""
         state = self.state
-        gap = slot.time_s - 0.5 * slot.length_s - state.ended_s
-        if not state.positions or gap <= max(SLOT_S, 2.5 * slot.length_s):
-            return
         if gap > LONGEST_GAP_S:
             self.begin_anew(f"samples are missing at {state.ended_s:.1f} s for {gap:.1f} s")
         elif not state.motion.turning:
             missing = max(round(gap / slot.length_s), 1)
             for j in range(missing):
-                self._leave_out(state.ended_s + gap * (j + 1) / missing, slot)
+                self._record.add(0.0, slot.values, state.ended_s + gap * (j + 1) / missing, 0.0)
 
     @property
     def resting(self) -> bool:
         """Whether the unit rests in a position."""
         return bool(self.state.positions) and not self.state.motion.turning
 
+    @property
     def _record(self) -> Record:
         record = self.state.positions[-1].record
         assert record is not None
         return record
 
-    def _leave_out(self, ended_s: float, slot: Slot) -> None:
-        self._record().add(0.0, slot.values, ended_s, slot.length_s)
-
     def _count(self, slot: Slot) -> None:
         """Count a slot at rest."""
         state = self.state
-        record = self._record()
-        record.add(slot.samples, slot.values, slot.time_s + 0.5 * slot.length_s, slot.length_s)
+        self._record.add(slot.samples, slot.values, slot.ended_s, slot.length_s)
         state.counted_s += slot.length_s
         state.motion.rest(slot.rate)
-        if state.vertical_rest == state.vertical_rest:
-            (x, y, z), (a, b, c) = slot.rate, state.vertical
-            state.crept += slot.length_s * (a * x + b * y + c * z - state.vertical_rest)
+        if not math.isnan(state.vertical_rest):
+            state.crept += slot.length_s * (float(state.attitude[2] @ slot.values[:3]) - state.vertical_rest)
 
-    def _rest(self, slot: Slot, magnetic: Sequence[float]) -> None:
-        state = self.state
-        if math.isfinite(sum(magnetic)):
-            for axis, value in enumerate(magnetic):
-                state.field_sum[axis] += slot.samples * value
-            state.field_sum[3] += slot.samples
-        if state.counted_s >= state.due_s:
-            self.evaluate()
+    def _begin_position(self, attitude: FloatArray, turns: float, number: int, rest: Sequence[Slot]) -> None:
+        """Begin a position with slots at rest."""
+        state, begun_s = self.state, rest[0].ended_s - rest[0].length_s
+        self._stand(attitude)
+        state.positions.append(Stance(attitude, turns, Record(begun_s), number, begun_s))
+        state.due_s = state.counted_s + FIRST_FIT_S
+        state.field_sum, state.vertical_rest = [0.0] * 4, math.nan
+        for slot in rest:
+            self._count(slot)
 
     def _stand(self, attitude: FloatArray) -> None:
         self.state.attitude, self.state.direction = attitude, direction_of(attitude)
-        x, y, z = attitude[2].tolist()
-        self.state.vertical = x, y, z
-
-    def _begin_position(self, attitude: FloatArray, variance: float, number: int, begun_s: float) -> None:
-        """Begin a record; the rows of the position before are no longer needed."""
-        state = self.state
-        self._stand(attitude)
-        state.positions.append(Stance(attitude, variance, Record(begun_s), number, begun_s))
-        state.counted_before_s = state.counted_s
-        state.due_s = state.counted_s + FIRST_FIT_S
-        state.field_sum, state.vertical_rest = [0.0] * 4, math.nan
-
-    def _first_rest(self) -> None:
-        held = self.state.motion.settle()
-        up = np.mean([slot.values[3:] for slot in held], axis=0)
-        self._begin_position(first_attitude(up), 0.0, 1, held[0].time_s - 0.5 * held[0].length_s)
-        self.state.first_vertical = self.state.vertical
-        for slot in held:
-            self._count(slot)
 
     def _moved(self, outcome: Outcome, turns: Turns, k: int) -> None:
         """Follow a motion, and end it."""
         state, motion = self.state, self.state.motion
-        if len(motion.held) == 1 and state.vertical_rest == state.vertical_rest:
+        assert motion.base is not None
+        if len(motion.held) == 1 and not math.isnan(state.vertical_rest):
             # The unit may creep about the vertical before it is turned.
-            assert motion.base is not None
             up = state.attitude[2]
             motion.base = motion.base + up * (state.vertical_rest - float(up @ motion.base))
         self._stand(state.attitude @ motion.follow(turns.at(k)))
@@ -235,7 +202,7 @@ class Aligner:
             self.begin_anew(f"the unit turned at {motion.begun_s:.1f} s for {LONGEST_S:g} s")
         elif outcome is Outcome.BACK:
             self._stand(state.positions[-1].attitude)
-            for slot in motion.settle():
+            for slot in motion.end():
                 self._count(slot)
         elif outcome is Outcome.TURNED:
             self._turned()
@@ -243,38 +210,31 @@ class Aligner:
 
     def _turned(self) -> None:
         """Begin a position after a turn; begin anew when nobody can say by which angle."""
-        state, motion = self.state, self.state.motion
-        before, calm, errors = state.positions[-1], motion.held[-CALM // 2 :], self.errors
-        force = np.mean([slot.values[3:] for slot in calm], axis=0)
-        attitude = upright(state.attitude, force)
-        seconds = motion.moving_s - sum(slot.length_s for slot in motion.held[-CALM:])
+        state, motion, errors = self.state, self.state.motion, self.errors
+        before, rest, begun_s = state.positions[-1], motion.held[-CALM:], motion.begun_s
+        force = np.mean([slot.values[3:] for slot in rest[CALM // 2 :]], axis=0)
+        attitude, seconds = upright(state.attitude, force), rest[0].ended_s - rest[0].length_s - begun_s
         variance = turn_variance(
             motion.turned, before.attitude, force / math.sqrt(force @ force), seconds, motion.noise,
             errors.scale, math.sqrt(2.0) * errors.level,
         )  # fmt: skip
-        begun_s = motion.begun_s
         if variance > ANY_ANGLE_SD**2:
             self.begin_anew(f"the unit turned at {begun_s:.1f} s by an angle that is not known")
             return
-        number = before.number + (motion.angle > NEW_POSITION)
-        angle, sd = -turned_about_vertical(before.attitude, attitude), math.sqrt(variance)
+        new = motion.angle > NEW_POSITION
+        angle = math.degrees(-turned_about_vertical(before.attitude, attitude))
+        sd = math.degrees(math.sqrt(variance))
         state.disturbed += 1
+        state.shaken_s += seconds
         state.events.append(
             f"alignment: the unit turned at {begun_s:.1f} s for {seconds:.1f} s: left out; "
-            f"{'a new position, ' if number > before.number else ''}"
-            f"turned by {math.degrees(angle):.2f}° ± {math.degrees(sd):.2f}° about the vertical"
+            f"{'a new position, ' if new else ''}turned by {angle:.2f}° ± {sd:.2f}° about the vertical"
         )
-        self._evaluate_position()
+        self._fit_position()
         before.record, before.ended_s = None, begun_s
-        held = motion.settle()
-        state.shaken_s += seconds
-        rest = held[-CALM:]
-        self._begin_position(
-            attitude, before.turn_variance + variance, number, rest[0].time_s - 0.5 * rest[0].length_s
-        )
-        state.motion.recent.clear()
-        for slot in rest:
-            self._count(slot)
+        motion.end()
+        motion.recent.clear()
+        self._begin_position(attitude, before.turn_variance + variance, before.number + new, rest)
 
     @property
     def errors(self) -> SensorErrors:
@@ -285,98 +245,76 @@ class Aligner:
     def _warm_up(self) -> tuple[FloatArray, FloatArray, Sequence[Drift]]:
         """Return time constants, s, and amplitudes, g, of the known warm-up, and drifts beside it."""
         known = self.parameters.known_warm_up
-        drifts: Sequence[Drift] = DRIFTS
         if known is None:
-            return np.ones(3), np.zeros(3), drifts
+            return np.ones(3), np.zeros(3), DRIFTS
+        drifts: Sequence[Drift] = DRIFTS
         if known.amplitude_sd_ug is not None:
             relative = known.time_constant_sd_s / float(np.mean(known.time_constant_s))
-            largest = max(map(abs, known.amplitude_ug))
-            size = math.hypot(known.amplitude_sd_ug, relative * largest) * 1e-6
-            drifts = [Drift(1.0, DRIFTS[0].walk, size)]
+            size = math.hypot(known.amplitude_sd_ug, relative * max(map(abs, known.amplitude_ug)))
+            drifts = [Drift(1.0, DRIFTS[0].walk, size * 1e-6)]
         return np.array(known.time_constant_s), np.array(known.amplitude_ug) * 1e-6, drifts
 
-    def _evaluate_position(self) -> None:
-        """Fit the position of now."""
-        position, record = self.state.positions[-1], self._record()
+    def _fit_position(self) -> None:
+        """Fit the position of now, and its plain and Hann-weighted mean of the gyros."""
+        state, record = self.state, self._record
         if not (record.whole_rows[:, 0] > 0.0).any():
             return
         tau_s, amplitude, drifts = self._warm_up()
-        data = levelled(record, position.attitude, self.earth_vertical, tau_s, amplitude)
-        position.fit = fit_position(data, self.earth_vertical, drifts)
-        if position.fit is not None:
-            self._means(data.rate[data.valid], position.fit.white / record.counted_s)
-
-    def _means(self, rate: FloatArray, variance: float) -> None:
-        """Renew the plain and the Hann-weighted mean of the gyros in this position."""
-        size = self.state.found.size_sd if self.state.found else 0.0
+        data = levelled(record, state.positions[-1].attitude, self.earth_vertical, tau_s, amplitude)
+        fit = state.positions[-1].fit = fit_position(data, self.earth_vertical, drifts)
+        if fit is None:
+            return
+        rate, size = data.rate[data.valid], state.found.size_sd if state.found else 0.0
         for name, taper, factor in (("gyro_mean", np.ones, 1.0), ("hann_mean", np.hanning, 1.5)):
             mean = complex(taper(len(rate)) @ rate)
-            sd = math.sqrt(factor * variance + size**2) / self.level_rate
-            self.state.means[name] = Estimate(math.atan2(mean.imag, mean.real), min(sd, ANY_ANGLE_SD))
+            sd = math.sqrt(factor * fit.white / record.counted_s + size**2) / self.level_rate
+            state.means[name] = Estimate(math.atan2(mean.imag, mean.real), min(sd, ANY_ANGLE_SD))
 
     def evaluate(self) -> None:
         """Fit the position of now and renew the heading."""
         state = self.state
-        self._evaluate_position()
-        last = state.positions[-1]
-        if last.fit is not None:
-            self._find()
-        here_s = state.counted_s - state.counted_before_s
-        # A bias that hides the north goes on to do so until the unit is turned.
-        after_s = here_s if self.hidden else min(REFIT_SHARE * here_s, REFIT_S[1])
-        state.due_s = state.counted_s + max(after_s, REFIT_S[0])
-
-    def _find(self) -> None:
-        state = self.state
-        fitted = [one for one in state.positions if one.fit is not None][-MOST_POSITIONS:]
-        fits = [one.fit for one in fitted if one.fit is not None]
-        turned = np.array([one.turn_variance for one in fitted])
-        state.found = heading_posterior(fits, turned, self.latitude, self.errors)
-        state.found_variance = fitted[-1].turn_variance
-        last = fits[-1]
-        state.crept = 0.0
-        trusted = last.vertical_variance < (EARTH_RATE * 1e-2) ** 2
-        state.vertical_rest = last.vertical if trusted else math.nan
-        state.heading_sd = self._sd()
-        self._settle()
+        self._fit_position()
+        fitted = [(one.fit, one.turn_variance) for one in state.positions if one.fit][-MOST_POSITIONS:]
+        fits, turns = [one for one, _ in fitted], [turn for _, turn in fitted]
+        here_s = self._record.counted_s
+        after_s = min(here_s / 3.0, LONGEST_REFIT_S)
+        if state.positions[-1].fit is not None:
+            state.found = heading_posterior(fits, np.array(turns), self.latitude, self.errors)
+            state.found_turns, state.crept = turns[-1], 0.0
+            known = fits[-1].vertical_variance < (KNOWN_REST * EARTH_RATE) ** 2
+            state.vertical_rest = fits[-1].vertical if known else math.nan
+            state.heading_sd = self._sd()
+            self._settle()
+            # A bias that hides the north goes on to do so until the unit is turned.
+            if state.found.bias_sd > self.level_rate * math.radians(self.parameters.observable_deg):
+                after_s = here_s
+        state.due_s = state.counted_s + max(after_s, 1.0)
 
     def _settle(self) -> None:
-        state = self.state
-        wanted, sd = math.radians(self.parameters.settled_deg), self.heading_sd
-        if state.settled_s is None and sd <= wanted and self.observable:
-            state.settled_s = state.now_s
-        elif state.settled_s is not None and not (sd <= STILL_SETTLED * wanted and self.observable):
+        """Note when sigma fell to what is wanted; it remains settled until sigma is larger by a quarter."""
+        state, wanted = self.state, math.radians(self.parameters.settled_deg)
+        if not (self.observable and state.heading_sd <= 1.25 * wanted):
             state.settled_s = None
+        elif state.settled_s is None and state.heading_sd <= wanted:
+            state.settled_s = state.ended_s
 
     @property
     def observable(self) -> bool:
         """Whether the heading is known well enough to be shown."""
-        return self.state.found is not None and self.heading_sd < math.radians(self.parameters.observable_deg)
-
-    @property
-    def hidden(self) -> bool:
-        """Whether the gyros' bias leaves no heading, however long this position lasts."""
-        found = self.state.found
-        limit = self.level_rate * math.radians(self.parameters.observable_deg)
-        return found is not None and found.bias_sd > limit
-
-    @property
-    def heading_sd(self) -> float:
-        """Standard deviation of the heading of now, rad; NaN before a fit."""
-        return self.state.heading_sd
+        return self.state.heading_sd < math.radians(self.parameters.observable_deg)
 
     def _sd(self) -> float:
         """Return the standard deviation of the heading with that of turns since the last fit, rad."""
         state, motion = self.state, self.state.motion
         if state.found is None:
             return math.nan
-        variance = state.positions[-1].turn_variance - state.found_variance
-        if motion.turning and motion.held:
-            before, up = state.positions[-1].attitude, state.attitude[2]
+        variance = state.found.sd**2 + max(state.positions[-1].turn_variance - state.found_turns, 0.0)
+        if motion.turning:
             variance += turn_variance(
-                motion.turned, before, up, motion.moving_s, motion.noise, self.errors.scale, 1.0
-            )
-        return min(math.hypot(state.found.sd, math.sqrt(max(variance, 0.0))), ANY_ANGLE_SD)
+                motion.turned, state.positions[-1].attitude, state.attitude[2], motion.moving_s, motion.noise,
+                self.errors.scale, 1.0,
+            )  # fmt: skip
+        return min(math.sqrt(variance), ANY_ANGLE_SD)
 
     @property
     def heading(self) -> float:
@@ -392,10 +330,9 @@ class Aligner:
     def turned(self) -> float:
         """Angle of the last turn about the vertical, or of the one that goes on, rad, clockwise."""
         state, places = self.state, self.state.positions
-        if state.motion.turning and places:
+        if state.motion.turning:
             return -turned_about_vertical(places[-1].attitude, state.attitude)
-        last = places[-1].number if places else 0
-        before = [one for one in places if one.number < last]
+        before = [one for one in places if one.number < places[-1].number]
         return -turned_about_vertical(before[-1].attitude, places[-1].attitude) if before else 0.0
 
     def finish(self) -> list[Position]:
@@ -403,15 +340,14 @@ class Aligner:
         state, stood = self.state, list(self.past)
         if self.resting:
             self.evaluate()
-        after = 0.0
+        if state.found is None:
+            return stood
+        north, now = state.found.north, state.positions[-1].turn_variance
         for one in reversed(state.positions):
-            if state.found is None:
-                break
-            variance = abs(state.positions[-1].turn_variance - one.turn_variance)
-            sd = min(math.hypot(state.found.sd, math.sqrt(variance)), ANY_ANGLE_SD)
-            north = state.found.north if sd < math.radians(self.parameters.observable_deg) else math.nan
-            heading = (north + after - direction_of(one.attitude)) % (2.0 * math.pi)
+            sd = min(math.sqrt(state.found.sd**2 + abs(now - one.turn_variance)), ANY_ANGLE_SD)
+            shown = north if sd < math.radians(self.parameters.observable_deg) else math.nan
             ended_s = one.ended_s if one.record is None else one.record.ended_s
+            heading = (shown - direction_of(one.attitude)) % (2.0 * math.pi)
             stood.insert(len(self.past), Position(self.run, one.begun_s, ended_s, heading, sd))
-            after += one.fit.crept if one.fit is not None else 0.0
+            north += one.fit.crept if one.fit is not None else 0.0
         return stood

@@ -40,8 +40,6 @@ TEMPER = 0.7
 Ablation: with 1, settling at 120 s has an error/sigma of 2.8 instead of 2.2."""
 LEVEL_TREND_ORDER = 8
 """Coefficients of the course of the level that is no noise."""
-LEAST_LEVEL_SD = 1e-7
-"""rad."""
 LARGEST_BIAS = 1e-3
 """rad/s: 200 °/h."""
 LEAST_ROWS = 12
@@ -177,8 +175,8 @@ def _gyros(found: cells.Cells, columns: FloatArray) -> _Gyros:
     """Return the normal equations, by the means of columns in all cells, (J, 8 + 4 l + 2).
 
     These are the slopes of the exponentials, the sways, and real and imaginary part of the factor by which
-    rates were turned.  Sways are eliminated with the prior that they are as large as they were found; and what
-    that factor does to a bias of any size, as it has turned it from cell to cell.
+    rates were turned.  The sways are eliminated, with the prior that they are as large as found, and so is a
+    bias of any size that this factor turned from cell to cell.
     """
     used, tilts = found.used, len(SETTLING_TAU_S)
     offset = complex(found.rate[used].mean())
@@ -225,13 +223,13 @@ def _accelerometers(
 ) -> list[_Accelerometers]:
     """Return one for each drift; `middles` are the exponentials in the used cells, (m, 8)."""
     used, count, n = found.used, len(found.used), len(tilt)
-    time_s = cells.hann_means(data.row_s * (np.arange(n)[:, None] + 0.5), count)[:, 0]
+    time_s = cells.hann_means(data.row_s * (np.arange(float(n))[:, None] + 0.5), count)[:, 0]
     level = cells.hann_means(np.column_stack([tilt.real, tilt.imag]), count)
     noise, _, _ = cells.scatter(level, cells.whole(data.valid, count), LEVEL_TREND_ORDER)
     level = level[used] - level[used].mean(axis=0)
     at, root = time_s[used], np.sqrt(found.weight[used])
     m = len(at)
-    covariance = noise * _overlapping(m) / np.outer(root, root) + LEVEL_SD**2 + LEAST_LEVEL_SD**2 * np.eye(m)
+    covariance = noise * _overlapping(m) / np.outer(root, root) + LEVEL_SD**2 + 1e-14 * np.eye(m)
     # Behind a knock, where cells are left out, the level is unknown anew.
     knocked = ~used & np.r_[True, used[:-1]]
     for knock_s in time_s[knocked]:

@@ -47,8 +47,8 @@ class AlignmentParameters(StrictModel):
     settled_deg : float
         The heading is settled when its sigma is at most this.
     observable_deg : float
-        A heading with a larger sigma is not shown.  The sigma of a MEMS gyro whose bias happens to be small is
-        7 to 12 degrees.
+        A heading with a larger sigma is not shown.  That of a MEMS gyro whose bias happens to be small is 7
+        to 12 degrees.
     gyro_bias_sd_deg_per_h : float, optional
         Standard deviation of a gyro's bias, from run to run.  When it is not given, it is judged by the noise
         (a noisy gyro has a large bias) and by how well the rate fits the earth's.

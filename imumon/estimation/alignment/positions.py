@@ -20,29 +20,31 @@ from imumon.geodesy import EARTH_RATE
 
 TURNING = 1e-3
 """rad/s: a rate that differs by less from that at rest is sway, noise or creep; a hand is not slower."""
+FARTHEST = 5.0
+"""A rate that leaves it by so many times the farthest of the last half minute is no rest."""
 SWAYING = 20e-3
 """rad/s: a rate that varies by less for PATIENT slots is taken for rest at the start."""
-FARTHEST = 5.0
-"""A rate is no rest's beyond so many times the largest of the last half minute."""
-CALM, PATIENT, RECENT, RENEWED = 8, 40, 120, 40
-"""Slots: 2 s of calm are a rest, 10 s of sway at the start; the rate at rest is the median of 30 s, every 10 s."""
-SAME = 1e-4
-"""rad: a turn by less leaves the position as it is, which costs less than 0.006° of heading."""
-NEW_POSITION = 0.01
-"""rad: a turn by less does not tell the bias from the earth rate."""
-SIGMAS = 6.0
+CALM, PATIENT, RECENT = 8, 40, 120
+"""Slots: 2 s of calm are a rest, 10 s of sway at the start; the rate at rest is the median of 30 s."""
+SAME, NEW_POSITION = 1e-4, 0.01
+"""rad: a turn by less leaves the position as it is, or does not tell the bias from the earth rate."""
 LONGEST_S = 120.0
 """After a longer motion the alignment begins anew."""
 
 
 class Slot(NamedTuple):
-    """A slot: middle and length, s, samples, mean rate and specific force (6,), and the rates as floats."""
+    """Middle and length of a slot, s, samples, mean rate and specific force (6,), and the rate as floats."""
 
     time_s: float
     length_s: float
     samples: int
     values: FloatArray
     rate: tuple[float, float, float]
+
+    @property
+    def ended_s(self) -> float:
+        """End of the slot, s."""
+        return self.time_s + 0.5 * self.length_s
 
 
 @dataclass
@@ -57,10 +59,10 @@ class Stance:
         Of the angle about the vertical since the first position, rad².
     record : Record or None
         Its rows; none once the unit has left it.
-    fit : PositionFit or None
     number : int
         Counts positions whose orientation differs by more than NEW_POSITION.
     begun_s, ended_s : float
+    fit : PositionFit or None
     """
 
     attitude: FloatArray
@@ -68,8 +70,8 @@ class Stance:
     record: Record | None
     number: int
     begun_s: float
-    fit: PositionFit | None = None
     ended_s: float = 0.0
+    fit: PositionFit | None = None
 
 
 class Outcome(Enum):
@@ -80,48 +82,38 @@ class Outcome(Enum):
     REST = "the slot counts"
     TURNING = "the attitude follows the gyros"
     BACK = "the unit rests as before: the slots of the motion count"
-    TURNED = "the unit rests otherwise: a new record, and the motion is left out"
+    TURNED = "the unit rests otherwise: a new position begins, and the motion is left out"
     LOST = "motion for too long: the alignment begins anew"
 
 
 @dataclass
 class Motion:
-    """What is known of rest and turn.
-
-    Parameters
-    ----------
-    base : array, (3,), or None
-        Median rate at rest, rad/s; None before the first rest.
-    limit : float
-        Distance from it that is still rest, rad/s.
-    recent : list
-        Rates of the last slots at rest; before the first rest, of all slots.
-    held : list of Slot
-        Slots of the motion, and before the first rest those that may belong to it.
-    calm : int
-        Slots within the limit, the last ones of the motion.
-    turning : bool
-    turned : Turn
-        Since the motion began.
-    """
+    """What is known of rest and turn."""
 
     base: FloatArray | None = None
-    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Median rate at rest, rad/s, (3,); None before the first rest."""
+    centre: tuple[float, ...] = ()
+    """The same as floats."""
     limit: float = TURNING
+    """Distance from it that is still rest, rad/s."""
     recent: list[tuple[float, float, float]] = field(default_factory=list)
-    since_renewed: int = 0
+    """Rates of slots at rest."""
+    renewed: int = 0
+    """Slots at rest since the median was taken."""
     held: list[Slot] = field(default_factory=list)
+    """Slots of the motion; before the first rest those that may belong to it."""
     calm: int = 0
+    """How many of the last of them were within the limit."""
     turning: bool = False
     turned: Turn = STILL
+    """Since the motion began."""
 
     def classify(self, slot: Slot, at_rest: bool) -> Outcome:
         """Return what a slot is; the table of docs/alignment.md, from above."""
         if self.base is None:
-            return self._first(slot, at_rest)
-        x, y, z = slot.rate
-        a, b, c = self.centre
-        moving = max(abs(x - a), abs(y - b), abs(z - c)) > self.limit
+            self.held = [*self.held[1 - 4 * RECENT :], slot]
+            return Outcome.FIRST_REST if at_rest and self._first_rest() else Outcome.WAITING
+        moving = self._distance(slot) > self.limit
         if not (moving or self.turning):
             return Outcome.REST
         self.turning = True
@@ -131,39 +123,36 @@ class Motion:
             return Outcome.LOST
         if self.calm < CALM:
             return Outcome.TURNING
-        return Outcome.BACK if self.angle <= max(SAME, SIGMAS * self.noise) else Outcome.TURNED
+        return Outcome.BACK if self.angle <= max(SAME, 6.0 * self.noise) else Outcome.TURNED
 
-    def _first(self, slot: Slot, at_rest: bool) -> Outcome:
-        self.held.append(slot)
-        del self.held[: -4 * RECENT]
+    def _first_rest(self) -> bool:
+        """Tell whether the last slots are rest; then only those that belong to it remain held."""
         rates = np.array([one.rate for one in self.held[-PATIENT:]])
         calm = len(rates) >= CALM and np.ptp(rates[-CALM:], axis=0).max() < TURNING
-        sways = len(rates) == PATIENT and np.ptp(rates, axis=0).max() < SWAYING
-        if not (at_rest and (calm or sways)):
-            return Outcome.WAITING
-        self.rest_rate(rates[-CALM:] if calm else rates)
-        far = [k for k, one in enumerate(self.held) if self._distance(one.rate) > self.limit]
+        if not (calm or (len(rates) == PATIENT and np.ptp(rates, axis=0).max() < SWAYING)):
+            return False
+        self._take_base(rates[-CALM:] if calm else rates)
+        far = [k for k, one in enumerate(self.held) if self._distance(one) > self.limit]
         del self.held[: far[-1] + 1 if far else 0]
-        return Outcome.FIRST_REST
+        return True
 
-    def _distance(self, rate: tuple[float, float, float]) -> float:
-        return max(abs(x - a) for x, a in zip(rate, self.centre, strict=True))
+    def _distance(self, slot: Slot) -> float:
+        (x, y, z), (a, b, c) = slot.rate, self.centre
+        return max(abs(x - a), abs(y - b), abs(z - c))
 
-    def rest_rate(self, rates: FloatArray) -> None:
-        """Renew the rate at rest from rates, (n, 3)."""
+    def _take_base(self, rates: FloatArray) -> None:
         self.base = np.median(rates, axis=0)
-        x, y, z = self.base.tolist()
-        self.centre = x, y, z
+        self.centre = tuple(self.base.tolist())
         self.limit = max(TURNING, FARTHEST * float(np.abs(rates - self.base).max()))
-        self.since_renewed = 0
+        self.renewed = 0
 
     def rest(self, rate: tuple[float, float, float]) -> None:
         """Add the rate of a slot at rest."""
         self.recent.append(rate)
-        self.since_renewed += 1
-        if self.since_renewed >= RENEWED:
+        self.renewed += 1
+        if self.renewed >= PATIENT:
             del self.recent[:-RECENT]
-            self.rest_rate(np.array(self.recent))
+            self._take_base(np.array(self.recent))
 
     def follow(self, turn: Turn) -> FloatArray:
         """Add the turn of a slot; return its rotation, (3, 3)."""
@@ -172,21 +161,20 @@ class Motion:
         self.turned = self.turned.then(turn)
         return turn.rotation
 
-    def settle(self) -> list[Slot]:
+    def end(self) -> list[Slot]:
         """End the motion; return its slots."""
-        held = self.held
-        self.held, self.calm, self.turning, self.turned = [], 0, False, STILL
+        held, self.held, self.calm, self.turning, self.turned = self.held, [], 0, False, STILL
         return held
 
     @property
     def begun_s(self) -> float:
         """Beginning of the motion."""
-        return self.held[0].time_s - 0.5 * self.held[0].length_s
+        return self.held[0].ended_s - self.held[0].length_s
 
     @property
     def moving_s(self) -> float:
         """Length of the motion, with the calm after it."""
-        return self.held[-1].time_s + 0.5 * self.held[-1].length_s - self.begun_s
+        return self.held[-1].ended_s - self.begun_s
 
     @property
     def angle(self) -> float:
@@ -196,22 +184,17 @@ class Motion:
     @property
     def noise(self) -> float:
         """Noise of that angle, rad: of the slots, and of the rate at rest."""
-        if len(self.recent) < 2:
+        recent = self.recent[-RECENT:]
+        if len(recent) < 2:
             return SAME
-        spread = float(np.std(np.array(self.recent[-RECENT:]), axis=0).max())
-        length_s, slots = self.held[-1].length_s, len(self.held)
-        return spread * length_s * math.sqrt(slots + slots**2 / len(self.recent[-RECENT:]))
+        spread = float(np.std(np.array(recent), axis=0).max()) * self.held[-1].length_s
+        return spread * math.sqrt(len(self.held) + len(self.held) ** 2 / len(recent))
 
 
 def turn_variance(
-    turn: Turn,
-    before: FloatArray,
-    after: FloatArray,
-    seconds: float,
-    noise: float,
-    scale_sd: float,
+    turn: Turn, before: FloatArray, after: FloatArray, seconds: float, noise: float, scale_sd: float,
     level_sd: float,
-) -> float:
+) -> float:  # fmt: skip
     """Return the variance of the angle about the vertical of a turn, rad².
 
     Parameters
@@ -229,12 +212,13 @@ def turn_variance(
     level_sd : float
         Of the vertical by the accelerometers, rad.
     """
-    scale = [scale_sd**2 * float(np.sum(turn.scale_about(axis) ** 2)) for axis in before]
-    sampling = [turn.sampling_variance(axis) for axis in before]
+    errors = [
+        scale_sd**2 * float(np.sum(turn.scale_about(axis) ** 2)) + turn.sampling_variance(axis)
+        for axis in before
+    ]
     # The earth rate turns against the body: up to all of it is wrong while it turns by a radian.
     drift = EARTH_RATE * seconds * min(turn.path, 1.0)
     # What gravity shows to be wrong about the level axes beyond that may be wrong about the vertical, too.
     off = (before @ (turn.rotation @ after))[:2]
-    expected = level_sd**2 + 0.5 * (scale[0] + scale[1] + sampling[0] + sampling[1])
-    unexplained = max(0.5 * float(off @ off) - expected, 0.0)
-    return scale[2] + sampling[2] + noise**2 + drift**2 + unexplained
+    unexplained = 0.5 * (float(off @ off) - errors[0] - errors[1]) - level_sd**2
+    return errors[2] + noise**2 + drift**2 + max(unexplained, 0.0)

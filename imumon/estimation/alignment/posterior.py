@@ -28,8 +28,8 @@ from imumon.geodesy import EARTH_RATE
 
 LIKELY = -15.0
 """Log weight below the largest from which on a hypothesis counts."""
-DIRECTIONS, NEWTON_STEPS, LONGEST_STEP = 32, 6, 0.2
-"""Start values around the circle, and steps from the two largest, rad: they converge quadratically."""
+DIRECTIONS = 32
+"""Directions around the circle from which the search for the likeliest begins."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,8 +170,8 @@ def _without_bias(
 def _peaks(vector: FloatArray, matrix: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return place, height and sharpness (minus the second derivative) of two peaks, (2, ...).
 
-    r.z - ½ z' Λ z is a constant and waves, w0 cos a + w1 sin a + w2 cos 2a + w3 sin 2a, with one or two peaks;
-    a second one that is not there has the height -inf.
+    r.z - ½ z' Λ z is a constant and waves, w0 cos a + w1 sin a + w2 cos 2a + w3 sin 2a, with one or two
+    peaks; a second one that is not there has the height -inf.
     """
     xx, yy, xy = matrix[..., 0, 0], matrix[..., 1, 1], matrix[..., 0, 1]
     waves = np.stack([vector[..., 0], vector[..., 1], 0.25 * (yy - xx), -0.5 * xy])
@@ -187,11 +187,11 @@ def _peaks(vector: FloatArray, matrix: FloatArray) -> tuple[FloatArray, FloatArr
     np.put_along_axis(peak, first[..., None], False, axis=-1)
     second = np.argmax(np.where(peak, values, -np.inf), axis=-1)
     angle = around[np.stack([first, second])]
-    for _ in range(NEWTON_STEPS):
+    for _ in range(6):  # Newton's steps converge quadratically
         c, s, c2, s2 = basis(angle)
         slope = np.sum(order * waves * np.stack([-s, c, -s2, c2]).swapaxes(0, 1), axis=1)
         sharp = np.sum(order**2 * waves * np.stack([c, s, c2, s2]).swapaxes(0, 1), axis=1)
-        angle = angle + np.clip(slope / np.maximum(np.abs(sharp), 1e-30), -LONGEST_STEP, LONGEST_STEP)
+        angle = angle + np.clip(slope / np.maximum(np.abs(sharp), 1e-30), -0.2, 0.2)
     at = basis(angle).swapaxes(0, 1)
     height, sharp = np.sum(waves * at, axis=1), np.sum(order**2 * waves * at, axis=1)
     height[1][~peak.any(axis=-1)] = -np.inf

@@ -22,13 +22,12 @@ class ByNoise(NamedTuple):
 
     def at(self, noise: float) -> float:
         """Return the value beside gyros with this angular random walk, rad/√s."""
-        return min(
-            max(self.factor * (noise / (math.radians(0.1) / 60.0)) ** self.power, self.least), self.most
-        )
+        ratio = noise / (math.radians(0.1) / 60.0)
+        return min(max(self.factor * math.pow(ratio, self.power), self.least), self.most)
 
 
 BIAS = ByNoise(2.0 * DEG_PER_H, 1.86, 0.0014 * DEG_PER_H, EARTH_RATE)
-"""Bias of a gyro, rad/s: not below that of the quietest gyro in the table, nor above what hides the north anyway."""
+"""Bias of a gyro, rad/s: no less than the quietest in the table has, no more than what hides the north."""
 SCALE = ByNoise(3e-4, 1.4, 3e-4, 0.03)
 """Scale factor and misalignment of a gyro."""
 LEVEL = ByNoise(7.5e-4, 1.4, 7.5e-4, 0.04)
@@ -39,15 +38,15 @@ standard deviation."""
 WORSE = np.exp([2.0, 4.0, 6.0, 8.0, 10.0])
 """Factors by which one or two gyros may be worse than the others."""
 P_ALL_WORSE, P_SOME_WORSE, P_DECLARED = 0.02, 0.003, 0.999
-"""Prior probabilities that all gyros are worse than the regression by any factor (assumed), that one or two are
-worse than the others (as seldom as a normal value beyond three sigmas), and that a declared bias holds."""
+"""Prior probabilities that all gyros are worse than the regression by any factor (assumed), that one or two
+are worse than the others (as rare as a normal value beyond three sigmas), and that a declared bias holds."""
 
 
 class SensorErrors(NamedTuple):
     """Standard deviations of what the gyros and accelerometers may be wrong by.
 
     `sizes` (s, 3) of the gyros' biases, rad/s, have the log probabilities `log_prior` (s,); `flicker` is the
-    change of a bias from position to position, rad/s; `scale`; and `level`, in g.
+    change of a bias from position to position, rad/s; `scale` is a ratio; `level` is in g.
     """
 
     sizes: FloatArray

@@ -123,25 +123,22 @@ class Alignment:
         return dict(zip(self._added, out, strict=True))
 
     def _values(self, block: SampleBlock) -> FloatArray:
-        """Return gyros, accelerometers and magnetometer, NaN where unknown, and whether the unit rests, (n, 10)."""
+        """Return gyros, accelerometers and magnetometer, NaN where unknown, and whether it rests, (n, 10)."""
         n = len(block)
         values = np.full((n, len(_CHANNELS) + 1), np.nan)
         for j, name in enumerate(_CHANNELS):
             if name in block:
                 values[:, j] = block[name]
         values[~np.isfinite(values[:, :6].sum(axis=1)), :6] = np.nan
-        values[:, -1] = np.asarray(block.columns.get("at_rest", np.ones(n, np.int64))) != 0  # unknown is rest
+        values[:, -1] = np.asarray(block.columns.get("at_rest", np.ones(n, np.int64))) != 0  # or unknown
         return values
 
     def _rows(self, slots: Slots) -> FloatArray:
         """Give slots to the estimator; return the columns after each, (m, k)."""
         m = len(slots)
-        rows, up, first = (
-            np.full((m, len(self._added)), np.nan),
-            np.full((m, 3), np.nan),
-            np.full((m, 3), np.nan),
-        )
-        valid = slots.count[:, :6].min(axis=1) if m else np.zeros(0)
+        rows = np.full((m, len(self._added)), np.nan)
+        up, first = np.full((2, m, 3), np.nan)
+        valid = slots.count[:, :6].min(axis=1, initial=1 << 30)
         begins, start, end = slots.begins.tolist(), slots.start_ns.tolist(), slots.end_ns.tolist()
         samples, counts, rest = slots.samples.tolist(), valid.tolist(), (slots.smallest[:, -1] > 0.0).tolist()
         magnetic, rates = slots.mean[:, 6:9].tolist(), slots.mean[:, :3].tolist()
@@ -159,11 +156,11 @@ class Alignment:
             if state.positions:
                 rows[k], first[k] = self._row(), state.first_vertical
                 if state.motion.turning:
-                    up[k] = state.vertical
+                    up[k] = state.attitude[2]
+        # At rest, the level is by the accelerometers of the last 2 s.
         force = np.concatenate([self._force, slots.mean[valid > 0, 3:6]])
-        means = _moving_sums(force)
         resting = np.isnan(up[:, 0]) & np.isfinite(first[:, 0])
-        up[resting] = means[np.cumsum(valid > 0)[resting]]
+        up[resting] = _moving_sums(force)[np.cumsum(valid > 0)[resting]]
         self._force = force[len(force) - CALM :]
         rows[:, 2:4] = self._angles(up)
         rows[:, 4:6] = np.remainder(rows[:, 2:4] - self._angles(first) + math.pi, 2.0 * math.pi) - math.pi
@@ -187,7 +184,7 @@ class Alignment:
         aligner = self._aligner
         shown, state = aligner.observable, aligner.state
         row = [math.nan] * len(self._added)
-        row[0], row[1] = aligner.heading if shown else math.nan, aligner.heading_sd
+        row[0], row[1] = aligner.heading if shown else math.nan, aligner.state.heading_sd
         row[6] = self._magnetic()
         for j, name in enumerate(MEANS):
             if name in state.means:
@@ -205,7 +202,7 @@ class Alignment:
         if self._points and time_s < self._points[-1][0]:
             self._points, self._spacing = [], 1.0
         if not self._points or time_s >= self._points[-1][0] + self._spacing:
-            self._points.append((time_s, aligner.heading_sd))
+            self._points.append((time_s, aligner.state.heading_sd))
         if len(self._points) > POINTS:
             self._points, self._spacing = self._points[::2], 2.0 * self._spacing
 
@@ -254,7 +251,7 @@ class Alignment:
         estimates: dict[str, Estimate] = {}
         shown = None
         if state.found is not None:
-            shown = Estimate(aligner.heading if observable else math.nan, aligner.heading_sd)
+            shown = Estimate(aligner.heading if observable else math.nan, aligner.state.heading_sd)
             estimates["joint"] = shown
             for name, mean in state.means.items():
                 heading = aligner.as_heading(mean.heading) if observable else math.nan

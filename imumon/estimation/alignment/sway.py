@@ -17,14 +17,10 @@ LINES, ROWS_PER_LINE = 3, 60
 """Sways that are fitted at most, and one in so many rows."""
 LINE = 40.0
 """Power of a line over the median of the spectrum: by chance exp(-40) a bin."""
-PADDING, LEAST_PERIODS = 4, 1.5
-"""Bins of the spectrum per period in the record, at least, and periods below which a sway is a slow course."""
-RIDGE = 1e-9
-"""Of slow courses of length 1, which are nearly alike."""
+LEAST_PERIODS = 1.5
+"""Periods in the record below which a sway is a slow course."""
 FEW_PERIODS, EXPLAINED = 5.0, 0.3
 """A line of few periods counts where it leaves less of the scatter: a knock has power at all frequencies."""
-REFINED, LONGEST_STEP = 4, 0.3
-"""Gauss-Newton steps to the frequency, of 0.3 periods at most."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,7 +30,7 @@ class Sway:
     Parameters
     ----------
     columns : array, (n, 4 l)
-        Sine and cosine of each line, and both times the time from -1 to 1, of the size of its amplitude, rad/s.
+        Cosine and sine of each line, and both times the time from -1 to 1, of its amplitude, rad/s.
     rate, level : array of complex, (n,)
         What gyros and accelerometers show of it, rad/s and rad.
     """
@@ -48,7 +44,7 @@ def find_sway(rate: ColumnArray, level: ColumnArray, valid: BoolArray, slow: Flo
     """Return the sway of level rates and level, (n,), beside slow courses, (n, m)."""
     n = len(rate)
     slow = slow / np.sqrt(np.sum(slow**2, axis=0)) * valid[:, None]
-    inverse = np.linalg.inv(slow.T @ slow + RIDGE * np.eye(slow.shape[1]))
+    inverse = np.linalg.inv(slow.T @ slow + 1e-9 * np.eye(slow.shape[1]))
 
     def beside(values: FloatArray) -> FloatArray:
         values = values * valid[:, None]
@@ -94,7 +90,7 @@ def _least_squares(columns: FloatArray, data: FloatArray) -> FloatArray:
 def _strongest(left: FloatArray) -> float | None:
     """Return the frequency of the strongest line, rad a row, or None when there is none."""
     n = len(left)
-    bins = 1 << (PADDING * n - 1).bit_length()
+    bins = 1 << (4 * n - 1).bit_length()  # at least four to a period in the record
     least = math.ceil(LEAST_PERIODS * bins / n)
     power = np.sum(np.abs(np.fft.rfft(left, bins, axis=0)) ** 2, axis=1)[: bins // 2]
     power[:least] = 0.0
@@ -103,10 +99,10 @@ def _strongest(left: FloatArray) -> float | None:
 
 
 def _refined(omega: float, left: FloatArray, beside: Callable[[FloatArray], FloatArray]) -> float:
-    """Return the frequency of a line: a step in it makes the cosine change by the time times the sine."""
+    """Return the frequency of a line after four Gauss-Newton steps, of 0.3 periods in the record at most."""
     n = len(left)
-    for _ in range(REFINED):
+    for _ in range(4):
         a, b, by_a, by_b = _least_squares(beside(_line(n, omega)), left)
         step = float(np.sum(by_a * b - by_b * a) / np.sum(a * a + b * b)) / (0.5 * n)
-        omega += float(np.clip(step, -LONGEST_STEP * math.tau / n, LONGEST_STEP * math.tau / n))
+        omega += min(max(step, -0.3 * math.tau / n), 0.3 * math.tau / n)
     return omega
