@@ -22,6 +22,8 @@ HUBER, OUTLYING = 2.0, 10.0
 """Standard deviations from which on a cell weighs less (Huber 1981 takes 1.5 to 2), and is left out."""
 TREND_ORDER = 5
 """Coefficients of the trend that is no scatter, and at most a quarter of the cells."""
+UNSURE = 2.0
+"""Standard deviations of their scatter by which smoother cells must be better to be taken."""
 LEAST_VARIANCE = 1e-24
 """(rad/s)² or rad²: readings that do not change at all have a variance, too."""
 CREEPS = 8.0
@@ -90,6 +92,11 @@ def whole(valid: BoolArray, cells: int) -> BoolArray:
 def trend(n: int, order: int) -> FloatArray:
     """Return the first Chebyshev polynomials over n points, (n, order)."""
     return np.asarray(np.polynomial.chebyshev.chebvander((np.arange(n) + 0.5) / n * 2.0 - 1.0, order - 1))
+
+
+def trend_order(cells: int) -> int:
+    """Return the number of polynomials in the slow course of so many cells, which is no scatter."""
+    return max(1, min(TREND_ORDER, cells // 4))
 
 
 def fit(basis: FloatArray, data: FloatArray, weight: FloatArray) -> FloatArray:
@@ -172,6 +179,6 @@ def divide(data: Levelled, rate: ColumnArray, creeps: bool) -> Cells | None:
             weight > 0.0, weight, means[:, 0] + 1j * means[:, 1], variance,
             float(up_weight @ means[:, 2]) / total, vertical_variance, white,
         )  # fmt: skip
-        if one.variance_of_mean * (1.0 + np.sqrt(2.0 / max(freedom, 1.0))) < limit:
+        if one.variance_of_mean * (1.0 + UNSURE * np.sqrt(2.0 / max(freedom, 1.0))) < limit:
             best, limit = one, one.variance_of_mean
     return best
