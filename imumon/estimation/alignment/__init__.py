@@ -1,10 +1,10 @@
 """Heading of a unit at rest from the earth rate, on real sites and while its accelerometers still warm up.
 
-`stage.Alignment` is the stage of the pipeline, `estimator` its steps: `motion` finds disturbances and follows
-turns, `record` keeps the slots of each position, `loudness` says when it was shaken,
-`lines` and `windows` keep fast sway out of their mean,
-`fit` says what a position tells under each of the `hypotheses` about slow sway and a tripod that settles, and
-`posterior` gets heading and sigma from all of it.  The
-method of Lee et al. as printed is `imumon.published.self_alignment`.  Nothing is imported here, so that
-parameters can be read without loading the rest.
+`stage.Alignment` is the stage of the pipeline and `aligner` its steps.  `positions` decides what is rest and
+what a turn, `record` keeps the rows of a position, `sway` and `cells` keep sway and knocks out of their mean,
+`hypotheses` says what a position tells of the rate if it stands or settles, `prior` what sensors of such
+noise may be wrong by, and `posterior` gets heading and sigma from all of it.  The method of Lee et al. as
+printed is `imumon.published.self_alignment`.
+
+Nothing is imported here, so that parameters load without the rest.
 """

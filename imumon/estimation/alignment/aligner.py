@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.alignment.hypotheses import DRIFTS, Drift, fit_position
+from imumon.estimation.alignment.hypotheses import DRIFTS, Drift, PositionFit, fit_position
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.positions import (
     CALM,
@@ -65,12 +65,14 @@ class State:
     found: Heading | None = None
     found_turns: float = 0.0
     """Turn variance of the last position in it, rad²."""
-    heading_sd: float = math.nan
-    """Of the heading of now, rad; NaN before a fit."""
+    sd: float = math.nan
+    """Of the heading at the last fit, and of turns since, rad; NaN before a fit."""
     vertical_rest: float = math.nan
-    """Rate of the vertical gyro at rest by the last fit, rad/s; NaN when it is not known."""
+    rest_sd: float = 0.0
+    """Rate of the vertical gyro at rest by the last fit, and its standard deviation, rad/s."""
     crept: float = 0.0
-    """Angle about the vertical that it has shown since, rad, counter-clockwise."""
+    followed_s: float = 0.0
+    """Angle about the vertical that it has shown since, rad, counter-clockwise, and in which time."""
     means: dict[str, Estimate] = field(default_factory=dict)
     ended_s: float = 0.0
     """End of the last slot, since the first sample."""
@@ -175,6 +177,7 @@ class Aligner:
         state.motion.rest(slot.rate)
         if not math.isnan(state.vertical_rest):
             state.crept += slot.length_s * (float(state.attitude[2] @ slot.values[:3]) - state.vertical_rest)
+            state.followed_s += slot.length_s
 
     def _begin_position(self, attitude: FloatArray, turns: float, number: int, rest: Sequence[Slot]) -> None:
         """Begin a position with slots at rest."""
@@ -182,7 +185,7 @@ class Aligner:
         self._stand(attitude)
         state.positions.append(Stance(attitude, turns, Record(begun_s), number, begun_s))
         state.due_s = state.counted_s + FIRST_FIT_S
-        state.field_sum, state.vertical_rest = [0.0] * 4, math.nan
+        state.field_sum = [0.0] * 4
         for slot in rest:
             self._count(slot)
 
@@ -193,7 +196,7 @@ class Aligner:
         """Follow a motion, and end it."""
         state, motion = self.state, self.state.motion
         assert motion.base is not None
-        if len(motion.held) == 1 and not math.isnan(state.vertical_rest):
+        if len(motion.held) == 1 and state.rest_sd < KNOWN_REST * EARTH_RATE and state.found is not None:
             # The unit may creep about the vertical before it is turned.
             up = state.attitude[2]
             motion.base = motion.base + up * (state.vertical_rest - float(up @ motion.base))
@@ -206,7 +209,7 @@ class Aligner:
                 self._count(slot)
         elif outcome is Outcome.TURNED:
             self._turned()
-        self.state.heading_sd = self._sd()
+        self.state.sd = self._sd()
 
     def _turned(self) -> None:
         """Begin a position after a turn; begin anew when nobody can say by which angle."""
@@ -281,27 +284,43 @@ class Aligner:
         if state.positions[-1].fit is not None:
             state.found = heading_posterior(fits, np.array(turns), self.latitude, self.errors)
             state.found_turns, state.crept = turns[-1], 0.0
-            known = fits[-1].vertical_variance < (KNOWN_REST * EARTH_RATE) ** 2
-            state.vertical_rest = fits[-1].vertical if known else math.nan
-            state.heading_sd = self._sd()
+            self._take_rest_rate(fits, state.found.size_sd)
+            state.sd = self._sd()
             self._settle()
             # A bias that hides the north goes on to do so until the unit is turned.
             if state.found.bias_sd > self.level_rate * math.radians(self.parameters.observable_deg):
                 after_s = here_s
         state.due_s = state.counted_s + max(after_s, 1.0)
 
+    def _take_rest_rate(self, fits: Sequence[PositionFit], bias_sd: float) -> None:
+        """Note what the vertical gyro reads at rest, by the last position in which it was not turning."""
+        state = self.state
+        state.vertical_rest, state.rest_sd, state.followed_s = self.earth_vertical, bias_sd, 0.0
+        for one in reversed(fits):
+            tilted = float(np.sum((one.attitude[2] - state.attitude[2]) ** 2))
+            sd = math.sqrt(one.vertical_variance + tilted * bias_sd**2)
+            if sd < min(KNOWN_REST * EARTH_RATE, bias_sd):
+                state.vertical_rest, state.rest_sd = one.vertical, sd
+                return
+
     def _settle(self) -> None:
         """Note when sigma fell to what is wanted; it remains settled until sigma is larger by a quarter."""
         state, wanted = self.state, math.radians(self.parameters.settled_deg)
-        if not (self.observable and state.heading_sd <= 1.25 * wanted):
+        if not (self.observable and state.sd <= 1.25 * wanted):
             state.settled_s = None
-        elif state.settled_s is None and state.heading_sd <= wanted:
+        elif state.settled_s is None and state.sd <= wanted:
             state.settled_s = state.ended_s
+
+    @property
+    def heading_sd(self) -> float:
+        """Standard deviation of the heading of now, rad; NaN before a fit."""
+        state = self.state
+        return min(math.hypot(state.sd, state.rest_sd * state.followed_s), ANY_ANGLE_SD)
 
     @property
     def observable(self) -> bool:
         """Whether the heading is known well enough to be shown."""
-        return self.state.heading_sd < math.radians(self.parameters.observable_deg)
+        return self.heading_sd < math.radians(self.parameters.observable_deg)
 
     def _sd(self) -> float:
         """Return the standard deviation of the heading with that of turns since the last fit, rad."""

@@ -184,7 +184,7 @@ class Alignment:
         aligner = self._aligner
         shown, state = aligner.observable, aligner.state
         row = [math.nan] * len(self._added)
-        row[0], row[1] = aligner.heading if shown else math.nan, aligner.state.heading_sd
+        row[0], row[1] = aligner.heading if shown else math.nan, aligner.heading_sd
         row[6] = self._magnetic()
         for j, name in enumerate(MEANS):
             if name in state.means:
@@ -202,7 +202,7 @@ class Alignment:
         if self._points and time_s < self._points[-1][0]:
             self._points, self._spacing = [], 1.0
         if not self._points or time_s >= self._points[-1][0] + self._spacing:
-            self._points.append((time_s, aligner.state.heading_sd))
+            self._points.append((time_s, aligner.heading_sd))
         if len(self._points) > POINTS:
             self._points, self._spacing = self._points[::2], 2.0 * self._spacing
 
@@ -251,7 +251,7 @@ class Alignment:
         estimates: dict[str, Estimate] = {}
         shown = None
         if state.found is not None:
-            shown = Estimate(aligner.heading if observable else math.nan, aligner.state.heading_sd)
+            shown = Estimate(aligner.heading if observable else math.nan, aligner.heading_sd)
             estimates["joint"] = shown
             for name, mean in state.means.items():
                 heading = aligner.as_heading(mean.heading) if observable else math.nan
