@@ -40,7 +40,7 @@ def test_mixing_is_that_of_the_textbook() -> None:
 def test_a_mode_changes_to_its_neighbours_or_to_any() -> None:
     transition = mode_transition(4, 0.2, 0.04)
     np.testing.assert_allclose(transition.sum(axis=1), 1.0)
-    np.testing.assert_allclose(transition[1], [0.11, 0.78, 0.11, 0.01])
+    np.testing.assert_allclose(transition[1], [0.11, 0.77, 0.11, 0.01])
     np.testing.assert_allclose(transition[0], [0.87, 0.11, 0.01, 0.01])
 
 
