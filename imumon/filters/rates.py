@@ -1,4 +1,4 @@
-"""What every method of a temperature's rate returns."""
+"""What every method of a temperature's rate returns, and how fast a temperature may change unobserved."""
 
 from __future__ import annotations
 
@@ -8,6 +8,13 @@ from typing import Protocol
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
+
+FASTEST_RATE = 20.0 / 60.0
+"""Fastest that a thermometer beside an IMU moves, °C/s: 20 °C/min, twice a fast chamber."""
+UNSEEN_RATE = 200.0 / 3600.0
+"""Standard deviation of a rate that has not been observed, °C/s; a board that warms by 20 °C with 6 min has it."""
+START_ACCELERATION = UNSEEN_RATE / 300.0
+"""Standard deviation of its change, °C/s²: it comes about within 5 min."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,11 +10,11 @@ import numpy as np
 
 from benchmarks.measure import Bar, Table, measure
 from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.temperature_rate.level_bank import LevelBankRate
+from imumon.estimation.temperature_rate.method import MultipleModelRate
 from imumon.filters.rates import RateMethod
 from imumon.published.fir import FirRate, Params
 
-QUIET = "level bank, level unchanged"
+QUIET = "multiple models, level unchanged"
 RATES_HZ = (10, 100, 1000)
 SECONDS = 300
 BLOCK_S = 10
@@ -36,7 +36,7 @@ def run() -> tuple[list[Table], list[Bar]]:
     table = Table(
         "Temperature rate, us per sample and channel", ["method", *(f"{rate} Hz" for rate in RATES_HZ)]
     )
-    rows: dict[str, list[str]] = {"level bank": [], QUIET: [], "FIR 300/180": []}
+    rows: dict[str, list[str]] = {"multiple models": [], QUIET: [], "FIR 300/180": []}
     bars = []
     for rate in RATES_HZ:
         n = SECONDS * rate
@@ -46,7 +46,7 @@ def run() -> tuple[list[Table], list[Bar]]:
         record = time_ns, np.zeros(n, np.int64), reading, BLOCK_S * rate
         times = measure(
             {
-                "level bank": partial(_level_bank, *record),
+                "multiple models": partial(_multiple_models, *record),
                 QUIET: _quiet(rate),
                 "FIR 300/180": partial(_fir, *record),
             }
@@ -54,7 +54,7 @@ def run() -> tuple[list[Table], list[Bar]]:
         samples = {name: QUIET_S * rate if name == QUIET else n for name in rows}
         for name, cells in rows.items():
             cells.append(f"{times[name].best / samples[name] / 1000:.3f}")
-        for name in ("level bank", QUIET):
+        for name in ("multiple models", QUIET):
             cost = times[name].best / samples[name] / 1000 * rate
             bars.append(
                 Bar(f"temperature rate at {rate} Hz, {name}, us per second", BAR_US, cost, at_most=True)
@@ -74,7 +74,7 @@ def _quiet(rate: int) -> Callable[[], None]:
     reading = np.round((25 + time_ns[:n] * 1e-9 / 3600 + noise) / 0.05) * 0.05
     reading = np.append(reading, np.full(tail, reading[-1]))
     segment = np.zeros(n + tail, np.int64)
-    method = LevelBankRate()
+    method = MultipleModelRate()
     method.process(time_ns[:n], segment[:n], reading[:n])
 
     def run_quiet() -> None:
@@ -83,8 +83,8 @@ def _quiet(rate: int) -> Callable[[], None]:
     return run_quiet
 
 
-def _level_bank(time_ns: IntArray, segment: IntArray, reading: FloatArray, size: int) -> None:
-    over(LevelBankRate(), time_ns, segment, reading, size)
+def _multiple_models(time_ns: IntArray, segment: IntArray, reading: FloatArray, size: int) -> None:
+    over(MultipleModelRate(), time_ns, segment, reading, size)
 
 
 def _fir(time_ns: IntArray, segment: IntArray, reading: FloatArray, size: int) -> None:

@@ -14,13 +14,14 @@ from scipy.special import ndtr
 from temperature_rate_records import PER_HOUR, SHAPES, Record
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.temperature_rate.bank import FORGETTING_S
-from imumon.estimation.temperature_rate.level_bank import LevelBankRate
+from imumon.estimation.temperature_rate.method import MultipleModelRate
 
 SETTLED_S = 1200.0
 RECORDS = 12
 EVERY_S = 30.0
 SPREAD = 0.2
+FORGETTING_S = 1800.0
+"""Time after which a drawn acceleration is forgotten, s."""
 
 Shape = tuple[FloatArray, FloatArray]
 """Temperature in °C and rate in °C/s."""
@@ -151,7 +152,7 @@ def _probit(x: FloatArray, y: FloatArray, sigma: float, at: IntArray) -> FloatAr
 
 def filtered(record: Record) -> tuple[IntArray, FloatArray]:
     """Return samples and there (n, 2) rate and its standard deviation of the default method."""
-    result = LevelBankRate().process(record.time_ns, np.zeros(len(record.reading), np.int64), record.reading)
+    result = MultipleModelRate().process(record.time_ns, np.zeros(len(record.reading), np.int64), record.reading)
     at = np.flatnonzero(record.seconds > SETTLED_S)
     return at, np.column_stack([result.rate, result.rate_sd])[at]
 
@@ -182,7 +183,7 @@ def bound() -> None:
             records = [varied(shape, noise, seed) for seed in range(RECORDS)]
             live = summary((record, filtered(record)) for record, _ in records)
             knowing = summary((record, known_shape(record, form, noise, 0.05)) for record, form in records)
-            print(f"| {shape} | {noise:g} | level bank | {live} |")
+            print(f"| {shape} | {noise:g} | multiple models | {live} |")
             print(f"| {shape} | {noise:g} | knows the shape | {knowing} |", flush=True)
 
 

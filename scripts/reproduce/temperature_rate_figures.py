@@ -11,7 +11,7 @@ from temperature_rate_comparison import DifferenceRate, KalmanRate, reference_fi
 from temperature_rate_records import PER_HOUR, Record, heating, simulate
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.level_bank import LevelBankRate
+from imumon.estimation.temperature_rate.method import MultipleModelRate
 from imumon.filters.rates import RateEstimate
 from imumon.published.fir import FirRate, Params
 
@@ -22,7 +22,7 @@ from matplotlib.axes import Axes
 STEP, BUFFER, NOISE = 0.05, 1000, 0.002
 
 
-def _run(method: FirRate | KalmanRate | DifferenceRate | LevelBankRate,
+def _run(method: FirRate | KalmanRate | DifferenceRate | MultipleModelRate,
          record: Record) -> RateEstimate:  # fmt: skip
     return method.process(record.time_ns, np.zeros(len(record.reading), np.int64), record.reading)
 
@@ -95,12 +95,12 @@ def _comparisons(folder: Path, calm: Record, lively: Record) -> Iterator[Path]:
     axes = _axes("6. Real-time filters with 2σ, self-heating (top) and with variations (bottom)", 2)
     for ax, record, window, constant in ((axes[0], calm, 300.0, 180.0), (axes[1], lively, 180.0, 120.0)):
         fir = _run(FirRate(Params(STEP, window, constant, BUFFER)), record)
-        bank = _run(LevelBankRate(), record)
+        bank = _run(MultipleModelRate(), record)
         _band(ax, record, fir)
         curves = {
             "difference": _run(DifferenceRate(STEP), record).rate,
             f"FIR {window:.0f}/{constant:.0f}": fir.rate,
-            "level bank": bank.rate,
+            "multiple models": bank.rate,
             "truth": record.rate,
         }
         _curves(ax, record, curves, 20)

@@ -16,7 +16,7 @@ from temperature_rate_kalman import search
 from temperature_rate_records import PER_HOUR, Record, measured, simulate
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.temperature_rate.level_bank import LevelBankRate
+from imumon.estimation.temperature_rate.method import MultipleModelRate
 from imumon.filters.rates import RateEstimate
 from imumon.published.fir import FirRate, Params
 
@@ -34,9 +34,9 @@ def _segment(record: Record) -> IntArray:
 
 def two_sided(record: Record) -> RateEstimate:
     """Return the default method run forward and backward in time, merged: what the future could add."""
-    ahead = LevelBankRate().process(record.time_ns, _segment(record), record.reading)
+    ahead = MultipleModelRate().process(record.time_ns, _segment(record), record.reading)
     reverse = (record.time_ns[-1] - record.time_ns)[::-1]
-    back = LevelBankRate().process(reverse, _segment(record), record.reading[::-1])
+    back = MultipleModelRate().process(reverse, _segment(record), record.reading[::-1])
     forward = ahead.rate_sd**-2.0
     backward = back.rate_sd[::-1] ** -2.0
     total = forward + backward
@@ -59,9 +59,9 @@ METHODS: dict[str, Method] = {
     ),
     "Kalman": lambda r: KalmanRate(STEP).process(r.time_ns, _segment(r), r.reading),
     "3 min difference": lambda r: DifferenceRate(STEP).process(r.time_ns, _segment(r), r.reading),
-    "level bank": lambda r: LevelBankRate().process(r.time_ns, _segment(r), r.reading),
+    "multiple models": lambda r: MultipleModelRate().process(r.time_ns, _segment(r), r.reading),
     "reference (eq. 5), centred": lambda r: reference_fit(r.time_ns, r.reading, STEP),
-    "level bank, both ways": two_sided,
+    "multiple models, both ways": two_sided,
 }
 """The last two see the future."""
 
@@ -113,7 +113,7 @@ def ensemble() -> None:
             rows = []
             for seed in range(5):
                 record = simulate(shape, noise, seed)
-                rows.append(row(record, METHODS["level bank"](record), SETTLED_MIN))
+                rows.append(row(record, METHODS["multiple models"](record), SETTLED_MIN))
             rms, _, jump, _, share = np.array(rows).T
             numbers = f"{rms.min():.2g} to {rms.max():.2g} | {jump.max():.2g}"
             print(f"| {shape} | {noise} | {numbers} | {100 * share.min():.1f} to {100 * share.max():.1f} % |")
@@ -135,7 +135,7 @@ def main() -> None:
     table([simulate(shape, noise) for shape in shapes for noise in (0.0, 0.005)], SETTLED_MIN)
     print("\nThe paper's search for a Kalman filter.")
     search()
-    print("\nThe level bank over five seeds.\n")
+    print("\nThe default method over five seeds.\n")
     ensemble()
     print("\nThe band, and that of an exact posterior that knows the shape but for offset and factor.\n")
     bound()

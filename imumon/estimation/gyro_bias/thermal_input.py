@@ -10,7 +10,7 @@ import numpy as np
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.effects.thermal_lag import UNTOLD_S
 from imumon.estimation.gyro_bias.slot import MOVED_DEGC
-from imumon.estimation.temperature_rate.bank import START_ACCELERATION, UNSEEN_RATE
+from imumon.filters.rates import START_ACCELERATION, UNSEEN_RATE
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
 

@@ -1,337 +1,286 @@
-"""What the readings of a slot say to each filter of the bank: its states given them, and their probability.
+"""What the readings of a slot say: one decision table, evaluated top down, for all filters at once.
 
-A slot's readings are one of three kinds.
+Level kinds, d the step, s² = σ² + (r² + P_rr) (1 s)²/12 with the motion within the slot:
 
-- *one level*: the temperature is inside it, away from the edges by what the noise demands.  Where a
-  prediction is sharper than the noise, each such slot is a measurement.  Where it is not, the same interval
-  says nothing new every second: it is applied to what is shown (`merged`), and taken into the state only
-  when the prediction grows fast, has grown wider than the level, or contradicts it.
-- *two levels*: the share of the upper one weighs the boundary between them.  Where a filter moves so fast
-  that noise does not matter, the time of the crossing is the measurement.
-- *more*: the mean is the measurement.
+| the slot, with the last reading before it | for which filters | what enters |
+|---|---|---|
+| one reading, more than a level from the last | all | as one level |
+| more than two levels | all | z = mean less its ripple, R = max(s², variance)/n + (β d/π)²/8 |
+| two levels, one clean crossing | moves faster than its noise, that way | z = edge + r (middle - crossing), R by the samples |
+| two levels, the later by one reading | its edge is soft | as one level |
+| two levels | all others | z = edge + s Φ⁻¹(p), R = s² p(1-p)/(k φ²), p the share above the edge |
+| one level | its edge is soft, or it is news | T + e is in the level: truncated Gaussian |
+| one level | all others | nothing; the level only confines what is shown |
 
-A single reading, as of a thermometer that is refreshed slowly, is one of these with the reading before it.
+Mean kinds take the mean of any slot as z, with R = white share of ρ, and the lattice of means, (d/n)²/12.
 
-That is what the level kinds hear.  The mean and slow kinds take the mean of any slot with its errors.
-Probabilities are those of the lattice that the mean of a slot's independent readings can take, whatever the
-kind, so that all can be compared.
+"Inside the level" is one statement however often it is read.  Where the edge is softer than the prediction (√P_y < 2 s),
+readings are independent evidence; where it is sharp, only a contradiction is new.
+
+Log likelihoods are probabilities of the mean of a slot on its lattice of d/n, so that all rows can be compared.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import log_ndtr, ndtri
 
-from imumon.compiled import inner, njit
-from imumon.estimation.temperature_rate.bank import (
-    LEVELS,
-    SMOOTHNESSES,
-    WALKED_S,
-    WHITE,
-    Filter,
-    Filters,
-    Slow,
-    condition,
-)
-from imumon.estimation.temperature_rate.moments import ROOT_2_PI, truncated, weigh
-from imumon.estimation.temperature_rate.sensor import Reading, Sensor
+from imumon.blocks import BoolArray, FloatArray
+from imumon.estimation.temperature_rate.model import ERROR, RATE, SLOT_S, TEMPERATURE, Params
+from imumon.estimation.temperature_rate.sensor import Reading, Thermometer
 
-SWEEP = 4.0
-"""A crossing is timed where the temperature moves by so many noise deviations within a slot."""
+ROOT_2_PI = math.sqrt(2.0 * math.pi)
 CROWDED = 1.8
-"""∫ φ²/(Φ(1 - Φ)): readings d °C apart that pass an edge locate it with a variance of d σ over this."""
-SHARPER = 2.0
-"""A prediction sharper than so many noise deviations sees the edge of a level as soft."""
-WIDER = 1.5
-"""A prediction wider than so many steps is replaced by the level."""
-GROWN = 0.1
-"""So is one that grows wider by so many steps from slot to slot: to stay is news then."""
-SURPRISE = math.log(0.02)
-"""So is one that has less than this log probability to be inside."""
-EDGE = 1.5
-"""Readings that do not flicker keep the temperature so many noise deviations from the edge."""
-TINY = 1e-6
-IMPOSSIBLE = -60.0
-"""Least log probability relative to the best filter's: none is lost for ever."""
-
-Moments = tuple[float, float, float]
-"""Mean and variance of the reading without steps, and log probability of what was read."""
-NO_STEP, MANY, STAY, FLICKER = range(4)
+"""∫ φ²/(Φ(1 - Φ)): readings δ °C apart that pass an edge of softness σ locate it with the variance δ σ over this."""
+TINY = 1e-9
+"""Where a filter stands still, °C per sample; it keeps divisions finite."""
 
 
-class Said(NamedTuple):
-    """What a slot's readings say, as all filters need it; °C, °C², s."""
+class Predicted(NamedTuple):
+    """The reading y = H x, H = [1, 0, 0, 1], as every filter predicts it, (k, m)."""
 
-    case: int
-    """NO_STEP of the sensor is known; MANY levels; STAY on one; FLICKER between two, or cross."""
-    step: float
-    duration_s: float
-    gap_s: float
-    mean: float
-    linear: float
-    """Of the readings, and with the quantizer's ripple taken off."""
-    independent: float
-    """Independent readings, 1 at least."""
-    levels: float
-    """Levels that were read."""
-    white: float
-    """Variance of the mean."""
-    cell: float
-    """Between values that the mean can have."""
-    edge: float = 0.0
-    """FLICKER: between the two levels."""
-    above: float = 0.0
-    below: float = 0.0
-    """Independent readings on either side of it."""
-    lattice: float = 0.0
-    """Log of the number of orders in which they can come."""
-    readings: float = 0.0
-    changes: int = 0
-    since_s: float = 0.0
-    """Readings, how many of them differ from the one before, and time from a single crossing to the
-    middle."""
-    upward: bool = False
-    """The direction of a single crossing."""
+    mean: FloatArray
+    variance: FloatArray
+    gain: FloatArray
+    """P Hᵀ / (H P Hᵀ), (4, k, m): how the state follows y."""
 
 
-def said(reading: Reading, sensor: Sensor) -> Said:
-    """Return what a slot with readings says."""
-    step, low, high, independent = sensor.step, reading.low, reading.high, sensor.independent(reading)
-    if math.isfinite(reading.before):
-        low, high = min(low, reading.before), max(high, reading.before)
-    count = max(independent, 1.0)
-    # A reading that is repeated over m slots has a variance of m times what its slots show, and counts once.
-    repeats = 1.0 / min(independent, 1.0)
-    case = NO_STEP
-    if step:
-        case = MANY if high - low > 1.5 * step else STAY if high - low < 0.5 * step else FLICKER
-        # A leap says no more than the level where it ends.
-        case = STAY if case == MANY and reading.count == 1 else case
-    plain = Said(
-        case=case,
-        step=step,
-        duration_s=reading.duration_s,
-        gap_s=reading.gap_s,
-        mean=reading.mean,
-        linear=sensor.linear(reading),
-        independent=count,
-        levels=(reading.high - reading.low) / step + 1.0 if step else 1.0,
-        white=sensor.roughness * repeats**2,
-        cell=step / count,
-        changes=reading.changes,
-    )
-    return _with_shares(plain, reading, low, high) if case == FLICKER else plain
+def predicted_reading(x: FloatArray, p: FloatArray) -> Predicted:
+    """Return the prediction of the reading before its white noise and steps."""
+    cross = p[:, TEMPERATURE] + p[:, ERROR]
+    variance = cross[TEMPERATURE] + cross[ERROR]
+    return Predicted(x[TEMPERATURE] + x[ERROR], variance, cross / variance)
 
 
-def _with_shares(plain: Said, reading: Reading, low: float, high: float) -> Said:
-    """Add how the readings of two neighbouring levels are shared between them, and when a crossing was."""
-    count, total = reading.count, reading.count * reading.mean
-    crossed_between = math.isfinite(reading.before) and reading.before != reading.first
-    if crossed_between:
-        # The level changed between two slots: the last reading of the other belongs to the crossing.
-        count, total = count + 1, total + reading.before
-    share = min(max((total / count - low) / (high - low), 0.5 / count), 1.0 - 0.5 / count)
-    # Independent readings change level this often; a single crossing changes it once.
-    own = reading.changes / (2.0 * share * (1.0 - share))
-    counted = min(max(own, 1.0), plain.independent)
-    above, below = counted * share, counted * (1.0 - share)
-    lattice = math.lgamma(counted + 1.0) - math.lgamma(above + 1.0) - math.lgamma(below + 1.0)
-    # A clean crossing comes after the readings at the level that is left.
-    edge = 0.5 * (low + high)
-    upward = reading.last > edge
-    left = (1.0 - share if upward else share) * count
-    begin = reading.start_s - (reading.gap_s if crossed_between else 0.0)
-    return plain._replace(
-        duration_s=reading.end_s - begin,
-        edge=edge,
-        above=above,
-        below=below,
-        lattice=lattice + math.log(counted / plain.independent),
-        readings=float(reading.count),
-        since_s=reading.time_s - (begin + (left - 0.5) * reading.gap_s),
-        upward=upward,
-    )
+@dataclass(slots=True)
+class Evidence:
+    """What a slot says of y: how its mean and variance change, and the log likelihood, (k, m) each."""
+
+    shift: FloatArray
+    growth: FloatArray
+    """Change of the variance, at most zero, °C²."""
+    log_likelihood: FloatArray
+    level: Level | None = None
+    """The level that the readings stay on, of the level kinds."""
+
+    def put(self, rows: slice, part: Part) -> None:
+        """Set some kinds."""
+        self.shift[rows], self.growth[rows], self.log_likelihood[rows] = part
 
 
-@njit
-def measure(filters: Filters, said: Said) -> None:
-    """Give the bank what a slot says."""
-    log_evidence = np.empty(len(filters))
-    best = -math.inf
-    for i in range(len(filters)):
-        f, k = filters[i], i // SMOOTHNESSES
-        if not f.weight:
-            continue
-        mean, variance = f.temperature + f.error, f.tt + 2.0 * f.te + f.ee
-        if k >= LEVELS:
-            mean, variance, log = _as_mean(mean, variance, k, said)
-        elif said.case == NO_STEP:
-            log = IMPOSSIBLE
-        else:
-            mean, variance, log = _as_level(f, WHITE[k] * said.step, mean, variance, said)
-        condition(f, mean, variance)
-        log_evidence[i] = log
-        best = max(best, log)
-    total = 0.0
-    for i in range(len(filters)):
-        f = filters[i]
-        if f.weight:
-            evidence = math.exp(max(log_evidence[i] - best, IMPOSSIBLE))
-            f.weight *= evidence
-            f.rare *= evidence
-            f.cycling *= evidence
-            total += f.weight + f.rare
-    for i in range(len(filters)):
-        filters[i].weight /= total
-        filters[i].rare /= total
-        filters[i].cycling /= total
+class Level(NamedTuple):
+    """What "y is in the level" would change, (levels, m); `enters` where it entered the state."""
+
+    enters: BoolArray
+    is_soft: BoolArray
+    shift: FloatArray
+    growth: FloatArray
+    log_mass: FloatArray
 
 
-@inner
-def _gaussian(mean: float, variance: float, measured: float, noise: float) -> Moments:
-    """Correct a Gaussian by a measurement with noise; the log density is that over 1/√(2π)."""
-    total, residual = variance + noise, measured - mean
-    log = -0.5 * math.log(total) - 0.5 * residual * residual / total
-    return mean + variance / total * residual, variance * noise / total, log
+Part = tuple[FloatArray, FloatArray, FloatArray]
+"""Shift, growth and log likelihood of some kinds."""
 
 
-@inner
-def _as_mean(mean: float, variance: float, k: int, said: Said) -> Moments:
-    """Take the slot's mean as a measurement: the mean and slow kinds."""
-    noise = WHITE[k] * said.white + said.cell**2 / 12.0 + TINY**2
-    after, left, _ = _gaussian(mean, variance, said.linear, noise)
-    # The cell as a Gaussian of the same height, so that no probability exceeds one.
-    cell = max(said.cell, TINY)
-    smeared = variance + noise + cell**2 / (2.0 * math.pi)
-    log = math.log(cell / ROOT_2_PI) - 0.5 * math.log(smeared) - 0.5 * (said.linear - mean) ** 2 / smeared
-    return after, left, log
+def evaluate(
+    params: Params, thermometer: Thermometer, reading: Reading, x: FloatArray, p: FloatArray
+) -> Evidence:
+    """Return what a slot with readings says to every filter: the table above.
 
-
-@inner
-def _as_level(f: Filter, noise: float, mean: float, variance: float, said: Said) -> Moments:
-    """Take the slot's readings as levels: the level kinds."""
-    step, rate = said.step, f.rate
-    if said.case == MANY:
-        inside = noise**2 / said.independent + (step / said.levels) ** 2 / 12.0
-        after, left, log = _gaussian(mean, variance, said.mean, inside)
-        return after, left, log + math.log(step / said.independent / ROOT_2_PI)
-    sigma = math.hypot(noise, rate * said.duration_s / math.sqrt(12.0))
-    # Where every reading counts the one before has been heard: only the last is new.
-    if said.case == STAY or (said.readings == 1.0 and math.sqrt(variance) < SHARPER * sigma):
-        return _stay(mean, variance, f.growth, sigma, said)
-    moved = abs(rate) * said.duration_s
-    if (
-        said.changes % 2
-        and moved > SWEEP * noise
-        and said.changes <= 1.0 + SWEEP * noise * said.readings / max(moved, TINY)
-        and (rate > 0.0) == said.upward
-    ):
-        each = max(abs(rate) * said.gap_s, TINY**2)
-        width = each * (each / 12.0 + noise / CROWDED) + f.rr * said.since_s**2
-        after, left, log = _gaussian(mean, variance, said.edge + rate * said.since_s, width)
-        return after, left, log + math.log(each * said.readings / said.independent / ROOT_2_PI)
-    after, left, log = weigh(mean, math.sqrt(variance), said.edge, said.edge, said.above, said.below, sigma)
-    return after, left, log + said.lattice
-
-
-@inner
-def _stay(mean: float, variance: float, growth: float, sigma: float, said: Said) -> Moments:
-    """Take a reading that does not change, where it says something new."""
-    step, sd = said.step, math.sqrt(variance)
-    low, high = said.mean - 0.5 * step, said.mean + 0.5 * step
-    if sd < SHARPER * sigma:
-        if min(mean - low, high - mean) > 5.0 * sigma + 3.0 * sd:
-            return mean, variance, 0.0
-        return weigh(mean, sd, low, high, said.independent, said.independent, sigma)
-    shift, shrink, log_mass = truncated((low - mean) / sd, (high - mean) / sd)
-    if sd < WIDER * step and log_mass > SURPRISE and growth <= (GROWN * step) ** 2:
-        return mean, variance, 0.0
-    # No edge is sharper than the noise: far outside the variance would vanish, and rounding make it negative.
-    return mean + shift * sd, max(shrink * variance, sigma * sigma), log_mass
-
-
-class Merged(NamedTuple):
-    """The mean of all filters, and variances of temperature, rate, the slow error and its walk, °C²."""
-
-    temperature: float
-    rate: float
-    acceleration: float
-    temperature_variance: float
-    rate_variance: float
-    slow: float
-    walked: float
-
-
-@njit
-def merged(filters: Filters, slow_errors: Slow, step: float, level: float) -> Merged:
-    """Merge the filters into what is shown; `level` is the one that the readings stay on, NaN where none.
-
-    Then the level kinds are confined to it.
+    Parameters
+    ----------
+    x : array, (4, k, m)
+    p : array, (4, 4, k, m)
+        State and covariance at the middle of the slot.
     """
-    total, both, frequent, slow, walked = 0.0, 0.0, 0.0, 0.0, 0.0
-    x, r, a = 0.0, 0.0, 0.0
-    sum_x, sum_r, square_x, square_r = 0.0, 0.0, 0.0, 0.0
-    # About the heaviest filter, so that the differences of squares keep their digits.
-    main = _heaviest(filters)
-    for i in range(len(filters)):
-        f, k = filters[i], i // SMOOTHNESSES
-        if not f.weight:
-            continue
-        frequent += f.weight
-        slow += slow_errors.variance[k] * f.weight
-        walked += slow_errors.walk[k] * WALKED_S * f.weight
-        mass, shift, shrink = 1.0, 0.0, 1.0
-        if k < LEVELS and not math.isnan(level):
-            mass, shift, shrink = _confined(f, WHITE[k] * step, step, level)
-        gain_x, gain_r = f.tt + f.te, f.tr + f.re
-        spread = gain_x + f.te + f.ee
-        off_x = f.temperature + gain_x * shift - main.temperature
-        off_r = f.rate + gain_r * shift - main.rate
-        weight = (f.weight + f.rare) * mass
-        both += weight
-        x += weight * off_x
-        r += weight * off_r
-        a += weight * (f.acceleration + (f.ta + f.ae) * shift)
-        weight = f.weight * mass
-        total += weight
-        sum_x += weight * off_x
-        sum_r += weight * off_r
-        square_x += weight * (f.tt + gain_x * gain_x / spread * (shrink - 1.0) + off_x * off_x)
-        square_r += weight * (f.rr + gain_r * gain_r / spread * (shrink - 1.0) + off_r * off_r)
-    if not total > 1e-200 and not math.isnan(level):
-        # The level is out of reach of all filters.
-        return merged(filters, slow_errors, step, math.nan)
-    x, r, a = x / both, r / both, a / both
-    return Merged(
-        main.temperature + x,
-        main.rate + r,
-        a,
-        (square_x - 2.0 * x * sum_x) / total + x * x,
-        (square_r - 2.0 * r * sum_r) / total + r * r,
-        slow / frequent,
-        walked / frequent,
+    y = predicted_reading(x, p)
+    shape = y.mean.shape
+    evidence = Evidence(np.empty(shape), np.empty(shape), np.empty(shape))
+    independent = thermometer.independent(reading)
+    slot = _Slot(params, thermometer, reading, independent)
+    level, mean = slice(0, params.kinds.levels), slice(params.kinds.levels, None)
+    evidence.put(mean, _mean(slot, y, mean))
+    levels = Predicted(y.mean[level], y.variance[level], y.gain[:, level])
+    rate, rate_variance = x[RATE, level], p[RATE, RATE, level]
+    sigma = np.sqrt(
+        (params.kinds.white[level] * thermometer.step) ** 2 + (rate**2 + rate_variance) * SLOT_S**2 / 12.0
+    )
+    span = (slot.high - slot.low) / thermometer.step
+    single = reading.count == 1
+    if span > 1.5 and not single:
+        evidence.put(level, _many_levels(slot, levels, sigma))
+    elif span < 0.5 or (span > 1.5 and single):
+        evidence.level = _one_level(slot, levels, sigma)
+        evidence.put(level, _entered(evidence.level))
+    else:
+        evidence.put(level, _two_levels(slot, levels, sigma, rate, rate_variance))
+        if single:
+            # Of one reading a filter that is sharper than the noise takes the level, not the edge before it.
+            alone = _one_level(slot, levels, sigma)
+            soft = alone.is_soft
+            for values, if_soft in zip(
+                (evidence.shift, evidence.growth, evidence.log_likelihood),
+                (alone.shift, alone.growth, alone.log_mass),
+                strict=True,
+            ):
+                np.copyto(values[level], if_soft, where=soft)
+    return evidence
+
+
+@dataclass(frozen=True, slots=True)
+class _Slot:
+    """A slot with what all rows of the table need of it."""
+
+    params: Params
+    thermometer: Thermometer
+    reading: Reading
+    n: float
+    """Independent readings, 1 at least."""
+
+    @property
+    def step(self) -> float:
+        return self.thermometer.step
+
+    @property
+    def cell(self) -> float:
+        """Distance between the values that the mean can have, °C."""
+        return max(self.step / self.n, 1e-6)
+
+    @property
+    def low(self) -> float:
+        """Lowest reading, with that before the slot."""
+        reading = self.reading
+        return min(reading.low, reading.before) if reading.jumped else reading.low
+
+    @property
+    def high(self) -> float:
+        """Highest reading, with that before the slot."""
+        reading = self.reading
+        return max(reading.high, reading.before) if reading.jumped else reading.high
+
+
+def _gaussian(
+    y: Predicted, z: FloatArray | float, noise: FloatArray, unit: FloatArray | float, smear: float = 0.0
+) -> Part:
+    """Correct by y = z with the variance R: v² / S; `unit` turns the density of z into a probability.
+
+    `smear` is added to S in the likelihood alone: a cell as a Gaussian of its height, so that no probability exceeds 1.
+    """
+    total = y.variance + noise
+    innovation = z - y.mean
+    shift, growth = y.variance * innovation / total, -(y.variance**2) / total
+    total = total + smear
+    log = np.log(unit / ROOT_2_PI) - 0.5 * np.log(total) - 0.5 * innovation**2 / total
+    return shift, growth, log
+
+
+def _mean(slot: _Slot, y: Predicted, rows: slice) -> Part:
+    y = Predicted(y.mean[rows], y.variance[rows], y.gain[:, rows])
+    white = slot.params.kinds.white[rows] * max(slot.thermometer.rho, 1e-12)
+    cell = slot.cell
+    shift, growth, log = _gaussian(
+        y, slot.reading.mean, white + cell**2 / 12.0, cell, cell**2 / (2.0 * math.pi)
+    )
+    return shift, growth, log
+
+
+def _many_levels(slot: _Slot, y: Predicted, sigma: FloatArray) -> Part:
+    ripple = slot.params.kinds.ripple
+    offset = (slot.reading.mean - slot.reading.low) / slot.step
+    place = np.full_like(ripple, offset)
+    for _ in range(4):  # solve mean = x - β/π sin 2πx for x
+        place = offset + np.minimum(ripple, 0.4) / math.pi * np.sin(2.0 * math.pi * place)
+    noise = np.maximum(sigma**2, slot.reading.variance) / slot.n + (ripple * slot.step / math.pi) ** 2 / 8.0
+    shift, growth, log = _gaussian(y, slot.reading.low + slot.step * place, noise, slot.cell)
+    # Readings that scatter more than white noise and rounding: the likelihood of their variance (χ² of n).
+    excess = np.maximum(slot.reading.variance / (sigma**2 + slot.step**2 / 12.0), 1.0)
+    return shift, growth, log - 0.5 * slot.n * (excess - 1.0 - np.log(excess))
+
+
+def _two_levels(
+    slot: _Slot, y: Predicted, sigma: FloatArray, rate: FloatArray, rate_variance: FloatArray
+) -> Part:
+    reading = slot.reading
+    count = reading.count + reading.jumped
+    total = reading.count * reading.mean + (reading.before if reading.jumped else 0.0)
+    share = min(max((total / count - slot.low) / (slot.high - slot.low), 0.5 / count), 1.0 - 0.5 / count)
+    edge = 0.5 * (slot.low + slot.high)
+    # Independent readings change level 2 k p (1 - p) times; a single crossing changes it once.
+    k = min(max(reading.changes / (2.0 * share * (1.0 - share)), 1.0), slot.n)
+    quantile = float(ndtri(share))
+    density = math.exp(-0.5 * quantile**2) / ROOT_2_PI
+    z = edge + sigma * quantile
+    noise = sigma**2 * (share * (1.0 - share) / (k * density**2) + (slot.params.spacing * quantile) ** 2)
+    unit = sigma / (density * slot.n)
+    if reading.changes % 2:
+        timed, *crossing = _crossing(slot, share, edge, rate, rate_variance)
+        z, noise, unit = (
+            np.where(timed, by_time, by_share)
+            for by_time, by_share in zip(crossing, (z, noise, unit), strict=True)
+        )
+    shift, growth, log = _gaussian(y, z, noise, unit)
+    return shift, growth, log
+
+
+def _crossing(
+    slot: _Slot, share: float, edge: float, rate: FloatArray, rate_variance: FloatArray
+) -> tuple[BoolArray, FloatArray, FloatArray, FloatArray]:
+    """Return where a crossing is timed, and there z, R and the unit of the likelihood."""
+    reading, params = slot.reading, slot.params
+    count = reading.count + reading.jumped
+    upward = reading.last > edge
+    left = (1.0 - share if upward else share) * count  # readings on the level that is left
+    begin_s = reading.start_s - (reading.gap_s if reading.jumped else 0.0)
+    since_s = reading.time_s - (begin_s + (left - 0.5) * reading.gap_s)
+    white = params.kinds.white[: params.kinds.levels] * slot.step
+    moved = np.abs(rate) * SLOT_S
+    flickers = 1.0 + params.sweep * white * reading.count / np.maximum(moved, TINY)
+    timed = (
+        (moved > params.sweep * white) & ((rate > 0.0) == upward) & (reading.changes <= flickers)
+    )
+    apart = np.maximum(np.abs(rate) * reading.gap_s, TINY)
+    noise = apart * (apart / 12.0 + white / CROWDED) + rate_variance * since_s**2
+    return timed, edge + rate * since_s, noise, apart * (reading.count / slot.n)
+
+
+def _one_level(slot: _Slot, y: Predicted, sigma: FloatArray) -> Level:
+    """Confine y to the level: its edges, each as soft as the extreme of n readings, moved in by its median."""
+    params, step = slot.params, slot.step
+    extreme = float(ndtri(2.0 ** (-1.0 / slot.n)))
+    soft = sigma / math.sqrt(1.0 + 2.0 * math.log(slot.n))
+    half = np.maximum(0.5 * step - extreme * sigma, 0.1 * step)
+    total = np.sqrt(y.variance + soft**2)
+    off = y.mean - slot.reading.last
+    mean, variance, log_mass = truncated((-half - off) / total, (half - off) / total)
+    sd = np.sqrt(y.variance)
+    is_soft = sd < params.soft * soft
+    is_news = (log_mass < math.log(params.news)) | (sd > params.wide * step)
+    gain = y.variance / total
+    return Level(is_soft | is_news, is_soft, gain * mean, gain**2 * (variance - 1.0), log_mass)
+
+
+def _entered(level: Level) -> Part:
+    return (
+        level.enters * level.shift,
+        level.enters * level.growth,
+        level.enters * level.log_mass,
     )
 
 
-@inner
-def _heaviest(filters: Filters) -> Filter:
-    best = 0
-    for i in range(len(filters)):
-        if filters[i].weight + filters[i].rare > filters[best].weight + filters[best].rare:
-            best = i
-    return filters[best]
+def truncated(low: FloatArray, high: FloatArray) -> Part:
+    """Return mean, variance and log mass of a standard normal between two bounds (Curry 1970).
 
-
-@inner
-def _confined(f: Filter, noise: float, step: float, level: float) -> tuple[float, float, float]:
-    """Return probability, shift over sd and shrinking of variance by a level that is sharp for a filter."""
-    spread = f.tt + 2.0 * f.te + f.ee
-    sd = math.sqrt(spread)
-    if sd < SHARPER * noise:
-        return 1.0, 0.0, 1.0
-    half = 0.5 * step - min(EDGE * noise, 0.3 * step)
-    offset = f.temperature + f.error - level
-    shift, shrink, log_mass = truncated((-half - offset) / sd, (half - offset) / sd)
-    return math.exp(log_mass), shift / sd, shrink
+    Written for the lower tail, so that it is stable far out on either side.
+    """
+    above = low > 0.0
+    a, b = np.where(above, -high, low), np.where(above, -low, high)
+    log_b = log_ndtr(b)
+    log_mass = log_b + np.log1p(-np.exp(np.minimum(log_ndtr(a) - log_b, -1e-12)))
+    at_a, at_b = (np.exp(-0.5 * bound**2 - log_mass) / ROOT_2_PI for bound in (a, b))
+    mean = np.clip(at_a - at_b, a, b)
+    variance = np.clip(1.0 + a * at_a - b * at_b - mean**2, 1e-6, 1.0)
+    return np.where(above, -mean, mean), variance, log_mass

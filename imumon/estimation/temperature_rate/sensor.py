@@ -1,288 +1,271 @@
-"""What the readings of a slot are, and what is learned of the sensor from slot to slot."""
+"""What is learned of a thermometer from its readings: step, noise, independent readings, repeat time."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
 
-from imumon.estimation.temperature_rate.bank import SLOT_S, Slow, slow_errors
-from imumon.estimation.temperature_rate.refresh import FASTEST, RefreshFinder
-from imumon.estimation.temperature_rate.step import COARSEST, StepFinder
+from imumon.estimation.temperature_rate.model import SLOT_S
+from imumon.filters.rates import FASTEST_RATE
 
+COARSEST_DEGC = 1.0
+"""Step that is assumed until a reading changes, °C: that of the coarsest thermometers."""
+TINY_DEGC = 1e-5
+"""Readings closer than this are equal, °C."""
 MEMORY = 1.0 / 32.0
-"""Weight of a new slot in what is learned, after as many slots."""
-FLICKER_S, FLICKERS = 10.0, 3
-"""So often a reading has to go back within this time to be known to flicker."""
-EDGES, STICKY_EDGES = 0.05, 0.5
-"""Edges between levels are known to so many steps: ±0.1 of nonlinearity is a good converter's; hysteresis
-of a step is half a step either way."""
-MOST = 9.0
-"""A slot counts in a variance with no more than so many times what is known: a spike spoils little."""
-LEAP = 8.0
-"""Readings of a slot that lie farther apart than so many steps or deviations are no noise."""
-DEAD_S, DEAD_INTERVALS = 60.0, 10.0
-"""Noise of more than a step that stops for so long, and so many usual intervals, is a dead sensor."""
-SLOWER = 1.01
-"""Factor by which the interval between changes grows with each change that comes later."""
-TINY_S = 1e-9
-"""Times of samples are in ns, and may be equal."""
-MOST_INDEPENDENT = 32.0
-"""More readings would place an edge, σ/√n, finer than its sigma is known between two of the bank's."""
-DITHERED = 0.2
-"""White noise of so many steps within a slot makes its mean nearly linear in the temperature."""
+"""Weight of a new slot in a running mean."""
+OUTLIER = 9.0
+"""A slot counts in a variance with at most so many times what is known."""
+REVERSALS = 3
+"""So often a reading has to go back within `FLICKER_S` before its noise is known to reach over an edge."""
+FLICKER_S = 10.0
+MOST_REPEAT_S = 60.0
+"""Longest time that a reading is taken to be repeated, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """The readings of one thermometer in one slot."""
+    """The readings of one slot; all values are in °C or °C², times in s since the segment began."""
 
     start_s: float
     end_s: float
-    """First and last sample, s since the segment began."""
+    """Times of the first and the last sample."""
     count: int
-    """Readings; all below is NaN or zero without any."""
+    """Readings; without any, all below is NaN or zero."""
     mean: float
     variance: float
     low: float
     high: float
     first: float
     last: float
-    """°C, °C²."""
     changes: int
-    """How many readings differ from the one before."""
+    """How many readings differ from the one before, in the slot and into it."""
     step_squares: float
-    """Sum of squared differences of neighbours, °C²."""
+    """Sum of the squares of these differences."""
     before: float
-    """Last reading of the slot before; NaN if that is long ago."""
+    """Last reading before the slot, NaN if that is long ago."""
     gap_s: float
-    """Time between two readings."""
+    """Time between two samples."""
 
-    def newest(self, time_s: float, gap_s: float) -> Reading:
-        """Return the last of the readings alone, taken at a time, so long after the one before."""
+    def newest(self) -> Reading:
+        """Return the last reading alone, taken when it came: what a slot of repeated readings has."""
         before = self.before if math.isfinite(self.before) else self.first
+        share = (self.last - self.mean) / (self.last - self.first) if self.last != self.first else 0.0
+        at = self.start_s + round(share * self.count) * self.gap_s if self.changes == 1 else self.end_s
         return replace(
-            self, start_s=time_s, end_s=time_s, count=1, mean=self.last, variance=0.0, low=self.last,
-            high=self.last, first=self.last, changes=int(before != self.last), step_squares=0.0,
-            before=before, gap_s=gap_s,
+            self, start_s=at, end_s=at, count=1, mean=self.last, variance=0.0, low=self.last, high=self.last,
+            first=self.last, changes=int(before != self.last), step_squares=0.0, before=before,
         )  # fmt: skip
 
     @property
-    def changed_s(self) -> float:
-        """When the last reading came, if it is the only one that differs; else the end of the slot."""
-        if self.changes != 1 or self.first == self.last:
-            return self.start_s if self.changes == 1 else self.end_s
-        share = (self.last - self.mean) / (self.last - self.first)
-        return self.start_s + round(share * self.count) * self.gap_s
-
-    @property
     def time_s(self) -> float:
-        """Middle."""
+        """Middle of the slot, which its mean refers to."""
         return 0.5 * (self.start_s + self.end_s)
 
     @property
-    def differences(self) -> tuple[float, ...]:
-        """Differences of readings, which tell the step of the sensor, °C."""
-        single = (math.sqrt(self.step_squares),) if self.changes == 1 else ()
-        return (*single, self.first - self.before, self.high - self.low)
-
-    @property
-    def duration_s(self) -> float:
-        """Length."""
-        return self.end_s - self.start_s
+    def jumped(self) -> bool:
+        """Whether the reading changed between the slot before and this one."""
+        return math.isfinite(self.before) and self.before != self.first
 
 
 @dataclass(slots=True)
-class Sensor:
-    """What has been learned of a thermometer."""
+class StepFinder:
+    """Finds the quantization step: the least change, of which the others are multiples.
 
-    finder: StepFinder
-    step: float = field(init=False)
-    """The quantization step in °C as far as it is known, 0 when there is none."""
-    inside: float = 0.0
-    """Variance of the readings about their short-term mean, °C²."""
-    roughness: float = 0.0
-    """Variance of a slot's mean as seen from three neighbouring slots, °C²."""
-    dither: float = DITHERED**2
-    """Variance of white noise before the quantizer, steps²."""
-    squares: float = 0.0
-    spread: float = 0.0
-    """Squared differences of neighbours in a slot, and what they would be if all readings were
-    independent: less where readings are repeated or correlated, °C²."""
-    interval_s: float = 0.0
-    """Time within which the reading does not change twice: the refresh interval or more."""
-    usual_s: float = 0.0
-    """Usual time between slots that change."""
-    changed_s: float = float("nan")
-    change: float = 0.0
-    """When the reading changed last, and by how much, °C."""
-    refresh: RefreshFinder = field(default_factory=RefreshFinder)
-    """When a reading that is repeated over slots is a new one."""
-    learned: int = 0
-    reversed: int = 0
-    """Slots that changed; and those in which a reading went back within `FLICKER_S`."""
-    slots: int = 0
-    means: tuple[float, ...] = field(default=())
-    """Means of the last slots, °C."""
+    Raises ValueError when the declared step is not positive.
+    """
+
+    declared: float | None = None
+    """Step in °C that the device file declares."""
+    size: float = COARSEST_DEGC
+    """The step as far as it is known, °C."""
+    multiples: int = 0
+    changes: int = 0
+    """Changes that are multiples of it, and all, since it was first seen."""
+    misfit: float = 0.0
+    """Running share of changes that are no multiples of it."""
 
     def __post_init__(self) -> None:
-        """Begin with the step that the finder begins with."""
-        self.step = self.finder.size
+        """Begin with the declared step."""
+        if self.declared is not None:
+            if not self.declared > TINY_DEGC:
+                raise ValueError(f"a step of {self.declared} °C")
+            self.size = self.declared
+
+    @property
+    def step(self) -> float | None:
+        """The step in °C, None while fewer than 8 changes or too many that are no multiples show it."""
+        return self.size if self.multiples >= 8 and self.misfit < 0.2 and self.size >= 1e-4 else None
+
+    @property
+    def unknown(self) -> bool:
+        """Whether the step is neither declared nor seen."""
+        return self.declared is None and self.changes == 0
+
+    def learn(self, reading: Reading) -> None:
+        """Learn from the differences between the readings of a slot."""
+        single = math.sqrt(reading.step_squares) if reading.changes == 1 else 0.0
+        for difference in (single, reading.first - reading.before, reading.high - reading.low):
+            self.learn_change(abs(difference))
+
+    def learn_change(self, change: float) -> None:
+        """Learn from the difference of two readings, °C."""
+        if not change > TINY_DEGC or (self.multiples == 0 and change > 2.0 * COARSEST_DEGC):
+            return  # equal, or a first change of which only a fault is capable
+        self.changes += 1
+        ratio = change / self.size
+        if self.multiples == 0 or ratio < 0.75:
+            self.size, self.misfit, self.multiples, self.changes = change, 0.0, 1, 1
+        elif ratio <= 8.5:  # farther multiples are met by chance
+            whole = round(ratio)
+            fits = abs(ratio - whole) < 0.2  # 0.0625 written with two digits is off by a sixth
+            self.misfit += MEMORY * ((not fits) - self.misfit)
+            self.multiples += fits
+            if fits and whole == 1:
+                self.size += (change - self.size) / min(self.multiples, 64)
+
+    def contradiction(self) -> str | None:
+        """Return what the readings show in place of the declared step, or None."""
+        if self.declared is None:
+            return None
+        if self.step is not None and abs(self.step / self.declared - 1.0) > 0.2:
+            return f"the readings change in steps of {self.step:.4g} °C, not of {self.declared:.4g} °C"
+        if self.step is None and self.changes >= 100:
+            return f"the readings do not change in steps of {self.declared:.4g} °C, nor in any other"
+        return None
+
+
+@dataclass(slots=True)
+class Thermometer:
+    """Running numbers that describe a thermometer; they outlive segments."""
+
+    finder: StepFinder = field(default_factory=StepFinder)
+    slots: int = 0
+    means: tuple[float, ...] = ()
+    """Means of the last slots, up to three."""
+    rho: float = 0.0
+    """Variance ρ of a slot's mean, from second differences of three slots."""
+    scatter: float = 0.0
+    squares: float = 0.0
+    spread: float = 0.0
+    """Of slots that change: variance, sum of squared differences, and what that would be of independent readings."""
+    changed_slots: int = 0
+    reversals: int = 0
+    leaps: int = 0
+    """Changes by more than 1.5 steps after a silence: a temperature passes every level, a repeated reading does not."""
+    interval_s: float = 0.0
+    """Least time between two changes."""
+    usual_s: float = 0.0
+    """Mean time between slots that change."""
+    change: float = 0.0
+    changed_s: float = math.nan
+    """The last change in this segment, 0 before the first; and when it was, or when the first reading was."""
+    fresh_s: float = -math.inf
+    """When the last reading came that was not a repeat."""
+    repeats: bool = False
+    """Whether noise or leaps have shown that a reading is repeated for `interval_s`."""
+
+    @property
+    def step(self) -> float:
+        """The step d in °C as far as it is known."""
+        return self.finder.size
+
+    @property
+    def variance(self) -> float:
+        """Variance that a slot's mean has at least, ρ or that of rounding, °C²."""
+        return max(self.rho, self.step**2 / 12.0, 1e-10)
 
     @property
     def unit(self) -> float:
-        """What the sensor's noise is measured in, °C: a step, or the noise of a slot where that is larger."""
-        return max(self.step, math.sqrt(self.roughness), 1e-4)
+        """What noise is measured in, °C: a step, or the noise of a slot where that is larger."""
+        return max(self.step, math.sqrt(self.rho), 1e-4)
 
     @property
-    def slow_errors(self) -> Slow:
-        """The bank's slow errors."""
-        roughness = max(self.roughness, self.step**2 / 12.0)
-        return slow_errors(self.unit, roughness, self.refresh.interval_s if self.refresh.slow else SLOT_S)
+    def reading_sd(self) -> float:
+        """Standard deviation of a single reading, °C; NaN before the first slot."""
+        if not self.slots:
+            return math.nan
+        return self.step / math.sqrt(12.0) if self.finder.unknown else max(self.unit, math.sqrt(self.scatter))
 
     @property
-    def edges(self) -> float:
-        """How well the edges between levels are known, °C.
-
-        A converter with hysteresis follows only when it is off by a step or so; one that flickers has none.
-        """
-        return (EDGES if self.reversed >= FLICKERS else STICKY_EDGES) * self.step
-
-    @property
-    def hidden(self) -> float:
-        """How far off the temperature may be behind a level, °C: the coarsest's where no step was seen."""
-        return COARSEST / math.sqrt(12.0) if self.finder.unseen else self.edges
-
-    @property
-    def scatter(self) -> float:
-        """Standard deviation of a single reading, °C; NaN before the first slot, as nothing tells it."""
-        return max(self.unit, math.sqrt(self.inside), self.hidden) if self.slots else math.nan
+    def repeat_s(self) -> float:
+        """How long a reading is repeated: the least time between changes, once noise or leaps show it; else 0."""
+        return min(self.interval_s, MOST_REPEAT_S) if self.repeats else 0.0
 
     def independent(self, reading: Reading) -> float:
-        """Return how many independent readings a slot has; less than one where a reading outlasts it."""
+        """Return how many independent readings a slot has (von Neumann's ratio), 1 at least."""
         share = self.squares / self.spread if self.spread > 0.0 else 1.0
-        count = min(max(share * reading.count, 1.0), MOST_INDEPENDENT)
-        slow = 1.0 if self.refresh.slow else self.interval_s / max(reading.duration_s, reading.gap_s, TINY_S)
-        return min(count, reading.count) / max(slow, 1.0)
+        return min(max(share * reading.count, 1.0), reading.count)
 
     def fresh(self, reading: Reading) -> Reading | None:
-        """Return what a slot has that was not there before, None where it repeats the last reading."""
-        if not self.refresh.slow:
+        """Return the part of a slot that was not measured before, None where it only repeats the last reading.
+
+        A reading that is repeated for longer than a slot counts once: when it changes, or when a change is overdue.
+        """
+        if self.repeat_s < 0.9 * SLOT_S:
             return reading
-        at = (
-            reading.changed_s
-            if reading.changes
-            else self.refresh.refreshed(reading.start_s - reading.gap_s, reading.end_s)
-        )
-        return None if at is None else reading.newest(at, self.refresh.interval_s)
-
-    def leaps(self, reading: Reading) -> bool:
-        """Tell whether a slot spans more than any thermometer's noise and steps: there is a fault in it."""
-        return reading.high - reading.low > LEAP * max(self.step, COARSEST, math.sqrt(self.inside))
-
-    def moves(self, reading: Reading) -> float:
-        """Return how far readings of neighbouring slots may lie apart, °C."""
-        noise = LEAP * max(self.step, math.sqrt(self.inside + self.roughness))
-        return max(noise, FASTEST * (SLOT_S + max(reading.duration_s, reading.gap_s)))
+        changed = reading.changes > 0 or reading.jumped
+        if not changed and reading.end_s - self.fresh_s < self.repeat_s + SLOT_S:
+            return None
+        return reading.newest()
 
     def is_dead(self, now_s: float) -> bool:
-        """Tell whether noise of more than a step has stopped."""
-        silent = now_s - self.changed_s
-        # From one slow refresh to the next a ramp scatters the readings as well.
-        noise2 = self.roughness if self.refresh.slow else self.inside
-        return noise2 > self.step**2 and silent > max(DEAD_S, DEAD_INTERVALS * self.usual_s)
+        """Return whether noise of more than a step has stopped for a minute and ten usual intervals."""
+        silent_s = now_s - self.changed_s
+        return self.scatter > self.step**2 and silent_s > max(60.0, 10.0 * self.usual_s)
 
-    def linear(self, reading: Reading) -> float:
-        """Return the temperature that a dithered slot shows, the quantizer's ripple taken off.
+    def begin(self) -> None:
+        """Begin a segment; what is known of the sensor stays."""
+        self.means, self.change, self.changed_s, self.fresh_s = (), 0.0, math.nan, -math.inf
 
-        White noise of s steps leaves E[reading] = x - β/π sin 2πx, β = exp(-2π²s²), x in steps from a level
-        (first harmonic of the rounding error, Widrow and Kollar 2008, ch. 4).
-        """
-        if not self._dithers(reading):
-            return reading.mean
-        return reading.low + self.step * _undithered((reading.mean - reading.low) / self.step, self.dither)
-
-    def _dithers(self, reading: Reading) -> bool:
-        return self.step > 0.0 and reading.changes >= 4 and self.independent(reading) >= 4.0
-
-    def _learn_dither(self, reading: Reading, weight: float) -> None:
-        """Learn s² from the variance of the readings, 1/12 + s² - c (1/π² + 4 s²) - d²/π².
-
-        c and d are β cos 2πx and β sin 2πx: the place x matters, as a slow temperature stays at one.
-        """
-        x = _undithered((reading.mean - reading.low) / self.step, self.dither)
-        beta = math.exp(-2.0 * math.pi**2 * self.dither)
-        cosine, sine = beta * math.cos(2.0 * math.pi * x), beta * math.sin(2.0 * math.pi * x)
-        rest = reading.variance / self.step**2 - 1.0 / 12.0 + cosine / math.pi**2 + (sine / math.pi) ** 2
-        square = max(rest / max(1.0 - 4.0 * cosine, 0.2), DITHERED**2)
-        self.dither += weight * (min(square, MOST * self.dither) - self.dither)
-
-    def learn(self, reading: Reading) -> None:
-        """Learn from a slot that has readings."""
-        slow = self.refresh.slow
-        if reading.changes:
-            self._learn_refresh(reading)
-        if self.refresh.slow and not slow:
-            # What looked like noise from slot to slot were the refreshes.
-            self.roughness, self.means, self.slots = self.step**2 / 12.0, (), 0
+    def learn(self, reading: Reading) -> Reading | None:
+        """Learn from a slot that has readings; return what is `fresh` of it."""
         fresh = self.fresh(reading)
+        self.slots += 1
         if fresh is not None:
-            self.slots += 1
-            self._learn_roughness(fresh.mean)
-        if reading.changes:
+            self.means = (*self.means[-2:], fresh.mean)
+            self.fresh_s = fresh.end_s
+        changed = reading.changes > 0 or reading.jumped
+        if changed:
+            self.finder.learn(reading)
+        if fresh is not None and len(self.means) == 3:
+            self._learn_rho(*self.means)
+        if changed:
             self._learn_changes(reading)
-            self.finder.learn(reading.differences)
-            self.step = 0.0 if self.finder.stepless else self.finder.size
+        elif not math.isfinite(self.changed_s):
+            self.changed_s = reading.time_s
+        return fresh
 
-    def _learn_refresh(self, reading: Reading) -> None:
-        if reading.changes > 1:
-            self.refresh.refute()
-            return
-        before = reading.before if math.isfinite(reading.before) else reading.first
-        silent_s = reading.changed_s - self.changed_s
-        if self.interval_s:
-            silent_s = min(silent_s, self.interval_s)
-        self.refresh.learn(reading.changed_s, reading.last - before, silent_s, self.step, reading.gap_s)
-
-    def _learn_roughness(self, mean: float) -> None:
-        self.means = (*self.means[-2:], mean)
-        if len(self.means) < 3:
-            return
-        bend = (self.means[0] - 2.0 * self.means[1] + self.means[2]) ** 2 / 6.0
-        known = max(self.roughness, self.step**2 / 12.0, 1e-10) if self.slots > 8 else COARSEST**2
-        bend = min(bend, MOST * known)
-        self.roughness += max(MEMORY, 1.0 / max(self.slots - 2, 1)) * (bend - self.roughness)
+    def _learn_rho(self, first: float, second: float, third: float) -> None:
+        bend = (first - 2.0 * second + third) ** 2 / 6.0
+        known = self.variance if self.slots > 8 else COARSEST_DEGC**2
+        self.rho += max(MEMORY, 1.0 / max(self.slots - 2, 1)) * (min(bend, OUTLIER * known) - self.rho)
 
     def _learn_changes(self, reading: Reading) -> None:
         apart = self.means[-1] - self.means[-2] if len(self.means) > 1 else 0.0
         variance = reading.variance + 0.5 * apart**2
-        known = MOST * (max(self.inside, self.step**2 / 4.0) if self.learned else COARSEST**2)
-        if variance > known and not self.learned:
-            return  # a fault: the noise of no thermometer begins so
-        self.learned += 1
-        weight = max(MEMORY, 1.0 / self.learned)
-        if variance < known:
-            self.inside += weight * (variance - self.inside)
+        known = max(self.scatter, self.step**2 / 4.0) if self.changed_slots else COARSEST_DEGC**2
+        if variance < OUTLIER * known:
+            self.changed_slots += 1
+            weight = max(MEMORY, 1.0 / self.changed_slots)
+            self.scatter += weight * (variance - self.scatter)
             self.squares += weight * (reading.step_squares - self.squares)
             self.spread += weight * (2.0 * reading.count * variance - self.spread)
-            if self._dithers(reading):
-                self._learn_dither(reading, weight)
-        gap_s = reading.changed_s - self.changed_s
+        self._learn_interval(reading)
+
+    def _learn_interval(self, reading: Reading) -> None:
         change = reading.last - (reading.before if math.isfinite(reading.before) else reading.first)
-        self.reversed += reading.changes > 1 or (change * self.change < 0.0 and gap_s < FLICKER_S)
-        self.change = change
-        since = reading.duration_s / reading.changes if reading.changes > 1 else gap_s
-        known = self.learned > 1 and math.isfinite(gap_s)  # not where a segment begins
-        if known or reading.changes > 1:
-            longest = SLOWER * max(self.interval_s, reading.gap_s) if self.interval_s else since
-            self.interval_s = min(since, longest)
-        if known:
-            self.usual_s += weight * (gap_s - self.usual_s)
-        self.changed_s = reading.changed_s
-
-
-def _undithered(z: float, square: float) -> float:
-    """Return the x whose dithered readings have the mean z, in steps, with noise of this variance, steps²."""
-    beta, x = math.exp(-2.0 * math.pi**2 * square), z
-    for _ in range(4):
-        x = z + beta / math.pi * math.sin(2.0 * math.pi * x)
-    return x
+        single = reading.changes <= 1
+        silent_s = reading.time_s - self.changed_s if self.change else math.nan
+        self.reversals += reading.changes > 1 or (change * self.change < 0.0 and silent_s < FLICKER_S)
+        possible = 1.5 * self.step < abs(change) < FASTEST_RATE * silent_s
+        self.leaps += single and possible and silent_s > 2.0 * SLOT_S
+        gap_s = silent_s if single else SLOT_S / reading.changes
+        if math.isfinite(gap_s):
+            longest = 1.01 * max(self.interval_s, reading.gap_s)
+            self.interval_s = min(gap_s, longest) if self.interval_s else gap_s
+        if math.isfinite(silent_s):
+            self.usual_s += (MEMORY if self.usual_s else 1.0) * (silent_s - self.usual_s)
+        shown = self.reversals >= REVERSALS or self.leaps > 0
+        self.repeats = shown and self.interval_s > 1.5 * reading.gap_s
+        self.change, self.changed_s = change, reading.time_s

@@ -10,8 +10,7 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.columns import Column
-from imumon.estimation.temperature_rate.level_bank import LevelBankRate
-from imumon.estimation.temperature_rate.readings import StepWatch
+from imumon.estimation.temperature_rate.method import MultipleModelRate, StepWatch
 from imumon.filters.rates import RateMethod
 from imumon.protocols.thermometer import TemperatureRateParameters
 
@@ -30,7 +29,7 @@ class TemperatureRate:
     parameters : TemperatureRateParameters
         One set for all channels.
     new_method : callable, optional
-        Makes the method of a channel; default the level bank.
+        Makes the method of a channel; default the multiple-model filter.
     """
 
     def __init__(
@@ -39,11 +38,10 @@ class TemperatureRate:
         new_method: Callable[[], RateMethod] | None = None,
     ) -> None:
         self._parameters = parameters or TemperatureRateParameters()
-        self._new_method = new_method or partial(LevelBankRate, self._parameters.step_degc)
+        self._new_method = new_method or partial(MultipleModelRate, self._parameters.step_degc)
         self._methods: dict[str, RateMethod] = {}
         self._begun: set[str] = set()
         self._watches: dict[str, StepWatch] = {}
-        self._refused: set[str] = set()
         self._stuck: set[str] = set()
         self._outside: dict[str, float] = {}
         """What of each channel was first out of range, until it is said; then NaN."""
@@ -114,17 +112,11 @@ class TemperatureRate:
                 )
                 self._outside[channel] = math.nan
         for channel, method in self._methods.items():
-            if isinstance(method, LevelBankRate) and method.stuck is not None and channel not in self._stuck:
+            if isinstance(method, MultipleModelRate) and method.stuck is not None and channel not in self._stuck:
                 self._stuck.add(channel)
                 texts.append(
                     f"{channel}: it leapt to {method.stuck:g} °C, as no temperature does, and stuck there: "
                     "taken for a fault of the thermometer until it changes"
-                )
-            if isinstance(method, LevelBankRate) and method.refuses and channel not in self._refused:
-                self._refused.add(channel)
-                texts.append(
-                    f"{channel}: its readings jump as no temperature and no known noise does: "
-                    "they are shown themselves, without a rate"
                 )
         for channel in list(self._watches):
             found = self._watches[channel].finder.contradiction()

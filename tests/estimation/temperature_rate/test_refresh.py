@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.level_bank import LevelBankRate
+from imumon.estimation.temperature_rate.method import MultipleModelRate
 from imumon.estimation.temperature_rate.refresh import RefreshFinder
 from tests.estimation.temperature_rate.records import clock, quantized, steady
 
@@ -63,7 +63,7 @@ def test_a_ramp_is_never_farther_off_than_the_age_of_the_reading_allows(
     t = np.arange(int((hold_s + 240.0) * RATE_HZ)) / RATE_HZ
     temperature = 25.02 + RAMP * np.maximum(t - hold_s, 0.0)
     time_ns, segment = clock(len(t), RATE_HZ)
-    result = LevelBankRate().process(time_ns, segment, repeated(temperature, interval_s, 0.3, 11))
+    result = MultipleModelRate().process(time_ns, segment, repeated(temperature, interval_s, 0.3, 11))
     error = result.temperature - temperature
     assert np.abs(error[t > hold_s]).max() < 0.15 + RAMP * interval_s
     later = t > hold_s + 20.0 + interval_s
@@ -75,6 +75,6 @@ def test_a_ramp_from_refresh_to_refresh_is_no_noise_that_a_soak_would_have_stopp
     t = np.arange(int(3000.0 * RATE_HZ)) / RATE_HZ
     temperature = 25.02 + RAMP * np.clip(t - 300.0, 0.0, 1200.0)
     time_ns, segment = clock(len(t), RATE_HZ)
-    result = LevelBankRate().process(time_ns, segment, repeated(temperature, 5.0, 0.1, 11))
+    result = MultipleModelRate().process(time_ns, segment, repeated(temperature, 5.0, 0.1, 11))
     soaked = t > 1600.0
     assert np.abs(result.temperature - temperature)[soaked].max() < STEP

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.step import StepFinder
+from imumon.estimation.temperature_rate.sensor import StepFinder
 from tests.estimation.temperature_rate.records import quantized, self_heating
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.level_bank import LevelBankRate
+from imumon.estimation.temperature_rate.method import MultipleModelRate
 from imumon.filters.rates import RateEstimate
 from tests.estimation.temperature_rate.records import PER_HOUR, clock, quantized, self_heating, steady
 
@@ -21,7 +21,7 @@ SETTLED = slice(12000, None)
 
 def run(reading: FloatArray, step: float | None = None) -> RateEstimate:
     time_ns, segment = clock(len(reading), RATE_HZ)
-    return LevelBankRate(step).process(time_ns, segment, reading)
+    return MultipleModelRate(step).process(time_ns, segment, reading)
 
 
 def wobble(hours: float) -> tuple[FloatArray, FloatArray]:
@@ -86,7 +86,7 @@ def test_step_and_noise_are_found_whatever_was_declared(step: float, declared: f
     temperature, _ = self_heating(0.5)
     reading = quantized(temperature, 0.1 * step, step=step)
     time_ns, segment = clock(len(reading))
-    bank = LevelBankRate(declared)
+    bank = MultipleModelRate(declared)
     bank.process(time_ns, segment, reading)
     assert bank.step == pytest.approx(step, rel=1e-3)
     assert bank.noise == pytest.approx(0.1 * step, rel=0.3)
@@ -107,8 +107,8 @@ def test_pieces_of_any_size_and_a_restored_state_give_the_same_bits(temperature:
     reading[3000:3100] = np.nan
     time_ns, segment = clock(len(reading))
     segment[6000:] = 1
-    whole = LevelBankRate().process(time_ns, segment, reading)
-    bank = LevelBankRate()
+    whole = MultipleModelRate().process(time_ns, segment, reading)
+    bank = MultipleModelRate()
     edges = np.unique(np.random.default_rng(1).integers(0, len(reading), 150)).tolist()
     for start, stop in zip([0, *edges], [*edges, len(reading)], strict=True):
         bank = deepcopy(bank)
@@ -139,7 +139,7 @@ def test_dropped_samples_and_irregular_times_do_no_harm() -> None:
     kept = rng.random(len(reading)) < 0.3
     kept[24000:24600] = False
     time_ns = time_ns + rng.integers(0, 90_000_000, len(time_ns))
-    result = LevelBankRate().process(time_ns[kept], segment[kept], reading[kept])
+    result = MultipleModelRate().process(time_ns[kept], segment[kept], reading[kept])
     late = time_ns[kept] > 1800e9
     error = (result.rate - rate[kept])[late]
     assert np.sqrt(np.mean(error**2)) * PER_HOUR < 0.2
@@ -201,7 +201,7 @@ def test_any_readings_at_any_times_give_a_finite_estimate_or_none(
 ) -> None:
     reading = np.concatenate([np.full(count, value) for value, _, count in runs])
     steps = np.concatenate([np.full(count, gap) for _, gap, count in runs])
-    result = LevelBankRate().process(np.cumsum(steps), np.zeros(len(reading), np.int64), reading)
+    result = MultipleModelRate().process(np.cumsum(steps), np.zeros(len(reading), np.int64), reading)
     known = np.isfinite(result.rate)
     for values in (result.temperature, result.rate_sd):
         assert np.array_equal(np.isfinite(values), known)
@@ -213,7 +213,7 @@ def test_any_readings_at_any_times_give_a_finite_estimate_or_none(
 def steady_error(reading: FloatArray, rate_hz: float, rate: float) -> tuple[float, float]:
     """Return rms of the rate's error after 8 min in °C/h, and of it over its standard deviation."""
     time_ns, segment = clock(len(reading), rate_hz)
-    result = LevelBankRate().process(time_ns, segment, reading)
+    result = MultipleModelRate().process(time_ns, segment, reading)
     late = slice(int(480 * rate_hz), None)
     error = result.rate[late] * PER_HOUR - rate
     z = error / (PER_HOUR * result.rate_sd[late])
@@ -277,7 +277,7 @@ def test_a_ramp_after_a_long_hold_is_no_fault(noise: float) -> None:
 def run_at(reading: FloatArray, rate_hz: float) -> RateEstimate:
     """Return the estimates of a record at a sampling rate."""
     time_ns, segment = clock(len(reading), rate_hz)
-    return LevelBankRate().process(time_ns, segment, reading)
+    return MultipleModelRate().process(time_ns, segment, reading)
 
 
 def dithered(temperature: FloatArray, noise: float, step: float = 1.0) -> FloatArray:
@@ -356,7 +356,7 @@ def test_after_a_gap_nobody_knows_what_the_temperature_has_done() -> None:
     temperature = np.interp(time_s, [0.0, 300.0, 1500.0, 1600.0, 2800.0, 2850.0], [25, 25, 58, 57, 30, 29])
     random = np.random.default_rng(5)
     reading = np.round((temperature + 0.02 * random.standard_normal(len(time_s))) / 0.1) * 0.1
-    result = LevelBankRate().process(
+    result = MultipleModelRate().process(
         (time_s * 1e9).astype(np.int64), np.zeros(len(time_s), np.int64), reading
     )
     for begin, rate in ((1650.0, -27 / 1200), (2800.0, -1 / 50)):
@@ -372,7 +372,7 @@ def test_a_warm_up_from_power_on_is_within_what_the_beginning_claims(time_consta
     temperature = 22.0 + 20.0 * -np.expm1(-time_s / time_constant_s)
     rate = 20.0 / time_constant_s * np.exp(-time_s / time_constant_s)
     reading = np.round(temperature / 0.0625) * 0.0625
-    result = LevelBankRate().process((time_s * 1e9).astype(np.int64), np.zeros(1000, np.int64), reading)
+    result = MultipleModelRate().process((time_s * 1e9).astype(np.int64), np.zeros(1000, np.int64), reading)
     assert np.max(np.abs(result.rate - rate) / result.rate_sd) < 5.0
     known = slice(100, None)  # behind the first slot
     assert np.max(np.abs(result.temperature - temperature)[known] / result.temperature_sd[known]) < 5.0

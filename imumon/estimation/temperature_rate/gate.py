@@ -1,0 +1,122 @@
+"""The gate before the filters: what of a thermometer is a fault and not a temperature.
+
+One decision table, evaluated top down, per slot:
+
+| the slot | outcome |
+|---|---|
+| has no readings | PREDICT |
+| noise of more than a step has stopped: a dead sensor | PREDICT |
+| ends where a temperature may be by now, but spans a spike | PREDICT |
+| ends where a temperature may be by now | USE |
+| is off for less than three slots | PREDICT |
+| is off, and exactly the same since the leap, and readings had changed before: stuck (85 °C of a restart) | PREDICT |
+| is off, and neither level ever changed, and the later is there for no longer: a value at power-on | PREDICT |
+| is off otherwise: a new level | RESTART |
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum, auto
+
+from imumon.estimation.temperature_rate.model import SLOT_S
+from imumon.estimation.temperature_rate.sensor import COARSEST_DEGC, Reading, Thermometer
+from imumon.filters.rates import FASTEST_RATE
+
+GATE_SIGMA, GATE_STEPS, GATE_SLOTS = 8.0, 5.0, 3
+"""A slot is off where it lies so many sigmas, and so many steps, and farther than a temperature moves, from the
+prediction; after so many slots it may be the truth."""
+
+
+class Outcome(Enum):
+    """What is done with a slot."""
+
+    PREDICT = auto()
+    """Nothing is measured."""
+    USE = auto()
+    """The slot is a measurement."""
+    RESTART = auto()
+    """The filters begin anew at the readings."""
+
+
+@dataclass(slots=True)
+class Gate:
+    """What the gate has seen of one segment."""
+
+    used_s: float = -math.inf
+    """Time of the last slot that was a temperature, s."""
+    faults: int = 0
+    """Slots in a row that were off."""
+    stuck: float = math.nan
+    stuck_s: float = math.nan
+    """What the first of them ended with, °C, NaN once the reading has changed; and when that was."""
+    lively: bool = False
+    """Whether readings have changed."""
+    stuck_at: float = math.nan
+    """Where readings stuck last, °C; NaN if they never did.  It outlives segments, for the notice."""
+
+    def begin(self) -> None:
+        """Begin a segment."""
+        self.used_s, self.faults, self.lively = -math.inf, 0, False
+        self.stuck = self.stuck_s = math.nan
+
+    def decide(self, reading: Reading, thermometer: Thermometer, mean: float, variance: float) -> Outcome:
+        """Return the outcome of a slot; mean and variance are of the predicted reading, °C and °C²."""
+        if not reading.count or thermometer.is_dead(reading.time_s):
+            return Outcome.PREDICT
+        noise = variance + thermometer.step**2 + thermometer.scatter + thermometer.rho
+        moved = FASTEST_RATE * (reading.time_s - self.used_s + SLOT_S)
+        reach = max(GATE_STEPS * thermometer.step, moved, GATE_SIGMA * math.sqrt(noise))
+        # What has not been observed for long could be anywhere, but no more where the thermometer sticks.
+        if abs(reading.last - mean) < reach and not self.is_stuck(reading):
+            self.accept(reading)
+            spike = max(reading.high - mean, mean - reading.low) >= reach or spans_a_fault(reading, thermometer)
+            self.lively |= reading.changes > 0 and not spike
+            return Outcome.PREDICT if spike else Outcome.USE
+        return Outcome.RESTART if self._is_new_level(reading, thermometer) else Outcome.PREDICT
+
+    def accept(self, reading: Reading) -> None:
+        """Note a slot that is a temperature."""
+        self.used_s, self.faults, self.stuck = reading.time_s, 0, math.nan
+
+    def last_seen_s(self, reading: Reading, thermometer: Thermometer) -> float:
+        """Return since when there is no reading to rely on, s; the last use where the sensor works."""
+        if self.is_stuck(reading):
+            return self.stuck_s
+        return thermometer.changed_s if thermometer.is_dead(reading.time_s) else self.used_s
+
+    def other_level(self, reading: Reading) -> float:
+        """Return the other level, °C, where nobody knows which of two is the fault; NaN where there is none."""
+        if not self.faults or self.lively:
+            return math.nan
+        return self.stuck if math.isfinite(self.stuck) else reading.last
+
+    def is_stuck(self, reading: Reading) -> bool:
+        """Return whether readings leapt as no temperature does, and are exactly the same since."""
+        return self.faults > 0 and reading.count > 0 and reading.low == reading.high == self.stuck
+
+    def _is_new_level(self, reading: Reading, thermometer: Thermometer) -> bool:
+        """Count a slot that is off, and return whether it is the truth all the same."""
+        self.faults += 1
+        if self.faults == 1:
+            self.stuck, self.stuck_s = reading.last, reading.time_s
+        elif not self.is_stuck(reading):
+            # Noise and temperature move it; a leap is another fault.
+            noise = math.sqrt(thermometer.scatter + thermometer.rho)
+            moves = max(GATE_SIGMA * max(thermometer.step, noise), FASTEST_RATE * 2.0 * SLOT_S)
+            if max(abs(reading.low - self.stuck), abs(reading.high - self.stuck)) > moves:
+                self.faults, self.stuck, self.stuck_s = 1, reading.last, reading.time_s
+            else:
+                self.stuck = math.nan
+        if math.isnan(self.stuck):
+            return self.faults >= GATE_SLOTS
+        if self.faults == GATE_SLOTS:
+            self.stuck_at = self.stuck
+        return not self.lively and reading.time_s - self.stuck_s > self.stuck_s
+
+
+def spans_a_fault(reading: Reading, thermometer: Thermometer) -> bool:
+    """Return whether a slot spans more than the noise and steps of any thermometer."""
+    noise = max(thermometer.step, COARSEST_DEGC, math.sqrt(thermometer.scatter))
+    return reading.high - reading.low > GATE_SIGMA * noise

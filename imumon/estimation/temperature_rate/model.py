@@ -1,0 +1,197 @@
+"""The model of a temperature and its thermometer: states, kinds of sensor noise, F, Q and priors.
+
+The state of each filter is x = (T, r, a, e): temperature, its rate, its acceleration, and the slow error of the reading.
+What a thermometer rounds to its steps is T + e + white noise.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from imumon.blocks import FloatArray
+from imumon.filters.multiple_models import mode_transition
+from imumon.filters.rates import FASTEST_RATE
+
+STATES = 4
+TEMPERATURE, RATE, ACCELERATION, ERROR = range(STATES)
+SLOT_S = 1.0
+"""Samples are summarised over slots of this length, s."""
+
+
+class Kind(NamedTuple):
+    """One hypothesis of the sensor noise.
+
+    Units are steps of a level kind, and the standard deviation √ρ that slot means have of a mean kind.
+    """
+
+    white: float
+    """Standard deviation of white noise, steps; for a mean kind its share of the variance ρ."""
+    slow_variance: float = 0.0
+    """Variance of the slow error e, units²; for a mean kind what ρ would show of it, over ρ."""
+    slow_s: float = 1e9
+    """Correlation time of e, s."""
+    walk: float = 0.0
+    """Variance per second of the random walk that is part of 1/f noise, units²/s."""
+
+
+def level_kind(white: float, slow: float = 0.0, slow_s: float = 1e9, walk: float = 0.0) -> Kind:
+    """Return a kind that reads the level which T + e is in; e also moves within a slot, by σ √(1 s/(3 τ))."""
+    return Kind(math.hypot(white, slow * math.sqrt(SLOT_S / (3.0 * slow_s))), slow**2, slow_s, walk * slow**2)
+
+
+def mean_kind(slow: float = 0.0, slow_s: float = 1e9, walk: float = 0.0) -> Kind:
+    """Return a kind that takes the mean of a slot as a measurement with the variance ρ seen from slot to slot."""
+    return Kind(max(1.0 - slow, 0.05), slow, slow_s, walk)
+
+
+LEVEL_KINDS = (
+    *(level_kind(white) for white in (0.02, 0.035, 0.05, 0.065, 0.08, 0.1, 0.125, 0.16, 0.2, 0.25, 0.32, 0.4, 0.5)),
+    level_kind(0.1, 0.25, 5.0),
+    level_kind(0.1, 0.6, 5.0),
+    level_kind(0.1, 0.6, 40.0),
+    level_kind(0.1, 0.4, 3.0, 0.01),
+)
+MEAN_KINDS = (
+    mean_kind(),
+    *(mean_kind(share, slow_s) for share in (0.3, 1.0) for slow_s in (5.0, 40.0)),
+    *(mean_kind(share, 3.0, walk) for share, walk in ((0.3, 0.01), (1.0, 0.01), (1.0, 0.05))),
+)
+JERKS = tuple(10.0 ** (-23.0 + 2.5 * i) for i in range(9))
+"""Densities of white jerk, °C²/s⁵: from 0.01 °C/h kept for a day to 2 °C/min at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class Params:
+    """All that is assumed; what each is worth stands in docs/appendix/ablation-results.md.
+
+    Nothing of it is tuned to a sensor.
+    """
+
+    level_kinds: tuple[Kind, ...] = LEVEL_KINDS
+    mean_kinds: tuple[Kind, ...] = MEAN_KINDS
+    jerks: tuple[float, ...] = JERKS
+    mix_s: float = 4.0
+    """Filters are mixed so often: a fraction of the time in which one could take over."""
+    neighbour_per_s: float = 1e-4
+    any_per_s: float = 1e-6
+    """Probability per second that the smoothness changes to a neighbour's, and to any."""
+    slow_prior: float = 0.03
+    """Prior of a kind with a slow error over that of one without: most converters have white noise."""
+    least: float = 1e-14
+    """Least probability of a filter."""
+    soft: float = 2.0
+    """A prediction sharper than so many sigmas of the noise takes every reading of a level as evidence."""
+    news: float = 0.02
+    wide: float = 1.5
+    """A level is news where it had less than this probability, or the prediction is wider than so many steps."""
+    sweep: float = 4.0
+    """A crossing is timed where the temperature moves so many sigmas of the noise within a slot."""
+    spacing: float = 0.0
+    """Share of σ to which the hypotheses know it: half the distance of two neighbours."""
+    edge: float = 0.05
+    sticky_edge: float = 0.5
+    """Steps to which edges are known: linearity of a good converter; hysteresis, until three reversals rule it out."""
+    slow_mean: float = 0.5
+    """The mean of a slow error is known to so many of its sigmas."""
+    onset_per_s: float = 1e-4
+    onset_rate: float = 0.1 * FASTEST_RATE
+    """Ramps that begin at once: one in 3 h, and 2 °C/min, the usual ramp of a chamber."""
+    near: float = 2.5
+    """The temperature shown is within half a step and so many sigmas of the readings of its slot."""
+    glide_s: float = 3.0
+    """Time constant with which the rate shown follows the estimate, so that it does not jump."""
+    unobserved_jerk: float = 1e-13
+    """Density of jerk while readings are missing, °C²/s⁵."""
+
+    @cached_property
+    def kinds(self) -> Kinds:
+        """The kinds of noise as arrays, level kinds first."""
+        return Kinds.of(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Kinds:
+    """The kinds of noise as columns (k, 1) beside the smoothnesses (m,)."""
+
+    levels: int
+    """How many are level kinds; they come first."""
+    white: FloatArray
+    slow_variance: FloatArray
+    slow_s: FloatArray
+    walk: FloatArray
+    is_level: FloatArray
+    prior: FloatArray
+    """(k,), of sum 1."""
+    ripple: FloatArray = field(repr=False)
+    """β of the level kinds, (levels, 1): rounding leaves E[reading] = x - β/π sin 2πx, in steps, of white noise σ;
+    β = exp(-2π²σ²) (Widrow and Kollar, Quantization Noise, 2008, ch. 4)."""
+
+    @classmethod
+    def of(cls, params: Params) -> Kinds:
+        """Return the arrays of the kinds in a set of parameters."""
+        rows = [*params.level_kinds, *params.mean_kinds]
+        white, slow, slow_s, walk = np.array(rows, dtype=np.float64).T[:, :, np.newaxis]
+        levels = len(params.level_kinds)
+        # Second differences of slot means show (1 - φ)(3 - φ)/3 of the variance of e (mean kinds have it in ρ).
+        keep = np.exp(-SLOT_S / slow_s)
+        shown = (1.0 - keep) * (3.0 - keep) / 3.0
+        shown[:levels] = 1.0
+        prior = np.where(slow[:, 0] > 0.0, params.slow_prior, 1.0)
+        ripple = np.exp(-2.0 * np.pi**2 * white[:levels] ** 2)
+        is_level = (np.arange(len(rows)) < levels)[:, np.newaxis]
+        return cls(levels, white, slow / shown, slow_s, walk, is_level, prior / prior.sum(), ripple)
+
+
+class Motion(NamedTuple):
+    """What passes between two times: all that a prediction needs."""
+
+    transition: FloatArray
+    """F ⊗ F, (16, 16), of T, r and a; e stays."""
+    state_transition: FloatArray
+    """F, (4, 4), the same."""
+    decay: FloatArray
+    """φ = exp(-dt/τ) of e, and 1 of the other states, (4, k, 1)."""
+    noise: FloatArray
+    """Q of T, r and a, (3, 3, 1, m)."""
+
+
+@lru_cache(maxsize=64)
+def motion(params: Params, dt: float) -> Motion:
+    """Return F and Q of a time step in s: constant acceleration driven by white jerk.
+
+    ::
+
+        F = [[1, dt, dt²/2, 0], [0, 1, dt, 0], [0, 0, 1, 0], [0, 0, 0, exp(-dt/τ)]]
+        Q = q [[dt⁵/20, dt⁴/8, dt³/6], [dt⁴/8, dt³/3, dt²/2], [dt³/6, dt²/2, dt]]
+    """
+    f = np.eye(STATES)
+    f[TEMPERATURE, RATE] = f[RATE, ACCELERATION] = dt
+    f[TEMPERATURE, ACCELERATION] = 0.5 * dt**2
+    decay = np.ones((STATES, len(params.kinds.slow_s), 1))
+    decay[ERROR] = np.exp(-dt / params.kinds.slow_s)
+    return Motion(np.kron(f, f), f, decay, jerk_noise(dt)[:, :, np.newaxis, np.newaxis] * params.jerks)
+
+
+def jerk_noise(dt: float) -> FloatArray:
+    """Return the covariance of T, r and a after `dt` seconds of white jerk of density 1, (3, 3)."""
+    return np.array(
+        [
+            [dt**5 / 20.0, dt**4 / 8.0, dt**3 / 6.0],
+            [dt**4 / 8.0, dt**3 / 3.0, dt**2 / 2.0],
+            [dt**3 / 6.0, dt**2 / 2.0, dt],
+        ]
+    )
+
+
+@lru_cache(maxsize=64)
+def smoothness_transition(params: Params, dt: float) -> FloatArray:
+    """Return the transition matrix of the smoothnesses over a time in s, (m, m)."""
+    most = 0.4
+    return mode_transition(
+        len(params.jerks), min(dt * params.neighbour_per_s, most), min(dt * params.any_per_s, most)
+    )
