@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import log_ndtr, ndtri
+from scipy.special import log_ndtr, ndtr, ndtri
 
 from imumon.blocks import BoolArray, FloatArray
 from imumon.estimation.temperature_rate.model import ERROR, RATE, SLOT_S, TEMPERATURE, Params
@@ -115,7 +115,7 @@ def evaluate(
         evidence.put(level, _many_levels(slot, levels, sigma))
     elif span < 0.5 or (span > 1.5 and single):
         evidence.level = _one_level(slot, levels, sigma)
-        evidence.put(level, _entered(evidence.level))
+        evidence.put(level, _entered(slot, evidence.level))
     else:
         evidence.put(level, _two_levels(slot, levels, sigma, rate, rate_variance))
         if single:
@@ -216,6 +216,9 @@ def _two_levels(
     z = edge + sigma * quantile
     noise = sigma**2 * (share * (1.0 - share) / (k * density**2) + (slot.params.spacing * quantile) ** 2)
     unit = sigma / (density * slot.n)
+    # All n readings are of these two levels: kinds of more noise would have read a third.
+    apart = slot.step / sigma
+    within = slot.n * np.log(ndtr(apart - quantile) - ndtr(-apart - quantile))
     if reading.changes % 2:
         timed, *crossing = _crossing(slot, share, edge, rate, rate_variance)
         z, noise, unit = (
@@ -223,7 +226,7 @@ def _two_levels(
             for by_time, by_share in zip(crossing, (z, noise, unit), strict=True)
         )
     shift, growth, log = _gaussian(y, z, noise, unit)
-    return shift, growth, log
+    return shift, growth, log + within
 
 
 def _crossing(
@@ -263,12 +266,11 @@ def _one_level(slot: _Slot, y: Predicted, sigma: FloatArray) -> Level:
     return Level(is_soft | is_news, is_soft, gain * mean, gain**2 * (variance - 1.0), log_mass)
 
 
-def _entered(level: Level) -> Part:
-    return (
-        level.enters * level.shift,
-        level.enters * level.growth,
-        level.enters * level.log_mass,
-    )
+def _entered(slot: _Slot, level: Level) -> Part:
+    # A slow error is drawn anew with its correlation time: to that share a level that stays is evidence of it.
+    renewed = slot.params.renewal * slot.params.kinds.renewed
+    log = np.where(level.enters, level.log_mass, renewed * level.log_mass)
+    return level.enters * level.shift, level.enters * level.growth, log
 
 
 def truncated(low: FloatArray, high: FloatArray) -> Part:

@@ -93,6 +93,7 @@ class Params:
     """A crossing is timed where the temperature moves so many sigmas of the noise within a slot."""
     spacing: float = 0.0
     """Share of σ to which the hypotheses know it: half the distance of two neighbours."""
+    renewal: float = 1.0
     edge: float = 0.05
     sticky_edge: float = 0.5
     """Steps to which edges are known: linearity of a good converter; hysteresis, until three reversals rule it out."""
@@ -127,6 +128,8 @@ class Kinds:
     is_level: FloatArray
     prior: FloatArray
     """(k,), of sum 1."""
+    renewed: FloatArray
+    """1 - φ of a slot of the level kinds, (levels, 1)."""
     ripple: FloatArray = field(repr=False)
     """β of the level kinds, (levels, 1): rounding leaves E[reading] = x - β/π sin 2πx, in steps, of white noise σ;
     β = exp(-2π²σ²) (Widrow and Kollar, Quantization Noise, 2008, ch. 4)."""
@@ -144,7 +147,7 @@ class Kinds:
         prior = np.where(slow[:, 0] > 0.0, params.slow_prior, 1.0)
         ripple = np.exp(-2.0 * np.pi**2 * white[:levels] ** 2)
         is_level = (np.arange(len(rows)) < levels)[:, np.newaxis]
-        return cls(levels, white, slow / shown, slow_s, walk, is_level, prior / prior.sum(), ripple)
+        return cls(levels, white, slow / shown, slow_s, walk, is_level, prior / prior.sum(), 1.0 - keep[:levels], ripple)
 
 
 class Motion(NamedTuple):
