@@ -21,8 +21,8 @@ FOLDER = ROOT / "scripts" / "reproduce"
 COMMANDS = sorted(path.name for path in FOLDER.iterdir() if path.is_file() and os.access(path, os.X_OK))
 
 QUICK = (
-    "alignment", "attitude", "bias_race", "field", "random_error", "rest_detector", "smoothing", "tczupt",
-    "temperature_rate", "thermal_calibration",
+    "ablation", "alignment", "attitude", "bias_race", "field", "random_error", "rest_detector", "smoothing",
+    "tczupt", "temperature_rate", "thermal_calibration",
 )  # fmt: skip
 SMALL: dict[str, list[str]] = {
     "allan_terms": ["1"],

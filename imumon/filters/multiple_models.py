@@ -3,8 +3,9 @@
 Names are those of Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation
 (2001), ch. 11: a *mode* is one model of the set, `mu` its probability, `transition` the matrix of the
 probabilities that one mode follows another.  A set whose mode may change is an IMM (interacting multiple
-models, section 11.6.6): predict the probabilities, `mix` the estimates, filter each mode, and weigh the modes by
-their likelihoods.  A set whose mode is fixed is an MMAE (static multiple models, section 11.6.2): no mixing.
+models, section 11.6.6): `mix` the estimates and predict the probabilities, filter each mode, and weigh the
+modes by their likelihoods.  A set whose mode is fixed is an MMAE (static multiple models, section 11.6.2):
+it is only weighed.
 
 Arrays keep the axes of the state first and the modes last: means (n, ..., m), covariances (n, n, ..., m) and
 probabilities (..., m).  Axes between them are sets apart, for example several MMAE hypotheses.
@@ -50,8 +51,8 @@ def mix(mean: FloatArray, covariance: FloatArray, mu: FloatArray, transition: Fl
     """Return the mixed initial condition of each mode and the predicted mode probabilities c̄.
 
     With the mixing probabilities ω_ij = M_ij μ_i / c̄_j, mode j begins with Σ_i ω_ij x_i and the covariance
-    Σ_i ω_ij (P_i + d_i d_iᵀ), d_i = x_i - x_0j.  Sums are of differences from the mean over all modes, so that a
-    large mean costs no digits.
+    Σ_i ω_ij (P_i + d_i d_iᵀ), d_i = x_i - x_0j.  Sums are of differences from the mean over all modes, so
+    that a large mean costs no digits.
     """
     predicted = mu @ transition
     centre = (mu * mean).sum(-1, keepdims=True) / mu.sum(-1, keepdims=True)

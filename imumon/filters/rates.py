@@ -12,7 +12,7 @@ from imumon.blocks import FloatArray, IntArray
 FASTEST_RATE = 20.0 / 60.0
 """Fastest that a thermometer beside an IMU moves, °C/s: 20 °C/min, twice a fast chamber."""
 UNSEEN_RATE = 200.0 / 3600.0
-"""Standard deviation of a rate that has not been observed, °C/s; a board that warms by 20 °C with 6 min has it."""
+"""Standard deviation of an unobserved rate, °C/s: of a board that warms by 20 °C with 6 min, at its start."""
 START_ACCELERATION = UNSEEN_RATE / 300.0
 """Standard deviation of its change, °C/s²: it comes about within 5 min."""
 

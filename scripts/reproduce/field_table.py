@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from alignment_site import AT_S, outcome
@@ -16,6 +18,7 @@ from alignment_site_scenes import SCENES as SITES
 from bias_race_runners import DEFAULTS, Run
 from bias_sigma_records import RATE_HZ, simulate
 from bias_sigma_table import CASES, estimated, places
+from field_comparison import load, save, show_beside
 from field_surprises import SURPRISES, met
 from rest_detector_scenes import SCENES, SENSORS, Scene, measure_with_bias, steady_turn
 from rest_detector_table import (
@@ -68,6 +71,22 @@ class Row:
         """Largest error over sigma."""
         known = np.abs(self.ratios[np.isfinite(self.ratios)])
         return float(known.max()) if len(known) else np.nan
+
+    def saved(self, cpu_s: float) -> dict[str, Any]:
+        """Return what `--out` writes of the row; `cpu_s` is what it cost, peers and simulation included."""
+        known = self.ratios[np.isfinite(self.ratios)]
+        return {
+            "part": self.part,
+            "kind": self.kind,
+            "unit": self.unit,
+            "error": self.error,
+            "z": self.rms,
+            "zmax": self.largest,
+            "beyond5": float(np.mean(np.abs(known) > 5.0)) if len(known) else None,
+            "claimed": float(np.mean(np.isfinite(self.ratios))),
+            "peers": self.peers,
+            "cpu": cpu_s,
+        }
 
     def cells(self) -> list[str]:
         """Return the row as text."""
@@ -238,16 +257,20 @@ MAKERS: dict[str, Callable[[range], Iterator[Row]]] = {
 }
 
 
-def show(rows: Iterable[Row]) -> None:
-    """Print the table, the row with the largest rms of error over sigma first."""
-    done = []
+def show(rows: Iterable[Row]) -> list[dict[str, Any]]:
+    """Print the table, the row with the largest rms of error over sigma first; return what is saved of it."""
+    done, saved = [], []
+    begun_s = time.process_time()
     for row in rows:
         print(" | ".join(row.cells()), file=sys.stderr, flush=True)
         done.append(row)
+        saved.append(row.saved(time.process_time() - begun_s))
+        begun_s = time.process_time()
     heads = ["part", "kind", "rms error", "others", "claimed", "error/σ rms", "max"]
     print("| " + " | ".join(heads) + " |\n" + "|---" * len(heads) + "|")
     for row in sorted(done, key=lambda row: -np.nan_to_num(row.rms)):
         print("| " + " | ".join(row.cells()) + " |")
+    return saved
 
 
 def main() -> None:
@@ -257,10 +280,13 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=1000, help="first seed (default: %(default)s)")
     parser.add_argument("--part", choices=PARTS, action="append", help="only this part")
     parser.add_argument("--data", type=Path, help="folder of tables with the true bias")
+    parser.add_argument("--out", type=Path, help="write the rows as JSON, one a line")
+    parser.add_argument("--beside", type=Path, action="append", help="compare with rows that --out wrote")
     parser.add_argument("--quick", action="store_true", help="one seed, and the first kind of each part")
     given = parser.parse_args()
     seeds = range(given.first, given.first + (1 if given.quick else given.seeds))
     parts = given.part or PARTS
+    others = [row for path in given.beside or () for row in load(path)]
 
     def rows() -> Iterator[Row]:
         for part in parts:
@@ -268,7 +294,11 @@ def main() -> None:
         if given.data:
             yield from measured_rows(given.data)
 
-    show(rows())
+    done = show(rows())
+    if given.out:
+        save(done, given.out)
+    if others:
+        show_beside(done, others)
 
 
 if __name__ == "__main__":

@@ -152,7 +152,9 @@ def _probit(x: FloatArray, y: FloatArray, sigma: float, at: IntArray) -> FloatAr
 
 def filtered(record: Record) -> tuple[IntArray, FloatArray]:
     """Return samples and there (n, 2) rate and its standard deviation of the default method."""
-    result = MultipleModelRate().process(record.time_ns, np.zeros(len(record.reading), np.int64), record.reading)
+    result = MultipleModelRate().process(
+        record.time_ns, np.zeros(len(record.reading), np.int64), record.reading
+    )
     at = np.flatnonzero(record.seconds > SETTLED_S)
     return at, np.column_stack([result.rate, result.rate_sd])[at]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from thermometer_kinds import KINDS, PER_HOUR, Kind, Profile, constant, drifting, ramp, thermostat
@@ -12,6 +12,7 @@ from thermometers_bias import bias_rows
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.temperature_rate.stage import TemperatureRate
+from imumon.filters.rates import RateMethod
 
 STEADY_S, SETTLED_S = 1800.0, 600.0
 RAMP_S, ONSET_S = 300.0, 20.0
@@ -26,13 +27,19 @@ CYCLING_S = 5400.0
 BLOCK_S = 10.0
 
 
-def errors(kind: Kind, profile: Profile, seconds: float, seed: int) -> dict[str, FloatArray]:
+def errors(
+    kind: Kind,
+    profile: Profile,
+    seconds: float,
+    seed: int,
+    new_method: Callable[[], RateMethod] | None = None,
+) -> dict[str, FloatArray]:
     """Return once a second: time, errors of temperature and rate (°C, °C/h), and both in units of sigma."""
     rng = np.random.default_rng(seed)
     t = np.arange(int(seconds * kind.rate_hz)) / kind.rate_hz
     temperature, rate = profile(t, 25.0 + rng.uniform(-0.5, 0.5))
     reading = kind.read(temperature, rng)
-    stage = TemperatureRate()
+    stage = TemperatureRate(new_method=new_method)
     time_ns = np.round(t * 1e9).astype(np.int64)
     length = max(round(BLOCK_S * kind.rate_hz), 1)
     parts = []

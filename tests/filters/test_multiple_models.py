@@ -29,9 +29,7 @@ def test_mixing_is_that_of_the_textbook() -> None:
             omega = [transition[i, j] * mu[kind, i] / predicted for i in range(MODES)]
             x0 = sum(omega[i] * mean[:, kind, i] for i in range(MODES))
             off = [mean[:, kind, i] - x0 for i in range(MODES)]
-            p0 = sum(
-                omega[i] * (covariance[:, :, kind, i] + np.outer(off[i], off[i])) for i in range(MODES)
-            )
+            p0 = sum(omega[i] * (covariance[:, :, kind, i] + np.outer(off[i], off[i])) for i in range(MODES))
             np.testing.assert_allclose(found.probability[kind, j], predicted)
             np.testing.assert_allclose(found.mean[:, kind, j], x0, rtol=1e-13)
             np.testing.assert_allclose(found.covariance[:, :, kind, j], p0, rtol=1e-9)

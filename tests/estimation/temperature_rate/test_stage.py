@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imumon.blocks import ColumnArray, FloatArray, SampleBlock
+from imumon.blocks import ColumnArray, SampleBlock
 from imumon.config import parse_yaml
 from imumon.errors import ImumonError
-from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.temperature_rate.sensor import COARSEST_DEGC
+from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.pipeline import Estimator
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.published.fir import FirRate, Params
@@ -138,43 +138,7 @@ def test_a_declared_step_that_contradicts_the_data_is_said_once(method: str) -> 
     assert stage.notices() == []
 
 
-def popcorn(n: int, rate_hz: float, seed: int) -> FloatArray:
-    """Return 25.02 °C with a random telegraph of a step that lasts 20 s on average, 0.2 step of noise."""
-    rng, step = np.random.default_rng(seed), 0.0625
-    telegraph = np.cumsum(rng.random(n) < 1.0 / (20.0 * rate_hz)) % 2 - 0.5
-    return np.asarray(step * np.round((25.02 + step * telegraph) / step + 0.2 * rng.standard_normal(n)))
-
-
-@pytest.mark.parametrize("seed", [5, 10])
-def test_popcorn_that_a_slow_error_explains_is_within_the_band(seed: int) -> None:
-    time_ns, segment = clock(120_000, 100.0)
-    reading = popcorn(120_000, 100.0, seed)
-    samples = SampleBlock({"device_time_ns": time_ns, "segment": segment, "temperature": reading})
-    added = TemperatureRate().process(samples)
-    z = (added["temperature_estimate"] - 25.02) / added["temperature_estimate_sd"]
-    rate_z = added["temperature_rate"] / added["temperature_rate_sd"]
-    assert np.sqrt(np.mean(z[np.isfinite(z)] ** 2)) < 2.0
-    assert np.isnan(z).sum() == 10 * FIRST_SLOT  # at 100 Hz
-    assert np.sqrt(np.mean(rate_z**2)) < 2.0
-
-
-@pytest.mark.parametrize("seed", [6, 9])
-def test_readings_that_no_model_explains_are_given_themselves_and_said_once(seed: int) -> None:
-    stage = TemperatureRate()
-    time_ns, segment = clock(120_000, 100.0)
-    temperature = popcorn(120_000, 100.0, seed)
-    samples = SampleBlock({"device_time_ns": time_ns, "segment": segment, "temperature": temperature})
-    added = stage.process(samples)
-    refused = np.isnan(added["temperature_rate"])
-    assert refused.any()
-    error = added["temperature_estimate"] - 25.02
-    assert np.abs(error / added["temperature_estimate_sd"])[refused].max() < 2.0
-    (text,) = stage.notices()
-    assert "without a rate" in text
-    assert stage.notices() == []
-
-
-def test_a_ramp_after_a_hold_is_no_reason_to_refuse() -> None:
+def test_a_ramp_after_a_hold_has_a_rate_throughout() -> None:
     t = np.arange(12000) / 10.0
     temperature = 25.013 + 2.0 / 60.0 * (np.clip(t - 600.0, 0.0, 300.0))
     stage = TemperatureRate()

@@ -1,0 +1,103 @@
+"""Ablations of the temperature rate: kinds of thermometers, and a measured record at four step sizes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from ablation_outcome import Outcome
+from temperature_rate_records import PER_HOUR, centred
+from thermometer_kinds import KINDS, Profile, constant, drifting, ramp, thermostat
+from thermometers_table import errors, largest, rms
+
+from imumon.blocks import FloatArray
+from imumon.estimation.temperature_rate.method import MultipleModelRate
+from imumon.estimation.temperature_rate.model import LEVEL_KINDS, MEAN_KINDS, Params, level_kind
+
+TITLE = "Rate of temperature: kinds of thermometers, and a measured record in steps of 0, 1/16, 0.5 and 1 °C."
+FLOOR = 0.1
+SETTLED_S, RECORD_SETTLED_S, HALF_S = 600.0, 180.0, 60.0
+SCENES: list[tuple[str, str, Profile, float, float]] = [
+    ("white 0.03 step", "5 °C/h", drifting, 1800.0, SETTLED_S),
+    ("white 0.3 step", "5 °C/h", drifting, 1800.0, SETTLED_S),
+    ("white 0.5 step, 10 Hz", "5 °C/h", drifting, 1800.0, SETTLED_S),
+    ("1 °C, white 0.05 step", "5 °C/h", drifting, 1800.0, SETTLED_S),
+    ("correlated 5 s, 0.5 step", "constant", constant, 1800.0, SETTLED_S),
+    ("1/f, 0.5 step", "constant", constant, 1800.0, SETTLED_S),
+    ("refresh 4 s, 0.3 step", "2 °C/min", ramp(300.0), 600.0, 324.0),
+    ("refresh 10 s, 0.3 step", "2 °C/min", ramp(300.0), 600.0, 330.0),
+    ("1 °C, white 0.3 step", "2 °C/min", ramp(300.0), 600.0, 320.0),
+    ("0.05 °C, 2 Hz stream, 0.3 step", "thermostat", thermostat(1.0, 900.0, 40.0), 5400.0, 1800.0),
+    ("no steps, white 0.02 °C", "2 °C/min", ramp(300.0), 600.0, 320.0),
+]
+STEPS_DEGC = (0.0, 0.0625, 0.5, 1.0)
+
+PARAMS = Params()
+VARIANTS: dict[str, Params] = {
+    "no crossing timed": replace(PARAMS, sweep=1e9),
+    "crossings timed at 1 sigma, not 4": replace(PARAMS, sweep=1.0),
+    "a level that stays is no evidence on slow errors": replace(PARAMS, renewal=0.0),
+    "no soft edges": replace(PARAMS, soft=0.0),
+    "a level is news below 25 %, not 2 %": replace(PARAMS, news=0.25),
+    "a level never replaces a wide prediction": replace(PARAMS, wide=1e9),
+    "σ of a kind exact": replace(PARAMS, spacing=0.0),
+    "7 white sigmas, not 13": replace(
+        PARAMS,
+        level_kinds=(
+            *(level_kind(w) for w in (0.02, 0.06, 0.12, 0.2, 0.28, 0.36, 0.45)),
+            *(kind for kind in LEVEL_KINDS if kind.slow_variance),
+        ),
+    ),
+    "no level kinds with a slow error": replace(
+        PARAMS, level_kinds=tuple(kind for kind in LEVEL_KINDS if not kind.slow_variance)
+    ),
+    "no mean kinds with a slow error": replace(PARAMS, mean_kinds=MEAN_KINDS[:1]),
+    "no 1/f kinds": replace(
+        PARAMS,
+        level_kinds=tuple(kind for kind in LEVEL_KINDS if not kind.walk),
+        mean_kinds=tuple(kind for kind in MEAN_KINDS if not kind.walk),
+    ),
+    "prior of slow errors 1": replace(PARAMS, slow_prior=1.0),
+    "5 smoothnesses, not 9": replace(PARAMS, jerks=PARAMS.jerks[::2]),
+    "no change of smoothness at once": replace(PARAMS, any_per_s=1e-9),
+    "mixed every 16 s, not 4": replace(PARAMS, mix_s=16.0),
+    "no ramp that may have begun (λ = 0)": replace(PARAMS, onset_per_s=0.0),
+    "not kept near the readings": replace(PARAMS, near=1e9),
+    "no glide": replace(PARAMS, glide_s=1e-3),
+}
+
+
+def outcomes(change: object, seeds: range, data: Path) -> Iterator[Outcome]:
+    """Yield the scenes, then the measured record where its folder exists."""
+    params = change if isinstance(change, Params) else PARAMS
+    kinds = {kind.name: kind for kind in KINDS}
+    for name, what, profile, length_s, start_s in SCENES:
+        runs = [
+            errors(kinds[name], profile, length_s, seed, lambda: MultipleModelRate(params=params))
+            for seed in seeds
+        ]
+        off, z = (
+            np.concatenate([run[key][run["t"] > start_s] for run in runs]) for key in ("rate", "rate_z")
+        )
+        yield Outcome(f"{name}, {what}", rms(off), FLOOR, rms(z), largest(z))
+    path = data / "chamber-cycle" / "cooling-heating.csv"
+    if path.exists():
+        yield from measured(params, path)
+
+
+def measured(params: Params, path: Path) -> Iterator[Outcome]:
+    """Yield the chamber record at each step size, against a local cubic of the unrounded one."""
+    table = np.genfromtxt(path, delimiter=",", names=True)
+    time_ns = np.round(table["t_s"] * 1e9).astype(np.int64)
+    reading: FloatArray = np.asarray(table["temperature"], np.float64)
+    _, rate = centred(time_ns, reading, HALF_S)
+    late = (time_ns - time_ns[0]) * 1e-9 > RECORD_SETTLED_S
+    for step in STEPS_DEGC:
+        rounded = step * np.round(reading / step) if step else reading
+        method = MultipleModelRate(params=params)
+        found = method.process(time_ns, np.zeros(len(rounded), np.int64), rounded)
+        off = (found.rate - rate)[late]
+        z = off / found.rate_sd[late]
+        yield Outcome(f"chamber, steps of {step:g} °C", rms(off) * PER_HOUR, FLOOR, rms(z), largest(z))
