@@ -36,8 +36,6 @@ STEPS_DEGC = (0.0, 0.0625, 0.5, 1.0)
 
 PARAMS = Params()
 VARIANTS: dict[str, Params] = {
-    "no crossing timed": replace(PARAMS, sweep=1e9),
-    "crossings timed at 1 sigma, not 4": replace(PARAMS, sweep=1.0),
     "a level that stays is no evidence on slow errors": replace(PARAMS, renewal=0.0),
     "no soft edges": replace(PARAMS, soft=0.0),
     "a level is news below 25 %, not 2 %": replace(PARAMS, news=0.25),

