@@ -252,7 +252,7 @@ class AttitudeEstimate:
         """Return a slot for the sigmas, from its last row."""
         turns, carried = slots.turns, matrix(end["carried"])
         force = carried @ slots.mean[k, 3:6]
-        rest = bool(slots.smallest[k, _REST] == 1.0) and math.isfinite(force[0])
+        rest = bool(slots.smallest[k, _REST] == 1.0 and force @ force > 0.0)
         ignored = end["ignored"] - self._known["ignored"][0]
         if math.isnan(ignored[0]):
             ignored = np.zeros(3)  # the first slot

@@ -369,6 +369,34 @@ def test_in_a_motion_the_tilt_is_known_as_the_filter_follows_gravity() -> None:
     assert np.max(sd[late]) < np.radians(6.0)  # of the gyros alone: 15°
 
 
+def test_an_attitude_that_begins_in_motion_has_no_tilt_sigma_for_six_seconds() -> None:
+    block, truth = spun(40.0)
+    found = AttitudeEstimate(axes="FLU").process(block.rows(1250, len(block)))
+    sd = found["attitude_estimate_tilt_sd"]
+    assert np.isnan(sd[: 5 * 50]).all()
+    assert np.isfinite(sd[7 * 50 :]).all()
+    turn = matrices(np.column_stack([found[name] for name in Q])) @ np.swapaxes(truth[1250:], 1, 2)
+    tilt = np.column_stack([turn[:, 1, 2], turn[:, 0, 2]])
+    assert np.abs(tilt / sd[:, np.newaxis])[7 * 50 :].max() < 4.0
+
+
+def test_samples_that_are_missing_in_a_turn_as_where_the_gyros_are_saturated_widen_the_sigma() -> None:
+    block, _ = spun(20.0)
+    lost = (np.arange(len(block)) >= 1030) & (np.arange(len(block)) < 1040)  # 0.2 s in which it speeds up
+    sd = {}
+    for name, z in (("whole", block["gyro_z"]), ("lost", np.where(lost, np.nan, block["gyro_z"]))):
+        sent = block.with_columns({"gyro_z": z, "gyro_corrected_z": z})
+        sd[name] = AttitudeEstimate(axes="FLU").process(sent)["attitude_estimate_heading_sd"]
+    assert sd["lost"][1080] > 1.2 * sd["whole"][1080]
+
+
+def test_accelerometers_that_read_zero_at_rest_leave_no_error() -> None:
+    block, _ = spun(5.0)
+    dead = block.with_columns({f"accel_{axis}": np.zeros(len(block)) for axis in "xyz"})
+    found = AttitudeEstimate(axes="FLU").process(dead)
+    assert np.isnan(found["attitude_estimate_tilt_sd"]).all()
+
+
 @pytest.mark.parametrize("way", [MPU_9250, LEFT_HANDED])
 def test_a_magnetometer_that_has_not_the_gyros_axes_loses_north(way: FloatArray) -> None:
     sent = {}
