@@ -43,7 +43,9 @@ GRAVITY_SPREAD = 0.03
 """m/s²: between equator and poles gravity differs by no more from the standard (WGS-84: 9.780 to 9.832)."""
 UNKNOWN = 1.0
 """rad: a larger error is no small angle, and its standard deviation says nothing."""
-Q = tuple(f"attitude_estimate_{part}" for part in "wxyz")
+NAMES = [
+    f"attitude_estimate_{name}" for name in (*"wxyz", "roll", "pitch", "tilt_sd", "heading", "heading_sd")
+]
 NORTH = "attitude_estimate_north"
 _REST, _COLUMNS = 6, 7
 """Of the slots: rate and force, three each, and whether it is at rest."""
@@ -122,7 +124,7 @@ class AttitudeEstimate:
         return [
             *(
                 Column(name, "1", description=f"attitude by the estimator, body to east-north-up, {name[-1]}")
-                for name in Q
+                for name in NAMES[:4]
             ),
             *(Column(f"attitude_estimate_{name}", "rad", description=text) for name, text in angles.items()),
             Column(NORTH, "1", "int64", "1 where the heading is from magnetic north, 0 where it is free"),
@@ -146,8 +148,7 @@ class AttitudeEstimate:
         if len(which) < n:
             values = [_spread(part, math.nan, which, n) for part in values]
             north = _spread(north, NO_INT, which, n)
-        names = [column.name for column in self.columns if column.name != NORTH]
-        return {**dict(zip(names, values, strict=True)), NORTH: north}
+        return {**dict(zip(NAMES, values, strict=True)), NORTH: north}
 
     def _rows(self, block: SampleBlock) -> tuple[Rows, BoolArray, BoolArray, Slots, list[int]]:
         """Gather what the filter and the sigmas take.

@@ -137,6 +137,8 @@ class Gyros:
     own_change: FloatArray = field(default_factory=lambda: np.zeros(3))
     own_turned: FloatArray = field(default_factory=lambda: np.zeros(3))
     """The same of each gyro about its own axis."""
+    confirmed: BoolArray = field(default_factory=lambda: np.zeros(3, bool))
+    """Which gyros have turned the vertical as they should."""
 
     def learn(self, change: float, over: FloatArray) -> None:
         """Take the change of u, rad², and the level part of the turn, (9,), rad², over the last lag."""
@@ -146,6 +148,7 @@ class Gyros:
         self.turned += share * float(over.sum())
         self.own_turned += share * own
         self.own_change += share * change * own / max(float(own.sum()), 1e-12)
+        self.confirmed = (self.own_turned > CLEARED) & (self.own_change < CONTRADICTS * self.own_turned)
 
     @property
     def prior(self) -> float:
@@ -156,11 +159,6 @@ class Gyros:
     def variance(self) -> float:
         """s² of (4)."""
         return (SCALE_TURN * self.prior + self.change) / (SCALE_TURN + self.turned)
-
-    @property
-    def confirmed(self) -> BoolArray:
-        """Which gyros have turned the vertical as they should, (3,)."""
-        return (self.own_turned > CLEARED) & (self.own_change < CONTRADICTS * self.own_turned)
 
     @property
     def contradicted(self) -> bool:
