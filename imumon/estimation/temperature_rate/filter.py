@@ -16,7 +16,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.temperature_rate.gate import Gate, Outcome, spans_a_fault
-from imumon.estimation.temperature_rate.measurement import Evidence, evaluate, predicted_reading
+from imumon.estimation.temperature_rate.measurement import Evidence, Predicted, evaluate, predicted_reading
 from imumon.estimation.temperature_rate.model import (
     ACCELERATION,
     ERROR,
@@ -153,9 +153,8 @@ def mix_smoothness(params: Params, filters: Filters) -> None:
     filters.unmixed_s = 0.0
 
 
-def correct(params: Params, filters: Filters, evidence: Evidence) -> None:
+def correct(params: Params, filters: Filters, y: Predicted, evidence: Evidence) -> None:
     """Correct all filters by what a slot says of y, and their probabilities by its likelihood."""
-    y = predicted_reading(filters.x, filters.p)
     growth = np.maximum(evidence.growth, -y.variance * (1.0 - LEAST_LEFT))
     filters.x = filters.x + y.gain * evidence.shift
     filters.p = filters.p + y.gain[:, np.newaxis] * (y.gain * growth)
@@ -226,8 +225,9 @@ def step(params: Params, state: State, reading: Reading) -> Shown:
         return _restart(params, state, fresh or reading, filters.mu.sum(axis=1))
     evidence = None
     if outcome is Outcome.USE and fresh is not None:
-        evidence = evaluate(params, thermometer, fresh, filters.x, filters.p, filters.mu)
-        correct(params, filters, evidence)
+        motion = filters.x[RATE] ** 2 + filters.p[RATE, RATE]
+        evidence = evaluate(params, thermometer, fresh, y, motion, filters.mu)
+        correct(params, filters, y, evidence)
         state.usual_s = fresh.time_s - before_s
     state.step = thermometer.step
     state.shown = _show(params, state, filters, evidence, reading)

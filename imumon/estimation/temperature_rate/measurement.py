@@ -4,8 +4,8 @@ Level kinds, d the step, s² = σ² + (r² + P_rr) (1 s)²/12 with the motion wi
 
 | the slot, with the last reading before it | for which filters | what enters |
 |---|---|---|
-| one reading, more than a level from the last | all | as one level |
-| more than two levels | all | z = mean less its ripple, R = max(s², variance)/n + (β d/π)²/8 |
+| more than two levels | all | z = mean less its ripple, R = max(s², variance)/(n slope²) + (β d/π)²/8 |
+| more than two levels, by one reading | all | as one level |
 | two levels, the later by one reading | its edge is soft | as one level |
 | two levels | all others | z = edge + s Φ⁻¹(p), R = s² p(1-p)/(k φ²), p the share above the edge |
 | one level | its edge is soft, or it is news | T + e is in the level: truncated Gaussian |
@@ -29,7 +29,7 @@ import numpy as np
 from scipy.special import log_ndtr, ndtr, ndtri
 
 from imumon.blocks import BoolArray, FloatArray
-from imumon.estimation.temperature_rate.model import ERROR, RATE, SLOT_S, TEMPERATURE, Params
+from imumon.estimation.temperature_rate.model import ERROR, SLOT_S, TEMPERATURE, Params
 from imumon.estimation.temperature_rate.sensor import Reading, Thermometer
 from imumon.filters.multiple_models import LEAST_LOG_LIKELIHOOD
 
@@ -43,6 +43,10 @@ class Predicted(NamedTuple):
     variance: FloatArray
     gain: FloatArray
     """P Hᵀ / (H P Hᵀ), (4, k, m): how the state follows y."""
+
+    def rows(self, kinds: slice) -> Predicted:
+        """Return the prediction of some kinds."""
+        return Predicted(self.mean[kinds], self.variance[kinds], self.gain[:, kinds])
 
 
 def predicted_reading(x: FloatArray, p: FloatArray) -> Predicted:
@@ -63,10 +67,6 @@ class Evidence:
     level: Level | None = None
     """The level that the readings stay on, of the level kinds."""
 
-    def put(self, rows: slice, part: Part) -> None:
-        """Set some kinds."""
-        self.shift[rows], self.growth[rows], self.log_likelihood[rows] = part
-
 
 class Level(NamedTuple):
     """What "y is in the level" would change, (levels, m); `enters` where it entered the state."""
@@ -86,50 +86,48 @@ def evaluate(
     params: Params,
     thermometer: Thermometer,
     reading: Reading,
-    x: FloatArray,
-    p: FloatArray,
+    y: Predicted,
+    motion: FloatArray,
     mu: FloatArray,
 ) -> Evidence:
     """Return what a slot with readings says to every filter: the table above.
 
     Parameters
     ----------
-    x : array, (4, k, m)
-    p : array, (4, 4, k, m)
-        State and covariance at the middle of the slot.
+    y : Predicted
+        The reading as predicted for the middle of the slot.
+    motion : array, (k, m)
+        Mean square of the rate, r² + P_rr, (°C/s)².
     mu : array, (k, m)
         Mode probabilities.
     """
-    y = predicted_reading(x, p)
-    shape = y.mean.shape
-    evidence = Evidence(np.empty(shape), np.empty(shape), np.empty(shape))
-    independent = thermometer.independent(reading)
-    slot = _Slot(params, thermometer, reading, mu, independent)
-    level, mean = slice(0, params.kinds.levels), slice(params.kinds.levels, None)
-    evidence.put(mean, _mean(slot, y, mean))
-    levels = Predicted(y.mean[level], y.variance[level], y.gain[:, level])
-    motion = (x[RATE, level] ** 2 + p[RATE, RATE, level]) * slot.duration_s**2 / 12.0
-    sigma = np.sqrt((params.kinds.white[level] * thermometer.step) ** 2 + motion)
-    span = (slot.high - slot.low) / thermometer.step
-    single = reading.count == 1
+    levels, means = y.rows(slice(0, params.kinds.levels)), y.rows(slice(params.kinds.levels, None))
+    slot = _Slot(params, thermometer, reading, mu, thermometer.independent(reading))
+    moved = motion[: params.kinds.levels] * slot.duration_s**2 / 12.0
+    sigma = np.sqrt((slot.white * slot.step) ** 2 + moved)
+    of_levels, level = _levels(slot, levels, sigma)
+    of_means = _mean(slot, means)
+    shift, growth, log = (np.concatenate(pair) for pair in zip(of_levels, of_means, strict=True))
+    return Evidence(shift, growth, log, level)
+
+
+def _levels(slot: _Slot, y: Predicted, sigma: FloatArray) -> tuple[Part, Level | None]:
+    """Return what level kinds take from a slot, and the level that its readings stay on."""
+    span = (slot.high - slot.low) / slot.step
+    single = slot.reading.count == 1
     if span > 1.5 and not single:
-        evidence.put(level, _many_levels(slot, levels, sigma))
-    elif span < 0.5 or (span > 1.5 and single):
-        evidence.level = _one_level(slot, levels, sigma)
-        evidence.put(level, _entered(slot, evidence.level))
-    else:
-        evidence.put(level, _two_levels(slot, levels, sigma))
-        if single:
-            # Of one reading a filter that is sharper than the noise takes the level, not the edge before it.
-            alone = _one_level(slot, levels, sigma)
-            soft = alone.is_soft
-            for values, if_soft in zip(
-                (evidence.shift, evidence.growth, evidence.log_likelihood),
-                (alone.shift, alone.growth, alone.log_mass),
-                strict=True,
-            ):
-                np.copyto(values[level], if_soft, where=soft)
-    return evidence
+        return _many_levels(slot, y, sigma), None
+    if span < 0.5 or span > 1.5:
+        level = _one_level(slot, y, sigma)
+        return _entered(slot, level), level
+    two = _two_levels(slot, y, sigma)
+    if not single:
+        return two, None
+    # Of one reading a filter that is sharper than the noise takes the level, not the edge before it.
+    one = _one_level(slot, y, sigma)
+    pairs = zip((one.shift, one.growth, one.log_mass), two, strict=True)
+    shift, growth, log = (np.where(one.is_soft, alone, both) for alone, both in pairs)
+    return (shift, growth, log), None
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +145,11 @@ class _Slot:
     @property
     def step(self) -> float:
         return self.thermometer.step
+
+    @property
+    def white(self) -> FloatArray:
+        """White noise of the level kinds, steps, (levels, 1)."""
+        return self.params.kinds.white[: self.params.kinds.levels]
 
     @property
     def duration_s(self) -> float:
@@ -187,9 +190,9 @@ def _gaussian(
     return shift, growth, log
 
 
-def _mean(slot: _Slot, y: Predicted, rows: slice) -> Part:
-    y = Predicted(y.mean[rows], y.variance[rows], y.gain[:, rows])
-    white = slot.params.kinds.white[rows] * slot.thermometer.mean_variance(slot.reading)
+def _mean(slot: _Slot, y: Predicted) -> Part:
+    share = slot.params.kinds.white[slot.params.kinds.levels :]
+    white = share * slot.thermometer.mean_variance(slot.reading)
     cell = slot.cell
     shift, growth, log = _gaussian(
         y, slot.reading.mean, white + cell**2 / 12.0, cell, cell**2 / (2.0 * math.pi)
@@ -226,7 +229,7 @@ def _between_levels(slot: _Slot, log: FloatArray) -> FloatArray:
 def _rounded_variance(slot: _Slot, place: FloatArray, sigma: FloatArray) -> FloatArray:
     """Return the variance of readings of noise σ at a place x in steps: σ² + d²/12 and its first harmonic."""
     ripple = slot.params.kinds.ripple
-    white = slot.params.kinds.white[: slot.params.kinds.levels] ** 2
+    white = slot.white**2
     cosine, sine = ripple * np.cos(2.0 * math.pi * place), ripple * np.sin(2.0 * math.pi * place)
     harmonic = -cosine * (1.0 / math.pi**2 + 4.0 * white) - (sine / math.pi) ** 2
     return sigma**2 + slot.step**2 * np.maximum(1.0 / 12.0 + harmonic, 0.0)
