@@ -43,6 +43,8 @@ UNITS: Final = {"us": 1e-6, "ms": 1e-3}
 """Units of a clock of 32 bits; in ns it would wrap after 4 s."""
 LONGEST_SYNC: Final = 4
 """A constant byte behind these may be a status that changes one day."""
+HIGH_BYTES: Final = (0x00, 0xFF)
+"""Such a byte behind a sync pattern is more often the high byte of a counter or of a small reading."""
 COUNTS: Final = 0.8
 """Share of the packets that must count on from the one before."""
 BYTES_PER_LINE: Final = 8
@@ -272,14 +274,19 @@ def _layout(kind: _Kind, check: _Check | None, seconds: float, several: bool) ->
     packets, length = kind.packets, kind.length
     constant, usual = _constant(packets), np.median(packets, axis=0).astype(int)
     sync = int(np.argmin(np.append(constant[:LONGEST_SYNC], False)))
-    if check is not None and not several and 2 <= check.first < sync:
-        sync = check.first
+    if not several:
+        if check is not None and 2 <= check.first < sync:
+            sync = check.first
+        while sync > (1 if check else 2) and usual[sync - 1] in HIGH_BYTES:
+            sync -= 1
     at = length - (0 if check is None else check.trailing.size)
     known = np.ones(length, np.bool_)
     known[sync:at] = False
     fields = _counting(kind, known, kind.rate(seconds))
     yield f"length: {length}"
     yield f"byte_order: {'big' if any(order == 'big' for _, _, order in fields) else 'little'}"
+    if sync > 2 and (check is None or check.first < sync):
+        yield "# The last may be data that did not change: turn the unit, and see whether packets get lost."
     yield f"sync: [{', '.join(f'0x{byte:02X}' for byte in usual[:sync])}]"
     if check is None:
         yield "# No checksum that imumon knows fits at the end: where a packet begins is a guess, and at"

@@ -124,3 +124,16 @@ def test_where_no_checksum_fits_the_length_is_proposed_alone() -> None:
 )
 def test_what_is_no_packet_gets_no_proposal(data: bytes) -> None:
     assert propose(data, 1.0, 115_200) is None
+
+
+@pytest.mark.parametrize("checked", [True, False])
+def test_high_bytes_of_a_counter_or_a_reading_are_no_sync(checked: bool) -> None:
+    def packet(k: int) -> bytes:
+        begin = b"\xeb\x90" + k.to_bytes(4, "big") + RNG.integers(0, 256, 10, dtype=np.uint8).tobytes()
+        return begin + (sum(begin) & 0xFFFF if checked else 0x5555 * k & 0xFFFF).to_bytes(2, "little")
+
+    heard, later = (b"".join(packet(k) for k in range(at, at + 200)) for at in (5, 70_000_000))
+    proposal = propose(heard, 2.0, 115_200)
+    assert proposal is not None
+    assert proposal.checked is checked
+    assert share_framed(proposal.text, later) > 0.9
