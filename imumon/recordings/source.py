@@ -85,6 +85,12 @@ class Source:
         said, summary = [], self.items.summary
         if self.session is not None and self.session.state == "interrupted":
             said.append("the session was not closed: it is still being recorded, or was interrupted")
+        if self.session is not None and self.session.state == "closed" and not summary.complete:
+            sent = self.session.metadata.counters.get("bytes_received", 0)
+            said.append(
+                f"the end of {self.items.path.name} is missing, though the session was closed: {sent:,} bytes"
+                " had come from the device"
+            )
         if summary.tail_bytes:
             said.append(
                 f"{summary.tail_bytes} bytes at the end of {self.items.path.name} are not a whole record"

@@ -63,6 +63,12 @@ class Setup(StrictModel):
                 super().__init__(**given)
             except ValidationError as error:
                 raise ImumonError(Reason.BAD_CONFIG, "\n".join(map(_described, error.errors()))) from error
+            if isinstance(self.model, str):  # only `load_setup` knows the folder that it is relative to
+                raise ImumonError(
+                    Reason.BAD_CONFIG,
+                    f"Setup: model={self.model!r}: expected a bias model",
+                    "use imumon.load_model(path)",
+                )
 
         # Else pydantic calls it for files as well, whose errors `parse_yaml` gives with their lines.
         __init__.__pydantic_base_init__ = True

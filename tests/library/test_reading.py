@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,8 @@ from imumon.blocks import NO_INT
 from imumon.columns import KNOWN
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.rest.stage import RestDetector
-from imumon.protocols.device import load_device
+from imumon.protocols.device import device_text, load_device, parse_device
+from imumon.simulation.recording import record_session
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.virtual_device import VirtualDevice
 
@@ -154,6 +156,18 @@ def test_columns_a_span_and_blocks_are_parts_of_the_whole(
         imumon.read(session, columns=["true_gyro_x"])
 
 
+def test_a_closed_session_that_was_cut_says_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    scenario = load_scenario("bench").model_copy(update={"duration_s": 5.0, "rate_hz": 100.0, "axes": "FRD"})
+    text, source = device_text("ax1")
+    record_session(scenario, parse_device(text, source), text, 0, tmp_path / "s", lambda _: None)
+    wire = tmp_path / "s" / "wire.mcap"
+    imumon.read(tmp_path / "s", estimates=False)
+    assert "is missing" not in caplog.text
+    os.truncate(wire, wire.stat().st_size // 2)
+    imumon.read(tmp_path / "s", estimates=False)
+    assert "the end of wire.mcap is missing, though the session was closed" in caplog.text
+
+
 def test_only_columns_that_are_wanted_are_computed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     capture = tmp_path / "c.bin"
     capture.write_bytes(
@@ -223,6 +237,9 @@ def test_a_wrong_argument_of_a_setup_is_named() -> None:
     assert caught.value.reason is Reason.BAD_CONFIG
     with pytest.raises(ImumonError, match="there is no argument latitude"):
         imumon.Setup(latitude=48)  # type: ignore[call-arg]
+    with pytest.raises(ImumonError, match=r"model='unit\.yaml': expected a bias model") as caught:
+        imumon.Setup(model="unit.yaml")
+    assert "imumon.load_model" in str(caught.value)
     for load in (imumon.load_setup, imumon.load_model):
         with pytest.raises(ImumonError, match="path=3: expected a path"):
             load(3)  # type: ignore[arg-type]
