@@ -175,8 +175,9 @@ class Live(ABC):
         if self.state == "lost":
             raise lost_error(self._settings, f"no row for {waited_s:.1f} s")
         received = now.bytes_received - before.bytes_received
-        if not received:
-            raise silent_error(self._settings, waited_s)
+        if received <= now.bytes_pending:  # at most the beginning of a packet came
+            silent_s = (time.time_ns() - self._newest_ns) * 1e-9 if received else waited_s
+            raise silent_error(self._settings, silent_s)
         framed = (now.bytes_in_packets - before.bytes_in_packets) / received
         never = nothing_decoded(self._settings, self._device, now)
         raise never or wrong_baud_error(self._settings, received / waited_s, framed)

@@ -15,7 +15,9 @@ import imumon
 from imumon.blocks import NO_INT
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import load_device
+from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.virtual_device import VirtualDevice
+from imumon.simulation.virtual_port import VirtualPort
 from tests.waiting import wait_until
 
 pytestmark = pytest.mark.usefixtures("no_leaks")
@@ -169,3 +171,23 @@ def test_blocks_come_to_an_async_loop_and_cancelling_loses_none(
     counter = np.concatenate([block["packet_counter"] for block in blocks])
     assert cancelled
     assert np.unique(np.diff(counter)).tolist() == [1]
+
+
+def test_a_device_that_falls_silent_within_a_packet_is_silent(tmp_path: Path, record: Path | None) -> None:
+    packets = load_device("ax1").encoder().encode(SimulatedUnit(load_scenario("bench")).samples(21))
+    port = VirtualPort(tmp_path / "imu", 115_200)
+    try:
+        with imumon.open(port.path, "ax1", timeout=0.5, record=record) as unit:
+            port.write(b"".join(packets[:20]))
+            while unit.counters.packets < 20:
+                first_rows(unit)
+            port.write(packets[20][:30])
+            arrived = 20 * len(packets[0]) + 30
+            while True:
+                with pytest.raises(ImumonError) as caught:
+                    next(unit)
+                assert caught.value.reason is Reason.SILENT
+                if unit.counters.bytes_received == arrived:
+                    break
+    finally:
+        port.close()
