@@ -136,7 +136,11 @@ class GuardedStage:
         others = set(seen.columns if seen is not None else ()) - self._types.keys()
         self._columns = tuple(column for name, column in declared.items() if name not in others)
         self.switched_off = True
-        advice = "report this defect of imumon" if self._own else "mend it, or run with --without-plugins"
+        advice = (
+            "report this defect of imumon"
+            if self._own
+            else "mend it, or leave it out (a plug-in: --without-plugins)"
+        )
         self._report.append(
             f"{name_of(self.stage)} is switched off after {self._samples:,} samples, its columns are missing "
             f"from there on: {call}: {described(error, __file__)}; {advice}"
@@ -192,6 +196,8 @@ class GuardedStage:
 
 def check_stage(stage: Estimator) -> None:
     """Raise BAD_CONFIG for a stage that lacks something, or declares what no table can have."""
+    if isinstance(stage, type):
+        raise _wrong(f"stage {stage.__name__} is a class", f"give a stage that it makes: {stage.__name__}()")
     for needed in ("columns", "process", "notices"):
         if not hasattr(stage, needed):
             raise _wrong(f"{name_of(stage)} has no {needed}", "a stage has columns, process and notices")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -58,11 +59,12 @@ def command(
     warn(report.warnings)
     if as_json:
         print_json({"session": out, **asdict(report), **chosen})
+    rate = f" at {report.rate_hz:.4g} Hz" if isfinite(report.rate_hz) else ""
     rows = {
         "rows": f"{report.rows_in:,} in, {report.rows_out:,} out, {report.rows_dropped:,} dropped",
         "columns": ", ".join(report.columns),
         "not used": ", ".join(report.columns_unused) or "none",
-        "span": f"{report.span_s:.1f} s at {report.rate_hz:.4g} Hz, {report.segments} segment(s)",
+        "span": f"{report.span_s:.1f} s{rate}, {report.segments} segment(s)",
         "session": str(out),
     }
     if chosen:
