@@ -1,0 +1,89 @@
+"""Ablations of the alignment: some sites of `alignment_site`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import alignment_site
+import numpy as np
+from ablation_outcome import Outcome
+from alignment_site_scenes import CREEPS, SCENES, Record, Scene
+from alignment_site_scenes import record as record_of
+
+from imumon.estimation.alignment import aligner, cells, hypotheses, posterior, prior, record, sway
+
+Change = Sequence[tuple[Any, str, Any]]
+"""Module, constant, and what it is instead."""
+VARIANTS: Mapping[str, Change] = {
+    "cells: 48 alone": [(cells, "CELLS", (48,))],
+    "guard of smoother cells": [(cells, "UNSURE", 1.0)],
+    "robust weights": [(cells, "HUBER", 1e9), (cells, "OUTLYING", 1e9)],
+    "sways": [(sway, "LINES", 0)],
+    "knocks of the accelerometers": [(record, "KNOCK", math.inf)],
+    "creep about the vertical": [(cells, "CREEPS", math.inf)],
+    "warm-up": [(aligner, "DRIFTS", (hypotheses.Drift(1.0, 1e-7, 0.0),))],
+    "jump of an accelerometer": [(aligner, "DRIFTS", hypotheses.DRIFTS[:2])],
+    "settling": [(hypotheses, "P_SETTLES", 1e-9)],
+    "settling: one exponential": [(hypotheses, "NEIGHBOURS", 1)],
+    "settling: prior of 0.3": [(hypotheses, "P_SETTLES", 0.3)],
+    "tempering": [(hypotheses, "TEMPER", 1.0)],
+    "averaging: the best hypothesis": [(posterior, "LIKELY", -1e-9)],
+    "one gyro worse than the others": [(prior, "P_SOME_WORSE", 1e-12)],
+    "all gyros worse than their class": [(prior, "P_ALL_WORSE", 1e-12)],
+}
+"""What is left out or set otherwise."""
+CHOSEN = (
+    "quiet",
+    "warm-up 83.7 µg, 150 s",
+    "sway 200 µrad at 0.07 Hz",
+    "sway 200 µrad at 0.05 Hz",
+    "wind, 20 µrad at 0.25 Hz",
+    "footsteps of 20 µrad every 3 s",
+    "settling 50 µrad, 60 s",
+    "settling 200 µrad, 20 s, warm-up",
+    "sway, footsteps, settling 50 µrad, warm-up",
+    "a door slams, 100 µrad, at 30 s",
+    "accelerometers that jump by 30 µg",
+    "bias of 0.05 °/h, not declared",
+    "bias of 3 °/h of the gyro that points east",
+    "3° in 200 s",
+    "3° in 280 s, half a turn, 3° in 280 s, biases of 2 °/h",
+)
+
+
+TITLE = (
+    "Alignment, ° at 20, 60 and 600 s on simulated sites; a heading that is not shown is as wrong as its "
+    "sigma, and by 5° at the most."
+)
+HIDDEN_DEG, FLOOR_DEG = 5.0, 0.005
+_RECORDS: dict[tuple[str, int], Record] = {}
+
+
+def _recorded(scene: Scene, seconds: float, seed: int) -> Record:
+    """Return the record of a scene, made once."""
+    if (scene.name, seed) not in _RECORDS:
+        _RECORDS[scene.name, seed] = record_of(scene, seconds, seed)
+    return _RECORDS[scene.name, seed]
+
+
+def outcomes(change: Change | None, seeds: range, data: Path) -> Iterator[Outcome]:  # noqa: ARG001 - as all parts
+    """Yield the outcome of every scene and time with a change; there are no measured data."""
+    scenes = {scene.name: scene for scene in (*SCENES, *CREEPS)}
+    with ExitStack() as stack:
+        stack.enter_context(patch.object(alignment_site, "record", _recorded))
+        for module, name, value in change or ():
+            stack.enter_context(patch.object(module, name, value))
+        for name in CHOSEN:
+            found = np.array([alignment_site.outcome(scenes[name], seed)[0] for seed in seeds])
+            for k, second in enumerate(alignment_site.AT_S):
+                error, sd = found[:, k, :2].T
+                wrong = np.where(np.isfinite(error), error, np.fmin(sd, HIDDEN_DEG))
+                ratio = np.abs((error / sd)[np.isfinite(error)])
+                rms = float(np.sqrt(np.mean(ratio**2))) if len(ratio) else 0.0
+                largest = float(ratio.max(initial=0.0))
+                yield Outcome(f"{name}, {second} s", alignment_site.rms(wrong), FLOOR_DEG, rms, largest)
