@@ -103,7 +103,7 @@ def fit(basis: FloatArray, data: FloatArray, weight: FloatArray) -> FloatArray:
     """Return the coefficients of weighted least squares, (m, ...)."""
     weighted = basis.T * weight
     normal = weighted @ basis
-    normal[np.diag_indices_from(normal)] *= 1.0 + 1e-10
+    normal.flat[:: len(normal) + 1] *= 1.0 + 1e-10
     return np.asarray(np.linalg.solve(normal, weighted @ data))
 
 

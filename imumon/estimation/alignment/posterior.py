@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import i0e, i1e
 
-from imumon.blocks import FloatArray
+from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.alignment.hypotheses import PositionFit
 from imumon.estimation.alignment.prior import SensorErrors
 from imumon.estimation.alignment.status import ANY_ANGLE_SD
@@ -100,6 +100,8 @@ def heading_posterior(
     )
     misfit = 0.5 * np.sum(weights * observed**2 - np.log(weights), axis=1)
     log_density = log_factor + (last.log_weight[keep] - misfit)[:, None] + errors.log_prior
+    of, size = _likely(vector, matrix, log_density)
+    vector, matrix, log_density = vector[of, size], matrix[of, size], log_density[of, size]
     angle, height, sharpness = _peaks(vector, matrix)
     log_mass = log_density + height + np.log(i0e(sharpness))
     mass = np.exp(log_mass - log_mass.max())
@@ -110,19 +112,26 @@ def heading_posterior(
     off = np.remainder(angle - north + np.pi, 2.0 * np.pi) - np.pi
     spread = np.minimum(-2.0 * np.log(np.maximum(length, 1e-9)), ANY_ANGLE_SD**2)
     sd = math.hypot(math.sqrt(np.sum(mass * (spread + off**2))), errors.level * math.tan(latitude))
-    by_size = mass.sum(axis=0)
-    east = np.array([-math.sin(north), math.cos(north)])
+    weight, east = mass.sum(axis=0), np.array([-math.sin(north), math.cos(north)])
     noise, whole = (
-        1.0 / np.maximum(east @ information[:, :2, :2] @ east, 1e-30),
-        1.0 / np.maximum(east @ matrix @ east, 1e-30),
+        float(weight @ (1.0 / np.maximum(east @ form @ east, 1e-30)))
+        for form in (information[of, :2, :2], matrix)
     )
-    noise_variance = float(by_size.sum(axis=1) @ noise)
     return Heading(
-        north, min(sd, ANY_ANGLE_SD), min(math.sqrt(noise_variance), ANY_ANGLE_SD),
-        rate * math.sqrt(max(float(np.sum(by_size * whole)) - noise_variance, 0.0)),
-        math.sqrt(by_size.sum(axis=0) @ np.mean(errors.sizes**2, axis=1)),
-        float(by_size.sum(axis=1) @ last.settles[keep]),
+        north, min(sd, ANY_ANGLE_SD), min(math.sqrt(noise), ANY_ANGLE_SD),
+        rate * math.sqrt(max(whole - noise, 0.0)),
+        math.sqrt(weight @ np.mean(errors.sizes**2, axis=1)[size]),
+        float(weight @ last.settles[keep][of]),
     )  # fmt: skip
+
+
+def _likely(vector: FloatArray, matrix: FloatArray, log_density: FloatArray) -> tuple[IntArray, IntArray]:
+    """Return hypotheses and sizes that count, by bounds of r.z - ½ z' Λ z on the circle."""
+    xx, yy, xy = matrix[..., 0, 0], matrix[..., 1, 1], matrix[..., 0, 1]
+    middle = log_density + np.hypot(vector[..., 0], vector[..., 1]) - 0.25 * (xx + yy)
+    off = 0.5 * np.hypot(0.5 * (xx - yy), xy)
+    of, size = np.nonzero(middle + off > (middle - off).max() + 2.0 * LIKELY)
+    return of, size
 
 
 def _design(one: PositionFit, level_rate: float, north: float, crept: float, creep_s: float) -> FloatArray:

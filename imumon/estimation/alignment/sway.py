@@ -83,7 +83,7 @@ def _line(n: int, omega: float) -> FloatArray:
 
 def _least_squares(columns: FloatArray, data: FloatArray) -> FloatArray:
     normal = columns.T @ columns
-    normal[np.diag_indices_from(normal)] *= 1.0 + 1e-9
+    normal.flat[:: len(normal) + 1] *= 1.0 + 1e-9
     return np.asarray(np.linalg.solve(normal, columns.T @ data))
 
 
