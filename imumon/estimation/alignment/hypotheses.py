@@ -55,8 +55,8 @@ class Drift(NamedTuple):
 
 
 DRIFTS = (Drift(0.495, 1e-7, 0.0), Drift(0.495, 1e-7, 1e-4), Drift(0.01, 3e-6, 0.0))
-"""They have warmed up, warm up, or one jumps.  Ablation: without a warm-up errors are up to 10 sigma; without a
-jump, one of 30 µg hides the north."""
+"""They have warmed up, warm up, or one jumps.  Ablation: without a warm-up errors are up to 10 sigma; without
+a jump, one of 30 µg hides the north."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
