@@ -57,7 +57,6 @@ VARIANTS: dict[str, Params] = {
         level_kinds=tuple(kind for kind in LEVEL_KINDS if not kind.walk),
         mean_kinds=tuple(kind for kind in MEAN_KINDS if not kind.walk),
     ),
-    "prior of slow errors 1": replace(PARAMS, slow_prior=1.0),
     "5 smoothnesses, not 9": replace(PARAMS, jerks=PARAMS.jerks[::2]),
     "no change of smoothness at once": replace(PARAMS, any_per_s=1e-9),
     "mixed every 16 s, not 4": replace(PARAMS, mix_s=16.0),

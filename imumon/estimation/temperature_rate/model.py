@@ -83,8 +83,6 @@ class Params:
     neighbour_per_s: float = 1e-4
     any_per_s: float = 1e-6
     """Probability per second that the smoothness changes to a neighbour's, and to any."""
-    slow_prior: float = 0.03
-    """Prior of a kind with a slow error over that of one without: most converters have white noise."""
     least: float = 1e-14
     """Least probability of a filter."""
     soft: float = 2.0
@@ -147,7 +145,7 @@ class Kinds:
         keep = np.exp(-SLOT_S / slow_s)
         shown = (1.0 - keep) * (3.0 - keep) / 3.0
         shown[:levels] = 1.0
-        prior = np.where(slow[:, 0] > 0.0, params.slow_prior, 1.0)
+        prior = np.full(len(rows), 1.0 / len(rows))
         ripple = np.exp(-2.0 * np.pi**2 * white[:levels] ** 2)
         is_level = (np.arange(len(rows)) < levels)[:, np.newaxis]
         return cls(
@@ -157,7 +155,7 @@ class Kinds:
             slow_s,
             walk,
             is_level,
-            prior / prior.sum(),
+            prior,
             1.0 - keep[:levels],
             ripple,
         )
