@@ -65,7 +65,7 @@ VARIANTS: dict[str, list[Change]] = {
     "contradicts at 10 %": [(tilt_sigma, "CONTRADICTS", 0.1)],
     "a0 5 mg": [(tilt_sigma, "ACCEL_SD", 0.05)],
     "a0 15 mg": [(tilt_sigma, "ACCEL_SD", 0.15)],
-    "|f| - g not used": [(tilt_sigma, "ACCEL_SHOWN", 0.0)],
+    "force less gravity not used": [(tilt_sigma, "ACCEL_SHOWN", 0.0)],
     "rest not used": [(tilt_sigma.TiltSigma, "_at_rest", _as_in_motion)],
     "i0 1 %": [(heading_sigma, "IRON", 0.01)],
     "i0 4 %": [(heading_sigma, "IRON", 0.04)],

@@ -25,6 +25,7 @@ from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.tilt_sigma import (
     ACCEL_SD,
     SLOT_S,
+    WRONG_AXES,
     Accelerometers,
     Gyros,
     Slot,
@@ -51,9 +52,10 @@ _REST, _COLUMNS = 6, 7
 """Of the slots: rate and force, three each, and whether it is at rest."""
 _KNOWN = np.dtype(
     [("tilt", np.float64), ("heading", np.float64), ("scale", np.float64)]
-    + [(name, np.float64, (3,)) for name in ("path", "ignored", "up")]
+    + [(name, np.float64, (3,)) for name in ("path", "ignored", "up", "unconfirmed")]
 )
-"""Variances at the end of a slot, rad², that of the gyros' scale, and path, ignored (`ROW`) and u there."""
+"""Variances at the end of a slot, rad², that of the gyros' scale; path and ignored (`ROW`), u, and which
+gyros are not confirmed."""
 
 
 class AttitudeEstimate:
@@ -246,7 +248,9 @@ class AttitudeEstimate:
         if gyros.contradicted or (self._other_axes and not gyros.confirmed.all()):
             turn = math.nan  # gyros or magnetometer: nobody knows which is wrong
         self._known = np.zeros(1, _KNOWN)
-        self._known[0] = (tilt, turn, gyros.variance, end["path"], end["ignored"], slot.up)
+        self._known[0] = (
+            tilt, turn, gyros.variance, end["path"], end["ignored"], slot.up, ~gyros.confirmed
+        )  # fmt: skip
         return self._known
 
     def _slot(self, end: Rows, slots: Slots, k: int) -> Slot:
@@ -301,11 +305,12 @@ class AttitudeEstimate:
         q = turned_about_up(rows["q"], np.where(rows["north"] == 1, rows["delta"], -rows["free"]))
         # What was turned wrong since the last slot, and half an interval: a rate may be the mean of the
         # interval before or that of the moment.
-        turned2 = ((rows["path"] - known["path"]) ** 2).sum(1)
-        late = known["scale"] * turned2 + ((rows["ignored"] - known["ignored"]) ** 2).sum(1)
+        turned2 = (rows["path"] - known["path"]) ** 2
+        late = known["scale"] * turned2.sum(1) + ((rows["ignored"] - known["ignored"]) ** 2).sum(1)
         late += (rows["angle"] ** 2).sum(1) / 12.0
         moved2 = ((up_of(rows["levelling"]) - known["up"]) ** 2).sum(1)
-        tilt = known["tilt"] + late + 0.5 * moved2
+        wrong = 0.5 * WRONG_AXES * (turned2 * known["unconfirmed"]).sum(1)
+        tilt = known["tilt"] + late + wrong + 0.5 * moved2
         turn = known["heading"] + late + slope(q, np.sqrt(tilt)) ** 2 * tilt
         tilt_sd, heading_sd = (np.sqrt(np.where(each < UNKNOWN**2, each, math.nan)) for each in (tilt, turn))
         if self._down == 0.0 and np.isfinite(q[:, 0]).any():
