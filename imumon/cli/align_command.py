@@ -222,13 +222,13 @@ class _Shown:
         text = f"{heading_text(status)}; {to_go_text(status, wanted)}"
         if self._guide is not None and self._guide.order:
             text = f"{self._guide.order}; {text}"
-        share = 0.0 if status.shown is None else min((status.wanted / status.shown.sd) ** 2, 1.0)
+        share = 0.0 if status.shown is None else min((status.wanted_sd / status.shown.sd) ** 2, 1.0)
         self._bar.update(self._task, description=status.phase, completed=share, text=text)
 
 
 def _refuse_without_sensors(status: Status, where: str, columns: Sequence[str]) -> None:
     """Raise BAD_DATA when there was not one whole reading of gyros and accelerometers."""
-    if status.phase != "waiting" or status.seconds > 0.0:
+    if status.phase != "waiting" or status.elapsed_s > 0.0:
         return
     needed = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
     lacking = [name for name in needed if name not in columns]
@@ -253,14 +253,14 @@ def as_data(status: Status, positions: int = 1) -> dict[str, object]:
     return {
         "heading_deg": math.nan if shown is None else degrees(shown.heading),
         "heading_sd_deg": math.nan if shown is None else math.degrees(shown.sd),
-        "estimator": status.chosen,
+        "estimator": status.estimator,
         "settled_s": status.settled_s if status.positions >= positions else None,
         "observable": status.observable,
         "positions": status.positions,
         "estimators": {
             name: {
-                "heading_deg": degrees(estimate.heading) if estimate.tells else math.nan,
-                "sd_deg": math.degrees(estimate.sd) if estimate.tells else math.nan,
+                "heading_deg": degrees(estimate.heading) if estimate.known else math.nan,
+                "sd_deg": math.degrees(estimate.sd) if estimate.known else math.nan,
             }
             for name, estimate in status.estimates.items()
         },
@@ -274,7 +274,7 @@ def _report(status: Status, wanted_deg: float) -> None:
     from imumon.estimation.alignment.report import estimator_rows, rows
 
     out = console()
-    if status.time_s > 0.0:
+    if status.rest_s > 0.0:
         table = Table("estimator", "heading [°]", "σ [°]", box=SIMPLE, padding=(0, 1, 0, 0))
         for row in estimator_rows(status):
             table.add_row(*row)

@@ -1,4 +1,4 @@
-"""The alignment slot by slot: rest and turns, the record of each position, and now and then a new fit."""
+"""The alignment of one device, slot by slot: motion detection, the record of each position, and the fits."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from imumon.blocks import FloatArray
 from imumon.estimation.alignment.hypotheses import DRIFTS, Drift, PositionFit, fit_position
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.positions import (
-    CALM,
-    LONGEST_S,
+    CALM_SLOTS,
+    LONGEST_MOTION_S,
     NEW_POSITION,
     Motion,
     Outcome,
+    Position,
     Slot,
-    Stance,
     turn_variance,
-)  # fmt: skip
-from imumon.estimation.alignment.posterior import Heading, heading_posterior
+)
+from imumon.estimation.alignment.posterior import HeadingPosterior, heading_posterior
 from imumon.estimation.alignment.prior import SensorErrors, sensor_errors
 from imumon.estimation.alignment.record import (
     Record,
@@ -30,30 +30,30 @@ from imumon.estimation.alignment.record import (
     levelled,
     turned_about_vertical,
     upright,
-)  # fmt: skip
-from imumon.estimation.alignment.status import ANY_ANGLE_SD, Estimate, Position
+)
+from imumon.estimation.alignment.status import ANY_ANGLE_SD, Estimate, PositionHeading
 from imumon.filters.turns import Turns
 from imumon.geodesy import EARTH_RATE
 
 SLOT_S = 0.25
 FIRST_FIT_S, LONGEST_REFIT_S = 3.0, 60.0
-"""A position is fitted when it has so much rest, then when that grew by a third, sigma falling by an eighth,
-but at least every minute."""
+"""Time at rest of the first fit of a position, and the longest between two fits; in between a position is
+fitted anew when its time at rest has grown by a third, which lowers sigma by an eighth."""
 LONGEST_GAP_S = 30.0
-"""After a longer gap the alignment begins anew."""
-KNOWN_REST = 0.01
-"""Earth rates: error of the vertical gyro's rate at rest, which turns a heading by 0.0025° in the minute
-between two fits."""
+"""A longer gap in the data restarts the alignment."""
+VERTICAL_RATE_TOLERANCE = 0.01
+"""Largest standard deviation of `vertical_rate`, in earth rates, that is used to integrate the vertical gyro
+between two fits: 0.0025° in a minute."""
 MOST_POSITIONS = 100
-"""The latest positions make the heading, so that a fit takes no ever longer time."""
+"""Only the latest positions enter a fit, which bounds its time."""
 
 
 @dataclass
 class State:
-    """All that is remembered."""
+    """State of the alignment."""
 
     motion: Motion = field(default_factory=Motion)
-    positions: list[Stance] = field(default_factory=list)
+    positions: list[Position] = field(default_factory=list)
     attitude: FloatArray = field(default_factory=lambda: np.eye(3))
     """Body axes to the reference frame, now, (3, 3)."""
     direction: float = 0.0
@@ -61,29 +61,31 @@ class State:
     first_vertical: tuple[float, ...] = (math.nan,) * 3
     """Vertical of the first position, body axes."""
     field_sum: list[float] = field(default_factory=lambda: [0.0] * 4)
-    """Of the magnetometer in this position, body axes, and its samples."""
-    found: Heading | None = None
-    found_turns: float = 0.0
-    """Turn variance of the last position in it, rad²."""
+    """Sum of the magnetometer in this position, body axes, and its number of samples."""
+    posterior: HeadingPosterior | None = None
+    """Of the last fit; None before it."""
+    posterior_turn_variance: float = 0.0
+    """Turn variance of the last position at the last fit, rad²."""
     sd: float = math.nan
-    """Of the heading at the last fit, and of turns since, rad; NaN before a fit."""
-    vertical_rest: float = math.nan
-    rest_sd: float = 0.0
-    """Rate of the vertical gyro at rest by the last fit, and its standard deviation, rad/s."""
-    crept: float = 0.0
-    followed_s: float = 0.0
-    """Angle about the vertical that it has shown since, rad, counter-clockwise, and in which time."""
+    """Standard deviation of the heading at the last fit, with that of turns since, rad; NaN before a fit."""
+    vertical_rate: float = math.nan
+    vertical_rate_sd: float = 0.0
+    """Reading of the vertical gyro of a unit at rest by the last fit, and its standard deviation, rad/s."""
+    yaw_since_fit: float = 0.0
+    """Integral of the vertical gyro less `vertical_rate` since the last fit, rad, counter-clockwise."""
+    since_fit_s: float = 0.0
+    """Time at rest since the last fit."""
     means: dict[str, Estimate] = field(default_factory=dict)
-    ended_s: float = 0.0
-    """End of the last slot, since the first sample."""
-    counted_s: float = 0.0
+    elapsed_s: float = 0.0
+    """From the first sample to the end of the last slot."""
+    rest_s: float = 0.0
     """Time at rest."""
     due_s: float = FIRST_FIT_S
     """Time at rest at which the next fit is due."""
-    shaken_s: float = 0.0
+    disturbed_s: float = 0.0
     settled_s: float | None = None
     events: list[str] = field(default_factory=list)
-    disturbed: int = 0
+    disturbances: int = 0
     restarts: int = 0
 
 
@@ -103,36 +105,39 @@ class Aligner:
         self.earth_vertical = EARTH_RATE * math.sin(self.latitude)
         self.state = State()
         self.run = 0
-        """How often the device has begun."""
-        self.past: list[Position] = []
-        """Where the unit stood before the alignment began anew."""
+        """Number of segments of the device so far."""
+        self.earlier_headings: list[PositionHeading] = []
+        """Headings of the positions before the last restart."""
 
     def begin_run(self) -> None:
         """Begin a segment of the device."""
         if self.state.positions:
-            self.begin_anew("the device started anew")
+            self.restart("the device started anew")
         self.state = State(events=self.state.events, restarts=self.state.restarts)
         self.run += 1
 
-    def begin_anew(self, why: str) -> None:
-        """Forget all positions and say why."""
-        self.past, old = self.finish(), self.state
+    def restart(self, why: str) -> None:
+        """Drop all positions, and report the reason."""
+        self.earlier_headings, old = self.finish(), self.state
         old.events.append(f"alignment: {why}: the alignment starts anew")
         self.state = State(
-            ended_s=old.ended_s, shaken_s=old.shaken_s, events=old.events, disturbed=old.disturbed,
+            elapsed_s=old.elapsed_s,
+            disturbed_s=old.disturbed_s,
+            events=old.events,
+            disturbances=old.disturbances,
             restarts=old.restarts + 1,
-        )  # fmt: skip
+        )
 
     def step(self, slot: Slot, magnetic: Sequence[float], at_rest: bool, turns: Turns, k: int) -> None:
-        """Go on by a slot, its mean of the magnetometer, (3,), whether it is called rest, and turn k."""
-        gap = slot.time_s - 0.5 * slot.length_s - self.state.ended_s
+        """Process a slot with its mean magnetic field, (3,), the rest detector's flag, and turn k."""
+        gap = slot.time_s - 0.5 * slot.length_s - self.state.elapsed_s
         if self.state.positions and gap > max(SLOT_S, 2.5 * slot.length_s):
-            self._bridge(gap, slot)
+            self._fill_gap(gap, slot)
         state = self.state
-        state.ended_s = slot.ended_s
+        state.elapsed_s = slot.ended_s
         outcome = state.motion.classify(slot, at_rest)
         if outcome is Outcome.REST:
-            self._count(slot)
+            self._add_rest_slot(slot)
         elif outcome is Outcome.FIRST_REST:
             held = state.motion.end()
             self._begin_position(
@@ -140,23 +145,23 @@ class Aligner:
             )
             state.first_vertical = tuple(state.attitude[2].tolist())
         elif outcome is not Outcome.WAITING:
-            self._moved(outcome, turns, k)
+            self._follow_motion(outcome, turns, k)
         if self.resting:
             if math.isfinite(sum(magnetic)):
                 new = *(slot.samples * value for value in magnetic), slot.samples
                 self.state.field_sum = [a + b for a, b in zip(self.state.field_sum, new, strict=True)]
-            if self.state.counted_s >= self.state.due_s:
+            if self.state.rest_s >= self.state.due_s:
                 self.evaluate()
 
-    def _bridge(self, gap: float, slot: Slot) -> None:
-        """Fill the record where slots are missing, or begin anew."""
+    def _fill_gap(self, gap: float, slot: Slot) -> None:
+        """Add invalid rows for missing slots, as rows are equally spaced; restart after a long gap."""
         state = self.state
         if gap > LONGEST_GAP_S:
-            self.begin_anew(f"samples are missing at {state.ended_s:.1f} s for {gap:.1f} s")
+            self.restart(f"samples are missing at {state.elapsed_s:.1f} s for {gap:.1f} s")
         elif not state.motion.turning:
             missing = max(round(gap / slot.length_s), 1)
             for j in range(missing):
-                self._record.add(0.0, slot.values, state.ended_s + gap * (j + 1) / missing, 0.0)
+                self._record.add(0.0, slot.values, state.elapsed_s + gap * (j + 1) / missing, 0.0)
 
     @property
     def resting(self) -> bool:
@@ -169,66 +174,63 @@ class Aligner:
         assert record is not None
         return record
 
-    def _count(self, slot: Slot) -> None:
-        """Count a slot at rest."""
+    def _add_rest_slot(self, slot: Slot) -> None:
+        """Add a slot at rest to the record, and integrate the vertical gyro since the last fit."""
         state = self.state
         self._record.add(slot.samples, slot.values, slot.ended_s, slot.length_s)
-        state.counted_s += slot.length_s
+        state.rest_s += slot.length_s
         state.motion.rest(slot.rate)
-        if not math.isnan(state.vertical_rest):
-            state.crept += slot.length_s * (float(state.attitude[2] @ slot.values[:3]) - state.vertical_rest)
-            state.followed_s += slot.length_s
+        if not math.isnan(state.vertical_rate):
+            state.yaw_since_fit += slot.length_s * (
+                float(state.attitude[2] @ slot.values[:3]) - state.vertical_rate
+            )
+            state.since_fit_s += slot.length_s
 
     def _begin_position(self, attitude: FloatArray, turns: float, number: int, rest: Sequence[Slot]) -> None:
-        """Begin a position with slots at rest."""
+        """Begin a position whose record starts with these slots."""
         state, begun_s = self.state, rest[0].ended_s - rest[0].length_s
-        self._stand(attitude)
-        state.positions.append(Stance(attitude, turns, Record(begun_s), number, begun_s))
-        state.due_s = state.counted_s + FIRST_FIT_S
+        self._set_attitude(attitude)
+        state.positions.append(Position(attitude, turns, Record(begun_s), number, begun_s))
+        state.due_s = state.rest_s + FIRST_FIT_S
         state.field_sum = [0.0] * 4
         for slot in rest:
-            self._count(slot)
+            self._add_rest_slot(slot)
 
-    def _stand(self, attitude: FloatArray) -> None:
+    def _set_attitude(self, attitude: FloatArray) -> None:
         self.state.attitude, self.state.direction = attitude, direction_of(attitude)
 
-    def _moved(self, outcome: Outcome, turns: Turns, k: int) -> None:
-        """Follow a motion, and end it."""
+    def _follow_motion(self, outcome: Outcome, turns: Turns, k: int) -> None:
+        """Rotate the attitude by the slot's turn, and act on the end of the motion."""
         state, motion = self.state, self.state.motion
-        assert motion.base is not None
-        if len(motion.held) == 1 and state.rest_sd < KNOWN_REST * EARTH_RATE and state.found is not None:
-            # The unit may creep about the vertical before it is turned.
-            up = state.attitude[2]
-            motion.base = motion.base + up * (state.vertical_rest - float(up @ motion.base))
-        self._stand(state.attitude @ motion.follow(turns.at(k)))
+        self._set_attitude(state.attitude @ motion.follow(turns.at(k)))
         if outcome is Outcome.LOST:
-            self.begin_anew(f"the unit turned at {motion.begun_s:.1f} s for {LONGEST_S:g} s")
-        elif outcome is Outcome.BACK:
-            self._stand(state.positions[-1].attitude)
+            self.restart(f"the unit turned at {motion.begun_s:.1f} s for {LONGEST_MOTION_S:g} s")
+        elif outcome is Outcome.SAME_ATTITUDE:
+            self._set_attitude(state.positions[-1].attitude)
             for slot in motion.end():
-                self._count(slot)
+                self._add_rest_slot(slot)
         elif outcome is Outcome.TURNED:
-            self._turned()
+            self._end_turn()
         self.state.sd = self._sd()
 
-    def _turned(self) -> None:
-        """Begin a position after a turn; begin anew when nobody can say by which angle."""
+    def _end_turn(self) -> None:
+        """Begin a position after a turn; restart if the angle of the turn is unknown."""
         state, motion, errors = self.state, self.state.motion, self.errors
-        before, rest, begun_s = state.positions[-1], motion.held[-CALM:], motion.begun_s
-        force = np.mean([slot.values[3:] for slot in rest[CALM // 2 :]], axis=0)
+        before, rest, begun_s = state.positions[-1], motion.held[-CALM_SLOTS:], motion.begun_s
+        force = np.mean([slot.values[3:] for slot in rest[CALM_SLOTS // 2 :]], axis=0)
         attitude, seconds = upright(state.attitude, force), rest[0].ended_s - rest[0].length_s - begun_s
         variance = turn_variance(
             motion.turned, before.attitude, force / math.sqrt(force @ force), seconds, motion.noise,
             errors.scale, math.sqrt(2.0) * errors.level,
         )  # fmt: skip
         if variance > ANY_ANGLE_SD**2:
-            self.begin_anew(f"the unit turned at {begun_s:.1f} s by an angle that is not known")
+            self.restart(f"the unit turned at {begun_s:.1f} s by an angle that is not known")
             return
         new = motion.angle > NEW_POSITION
         angle = math.degrees(-turned_about_vertical(before.attitude, attitude))
         sd = math.degrees(math.sqrt(variance))
-        state.disturbed += 1
-        state.shaken_s += seconds
+        state.disturbances += 1
+        state.disturbed_s += seconds
         state.events.append(
             f"alignment: the unit turned at {begun_s:.1f} s for {seconds:.1f} s: left out; "
             f"{'a new position, ' if new else ''}turned by {angle:.2f}° ± {sd:.2f}° about the vertical"
@@ -241,12 +243,12 @@ class Aligner:
 
     @property
     def errors(self) -> SensorErrors:
-        """What the sensors may be wrong by, as declared or by the noise of the quietest gyro."""
+        """Standard deviations of the sensor errors, declared or from the noise of the quietest gyro."""
         white = [one.fit.white for one in self.state.positions if one.fit is not None]
         return sensor_errors(math.sqrt(min(white, default=0.0)), self.parameters)
 
     def _warm_up(self) -> tuple[FloatArray, FloatArray, Sequence[Drift]]:
-        """Return time constants, s, and amplitudes, g, of the known warm-up, and drifts beside it."""
+        """Return time constants, s, and amplitudes, g, of the declared warm-up, and the drift models with it."""
         known = self.parameters.known_warm_up
         if known is None:
             return np.ones(3), np.zeros(3), DRIFTS
@@ -258,7 +260,7 @@ class Aligner:
         return np.array(known.time_constant_s), np.array(known.amplitude_ug) * 1e-6, drifts
 
     def _fit_position(self) -> None:
-        """Fit the position of now, and its plain and Hann-weighted mean of the gyros."""
+        """Fit the present position, and its plain and Hann-weighted mean of the gyros."""
         state, record = self.state, self._record
         if not (record.whole_rows[:, 0] > 0.0).any():
             return
@@ -267,67 +269,69 @@ class Aligner:
         fit = state.positions[-1].fit = fit_position(data, self.earth_vertical, drifts)
         if fit is None:
             return
-        rate, size = data.rate[data.valid], state.found.size_sd if state.found else 0.0
+        rate, size = data.rate[data.valid], state.posterior.bias_size if state.posterior else 0.0
         for name, taper, factor in (("gyro_mean", np.ones, 1.0), ("hann_mean", np.hanning, 1.5)):
             mean = complex(taper(len(rate)) @ rate)
-            sd = math.sqrt(factor * fit.white / record.counted_s + size**2) / self.level_rate
+            sd = math.sqrt(factor * fit.white / record.rest_s + size**2) / self.level_rate
             state.means[name] = Estimate(math.atan2(mean.imag, mean.real), min(sd, ANY_ANGLE_SD))
 
     def evaluate(self) -> None:
-        """Fit the position of now and renew the heading."""
+        """Fit the present position, and update the heading."""
         state = self.state
         self._fit_position()
         fitted = [(one.fit, one.turn_variance) for one in state.positions if one.fit][-MOST_POSITIONS:]
         fits, turns = [one for one, _ in fitted], [turn for _, turn in fitted]
-        here_s = self._record.counted_s
+        here_s = self._record.rest_s
         after_s = min(here_s / 3.0, LONGEST_REFIT_S)
         if state.positions[-1].fit is not None:
-            state.found = heading_posterior(fits, np.array(turns), self.latitude, self.errors)
-            state.found_turns, state.crept = turns[-1], 0.0
-            self._take_rest_rate(fits, state.found.size_sd)
+            state.posterior = heading_posterior(fits, np.array(turns), self.latitude, self.errors)
+            state.posterior_turn_variance, state.yaw_since_fit = turns[-1], 0.0
+            self._estimate_vertical_rate(fits, state.posterior.bias_size)
             state.sd = self._sd()
-            self._settle()
-            # A bias that hides the north goes on to do so until the unit is turned.
-            if state.found.bias_sd > self.level_rate * math.radians(self.parameters.observable_deg):
+            self._update_settled()
+            # A bias that hides the north hides it until the unit is turned, so fits may be rare.
+            if state.posterior.level_bias_sd > self.level_rate * math.radians(self.parameters.observable_deg):
                 after_s = here_s
-        state.due_s = state.counted_s + max(after_s, 1.0)
+        state.due_s = state.rest_s + max(after_s, 1.0)
 
-    def _take_rest_rate(self, fits: Sequence[PositionFit], bias_sd: float) -> None:
-        """Note what the vertical gyro reads at rest, by the last position in which it was not turning."""
+    def _estimate_vertical_rate(self, fits: Sequence[PositionFit], bias_sd: float) -> None:
+        """Estimate the reading of the vertical gyro at rest from the last position without slow rotation."""
         state = self.state
-        state.vertical_rest, state.rest_sd, state.followed_s = self.earth_vertical, bias_sd, 0.0
+        state.vertical_rate, state.vertical_rate_sd, state.since_fit_s = self.earth_vertical, bias_sd, 0.0
         for one in reversed(fits):
             tilted = float(np.sum((one.attitude[2] - state.attitude[2]) ** 2))
             sd = math.sqrt(one.vertical_variance + tilted * bias_sd**2)
-            if sd < min(KNOWN_REST * EARTH_RATE, bias_sd):
-                state.vertical_rest, state.rest_sd = one.vertical, sd
+            if sd < min(VERTICAL_RATE_TOLERANCE * EARTH_RATE, bias_sd):
+                state.vertical_rate, state.vertical_rate_sd = one.vertical, sd
                 return
 
-    def _settle(self) -> None:
-        """Note when sigma fell to what is wanted; it remains settled until sigma is larger by a quarter."""
+    def _update_settled(self) -> None:
+        """Set `settled_s` when sigma falls to the wanted one; unset it when sigma exceeds 1.25 times that."""
         state, wanted = self.state, math.radians(self.parameters.settled_deg)
         if not (self.observable and state.sd <= 1.25 * wanted):
             state.settled_s = None
         elif state.settled_s is None and state.sd <= wanted:
-            state.settled_s = state.ended_s
+            state.settled_s = state.elapsed_s
 
     @property
     def heading_sd(self) -> float:
-        """Standard deviation of the heading of now, rad; NaN before a fit."""
+        """Standard deviation of the heading, rad; NaN before a fit."""
         state = self.state
-        return min(math.hypot(state.sd, state.rest_sd * state.followed_s), ANY_ANGLE_SD)
+        return min(math.hypot(state.sd, state.vertical_rate_sd * state.since_fit_s), ANY_ANGLE_SD)
 
     @property
     def observable(self) -> bool:
-        """Whether the heading is known well enough to be shown."""
+        """Whether the heading is known well enough to be shown (`observable_deg`)."""
         return self.heading_sd < math.radians(self.parameters.observable_deg)
 
     def _sd(self) -> float:
         """Return the standard deviation of the heading with that of turns since the last fit, rad."""
         state, motion = self.state, self.state.motion
-        if state.found is None:
+        if state.posterior is None:
             return math.nan
-        variance = state.found.sd**2 + max(state.positions[-1].turn_variance - state.found_turns, 0.0)
+        variance = state.posterior.sd**2 + max(
+            state.positions[-1].turn_variance - state.posterior_turn_variance, 0.0
+        )
         if motion.turning:
             variance += turn_variance(
                 motion.turned, state.positions[-1].attitude, state.attitude[2], motion.moving_s, motion.noise,
@@ -336,10 +340,37 @@ class Aligner:
         return min(math.sqrt(variance), ANY_ANGLE_SD)
 
     @property
-    def heading(self) -> float:
-        """Heading of now, rad, 0 to 2π; NaN while there is none."""
-        found = self.state.found
-        return self.as_heading(math.nan if found is None else found.north - self.state.crept)
+    def estimates(self) -> dict[str, Estimate]:
+        """Headings by the joint fit and the means of the gyros, NaN if not observable; none before a fit."""
+        state = self.state
+        if state.posterior is None:
+            return {}
+        joint = Estimate(state.posterior.north - state.yaw_since_fit, self.heading_sd)
+        return {
+            name: Estimate(self.as_heading(one.heading) if self.observable else math.nan, one.sd)
+            for name, one in {"joint": joint, **state.means}.items()
+        }
+
+    @property
+    def magnetic_heading(self) -> float:
+        """Heading from magnetic north by the magnetometer's mean in this position, rad; NaN without one."""
+        *field_sum, samples = self.state.field_sum
+        if not samples or not self.state.positions:
+            return math.nan
+        ahead, left, _ = (self.state.attitude @ field_sum).tolist()
+        return self.as_heading(math.atan2(left, ahead))
+
+    @property
+    def remaining_s(self) -> float | None:
+        """Time until white noise alone would reach the wanted sigma; None if unknown or never."""
+        state, posterior = self.state, self.state.posterior
+        if posterior is None or not self.observable:
+            return None
+        wanted = math.radians(self.parameters.settled_deg)
+        if self.heading_sd <= wanted:
+            return 0.0
+        left = wanted**2 - (posterior.level_bias_sd / self.level_rate) ** 2
+        return max(state.rest_s * (posterior.noise_sd**2 / left - 1.0), 1.0) if left > 0.0 else None
 
     def as_heading(self, north: float) -> float:
         """Return the heading of the body from the direction of north in the reference frame."""
@@ -347,26 +378,28 @@ class Aligner:
 
     @property
     def turned(self) -> float:
-        """Angle of the last turn about the vertical, or of the one that goes on, rad, clockwise."""
+        """Angle about the vertical since the previous position, rad, clockwise; also during a turn."""
         state, places = self.state, self.state.positions
         if state.motion.turning:
             return -turned_about_vertical(places[-1].attitude, state.attitude)
         before = [one for one in places if one.number < places[-1].number]
         return -turned_about_vertical(before[-1].attitude, places[-1].attitude) if before else 0.0
 
-    def finish(self) -> list[Position]:
-        """Fit what has come since the last fit; return where the unit stood still until now."""
-        state, stood = self.state, list(self.past)
+    def finish(self) -> list[PositionHeading]:
+        """Fit the rest since the last fit; return the heading in each position."""
+        state, headings = self.state, list(self.earlier_headings)
         if self.resting:
             self.evaluate()
-        if state.found is None:
-            return stood
-        north, now = state.found.north, state.positions[-1].turn_variance
+        if state.posterior is None:
+            return headings
+        north, now = state.posterior.north, state.positions[-1].turn_variance
         for one in reversed(state.positions):
-            sd = min(math.sqrt(state.found.sd**2 + abs(now - one.turn_variance)), ANY_ANGLE_SD)
+            sd = min(math.sqrt(state.posterior.sd**2 + abs(now - one.turn_variance)), ANY_ANGLE_SD)
             shown = north if sd < math.radians(self.parameters.observable_deg) else math.nan
             ended_s = one.ended_s if one.record is None else one.record.ended_s
             heading = (shown - direction_of(one.attitude)) % (2.0 * math.pi)
-            stood.insert(len(self.past), Position(self.run, one.begun_s, ended_s, heading, sd))
-            north += one.fit.crept if one.fit is not None else 0.0
-        return stood
+            headings.insert(
+                len(self.earlier_headings), PositionHeading(self.run, one.begun_s, ended_s, heading, sd)
+            )
+            north += one.fit.yaw if one.fit is not None else 0.0
+        return headings

@@ -14,20 +14,24 @@ from imumon.blocks import BoolArray, ColumnArray, FloatArray
 from imumon.estimation.alignment.record import Levelled
 
 CELLS = (96, 48, 24, 12, 6)
-"""Numbers of windows that are tried."""
-LEAST_CELLS = 5
+"""Candidate numbers of windows in a record."""
+MIN_CELLS = 5
 OVERLAP = 1.0 / 6.0
 """Correlation of white noise in neighbouring Hann cells: the mean of their product over that of a square."""
-HUBER, OUTLYING = 2.0, 10.0
-"""Standard deviations from which on a cell weighs less (Huber 1981 takes 1.5 to 2), and is left out."""
+HUBER, OUTLIER = 2.0, 10.0
+"""Residual, in standard deviations, above which the Huber weight of a cell falls (Huber 1981: 1.5 to 2), and
+above which a cell is rejected."""
 TREND_ORDER = 5
-"""Coefficients of the trend that is no scatter, and at most a quarter of the cells."""
-UNSURE = 2.0
-"""Standard deviations of their scatter by which smoother cells must be better to be taken."""
-LEAST_VARIANCE = 1e-24
-"""(rad/s)² or rad²: readings that do not change at all have a variance, too."""
-CREEPS = 8.0
-"""Variance of 12 cells of the vertical gyro over their white noise from which on the unit turns slowly."""
+"""Coefficients of the polynomial trend that is removed before the scatter is computed; at most a quarter of
+the cells."""
+BETTER_BY = 2.0
+"""Fewer, longer cells are selected only if they reduce the variance of the mean by this many standard
+deviations of its estimate."""
+MIN_VARIANCE = 1e-24
+"""Lower bound of a variance, (rad/s)² or rad², for readings that do not change at all."""
+CREEP_RATIO = 8.0
+"""Ratio of the variance of 12 cells of the vertical gyro to their white noise above which the unit is taken
+to rotate slowly about the vertical (creep of a tripod head)."""
 CREEP_CELLS = 12
 
 
@@ -81,8 +85,8 @@ def hann_means(rows: FloatArray, cells: int) -> FloatArray:
     return np.asarray(sums[:, 1:] / sums[:, :1])
 
 
-def whole(valid: BoolArray, cells: int) -> BoolArray:
-    """Return which windows have only rows that count, (cells,)."""
+def all_valid(valid: BoolArray, cells: int) -> BoolArray:
+    """Return which windows have only valid rows, (cells,)."""
     n = len(valid)
     first = np.ceil(np.arange(cells + 2) * (n / (cells + 1)) - 0.5).astype(np.int64)
     missing = np.add.reduceat((~valid).astype(np.int64), first[:-1])
@@ -92,11 +96,6 @@ def whole(valid: BoolArray, cells: int) -> BoolArray:
 def trend(n: int, order: int) -> FloatArray:
     """Return the first Chebyshev polynomials over n points, (n, order)."""
     return np.asarray(np.polynomial.chebyshev.chebvander((np.arange(n) + 0.5) / n * 2.0 - 1.0, order - 1))
-
-
-def trend_order(cells: int) -> int:
-    """Return the number of polynomials in the slow course of so many cells, which is no scatter."""
-    return max(1, min(TREND_ORDER, cells // 4))
 
 
 def fit(basis: FloatArray, data: FloatArray, weight: FloatArray) -> FloatArray:
@@ -119,29 +118,29 @@ def scatter(values: FloatArray, ok: BoolArray, order: int) -> tuple[float, Float
     """
     cells, axes = values.shape
     basis = trend(cells, max(1, min(order, cells // 4)))
-    weight, variance, free = ok.astype(np.float64), LEAST_VARIANCE, 0.5
+    weight, variance, free = ok.astype(np.float64), MIN_VARIANCE, 0.5
     for k in range(8):  # until no weight changes by a thousandth
         left = values - basis @ fit(basis, values, weight)
         square = np.mean(left**2, axis=1)
         free = max(weight.sum() - basis.shape[1], 0.5)
         # The first round is by the median of squares, which is 0.7 of the mean of those of two axes.
         variance = float(weight @ square / free) if k else float(np.median(square[weight > 0.0])) / 0.7
-        variance = max(variance, LEAST_VARIANCE)
+        variance = max(variance, MIN_VARIANCE)
         before, weight = weight, ok / np.maximum(1.0, square / (HUBER**2 * variance))
-        weight[square > OUTLYING**2 * variance] = 0.0
+        weight[square > OUTLIER**2 * variance] = 0.0
         if k and np.abs(weight - before).max() < 1e-3:
             break
     freedom = axes * free
     return variance * freedom / max(freedom - 2.0, 1.0), weight, freedom
 
 
-def turns_about_vertical(data: Levelled) -> bool:
-    """Tell whether the vertical gyro varies by more than its noise, as on a tripod head that creeps."""
+def rotates_slowly(data: Levelled) -> bool:
+    """Return whether the vertical gyro varies by more than its noise: a slow rotation about the vertical."""
     if len(data.valid) < 2 * (CREEP_CELLS + 1):
         return False
-    ok = whole(data.valid, CREEP_CELLS)
+    ok = all_valid(data.valid, CREEP_CELLS)
     means = hann_means(data.vertical[:, None], CREEP_CELLS)[ok, 0]
-    return bool(len(means) > LEAST_CELLS and np.var(means) > CREEPS * white_variance(data, CREEP_CELLS))
+    return bool(len(means) > MIN_CELLS and np.var(means) > CREEP_RATIO * white_variance(data, CREEP_CELLS))
 
 
 def white_variance(data: Levelled, cells: int) -> float:
@@ -152,18 +151,18 @@ def white_variance(data: Levelled, cells: int) -> float:
 
 
 def divide(data: Levelled, rate: ColumnArray, creeps: bool) -> Cells | None:
-    """Return the sharpest division that no smoother one beats; None when there is too little.
+    """Return the division into cells with the smallest variance of the mean; None if the record is too short.
 
-    Smoother cells keep more sway out, and have fewer degrees of freedom: they are taken when the variance of
-    the mean falls by more than that makes it uncertain.
+    Longer cells suppress more sway but estimate the noise from fewer degrees of freedom, so they must be
+    better by more than the uncertainty of that estimate (BETTER_BY).
     """
     best, limit = None, np.inf
     n = len(rate)
     for cells in CELLS:
         if n < 2 * (cells + 1):
             continue
-        ok = whole(data.valid, cells)
-        if ok.sum() < LEAST_CELLS:
+        ok = all_valid(data.valid, cells)
+        if ok.sum() < MIN_CELLS:
             continue
         means = hann_means(np.column_stack([rate.real, rate.imag, data.vertical]), cells)
         variance, weight, freedom = scatter(means[:, :2], ok, TREND_ORDER)
@@ -172,13 +171,13 @@ def divide(data: Levelled, rate: ColumnArray, creeps: bool) -> Cells | None:
             variance = max(variance, 0.5 * up_variance)
         total = float(up_weight.sum())
         vertical_variance = up_variance * (1.0 + 2.0 * OVERLAP) / total
-        if creeps and up_variance > CREEPS * white_variance(data, cells):
-            vertical_variance = 2.0 * float(np.var(means[ok, 2]))  # it shows its own turn
+        if creeps and up_variance > CREEP_RATIO * white_variance(data, cells):
+            vertical_variance = 2.0 * float(np.var(means[ok, 2]))  # it contains the rotation itself
         white = min(variance, up_variance) * 4.0 / 3.0 * n * data.row_s / (cells + 1)
         one = Cells(
             weight > 0.0, weight, means[:, 0] + 1j * means[:, 1], variance,
             float(up_weight @ means[:, 2]) / total, vertical_variance, white,
         )  # fmt: skip
-        if one.variance_of_mean * (1.0 + UNSURE * np.sqrt(2.0 / max(freedom, 1.0))) < limit:
+        if one.variance_of_mean * (1.0 + BETTER_BY * np.sqrt(2.0 / max(freedom, 1.0))) < limit:
             best, limit = one, one.variance_of_mean
     return best

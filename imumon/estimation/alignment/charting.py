@@ -8,7 +8,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.charts import GREEN, GREY, ORANGE, RED, Axis, Chart, Curve
-from imumon.estimation.alignment.status import Status, instead
+from imumon.estimation.alignment.status import Status
 
 PLACE = "Alignment"
 ESTIMATOR_COLORS = {"joint": GREEN, "gyro_mean": RED, "hann_mean": ORANGE}
@@ -19,7 +19,7 @@ def heading_text(status: Status) -> str:
     if status.shown is None:
         return "no heading yet"
     if not status.observable:
-        name, angle = instead(status)
+        name, angle = status.substitute
         other = f"; shown instead: {name}" + (f" {_turn(angle):.1f}°" if math.isfinite(angle) else "")
         return "heading not observable with this gyro" + other
     sd = math.degrees(status.shown.sd)
@@ -37,10 +37,10 @@ def to_go_text(status: Status, wanted_deg: float) -> str:
     if status.phase in ("settled", "disturbed"):
         return status.phase
     if status.phase in ("coarse", "waiting") or status.shown is None:
-        return f"coarse, {status.time_s:.0f} s of rest"
-    if status.to_go_s is None:
+        return f"coarse, {status.rest_s:.0f} s of rest"
+    if status.remaining_s is None:
         return f"{wanted_deg:g}° not in reach"
-    return f"about {status.to_go_s:.0f} s to {wanted_deg:g}°"
+    return f"about {status.remaining_s:.0f} s to {wanted_deg:g}°"
 
 
 def headings(status: Status) -> Chart:

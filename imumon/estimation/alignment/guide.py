@@ -38,7 +38,7 @@ class Guide:
         before, turned = self.order, math.degrees(status.turned)
         angle = 360.0 / self.positions
         at, last = status.positions, status.positions >= self.positions
-        held = status.position_s >= LEAST_S and status.position_sd <= status.wanted
+        held = status.position_s >= LEAST_S and status.position_sd <= status.wanted_sd
         held |= status.position_s >= LONGEST_S
         if status.phase == "disturbed":
             if self._told >= at and not last:

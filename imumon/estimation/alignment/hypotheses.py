@@ -1,4 +1,4 @@
-"""What one position says of the rate under each hypothesis about slow tilts and warming accelerometers.
+"""Level rate of one position given each hypothesis about slow tilts and accelerometer drift.
 
 In level axes, complex, per cell::
 
@@ -32,11 +32,12 @@ TILT_SD = np.array([1e-5, 1e-4, 1e-3])
 """rad: sizes of a tilt."""
 WARM_UP_TAU_S = np.array([100.0, 300.0, 1000.0])
 P_SETTLES = 0.03
-"""Prior probability that the unit settles; ablation: 0.3 makes 1.01 times the error, 0 up to 14 times."""
+"""Prior probability of a settling tripod; ablation: 0.3 makes 1.01 times the error, 0 up to 14 times."""
 LEVEL_SD = 1e-3
 """Constant of an accelerometer's level, rad."""
 TEMPER = 0.7
-"""Power of prior and evidence, as the courses are no exact exponentials and the noise is estimated.
+"""Exponent of prior times evidence (tempered posterior): below 1 because real tilts are no exact exponentials
+and the noise is estimated.
 Assumed; ablation: with 1 the rms of error/sigma is 0.74 instead of 0.72."""
 LEVEL_TREND_ORDER = 8
 """Coefficients of the course of the level that is no noise."""
@@ -47,7 +48,7 @@ LEAST_ROWS = 12
 
 
 class Drift(NamedTuple):
-    """What accelerometers may do: walk, g/√s, and size of the exponentials of a warm-up, g."""
+    """Accelerometer drift: prior probability, random walk, g/√s, and sd of the warm-up amplitudes, g."""
 
     probability: float
     walk: float
@@ -55,13 +56,13 @@ class Drift(NamedTuple):
 
 
 DRIFTS = (Drift(0.495, 1e-7, 0.0), Drift(0.495, 1e-7, 1e-4), Drift(0.01, 3e-6, 0.0))
-"""They have warmed up, warm up, or one jumps.  Ablation: without a warm-up errors are up to 10 sigma; without
+"""Warmed up, warming up, or with a sudden step.  Ablation: without a warm-up errors are up to 10 sigma; without
 a jump, one of 30 µg hides the north."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionFit:
-    """What a position says, by each of h hypotheses.
+    """Level rate of one position given each of h hypotheses.
 
     Parameters
     ----------
@@ -80,11 +81,11 @@ class PositionFit:
         Body axes to level axes.
     seconds : float
         Length of the record.
-    crept : float
-        Angle by which the unit turned slowly about the vertical, rad, counter-clockwise, 0 where it did not;
-        its rates are turned to the end of the record.
-    turned_bias : complex
-        Mean of the factor by which they, and so the bias, were turned.
+    yaw : float
+        Slow rotation about the vertical during the record by the vertical gyro, rad, counter-clockwise; 0 if
+        none was detected.  `rate` is in the axes at the end of the record.
+    bias_rotation : complex
+        Mean of e^{i yaw} over the record: the factor that the rotation of the rates gives to a constant bias.
     """
 
     log_weight: FloatArray
@@ -96,15 +97,15 @@ class PositionFit:
     white: float
     attitude: FloatArray
     seconds: float
-    crept: float
-    turned_bias: complex
+    yaw: float
+    bias_rotation: complex
 
     @property
     def creep_s(self) -> float:
-        """Time in which it crept, s."""
-        return self.seconds if self.crept else 0.0
+        """Duration of the slow rotation, s; 0 if none was detected."""
+        return self.seconds if self.yaw else 0.0
 
-    def together(self) -> tuple[complex, float]:
+    def moments(self) -> tuple[complex, float]:
         """Return mean and variance of each part of the rate over all hypotheses."""
         weight = np.exp(self.log_weight)
         weight /= weight.sum()
@@ -113,7 +114,7 @@ class PositionFit:
 
 
 def fit_position(data: Levelled, earth_vertical: float, drifts: Sequence[Drift]) -> PositionFit | None:
-    """Return what a record says; None when it is too short.
+    """Return the fit of one position given each hypothesis; None if the record is too short.
 
     Parameters
     ----------
@@ -121,12 +122,12 @@ def fit_position(data: Levelled, earth_vertical: float, drifts: Sequence[Drift])
     earth_vertical : float
         Ω sin L, rad/s.
     drifts : sequence of Drift
-        What the accelerometers may do.
+        Models of the accelerometer drift.
     """
     n = len(data.rate)
     if data.valid.sum() < LEAST_ROWS:
         return None
-    creeps = cells.turns_about_vertical(data)
+    creeps = cells.rotates_slowly(data)
     turned = np.cumsum(creeps * data.valid * (data.vertical - earth_vertical)) * data.row_s
     factor = np.exp(1j * (turned - turned[-1]))
     rate = data.rate * factor
@@ -149,7 +150,7 @@ def fit_position(data: Levelled, earth_vertical: float, drifts: Sequence[Drift])
     log_weight = TEMPER * (log_weight - log_weight.max())
     return PositionFit(
         log_weight, mean + gyros.offset, variance, settles, found.vertical, found.vertical_variance,
-        found.white, data.attitude, n * data.row_s, float(turned[-1]), gyros.turned_bias,
+        found.white, data.attitude, n * data.row_s, float(turned[-1]), gyros.bias_rotation,
     )  # fmt: skip
 
 
@@ -159,7 +160,7 @@ class _Gyros:
 
     `constant` is the weight of the rate, `rate` its weighted sum, `by_tilt` (8,) its products with the slopes
     of the exponentials; `tilt` (8, 8) and `tilt_sum` (8,) are those of the slopes with the rate eliminated.
-    The rates are less `offset`; `turned_bias` is the mean factor of the bias.
+    The rates are less `offset`; `bias_rotation` is the mean factor of the bias.
     """
 
     constant: float
@@ -168,7 +169,7 @@ class _Gyros:
     tilt: FloatArray
     tilt_sum: ColumnArray
     offset: complex
-    turned_bias: complex
+    bias_rotation: complex
 
 
 def _gyros(found: cells.Cells, columns: FloatArray) -> _Gyros:
@@ -225,7 +226,7 @@ def _accelerometers(
     used, count, n = found.used, len(found.used), len(tilt)
     time_s = cells.hann_means(data.row_s * (np.arange(float(n))[:, None] + 0.5), count)[:, 0]
     level = cells.hann_means(np.column_stack([tilt.real, tilt.imag]), count)
-    noise, _, _ = cells.scatter(level, cells.whole(data.valid, count), LEVEL_TREND_ORDER)
+    noise, _, _ = cells.scatter(level, cells.all_valid(data.valid, count), LEVEL_TREND_ORDER)
     level = level[used] - level[used].mean(axis=0)
     at, root = time_s[used], np.sqrt(found.weight[used])
     m = len(at)

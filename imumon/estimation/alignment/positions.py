@@ -18,17 +18,17 @@ from imumon.estimation.alignment.record import Record
 from imumon.filters.turns import STILL, Turn
 from imumon.geodesy import EARTH_RATE
 
-TURNING = 1e-3
+MOTION_RATE = 1e-3
 """rad/s: a rate that differs by less from that at rest is sway, noise or creep; a hand is not slower."""
-FARTHEST = 5.0
-"""A rate that leaves it by so many times the farthest of the last half minute is no rest."""
-SWAYING = 20e-3
-"""rad/s: a rate that varies by less for PATIENT slots is taken for rest at the start."""
-CALM, PATIENT, RECENT = 8, 40, 120
+LIMIT_FACTOR = 5.0
+"""Motion limit: this factor times the largest deviation from the median of the last 30 s."""
+SWAYING_RATE = 20e-3
+"""rad/s: a rate that varies by less for SWAYING_SLOTS slots is taken for rest at the start."""
+CALM_SLOTS, SWAYING_SLOTS, MEDIAN_SLOTS = 8, 40, 120
 """Slots: 2 s of calm are a rest, 10 s of sway at the start; the rate at rest is the median of 30 s."""
-SAME, NEW_POSITION = 1e-4, 0.01
+SAME_ATTITUDE, NEW_POSITION = 1e-4, 0.01
 """rad: a turn by less leaves the position as it is, or does not tell the bias from the earth rate."""
-LONGEST_S = 120.0
+LONGEST_MOTION_S = 120.0
 """After a longer motion the alignment begins anew."""
 
 
@@ -48,8 +48,8 @@ class Slot(NamedTuple):
 
 
 @dataclass
-class Stance:
-    """Where the unit rested.
+class Position:
+    """A position: an attitude in which the unit rests.
 
     Parameters
     ----------
@@ -75,26 +75,26 @@ class Stance:
 
 
 class Outcome(Enum):
-    """What a slot is."""
+    """Classification of a slot."""
 
     WAITING = "no rest yet"
     FIRST_REST = "the first position begins"
-    REST = "the slot counts"
+    REST = "the slot is added to the record"
     TURNING = "the attitude follows the gyros"
-    BACK = "the unit rests as before: the slots of the motion count"
-    TURNED = "the unit rests otherwise: a new position begins, and the motion is left out"
+    SAME_ATTITUDE = "the attitude is unchanged: the slots of the motion are added to the record"
+    TURNED = "the attitude has changed: a new record begins, and the motion is left out"
     LOST = "motion for too long: the alignment begins anew"
 
 
 @dataclass
 class Motion:
-    """What is known of rest and turn."""
+    """State of the motion detector."""
 
-    base: FloatArray | None = None
+    rest_rate: FloatArray | None = None
     """Median rate at rest, rad/s, (3,); None before the first rest."""
-    centre: tuple[float, ...] = ()
-    """The same as floats."""
-    limit: float = TURNING
+    rest_rate_floats: tuple[float, ...] = ()
+    """`rest_rate` as floats, for the speed of `_distance`."""
+    limit: float = MOTION_RATE
     """Distance from it that is still rest, rad/s."""
     recent: list[tuple[float, float, float]] = field(default_factory=list)
     """Rates of slots at rest."""
@@ -110,8 +110,8 @@ class Motion:
 
     def classify(self, slot: Slot, at_rest: bool) -> Outcome:
         """Return what a slot is; the table of docs/alignment.md, from above."""
-        if self.base is None:
-            self.held = [*self.held[1 - 4 * RECENT :], slot]
+        if self.rest_rate is None:
+            self.held = [*self.held[1 - 4 * MEDIAN_SLOTS :], slot]
             return Outcome.FIRST_REST if at_rest and self._first_rest() else Outcome.WAITING
         moving = self._distance(slot) > self.limit
         if not (moving or self.turning):
@@ -119,45 +119,45 @@ class Motion:
         self.turning = True
         self.held.append(slot)
         self.calm = 0 if moving else self.calm + 1
-        if self.moving_s > LONGEST_S:
+        if self.moving_s > LONGEST_MOTION_S:
             return Outcome.LOST
-        if self.calm < CALM:
+        if self.calm < CALM_SLOTS:
             return Outcome.TURNING
-        return Outcome.BACK if self.angle <= max(SAME, 6.0 * self.noise) else Outcome.TURNED
+        return Outcome.SAME_ATTITUDE if self.angle <= max(SAME_ATTITUDE, 6.0 * self.noise) else Outcome.TURNED
 
     def _first_rest(self) -> bool:
-        """Tell whether the last slots are rest; then only those that belong to it remain held."""
-        rates = np.array([one.rate for one in self.held[-PATIENT:]])
-        calm = len(rates) >= CALM and np.ptp(rates[-CALM:], axis=0).max() < TURNING
-        if not (calm or (len(rates) == PATIENT and np.ptp(rates, axis=0).max() < SWAYING)):
+        """Return whether the unit rests for the first time; if so, drop the held slots before that rest."""
+        rates = np.array([one.rate for one in self.held[-SWAYING_SLOTS:]])
+        calm = len(rates) >= CALM_SLOTS and np.ptp(rates[-CALM_SLOTS:], axis=0).max() < MOTION_RATE
+        if not (calm or (len(rates) == SWAYING_SLOTS and np.ptp(rates, axis=0).max() < SWAYING_RATE)):
             return False
-        self._take_base(rates[-CALM:] if calm else rates)
+        self._update_rest_rate(rates[-CALM_SLOTS:] if calm else rates)
         far = [k for k, one in enumerate(self.held) if self._distance(one) > self.limit]
         del self.held[: far[-1] + 1 if far else 0]
         return True
 
     def _distance(self, slot: Slot) -> float:
-        (x, y, z), (a, b, c) = slot.rate, self.centre
+        (x, y, z), (a, b, c) = slot.rate, self.rest_rate_floats
         return max(abs(x - a), abs(y - b), abs(z - c))
 
-    def _take_base(self, rates: FloatArray) -> None:
-        self.base = np.median(rates, axis=0)
-        self.centre = tuple(self.base.tolist())
-        self.limit = max(TURNING, FARTHEST * float(np.abs(rates - self.base).max()))
+    def _update_rest_rate(self, rates: FloatArray) -> None:
+        self.rest_rate = np.median(rates, axis=0)
+        self.rest_rate_floats = tuple(self.rest_rate.tolist())
+        self.limit = max(MOTION_RATE, LIMIT_FACTOR * float(np.abs(rates - self.rest_rate).max()))
         self.renewed = 0
 
     def rest(self, rate: tuple[float, float, float]) -> None:
         """Add the rate of a slot at rest."""
         self.recent.append(rate)
         self.renewed += 1
-        if self.renewed >= PATIENT:
-            del self.recent[:-RECENT]
-            self._take_base(np.array(self.recent))
+        if self.renewed >= SWAYING_SLOTS:
+            del self.recent[:-MEDIAN_SLOTS]
+            self._update_rest_rate(np.array(self.recent))
 
     def follow(self, turn: Turn) -> FloatArray:
         """Add the turn of a slot; return its rotation, (3, 3)."""
-        assert self.base is not None
-        turn = turn.less(self.base)
+        assert self.rest_rate is not None
+        turn = turn.less(self.rest_rate)
         self.turned = self.turned.then(turn)
         return turn.rotation
 
@@ -184,9 +184,9 @@ class Motion:
     @property
     def noise(self) -> float:
         """Noise of that angle, rad: of the slots, and of the rate at rest."""
-        recent = self.recent[-RECENT:]
+        recent = self.recent[-MEDIAN_SLOTS:]
         if len(recent) < 2:
-            return SAME
+            return SAME_ATTITUDE
         spread = float(np.std(np.array(recent), axis=0).max()) * self.held[-1].length_s
         return spread * math.sqrt(len(self.held) + len(self.held) ** 2 / len(recent))
 

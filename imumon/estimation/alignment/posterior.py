@@ -27,13 +27,13 @@ from imumon.estimation.alignment.status import ANY_ANGLE_SD
 from imumon.geodesy import EARTH_RATE
 
 LIKELY = -15.0
-"""Log weight below the largest from which on a hypothesis counts."""
+"""Log weight relative to the largest below which a hypothesis is dropped."""
 DIRECTIONS = 32
 """Directions around the circle from which the search for the likeliest begins."""
 
 
 @dataclass(frozen=True, slots=True)
-class Heading:
+class HeadingPosterior:
     """The posterior of the direction of north.
 
     Parameters
@@ -42,8 +42,9 @@ class Heading:
         Direction of north in the reference frame at the end of the last position, rad, counter-clockwise.
     sd, noise_sd : float
         Its standard deviation, and that without any bias, rad.
-    bias_sd, size_sd : float
-        Root mean square of what the bias may add to the level rate, and of the size of the bias, rad/s.
+    level_bias_sd, bias_size : float
+        Standard deviation of the bias in the level axes that is left in the heading, and root mean square of
+        its prior size, rad/s.
     settling : float
         Probability that the unit settles.
     """
@@ -51,15 +52,15 @@ class Heading:
     north: float
     sd: float
     noise_sd: float
-    bias_sd: float
-    size_sd: float
+    level_bias_sd: float
+    bias_size: float
     settling: float
 
 
 def heading_posterior(
     fits: Sequence[PositionFit], turn_variances: FloatArray, latitude: float, errors: SensorErrors,
     north: float | None = None,
-) -> Heading:  # fmt: skip
+) -> HeadingPosterior:  # fmt: skip
     """Return the heading at the end of the last position.
 
     Parameters
@@ -76,20 +77,20 @@ def heading_posterior(
     """
     last = fits[-1]
     if north is None:
-        north = cmath.phase(last.together()[0])
-        if any(one.crept for one in fits):
+        north = cmath.phase(last.moments()[0])
+        if any(one.yaw for one in fits):
             north = heading_posterior(fits, turn_variances, latitude, errors, north).north
     rate, earth_vertical = EARTH_RATE * math.cos(latitude), EARTH_RATE * math.sin(latitude)
     information, vector = np.zeros((5, 5)), np.zeros(5)
-    crept, creep_s = last.crept, last.creep_s
+    yaw, creep_s = last.yaw, last.creep_s
     for one, variance in zip(fits[-2::-1], (turn_variances[-1] - turn_variances)[-2::-1], strict=True):
-        mean, level_variance = one.together()
-        mean *= cmath.exp(-1j * crept)
-        design = _design(one, rate, north, crept, creep_s)
+        mean, level_variance = one.moments()
+        mean *= cmath.exp(-1j * yaw)
+        design = _design(one, rate, north, yaw, creep_s)
         weight = _weights(one, level_variance + rate**2 * variance, errors.flicker)
         information += design.T @ (weight[:, None] * design)
         vector += design.T @ (weight * [mean.real, mean.imag, one.vertical - earth_vertical])
-        crept, creep_s = crept + one.crept, creep_s + one.creep_s
+        yaw, creep_s = yaw + one.yaw, creep_s + one.creep_s
     keep = last.log_weight > LIKELY
     design, means = _design(last, rate, north, 0.0, 0.0), last.rate[keep]
     weights = np.array([_weights(last, variance, errors.flicker) for variance in last.variance[keep]])
@@ -117,7 +118,7 @@ def heading_posterior(
         float(weight @ (1.0 / np.maximum(east @ form @ east, 1e-30)))
         for form in (information[of, :2, :2], matrix)
     )
-    return Heading(
+    return HeadingPosterior(
         north, min(sd, ANY_ANGLE_SD), min(math.sqrt(noise), ANY_ANGLE_SD),
         rate * math.sqrt(max(whole - noise, 0.0)),
         math.sqrt(weight @ np.mean(errors.sizes**2, axis=1)[size]),
@@ -126,7 +127,7 @@ def heading_posterior(
 
 
 def _likely(vector: FloatArray, matrix: FloatArray, log_density: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return hypotheses and sizes that count, by bounds of r.z - ½ z' Λ z on the circle."""
+    """Return indices of hypotheses and bias sizes with a probability that matters, by bounds of the log density."""
     xx, yy, xy = matrix[..., 0, 0], matrix[..., 1, 1], matrix[..., 0, 1]
     middle = log_density + np.hypot(vector[..., 0], vector[..., 1]) - 0.25 * (xx + yy)
     off = 0.5 * np.hypot(0.5 * (xx - yy), xy)
@@ -134,16 +135,16 @@ def _likely(vector: FloatArray, matrix: FloatArray, log_density: FloatArray) -> 
     return of, size
 
 
-def _design(one: PositionFit, level_rate: float, north: float, crept: float, creep_s: float) -> FloatArray:
+def _design(one: PositionFit, level_rate: float, north: float, yaw: float, creep_s: float) -> FloatArray:
     """Return the derivatives of level rates and vertical rate by z and b, (3, 5).
 
     Where the unit creeps about the vertical, its rates were turned by the angle that the vertical gyro shows.
     Its bias turned them as well: those of the position by half of what it adds up to, and by all of it in
-    later positions, which took `creep_s` and turned the unit by `crept`, rad.
+    later positions, which took `creep_s` and turned the unit by `yaw`, rad.
     """
     design = np.zeros((3, 5))
     design[0, 0] = design[1, 1] = level_rate
-    level = one.turned_bias * cmath.exp(-1j * crept) * (one.attitude[0] + 1j * one.attitude[1])
+    level = one.bias_rotation * cmath.exp(-1j * yaw) * (one.attitude[0] + 1j * one.attitude[1])
     late = (creep_s + 0.5 * one.creep_s) * level_rate * np.array([math.sin(north), -math.cos(north)])
     design[:2, 2:] = np.stack([level.real, level.imag]) + np.outer(late, one.attitude[2])
     design[2, 2:] = one.attitude[2]

@@ -12,26 +12,23 @@ from imumon.geodesy import STANDARD_GRAVITY, forward
 
 CAPACITY = 4096
 """Rows kept for a position: 17 minutes of slots of 1/4 s; then neighbours are merged."""
-KNOCK_ROWS, KNOCK = 9, 15.0
-"""A knock lasts less than half of so many rows, and leaves their median by so many medians of that distance,
-10 standard deviations."""
 
 
 @dataclass
 class Record:
-    """Rows of equal length; a slot that does not count keeps its place with weight zero.
+    """Rows of equal length; a slot that is left out keeps its place with weight zero.
 
     Parameters
     ----------
     begun_s, ended_s : float
         Time of the first and behind the last slot, since the first sample.
     rows : array, (CAPACITY, 7)
-        Samples that count, mean rate of the gyros (3), rad/s, and specific force (3), m/s², body axes.
+        Number of valid samples, mean rate of the gyros (3), rad/s, and specific force (3), m/s², body axes.
     slots : int
         Slots in all rows.
     slots_per_row : int
-    counted_s : float
-        Time of the slots that count.
+    rest_s : float
+        Total time of the slots with valid samples.
     """
 
     begun_s: float
@@ -39,10 +36,10 @@ class Record:
     rows: FloatArray = field(default_factory=lambda: np.zeros((CAPACITY, 7)))
     slots: int = 0
     slots_per_row: int = 1
-    counted_s: float = 0.0
+    rest_s: float = 0.0
 
     def add(self, samples: float, values: FloatArray, ended_s: float, length_s: float) -> None:
-        """Add a slot; samples is zero when it does not count."""
+        """Add a slot; `samples` is zero for a slot that is left out."""
         k, within = divmod(self.slots, self.slots_per_row)
         if k == CAPACITY:
             self._merge()
@@ -55,7 +52,7 @@ class Record:
             row[1:] += samples / row[0] * (values - row[1:])
         self.slots += 1
         self.ended_s = ended_s
-        self.counted_s += length_s if samples else 0.0
+        self.rest_s += length_s if samples else 0.0
 
     def _merge(self) -> None:
         pairs = self.rows.reshape(-1, 2, 7)
@@ -86,13 +83,13 @@ class Levelled:
     row_s : float
     valid : array of bool, (n,)
     rate : array of complex, (n,)
-        Level gyros, rad/s, as they would read in axes that follow the accelerometers' level.
+        Level gyros, rad/s, in axes that follow the level by the accelerometers.
     vertical : array, (n,)
         Vertical gyro, rad/s.
     level : array of complex, (n,)
-        Tilt by the accelerometers, rad: gyros see its derivative.
+        Tilt by the accelerometers, rad; its derivative appears in `rate`.
     attitude : array, (3, 3)
-        Body axes to level axes, by all of the record.
+        Body axes to level axes, from the mean specific force of the record.
     """
 
     row_s: float
@@ -112,7 +109,7 @@ def levelled(
     ----------
     record : Record
     attitude : array, (3, 3)
-        Body axes to the reference frame, which tells the azimuth; the level is that of the record.
+        Body axes to the reference frame; only its azimuth is used, as the level is estimated from the record.
     earth_vertical : float
         Ω sin L, rad/s.
     known_tau_s, known_g : array, (3,)
@@ -125,25 +122,10 @@ def levelled(
     warm_up = -np.expm1(-time_s[:, None] / known_tau_s) * known_g
     force = (rows[:, 4:] / STANDARD_GRAVITY - warm_up) @ attitude.T
     rate = rows[:, 1:4] @ attitude.T
-    ahead, left = without_knocks(np.where(valid[:, None], force[:, :2], 0.0)).T
+    ahead, left = np.where(valid[:, None], force[:, :2], 0.0).T
     level = left - 1j * ahead
     horizontal = rate[:, 0] + 1j * rate[:, 1] - 1j * level * earth_vertical
     return Levelled(row_s, valid, horizontal, rate[:, 2], level, attitude)
-
-
-def without_knocks(level: FloatArray) -> FloatArray:
-    """Return the level by the accelerometers, (n, 2), with the median of 9 rows where a knock disturbs it.
-
-    A knock is an acceleration, which the gyros do not feel.
-    """
-    half = KNOCK_ROWS // 2
-    if len(level) < 2 * KNOCK_ROWS:
-        return level
-    off = np.abs(level[half:-half] - 0.5 * (level[: -2 * half] + level[2 * half :]))
-    level = level.copy()
-    for k in (np.flatnonzero((off > KNOCK * np.median(off, axis=0)).any(axis=1)) + half).tolist():
-        level[k] = np.median(level[k - half : k + half + 1], axis=0)
-    return level
 
 
 def upright(attitude: FloatArray, force: FloatArray) -> FloatArray:

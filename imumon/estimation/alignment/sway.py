@@ -13,26 +13,28 @@ import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray
 
-LINES, ROWS_PER_LINE = 3, 60
-"""Sways that are fitted at most, and one in so many rows."""
-LINE = 40.0
-"""Power of a line over the median of the spectrum: by chance exp(-40) a bin."""
-LEAST_PERIODS = 1.5
-"""Periods in the record below which a sway is a slow course."""
+MAX_LINES, ROWS_PER_LINE = 3, 60
+"""Largest number of lines, and rows of the record needed for each."""
+LINE_RATIO = 40.0
+"""Ratio of the power of a line to the median of the spectrum; white noise exceeds it with probability e^-40
+a bin."""
+MIN_PERIODS = 1.5
+"""A line with fewer periods in the record is left to the trend and the settling hypotheses."""
 FEW_PERIODS, EXPLAINED = 5.0, 0.3
-"""A line of few periods counts where it leaves less of the scatter: a knock has power at all frequencies."""
+"""A line with fewer periods than this must reduce the residual variance to this share: a knock has power at
+all frequencies, too."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sway:
-    """What sways.
+    """Fitted lines of a record.
 
     Parameters
     ----------
     columns : array, (n, 4 l)
         Cosine and sine of each line, and both times the time from -1 to 1, of its amplitude, rad/s.
     rate, level : array of complex, (n,)
-        What gyros and accelerometers show of it, rad/s and rad.
+        Fitted sway of gyros and accelerometers, rad/s and rad.
     """
 
     columns: FloatArray
@@ -53,7 +55,7 @@ def find_sway(rate: ColumnArray, level: ColumnArray, valid: BoolArray, slow: Flo
     data = beside(np.column_stack([rate.real, rate.imag, level.real, level.imag]))
     left, taper = data[:, :2], (np.hanning(n + 2)[1:-1] * valid)[:, None]
     columns, fitted, size = np.zeros((n, 0)), np.zeros((0, 4)), np.zeros(0)
-    for _ in range(min(LINES, n // ROWS_PER_LINE)):
+    for _ in range(min(MAX_LINES, n // ROWS_PER_LINE)):
         start = _strongest(left * taper)
         if start is None:
             break
@@ -63,7 +65,7 @@ def find_sway(rate: ColumnArray, level: ColumnArray, valid: BoolArray, slow: Flo
         clean = beside(line)
         coefficients = _least_squares(clean, data)
         remains = data[:, :2] - clean @ coefficients[:, :2]
-        if periods < LEAST_PERIODS or abs(omega - start) * n > math.tau:
+        if periods < MIN_PERIODS or abs(omega - start) * n > math.tau:
             break
         if periods < FEW_PERIODS and np.sum(remains**2) > EXPLAINED * np.sum(left**2):
             break
@@ -91,11 +93,11 @@ def _strongest(left: FloatArray) -> float | None:
     """Return the frequency of the strongest line, rad a row, or None when there is none."""
     n = len(left)
     bins = 1 << (4 * n - 1).bit_length()  # at least four to a period in the record
-    least = math.ceil(LEAST_PERIODS * bins / n)
+    least = math.ceil(MIN_PERIODS * bins / n)
     power = np.sum(np.abs(np.fft.rfft(left, bins, axis=0)) ** 2, axis=1)[: bins // 2]
     power[:least] = 0.0
     peak = int(np.argmax(power))
-    return 2.0 * math.pi * peak / bins if power[peak] > LINE * np.median(power[least:]) else None
+    return 2.0 * math.pi * peak / bins if power[peak] > LINE_RATIO * np.median(power[least:]) else None
 
 
 def _refined(omega: float, left: FloatArray, beside: Callable[[FloatArray], FloatArray]) -> float:

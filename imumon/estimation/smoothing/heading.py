@@ -14,17 +14,17 @@ import numpy as np
 
 from imumon.blocks import FloatArray, IntArray, SampleBlock
 from imumon.estimation.alignment.stage import Alignment
-from imumon.estimation.alignment.status import Position
+from imumon.estimation.alignment.status import PositionHeading
 from imumon.estimation.smoothing.combine import SUSPECT, Smoothed
 from imumon.estimation.smoothing.record import SENSORS, Record
 
 
-def still_heading(record: Record, positions: Sequence[Position], later: Callable[[], Alignment]) -> Smoothed:
+def still_heading(record: Record, positions: Sequence[PositionHeading], later: Callable[[], Alignment]) -> Smoothed:
     """Return the heading of each slot in which the unit stood still, rad, (n,); NaN elsewhere.
 
     Parameters
     ----------
-    positions : sequence of Position
+    positions : sequence of PositionHeading
         As the alignment of the whole recording left them.
     later : callable
         Makes a new stage, for the second half of a position.
@@ -42,7 +42,7 @@ def still_heading(record: Record, positions: Sequence[Position], later: Callable
     return Smoothed(value, sd, float(np.sqrt(np.mean(np.square(ratios)))) if ratios else math.nan)
 
 
-def _rows(record: Record, position: Position) -> IntArray:
+def _rows(record: Record, position: PositionHeading) -> IntArray:
     run = np.flatnonzero(record.run == position.run)
     if not len(run):
         return run

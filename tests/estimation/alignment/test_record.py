@@ -21,7 +21,7 @@ def test_merged_rows_keep_time_and_mean() -> None:
         record.whole_rows[:, 1:], slots[:-2].reshape(-1, 4, 6).mean(axis=1), atol=1e-12
     )
     assert (record.whole_rows[:, 0] == 100.0).all()
-    assert record.counted_s == 0.25 * len(slots)
+    assert record.rest_s == 0.25 * len(slots)
 
 
 def test_a_slot_that_does_not_count_leaves_the_mean_of_its_row() -> None:
@@ -37,7 +37,7 @@ def test_an_hour_of_rest_is_as_good_as_it_should_be() -> None:
     block = samples(scenario(3600.0, rate_hz=4.0, arw=1e-3))
     stage, _ = aligned(block, {"accel_bias_sd_ug": 10.0, "gyro_bias_sd_deg_per_h": 0.0})
     shown = stage.status.shown
-    assert stage.status.time_s > 3598.0
+    assert stage.status.rest_s > 3598.0
     assert shown is not None
     assert math.degrees(shown.sd) < 0.01
     assert abs(error_deg(shown.heading, 30.0)) < 3.0 * math.degrees(shown.sd)

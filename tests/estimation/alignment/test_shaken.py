@@ -40,7 +40,7 @@ def test_a_recording_may_begin_in_the_hand(until_s: float) -> None:
     swing = 0.2 * np.sin(2.0 * math.pi * np.outer(t, [0.7, 1.1, 0.4]) + [0.3, 1.0, 2.0])
     stage, _ = aligned(_shaken(150.0, swing * left**2 * (3.0 - 2.0 * left)))
     status = stage.status
-    assert status.time_s == pytest.approx(150.0 - until_s, abs=2.0)
+    assert status.rest_s == pytest.approx(150.0 - until_s, abs=2.0)
     assert status.positions == 1
     assert status.arw < 2.0 * ARW * DEG_PER_SQRT_H
     assert status.shown is not None
@@ -92,7 +92,7 @@ def test_a_detector_that_sees_no_rest_in_a_sway_stops_nothing() -> None:
     stage, _ = aligned(block.with_columns({"at_rest": at_rest}))
     assert stage.status.restarts == 0
     assert stage.status.positions == 1
-    assert stage.status.time_s > 200.0
+    assert stage.status.rest_s > 200.0
     assert stage.status.shown is not None
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 3.0 * math.degrees(stage.status.shown.sd)
     assert math.degrees(stage.status.shown.sd) < 2.0

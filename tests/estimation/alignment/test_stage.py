@@ -138,7 +138,7 @@ def test_a_knock_that_leaves_no_angle_counts() -> None:
     block = samples(scenario(120.0, motion=[{**KNOCK, "at_s": 70.0}]))
     stage, _ = aligned(block, {"gyro_bias_sd_deg_per_h": 0.0})
     assert stage.notices() == []
-    assert stage.status.time_s > 119.0
+    assert stage.status.rest_s > 119.0
     assert stage.status.shown is not None
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 0.03
 
@@ -239,10 +239,10 @@ def test_a_known_warm_up_tells_a_tilt_from_a_drift() -> None:
     sinking = {"kind": "rotation", "at_s": 5.0, "duration_s": 500.0, "pitch_deg_per_s": 2e-5}
     block = samples(scenario(200.0, warm_up=(83.7, 150.0)))
     still, _ = aligned(block, {"known_warm_up": known})
-    assert still.status.tilting < 0.01
+    assert still.status.tilt_probability < 0.01
     block = samples(scenario(200.0, warm_up=(83.7, 150.0), motion=[sinking]))
     stage, _ = aligned(block, {"known_warm_up": known})
-    assert stage.status.tilting > 0.9
+    assert stage.status.tilt_probability > 0.9
     assert stage.status.shown is not None
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 3.0 * math.degrees(stage.status.shown.sd)
     assert abs(error_deg(stage.status.estimates["gyro_mean"].heading, 30.0)) > 0.1
@@ -259,7 +259,7 @@ def test_a_tripod_that_begins_to_sink_is_said_and_borne() -> None:
 @pytest.mark.parametrize("tau_s", [80.0, 300.0])
 def test_a_warm_up_is_not_taken_for_a_tilt(tau_s: float) -> None:
     stage, _ = aligned(samples(scenario(120.0, warm_up=(83.7, tau_s))))
-    assert stage.status.tilting < 0.5
+    assert stage.status.tilt_probability < 0.5
     assert stage.status.phase == "settled"
 
 
@@ -309,7 +309,7 @@ def test_what_the_rest_detector_sees_counts() -> None:
     late = np.ones(len(block), np.int64)
     late[:800] = 0  # it takes the detector a while; the unit rested all the time
     stage, out = aligned(block.with_columns({"at_rest": late}))
-    assert stage.status.time_s == pytest.approx(59.75, abs=0.5)
+    assert stage.status.rest_s == pytest.approx(59.75, abs=0.5)
 
 
 def test_it_goes_on_from_a_snapshot() -> None:
@@ -329,7 +329,7 @@ def test_footsteps_take_nothing_off() -> None:
         for at in np.arange(15.0, 90.0, 4.3).tolist()
     ]
     stage, _ = aligned(samples(scenario(90.0, arw=1e-3, rate_hz=400.0, motion=steps)))
-    assert stage.status.time_s > 80.0
+    assert stage.status.rest_s > 80.0
     assert stage.status.positions == 1
     assert stage.status.shown is not None
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 3.0 * math.degrees(stage.status.shown.sd)

@@ -75,7 +75,7 @@ def error_and_sd(stage: Alignment, heading: float) -> tuple[float, float]:
     shown = stage.status.shown
     aligner = stage._aligner
     assert shown is not None
-    return error_deg(aligner.heading, heading), math.degrees(aligner.heading_sd)
+    return error_deg(aligner.estimates["joint"].heading, heading), math.degrees(aligner.heading_sd)
 
 
 @pytest.mark.parametrize(("hz", "seed"), [(20.0, 1), (50.0, 2), (50.0, 3), (200.0, 4)])
