@@ -15,17 +15,16 @@ from ablation_outcome import Outcome
 from alignment_site_scenes import CREEPS, SCENES, Record, Scene
 from alignment_site_scenes import record as record_of
 
-from imumon.estimation.alignment import aligner, cells, hypotheses, posterior, prior, record, sway
+from imumon.estimation.alignment import aligner, cells, hypotheses, posterior, prior, sway
 
 Change = Sequence[tuple[Any, str, Any]]
 """Module, constant, and what it is instead."""
 VARIANTS: Mapping[str, Change] = {
     "cells: 48 alone": [(cells, "CELLS", (48,))],
-    "guard of smoother cells": [(cells, "UNSURE", 1.0)],
-    "robust weights": [(cells, "HUBER", 1e9), (cells, "OUTLYING", 1e9)],
-    "sways": [(sway, "LINES", 0)],
-    "knocks of the accelerometers": [(record, "KNOCK", math.inf)],
-    "creep about the vertical": [(cells, "CREEPS", math.inf)],
+    "guard of smoother cells": [(cells, "BETTER_BY", 1.0)],
+    "robust weights": [(cells, "HUBER", 1e9), (cells, "OUTLIER", 1e9)],
+    "sways": [(sway, "MAX_LINES", 0)],
+    "creep about the vertical": [(cells, "CREEP_RATIO", math.inf)],
     "warm-up": [(aligner, "DRIFTS", (hypotheses.Drift(1.0, 1e-7, 0.0),))],
     "jump of an accelerometer": [(aligner, "DRIFTS", hypotheses.DRIFTS[:2])],
     "settling": [(hypotheses, "P_SETTLES", 1e-9)],

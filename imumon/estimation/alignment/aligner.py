@@ -248,7 +248,7 @@ class Aligner:
         return sensor_errors(math.sqrt(min(white, default=0.0)), self.parameters)
 
     def _warm_up(self) -> tuple[FloatArray, FloatArray, Sequence[Drift]]:
-        """Return time constants, s, and amplitudes, g, of the declared warm-up, and the drift models with it."""
+        """Return time constants, s, and amplitudes, g, of the declared warm-up, and drift models."""
         known = self.parameters.known_warm_up
         if known is None:
             return np.ones(3), np.zeros(3), DRIFTS

@@ -56,8 +56,8 @@ class Drift(NamedTuple):
 
 
 DRIFTS = (Drift(0.495, 1e-7, 0.0), Drift(0.495, 1e-7, 1e-4), Drift(0.01, 3e-6, 0.0))
-"""Warmed up, warming up, or with a sudden step.  Ablation: without a warm-up errors are up to 10 sigma; without
-a jump, one of 30 µg hides the north."""
+"""Warmed up, warming up, or with a sudden step.  Ablation: without a warm-up errors are up to 10 sigma;
+without a step, one of 30 µg hides the north."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -127,7 +127,7 @@ def heading_posterior(
 
 
 def _likely(vector: FloatArray, matrix: FloatArray, log_density: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return indices of hypotheses and bias sizes with a probability that matters, by bounds of the log density."""
+    """Return indices of the likely hypotheses and bias sizes, by bounds of their log density."""
     xx, yy, xy = matrix[..., 0, 0], matrix[..., 1, 1], matrix[..., 0, 1]
     middle = log_density + np.hypot(vector[..., 0], vector[..., 1]) - 0.25 * (xx + yy)
     off = 0.5 * np.hypot(0.5 * (xx - yy), xy)

@@ -19,7 +19,9 @@ from imumon.estimation.smoothing.combine import SUSPECT, Smoothed
 from imumon.estimation.smoothing.record import SENSORS, Record
 
 
-def still_heading(record: Record, positions: Sequence[PositionHeading], later: Callable[[], Alignment]) -> Smoothed:
+def still_heading(
+    record: Record, positions: Sequence[PositionHeading], later: Callable[[], Alignment]
+) -> Smoothed:
     """Return the heading of each slot in which the unit stood still, rad, (n,); NaN elsewhere.
 
     Parameters
