@@ -19,6 +19,7 @@ from bias_race_runners import DEFAULTS, Run
 from bias_sigma_records import RATE_HZ, simulate
 from bias_sigma_table import CASES, estimated, places
 from field_comparison import load, save, show_beside
+from field_measured import measured_motion
 from field_surprises import SURPRISES, met
 from rest_detector_scenes import SCENES, SENSORS, Scene, measure_with_bias, steady_turn
 from rest_detector_table import (
@@ -44,7 +45,7 @@ from imumon.geodesy import DEG_PER_H
 from imumon.recordings.table import read_table
 from imumon.simulation.unit.scenario import load_scenario
 
-PARTS = ("rest", "thermometer", "north", "bias", "surprises")
+PARTS = ("rest", "thermometer", "north", "bias", "surprises", "measured")
 HOLD_S, RAMP_S = 300.0, 300.0
 SMOOTH_S = 600.0
 """Window of the Savitzky-Golay filter, which sees what comes later."""
@@ -248,12 +249,19 @@ def measured_rows(folder: Path) -> Iterator[Row]:
         yield Row("measured", path.stem, "°/h", rms(error) / DEG_PER_H, ratios.ravel())
 
 
+def motion_rows(_: range) -> Iterator[Row]:
+    """Measured hands: the bias at the end of motion against the mean of the rest that follows."""
+    for name, error, ratios, false_percent in measured_motion():
+        yield Row("measured", name, "°/h", error, ratios, {"% of motion called rest": false_percent})
+
+
 MAKERS: dict[str, Callable[[range], Iterator[Row]]] = {
     "rest": rest_rows,
     "thermometer": thermometer_rows,
     "north": north_rows,
     "bias": bias_rows,
     "surprises": surprise_rows,
+    "measured": motion_rows,
 }
 
 

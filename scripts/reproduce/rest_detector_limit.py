@@ -16,9 +16,18 @@ import numpy as np
 from rest_detector_scenes import FLICKER_TAUS_S, FLOOR_PER_MARKOV, Grade, Scene, measure
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.rest.detector import LIKELY
 from imumon.estimation.rest.stage import RestDetector
-from imumon.estimation.rest.wander import CREEP, OBLIQUE, RATES, TURN_EVERY_S
+
+LIKELY = 0.75
+"""Probability from which on it is no rest."""
+TURN_EVERY_S = 600.0
+"""A turn is expected every ten minutes."""
+RATES = 20.0
+"""2 ln of the ratio of the largest and the smallest rate: 0.01 °/s is as likely as 300 °/s."""
+OBLIQUE = 0.3
+"""Share of a difference across the vertical that no misalignment or tilt of a turntable explains (17°)."""
+CREEP = 2e-5
+"""rad/s²: 70 °/h/°C at 2 °C/min is 1.1e-5; more than this, about the vertical alone, is a turn."""
 
 BEFORE_S, FIRST_S, LAST_S = 150, 4, 60
 """Rest before the turn, and when a turn is looked for since it began, s."""

@@ -27,7 +27,7 @@ from imumon.blocks import FloatArray
 from imumon.filters.turns import STILL, Turn, rotation_by
 from imumon.geodesy import DEG_PER_H, STANDARD_GRAVITY
 
-HALF_A_SLOT_S = 0.25
+HALF_A_SLOT_S = 0.125
 PART_S, PARTS = 5.0, 12
 """A window is a minute: a bias of a degree per second turns it by a radian."""
 CORRELATIONS_S = (5.0, 20.0, 60.0, 200.0)

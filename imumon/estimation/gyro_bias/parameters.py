@@ -27,9 +27,9 @@ class GyroBiasParameters(StrictModel):
         given, both hold as given, the other being zero.  When neither is, how much the bias wanders is
         learned from the innovations.
     velocity_random_walk_m_per_s_per_sqrt_s : float, optional
-        The same for the accelerometers.  Measured at rest when it is not given.
+        The same for the accelerometers.  Not used: it is measured at rest.
     zeroing_s : float
-        At first rest for so long the noise is being learned, and the beginning is filtered anew with it.
+        Not used any more: nothing is filtered twice.
     assume_at_rest : bool
         Whether data without the column at_rest are taken as at rest throughout.
     """
@@ -40,6 +40,11 @@ class GyroBiasParameters(StrictModel):
     velocity_random_walk_m_per_s_per_sqrt_s: _Positive | None = None
     zeroing_s: float = Field(default=60.0, ge=5.0, le=240.0)
     assume_at_rest: bool = False
+
+    @property
+    def retired(self) -> set[str]:
+        """Keys that were given and are not used any more."""
+        return self.model_fields_set & {"zeroing_s"}
 
     @model_validator(mode="before")
     @classmethod

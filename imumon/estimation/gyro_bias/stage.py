@@ -14,23 +14,32 @@ from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, SampleBloc
 from imumon.charts import Chart
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.gyro_bias.attitude import Place
-from imumon.estimation.gyro_bias.bank import known_family, unknown_family
-from imumon.estimation.gyro_bias.contrary import PATIENCE_S
-from imumon.estimation.gyro_bias.filter import Params, State, restarted, step
-from imumon.estimation.gyro_bias.intake import SLOT_S, Intake, Samples, complete
-from imumon.estimation.gyro_bias.law import PATH, Laws, at_samples, no_law
+from imumon.estimation.gyro_bias.estimator import (
+    PATIENCE_S,
+    SLOT_S,
+    Params,
+    Slot,
+    State,
+    miss,
+    restarted,
+    shown,
+    step,
+)
+from imumon.estimation.gyro_bias.modes import SLOPE_LEFT_PER_SIGMA, SLOPE_PER_SIGMA
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
-from imumon.estimation.gyro_bias.thermal_input import ThermalInput
+from imumon.estimation.gyro_bias.place import Place
+from imumon.estimation.gyro_bias.samples import NOTHING, Shown, at_samples, shown_by
+from imumon.estimation.gyro_bias.thermal_input import ThermalInput, unseen_lag
+from imumon.estimation.gyro_bias.timing import Timing
 from imumon.estimation.gyro_bias.trail import BiasTrail
 from imumon.filters.segments import Breaks
-from imumon.geodesy import STANDARD_GRAVITY
+from imumon.filters.slots import SlotGatherer, Slots
 from imumon.models.model import BiasModel
 
-SENSITIVITIES = np.radians([0.001, 0.007, 0.05]) / STANDARD_GRAVITY
-"""What data sheets say of MEMS gyros, rad/s per m/s²: from 0.001 °/s/g, compensated, to 0.1.  Steps by seven
-make the error of a unit that has none 12 % larger, a step by ten from 0.005 on 57 %."""
 Mode = Literal["standard", "thermal", "learned"]
+RATE, FORCE, DEGC, INITIAL_SD, TURN = (slice(3 * i, 3 * i + 3) for i in range(5))
+REST, GATHERED = 15, 16
+"""Columns of the gatherer."""
 _COLUMNS = (
     ("gyro_bias", "rad/s", "bias of the raw rate"),
     ("gyro_bias_sd", "rad/s", "standard deviation of the bias"),
@@ -81,16 +90,21 @@ class GyroBias:
             )
         self._parameters = parameters or GyroBiasParameters()
         self._thermal = ThermalInput(model)
-        self._params = _params(self._parameters, mode, Place(_angle(latitude_deg), _angle(heading_deg)))
+        slopes = (0.0, SLOPE_LEFT_PER_SIGMA if model else SLOPE_PER_SIGMA) if mode == "learned" else (0.0,)
+        self._params = _params(self._parameters, slopes, Place(_angle(latitude_deg), _angle(heading_deg)))
         self._state = State()
-        self._intake = Intake(self._thermal.variance)
-        self._law, self._path = no_law(), np.zeros(1, PATH)
+        self._timing = Timing()
+        self._slots = SlotGatherer(GATHERED, round(SLOT_S * 1e9), rates=RATE.start)
+        self._shown: Shown = NOTHING
+        self._growth = np.zeros(3)
         self._trail = BiasTrail(model)
         self._breaks = Breaks()
         self._pending = _notices_at_start(latitude_deg, heading_deg)
+        self._pending += [f"the gyro bias does not use {key} any more" for key in self._parameters.retired]
         self._said: set[str] = set()
         self._lacks_rest = False
-        self._jumps = 0
+        self._jumped = 0
+        self._now_s = 0.0
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -121,7 +135,7 @@ class GyroBias:
             gyro = np.full((n, 3), np.nan)
         first = 0
         if not self._breaks.begun:
-            usable = (block["device_time_ns"] != NO_INT) & complete(gyro)
+            usable = (block["device_time_ns"] != NO_INT) & np.isfinite(gyro).all(1)
             first = int(np.argmax(usable)) if usable.any() else n
         result = np.full((6, 3, n), np.nan)
         if first < n:
@@ -136,45 +150,88 @@ class GyroBias:
     def _follow(self, block: SampleBlock, gyro: FloatArray, result: FloatArray) -> None:
         """Fill bias, sd, corrected rate, innovation, and drift with its sd, (6, n, 3)."""
         bias, sd, corrected, innovation, drift, drift_sd = result
-        n, accel = len(block), block.accel
-        temperature = self._thermal.temperature(block)
+        n, rest = len(block), self._rest(block)
+        temperature, reported = self._thermal.temperature(block), block.vector("turn_hypothesis")
         breaks = self._breaks.rows(block["device_time_ns"], block["segment"])
         total, curve, initial_sd = self._model_input(block, temperature, breaks)
-        samples = Samples(
-            block["device_time_ns"],
-            block["segment"],
-            gyro - total,
-            np.full((n, 3), np.nan) if accel is None else accel,
-            temperature,
-            initial_sd,
-            self._thermal.rate_sd(block),
-            _undecided(block),
-            self._rest(block),
-        )
-        said: list[tuple[int, Laws]] = []
-        for row, begins, slot in self._intake.process(samples):
-            if begins:
-                self._state = restarted(self._state)
-            if slot is not None:
-                at = min(row, n - 1)
-                innovation[at] = step(self._state, self._params, slot)
-            said.append((row, self._state.law))
-        # What was known before a restart is void from there until a slot has said something.
-        said = sorted([*said, *((row, no_law()) for row in breaks)], key=lambda one: one[0])
-        rows = np.array([row for row, _ in said], np.int64)
-        laws = np.empty(len(said) + 1, self._law.dtype)
-        laws[:1] = self._law
-        for k, (_, law) in enumerate(said, 1):
-            laws[k : k + 1] = law  # concatenate finds a common type of every two anew, in ten times the time
-        self._law = laws[-1:].copy()
-        sent = samples.gyro, samples.accel, temperature, samples.turn
-        at_samples(rows, laws, self._path, samples.time_ns, ~samples.rest, *sent, bias, sd)
+        values = self._gathered(block, gyro - total, temperature, initial_sd, rest, reported)
+        time_ns = np.where(np.isfinite(values[:, RATE]).all(1), block["device_time_ns"], NO_INT)
+        slots = self._slots.process(time_ns, block["segment"], values)
+        rows, every = [], [self._shown]
+        for k, row in enumerate(slots.row.tolist()):
+            found, another = self._step(slots, k, reported is not None)
+            if found is not None:
+                innovation[row] = found
+            another |= self._look_ahead(block, slots, k, temperature)
+            if another:
+                rows.append(row)
+                every.append(self._present())
+        self._shown = every[-1]
+        turn = np.zeros((n, 3)) if reported is None else np.nan_to_num(reported)
+        bias[:], variance = at_samples(np.array(rows, np.int64), every, values[:, FORCE], ~rest, turn)
+        np.sqrt(variance, out=sd)
         bias += total
         drift_sd[:] = sd
         np.subtract(gyro, bias, out=corrected)
         np.subtract(bias, curve, out=drift)
-        seen = rows[rows < n]
+        seen = slots.row[slots.row < n]
         self._trail.add(block["device_time_ns"][seen], temperature[seen], bias[seen])
+
+    def _gathered(
+        self, block: SampleBlock, rate: FloatArray, degc: FloatArray, sd: FloatArray, rest: BoolArray,
+        reported: FloatArray | None,
+    ) -> FloatArray:  # fmt: skip
+        """Return the columns of the gatherer, (n, 16)."""
+        values = np.full((len(block), GATHERED), np.nan)
+        values[:, RATE], values[:, DEGC], values[:, INITIAL_SD], values[:, REST] = rate, degc, sd, rest
+        force = block.accel
+        if force is not None:
+            values[:, FORCE] = np.where(np.isfinite(force.sum(1))[:, np.newaxis], force, np.nan)
+        if reported is not None:
+            values[:, TURN] = np.nan_to_num(reported)
+        return values
+
+    def _step(self, slots: Slots, k: int, is_reported: bool) -> tuple[FloatArray | None, bool]:
+        """Take a slot; return the innovations, and whether the bias is another."""
+        begins = bool(slots.begins[k])
+        span = self._timing.next(int(slots.start_ns[k]), int(slots.end_ns[k]), int(slots.samples[k]), begins)
+        if begins:
+            self._thermal.variance.begin()
+            self._growth = np.zeros(3)
+        self._now_s = span.end_s
+        if not span.seconds > 0.0:
+            return None, False
+        growth = self._thermal.variance.step(slots.last[k, DEGC], slots.last[k, INITIAL_SD])
+        self._growth, added = growth, growth - self._growth
+        slot = Slot(
+            span, bool(slots.smallest[k, REST] == 1.0), slots.mean[k, RATE], slots.mean[k, FORCE],
+            slots.mean[k, DEGC], added, slots.last[k, TURN] if is_reported else None, slots.turns.at(k),
+        )  # fmt: skip
+        return step(self._state, self._params, slot)
+
+    def _look_ahead(self, block: SampleBlock, slots: Slots, k: int, degc: FloatArray) -> bool:
+        """Take what the first sample behind a slot says: of a restart, or of a gap."""
+        row = int(slots.row[k])
+        time_ns, segment = block["device_time_ns"][row], block["segment"][row]
+        if segment != slots.segment[k] or time_ns < slots.end_ns[k]:
+            self._state = restarted(self._state)
+            return True
+        behind_s = 1e-9 * (int(time_ns) - self._timing.origin_ns)
+        gap_s = self._timing.pause(behind_s)
+        if gap_s:
+            lag = unseen_lag(gap_s, self._thermal.rate_sd(block.rows(row, row + 1))[0])
+            self._thermal.variance.miss(lag)
+            self._state.degc = np.where(np.isfinite(degc[row]), degc[row], self._state.degc)
+            growth = self._thermal.variance.step(degc[row], np.full(3, np.nan))
+            self._state.added = self._state.added + growth - self._growth
+            self._growth, self._now_s = growth, behind_s
+            miss(self._state, lag)
+        return bool(gap_s)
+
+    def _present(self) -> Shown:
+        """Return what holds from now on."""
+        law, added, doubt = shown(self._state, self._params, self._now_s)
+        return NOTHING if law is None else shown_by(law, added, doubt, self._state.force)
 
     def _model_input(
         self, block: SampleBlock, temperature: FloatArray, breaks: Sequence[int]
@@ -213,9 +270,9 @@ class GyroBias:
             if true and text not in self._said:
                 self._said.add(text)
                 texts.append(text)
-        jumps = self._state.jumps
-        if jumps > self._jumps:
-            self._jumps = jumps
+        jumped = self._state.beliefs.jumped
+        if jumped > self._jumped:
+            self._jumped = jumped
             texts.append(
                 f"at rest the rate contradicted the bias, and gravity, or {PATIENCE_S:.0f} s, say that it "
                 "has jumped: the bias is estimated anew"
@@ -223,36 +280,19 @@ class GyroBias:
         return texts
 
 
-def _undecided(block: SampleBlock) -> FloatArray:
-    """Return the turn that may be a change of the bias, 0 where there is none, (n, 3)."""
-    hypothesis = block.vector("turn_hypothesis")
-    if hypothesis is None:
-        return np.zeros((len(block), 3))
-    return np.nan_to_num(hypothesis, copy=False)
-
-
 def _angle(degrees: float | None) -> float:
     return math.nan if degrees is None else math.radians(degrees)
 
 
-def _params(parameters: GyroBiasParameters, mode: Mode, place: Place) -> Params:
+def _params(parameters: GyroBiasParameters, slopes: tuple[float, ...], place: Place) -> Params:
     def axes(value: float | list[float] | None, absent: float) -> FloatArray:
         return np.array(np.broadcast_to(absent if value is None else value, 3), np.float64)
 
     instability = parameters.bias_instability_rad_per_s
     walk = parameters.rate_random_walk_rad_per_s_per_sqrt_s
-    tilt = parameters.velocity_random_walk_m_per_s_per_sqrt_s
-    unknown = instability is None and walk is None
-    return Params(
-        unknown_family(SENSITIVITIES, parameters.angle_random_walk_rad_per_sqrt_s is not None)
-        if unknown
-        else known_family(axes(instability, 0.0), axes(walk, 0.0), SENSITIVITIES),
-        axes(parameters.angle_random_walk_rad_per_sqrt_s, math.nan),
-        math.nan if tilt is None else tilt,
-        place,
-        mode == "learned",
-        round(parameters.zeroing_s / SLOT_S),
-    )
+    absent = math.nan if instability is None and walk is None else 0.0
+    white = axes(parameters.angle_random_walk_rad_per_sqrt_s, math.nan)
+    return Params(white, axes(instability, absent), axes(walk, absent), place, slopes)
 
 
 def _notices_at_start(latitude_deg: float | None, heading_deg: float | None) -> list[str]:

@@ -9,12 +9,13 @@ import numpy as np
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.effects.thermal_lag import UNTOLD_S
-from imumon.estimation.gyro_bias.slot import MOVED_DEGC
-from imumon.filters.rates import START_ACCELERATION, UNSEEN_RATE
+from imumon.filters.rates import UNSEEN_RATE
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
 
 GYROS = ("gyro_x", "gyro_y", "gyro_z")
+MOVED_DEGC = 0.5
+"""The temperature has moved when it is this far from where it was last noted: noise does not count."""
 CORRELATION_DEGC = 5.0
 """Errors of a curve at temperatures farther apart than about this have little to do with each other."""
 
@@ -24,7 +25,7 @@ def unseen_lag(gap_s: float, rate_sd: FloatArray) -> FloatArray:
 
     `rate_sd` (3,) is what is known of the thermometer's rate behind it, °C/s; NaN where nobody estimates it.
     """
-    unseen = np.where(np.isfinite(rate_sd), rate_sd, min(START_ACCELERATION * gap_s, UNSEEN_RATE))
+    unseen = np.where(np.isfinite(rate_sd), rate_sd, UNSEEN_RATE)
     return np.asarray(-UNTOLD_S * math.expm1(-gap_s / UNTOLD_S) * unseen)
 
 

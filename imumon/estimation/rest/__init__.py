@@ -1,6 +1,6 @@
 """Is the unit at rest?
 
-`stage.RestDetector` is the stage of the pipeline and `detector` decides slot by slot: by `windows`, the tests
-of a resting unit against the noise it had, and by `trial`, those that need no knowledge of the noise.
+`stage.RestDetector` is the stage of the pipeline, `detector` decides slot by slot: by `quiet`, whether
+anything moves, and by the table of `imumon.estimation.gyro_bias`, what a steady mean of the gyros is.
 Nothing is imported here, so that parameters can be read without loading the detector.
 """

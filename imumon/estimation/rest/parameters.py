@@ -1,4 +1,4 @@
-"""What may be said of a unit to the rest detector; apart from the detector, so that it loads quickly."""
+"""What may be declared of a unit to the rest detector; apart from the detector, so that it loads quickly."""
 
 from __future__ import annotations
 
@@ -21,11 +21,6 @@ class RestParameters(StrictModel):
     accel_drift : float
         Fastest change of an accelerometer's bias that is still rest, m/s³; a slower tilt than accel_drift / g
         (32 deg/h by default) cannot be told from it.
-    gyro_g_sensitivity : float
-        Change of a gyro's bias with specific force, rad/s per m/s²; 1.8e-4 is 0.1 deg/s per g.
-    gyro_walk : float
-        Change of a gyro's bias from one rest to the next that needs no explanation, however long the motion
-        between them was, rad/s: 8.7e-4 is 180 deg/h.  Twice as much for a gyro whose noise lets expect it.
     undecided_s : float
         A steady gyro mean that differs from that of the last rest is a turn about the vertical for so long,
         and bias from then on, if it differs by no more than largest_jump and nothing decides before.
@@ -36,6 +31,8 @@ class RestParameters(StrictModel):
         vertical in it.  0 by default, for most stand on a bench; 0.1 suits who records on a turntable without
         a magnetometer: five standard deviations cover 93 % of its turns, and are as large as the biases of
         the other axes where nothing turns.
+    gyro_g_sensitivity, gyro_walk : float
+        Not used any more: both are learned.
     """
 
     gyro_drift: float = Field(default=1e-4, ge=0.0, le=1.0)
@@ -45,6 +42,11 @@ class RestParameters(StrictModel):
     undecided_s: float = Field(default=14400.0, ge=0.0, le=86400.0)
     largest_jump: float = Field(default=0.017, ge=0.0, le=10.0)
     begins_turning: float = Field(default=0.0, ge=0.0, le=0.9)
+
+    @property
+    def retired(self) -> set[str]:
+        """Keys that were given and are not used any more."""
+        return self.model_fields_set & {"gyro_g_sensitivity", "gyro_walk"}
 
     @cached_property
     def drift(self) -> FloatArray:

@@ -10,14 +10,15 @@ import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
-from imumon.estimation.rest.compass import reference
-from imumon.estimation.rest.detector import GAP_S, begin, step
+from imumon.estimation.gyro_bias.timing import Timing
+from imumon.estimation.rest.compass import reference, temperature
+from imumon.estimation.rest.detector import Reading, State, begin, step
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.state import AXES, SLOT_S, Slot, State, empty_slots
-from imumon.estimation.rest.thermometer import temperature
-from imumon.estimation.rest.windows import compile_kernels
+from imumon.estimation.rest.quiet import AXES, COARSEST_STEPS, SLOT_S, Slot
 from imumon.filters.slots import SlotGatherer, Slots, held
 
+GAP_S = 2.5
+"""A rest goes on over a pause as long as this; it holds as long where readings are missing."""
 INPUTS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
 AT_REST = Column("at_rest", "1", "int64", "1 while the unit is at rest, 0 while it moves or nothing is known")
 TURN = tuple(
@@ -29,14 +30,13 @@ TURN = tuple(
 class RestDetector:
     """Finds rest and motion, without knowing the sensors' noise or bias.
 
-    It decides at the end of each slot of an eighth of a second; a single sample far from the mean ends a rest
+    It decides at the end of each slot of a quarter of a second; a single sample far from the mean ends a rest
     at that sample.
 
-    The columns ``turn_hypothesis_{x,y,z}`` are for who estimates the bias: by so much, rad/s, the gyros
-    differ from the last rest while nothing tells a steady turn from a bias that has changed, or so much of
-    the beginning of a slow turn may have been taken for rest, or the steps of the sensor hide.  Its square
-    belongs in the variance of the bias as long as it is not zero (``at_rest`` is 0 meanwhile); the
-    measurements of the next rest begin from that variance.
+    The columns ``turn_hypothesis_{x,y,z}`` are for who estimates the bias: while nothing tells a steady turn
+    from a bias that has changed, they are the difference of both, rad/s, times the square root of the
+    probability of what is not shown; else what the steps of the sensor hide.  Their squares belong in the
+    variance of the bias.  ``at_rest`` is 0 where a turn is more likely.
 
     Parameters
     ----------
@@ -47,9 +47,11 @@ class RestDetector:
     def __init__(self, parameters: RestParameters | None = None) -> None:
         self._parameters = parameters or RestParameters()
         self._slots = SlotGatherer(AXES + 4, int(SLOT_S * 1e9))
+        self._timing = Timing()
         self._state = State()
         self._last_ns, self._last_segment = NO_INT, 0
         self._at_rest = 0
+        self._pending = sorted(self._parameters.retired)
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -77,7 +79,7 @@ class RestDetector:
             found, turn = self._follow(time_ns, segment, readings)
         else:
             before = self._last_ns, self._last_segment, self._at_rest
-            before_turn = self._state.shown
+            before_turn = self._state.turn
             found, turn = self._follow(time_ns[rows], segment[rows], readings[rows])
             found = _held(rows, found, time_ns, segment, before)
             turn = held(rows, turn, before_turn, n)
@@ -91,50 +93,50 @@ class RestDetector:
         if not n:
             return np.empty(0, np.int64), np.empty((0, 3))
         ended = self._slots.process(time_ns, segment, readings)
-        if self._last_ns == NO_INT:
-            compile_kernels()  # before the first slot, not with it
-            begin(state, 1e-9 * float(time_ns[0]), other=True)
-        edges = [0, *ended.row.tolist(), n]
-        rest, turn = np.empty(len(edges) - 1, np.int64), np.empty((len(edges) - 1, 3))
-        outside: list[tuple[int, int]] = []
-        other = (ended.segment != segment[ended.row]) | (time_ns[ended.row] < ended.start_ns)
-        gap = time_ns[ended.row] - ended.end_ns > int(GAP_S * 1e9)
-        broken = np.flatnonzero(other | gap).tolist()
-        with np.errstate(invalid="ignore", divide="ignore"):
-            slots, end_s = _slots_of(ended, time_ns), (1e-9 * time_ns[ended.row]).tolist()
-            first = 0
-            while first < len(end_s):
-                was, undecided = self._at_rest, state.shown
-                if broken and broken[0] == first:
-                    begin(state, end_s[first], bool(other[broken.pop(0)]))
-                    last = first
-                else:
-                    stop = broken[0] if broken else len(end_s)
-                    last = first + step(state, self._parameters, slots, end_s, first, stop) - 1
-                rest[first : last + 1], turn[first : last + 1] = was, undecided
-                if was and not state.at_rest:
-                    outside.append(self._outside(readings, edges[last], edges[last + 1]))
-                self._at_rest, first = int(state.at_rest), last + 1
-            rest[-1], turn[-1] = self._at_rest, state.shown
-            if self._at_rest:
-                outside.append(self._outside(readings, edges[-2], n))
-                self._at_rest = int(outside[-1][0] == n)
-        lengths = np.diff(edges)
-        found = np.repeat(rest, lengths)
-        for start, stop in outside:
-            found[start:stop] = 0
+        slots, lengths = _slots_of(ended), np.diff([0, *ended.row.tolist(), n])
+        found, turns = np.empty(n, np.int64), [state.turn]
+        first = 0
+        for k, row in enumerate(ended.row.tolist()):
+            self._hold(found, readings, first, row)
+            self._take(ended, slots, k)
+            pause_s = 1e-9 * (int(time_ns[row]) - int(ended.end_ns[k]))
+            other = int(segment[row]) != int(ended.segment[k]) or pause_s < 0.0
+            if other or pause_s > max(GAP_S, 3.0 * self._timing.interval_s):
+                begin(state, other)
+            self._at_rest, first = int(state.at_rest), row
+            turns.append(state.turn)
+        self._hold(found, readings, first, n)
         self._last_ns, self._last_segment = int(time_ns[-1]), int(segment[-1])
-        return found, np.repeat(turn, lengths, axis=0)
+        return found, np.repeat(np.array(turns), lengths, axis=0)
 
-    def _outside(self, readings: FloatArray, start: int, stop: int) -> tuple[int, int]:
-        """Return the rows of a slot from the first sample on that is outside the band of a unit at rest."""
-        part, windows = readings[start:stop, :AXES], self._state.windows
-        out = ((part < windows.low) | (part > windows.high)).any(1)
-        return start + (int(np.argmax(out)) if out.any() else stop - start), stop
+    def _take(self, ended: Slots, slots: Sequence[Slot], k: int) -> None:
+        """Take the slot that has ended."""
+        span = self._timing.next(
+            int(ended.start_ns[k]), int(ended.end_ns[k]), int(ended.samples[k]), bool(ended.begins[k])
+        )
+        if span.seconds > 0.0:
+            heading, degc = ended.mean[k, AXES:-1], float(ended.mean[k, -1])
+            slot = slots[k]._replace(seconds=span.seconds)
+            step(self._state, self._parameters, Reading(span, slot, degc, heading))
+
+    def _hold(self, found: IntArray, readings: FloatArray, start: int, stop: int) -> None:
+        """Fill in rows of the slot that is open: a sample outside the band of a unit at rest ends it
+        there."""
+        found[start:stop] = self._at_rest
+        if self._at_rest and start < stop:
+            low, high = self._state.quiet.band
+            part = readings[start:stop, :AXES]
+            outside = ((part < low) | (part > high)).any(1)
+            if outside.any():
+                found[start + int(np.argmax(outside)) : stop] = self._at_rest = 0
+                self._state.quiet.disturbed = True
 
     def notices(self) -> list[str]:
-        """Return nothing: there is nothing to declare that the data could contradict."""
-        return []
+        """Return, once, which parameters are not used any more."""
+        keys, self._pending = self._pending, []
+        return (
+            [f"the rest detector does not use {' and '.join(keys)} any more: it learns them"] if keys else []
+        )
 
     def snapshot(self) -> dict[str, Any]:
         """Return a copy of the state."""
@@ -145,22 +147,19 @@ class RestDetector:
         vars(self).update(deepcopy(saved))
 
 
-def _slots_of(ended: Slots, time_ns: IntArray) -> Sequence[Slot]:
-    """Return the slots as the detector takes them; time_ns is that of the rows."""
-    made = empty_slots(len(ended))
-    slots: Any = made
-    slots["start_s"], slots["end_s"] = 1e-9 * ended.start_ns, 1e-9 * time_ns[ended.row]
+def _slots_of(ended: Slots) -> list[Slot]:
+    """Return the slots as the detector takes them; their length is not known yet."""
     count = ended.count[:, :AXES].astype(np.float64)
-    slots["samples"], slots["average"] = count, ended.mean[:, :AXES]
-    slots["within"] = np.where(
-        count > 1.0, ended.variance[:, :AXES] * count / np.maximum(count - 1.0, 1.0), np.nan
+    several = count > 1.0
+    variance = np.where(
+        several, ended.variance[:, :AXES] * count / np.where(several, count - 1.0, 1.0), np.nan
     )
-    pairs = ended.step_count[:, :AXES]
-    slots["jumps"] = np.where(pairs > 0, 0.5 * ended.step_squares[:, :AXES] / np.maximum(pairs, 1), np.nan)
-    slots["smallest"], slots["largest"] = ended.smallest[:, :AXES], ended.largest[:, :AXES]
-    slots["first"], slots["last"] = ended.first[:, :AXES], ended.last[:, :AXES]
-    slots["reference"], slots["degc"] = ended.mean[:, AXES:-1], ended.mean[:, -1]
-    return made
+    changes, pairs = ended.changes[:, :AXES], ended.step_count[:, :AXES]
+    rare = (changes > 0) & (2 * changes <= pairs)
+    step = np.where(rare, np.sqrt(ended.step_squares[:, :AXES] / np.maximum(changes, 1)), np.inf)
+    step = np.where(step <= np.repeat(COARSEST_STEPS, 3), step, np.inf)
+    means = ended.mean[:, :AXES]
+    return [Slot(0.0, *one) for one in zip(count, means, variance, step, strict=True)]
 
 
 def _held(

@@ -25,7 +25,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 
-SLOT_S, BLOCK = 0.5, 10
+SLOT_S, BLOCK = 1.0, 10
 """Length of a slot at rest, s, and how many make a step of the tests."""
 LEARNING = 20
 """Slots after a start that do not count: the filter is still measuring the noise."""
@@ -55,7 +55,7 @@ REGRESSORS = (
     *((Trait.TEMPERATURE, seconds) for seconds in (30.0, 300.0)),
     *((Trait.RATE, seconds) for seconds in (math.inf, 30.0, 100.0, 300.0)),
     *((Trait.TIME, seconds) for seconds in (math.inf, 300.0, 1500.0)),
-    *((Trait.PAST, seconds) for seconds in (0.5, 10.0, 100.0)),
+    *((Trait.PAST, seconds) for seconds in (1.0, 10.0, 100.0)),
 )
 """Temperature and its rate behind a high-pass, warm-up (infinite: constant), and mean of earlier innovations,
 with their time constants, s."""

@@ -54,7 +54,7 @@ def test_columns_units_and_the_corrected_rate() -> None:
     np.testing.assert_allclose(added["gyro_corrected_y"], block["gyro_y"] - added["gyro_bias_y"])
     assert np.abs(vector(added)[-1] - bias[-1]).max() < 5 * vector(added, "gyro_bias_sd")[-1].max()
     innovations = vector(added, "zupt_innovation")
-    assert np.isfinite(innovations[:, 0]).sum() == pytest.approx(240, abs=20)
+    assert np.isfinite(innovations[:, 0]).sum() == pytest.approx(116, abs=5)
 
 
 @pytest.mark.parametrize("mode", ["standard", "thermal", "learned"])
@@ -208,7 +208,7 @@ def test_a_slow_rotation_that_gravity_shows_is_not_taken_for_bias() -> None:
     columns = {f"accel_{a}": block[f"accel_{a}"] + (force - still)[:, j] for j, a in enumerate("xyz")}
     added = run(block.with_columns({"gyro_x": block["gyro_x"] + rate, **columns}))
     off = (added["gyro_bias_x"] - bias[:, 0]) / DPH
-    assert np.abs(off[1300:]).max() < 10.0  # the rotation is 360 deg/h
+    assert np.abs(off[1900:]).max() < 10.0  # the rotation is 360 deg/h, and begins at 90 s
 
 
 def test_a_warm_bias_of_two_degrees_per_second_is_found() -> None:

@@ -51,8 +51,8 @@ def test_slow_tilt_is_motion_until_it_ends() -> None:
     angle = 0.1 * DEG * (np.clip(t, 20.0, 50.0) - 20.0)
     gyro[(t > 20) & (t < 50), 0] += 0.1 * DEG
     rest = detect(block(t, gyro, rolled(accel, angle)))
-    assert onset(t, rest, 20.0) < 2.5
-    assert np.all(rest[(t > 22.5) & (t < 50.0)] == 0)
+    assert onset(t, rest, 20.0) < 3.5
+    assert np.all(rest[(t > 23.5) & (t < 50.0)] == 0)
     assert rest_again(t, rest, 50.0) < 9.0
 
 
@@ -103,7 +103,7 @@ def test_a_knock_is_motion_while_it_rings() -> None:
     rest = detect(block(t, gyro, accel))
     assert onset(t, rest, 20.0) < 0.05
     assert np.all(rest[(t > 20.02) & (t < 20.6)] == 0)
-    assert rest_again(t, rest, 20.0) < 2.5
+    assert rest_again(t, rest, 20.0) < 3.2
 
 
 def test_steady_vibration_of_a_standing_unit_becomes_rest() -> None:
@@ -111,7 +111,7 @@ def test_steady_vibration_of_a_standing_unit_becomes_rest() -> None:
     accel[:, 2] += np.where(t > 20.0, 0.5 * np.sin(2 * np.pi * 23.17 * t), 0.0)
     rest = detect(block(t, gyro, accel))
     assert onset(t, rest, 20.0) < 0.05
-    assert 3.0 < rest_again(t, rest, 20.0) < 8.0
+    assert 2.5 < rest_again(t, rest, 20.0) < 8.0
 
 
 def test_held_in_a_hand_from_the_start_is_not_rest() -> None:

@@ -45,12 +45,6 @@ class Place:
         return EARTH_RATE * (math.cos(self.latitude) if math.isfinite(self.latitude) else 1.0)
 
 
-def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the vector product, (3,): `numpy.cross` takes thirty times as long for one."""
-    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
-    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
-
-
 @dataclass(slots=True, eq=False)
 class Attitude:
     """Up, north and earth rate at the last rest, body axes."""
@@ -62,13 +56,7 @@ class Attitude:
     """Unit vectors, (3,); zero where not known."""
     earth: FloatArray = field(default_factory=lambda: np.zeros(3))
     """What is known of the earth rate, rad/s, (3,)."""
-    flat: FloatArray = field(default_factory=lambda: np.zeros(3))
-    """Share of the rotation about each axis that gravity shows, (3,)."""
     placed: bool = False
-
-    def tilt(self, force: FloatArray) -> FloatArray:
-        """Return the rotation that gravity shows since the rest began, rad, (3,)."""
-        return cross(force / self.gravity - self.up, self.up)
 
     def come_to_rest(
         self, force: FloatArray | None, place: Place, turn: Turn, drift: float, lost: bool
@@ -89,10 +77,9 @@ class Attitude:
         before, placed = self.up, self.placed
         self.gravity = 0.0 if force is None else float(np.linalg.norm(force))
         if force is None or self.gravity == 0.0:
-            self.gravity, self.flat = 0.0, np.zeros(3)
+            self.gravity = 0.0
             return np.zeros(3)
         self.up, self.placed = force / self.gravity, True
-        self.flat = 1.0 - self.up**2
         added = np.zeros(3)
         if place.oriented:
             sampled = math.sqrt(turn.sampling_variance(before))
@@ -105,7 +92,7 @@ class Attitude:
                     self.north = northward / length
                 else:
                     self.north, heading_sd = north_in_body(self.up, place.heading), LOST_SD
-                added = (place.horizontal * heading_sd) ** 2 * self.flat
+                added = (place.horizontal * heading_sd) ** 2 * (1.0 - self.up**2)
             else:
                 self.north = north_in_body(self.up, place.heading)
         elif placed:

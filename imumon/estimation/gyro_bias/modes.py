@@ -1,0 +1,151 @@
+"""The model of a gyro's bias, and the modes: what nobody knows of it before the unit has been at rest.
+
+Per axis the state is::
+
+    x = [w, g1, g2, g3, s, m1, m2, m3]
+
+    w   walk, rad/s                 w' = w + s dT + N(0, K² dt)
+    gi  flicker, rad/s              gi' = e^(-dt/τi) gi + N(0, σg² (1 - e^(-2 dt/τi))),  τ = 1, 30, 1000 s
+    s   slope over temperature      s' = s + N(0, σs² |dT| / 30 °C)
+    m   sensitivity to the specific force, rad/s per m/s², constant
+
+    bias = w + g1 + g2 + g3 + m (f - f0) = H x
+
+All variances are in units of the variance σ² of the mean of one second of white noise, which is not known.
+Three Gauss-Markov processes of one variance, a decade and a half apart, are flicker noise of coefficient B:
+σg² = B² ln(τ3/τ2) / π, and so is each of the decades in between.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from imumon.blocks import FloatArray, IntArray
+from imumon.geodesy import STANDARD_GRAVITY
+
+STATES = 8
+WALK, FLICKER, SLOPE, SENSITIVITY = 0, slice(1, 4), 4, slice(5, 8)
+TAUS_S = np.array([1.0, 30.0, 1000.0])
+"""Time constants of the flicker: from a second to the longest rest that matters."""
+FLOOR_OF_FLICKER = 0.664
+"""Floor of the Allan deviation over B, sqrt(2 ln 2 / π) (IEEE 952)."""
+FLICKER_CORNERS_S = (100.0, 10.0, 1.0, 0.1)
+"""Averaging times at which flicker overtakes white noise."""
+WALK_CORNERS_S = (10.0,)
+"""The same for a random walk; white noise and a walk of K are equal at √3 σ/K."""
+WALK_PRIOR = 0.5
+"""Prior of a walk over that of one level of flicker."""
+SLOPE_PER_SIGMA = 3.6
+"""Standard deviation of the slope over σ, 1/°C: 60 °/h/°C for a gyro of 0.28 °/√h."""
+SLOPE_LEFT_PER_SIGMA = 0.25
+"""The same of what a model's curve leaves."""
+SLOPE_DEGC = 30.0
+"""Difference of temperature over which a slope changes by as much as itself."""
+SENSITIVITIES = np.radians([0.003, 0.05]) / STANDARD_GRAVITY
+"""Standard deviation of an entry of the matrix of sensitivity, rad/s per m/s²: of a compensated gyro, and of
+one that is not.  A third level between gains 2 %."""
+SAME_LEVEL = 0.6
+"""Probability that an axis has the flicker level of its unit; its neighbours in level share the most of
+the rest."""
+FASTEST_S = 0.02
+"""Down to here the flicker of single samples goes on."""
+BEYOND_SLOWEST = 0.015
+"""Flicker slower than the slowest process, as a walk over σg, 1/√s."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Modes:
+    """F modes, each a filter: kinds of noise, with or without a slope, and scales of the sensitivity.
+
+    Variances are over σ²; arrays (3, F, ...) are of the three axes.
+    """
+
+    process: FloatArray
+    """Q: of w per second, of each gi when it is in equilibrium, of s per °C, (3, F, 8)."""
+    slope: FloatArray
+    """Prior variance of the slope, (3, F)."""
+    sensitivity: FloatArray
+    """Prior variance of an entry of the sensitivity, absolute, (F,)."""
+    fast: FloatArray
+    """Flicker of a sample that the filter does not follow, (3, F)."""
+    log_prior: FloatArray
+    """(F,)."""
+    kinds: int
+    """Kinds of noise: the slowest index of F."""
+    levels: FloatArray
+    """Transition matrix from the flicker level of the unit to that of an axis, (kinds, kinds)."""
+    group: IntArray
+    """Which sensitivity each mode has, (F,)."""
+
+    @property
+    def count(self) -> int:
+        """F."""
+        return len(self.log_prior)
+
+
+def unknown_modes(slope_per_sigma: tuple[float, ...]) -> Modes:
+    """Return the modes of a gyro of which nothing is known but that σ is; slopes (sd over σ), 1/°C."""
+    flicker = [1.0 / (FLOOR_OF_FLICKER * math.sqrt(c)) for c in FLICKER_CORNERS_S]
+    kinds = [(b, 0.0) for b in flicker] + [(0.05 * flicker[0], math.sqrt(3.0) / c) for c in WALK_CORNERS_S]
+    n, count = len(flicker), len(kinds)
+    apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    apart[:n, n:] = apart[n:, :n] = count
+    other = (1.0 - SAME_LEVEL) / 3.0
+    levels = np.where(apart == 0, SAME_LEVEL, np.where(apart == 1, other, other / count))
+    prior = np.repeat([1.0, WALK_PRIOR], [n, count - n])
+    walk, b = (np.tile([kind[i] for kind in kinds], (3, 1)) for i in (1, 0))
+    return _modes(b, walk, slope_per_sigma, prior / prior.sum(), levels)
+
+
+def known_modes(
+    instability: FloatArray, walk: FloatArray, slope_per_sigma: tuple[float, ...], white: FloatArray
+) -> Modes:
+    """Return the modes of declared noise: B and K, rad/s and rad/s/√s, over the white noise of 1 s, (3,)
+    each."""
+    b, k = (np.asarray(one / white)[:, np.newaxis] for one in (instability, walk))
+    return _modes(b, k, slope_per_sigma, np.ones(1), np.ones((1, 1)))
+
+
+def _modes(
+    b: FloatArray, walk: FloatArray, slopes: tuple[float, ...], prior: FloatArray, levels: FloatArray
+) -> Modes:
+    """Return all combinations; B and K over σ, (3, kinds)."""
+    kind, slope, group = (
+        np.array(one)
+        for one in zip(*product(range(b.shape[1]), slopes, range(len(SENSITIVITIES))), strict=True)
+    )
+    variance = (b[:, kind] ** 2) * math.log(TAUS_S[2] / TAUS_S[1]) / math.pi
+    process = np.zeros((3, len(kind), STATES))
+    process[..., WALK] = walk[:, kind] ** 2 + BEYOND_SLOWEST**2 * variance
+    process[..., FLICKER] = variance[..., np.newaxis]
+    process[..., SLOPE] = slope**2 / SLOPE_DEGC
+    # What is faster than the fastest process, and that process less its own mean over a second.
+    fast = b[:, kind] ** 2 / math.pi * math.log(TAUS_S[0] / FASTEST_S) + 0.47 * variance
+    log_prior = np.log(np.repeat(prior, len(kind) // len(prior)) / (len(kind) // len(prior)))
+    return Modes(
+        process, np.tile(slope**2, (3, 1)), SENSITIVITIES[group] ** 2, fast, log_prior, len(prior), levels,
+        group
+    )  # fmt: skip
+
+
+def transition(dt: float, warming: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the diagonal of F, (8,), and by what Q grows, (3, 8), over dt seconds and `warming` °C, (3,)."""
+    keeps = np.ones(STATES)
+    keeps[FLICKER] = np.exp(-dt / TAUS_S)
+    grows = np.zeros((3, STATES))
+    grows[:, WALK] = dt
+    grows[:, FLICKER] = 1.0 - keeps[FLICKER] ** 2
+    grows[:, SLOPE] = np.abs(warming)
+    return keeps, grows
+
+
+def measurement_row(offset: FloatArray) -> FloatArray:
+    """Return H, (8,), at a specific force of so much more than f0, m/s², (3,)."""
+    h = np.ones(STATES)
+    h[SLOPE] = 0.0
+    h[SENSITIVITY] = offset
+    return h
