@@ -1,0 +1,100 @@
+"""What the mechanisms of rest and gyro bias are worth: units in hands, steady turns, and measured hands."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from types import ModuleType
+from unittest.mock import patch
+
+import numpy as np
+from ablation_outcome import Outcome
+from bias_sigma_records import simulate
+from bias_sigma_table import CASES, estimated, places
+from field_measured import errors
+from rest_detector_scenes import SENSORS, measure_with_bias, steady_turn
+from rest_detector_table import TURN_RATE_HZ
+
+from imumon.blocks import FloatArray
+from imumon.estimation.gyro_bias import modes, odds, table
+from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.rest import detector, quiet
+from imumon.estimation.rest.stage import RestDetector
+from imumon.geodesy import DEG_PER_H
+
+TITLE = "Rest and gyro bias: error of the bias in hands and in steady turns, °/h."
+HANDS = ("as said above", "flicker of 27 °/h beside 0.03 °/√h", "warm-up", "sensitivity 0.1 °/s/g")
+TURNS = {"0.5 °/s": (0.5, 10.0, 120.0, 0.0), "0.05 °/s": (0.05, 10.0, 0.5, 0.0)}
+TILTED = {"0.5 °/s, tilted 45°": (0.5, 10.0, 120.0, 45.0)}
+GRADES = {"industrial": 1, "as MPU-6050": 3}
+FLOOR_DPH = 1.0
+FIRST_S = 60.0
+"""Of a turn, before which nothing is known of the flicker."""
+Change = tuple[ModuleType, str, object]
+VARIANTS: dict[str, list[Change]] = {
+    "one level of flicker, 10 s": [(modes, "FLICKER_CORNERS_S", (10.0,))],
+    "no flicker of 0.1 s": [(modes, "FLICKER_CORNERS_S", (100.0, 10.0, 1.0))],
+    "no walk": [(modes, "WALK_PRIOR", 1e-6)],
+    "levels of the axes independent": [(modes, "SAME_LEVEL", 0.25)],
+    "no sensitivity": [(modes, "SENSITIVITIES", modes.SENSITIVITIES[:1] * 1e-6)],
+    "large sensitivity only": [(modes, "SENSITIVITIES", modes.SENSITIVITIES[1:])],
+    "no flicker within a slot": [(modes, "FASTEST_S", 1.0)],
+    "believed compared as it is, not as it was": [(table, "LAG_S", 1.0)],
+    "a mean fits by 5.5 sigma, not 4.5": [(table, "BEYOND", 5.5)],
+    "a mean fits by 3.5 sigma, not 4.5": [(table, "BEYOND", 3.5)],
+    "no tight return": [(table, "AGAIN", table.BEYOND)],
+    "a wide law is believed against gravity": [(table, "AGAINST", 50.0)],
+    "gravity is no witness": [(odds, "OBLIQUE", 1e9)],
+    "witnesses decide from 4, not 12": [(table, "CERTAIN", 4.0)],
+    "a dispute outlives the motion it began with": [(table, "SETTLED_S", 0.0)],
+    "no floor of a suspicious mean": [(quiet, "QUIET", quiet.QUIET * 1e-3)],
+}
+
+
+def outcomes(change: list[Change] | None, seeds: range, data: Path) -> Iterator[Outcome]:
+    """Yield the outcome of every scene with a change."""
+    with ExitStack() as patches:
+        for where, name, value in change or []:
+            patches.enter_context(patch.object(where, name, value))
+        made = modes.unknown_modes((0.0, modes.SLOPE_PER_SIGMA))
+        patches.enter_context(patch.object(detector, "MODES", made))
+        for name in HANDS:
+            yield _outcome(name, [_in_a_hand(name, seed) for seed in seeds])
+        for name, turn in {**TURNS, **TILTED}.items():
+            for grade, which in GRADES.items():
+                yield _outcome(f"{name}, {grade}", [_turned(turn, which, seed) for seed in seeds])
+        for path in sorted((data / "broad").glob("*.npz")):
+            error, ratio, _ = errors(path)
+            yield _outcome(path.stem, [(error, ratio)])
+
+
+def _in_a_hand(name: str, seed: int) -> tuple[FloatArray, FloatArray]:
+    """Return error and error over sigma at the ends of rests, before the next, and in motion."""
+    record = simulate(CASES[name], seed)
+    error, sd, _ = estimated(CASES[name], record)
+    where = places(record.rest)
+    at = np.concatenate([where.ends, where.before, where.motion[::50]])
+    return error[at].ravel(), (error / sd)[at].ravel()
+
+
+def _turned(turn: tuple[float, float, float, float], grade: int, seed: int) -> tuple[FloatArray, FloatArray]:
+    """Return the same before, in and after a steady turn, once a second."""
+    samples, truth = measure_with_bias(steady_turn(TURN_RATE_HZ, *turn), SENSORS[grade], seed)
+    for stage in (RestDetector(), GyroBias()):
+        samples = samples.with_columns(stage.process(samples))
+    at = slice(round(FIRST_S * TURN_RATE_HZ), None, round(TURN_RATE_HZ))
+    bias, sd = (
+        np.column_stack([samples[f"{name}_{axis}"] for axis in "xyz"])[at]
+        for name in ("gyro_bias", "gyro_bias_sd")
+    )
+    error = bias - truth[at]
+    return error.ravel(), (error / sd).ravel()
+
+
+def _outcome(scene: str, found: list[tuple[FloatArray, FloatArray]]) -> Outcome:
+    error, ratio = (np.concatenate(each) for each in zip(*found, strict=True))
+    rms = float(np.sqrt(np.nanmean(error**2))) / DEG_PER_H
+    return Outcome(
+        scene, rms, FLOOR_DPH, float(np.sqrt(np.nanmean(ratio**2))), float(np.nanmax(np.abs(ratio)))
+    )
