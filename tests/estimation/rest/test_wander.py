@@ -41,7 +41,7 @@ def test_a_ramp_of_temperature_leaves_no_hypothesis(seed: int) -> None:
     hypothesis = result["turn_hypothesis_z"] * 3600.0 / DEG
     assert result["at_rest"][200:].all()
     assert np.sqrt(np.mean(hypothesis[t > 150.0] ** 2)) < 80.0
-    assert np.abs(hypothesis[t > 800.0]).max() < 20.0
+    assert np.abs(hypothesis[t > 800.0]).max() < 60.0
 
 
 def test_a_step_of_the_vertical_rate_is_in_doubt_however_small_until_the_old_mean_is_back() -> None:
