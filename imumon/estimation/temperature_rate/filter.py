@@ -155,10 +155,11 @@ def mix_smoothness(params: Params, filters: Filters) -> None:
 
 def correct(params: Params, filters: Filters, y: Predicted, evidence: Evidence) -> None:
     """Correct all filters by what a slot says of y, and their probabilities by its likelihood."""
-    growth = np.maximum(evidence.growth, -y.variance * (1.0 - LEAST_LEFT))
-    filters.x = filters.x + y.gain * evidence.shift
+    shift, growth, log_likelihood = evidence.correction
+    growth = np.maximum(growth, -y.variance * (1.0 - LEAST_LEFT))
+    filters.x = filters.x + y.gain * shift
     filters.p = filters.p + y.gain[:, np.newaxis] * (y.gain * growth)
-    filters.mu = mode_probabilities(filters.mu, evidence.log_likelihood, params.least)
+    filters.mu = mode_probabilities(filters.mu, log_likelihood, params.least)
 
 
 class Merged(NamedTuple):
@@ -180,14 +181,14 @@ def merge(params: Params, filters: Filters, evidence: Evidence | None) -> Merged
         level, rows = evidence.level, slice(0, params.kinds.levels)
         held = ~level.enters
         gain = predicted_reading(x[:, rows], p[:, :, rows]).gain
-        shift, growth = held * level.shift, held * level.growth
+        shift, growth, log_mass = (held * part for part in level.truncation)
         temperature, rate = temperature.copy(), rate.copy()
         variance, rate_variance, mu = variance.copy(), rate_variance.copy(), mu.copy()
         temperature[rows] += gain[TEMPERATURE] * shift
         rate[rows] += gain[RATE] * shift
         variance[rows] += gain[TEMPERATURE] ** 2 * growth
         rate_variance[rows] += gain[RATE] ** 2 * growth
-        mu[rows] *= np.where(held, np.exp(level.log_mass), 1.0)
+        mu[rows] *= np.exp(log_mass)
     mu = mu / mu.sum()
     t, t_variance = mixture(mu, temperature, variance)
     r, r_variance = mixture(mu, rate, rate_variance)
@@ -225,8 +226,8 @@ def step(params: Params, state: State, reading: Reading) -> Shown:
         return _restart(params, state, fresh or reading, filters.mu.sum(axis=1))
     evidence = None
     if outcome is Outcome.USE and fresh is not None:
-        motion = filters.x[RATE] ** 2 + filters.p[RATE, RATE]
-        evidence = evaluate(params, thermometer, fresh, y, motion, filters.mu)
+        square_rate = filters.x[RATE] ** 2 + filters.p[RATE, RATE]
+        evidence = evaluate(params, thermometer, fresh, y, square_rate)
         correct(params, filters, y, evidence)
         state.usual_s = fresh.time_s - before_s
     state.step = thermometer.step

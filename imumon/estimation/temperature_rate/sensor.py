@@ -48,15 +48,20 @@ class Reading:
     """Time between two samples."""
 
     def newest(self, repeat_s: float) -> Reading:
-        """Return the last reading alone, taken when it came, so long after the one before it."""
+        """Return the last reading of the slot alone, `repeat_s` after the one before it."""
         before = self.before if math.isfinite(self.before) else self.first
-        share = (self.last - self.mean) / (self.last - self.first) if self.last != self.first else 0.0
-        at = self.start_s + round(share * self.count) * self.gap_s if self.changes == 1 else self.end_s
+        only = dict.fromkeys(("mean", "low", "high", "first"), self.last)
+        changed = int(before != self.last)
         return replace(
-            self, start_s=at, end_s=at, count=1, mean=self.last, variance=0.0, low=self.last, high=self.last,
-            first=self.last, changes=int(before != self.last), step_squares=0.0, before=before,
+            self,
+            count=1,
+            variance=0.0,
+            changes=changed,
+            step_squares=0.0,
+            before=before,
             gap_s=repeat_s,
-        )  # fmt: skip
+            **only,
+        )
 
     @property
     def time_s(self) -> float:
@@ -67,6 +72,16 @@ class Reading:
     def jumped(self) -> bool:
         """Whether the reading changed between the slot before and this one."""
         return math.isfinite(self.before) and self.before != self.first
+
+    @property
+    def lowest(self) -> float:
+        """Lowest reading, the last one before the slot included."""
+        return min(self.low, self.before) if self.jumped else self.low
+
+    @property
+    def highest(self) -> float:
+        """Highest reading, the last one before the slot included."""
+        return max(self.high, self.before) if self.jumped else self.high
 
 
 @dataclass(slots=True)
