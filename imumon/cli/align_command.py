@@ -188,7 +188,7 @@ def _wait(live: PortRun, stage: Alignment, positions: int) -> None:
         while not guide.done and live.ending.wait() and live.run.processing:
             live.lines.write()
             shown.renew()
-            for text in guide.said(stage.status):
+            for text in guide.update(stage.status):
                 note(text)
 
 
@@ -220,8 +220,8 @@ class _Shown:
 
         status, wanted = self._stage.status, self._stage.wanted_deg
         text = f"{heading_text(status)}; {to_go_text(status, wanted)}"
-        if self._guide is not None and self._guide.order:
-            text = f"{self._guide.order}; {text}"
+        if self._guide is not None and self._guide.instruction:
+            text = f"{self._guide.instruction}; {text}"
         share = 0.0 if status.shown is None else min((status.wanted_sd / status.shown.sd) ** 2, 1.0)
         self._bar.update(self._task, description=status.phase, completed=share, text=text)
 
@@ -279,7 +279,7 @@ def _report(status: Status, wanted_deg: float) -> None:
         for row in estimator_rows(status):
             table.add_row(*row)
         out.print(table)
-    told = rows(status, wanted_deg)
-    width = max(map(len, told))
-    for label, text in told.items():
+    texts = rows(status, wanted_deg)
+    width = max(map(len, texts))
+    for label, text in texts.items():
         out.print(f"  {label:<{width}}  {for_log(text)}", soft_wrap=True)

@@ -179,7 +179,7 @@ class Aligner:
         state = self.state
         self._record.add(slot.samples, slot.values, slot.ended_s, slot.length_s)
         state.rest_s += slot.length_s
-        state.motion.rest(slot.rate)
+        state.motion.add_rest(slot.rate)
         if not math.isnan(state.vertical_rate):
             state.yaw_since_fit += slot.length_s * (
                 float(state.attitude[2] @ slot.values[:3]) - state.vertical_rate
@@ -220,9 +220,14 @@ class Aligner:
         force = np.mean([slot.values[3:] for slot in rest[CALM_SLOTS // 2 :]], axis=0)
         attitude, seconds = upright(state.attitude, force), rest[0].ended_s - rest[0].length_s - begun_s
         variance = turn_variance(
-            motion.turned, before.attitude, force / math.sqrt(force @ force), seconds, motion.noise,
-            errors.scale, math.sqrt(2.0) * errors.level,
-        )  # fmt: skip
+            motion.turned,
+            before.attitude,
+            force / math.sqrt(force @ force),
+            seconds,
+            motion.noise,
+            errors.scale,
+            math.sqrt(2.0) * errors.level,
+        )
         if variance > ANY_ANGLE_SD**2:
             self.restart(f"the unit turned at {begun_s:.1f} s by an angle that is not known")
             return
@@ -334,9 +339,14 @@ class Aligner:
         )
         if motion.turning:
             variance += turn_variance(
-                motion.turned, state.positions[-1].attitude, state.attitude[2], motion.moving_s, motion.noise,
-                self.errors.scale, 1.0,
-            )  # fmt: skip
+                motion.turned,
+                state.positions[-1].attitude,
+                state.attitude[2],
+                motion.moving_s,
+                motion.noise,
+                self.errors.scale,
+                1.0,
+            )
         return min(math.sqrt(variance), ANY_ANGLE_SD)
 
     @property

@@ -175,9 +175,14 @@ def divide(data: Levelled, rate: ColumnArray, creeps: bool) -> Cells | None:
             vertical_variance = 2.0 * float(np.var(means[ok, 2]))  # it contains the rotation itself
         white = min(variance, up_variance) * 4.0 / 3.0 * n * data.row_s / (cells + 1)
         one = Cells(
-            weight > 0.0, weight, means[:, 0] + 1j * means[:, 1], variance,
-            float(up_weight @ means[:, 2]) / total, vertical_variance, white,
-        )  # fmt: skip
+            used=weight > 0.0,
+            weight=weight,
+            rate=means[:, 0] + 1j * means[:, 1],
+            variance=variance,
+            vertical=float(up_weight @ means[:, 2]) / total,
+            vertical_variance=vertical_variance,
+            white=white,
+        )
         if one.variance_of_mean * (1.0 + BETTER_BY * np.sqrt(2.0 / max(freedom, 1.0))) < limit:
             best, limit = one, one.variance_of_mean
     return best

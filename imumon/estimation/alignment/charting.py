@@ -15,7 +15,7 @@ ESTIMATOR_COLORS = {"joint": GREEN, "gyro_mean": RED, "hann_mean": ORANGE}
 
 
 def heading_text(status: Status) -> str:
-    """Return the heading with its sigma in a line, or why there is none and what is shown instead."""
+    """Return the heading with its sigma, or the reason why there is none and what is shown instead."""
     if status.shown is None:
         return "no heading yet"
     if not status.observable:
@@ -33,7 +33,7 @@ def _turn(angle: float) -> float:
 
 
 def to_go_text(status: Status, wanted_deg: float) -> str:
-    """Return how far it is to the sigma wanted."""
+    """Return the predicted time to the wanted sigma."""
     if status.phase in ("settled", "disturbed"):
         return status.phase
     if status.phase in ("coarse", "waiting") or status.shown is None:
@@ -69,7 +69,7 @@ def headings(status: Status) -> Chart:
 
 
 def progress(status: Status, time_s: FloatArray, sd: FloatArray, wanted_deg: float) -> Chart:
-    """Return the sigma of the heading shown over observed time, and the sigma wanted."""
+    """Return the sigma of the heading against time at rest, and the wanted sigma."""
     ends = np.array([max(float(time_s[0]), 1.0), max(float(time_s[-1]), 10.0)])
     curves = (
         Curve("σ", time_s, np.degrees(sd), GREEN, width=2.0),

@@ -1,4 +1,4 @@
-"""Guides a person through the positions of a gyrocompass: rest, turn, rest again, done."""
+"""Instructions for the positions of a gyrocompass: rest, turn, rest again, done."""
 
 from __future__ import annotations
 
@@ -7,50 +7,53 @@ import math
 from imumon.estimation.alignment.status import Status
 
 LEAST_S, LONGEST_S = 20.0, 300.0
-"""A position is held at least and at most so long."""
+"""Shortest and longest time in a position."""
 
 
 class Guide:
-    """Says what to do next, from the status of the alignment.
+    """Gives the next instruction to the operator, from the status of the alignment.
 
-    A position is held until white noise alone leaves the sigma wanted in it.  Two positions are best half a
-    turn apart, three a third of a turn, and so on; the gyros measure what the turn really was.
+    A position is held until its white noise alone allows the wanted sigma.  Two positions are best half a
+    turn apart, three a third of a turn, and so on; the gyros measure the actual turn.
 
     Parameters
     ----------
     positions : int
-        How many are wanted; with one there is nothing to turn.
+        Number of positions; with one there are no instructions.
     """
 
     def __init__(self, positions: int) -> None:
         self.positions = positions
-        self.order = ""
-        """What the person is to do now."""
+        self.instruction = ""
+        """The present instruction."""
         self.done = False
-        self._told = 0
+        self._turn_from = 0
+        """Number of the position in which the last turn was requested."""
 
-    def said(self, status: Status) -> list[str]:
-        """Return what is new to say."""
+    def update(self, status: Status) -> list[str]:
+        """Return a new instruction, if there is one, (0 or 1)."""
         settled, hopeless = status.settled_s is not None, status.hopeless
         if self.positions == 1:
             self.done = settled or hopeless
             return []
-        before, turned = self.order, math.degrees(status.turned)
+        before, turned = self.instruction, math.degrees(status.turned)
         angle = 360.0 / self.positions
         at, last = status.positions, status.positions >= self.positions
         held = status.position_s >= LEAST_S and status.position_sd <= status.wanted_sd
         held |= status.position_s >= LONGEST_S
         if status.phase == "disturbed":
-            if self._told >= at and not last:
-                self.order = f"turned by {turned:.0f}° so far; stop at about {angle:.0f}° and let it rest"
-                before = self.order  # told on the line, not line by line
+            if self._turn_from >= at and not last:
+                self.instruction = (
+                    f"turned by {turned:.0f}° so far; stop at about {angle:.0f}° and let it rest"
+                )
+                before = self.instruction  # shown on the status line only
         elif not last and held:
-            self.order = f"turn the unit now by about {angle:.0f}° about the vertical"
-            self._told = at
+            self.instruction = f"turn the unit now by about {angle:.0f}° about the vertical"
+            self._turn_from = at
         elif last and (settled or hopeless or status.position_s >= LONGEST_S):
-            self.order, self.done = "done", True
+            self.instruction, self.done = "done", True
         elif at:
-            self.order = f"position {at} of {self.positions}: do not touch the unit"
+            self.instruction = f"position {at} of {self.positions}: do not touch the unit"
             if at > 1:
-                self.order += f" (turned by {turned:.1f}°)"
-        return [self.order] if self.order != before else []
+                self.instruction += f" (turned by {turned:.1f}°)"
+        return [self.instruction] if self.instruction != before else []

@@ -149,9 +149,18 @@ def fit_position(data: Levelled, earth_vertical: float, drifts: Sequence[Drift])
     log_weight, mean, variance, settles = (np.concatenate(part) for part in zip(*parts, strict=True))
     log_weight = TEMPER * (log_weight - log_weight.max())
     return PositionFit(
-        log_weight, mean + gyros.offset, variance, settles, found.vertical, found.vertical_variance,
-        found.white, data.attitude, n * data.row_s, float(turned[-1]), gyros.bias_rotation,
-    )  # fmt: skip
+        log_weight=log_weight,
+        rate=mean + gyros.offset,
+        variance=variance,
+        settles=settles,
+        vertical=found.vertical,
+        vertical_variance=found.vertical_variance,
+        white=found.white,
+        attitude=data.attitude,
+        seconds=n * data.row_s,
+        yaw=float(turned[-1]),
+        bias_rotation=gyros.bias_rotation,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

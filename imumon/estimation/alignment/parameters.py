@@ -1,4 +1,4 @@
-"""What a pipeline file says of the alignment; apart from the stage, so that it loads quickly."""
+"""Parameters of the alignment in a pipeline file; apart from the stage, so that they load quickly."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class KnownWarmUp(StrictModel):
 
 
 class AlignmentParameters(StrictModel):
-    """How the heading is found; every key has a default.
+    """Parameters of the heading estimation; every key has a default.
 
     Parameters
     ----------
@@ -50,16 +50,16 @@ class AlignmentParameters(StrictModel):
         A heading with a larger sigma is not shown.  That of a MEMS gyro whose bias happens to be small is 7
         to 12 degrees.
     gyro_bias_sd_deg_per_h : float, optional
-        Standard deviation of a gyro's bias, from run to run.  When it is not given, it is judged by the noise
-        (a noisy gyro has a large bias) and by how well the rate fits the earth's.
+        Standard deviation of a gyro's bias, from run to run.  Without it, the prior is a
+        regression on the noise, and the data weigh its size by how well the rate fits the earth's.
     gyro_flicker_deg_per_h : float, optional
         Standard deviation by which the bias changes from position to position: the bias instability.
     gyro_scale_sd_ppm : float, optional
-        Standard deviation of a gyro's scale factor and misalignment: by so much a turn between two positions
-        is mismeasured.  When it is not given, it is judged by the noise, and 300 at least.
+        Standard deviation of a gyro's scale factor and misalignment: the relative
+        error of a turn between two positions.  Default: a regression on the noise, and 300 at least.
     accel_bias_sd_ug : float, optional
-        Standard deviation of the constant bias of an accelerometer; it tilts the level.  When it is not
-        given, it is judged by the noise of the gyros, and 750 at least.
+        Standard deviation of the constant bias of an accelerometer; it tilts the level.  Default:
+        a regression on the noise of the gyros, and 750 at least.
     known_warm_up : KnownWarmUp, optional
         Counted from the first sample of the device.
     """

@@ -33,13 +33,17 @@ LONGEST_MOTION_S = 120.0
 
 
 class Slot(NamedTuple):
-    """Middle and length of a slot, s, samples, mean rate and specific force (6,), and the rate as floats."""
+    """Middle and length of a slot, s, number of samples, mean rate (3) and specific force (3), body axes."""
 
     time_s: float
     length_s: float
     samples: int
     values: FloatArray
-    rate: tuple[float, float, float]
+
+    @property
+    def rate(self) -> FloatArray:
+        """Mean rate, rad/s, (3,)."""
+        return self.values[:3]
 
     @property
     def ended_s(self) -> float:
@@ -92,11 +96,9 @@ class Motion:
 
     rest_rate: FloatArray | None = None
     """Median rate at rest, rad/s, (3,); None before the first rest."""
-    rest_rate_floats: tuple[float, ...] = ()
-    """`rest_rate` as floats, for the speed of `_distance`."""
     limit: float = MOTION_RATE
     """Distance from it that is still rest, rad/s."""
-    recent: list[tuple[float, float, float]] = field(default_factory=list)
+    recent: list[FloatArray] = field(default_factory=list)
     """Rates of slots at rest."""
     renewed: int = 0
     """Slots at rest since the median was taken."""
@@ -109,7 +111,7 @@ class Motion:
     """Since the motion began."""
 
     def classify(self, slot: Slot, at_rest: bool) -> Outcome:
-        """Return what a slot is; the table of docs/alignment.md, from above."""
+        """Classify a slot by the table of docs/alignment.md, evaluated top down."""
         if self.rest_rate is None:
             self.held = [*self.held[1 - 4 * MEDIAN_SLOTS :], slot]
             return Outcome.FIRST_REST if at_rest and self._first_rest() else Outcome.WAITING
@@ -137,17 +139,16 @@ class Motion:
         return True
 
     def _distance(self, slot: Slot) -> float:
-        (x, y, z), (a, b, c) = slot.rate, self.rest_rate_floats
-        return max(abs(x - a), abs(y - b), abs(z - c))
+        assert self.rest_rate is not None
+        return float(np.abs(slot.rate - self.rest_rate).max())
 
     def _update_rest_rate(self, rates: FloatArray) -> None:
         self.rest_rate = np.median(rates, axis=0)
-        self.rest_rate_floats = tuple(self.rest_rate.tolist())
         self.limit = max(MOTION_RATE, LIMIT_FACTOR * float(np.abs(rates - self.rest_rate).max()))
         self.renewed = 0
 
-    def rest(self, rate: tuple[float, float, float]) -> None:
-        """Add the rate of a slot at rest."""
+    def add_rest(self, rate: FloatArray) -> None:
+        """Add the rate of a slot at rest; update the median after 10 s."""
         self.recent.append(rate)
         self.renewed += 1
         if self.renewed >= SWAYING_SLOTS:
@@ -192,9 +193,14 @@ class Motion:
 
 
 def turn_variance(
-    turn: Turn, before: FloatArray, after: FloatArray, seconds: float, noise: float, scale_sd: float,
+    turn: Turn,
+    before: FloatArray,
+    after: FloatArray,
+    seconds: float,
+    noise: float,
+    scale_sd: float,
     level_sd: float,
-) -> float:  # fmt: skip
+) -> float:
     """Return the variance of the angle about the vertical of a turn, rad².
 
     Parameters

@@ -58,9 +58,12 @@ class HeadingPosterior:
 
 
 def heading_posterior(
-    fits: Sequence[PositionFit], turn_variances: FloatArray, latitude: float, errors: SensorErrors,
+    fits: Sequence[PositionFit],
+    turn_variances: FloatArray,
+    latitude: float,
+    errors: SensorErrors,
     north: float | None = None,
-) -> HeadingPosterior:  # fmt: skip
+) -> HeadingPosterior:
     """Return the heading at the end of the last position.
 
     Parameters
@@ -119,11 +122,13 @@ def heading_posterior(
         for form in (information[of, :2, :2], matrix)
     )
     return HeadingPosterior(
-        north, min(sd, ANY_ANGLE_SD), min(math.sqrt(noise), ANY_ANGLE_SD),
-        rate * math.sqrt(max(whole - noise, 0.0)),
-        math.sqrt(weight @ np.mean(errors.sizes**2, axis=1)[size]),
-        float(weight @ last.settles[keep][of]),
-    )  # fmt: skip
+        north=north,
+        sd=min(sd, ANY_ANGLE_SD),
+        noise_sd=min(math.sqrt(noise), ANY_ANGLE_SD),
+        level_bias_sd=rate * math.sqrt(max(whole - noise, 0.0)),
+        bias_size=math.sqrt(weight @ np.mean(errors.sizes**2, axis=1)[size]),
+        settling=float(weight @ last.settles[keep][of]),
+    )
 
 
 def _likely(vector: FloatArray, matrix: FloatArray, log_density: FloatArray) -> tuple[IntArray, IntArray]:

@@ -1,4 +1,4 @@
-"""What data sheets say of sensors beside gyros with the noise N; docs/alignment.md has the table."""
+"""Prior of the sensor errors by regression on the gyros' noise N over data sheets; see docs/alignment.md."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from imumon.geodesy import DEG_PER_H, EARTH_RATE
 
 
 class ByNoise(NamedTuple):
-    """A regression: factor (N / 0.1 °/√h)^power, and no less and no more than these."""
+    """A regression: factor (N / 0.1 °/√h)^power, clipped to least and most."""
 
     factor: float
     power: float
@@ -21,21 +21,21 @@ class ByNoise(NamedTuple):
     most: float
 
     def at(self, noise: float) -> float:
-        """Return the value beside gyros with this angular random walk, rad/√s."""
+        """Return the value for gyros with this angular random walk, rad/√s."""
         ratio = noise / (math.radians(0.1) / 60.0)
         return min(max(self.factor * math.pow(ratio, self.power), self.least), self.most)
 
 
 BIAS = ByNoise(2.0 * DEG_PER_H, 1.86, 0.0014 * DEG_PER_H, EARTH_RATE)
-"""Bias of a gyro, rad/s: no less than the quietest in the table has, no more than what hides the north."""
+"""Bias of a gyro, rad/s: at least that of the quietest in the table, at most the earth rate."""
 SCALE = ByNoise(3e-4, 1.4, 3e-4, 0.03)
 """Scale factor and misalignment of a gyro."""
 LEVEL = ByNoise(7.5e-4, 1.4, 7.5e-4, 0.04)
 """Bias of an accelerometer, g."""
-LOG_SIZES, SCATTER = np.linspace(-4.0, 12.0, 17), 1.5
+LOG_SIZES, LOG_SIZE_SD = np.linspace(-4.0, 12.0, 17), 1.5
 """Logarithms of the sizes of a bias over that of the regression, up to 200 °/h for the best gyros, and their
 standard deviation."""
-WORSE = np.exp([2.0, 4.0, 6.0, 8.0, 10.0])
+WORSE_FACTORS = np.exp([2.0, 4.0, 6.0, 8.0, 10.0])
 """Factors by which one or two gyros may be worse than the others."""
 P_ALL_WORSE, P_SOME_WORSE, P_DECLARED = 0.02, 0.003, 0.999
 """Prior probabilities that all gyros are worse than the regression by any factor (assumed), that one or two
@@ -43,7 +43,7 @@ are worse than the others (as rare as a normal value beyond three sigmas), and t
 
 
 class SensorErrors(NamedTuple):
-    """Standard deviations of what the gyros and accelerometers may be wrong by.
+    """Standard deviations of the errors of gyros and accelerometers.
 
     `sizes` (s, 3) of the gyros' biases, rad/s, have the log probabilities `log_prior` (s,); `flicker` is the
     change of a bias from position to position, rad/s; `scale` is a ratio; `level` is in g.
@@ -57,7 +57,7 @@ class SensorErrors(NamedTuple):
 
 
 def sensor_errors(noise: float, parameters: AlignmentParameters) -> SensorErrors:
-    """Return what is declared, and else what data sheets say beside this angular random walk, rad/√s."""
+    """Return the declared errors, and the regression on an angular random walk, rad/√s, for the others."""
     ppm, micro_g = parameters.gyro_scale_sd_ppm, parameters.accel_bias_sd_ug
     return SensorErrors(
         *_bias_sizes(BIAS.at(noise), parameters.gyro_bias_sd_deg_per_h),
@@ -74,9 +74,9 @@ def _bias_sizes(typical: float, declared: float | None) -> tuple[FloatArray, Flo
         sizes = np.r_[sd, max(typical, sd) * np.exp(LOG_SIZES[worse])]
         probability = np.r_[P_DECLARED, np.full(len(sizes) - 1, (1.0 - P_DECLARED) / (len(sizes) - 1))]
         return np.tile(sizes[:, None], (1, 3)), np.log(probability)
-    density = np.exp(-0.5 * (LOG_SIZES / SCATTER) ** 2)
+    density = np.exp(-0.5 * (LOG_SIZES / LOG_SIZE_SD) ** 2)
     alike = (1.0 - P_ALL_WORSE - P_SOME_WORSE) * density / density.sum() + P_ALL_WORSE * worse / worse.sum()
     one = np.eye(3, dtype=bool)
-    some = np.where(np.concatenate([one, ~one]), WORSE[:, None, None], 1.0).reshape(-1, 3)
+    some = np.where(np.concatenate([one, ~one]), WORSE_FACTORS[:, None, None], 1.0).reshape(-1, 3)
     factors = np.concatenate([np.tile(np.exp(LOG_SIZES)[:, None], (1, 3)), some])
     return typical * factors, np.log(np.r_[alike, np.full(len(some), P_SOME_WORSE / len(some))])

@@ -1,4 +1,4 @@
-"""What an alignment came to, as a person reads it."""
+"""The result of an alignment as text."""
 
 from __future__ import annotations
 
@@ -10,46 +10,46 @@ from imumon.geodesy import DEG_PER_H, EARTH_RATE
 
 DEG_PER_SQRT_H = math.pi / 180.0 / 60.0
 START_S = 10.0
-"""It takes the rest detector some seconds to call a unit at rest; that is no disturbance."""
+"""Time at the start that is not reported as a disturbance: the rest detector takes some seconds."""
 
 
 def rows(status: Status, wanted_deg: float) -> dict[str, str]:
-    """Return label and text: the heading, whether it settled, and what stands in the way."""
-    told = {"heading": heading_text(status), "settled": _settled(status, wanted_deg)}
+    """Return texts by label: the heading, whether it settled, and the conditions that limit it."""
+    texts = {"heading": heading_text(status), "settled": _settled(status, wanted_deg)}
     if math.isfinite(status.roll):
         roll, pitch = math.degrees(status.roll), math.degrees(status.pitch)
-        told["roll, pitch"] = f"{roll:.4f}°, {pitch:.4f}°"
+        texts["roll, pitch"] = f"{roll:.4f}°, {pitch:.4f}°"
     if math.isfinite(status.arw):
-        told["gyro"] = (
+        texts["gyro"] = (
             f"noise {_short(status.arw / DEG_PER_SQRT_H)} °/√h, "
             f"σ of a horizontal bias {_short(status.level_bias_sd / DEG_PER_H)} °/h"
         )
     if status.shown is not None and status.observable and not status.bias_declared and status.positions == 1:
         holds = status.shown.sd * status.horizontal_earth_rate / DEG_PER_H
-        told["condition"] = (
+        texts["condition"] = (
             "the gyros' turn-on bias is not declared: sigma is right only if the bias of the gyro that "
             f"points east is below {_short(holds)} °/h, which turns the heading by one sigma; declare it "
             "(gyro_bias_sd_deg_per_h), or measure it with --positions 2"
         )
     if status.shown is not None and status.observable and status.positions == 1:
         per_g = math.sqrt(max((EARTH_RATE / status.horizontal_earth_rate) ** 2 - 1.0, 0.0))  # tan L
-        told["accelerometers"] = (
+        texts["accelerometers"] = (
             f"1 mg of bias of the one that points east turns the heading by "
             f"{_short(math.degrees(1e-3 * per_g))}°; sigma has it for "
             f"{_short(1e3 * status.accel_bias_sd)} mg (accel_bias_sd_ug)"
         )
-    told["data"] = f"{min(status.rest_s, status.elapsed_s):.0f} of {status.elapsed_s:.0f} s counted"
+    texts["data"] = f"{min(status.rest_s, status.elapsed_s):.0f} of {status.elapsed_s:.0f} s counted"
     if status.positions > 1:
-        told["positions"] = f"{status.positions}, the last turned by {math.degrees(status.turned):.1f}°"
+        texts["positions"] = f"{status.positions}, the last turned by {math.degrees(status.turned):.1f}°"
     if status.disturbances or status.disturbed_s > START_S:
-        told["disturbed"] = (
+        texts["disturbed"] = (
             f"{status.disturbed_s:.1f} s; {status.disturbances} times, {status.restarts} times it began anew"
         )
     if status.tilt_probability > 0.5:
-        told["level"] = (
+        texts["level"] = (
             f"the unit is tilting (probability {status.tilt_probability:.2f}); its sigma allows for that"
         )
-    return told
+    return texts
 
 
 def _settled(status: Status, wanted_deg: float) -> str:

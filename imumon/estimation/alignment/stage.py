@@ -120,8 +120,8 @@ class Alignment:
             if valid[k]:
                 middle_s = 0.5e-9 * (start_ns - self._origin_ns + end_ns - self._origin_ns)
                 length_s = samples * (self._interval_s or SLOT_S)
-                slot = Slot(middle_s, length_s, valid[k], mean[:6], tuple(mean[:3].tolist()))
-                self._force.append(mean[3:6])
+                slot = Slot(middle_s, length_s, valid[k], mean[:6].copy())
+                self._force.append(slot.values[3:])
                 at_rest = bool(slots.smallest[k, -1] > 0.0)
                 self._aligner.step(slot, mean[6:9].tolist(), at_rest, slots.turns, k)
                 self._add_point()

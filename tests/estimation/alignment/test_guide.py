@@ -11,7 +11,7 @@ def _guided(block: SampleBlock, guide: Guide) -> list[str]:
     stage, said = Alignment(AlignmentParameters(settled_deg=0.2), 36.0), []
     for start in range(0, len(block), 50):
         stage.process(block.rows(start, start + 50))
-        said += guide.said(stage.status)
+        said += guide.update(stage.status)
         if guide.done:
             break
     return said
