@@ -92,7 +92,7 @@ def command(
     if as_json:
         print_json(as_data(status, positions) | {"left_out": ran.counters.left_out})
     else:
-        _report(status, stage.wanted_deg)
+        _report(status)
     settled = status.settled_s is not None and status.positions >= positions
     return EXIT_OK if settled else EXIT_NEGATIVE
 
@@ -218,8 +218,8 @@ class _Shown:
     def renew(self) -> None:
         from imumon.estimation.alignment.charting import heading_text, to_go_text
 
-        status, wanted = self._stage.status, self._stage.wanted_deg
-        text = f"{heading_text(status)}; {to_go_text(status, wanted)}"
+        status = self._stage.status
+        text = f"{heading_text(status)}; {to_go_text(status)}"
         if self._guide is not None and self._guide.instruction:
             text = f"{self._guide.instruction}; {text}"
         share = 0.0 if status.shown is None else min((status.wanted_sd / status.shown.sd) ** 2, 1.0)
@@ -267,7 +267,7 @@ def as_data(status: Status, positions: int = 1) -> dict[str, object]:
     }
 
 
-def _report(status: Status, wanted_deg: float) -> None:
+def _report(status: Status) -> None:
     from rich.box import SIMPLE
     from rich.table import Table
 
@@ -279,7 +279,7 @@ def _report(status: Status, wanted_deg: float) -> None:
         for row in estimator_rows(status):
             table.add_row(*row)
         out.print(table)
-    texts = rows(status, wanted_deg)
+    texts = rows(status)
     width = max(map(len, texts))
     for label, text in texts.items():
         out.print(f"  {label:<{width}}  {for_log(text)}", soft_wrap=True)

@@ -41,7 +41,6 @@ class Cells:
 
     Parameters
     ----------
-    used : array of bool, (J,)
     weight : array, (J,)
         Between 0 and 1; 0 where a row does not count or a knock disturbed the cell.
     rate : array of complex, (J,)
@@ -53,13 +52,17 @@ class Cells:
         White noise of the quietest axis, (rad/s)²/Hz.
     """
 
-    used: BoolArray
     weight: FloatArray
     rate: ColumnArray
     variance: float
     vertical: float
     vertical_variance: float
     white: float
+
+    @property
+    def used(self) -> BoolArray:
+        """Cells that are not rejected, (J,)."""
+        return self.weight > 0.0
 
     @property
     def variance_of_mean(self) -> float:
@@ -175,7 +178,6 @@ def divide(data: Levelled, rate: ColumnArray, creeps: bool) -> Cells | None:
             vertical_variance = 2.0 * float(np.var(means[ok, 2]))  # it contains the rotation itself
         white = min(variance, up_variance) * 4.0 / 3.0 * n * data.row_s / (cells + 1)
         one = Cells(
-            used=weight > 0.0,
             weight=weight,
             rate=means[:, 0] + 1j * means[:, 1],
             variance=variance,

@@ -32,15 +32,16 @@ def _turn(angle: float) -> float:
     return math.degrees(angle) % 360.0
 
 
-def to_go_text(status: Status, wanted_deg: float) -> str:
+def to_go_text(status: Status) -> str:
     """Return the predicted time to the wanted sigma."""
+    wanted = f"{math.degrees(status.wanted_sd):g}°"
     if status.phase in ("settled", "disturbed"):
         return status.phase
     if status.phase in ("coarse", "waiting") or status.shown is None:
         return f"coarse, {status.rest_s:.0f} s of rest"
     if status.remaining_s is None:
-        return f"{wanted_deg:g}° not in reach"
-    return f"about {status.remaining_s:.0f} s to {wanted_deg:g}°"
+        return f"{wanted} not in reach"
+    return f"about {status.remaining_s:.0f} s to {wanted}"
 
 
 def headings(status: Status) -> Chart:
@@ -68,13 +69,13 @@ def headings(status: Status) -> Chart:
     )
 
 
-def progress(status: Status, time_s: FloatArray, sd: FloatArray, wanted_deg: float) -> Chart:
+def progress(status: Status, time_s: FloatArray, sd: FloatArray) -> Chart:
     """Return the sigma of the heading against time at rest, and the wanted sigma."""
     ends = np.array([max(float(time_s[0]), 1.0), max(float(time_s[-1]), 10.0)])
     curves = (
         Curve("σ", time_s, np.degrees(sd), GREEN, width=2.0),
-        Curve("wanted", ends, np.full(2, wanted_deg), GREY),
+        Curve("wanted", ends, np.full(2, math.degrees(status.wanted_sd)), GREY),
     )
     x, y = Axis("observed time [s]", log=True), Axis("σ [°]", log=True)
-    text = to_go_text(status, wanted_deg)
+    text = to_go_text(status)
     return Chart("alignment_progress", PLACE, "Sigma of the heading shown", x, y, curves, headline=text)

@@ -43,8 +43,6 @@ LEVEL_TREND_ORDER = 8
 """Coefficients of the course of the level that is no noise."""
 LARGEST_BIAS = 1e-3
 """rad/s: 200 °/h."""
-LEAST_ROWS = 12
-"""Rows for a fit."""
 
 
 class Drift(NamedTuple):
@@ -125,8 +123,6 @@ def fit_position(data: Levelled, earth_vertical: float, drifts: Sequence[Drift])
         Models of the accelerometer drift.
     """
     n = len(data.rate)
-    if data.valid.sum() < LEAST_ROWS:
-        return None
     creeps = cells.rotates_slowly(data)
     turned = np.cumsum(creeps * data.valid * (data.vertical - earth_vertical)) * data.row_s
     factor = np.exp(1j * (turned - turned[-1]))

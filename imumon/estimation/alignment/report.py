@@ -13,9 +13,9 @@ START_S = 10.0
 """Time at the start that is not reported as a disturbance: the rest detector takes some seconds."""
 
 
-def rows(status: Status, wanted_deg: float) -> dict[str, str]:
+def rows(status: Status) -> dict[str, str]:
     """Return texts by label: the heading, whether it settled, and the conditions that limit it."""
-    texts = {"heading": heading_text(status), "settled": _settled(status, wanted_deg)}
+    texts = {"heading": heading_text(status), "settled": _settled(status)}
     if math.isfinite(status.roll):
         roll, pitch = math.degrees(status.roll), math.degrees(status.pitch)
         texts["roll, pitch"] = f"{roll:.4f}°, {pitch:.4f}°"
@@ -52,8 +52,8 @@ def rows(status: Status, wanted_deg: float) -> dict[str, str]:
     return texts
 
 
-def _settled(status: Status, wanted_deg: float) -> str:
-    wanted = f"σ ≤ {wanted_deg:g}°"
+def _settled(status: Status) -> str:
+    wanted = f"σ ≤ {math.degrees(status.wanted_sd):g}°"
     if status.settled_s is not None:
         return f"yes, {status.settled_s:.1f} s after the first sample ({wanted})"
     if status.phase == "disturbed":

@@ -209,11 +209,6 @@ class Alignment:
         self._slots.restore(saved["slots"])
         vars(self).update(copy.deepcopy(saved["stage"]))
 
-    @property
-    def wanted_deg(self) -> float:
-        """The sigma wanted, degrees."""
-        return self._parameters.settled_deg
-
     def finish(self) -> list[PositionHeading]:
         """Fit the rest since the last fit; return the heading in each position."""
         return self._aligner.finish()
@@ -284,7 +279,7 @@ class Alignment:
         time_s, sd = np.array(self._points).T
         return [
             charting.headings(self.status),
-            charting.progress(self.status, time_s, sd, self.wanted_deg),
+            charting.progress(self.status, time_s, sd),
         ]
 
     def notices(self) -> list[str]:

@@ -116,11 +116,11 @@ def test_a_bias_of_nothing_but_the_east_gyro_is_in_the_sigma_and_said() -> None:
     assert "°" not in notice  # the limit is stated once, in the table
     assert (
         "sigma is right only if the bias of the gyro that points east is below"
-        in (rows(quiet.status, 0.05)["condition"])
+        in (rows(quiet.status)["condition"])
     )
-    assert "1 mg of bias" in rows(quiet.status, 0.05)["accelerometers"]
+    assert "1 mg of bias" in rows(quiet.status)["accelerometers"]
     declared, _ = aligned(samples(scenario(90.0)), {"gyro_bias_sd_deg_per_h": 0.001})
-    assert "condition" not in rows(declared.status, 0.05)
+    assert "condition" not in rows(declared.status)
 
 
 def test_a_knock_that_leaves_an_angle_costs_its_seconds() -> None:
