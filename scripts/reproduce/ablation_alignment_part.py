@@ -25,6 +25,7 @@ VARIANTS: Mapping[str, Change] = {
     "robust weights": [(cells, "HUBER", 1e9), (cells, "OUTLIER", 1e9)],
     "sways": [(sway, "MAX_LINES", 0)],
     "creep about the vertical": [(cells, "CREEP_RATIO", math.inf)],
+    "vertical gyro between fits": [(aligner.State, "yaw_since_fit", property(lambda _: 0, lambda *_: None))],
     "warm-up": [(aligner, "DRIFTS", (hypotheses.Drift(1.0, 1e-7, 0.0),))],
     "jump of an accelerometer": [(aligner, "DRIFTS", hypotheses.DRIFTS[:2])],
     "settling": [(hypotheses, "P_SETTLES", 1e-9)],
