@@ -38,7 +38,7 @@ PARAMS = Params()
 VARIANTS: dict[str, Params] = {
     "a level that stays is no evidence on slow errors": replace(PARAMS, renewal=0.0),
     "no soft edges": replace(PARAMS, soft=0.0),
-    "a level is news below 25 %, not 2 %": replace(PARAMS, news=0.25),
+    "no level is a surprise": replace(PARAMS, surprise=1e-300),
     "a level never replaces a wide prediction": replace(PARAMS, wide=1e9),
     "σ of a kind exact": replace(PARAMS, spacing=0.0),
     "7 white sigmas, not 13": replace(
@@ -61,7 +61,6 @@ VARIANTS: dict[str, Params] = {
     "no change of smoothness at once": replace(PARAMS, any_per_s=1e-9),
     "mixed every 16 s, not 4": replace(PARAMS, mix_s=16.0),
     "no ramp that may have begun (λ = 0)": replace(PARAMS, onset_per_s=0.0),
-    "not kept near the readings": replace(PARAMS, near=1e9),
     "no glide": replace(PARAMS, glide_s=1e-3),
 }
 

@@ -25,8 +25,8 @@ from imumon.estimation.temperature_rate.model import (
     STATES,
     TEMPERATURE,
     Params,
+    dynamics,
     jerk_noise,
-    motion,
     smoothness_transition,
 )
 from imumon.estimation.temperature_rate.sensor import REVERSALS, Reading, Thermometer
@@ -48,7 +48,7 @@ LEAST_LEFT = 1e-9
 
 
 class Shown(NamedTuple):
-    """What is shown from a time on: a parabola, and what the rate shown before differs, which fades away."""
+    """Estimate from a time on: a parabola of the temperature, and a decaying offset of its rate."""
 
     time_s: float = 0.0
     temperature: float = math.nan
@@ -57,8 +57,8 @@ class Shown(NamedTuple):
     """°C, °C/s, °C/s²."""
     temperature_sd: float = math.nan
     rate_sd: float = math.nan
-    rate_left: float = 0.0
-    """Rate shown before less the rate of now, at `time_s`, °C/s."""
+    rate_offset: float = 0.0
+    """Rate shown until `time_s` less the new rate, °C/s; it decays with `Params.glide_s`."""
     late_s: float = LATE_S
     """Age from which on readings are missing, s."""
     reading_sd: float = math.nan
@@ -129,13 +129,13 @@ def slow_error(params: Params, thermometer: Thermometer) -> tuple[FloatArray, Fl
 def predict(params: Params, filters: Filters, time_s: float, thermometer: Thermometer, jerk: float) -> None:
     """Advance all filters to a time: x = F x, P = F P Fᵀ + Q; `jerk` is added to their densities of jerk."""
     dt = round(max(time_s - filters.time_s, 0.0), 3)
-    step = motion(params, dt)
+    step = dynamics(params, dt)
     shape = filters.x.shape
-    filters.x = (step.state_transition @ filters.x.reshape(STATES, -1)).reshape(shape) * step.decay
-    p = (step.transition @ filters.p.reshape(STATES**2, -1)).reshape(STATES, *shape)
+    filters.x = (step.f @ filters.x.reshape(STATES, -1)).reshape(shape) * step.decay
+    p = (step.f_kron_f @ filters.p.reshape(STATES**2, -1)).reshape(STATES, *shape)
     p *= step.decay[:, np.newaxis] * step.decay
     variance, walk = slow_error(params, thermometer)
-    p[:ERROR, :ERROR] += step.noise
+    p[:ERROR, :ERROR] += step.q
     if jerk:
         p[:ERROR, :ERROR] += jerk * jerk_noise(dt)[:, :, np.newaxis, np.newaxis]
     p[ERROR, ERROR] += variance * (1.0 - step.decay[ERROR] ** 2)
@@ -155,10 +155,10 @@ def mix_smoothness(params: Params, filters: Filters) -> None:
 
 def correct(params: Params, filters: Filters, y: Predicted, evidence: Evidence) -> None:
     """Correct all filters by what a slot says of y, and their probabilities by its likelihood."""
-    shift, growth, log_likelihood = evidence.correction
-    growth = np.maximum(growth, -y.variance * (1.0 - LEAST_LEFT))
-    filters.x = filters.x + y.gain * shift
-    filters.p = filters.p + y.gain[:, np.newaxis] * (y.gain * growth)
+    mean_change, variance_change, log_likelihood = evidence.correction
+    variance_change = np.maximum(variance_change, -y.variance * (1.0 - LEAST_LEFT))
+    filters.x = filters.x + y.gain * mean_change
+    filters.p = filters.p + y.gain[:, np.newaxis] * (y.gain * variance_change)
     filters.mu = mode_probabilities(filters.mu, log_likelihood, params.least)
 
 
@@ -181,13 +181,13 @@ def merge(params: Params, filters: Filters, evidence: Evidence | None) -> Merged
         level, rows = evidence.level, slice(0, params.kinds.levels)
         held = ~level.enters
         gain = predicted_reading(x[:, rows], p[:, :, rows]).gain
-        shift, growth, log_mass = (held * part for part in level.truncation)
+        mean_change, variance_change, log_mass = (held * part for part in level.truncation)
         temperature, rate = temperature.copy(), rate.copy()
         variance, rate_variance, mu = variance.copy(), rate_variance.copy(), mu.copy()
-        temperature[rows] += gain[TEMPERATURE] * shift
-        rate[rows] += gain[RATE] * shift
-        variance[rows] += gain[TEMPERATURE] ** 2 * growth
-        rate_variance[rows] += gain[RATE] ** 2 * growth
+        temperature[rows] += gain[TEMPERATURE] * mean_change
+        rate[rows] += gain[RATE] * mean_change
+        variance[rows] += gain[TEMPERATURE] ** 2 * variance_change
+        rate_variance[rows] += gain[RATE] ** 2 * variance_change
         mu[rows] *= np.exp(log_mass)
     mu = mu / mu.sum()
     t, t_variance = mixture(mu, temperature, variance)
@@ -200,7 +200,7 @@ def step(params: Params, state: State, reading: Reading) -> Shown:
     thermometer, gate = state.thermometer, state.gate
     repeated = thermometer.repeats
     fresh = thermometer.learn(reading) if reading.count else None
-    if state.filters is not None and reading.end_s - gate.last_seen_s(reading, thermometer) > GAP_S:
+    if state.filters is not None and reading.end_s - gate.last_valid_s(reading, thermometer) > GAP_S:
         state.filters, state.shown = None, Shown()
     if state.filters is None:
         dead = thermometer.is_dead(reading.time_s)
@@ -255,14 +255,9 @@ def _show(
     edge = (params.edge if thermometer.reversals >= REVERSALS else params.sticky_edge) * thermometer.step
     variance = merged.temperature_variance + edge**2 + params.slow_mean**2 * slow_variance
     variance += (merged.rate * thermometer.repeat_s) ** 2 / 3.0
-    temperature = merged.temperature
-    if evidence is not None:
-        near = _near(params, thermometer, reading, temperature, slow_variance)
-        variance += (near - temperature) ** 2
-        temperature = near
     other = state.gate.other_level(reading)
     if math.isfinite(other):
-        variance += (other - temperature) ** 2
+        variance += (other - merged.temperature) ** 2
     # A ramp r0 that begins at once hides for σ/r0, and then the rate is off by r0.
     hidden_s = math.sqrt(variance + thermometer.step**2 / 12.0) / params.onset_rate
     frozen_s = max(reading.end_s - thermometer.changed_s - FROZEN_S, 0.0)
@@ -271,7 +266,7 @@ def _show(
     ahead = reading.end_s - filters.time_s
     shown = Shown(
         reading.end_s,
-        temperature + ahead * merged.rate,
+        merged.temperature + ahead * merged.rate,
         merged.rate + ahead * merged.acceleration,
         merged.acceleration,
         math.sqrt(variance),
@@ -283,15 +278,5 @@ def _show(
     if math.isnan(before.rate):
         return shown
     age = shown.time_s - before.time_s
-    fading = math.exp(-age / params.glide_s) * before.rate_left
-    return shown._replace(rate_left=before.rate + age * before.acceleration + fading - shown.rate)
-
-
-def _near(
-    params: Params, thermometer: Thermometer, reading: Reading, temperature: float, slow_variance: float
-) -> float:
-    """Return the temperature within half a step and the noise of a slot's readings, or of their mean."""
-    noise = math.sqrt(thermometer.rho + 0.04 * slow_variance)
-    reach = 0.5 * thermometer.step + params.near * noise
-    low, high = (reading.low, reading.high) if reading.changes < 4 else (reading.mean, reading.mean)
-    return min(max(temperature, low - reach), high + reach)
+    fading = math.exp(-age / params.glide_s) * before.rate_offset
+    return shown._replace(rate_offset=before.rate + age * before.acceleration + fading - shown.rate)

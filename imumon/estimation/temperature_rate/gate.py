@@ -42,24 +42,25 @@ class Outcome(Enum):
 
 @dataclass(slots=True)
 class Gate:
-    """What the gate has seen of one segment."""
+    """State of the gate in one segment."""
 
     used_s: float = -math.inf
     """Time of the last slot that was a temperature, s."""
-    faults: int = 0
+    rejected: int = 0
     """Slots in a row that were off."""
-    stuck: float = math.nan
-    stuck_s: float = math.nan
-    """What the first of them ended with, °C, NaN once the reading has changed; and when that was."""
-    lively: bool = False
-    """Whether readings have changed."""
+    stuck_degc: float = math.nan
+    """Last reading of the first of them, °C; NaN once the reading has changed."""
+    stuck_since_s: float = math.nan
+    """Time of the first of them, s."""
+    has_changed: bool = False
+    """Whether the reading has changed in this segment."""
     stuck_at: float = math.nan
     """Where readings stuck last, °C; NaN if they never did.  It outlives segments, for the notice."""
 
     def begin(self) -> None:
         """Begin a segment."""
-        self.used_s, self.faults, self.lively = -math.inf, 0, False
-        self.stuck = self.stuck_s = math.nan
+        self.used_s, self.rejected, self.has_changed = -math.inf, 0, False
+        self.stuck_degc = self.stuck_since_s = math.nan
 
     def decide(self, reading: Reading, thermometer: Thermometer, mean: float, variance: float) -> Outcome:
         """Return the outcome of a slot; mean and variance are of the predicted reading, °C and °C²."""
@@ -74,48 +75,48 @@ class Gate:
             spike = max(reading.high - mean, mean - reading.low) >= reach or spans_a_fault(
                 reading, thermometer
             )
-            self.lively |= reading.changes > 0 and not spike
+            self.has_changed |= reading.changes > 0 and not spike
             return Outcome.PREDICT if spike else Outcome.USE
         return Outcome.RESTART if self._is_new_level(reading, thermometer) else Outcome.PREDICT
 
     def accept(self, reading: Reading) -> None:
         """Note a slot that is a temperature."""
-        self.used_s, self.faults, self.stuck = reading.time_s, 0, math.nan
+        self.used_s, self.rejected, self.stuck_degc = reading.time_s, 0, math.nan
 
-    def last_seen_s(self, reading: Reading, thermometer: Thermometer) -> float:
+    def last_valid_s(self, reading: Reading, thermometer: Thermometer) -> float:
         """Return since when there is no reading to rely on, s; the last use where the sensor works."""
         if self.is_stuck(reading):
-            return self.stuck_s
+            return self.stuck_since_s
         return thermometer.changed_s if thermometer.is_dead(reading.time_s) else self.used_s
 
     def other_level(self, reading: Reading) -> float:
         """Return the other of two levels of which either may be the fault, °C; NaN where there is none."""
-        if not self.faults or self.lively:
+        if not self.rejected or self.has_changed:
             return math.nan
-        return self.stuck if math.isfinite(self.stuck) else reading.last
+        return self.stuck_degc if math.isfinite(self.stuck_degc) else reading.last
 
     def is_stuck(self, reading: Reading) -> bool:
         """Return whether readings leapt as no temperature does, and are exactly the same since."""
-        return self.faults > 0 and reading.count > 0 and reading.low == reading.high == self.stuck
+        return self.rejected > 0 and reading.count > 0 and reading.low == reading.high == self.stuck_degc
 
     def _is_new_level(self, reading: Reading, thermometer: Thermometer) -> bool:
         """Count a slot that is off, and return whether it is the truth all the same."""
-        self.faults += 1
-        if self.faults == 1:
-            self.stuck, self.stuck_s = reading.last, reading.time_s
+        self.rejected += 1
+        if self.rejected == 1:
+            self.stuck_degc, self.stuck_since_s = reading.last, reading.time_s
         elif not self.is_stuck(reading):
             # Noise and temperature move it; a leap is another fault.
             noise = math.sqrt(thermometer.scatter + thermometer.rho)
             moves = max(GATE_SIGMA * max(thermometer.step, noise), FASTEST_RATE * 2.0 * SLOT_S)
-            if max(abs(reading.low - self.stuck), abs(reading.high - self.stuck)) > moves:
-                self.faults, self.stuck, self.stuck_s = 1, reading.last, reading.time_s
+            if max(abs(reading.low - self.stuck_degc), abs(reading.high - self.stuck_degc)) > moves:
+                self.rejected, self.stuck_degc, self.stuck_since_s = 1, reading.last, reading.time_s
             else:
-                self.stuck = math.nan
-        if math.isnan(self.stuck):
-            return self.faults >= GATE_SLOTS
-        if self.faults == GATE_SLOTS:
-            self.stuck_at = self.stuck
-        return not self.lively and reading.time_s - self.stuck_s > self.stuck_s
+                self.stuck_degc = math.nan
+        if math.isnan(self.stuck_degc):
+            return self.rejected >= GATE_SLOTS
+        if self.rejected == GATE_SLOTS:
+            self.stuck_at = self.stuck_degc
+        return not self.has_changed and reading.time_s - self.stuck_since_s > self.stuck_since_s
 
 
 def spans_a_fault(reading: Reading, thermometer: Thermometer) -> bool:

@@ -9,13 +9,13 @@ down; the last reading before the slot counts as one of its readings.
 | more than two levels | level kinds | z = mean less ripple, R = max(s², variance)/(n slope²) + (β d/π)²/8 |
 | more than two levels, a single reading | level kinds | as one level |
 | two levels | level kinds | z = edge + s Φ⁻¹(p), R = s² p(1-p)/(n φ²) + (0.1 s Φ⁻¹(p))² |
-| one level, soft or news | level kinds | y is in the level: truncated Gaussian |
+| one level: soft, a surprise, or prediction wide | level kinds | y is in the level: truncated Gaussian |
 | one level | level kinds | nothing; the level only confines what is shown |
 | any | mean kinds | z = mean, R = share of ρ + (d/n)²/12 |
 
 "y is in the level" is one statement, however often it is read.  A level is *soft* for a filter whose
-prediction is sharper than twice its noise: then each reading is independent evidence.  It is *news* for a
-filter that gave it less than 2 %, or that knows y to no better than 1.5 d.
+prediction is sharper than twice its noise: then each reading is independent evidence.  It is a *surprise* for
+a filter that gave it less than 2 %.  A prediction is *wide* if it knows y to no better than 1.5 d.
 
 Log likelihoods are probabilities of a slot's mean on its lattice of d/n, so that all rows can be compared.
 """
@@ -59,9 +59,9 @@ def predicted_reading(x: FloatArray, p: FloatArray) -> Predicted:
 class Correction(NamedTuple):
     """What a slot says of y to some filters, (k, m) each."""
 
-    shift: FloatArray
+    mean_change: FloatArray
     """Change of the mean of y, °C."""
-    growth: FloatArray
+    variance_change: FloatArray
     """Change of the variance of y, at most zero, °C²."""
     log_likelihood: FloatArray
 
@@ -151,10 +151,10 @@ def _gaussian(
     """
     total = y.variance + noise
     innovation = z - y.mean
-    shift, growth = y.variance * innovation / total, -(y.variance**2) / total
+    mean_change, variance_change = y.variance * innovation / total, -(y.variance**2) / total
     total = total + smear
     log = np.log(unit / ROOT_2_PI) - 0.5 * np.log(total) - 0.5 * innovation**2 / total
-    return Correction(shift, growth, log)
+    return Correction(mean_change, variance_change, log)
 
 
 def _mean(slot: _Slot, y: Predicted) -> Correction:
@@ -174,10 +174,14 @@ def _many_levels(slot: _Slot, y: Predicted, sigma: FloatArray) -> Correction:
     slope = np.maximum(1.0 - 2.0 * ripple * np.cos(2.0 * math.pi * place), 0.2)
     noise = np.maximum(sigma**2, slot.reading.variance) / slot.n / slope**2
     noise += (ripple * slot.step / math.pi) ** 2 / 8.0
-    shift, growth, log = _gaussian(y, slot.reading.low + slot.step * place, noise, slot.cell / slope)
+    mean_change, variance_change, log = _gaussian(
+        y, slot.reading.low + slot.step * place, noise, slot.cell / slope
+    )
     # Readings that scatter more than a kind's: the likelihood of their variance (χ² of n), zero in the mean.
     excess = np.maximum(slot.reading.variance / _rounded_variance(slot, place, sigma), 1.0)
-    return Correction(shift, growth, log + 0.25 - 0.5 * slot.n * (excess - 1.0 - np.log(excess)))
+    return Correction(
+        mean_change, variance_change, log + 0.25 - 0.5 * slot.n * (excess - 1.0 - np.log(excess))
+    )
 
 
 def _rounded_variance(slot: _Slot, place: FloatArray, sigma: FloatArray) -> FloatArray:
@@ -201,13 +205,14 @@ def _two_levels(slot: _Slot, y: Predicted, sigma: FloatArray) -> Correction:
     quantile = float(ndtri(share))
     density = math.exp(-0.5 * quantile**2) / ROOT_2_PI
     z = edge + sigma * quantile
-    noise = sigma**2 * (share * (1.0 - share) / (slot.n * density**2) + (slot.params.spacing * quantile) ** 2)
+    binomial = share * (1.0 - share) / (slot.n * density**2)
+    noise = sigma**2 * (binomial + (slot.params.spacing * quantile) ** 2)
     unit = sigma / (density * slot.n)
     # All n readings are of these two levels: kinds of more noise would have read a third.
     apart = slot.step / sigma
     within = slot.n * np.log(np.maximum(ndtr(apart - quantile) - ndtr(-apart - quantile), 1e-300))
-    shift, growth, log = _gaussian(y, z, noise, unit)
-    return Correction(shift, growth, log + within)
+    mean_change, variance_change, log = _gaussian(y, z, noise, unit)
+    return Correction(mean_change, variance_change, log + within)
 
 
 def _one_level(slot: _Slot, y: Predicted, sigma: FloatArray) -> Level:
@@ -221,18 +226,21 @@ def _one_level(slot: _Slot, y: Predicted, sigma: FloatArray) -> Level:
     mean, variance, log_mass = truncated((-half - off) / total, (half - off) / total)
     sd = np.sqrt(y.variance)
     is_soft = sd < params.soft * soft
-    is_news = (log_mass < math.log(params.news)) | (sd > params.wide * step)
+    is_surprise = log_mass < math.log(params.surprise)
+    is_wide = sd > params.wide * step
     gain = y.variance / total
-    return Level(is_soft | is_news, Correction(gain * mean, gain**2 * (variance - 1.0), log_mass))
+    return Level(
+        is_soft | is_surprise | is_wide, Correction(gain * mean, gain**2 * (variance - 1.0), log_mass)
+    )
 
 
 def _entering(slot: _Slot, level: Level) -> Correction:
     """Return what of a level enters the states and the mode probabilities."""
-    shift, growth, log_mass = level.truncation
+    mean_change, variance_change, log_mass = level.truncation
     # A slow error is renewed with its correlation time: to that share, a level that stays is new evidence.
     renewed = slot.params.renewal * slot.params.kinds.renewed
     log = np.where(level.enters, log_mass, renewed * log_mass)
-    return Correction(level.enters * shift, level.enters * growth, log)
+    return Correction(level.enters * mean_change, level.enters * variance_change, log)
 
 
 def truncated(low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -134,7 +134,7 @@ def extrapolate(
     with its standard deviation (NaN while nothing shows it), and a rate that may have changed meanwhile.
     """
     late = known & (age > shown.late_s) & np.isfinite(shown.rate)
-    fading = np.exp(-age / glide_s, where=known, out=np.zeros_like(age)) * shown.rate_left
+    fading = np.exp(-age / glide_s, where=known, out=np.zeros_like(age)) * shown.rate_offset
     # A slot is known when the next begins; readings farther apart leave the temperature to the rate.
     waited = np.maximum(age - 2.0 * SLOT_S, 0.0)
     result = RateEstimate(

@@ -81,30 +81,31 @@ class Params:
     mix_s: float = 4.0
     """Filters are mixed so often: a fraction of the time in which one could take over."""
     neighbour_per_s: float = 1e-4
+    """Probability per second that the smoothness changes to a neighbour's."""
     any_per_s: float = 1e-6
-    """Probability per second that the smoothness changes to a neighbour's, and to any."""
+    """Probability per second that it changes to any other."""
     least: float = 1e-14
     """Least probability of a filter."""
     soft: float = 2.0
-    """A prediction sharper than so many sigmas of the noise takes every reading of a level as evidence."""
-    news: float = 0.02
+    """A level is soft for a filter whose prediction has a sigma below so many of the level's edge."""
+    surprise: float = 0.02
+    """A level is a surprise for a filter that gave it less than this probability."""
     wide: float = 1.5
-    """A level is news that had less than this probability, or if a prediction is wider than so many steps."""
+    """A prediction is wide whose sigma exceeds so many steps."""
     spacing: float = 0.1
-    """Share of σ to which the hypotheses know it: half the distance of two neighbours."""
+    """Relative standard deviation of the σ of a kind: half the distance of two hypotheses."""
     renewal: float = 1.0
     """Share of the log likelihood of a level that stays, per renewal of the slow error."""
-    most_independent: float = 1e9
     edge: float = 0.05
+    """Standard deviation of the place of an edge, steps: linearity of a good converter."""
     sticky_edge: float = 0.5
-    """Steps to which edges are known: linearity of a good converter; hysteresis, until readings go back."""
+    """The same until readings have gone back: the converter may have hysteresis."""
     slow_mean: float = 0.5
     """The mean of a slow error is known to so many of its sigmas."""
     onset_per_s: float = 1e-4
+    """Rate at which ramps begin at once, 1/s: one in 3 h."""
     onset_rate: float = 0.1 * FASTEST_RATE
-    """Ramps that begin at once: one in 3 h, and 2 °C/min, the usual ramp of a chamber."""
-    near: float = 2.5
-    """The temperature shown is within half a step and so many sigmas of the readings of its slot."""
+    """Rate of such a ramp, °C/s: 2 °C/min, the usual ramp of a chamber."""
     glide_s: float = 3.0
     """Time constant with which the rate shown follows the estimate, so that it does not jump."""
     unobserved_jerk: float = 1e-13
@@ -161,21 +162,21 @@ class Kinds:
         )
 
 
-class Motion(NamedTuple):
-    """What passes between two times: all that a prediction needs."""
+class Dynamics(NamedTuple):
+    """F and Q of a time step; e, whose φ depends on the kind of noise, is apart."""
 
-    transition: FloatArray
-    """F ⊗ F, (16, 16), of T, r and a; e stays."""
-    state_transition: FloatArray
-    """F, (4, 4), the same."""
+    f: FloatArray
+    """F of T, r and a, (4, 4); its element of e is 1."""
+    f_kron_f: FloatArray
+    """F ⊗ F, (16, 16): vec(F P Fᵀ) = (F ⊗ F) vec P."""
     decay: FloatArray
     """φ = exp(-dt/τ) of e, and 1 of the other states, (4, k, 1)."""
-    noise: FloatArray
+    q: FloatArray
     """Q of T, r and a, (3, 3, 1, m)."""
 
 
 @lru_cache(maxsize=64)
-def motion(params: Params, dt: float) -> Motion:
+def dynamics(params: Params, dt: float) -> Dynamics:
     """Return F and Q of a time step in s: constant acceleration driven by white jerk.
 
     ::
@@ -188,12 +189,8 @@ def motion(params: Params, dt: float) -> Motion:
     f[TEMPERATURE, ACCELERATION] = 0.5 * dt**2
     decay = np.ones((STATES, len(params.kinds.slow_s), 1))
     decay[ERROR] = np.exp(-dt / params.kinds.slow_s)
-    return Motion(
-        np.asarray(np.kron(f, f), np.float64),
-        f,
-        decay,
-        jerk_noise(dt)[:, :, np.newaxis, np.newaxis] * params.jerks,
-    )
+    q = jerk_noise(dt)[:, :, np.newaxis, np.newaxis] * params.jerks
+    return Dynamics(f, np.asarray(np.kron(f, f), np.float64), decay, q)
 
 
 def jerk_noise(dt: float) -> FloatArray:

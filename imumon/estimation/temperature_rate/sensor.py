@@ -96,8 +96,9 @@ class StepFinder:
     size: float = COARSEST_DEGC
     """The step as far as it is known, °C."""
     multiples: int = 0
+    """Changes that were multiples of it, since it was first found."""
     changes: int = 0
-    """Changes that are multiples of it, and all, since it was first seen."""
+    """All changes since then."""
     misfit: float = 0.0
     """Running share of changes that are no multiples of it."""
 
@@ -115,7 +116,7 @@ class StepFinder:
 
     @property
     def unknown(self) -> bool:
-        """Whether the step is neither declared nor seen."""
+        """Whether the step is neither declared nor found."""
         return self.declared is None and self.changes == 0
 
     def learn(self, reading: Reading) -> None:
@@ -162,9 +163,11 @@ class Thermometer:
     rho: float = 0.0
     """Variance ρ of a slot's mean, from second differences of three slots."""
     scatter: float = 0.0
-    squares: float = 0.0
-    spread: float = 0.0
-    """Of slots that change: variance, sum of squared differences, and that sum of independent readings."""
+    """Mean variance of the readings of slots in which they change, °C²."""
+    squared_differences: float = 0.0
+    """Mean sum of squared differences of successive readings in these slots, °C²."""
+    squared_if_independent: float = 0.0
+    """What that would be if the readings were independent: 2 n times their variance, °C²."""
     changed_slots: int = 0
     reversals: int = 0
     leaps: int = 0
@@ -174,8 +177,9 @@ class Thermometer:
     usual_s: float = 0.0
     """Mean time between slots that change."""
     change: float = 0.0
+    """The last change of the reading in this segment, °C; 0 before the first."""
     changed_s: float = math.nan
-    """The last change in this segment, 0 before the first; and when it was, or when the first reading was."""
+    """When that was, or before it when the first reading was, s."""
     fresh_s: float = -math.inf
     """When the last reading came that was not a repeat."""
     repeats: bool = False
@@ -214,7 +218,11 @@ class Thermometer:
 
     def independent(self, reading: Reading) -> float:
         """Return how many independent readings a slot has (von Neumann's ratio), 1 at least."""
-        share = self.squares / self.spread if self.spread > 0.0 else 1.0
+        share = (
+            self.squared_differences / self.squared_if_independent
+            if self.squared_if_independent > 0.0
+            else 1.0
+        )
         return min(max(share * reading.count, 1.0), reading.count)
 
     def fresh(self, reading: Reading) -> Reading | None:
@@ -270,8 +278,10 @@ class Thermometer:
             self.changed_slots += 1
             weight = max(MEMORY, 1.0 / self.changed_slots)
             self.scatter += weight * (variance - self.scatter)
-            self.squares += weight * (reading.step_squares - self.squares)
-            self.spread += weight * (2.0 * reading.count * variance - self.spread)
+            self.squared_differences += weight * (reading.step_squares - self.squared_differences)
+            self.squared_if_independent += weight * (
+                2.0 * reading.count * variance - self.squared_if_independent
+            )
         self._learn_interval(reading)
 
     def _learn_interval(self, reading: Reading) -> None:
