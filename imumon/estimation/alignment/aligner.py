@@ -356,8 +356,9 @@ class Aligner:
         if state.posterior is None:
             return {}
         joint = Estimate(state.posterior.north - state.yaw_since_fit, self.heading_sd)
+        observable = self.observable
         return {
-            name: Estimate(self.as_heading(one.heading) if self.observable else math.nan, one.sd)
+            name: Estimate(self.as_heading(one.heading) if observable else math.nan, one.sd)
             for name, one in {"joint": joint, **state.means}.items()
         }
 
