@@ -1,5 +1,5 @@
-"""What a recording tells of temperature and bias when its future is known as well.
+"""Estimates of temperature and gyro bias at each time of a recording from earlier and later samples.
 
-`record` keeps what the stages said forward, `backward` runs the same stages against time, `combine` makes one
-estimate of two, and `stage.Smoothed` puts it beside the samples.  Nothing is imported here.
+`record` keeps the outputs of the forward run, `backward` runs the same stages with time reversed, `combine`
+weighs both, and `stage.SmoothedEstimates` adds the columns.  Nothing is imported here.
 """

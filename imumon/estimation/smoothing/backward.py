@@ -1,7 +1,7 @@
-"""The same stages against time.
+"""The same stages with time reversed.
 
-Seen backward, what turned by ω turns by -ω: the rates change their sign, and so does the bias that is found.
-Time counts from the end of each run, and the last run is the first.
+Reversed in time, a rotation by ω is one by -ω: the rates change their sign, and so does the estimated bias.
+Time counts from the end of each run, and the order of the runs is reversed.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ def backward(
 ) -> dict[str, FloatArray]:
     """Return temperature, its rate and the bias, with their sigmas, by what comes later, (n,) each.
 
-    Rest is that of the forward run; which turn it may be instead is asked anew: against time a turn begins
-    where it ends.
+    Rest is that of the forward run.  The rest detector runs again only for ``turn_hypothesis``, the rotation
+    too slow to tell from a bias: reversed in time it begins where it ended.
 
     Parameters
     ----------
     temperature, rest, bias : Estimator
-        New stages.  The one of the bias must know of no curve over temperature: the rates come without it.
+        New stages.  That of the bias has no curve over temperature: it is subtracted from the rates here.
     """
     ends = np.flatnonzero(np.diff(record.run, append=-1))
     last_ns = record.middle_ns[ends][np.searchsorted(record.run[ends], record.run)]
@@ -54,12 +54,11 @@ def backward(
     for j, axis in enumerate("xyz"):
         found[f"gyro_bias_{axis}"] = curve[:, j] - block[f"gyro_bias_{axis}"][::-1]
         found[f"gyro_bias_sd_{axis}"] = block[f"gyro_bias_sd_{axis}"][::-1]
-        found[TURN[j]] = -block[TURN[j]][::-1]
     return found
 
 
 def known_curve(record: Record) -> FloatArray:
-    """Return what the model says of the bias, rad/s, (n, 3): zero without one, NaN while it is not known."""
+    """Return the modelled bias, rad/s, (n, 3): zero without a model, NaN while it is not known."""
     curve = record.vector("gyro_bias") - record.vector("gyro_random_error")
     modelled = (np.nan_to_num(curve) != 0.0).any(0)
     return np.where(np.isfinite(curve) | modelled, curve, 0.0)

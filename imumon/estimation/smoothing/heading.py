@@ -1,8 +1,8 @@
-"""The heading of a unit that stood still, by all of the time in which it did.
+"""The heading of a stationary unit from the whole stationary interval.
 
-It is one number, so what comes later makes it better by being fitted with the rest, not by a filter against
-time: a warm-up and a tripod that settles run forward only.  The second half of a position, fitted alone, is
-the test.
+It is a constant, so it is the result of one fit to all samples of the interval, and no backward filter is
+needed: warm-up and a settling tripod are models that only run forward.  A fit to the second half of the
+interval alone tests it against the estimate at its middle.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def _rows(record: Record, position: PositionHeading) -> IntArray:
 
 
 def _apart(record: Record, rows: IntArray, stage: Alignment) -> float:
-    """Return how far the heading by what was before is from that by these rows, in standard deviations."""
+    """Return the difference of the headings from these and from earlier rows, in standard deviations."""
     columns: dict[str, FloatArray] = {name: record.columns[name][rows] for name in SENSORS}
     at_rest = (record.columns["at_rest"][rows] == 1.0).astype(np.int64)
     found = stage.process(
@@ -63,7 +63,7 @@ def _apart(record: Record, rows: IntArray, stage: Alignment) -> float:
         )
     )
     before, before_sd = (float(record.columns[name][rows[0]]) for name in ("heading", "heading_sd"))
-    behind, behind_sd = (float(found[name][-1]) for name in ("heading", "heading_sd"))
-    if not math.isfinite(before + behind):
+    after, after_sd = (float(found[name][-1]) for name in ("heading", "heading_sd"))
+    if not math.isfinite(before + after):
         return math.nan
-    return abs(math.remainder(before - behind, 2.0 * math.pi)) / math.hypot(before_sd, behind_sd)
+    return abs(math.remainder(before - after, 2.0 * math.pi)) / math.hypot(before_sd, after_sd)

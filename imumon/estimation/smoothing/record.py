@@ -1,4 +1,4 @@
-"""What went through the stages forward, in slots short enough that nothing they see is lost."""
+"""Samples and estimates of the forward run as means over short slots: the input of the backward run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from imumon.filters.slots import SlotGatherer, Slots
 from imumon.filters.turns import mean_rates
 
 SLOT_NS = 31_250_000
-"""Half of the shortest slot that a stage thinks in, where turns are integrated."""
+"""Half of the shortest slot over which a stage integrates rotations."""
 SUFFIXES = ("", "_x", "_y", "_z")
 """Of the columns of a thermometer."""
 READINGS = tuple(f"temperature{suffix}" for suffix in SUFFIXES)
@@ -42,14 +42,14 @@ class Record:
     """n slots of a recording, in order."""
 
     stop: IntArray
-    """Row of the recording behind each, (n,)."""
+    """Row of the recording after the last of each slot, (n,)."""
     run: IntArray
     """Counts restarts, (n,)."""
     middle_ns: IntArray
     """Device time, (n,)."""
     columns: dict[str, FloatArray]
-    """Means of the sensors, (n,) each; of readings, rest and estimates the last value.  While the unit
-    moves, of the gyros the rate that turns it by as much as all samples."""
+    """Means of the sensors, (n,) each; the last value of temperatures, rest and estimates.  In motion the
+    gyros have the constant rate whose rotation over the slot is that of the samples."""
 
     def vector(self, name: str) -> FloatArray:
         """Return the three axes of a column, (n, 3)."""
@@ -57,7 +57,7 @@ class Record:
 
 
 class Recorder:
-    """Gathers the blocks of a run, whatever they are cut into."""
+    """Averages the blocks of a run into slots; the result does not depend on the division into blocks."""
 
     def __init__(self) -> None:
         self._slots = SlotGatherer(len(NAMES), SLOT_NS, rates=0)
@@ -93,7 +93,7 @@ class Recorder:
 
 
 def _means(slots: Slots) -> FloatArray:
-    """Return the means of slots, (m, columns), with the gyros' that turn the unit as it has turned."""
+    """Return the means of slots, (m, columns); in motion, gyros as in `Record.columns`."""
     rate = mean_rates(slots.turns)
     use = np.isfinite(rate[:, 0]) & (slots.last[:, NAMES.index("at_rest")] != 1.0)
     mean = slots.mean.copy()

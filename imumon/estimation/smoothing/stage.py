@@ -9,7 +9,7 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.columns import Column
-from imumon.estimation.smoothing.combine import SUSPECT, Side, Smoothed, combine, decided
+from imumon.estimation.smoothing.combine import SUSPECT, Smoothed, combine
 from imumon.estimation.smoothing.record import SUFFIXES, Record
 
 QUANTITIES = (
@@ -18,11 +18,10 @@ QUANTITIES = (
     *((f"gyro_bias_{a}", f"gyro_bias_sd_{a}", "rad/s") for a in "xyz"),
 )
 """Columns, their standard deviations, and the unit of both."""
-BIAS = tuple(f"gyro_bias_{axis}" for axis in "xyz")
 
 
 class SmoothedEstimates:
-    """What past and future say together; ``_smoothed`` stands behind the name of the quantity.
+    """Estimates from forward and backward filters; the columns are named as in `smoothed`.
 
     Parameters
     ----------
@@ -39,22 +38,19 @@ class SmoothedEstimates:
     ) -> None:
         self._stop = record.stop
         self._rows = 0
-        self._told = False
+        self._reported = False
         self._values: dict[str, FloatArray] = {}
         self._units: dict[str, str] = {}
         self.disagreement: dict[str, float] = {}
-        """Forward less backward in units of their standard deviations, rms, by quantity."""
+        """r of `combine`, by quantity."""
         for value, sd, unit in QUANTITIES:
             if value in backward:
-                if value in BIAS:
-                    found = _of_bias(record.columns, backward, value[-1])
-                else:
-                    found = combine(record.columns[value], record.columns[sd], backward[value], backward[sd])
-                self._take(value, sd, unit, found)
+                found = combine(record.columns[value], record.columns[sd], backward[value], backward[sd])
+                self._add(value, sd, unit, found)
         if heading is not None:
-            self._take("heading", "heading_sd", "rad", heading)
+            self._add("heading", "heading_sd", "rad", heading)
 
-    def _take(self, value: str, sd: str, unit: str, found: Smoothed) -> None:
+    def _add(self, value: str, sd: str, unit: str, found: Smoothed) -> None:
         if math.isfinite(found.disagreement):
             self.disagreement[value] = found.disagreement
         if np.isfinite(found.sd).any():
@@ -81,11 +77,11 @@ class SmoothedEstimates:
         return {name: values[slot] for name, values in self._values.items()}
 
     def notices(self) -> list[str]:
-        """Return, once, what past and future contradict each other in."""
+        """Return, once, the quantities in which forward and backward contradict each other."""
         suspect = [f"{name} ({value:.1f} σ)" for name, value in self.disagreement.items() if value > SUSPECT]
-        told, self._told = self._told, True
-        if told or not suspect:
+        if self._reported or not suspect:
             return []
+        self._reported = True
         return [
             f"forward and backward contradict each other in {', '.join(suspect)}: something turned at once "
             "that the filter takes for smooth, or its model lacks an effect (of a bias, imumon diagnose may "
@@ -98,11 +94,3 @@ def smoothed(name: str) -> str:
     for quantity in ("temperature_estimate", "temperature_rate", "gyro_bias", "heading"):
         name = name.replace(quantity, f"{quantity}_smoothed")
     return name
-
-
-def _of_bias(forward: Mapping[str, FloatArray], backward: Mapping[str, FloatArray], axis: str) -> Smoothed:
-    """Return the bias of an axis; what may be a turn instead is told apart from other errors."""
-    value, sd, turn = (f"{name}_{axis}" for name in ("gyro_bias", "gyro_bias_sd", "turn_hypothesis"))
-    past, future = (Side(one[value], one[sd], one[turn]) for one in (forward, backward))
-    past_sd, future_sd, shared = decided(past, future, forward["at_rest"] == 1.0)
-    return combine(past.value, past_sd, future.value, future_sd, shared)

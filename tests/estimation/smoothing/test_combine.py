@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imumon.estimation.smoothing.combine import Side, combine, decided
+from imumon.estimation.smoothing.combine import combine
 
 
 def test_two_independent_sides_are_weighed_by_their_variances() -> None:
@@ -48,27 +48,3 @@ def test_one_side_alone_is_taken_and_none_is_nan() -> None:
     nothing = combine(f[:1], f_sd[:1], b[:1], b_sd[:1])
     assert np.isnan(nothing.disagreement)
     assert nothing.value[0] == 7.0
-
-
-def test_a_doubt_that_both_sides_have_at_rest_is_not_averaged_away() -> None:
-    n = 1000
-    rng = np.random.default_rng(5)
-    turn = np.full(n, 10.0)
-    past, future = (
-        Side(10.0 + rng.standard_normal(n), np.full(n, np.hypot(10.0, 1.0)), turn) for _ in range(2)
-    )
-    past_sd, future_sd, shared = decided(past, future, np.ones(n, np.bool_))
-    found = combine(past.value, past_sd, future.value, future_sd, shared)
-    assert found.sd == pytest.approx(np.full(n, np.sqrt(100.0 + 0.5)), rel=0.05)
-    assert found.disagreement == pytest.approx(1.0, abs=0.1)
-
-
-@pytest.mark.parametrize(("changed", "least", "most"), [(0.0, 0.5, 4.0), (10.0, 5.0, 10.0)])
-def test_a_doubt_in_motion_goes_where_both_sides_agree(changed: float, least: float, most: float) -> None:
-    ones = np.ones(200)
-    past = Side(0.0 * ones, np.hypot(10.0, 1.0) * ones, 10.0 * ones)
-    future = Side(changed * ones, np.hypot(10.0, 1.0) * ones, 10.0 * ones)
-    past_sd, future_sd, shared = decided(past, future, np.zeros(200, np.bool_))
-    assert not shared.any()
-    for sd in (past_sd, future_sd):
-        assert np.all((sd > least) & (sd <= np.hypot(most, 1.0) + 1e-9))
