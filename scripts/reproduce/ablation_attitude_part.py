@@ -17,7 +17,7 @@ from attitude_scenes import SCENES, calibrated, simulate
 from attitude_table import heading_error, rms, tilt_error
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.attitude import heading_sigma, tilt_sigma
+from imumon.estimation.attitude import heading_sigma, stage, tilt_sigma
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import GyroBias
@@ -59,7 +59,7 @@ VARIANTS: dict[str, list[Change]] = {
     "g0 0.5 rad²": [(tilt_sigma, "SCALE_TURN", 0.5)],
     "g0 8 rad²": [(tilt_sigma, "SCALE_TURN", 8.0)],
     "no late term": [(tilt_sigma.TiltSigma, "_late", _nothing)],
-    "no wrong axes": [(tilt_sigma, "WRONG_AXES", 0.0)],
+    "no wrong axes": [(module, "WRONG_AXES", 0.0) for module in (tilt_sigma, heading_sigma, stage)],
     "cleared at 1 rad²": [(tilt_sigma, "CLEARED", 1.0)],
     "contradicts at 1 %": [(tilt_sigma, "CONTRADICTS", 0.01)],
     "contradicts at 10 %": [(tilt_sigma, "CONTRADICTS", 0.1)],

@@ -1,9 +1,12 @@
 """How far the heading may be off: a free one by its change, one by the magnetometer by calibration and iron.
 
 A free heading turns wrong by scale errors of what was turned about the vertical (J of `tilt_sigma`), and by
-the bias, which each rest measures anew::
+the bias, which each rest measures anew.  A gyro that the vertical has not confirmed may have another axis::
 
-    free     = min(s², s0²) |sum of u J|² + sum over motions of (bias sd, seconds)² + lost               (1)
+    free     = min(s², s0²) |sum of u J|² + sum over motions of (bias sd, seconds)² + lost
+               + p sum over unconfirmed gyros of (turn about their axis and the vertical)²              (1)
+
+with the probability p = `WRONG_AXES`.
 
 A calibrated magnetometer ties the heading down.  VQF follows it with tau_mag and forgets older parts of (1).
 With H and V the horizontal and the vertical field, c the error of the calibration, i the iron on the unit
@@ -26,7 +29,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.attitude.fusion import TAU_MAG_S
-from imumon.estimation.attitude.tilt_sigma import SLOT_S, Gyros, Slot, face_of
+from imumon.estimation.attitude.tilt_sigma import SLOT_S, WRONG_AXES, Gyros, Slot, face_of
 from imumon.models.magnetometer import MagnetometerModel
 
 IRON = 0.025
@@ -121,6 +124,7 @@ class HeadingSigma:
     def _drifted(self, drift: float) -> float:
         scale2 = min(self.gyros.variance, self.gyros.prior)
         turned = scale2 * float(self.about_up @ self.about_up)
+        turned += WRONG_AXES * float(np.square(self.about_up[::4]) @ ~self.gyros.confirmed)
         return turned + self.bias + (drift * self.moving_s) ** 2
 
     def _magnetic(self, slot: Slot, tilt_variance: float) -> float:

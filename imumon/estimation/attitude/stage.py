@@ -309,9 +309,9 @@ class AttitudeEstimate:
         late = known["scale"] * turned2.sum(1) + ((rows["ignored"] - known["ignored"]) ** 2).sum(1)
         late += (rows["angle"] ** 2).sum(1) / 12.0
         moved2 = ((up_of(rows["levelling"]) - known["up"]) ** 2).sum(1)
-        wrong = 0.5 * WRONG_AXES * (turned2 * known["unconfirmed"]).sum(1)
-        tilt = known["tilt"] + late + wrong + 0.5 * moved2
-        turn = known["heading"] + late + slope(q, np.sqrt(tilt)) ** 2 * tilt
+        wrong = WRONG_AXES * (turned2 * known["unconfirmed"]).sum(1)
+        tilt = known["tilt"] + late + 0.5 * wrong + 0.5 * moved2
+        turn = known["heading"] + late + wrong + slope(q, np.sqrt(tilt)) ** 2 * tilt
         tilt_sd, heading_sd = (np.sqrt(np.where(each < UNKNOWN**2, each, math.nan)) for each in (tilt, turn))
         if self._down == 0.0 and np.isfinite(q[:, 0]).any():
             first = int(np.argmax(np.isfinite(q[:, 0])))
