@@ -89,7 +89,7 @@ class HeadingSigma:
     earth_rate: float
     iron: Iron = field(default_factory=Iron)
     about_up: FloatArray = field(default_factory=lambda: np.zeros(9))
-    """u J, summed: rad for each element of scale and misalignment."""
+    """Sum of u J: turn about the vertical for each element of scale and misalignment, rad."""
     bias: float = 0.0
     """Variance by the bias in the motions before, and by lost samples, rad²."""
     moving_s: float = 0.0

@@ -1,4 +1,4 @@
-"""What a pipeline file says of the attitude; apart from the stage, so that it loads quickly."""
+"""Parameters of the attitude, in a module of their own that loads quickly."""
 
 from __future__ import annotations
 

@@ -47,9 +47,9 @@ SCALE_SD = 0.02
 SCALE_TURN = 2.0
 """g0, rad²: s0 counts like so much turn; 0.5 to 8 make no difference."""
 WRONG_AXES = 0.05
-"""Probability that a gyro shows another axis or sign than declared, until it is cleared.  Judged."""
+"""Probability that a gyro shows another axis or sign than declared, until it is confirmed.  Assumed."""
 CLEARED = 0.1
-"""rad² of turn about its own axis, the vertical having moved as it should, that clear a gyro."""
+"""rad² of turn about its own axis, the vertical having moved as it should, that confirm a gyro."""
 CONTRADICTS = 0.05
 """Share of that turn by which u may change; 1 to 10 % make no difference."""
 
@@ -197,8 +197,8 @@ class TiltSigma:
         if math.isfinite(slot.low_force):
             self.accelerometers.learn(slot.up_body, slot.low_force)
         self.gyros.learn(change, level(np.sum(self.turns, axis=0), slot.up))
-        seen = self._at_rest(slot) if slot.rest else self._in_motion(slot, change)
-        return seen + self.accelerometers.variance / STANDARD_GRAVITY**2
+        measured = self._at_rest(slot) if slot.rest else self._in_motion(slot, change)
+        return measured + self.accelerometers.variance / STANDARD_GRAVITY**2
 
     def _at_rest(self, slot: Slot) -> float:
         """(7): the distance from the vertical that the accelerometers show."""

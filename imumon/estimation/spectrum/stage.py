@@ -14,7 +14,7 @@ from imumon.estimation.spectrum.welch import Peak, Spectrum, fast_length, peaks,
 
 TAB = "Spectrum"
 SPAN_S = 30.0
-"""What is looked at: the last so many seconds."""
+"""Length of the window of samples, s."""
 MOST_SAMPLES = 32768
 PARTS = 7
 """A segment is two of so many parts of the span, or a little less (`fast_length`): six overlap by half."""
@@ -60,12 +60,12 @@ class LiveSpectrum:
         return {}
 
     def _is_old(self, now_ns: int) -> bool:
-        """Tell whether the oldest block can go."""
+        """Return whether the oldest block is outside the window."""
         end = int(self._blocks[0][0][-1])
         return now_ns - end > SPAN_S * 1e9 or self._held - len(self._blocks[0][0]) > MOST_SAMPLES
 
     def notices(self) -> list[str]:
-        """Say nothing."""
+        """Return nothing."""
         return []
 
     def charts(self) -> Sequence[Chart]:

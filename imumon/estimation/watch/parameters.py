@@ -1,4 +1,4 @@
-"""What a pipeline file says of the watch over the bias filter; apart from it, so that it loads quickly."""
+"""Parameters of the test of the bias filter, in a module of their own that loads quickly."""
 
 from __future__ import annotations
 

@@ -10,14 +10,14 @@ from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
 from imumon.estimation.watch.evidence import BLOCK, LEARNING, State, limit, step
 from imumon.estimation.watch.parameters import WatchParameters
-from imumon.estimation.watch.verdict import judge
+from imumon.estimation.watch.verdict import interpret
 from imumon.filters.segments import Breaks
 
 SUSPECT = Column("model_suspect", "1", "int64", "1 once the bias filter is caught at being wrong, else 0")
 
 
 class ModelWatch:
-    """Tells when the innovations of the bias filter are not what the filter says they should be.
+    """Detects when the innovations of the bias filter are not what the filter says they should be.
 
     They should be white, standard normal, and have nothing to do with temperature, its rate or the time.  A
     suspicion stays until the device restarts: a model that has failed does not get better when the
@@ -90,7 +90,7 @@ class ModelWatch:
             if highest >= self._alarm_at and not self._state.alarm:
                 self._state.alarm = True
                 changes.append((row, int(segments[k])))
-                self._report(judge(self._state.peaks, self._modelled).notice)
+                self._report(interpret(self._state.peaks, self._modelled).notice)
         return changes
 
     def _report(self, text: str) -> None:
@@ -101,7 +101,7 @@ class ModelWatch:
     def lanes(self) -> Mapping[str, str]:
         """Return the lane ``model``: MODEL OK, MODEL SUSPECT with the reason, waiting, or no model."""
         if self._state.alarm:
-            return {"model": f"MODEL SUSPECT: {judge(self._state.peaks, self._modelled).reason}"}
+            return {"model": f"MODEL SUSPECT: {interpret(self._state.peaks, self._modelled).reason}"}
         if self._state.slots < LEARNING + BLOCK:
             return {"model": "waiting for rest"}
         return {"model": "MODEL OK" if self._modelled else "no model; the filter agrees with itself"}

@@ -1,4 +1,4 @@
-"""From the tests to words: what the innovations follow, which effects would do that, what to run."""
+"""Cause and advice in words from the test statistics: which quantity the innovations follow, and why."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Verdict(NamedTuple):
     notice: str
 
 
-def judge(peaks: FloatArray, modelled: bool) -> Verdict:
-    """Return what the evidence, `State.peaks`, says once there is an alarm, with a bias model in use or not.
+def interpret(peaks: FloatArray, modelled: bool) -> Verdict:
+    """Return cause and advice for the peaks of the tests (`State.peaks`), with a bias model in use or not.
 
     What drives the bias is named before the mere fact that innovations follow each other, and that before
     their size: an effect does all three.
