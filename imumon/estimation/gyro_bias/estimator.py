@@ -42,7 +42,7 @@ ACCEL_DRIFT = 1.5e-3
 
 
 class Slot(NamedTuple):
-    """What the samples of a slot say, (3,) each."""
+    """Means over a slot, (3,) each."""
 
     span: Span
     rest: bool
@@ -55,7 +55,7 @@ class Slot(NamedTuple):
     growth: FloatArray
     """What an uncertain temperature has added to the variance of the bias meanwhile, (rad/s)²."""
     reported: FloatArray | None
-    """A turn that may be a change of the bias, by the rest detector, rad/s; None where it does not say."""
+    """A turn that may be a change of the bias, by the rest detector, rad/s; None without a detector."""
     turn: Turn
 
 
@@ -102,7 +102,7 @@ class State:
     degc: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     """The last that were known, (3,)."""
     motion: Motion = field(default_factory=Motion)
-    """What motion says of the bias before the first rest."""
+    """Estimates the bias from motion before the first rest."""
     by_motion: Law | None = None
     held: FloatArray = field(default_factory=lambda: np.zeros(3))
     """Variance by a turn that the rest detector has reported, until a second has counted without, (3,)."""
@@ -277,13 +277,13 @@ def _check_noise(state: State) -> None:
 
 
 def shown(state: State, params: Params, now_s: float) -> tuple[Law | None, FloatArray, FloatArray]:
-    """Return the law of the bias at a time, what is to be added to its variance, and the variance by the
-    doubt whether it has changed, (rad/s)², (3,)."""
+    """Return the law of the bias at a time, what is to be added to its variance, and the variance by
+    the hypothesis that is not shown, (rad/s)², (3,)."""
     state.shown_s = now_s
     if state.beliefs.law is None:
         return state.by_motion, np.zeros(3), np.zeros(3)
-    law, doubt = table.shown(state.beliefs, now_s, state.degc, state.force)
-    added = state.added
+    law, ambiguity = table.shown(state.beliefs, now_s, state.degc, state.force)
+    added = state.added + state.attitude.uncertain_earth(params.place)
     if state.beliefs.moved:
         added = added + turned_earth(state.attitude.up, params.place, state.turn)
-    return law, added, np.maximum(doubt**2, state.held)
+    return law, added, np.maximum(ambiguity**2, state.held)

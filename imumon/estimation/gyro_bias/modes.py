@@ -1,4 +1,4 @@
-"""The model of a gyro's bias, and the modes: what nobody knows of it before the unit has been at rest.
+"""The model of a gyro's bias, and the modes: hypotheses of its flicker, slope and sensitivity.
 
 Per axis the state is::
 
@@ -88,7 +88,7 @@ class Modes:
 
 
 def unknown_modes(slope_per_sigma: tuple[float, ...]) -> Modes:
-    """Return the modes of a gyro of which nothing is known but that σ is; slopes (sd over σ), 1/°C."""
+    """Return the modes of a gyro of unknown noise; slopes (sd over σ), 1/°C."""
     flicker = [1.0 / (FLOOR_OF_FLICKER * math.sqrt(c)) for c in FLICKER_CORNERS_S]
     kinds = [(b, 0.0) for b in flicker] + [(0.05 * flicker[0], math.sqrt(3.0) / c) for c in WALK_CORNERS_S]
     n, count = len(flicker), len(kinds)

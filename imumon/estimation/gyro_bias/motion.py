@@ -6,13 +6,13 @@ order of what is left of the errors, and iterated, Gauss and Newton)::
 
     ∫ C f dt = g t + v(t) - v(0) + ∫∫ [g x] C (bias + M ω) dt dt + ∫ C accelerometer bias dt
 
-The velocity v is a Matern process, of the standard deviation that the window itself shows: jerky (an
-Ornstein-Uhlenbeck process) or smooth (once differentiable), with one of four correlation times, each as
-likely as it makes the window.  Scale and misalignment M and the
-accelerometers' bias stay as they are, and go from window to window with the bias.
+The velocity v is a Matern process, jerky (Ornstein-Uhlenbeck) or smooth (once differentiable), with one of
+four correlation times, weighed by likelihood; its standard deviation is fitted to the window.
+Scale and misalignment M and the accelerometers' bias are constant, and go from window to window with the
+bias.
 
-Nothing is believed of the rate about the vertical.  It shows by how the unit sways, which is little and of
-second order: taken at its word it was wrong by four standard deviations.  So an upright axis has no bias.
+The rate about the vertical is not estimated.  Only sways make it observable, by terms of second order: its
+estimate was wrong by four standard deviations.  So an upright axis has no bias.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ PART_S, PARTS = 5.0, 12
 """A window is a minute: a bias of a degree per second turns it by a radian."""
 CORRELATIONS_S = (5.0, 20.0, 60.0, 200.0)
 MOST_TURNED = math.pi
-"""rad: where the bias turns a window by more than half a turn, a fit may end anywhere, and is not told."""
+"""rad: a bias that turns a window by more may be a wrong minimum of the fit, and is not shown."""
 UNKNOWN_RATE = math.radians(3.0)
 """Standard deviation of the bias before anything is known: turn-on of consumer gyros."""
 UNKNOWN_SCALE, UNKNOWN_FORCE = 0.03, 0.4
 """The same of elements of M, and of the accelerometers' bias, m/s²: 3 % and 40 mg, as data sheets of consumer
 units have it."""
 ANGLE_WALK = math.radians(0.6) / 60.0
-"""Of consumer gyros, rad/sqrt(s): in motion nobody sees the noise."""
+"""Of consumer gyros, rad/sqrt(s): in motion the noise is not measured."""
 BIAS_WALK = 30.0 * DEG_PER_H
 """Random walk of the bias, rad/s/sqrt(s): 230 °/h a minute, as 100 °/h/°C at 2 °C/min makes it."""
 LEAST_SPEED2 = 1e-4
@@ -68,15 +68,13 @@ class Part:
 
 @dataclass(slots=True, eq=False)
 class Motion:
-    """What motion has said of the bias.
+    """Bias by motion, window by window.
 
     Parameters
     ----------
     mean, covariance : array (15,), (15, 15)
     parts : list of Part
         Of the present window, the last one growing.
-    windows : int
-        How many have ended.
     force : array (3,)
         Mean specific force of the last window, m/s².
     """
@@ -84,7 +82,6 @@ class Motion:
     mean: FloatArray = field(default_factory=lambda: np.zeros(STATES))
     covariance: FloatArray = field(default_factory=_prior)
     parts: list[Part] = field(default_factory=lambda: [Part()])
-    windows: int = 0
     force: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     def interrupt(self) -> None:
@@ -106,7 +103,7 @@ class Motion:
         vertical = window.force / math.sqrt(float(window.force @ window.force))
         known = float(vertical @ self.covariance[RATE, RATE] @ vertical)
         self.covariance[RATE, RATE] += max(UNKNOWN_RATE**2 - known, 0.0) * np.outer(vertical, vertical)
-        self.force, self.windows = window.force, self.windows + 1
+        self.force = window.force
         self.interrupt()
         return True
 
@@ -201,17 +198,17 @@ def _fitted(window: _Window, prior: FloatArray, covariance: FloatArray, process:
     for _ in range(ITERATIONS):
         velocity, by_states = window.summed(mean[RATE])
         design[:, :, 3:] = -by_states
-        told = velocity - by_states[:, :, RATE] @ mean[RATE]
+        measured = velocity - by_states[:, :, RATE] @ mean[RATE]
         for _ in range(ITERATIONS):
             weight = np.linalg.inv(speed2 * process + walk)
             weighed = np.einsum("ab,bij->aij", weight, design).reshape(3 * n, -1)
             normal = design.reshape(3 * n, -1).T @ weighed
             information = normal.copy()
             information[3:, 3:] += known
-            right = weighed.T @ told.reshape(-1)
+            right = weighed.T @ measured.reshape(-1)
             right[3:] += known @ prior
             found = np.linalg.solve(information, right)
-            left = told - design @ found
+            left = measured - design @ found
             free = 3.0 * n - float(np.trace(np.linalg.solve(information, normal)))
             speed2 = max(speed2 * float(np.einsum("ai,ab,bi->", left, weight, left)) / free, LEAST_SPEED2)
         mean, cover = found[3:], np.linalg.inv(information)[3:, 3:]

@@ -16,8 +16,8 @@ from imumon.blocks import FloatArray
 from imumon.filters.turns import Turn
 from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL, earth_rate_along, north_in_body
 
-TURN_SD = 0.01
-"""Error of the heading after a turn, over the angle turned."""
+SCALE_SD = 0.01
+"""Error of an element of the matrix of scale and misalignment: consumer data sheets."""
 LOST_SD = 1.0
 """Error of a heading that is not known, rad; the sine of larger ones is no larger."""
 
@@ -35,11 +35,6 @@ class Place:
         return math.isfinite(self.heading) and math.isfinite(self.latitude)
 
     @property
-    def turning(self) -> float:
-        """Earth rate that is part of the bias, and turns against the body, rad/s."""
-        return 0.0 if self.oriented else self.horizontal
-
-    @property
     def horizontal(self) -> float:
         """Horizontal earth rate, rad/s; the most it can be where the latitude is not known."""
         return EARTH_RATE * (math.cos(self.latitude) if math.isfinite(self.latitude) else 1.0)
@@ -49,14 +44,18 @@ class Place:
 class Attitude:
     """Up, north and earth rate at the last rest, body axes."""
 
-    gravity: float = 0.0
-    """Specific force at rest, m/s²; 0 without accelerometers."""
     up: FloatArray = field(default_factory=lambda: np.zeros(3))
     north: FloatArray = field(default_factory=lambda: np.zeros(3))
     """Unit vectors, (3,); zero where not known."""
     earth: FloatArray = field(default_factory=lambda: np.zeros(3))
     """What is known of the earth rate, rad/s, (3,)."""
+    heading_variance: float = 0.0
+    """Of the heading, where the place is known, rad²."""
     placed: bool = False
+
+    def uncertain_earth(self, place: Place) -> FloatArray:
+        """Return the variance of the known earth rate by the error of the heading, (rad/s)², (3,)."""
+        return np.asarray(place.horizontal**2 * self.heading_variance * (1.0 - self.up**2))
 
     def come_to_rest(
         self, force: FloatArray | None, place: Place, turn: Turn, drift: float, lost: bool
@@ -72,18 +71,17 @@ class Attitude:
         drift : float
             Error of the heading that the bias has made meanwhile, rad; NaN when it is not known.
         lost : bool
-            Whether nobody knows how far it has turned.
+            Whether the angle turned is not known, as readings were missing.
         """
         before, placed = self.up, self.placed
-        self.gravity = 0.0 if force is None else float(np.linalg.norm(force))
-        if force is None or self.gravity == 0.0:
-            self.gravity = 0.0
+        if force is None or not force.any():
             return np.zeros(3)
-        self.up, self.placed = force / self.gravity, True
+        self.up, self.placed = force / np.linalg.norm(force), True
         added = np.zeros(3)
         if place.oriented:
             sampled = math.sqrt(turn.sampling_variance(before))
-            heading_sd = min(LOST_SD, TURN_SD * turn.path + sampled + drift) if math.isfinite(drift) else 0.0
+            scaled = SCALE_SD * float(np.linalg.norm(np.tensordot(before, turn.by_scale, 1)))
+            heading_sd = min(LOST_SD, scaled + sampled + drift) if math.isfinite(drift) else 0.0
             if placed:
                 northward = self.north @ turn.rotation
                 northward -= (northward @ self.up) * self.up
@@ -93,6 +91,7 @@ class Attitude:
                 else:
                     self.north, heading_sd = north_in_body(self.up, place.heading), LOST_SD
                 added = (place.horizontal * heading_sd) ** 2 * (1.0 - self.up**2)
+                self.heading_variance = min(LOST_SD**2, self.heading_variance + heading_sd**2)
             else:
                 self.north = north_in_body(self.up, place.heading)
         elif placed:

@@ -5,8 +5,8 @@ With d the specific force of a sample less f0, and terms and covariance of `Law.
     bias     = t0 + t · d
     variance = C00 + 2 C0 · d + d · C d + added
 
-At rest, and without accelerometers, d is that of the slot: there its noise says nothing.  All sums are of
-arrays over the samples, so they are the same whatever the division into blocks.
+At rest, and without accelerometers, d is that of the slot: there its noise is no change of pose.  All
+sums are of arrays over the samples, so they are the same whatever the division into blocks.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PAIRS = ((0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3), (2, 2), (2, 3),
 
 
 class Shown(NamedTuple):
-    """What holds from a slot on; NaN where nothing is known."""
+    """The law from the end of a slot on; NaN where nothing is known."""
 
     terms: FloatArray
     """t, (4, 3)."""
@@ -34,15 +34,15 @@ class Shown(NamedTuple):
     bias: FloatArray
     variance: FloatArray
     """At the specific force of the slot, (3,)."""
-    doubt: FloatArray
-    """Variance by the doubt whether the bias has changed, (3,)."""
+    ambiguity: FloatArray
+    """Variance by the hypothesis of the bias that is not shown, (3,)."""
 
 
 NOTHING = Shown(*(np.full(shape, np.nan) for shape in ((4, 3), (10, 3), (3,), (3,), (3,), (3,))))
 
 
-def shown_by(law: Law, added: FloatArray, doubt: FloatArray, force: FloatArray) -> Shown:
-    """Return what holds by a law with more variance, and a doubt, (3,), at the specific force of a slot,
+def shown_by(law: Law, added: FloatArray, ambiguity: FloatArray, force: FloatArray) -> Shown:
+    """Return what holds by a law with more variance, and an ambiguity, (3,), at the specific force of a slot,
     (3,)."""
     terms, covariance = law.terms()
     covariance[:, 0, 0] += added
@@ -50,7 +50,7 @@ def shown_by(law: Law, added: FloatArray, doubt: FloatArray, force: FloatArray) 
     d = np.nan_to_num(force - law.force)
     row = np.array([1.0, *d])
     variance = np.maximum(covariance @ row @ row, 0.0)
-    return Shown(terms.T, squares, law.force, terms @ row, variance, doubt)
+    return Shown(terms.T, squares, law.force, terms @ row, variance, ambiguity)
 
 
 def at_samples(
@@ -66,16 +66,16 @@ def at_samples(
     force : array (n, 3)
     moving : array of bool (n,)
     reported : array (n, 3)
-        A turn that may be a change of the bias, by the rest detector, rad/s: its square is a doubt, too.
+        A turn that may be a change of the bias, by the rest detector, rad/s: its square is an ambiguity, too.
     """
     n = len(moving)
     which = np.searchsorted(rows, np.arange(n), side="right")
     bias = np.array([one.bias for one in every])[which]
     variance = np.array([one.variance for one in every])[which]
-    doubt = np.maximum(np.array([one.doubt for one in every])[which], reported**2)
+    ambiguity = np.maximum(np.array([one.ambiguity for one in every])[which], reported**2)
     here = np.flatnonzero(moving)
     if not len(here):
-        return bias, variance + doubt
+        return bias, variance + ambiguity
     k = which[here]
     d = force[here] - np.array([one.reference for one in every])[k]
     known = np.isfinite(d).all(1)
@@ -86,4 +86,4 @@ def at_samples(
     bias[here] = sum(part * term[k] for part, term in zip(row, terms, strict=True))
     total = sum(row[i] * row[j] * square[k] for (i, j), square in zip(PAIRS, squares, strict=True))
     variance[here] = np.maximum(total, 0.0)
-    return bias, variance + doubt
+    return bias, variance + ambiguity

@@ -56,7 +56,7 @@ class GyroBias:
     The columns ``gyro_bias_{x,y,z}`` hold the whole bias of the raw rate.  The earth rate is not in it where
     latitude and heading are given; with the latitude alone its vertical part is not; else it is part of the
     bias, and `notices` says so.  There is no estimate (NaN) until the unit was at rest for some seconds, or
-    for a minute in motion, which says nothing of an upright axis.
+    for a minute in motion, which leaves an upright axis unknown.
 
     Raises BAD_CONFIG when the thermal mode has no model, or the model lacks a gyro.
 
@@ -101,7 +101,7 @@ class GyroBias:
         self._breaks = Breaks()
         self._pending = _notices_at_start(latitude_deg, heading_deg)
         self._pending += [f"the gyro bias does not use {key} any more" for key in self._parameters.retired]
-        self._said: set[str] = set()
+        self._reported: set[str] = set()
         self._lacks_rest = False
         self._jumped = 0
         self._now_s = 0.0
@@ -126,8 +126,9 @@ class GyroBias:
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; NaN where there is no estimate.
 
-        Needs ``device_time_ns`` and ``segment``, the gyros, and ``at_rest``; the accelerometers tell a slow
-        rotation from a bias, and ``turn_hypothesis_{x,y,z}`` what the rest detector has not decided.
+        Needs ``device_time_ns`` and ``segment``, the gyros, and ``at_rest``; the accelerometers distinguish a
+        slow rotation from a bias, and ``turn_hypothesis_{x,y,z}`` is a turn that the rest detector has not
+        excluded.
         """
         n = len(block)
         gyro = block.gyro
@@ -174,8 +175,8 @@ class GyroBias:
         drift_sd[:] = sd
         np.subtract(gyro, bias, out=corrected)
         np.subtract(bias, curve, out=drift)
-        seen = slots.row[slots.row < n]
-        self._trail.add(block["device_time_ns"][seen], temperature[seen], bias[seen])
+        ended = slots.row[slots.row < n]
+        self._trail.add(block["device_time_ns"][ended], temperature[ended], bias[ended])
 
     def _gathered(
         self, block: SampleBlock, rate: FloatArray, degc: FloatArray, sd: FloatArray, rest: BoolArray,
@@ -210,7 +211,7 @@ class GyroBias:
         return step(self._state, self._params, slot)
 
     def _look_ahead(self, block: SampleBlock, slots: Slots, k: int, degc: FloatArray) -> bool:
-        """Take what the first sample behind a slot says: of a restart, or of a gap."""
+        """Detect a restart or a gap by the first sample behind a slot."""
         row = int(slots.row[k])
         time_ns, segment = block["device_time_ns"][row], block["segment"][row]
         if segment != slots.segment[k] or time_ns < slots.end_ns[k]:
@@ -229,14 +230,14 @@ class GyroBias:
         return bool(gap_s)
 
     def _present(self) -> Shown:
-        """Return what holds from now on."""
-        law, added, doubt = shown(self._state, self._params, self._now_s)
-        return NOTHING if law is None else shown_by(law, added, doubt, self._state.force)
+        """Return the law from now on."""
+        law, added, ambiguity = shown(self._state, self._params, self._now_s)
+        return NOTHING if law is None else shown_by(law, added, ambiguity, self._state.force)
 
     def _model_input(
         self, block: SampleBlock, temperature: FloatArray, breaks: Sequence[int]
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return what `ThermalInput.process` says, run by run."""
+        """Return `ThermalInput.process` of each run of the unit."""
         edges = [0, *(row for row in breaks if row > 0), len(block)]
         parts = []
         for start, stop in pairwise(edges):
@@ -267,14 +268,14 @@ class GyroBias:
             _outside(self._thermal.ranges_degc): self._thermal.outside,
         }
         for text, true in conditions.items():
-            if true and text not in self._said:
-                self._said.add(text)
+            if true and text not in self._reported:
+                self._reported.add(text)
                 texts.append(text)
         jumped = self._state.beliefs.jumped
         if jumped > self._jumped:
             self._jumped = jumped
             texts.append(
-                f"at rest the rate contradicted the bias, and gravity, or {PATIENCE_S:.0f} s, say that it "
+                f"at rest the rate contradicted the bias, and gravity, or {PATIENCE_S:.0f} s, show that it "
                 "has jumped: the bias is estimated anew"
             )
         return texts

@@ -44,7 +44,7 @@ SETTLED_S = 4.0
 CERTAIN = 12.0
 """Log likelihood ratio from which on witnesses decide for a change of the bias."""
 AGAINST = 2.0
-"""Log likelihood ratio of a turn from which on a mean that fits a wide law is not believed."""
+"""Log likelihood ratio of a turn from which on a mean that fits a wide law is no rest."""
 HISTORY_S = 64.0
 """Seconds whose headings are remembered: a turn of 0.6 °/s turns by `odds.COMPASS_RAD`."""
 LEAST_WHITE = 1e-18
@@ -95,7 +95,6 @@ class State:
     """Whether that is more likely; believed is shown then, else changed."""
     changes: int = 0
     """How often the rate has changed in the dispute."""
-    witness: Witness = field(default_factory=Witness)
     first: FloatArray | None = None
     """Mean rate of the first rest, (3,); None once the unit has been in another pose."""
     pose: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
@@ -154,7 +153,7 @@ def _accept(state: State, now: Second, compared: Version) -> None:
 
 
 def _go_on(state: State, now: Second, _: Version) -> None:
-    """The rate is the same as since it changed: nobody knows whether that is the bias."""
+    """The rate is the same as since it changed: whether that is the bias is not decided."""
     assert state.changed is not None
     _take(state.changed, now)
     state.changed_law = filters.law_of(state.changed)
@@ -254,17 +253,17 @@ def _facts(
         fit = _fit(AGAIN, replace(law, covariance=state.law_then.covariance), now, state.recent)
     else:
         fit = _fit(BEYOND, law, now, state.recent)
-    state.witness = Witness()
+    witness = Witness()
     if not fit.fits or state.disputed or len(state.history) <= SPANS[1]:
         seconds = state.recent if fit.fits else state.history[-SPANS[-1] :]
         witnesses = parts if parts and len(seconds) < 3 else seconds
-        state.witness = _witness(state, limits, now, law, fit.difference, witnesses)
+        witness = _witness(state, limits, now, law, fit.difference, witnesses)
     patient = state.disputed and now.end_s - state.since_s > limits.undecided_s
-    decided = patient and state.witness.evidence > -AGAINST if reported is None else not reported.any()
-    probability = probability_of_turn(state.witness, limits.largest_jump, state.changes)
-    certain = state.witness.evidence > CERTAIN or decided
+    decided = patient and witness.evidence > -AGAINST if reported is None else not reported.any()
+    probability = probability_of_turn(witness, limits.largest_jump, state.changes)
+    certain = witness.evidence > CERTAIN or decided
     return Facts(
-        fit.fits and state.witness.evidence > -AGAINST,
+        fit.fits and witness.evidence > -AGAINST,
         fits_changed,
         state.disputed,
         len(state.recent) > 1,
@@ -391,7 +390,7 @@ def take_noise(state: State, noise: FloatArray) -> None:
 
 
 def shown(state: State, now_s: float, degc: FloatArray, force: FloatArray) -> tuple[Law, FloatArray]:
-    """Return the law that is more likely, and what the other adds to its sigma, rad/s, (3,), at a time."""
+    """Return the more likely law at a time, and the ambiguity that the other adds to sigma, rad/s, (3,)."""
     assert state.law is not None
     believed = state.law.at(now_s, degc)
     if state.changed_law is None:

@@ -1,4 +1,4 @@
-"""What a bias model tells the filter: how far the bias has moved, and how far to trust that."""
+"""The increments of a thermal bias model as a known input, and the variance that they add."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CORRELATION_DEGC = 5.0
 def unseen_lag(gap_s: float, rate_sd: FloatArray) -> FloatArray:
     """Return by how much the lag of each gyro's temperature may have changed in a gap (sd), °C, (3,).
 
-    `rate_sd` (3,) is what is known of the thermometer's rate behind it, °C/s; NaN where nobody estimates it.
+    `rate_sd` (3,) is what is known of the thermometer's rate behind it, °C/s; NaN without an estimate.
     """
     unseen = np.where(np.isfinite(rate_sd), rate_sd, UNSEEN_RATE)
     return np.asarray(-UNTOLD_S * math.expm1(-gap_s / UNTOLD_S) * unseen)

@@ -48,13 +48,13 @@ class State:
     quiet: quiet.State = field(default_factory=quiet.State)
     beliefs: table.State = field(default_factory=table.State)
     pending: list[Reading] = field(default_factory=list)
-    """Quiet slots of a second that is not over."""
+    """Quiet slots of a second that is not complete."""
     path: float = 0.0
     """Angle turned since the last rest, rad: the earth rate in the bias has turned by as much."""
     decided: bool = False
     """Whether the table has decided on a second since it was last not quiet."""
-    spinning: bool = False
-    """Whether a compass says that the first mean is a turn."""
+    first_is_turn: bool = False
+    """Whether a compass shows that the first mean is a turn."""
     at_rest: bool = False
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
     """What is shown: whether it is at rest, and the turn that may be a change of the bias, rad/s, (3,)."""
@@ -65,7 +65,7 @@ def begin(state: State, other: bool) -> None:
     was."""
     quiet.begin(state.quiet)
     if other:
-        state.beliefs, state.spinning, state.turn = table.State(), False, np.zeros(3)
+        state.beliefs, state.first_is_turn, state.turn = table.State(), False, np.zeros(3)
     _move(state)
 
 
@@ -88,7 +88,7 @@ def step(state: State, parameters: RestParameters, reading: Reading) -> None:
         state.pending.append(reading)
         if run >= LEAST_SLOTS and sum(one.span.seconds for one in state.pending) >= SECOND_S:
             _decide(state, parameters)
-    state.at_rest = run >= LEAST_SLOTS and state.decided and not beliefs.turning and not state.spinning
+    state.at_rest = run >= LEAST_SLOTS and state.decided and not beliefs.turning and not state.first_is_turn
 
 
 def _noise(state: State) -> FloatArray:
@@ -105,9 +105,9 @@ def _turn_on(state: State, reading: Reading) -> None:
 
 
 def _move(state: State) -> None:
-    """It moves: seconds that are not over do not count."""
-    if state.spinning:
-        state.beliefs, state.spinning = table.State(), False
+    """Note that the unit moves: a second that is not complete is dropped."""
+    if state.first_is_turn:
+        state.beliefs, state.first_is_turn = table.State(), False
     if state.beliefs.believed is not None:
         table.move(state.beliefs)
         if not state.beliefs.disputed:
@@ -149,7 +149,7 @@ def second_of(readings: list[Reading], with_force: bool) -> Second:
 
 
 def _decide(state: State, parameters: RestParameters) -> None:
-    """Decide on the second that is over."""
+    """Decide on a complete second."""
     beliefs = state.beliefs
     with_force = bool(state.quiet.present[ACCEL].all())
     now = second_of(state.pending, with_force)
@@ -166,29 +166,29 @@ def _decide(state: State, parameters: RestParameters) -> None:
     limits = Limits(parameters.largest_jump, parameters.undecided_s, parameters.accel_drift)
     row = table.decide(beliefs, limits, now, arrived, parts=parts)
     state.decided, state.path = True, 0.0
-    if state.spinning and row == "another rate":
+    if state.first_is_turn and row == "another rate":
         begin(state, other=True)
         return
-    _, doubt = table.shown(beliefs, now.end_s, now.degc, now.force)
-    state.turn = _with_doubt_of_first(state, parameters, now, doubt)
+    _, ambiguity = table.shown(beliefs, now.end_s, now.degc, now.force)
+    state.turn = _with_first_and_rounding(state, parameters, now, ambiguity)
 
 
-def _with_doubt_of_first(
-    state: State, parameters: RestParameters, now: Second, doubt: FloatArray
+def _with_first_and_rounding(
+    state: State, parameters: RestParameters, now: Second, ambiguity: FloatArray
 ) -> FloatArray:
-    """Return the doubt, with what the steps of the sensor hide, and with a turn in which the recording may
-    have begun."""
+    """Return the ambiguity, with the largest error by rounding, and with a turn in which the recording may
+    have begun, rad/s, (3,)."""
     beliefs = state.beliefs
-    hidden = state.quiet.hidden[GYRO]
+    rounding = state.quiet.rounding_error[GYRO]
     if beliefs.first is not None and not beliefs.disputed:
         up = now.force / np.sqrt(now.force @ now.force)
         along = (beliefs.first @ up) * up
         evidence = by_compass(beliefs.history, along) if np.isfinite(up).all() else 0.0
-        state.spinning |= evidence < -CERTAIN
-        if state.spinning:
+        state.first_is_turn |= evidence < -CERTAIN
+        if state.first_is_turn:
             return beliefs.first
         if evidence > CERTAIN:
             beliefs.first = None
         elif parameters.begins_turning > 0.0:
-            doubt = np.hypot(doubt, at_first(beliefs.first, up, parameters.begins_turning))
-    return np.where(hidden > 0.0, np.copysign(np.hypot(doubt, hidden), doubt), doubt)
+            ambiguity = np.hypot(ambiguity, at_first(beliefs.first, up, parameters.begins_turning))
+    return np.where(rounding > 0.0, np.copysign(np.hypot(ambiguity, rounding), ambiguity), ambiguity)

@@ -43,8 +43,6 @@ COLOUR, HALVES, HALVES_OFFSET, BUMP, SLOWER = 5.0, 5.0, 20.0, 20.0, 16.0
 and what is added to it; a single second difference squared, and the means' variance by their samples, over
 their means."""
 ANOTHER = 2.5
-
-
 """Factor of the variance from which on a trial has found another noise."""
 SPIKE_SIGMAS = 8.0
 """A single sample so far from the mean at rest ends it."""
@@ -110,8 +108,8 @@ class State:
         return found
 
     @property
-    def hidden(self) -> FloatArray:
-        """By how much the steps of the sensor may let a mean err, (6,)."""
+    def rounding_error(self) -> FloatArray:
+        """Largest error of a mean by rounding to steps of the sensor, (6,)."""
         step = np.where(np.isfinite(self.step), self.step, 0.0)
         noise = np.maximum(self.sample_noise / (step * step + TINY) - 1.0 / 12.0, 0.0)
         return np.asarray(0.5 * step * np.exp(-DITHER * noise))
@@ -174,7 +172,7 @@ def _completed(state: State, slot: Slot) -> FloatArray:
 
 
 def _moves(state: State, slot: Slot, drift: FloatArray) -> bool:
-    """Tell whether windows, or the samples of the slot, differ by more than noise and drift."""
+    """Return whether windows, or the samples of the slot, differ by more than noise and drift."""
     lengths = LENGTHS[state.run >= 2 * LENGTHS]
     if len(lengths):
         j, width = state.slots - 1, lengths[:, np.newaxis]
@@ -272,7 +270,7 @@ def trial(
 
 
 def _is_road(mean: FloatArray, noise: FloatArray, samples: FloatArray, count: FloatArray) -> bool:
-    """Tell whether it shakes more than any sensor's noise does."""
+    """Return whether it shakes more than any sensor's noise does."""
     white = noise * count < 1.5 * samples
     loud = np.maximum(mean.var(0), noise).reshape(2, 3).mean(1) > ROAD**2
     loud &= count.reshape(2, 3).max(1) >= 3.0  # single samples are as loud as they are

@@ -33,10 +33,10 @@ class RestDetector:
     It decides at the end of each slot of a quarter of a second; a single sample far from the mean ends a rest
     at that sample.
 
-    The columns ``turn_hypothesis_{x,y,z}`` are for who estimates the bias: while nothing tells a steady turn
-    from a bias that has changed, they are the difference of both, rad/s, times the square root of the
-    probability of what is not shown; else what the steps of the sensor hide.  Their squares belong in the
-    variance of the bias.  ``at_rest`` is 0 where a turn is more likely.
+    The columns ``turn_hypothesis_{x,y,z}`` are for who estimates the bias: while a steady turn cannot be
+    distinguished from a bias that has changed, they are the difference of both, rad/s, times the square
+    root of the probability of what is not shown; else the largest error by rounding.  Their squares belong
+    in the variance of the bias.  ``at_rest`` is 0 where a turn is more likely.
 
     Parameters
     ----------

@@ -8,6 +8,7 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.temperature_rate.stage import TemperatureRate
+from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.simulation.unit.scenario import Chamber, Scenario, Step, load_scenario
@@ -60,3 +61,29 @@ def test_a_change_that_the_temperature_explains_is_no_turn_and_does_not_cost_the
     assert np.sqrt(np.mean(error**2)) < BAR_DPH * DPH
     assert np.abs(error).max() < LARGEST_DPH * DPH
     assert np.abs(error / vector(samples.columns, "gyro_bias_sd")[late]).max() < 5.0
+
+
+def test_a_heading_that_a_scale_error_has_turned_is_in_the_sigma_of_the_rest_after_it() -> None:
+    rng, rate_hz = np.random.default_rng(3), 50.0
+    t = np.arange(round(120.0 * rate_hz)) / rate_hz
+    rest = (t < 30.0) | (t >= 90.0)
+    yaw = np.radians(120.0) * np.clip(t - 30.0, 0.0, 60.0)
+    level = EARTH_RATE * np.cos(np.radians(50.0))
+    upright = EARTH_RATE * np.sin(np.radians(50.0)) + 1.01 * np.radians(120.0) * ~rest
+    gyro = np.column_stack([level * np.cos(yaw), -level * np.sin(yaw), upright])
+    gyro += 1e-6 * rng.normal(size=gyro.shape)
+    columns = {f"gyro_{axis}": gyro[:, j] for j, axis in enumerate("xyz")}
+    columns |= {f"accel_{axis}": np.full(len(t), STANDARD_GRAVITY * (axis == "z")) for axis in "xyz"}
+    block = SampleBlock(
+        {
+            "device_time_ns": np.round(t * 1e9).astype(np.int64),
+            "segment": np.zeros(len(t), np.int64),
+            "at_rest": rest.astype(np.int64),
+            **columns,
+        }
+    )
+    found = GyroBias(None, None, "standard", 50.0, 0.0).process(block)
+    bias, sd = vector(found)[-1], vector(found, "gyro_bias_sd")[-1]
+    assert np.abs(bias[:2]).max() > 3.0 * DPH  # the known heading is off by 70 degrees
+    assert (np.abs(bias) < 4.0 * sd).all()
+    assert sd[:2].max() < EARTH_RATE
