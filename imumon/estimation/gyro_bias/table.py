@@ -40,7 +40,7 @@ SPANS = (1, 4, 16)
 LAG_S = 16.0
 """Age of the law that compares, at least; twice as much at most."""
 SETTLED_S = 4.0
-"""A change that motion follows sooner was how the motion began."""
+"""A dispute that motion follows sooner was how the motion began."""
 CERTAIN = 12.0
 """Log likelihood ratio from which on witnesses decide for a change of the bias."""
 AGAINST = 2.0
@@ -369,7 +369,7 @@ def begin(
 
 def move(state: State) -> None:
     """Note that the unit moves: a dispute of a few seconds was how the motion began."""
-    if state.disputed and state.fits_s < SETTLED_S:
+    if state.changed is not None and state.changed.time_s - state.since_s < SETTLED_S:
         state.changed = state.changed_law = None
         state.since_s, state.turning, state.older, state.probability = math.nan, False, (), 0.0
     state.moved, state.recent, state.history = True, [], []
