@@ -21,7 +21,7 @@ from imumon.simulation.unit import load_scenario
 SECONDS = 600.0
 RATES_HZ = (100.0, 400.0)
 LATITUDE_DEG = 40.93
-BAR = 400.0
+BAR = 250.0
 BAUDRATE = 921_600
 """Enough for the packets at the highest rate."""
 CASES: tuple[tuple[str, str, float | None], ...] = (
