@@ -170,7 +170,11 @@ def test_ctrl_c_on_a_terminal_says_in_one_line_how_to_go_on(tmp_path: Path) -> N
     assert len({row["session"] for row in table(tmp_path / "out")}) == int(done[1]) > 0
 
 
-TERMINAL = "import os, pty, sys; sys.exit(os.waitstatus_to_exitcode(pty.spawn(sys.argv[1:])))"
+TERMINAL = """
+import os, pty, signal, sys
+signal.signal(signal.SIGINT, signal.SIG_DFL)  # background jobs of a shell ignore it
+sys.exit(os.waitstatus_to_exitcode(pty.spawn(sys.argv[1:])))
+"""
 
 
 def test_more_failures_than_a_screen_takes_are_all_in_a_file(tmp_path: Path, client: Any) -> None:
