@@ -82,25 +82,25 @@ class GuardedStage:
         """The columns that it adds."""
         return self.stage.columns if self._own and not self.switched_off else self._columns
 
-    def process(self, seen: SampleBlock, live: bool) -> Mapping[str, ColumnArray]:
+    def process(self, block: SampleBlock, live: bool) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block.
 
         Raises whatever a stage of imumon raises where the run is not live: a result without its columns
         would pass for a whole one, and the recording can be read again.
         """
         if not self.switched_off:
-            new = self._call("process", lambda: self._processed(seen), None, live, seen)
+            new = self._call("process", lambda: self._processed(block), None, live, block)
             if new is not None:
-                self._samples += len(seen)
+                self._samples += len(block)
                 return new
-        return self._missing(seen)
+        return self._missing(block)
 
     def notices(self, live: bool) -> list[str]:
         """Return, once each, what it has to say, and why it was switched off."""
         nothing: list[str] = []
-        said = self._call("notices", lambda: _texts(self.stage.notices()), nothing, live)
+        texts = self._call("notices", lambda: _texts(self.stage.notices()), nothing, live)
         report, self._report = self._report, []
-        return [*said, *report]
+        return [*texts, *report]
 
     def charts(self, live: bool) -> Sequence[Chart]:
         """Return its charts as they are now."""
@@ -117,7 +117,7 @@ class GuardedStage:
         return self._call("lanes", lambda: _lanes(stage.lanes()), nothing, live)
 
     def _call(
-        self, name: str, function: Callable[[], T], otherwise: T, live: bool, seen: SampleBlock | None = None
+        self, name: str, function: Callable[[], T], otherwise: T, live: bool, block: SampleBlock | None = None
     ) -> T:
         """Return what a call of the stage returns; where it fails, switch it off."""
         if self.switched_off:
@@ -127,13 +127,13 @@ class GuardedStage:
         except Exception as error:  # whatever somebody else's code raises
             if self._own and (not live or STRICT in os.environ):
                 raise
-            self._switch_off(name, error, seen)
+            self._switch_off(name, error, block)
             return otherwise
 
-    def _switch_off(self, call: str, error: Exception, seen: SampleBlock | None) -> None:
+    def _switch_off(self, call: str, error: Exception, block: SampleBlock | None) -> None:
         declared = {column.name: column for column in (*self._columns, *self._declared())}
         # What another has added already is not its own.
-        others = set(seen.columns if seen is not None else ()) - self._types.keys()
+        others = set(block.columns if block is not None else ()) - self._types.keys()
         self._columns = tuple(column for name, column in declared.items() if name not in others)
         self.switched_off = True
         advice = (
@@ -152,26 +152,26 @@ class GuardedStage:
             return self.columns
         return ()
 
-    def _processed(self, seen: SampleBlock) -> Mapping[str, ColumnArray]:
+    def _processed(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         if self._own:
-            new = self.stage.process(seen)
-            return self._checked(new, seen) if len(seen) else new
+            new = self.stage.process(block)
+            return self._checked(new, block) if len(block) else new
         # It cannot write to what was sent.  Compiled code of imumon's own stages would have to be compiled
         # anew for arrays that are read only.
-        views = {name: nan_for_missing(values).view() for name, values in seen.columns.items()}
+        views = {name: nan_for_missing(values).view() for name, values in block.columns.items()}
         for view in views.values():
             view.flags.writeable = False
         new = self.stage.process(SampleBlock(views))
         if not isinstance(new, Mapping):
             raise _wrong(f"it returned {_shown(new)}", "return a dict: an array for each column")
-        return self._checked(new, seen) if len(seen) else self._missing(seen)
+        return self._checked(new, block) if len(block) else self._missing(block)
 
-    def _missing(self, seen: SampleBlock) -> Mapping[str, ColumnArray]:
+    def _missing(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return its columns without values, but for what another adds."""
-        own = [column for column in self._columns if column.name not in seen]
-        return {column.name: missing(len(seen), column.dtype) for column in own}
+        own = [column for column in self._columns if column.name not in block]
+        return {column.name: missing(len(block), column.dtype) for column in own}
 
-    def _checked(self, new: Mapping[str, ColumnArray], seen: SampleBlock) -> Mapping[str, ColumnArray]:
+    def _checked(self, new: Mapping[str, ColumnArray], block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns.
 
         Raises BAD_CONFIG for one that was not declared, is there already or does not come, or is otherwise
@@ -180,7 +180,7 @@ class GuardedStage:
         if self._types.keys() != new.keys():
             declared = {column.name: np.dtype(column.dtype) for column in self.columns}
             for name in new:
-                if name in seen:
+                if name in block:
                     raise _wrong(f"it adds {name}, which is there already", "give it another name")
                 if name not in declared:
                     what = f"it adds {name}, which its columns do not declare"
@@ -190,7 +190,7 @@ class GuardedStage:
                 raise _wrong(what, "return every column, NaN where there is nothing")
             self._types = {name: declared[name] for name in new}
         for name, values in new.items():
-            _check_column(name, values, self._types[name], len(seen))
+            _check_column(name, values, self._types[name], len(block))
         return new
 
 
@@ -261,10 +261,10 @@ def _check_column(name: str, values: object, dtype: np.dtype[Any], n: int) -> No
         raise _wrong(f"{name} is {values.dtype} and declared as {dtype}", "return what is declared")
 
 
-def _texts(said: object) -> list[str]:
-    if not isinstance(said, list | tuple) or not all(isinstance(text, str) for text in said):
+def _texts(texts: object) -> list[str]:
+    if not isinstance(texts, list | tuple) or not all(isinstance(text, str) for text in texts):
         raise _wrong("it returned what is no text", "return a list of str")
-    return [*said]
+    return [*texts]
 
 
 def _charts(drawn: object) -> list[Chart]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import fcntl
+import sys
+import termios
 import time
 from collections.abc import Callable
 
@@ -19,3 +22,8 @@ def wait_until(condition: Callable[[], bool], limit_s: float = LIMIT_S) -> bool:
             return False
         time.sleep(POLL_S)
     return True
+
+
+def unread(slave: int) -> int:
+    """Return how many bytes wait at the host's end of a pseudo-terminal."""
+    return int.from_bytes(fcntl.ioctl(slave, termios.FIONREAD, bytes(4)), sys.byteorder)

@@ -26,7 +26,7 @@ class Doubts:
     Parameters
     ----------
     described : bool
-        Whether the device file says how long a packet is and where its checksum stands.
+        Whether the device file states how long a packet is and where its checksum stands.
     """
 
     def __init__(self, described: bool) -> None:
@@ -55,7 +55,7 @@ class Doubts:
             self._forces += int((~np.isnan(size)).sum())
 
     def found(self, counters: PipelineCounters) -> list[str]:
-        """Return what is to be said, with its likely cause; nothing where all fits the device file."""
+        """Return the warnings, each with its likely cause; nothing where all fits the device file."""
         texts = []
         skipped, received = counters.bytes_skipped, counters.bytes_received
         if self._described and skipped > SKIPPED * received:

@@ -7,12 +7,10 @@ with what was sent: no bad packet accepted, no good one lost, every byte account
 
 from __future__ import annotations
 
-import fcntl
 import os
 import select
 import subprocess
 import sys
-import termios
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -38,7 +36,7 @@ from imumon.transport.reader import Event, EventKind
 from imumon.transport.settings import PortSettings
 from imumon.view.items import State, ViewItem
 from tests.faults.rows import Row
-from tests.waiting import wait_until
+from tests.waiting import unread, wait_until
 
 DEVICE = load_device("ax1")
 RATE_HZ = 150.0
@@ -123,11 +121,6 @@ class Line:
     def close(self) -> None:
         """Close the port."""
         self.port.close()
-
-
-def unread(slave: int) -> int:
-    """Return how many bytes wait at the host's end of a pseudo-terminal."""
-    return int.from_bytes(fcntl.ioctl(slave, termios.FIONREAD, bytes(4)), sys.byteorder)
 
 
 def flip_bits(packets: Packets, rng: np.random.Generator) -> tuple[Packets, Packets]:

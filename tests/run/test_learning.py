@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import re
 import signal
 import subprocess
-import termios
 import tty
 from pathlib import Path
 
@@ -26,7 +24,7 @@ from imumon.simulation.unit.scenario import Scenario
 from imumon.simulation.unit.unit import MICROSECOND
 from tests.batch.sessions import tiny
 from tests.cli.command import IMUMON, answer, imumon
-from tests.waiting import wait_until
+from tests.waiting import unread, wait_until
 
 RATE_HZ, SECONDS, LAG_S = 5.0, 1950, 90.0
 PIECE = 1024
@@ -78,11 +76,6 @@ def send(master: int, data: bytes) -> None:
         data = data[os.write(master, data[:PIECE]) :]
 
 
-def waits(slave: int) -> int:
-    """Return how many bytes the host has not read yet."""
-    return int.from_bytes(fcntl.ioctl(slave, termios.FIONREAD, bytes(4)), "little")
-
-
 def test_a_lacking_model_is_warned_of_learned_live_and_the_next_session_is_better_by_as_much(
     present: Path, tmp_path: Path
 ) -> None:
@@ -97,7 +90,7 @@ def test_a_lacking_model_is_warned_of_learned_live_and_the_next_session_is_bette
     data = packets(2, 25.0, 35.0, 25.0, 35.0, 25.0, 35.0)
     with subprocess.Popen([*map(str, command)], stderr=subprocess.PIPE, text=True) as monitor:
         send(master, data)
-        assert wait_until(lambda: not waits(slave))
+        assert wait_until(lambda: not unread(slave))
         monitor.send_signal(signal.SIGINT)
         said = monitor.communicate()[1]
     os.close(master)

@@ -43,7 +43,7 @@ NEAR = 0.2
 GRAVITY_SPREAD = 0.03
 """m/s²: between equator and poles gravity differs by no more from the standard (WGS-84: 9.780 to 9.832)."""
 UNKNOWN = 1.0
-"""rad: a larger error is no small angle, and its standard deviation says nothing."""
+"""rad: a larger error is no small angle, and its standard deviation means nothing."""
 NAMES = [
     f"attitude_estimate_{name}" for name in (*"wxyz", "roll", "pitch", "tilt_sd", "heading", "heading_sd")
 ]

@@ -99,7 +99,7 @@ def by_gravity(
     noise: float,
     drift: float,
 ) -> tuple[float, FloatArray]:
-    """Return what gravity says: it has not moved, or as a turn would move it; and the part of the change
+    """Return the evidence of gravity, unmoved or moved as by a turn, and the part of the change
     that may be a turn, rad/s, (3,).
 
     A turn is about the vertical, or oblique.  Of an oblique one, the tilt is normal about the angle turned;
@@ -142,7 +142,7 @@ def by_gravity(
 
 
 def by_compass(recent: Sequence[Second], change: FloatArray) -> float:
-    """Return what the heading says, in the same way, of a turn by `change`, rad/s, (3,)."""
+    """Return the evidence of the heading, in the same way, for a turn by `change`, rad/s, (3,)."""
     size = math.sqrt(float(change @ change))
     now = recent[-1]
     if size == 0.0 or not np.isfinite(now.heading[0]):

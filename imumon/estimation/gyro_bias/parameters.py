@@ -1,4 +1,4 @@
-"""What a pipeline file says of the bias estimator; apart from it, so that it loads quickly."""
+"""Settings of the bias estimator in a pipeline file; apart from it, so that it loads quickly."""
 
 from __future__ import annotations
 

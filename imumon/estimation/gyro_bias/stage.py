@@ -55,7 +55,7 @@ class GyroBias:
 
     The columns ``gyro_bias_{x,y,z}`` hold the whole bias of the raw rate.  The earth rate is not in it where
     latitude and heading are given; with the latitude alone its vertical part is not; else it is part of the
-    bias, and `notices` says so.  There is no estimate (NaN) until the unit was at rest for some seconds, or
+    bias, and `notices` reports it.  No estimate (NaN) until the unit was at rest for some seconds, or
     for a minute in motion, which leaves an upright axis unknown.
 
     Raises BAD_CONFIG when the thermal mode has no model, or the model lacks a gyro.

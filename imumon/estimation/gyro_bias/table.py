@@ -186,7 +186,7 @@ ROWS: tuple[tuple[str, Callable[[Facts], bool], Action], ...] = (
     ("undecided", lambda f: f.fits_changed, _go_on),
     ("another rate", lambda _: True, _begin),
 )
-"""Name, condition and what is done; the first that holds.  In the last two `probability_of_turn` says which
+"""Name, condition and what is done; the first that holds.  In the last two `probability_of_turn` sets which
 bias is shown, and whether it is rest."""
 
 

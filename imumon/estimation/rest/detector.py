@@ -1,6 +1,6 @@
 """Slot by slot: is the unit at rest?
 
-`quiet` says whether anything moves, without a bias; of each quiet second the table of
+`quiet` tests whether anything moves, without a bias; of each quiet second the table of
 `imumon.estimation.gyro_bias.table` decides what its mean is.  At rest is what is quiet for a second, has been
 decided on since it was last not, and is not rather a turn.
 """

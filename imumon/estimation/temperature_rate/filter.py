@@ -154,7 +154,7 @@ def mix_smoothness(params: Params, filters: Filters) -> None:
 
 
 def correct(params: Params, filters: Filters, y: Predicted, evidence: Evidence) -> None:
-    """Correct all filters by what a slot says of y, and their probabilities by its likelihood."""
+    """Correct all filters by the evidence of a slot on y, and their probabilities by its likelihood."""
     mean_change, variance_change, log_likelihood = evidence.correction
     variance_change = np.maximum(variance_change, -y.variance * (1.0 - LEAST_LEFT))
     filters.x = filters.x + y.gain * mean_change

@@ -57,7 +57,7 @@ def predicted_reading(x: FloatArray, p: FloatArray) -> Predicted:
 
 
 class Correction(NamedTuple):
-    """What a slot says of y to some filters, (k, m) each."""
+    """Evidence of a slot on y for some filters, (k, m) each."""
 
     mean_change: FloatArray
     """Change of the mean of y, °C."""
@@ -67,7 +67,7 @@ class Correction(NamedTuple):
 
 
 class Level(NamedTuple):
-    """What "y is in the level" says to the level kinds."""
+    """Evidence of "y is in the level" for the level kinds."""
 
     enters: BoolArray
     """Filters whose state it corrects, (levels, m).  For the others it only confines what is shown."""
@@ -75,7 +75,7 @@ class Level(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What a slot says to all filters."""
+    """Evidence of a slot for all filters."""
 
     correction: Correction
     level: Level | None
@@ -85,7 +85,7 @@ class Evidence(NamedTuple):
 def evaluate(
     params: Params, thermometer: Thermometer, reading: Reading, y: Predicted, square_rate: FloatArray
 ) -> Evidence:
-    """Return what a slot with readings says to every filter: the table above.
+    """Return the evidence of a slot with readings for every filter: the table above.
 
     Parameters
     ----------

@@ -45,7 +45,7 @@ def level_kind(white: float, slow: float = 0.0, slow_s: float = 1e9, walk: float
 
 
 def mean_kind(slow: float = 0.0, slow_s: float = 1e9, walk: float = 0.0) -> Kind:
-    """Return a kind that takes a slot's mean as a measurement with the variance ρ, seen from slot to slot."""
+    """Return a kind that takes a slot's mean as a measurement with the variance ρ, between slots."""
     return Kind(max(1.0 - slow, 0.05), slow, slow_s, walk)
 
 

@@ -44,7 +44,7 @@ class TemperatureRate:
         self._watches: dict[str, StepWatch] = {}
         self._stuck: set[str] = set()
         self._outside: dict[str, float] = {}
-        """What of each channel was first out of range, until it is said; then NaN."""
+        """What of each channel was first out of range, until it is reported; then NaN."""
 
     @property
     def columns(self) -> Sequence[Column]:

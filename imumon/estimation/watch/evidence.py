@@ -32,7 +32,7 @@ LEARNING = 20
 CLIP = 4.0
 """An innovation counts as no more than this many standard deviations: a knock is no effect."""
 TOLERANCE, KAPPA = 0.03, 1.1
-"""Mean of an innovation per unit of a regressor, and variance, that are still as the filter says."""
+"""Mean of an innovation per unit of a regressor, and variance, that are still as the filter expects."""
 THETAS = np.array([0.12, 0.35, 1.0, -0.12, -0.35, -1.0])
 """Means that are tested for, per unit of a regressor; the best is at most 1.7 times off in between."""
 LAMBDAS = np.array([0.1, 0.3])
@@ -104,7 +104,7 @@ class State:
 
 def limit(false_alarm_hours: float) -> float:
     """Return the value at which a CUSUM alarms, for a mean time at rest to a false alarm of so many hours."""
-    # A negative correlation with the past is not tested: it says that the filter expects too much.
+    # A negative correlation with the past is not tested: it means that the filter expects too much.
     past = len(columns_of(Trait.PAST))
     tests = 3 * ((len(REGRESSORS) - past) * len(THETAS) + past * len(THETAS) // 2 + len(LAMBDAS))
     return math.log(tests * max(false_alarm_hours * 3600.0 / (BLOCK * SLOT_S), 1.0))

@@ -17,7 +17,7 @@ SUSPECT = Column("model_suspect", "1", "int64", "1 once the bias filter is caugh
 
 
 class ModelWatch:
-    """Detects when the innovations of the bias filter are not what the filter says they should be.
+    """Detects when the innovations of the bias filter are not what the filter expects.
 
     They should be white, standard normal, and have nothing to do with temperature, its rate or the time.  A
     suspicion stays until the device restarts: a model that has failed does not get better when the

@@ -45,7 +45,7 @@ def interpret(peaks: FloatArray, modelled: bool) -> Verdict:
 
 
 def _advice(named: list[Trait], thermal: bool, modelled: bool) -> str:
-    """Return what may be the cause, and which command says more."""
+    """Return what may be the cause, and which command tests it."""
     calibrate = "imumon calibrate SESSION --out MODEL.yaml"
     effects = list(dict.fromkeys(effect for trait in named for effect in suspected_by(trait)))
     either = f"{', '.join(effects[:-1])} or {effects[-1]}" if len(effects) > 1 else "".join(effects)
