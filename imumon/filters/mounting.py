@@ -7,8 +7,8 @@ P the matrix that takes the magnetometer's axes to the gyros', and q what iron o
 
 This is linear in P and q, so sums of products of fields and turns, a matrix of 12 by 12, hold all that slots
 say: what any P leaves over, with the q that leaves least, is a square form of it.  P and -P leave the same:
-whether a magnetometer shows the field or its reverse, no turn tells.  So of the 48 ways to name three axes
-and their signs 24 are told apart.
+whether a magnetometer shows the field or its reverse, no turn shows.  So of the 48 ways to name three axes
+and their signs 24 can be distinguished.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ ALONG = 1e-6
 
 @dataclass(slots=True, eq=False)
 class Mounting:
-    """What turns have told.
+    """Evidence of the turns so far.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class Mounting:
 
     @property
     def found(self) -> int:
-        """Which of `WAYS` it is where that is certain, else 0: as declared, or not told."""
+        """Which of `WAYS` it is where that is certain, else 0: as declared, or not known."""
         left = self.left()
         least = int(left.argmin())
         certain = left[0] > DECISIVE * left[least] and left[0] - left[least] > LEAST_TURNED

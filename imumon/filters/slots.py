@@ -1,9 +1,9 @@
 """Samples gathered into slots of equal length: the one place where estimators touch samples.
 
-Estimators think a few times a second; a sensor sends a hundred to some thousand samples.  A slot keeps of its
-samples what any estimator needs: how many, their mean and spread, extremes, the first and the last, how
-neighbours differ, and how the unit has turned.  Slots lie on a grid that begins with the first sample of a
-segment.  A slot ends with the first sample behind it, so what a slot says is known from that row on.
+Estimators are updated a few times a second; a sensor sends a hundred to some thousand samples.  A slot
+keeps of its samples what any estimator needs: how many, their mean and spread, extremes, the first and the
+last, how neighbours differ, and how the unit has turned.  Slots lie on a grid that begins with the first
+sample of a segment.  A slot ends with the first sample behind it, so its results are known from that row on.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy.typing as npt
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
 from imumon.compiled import inner, njit
 from imumon.filters import turns as turning
-from imumon.filters.turns import Turns, add_rate, begin_segment, begin_turn, end_turn, told
+from imumon.filters.turns import Turns, add_rate, begin_segment, begin_turn, end_turn, turns_of
 
 Number = TypeVar("Number", np.float64, np.int64)
 
@@ -27,7 +27,7 @@ class Slots:
     """m slots of k columns that ended, in order."""
 
     row: IntArray
-    """First row of the block behind the slot, (m,): from there on what the slot says is known."""
+    """First row of the block behind the slot, (m,): from there on the results of the slot are known."""
     segment: IntArray
     """Segment of the slot's samples, (m,)."""
     begins: BoolArray
@@ -54,7 +54,7 @@ class Slots:
     changes: IntArray
     """How many of them differ at all, (m, k)."""
     turns: Turns
-    """How the unit turned; without any where the gatherer was told of no rates."""
+    """How the unit turned; empty if the gatherer has no columns of rates."""
 
     def __len__(self) -> int:
         """Return the number of slots."""
@@ -89,7 +89,7 @@ ENDED_COLUMN = np.dtype(
     _fields("count step_count changes", np.int64)
     + _fields("mean variance smallest largest first last step_squares", np.float64)
 )
-"""What is said of a slot, and of a column of it: the fields of `Slots`."""
+"""Results of a slot, and of each of its columns: the fields of `Slots`."""
 
 
 NO_RATES = -1
@@ -141,9 +141,9 @@ class SlotGatherer:
             time_ns, segment, values, self.length_ns, self._rates, self._open, self._open_columns,
             self._turn, slots, columns, turns,
         )  # fmt: skip
-        said: dict[str, Any] = {name: slots[name][:m] for name in slots.dtype.names or ()}
-        said |= {name: columns[name][:m] for name in columns.dtype.names or ()}
-        return Slots(**(said | {"begins": said["begins"] == 1, "turns": told(turns[:m])}))
+        results: dict[str, Any] = {name: slots[name][:m] for name in slots.dtype.names or ()}
+        results |= {name: columns[name][:m] for name in columns.dtype.names or ()}
+        return Slots(**(results | {"begins": results["begins"] == 1, "turns": turns_of(turns[:m])}))
 
     def finish(self) -> Slots:
         """Return the slot that is open at the end of the rows, if there is one; then begin as new."""
@@ -167,7 +167,7 @@ class SlotGatherer:
 def held(
     row: IntArray, values: npt.NDArray[Number], before: npt.NDArray[Number], n: int, axis: int = 0
 ) -> npt.NDArray[Number]:
-    """Return for each of n rows what the latest slot said, (n, ...).
+    """Return for each of n rows the value of the latest slot, (n, ...).
 
     Parameters
     ----------
@@ -201,14 +201,14 @@ def _begin(opened: Any, columns: Any, time_ns: int, length_ns: int) -> None:
 
 
 @inner
-def _close(opened: Any, columns: Any, row: int, ended: Any, said: Any) -> None:
+def _close(opened: Any, columns: Any, row: int, ended: Any, ended_columns: Any) -> None:
     """Write the slot into a row of the results."""
     slot = opened[0]
     ended.row, ended.segment, ended.begins = row, slot.segment, slot.begins
     ended.start_ns, ended.end_ns, ended.samples = slot.start_ns, slot.last_ns, slot.samples
     slot.begins = 0
     for j in range(len(columns)):
-        column, out = columns[j], said[j]
+        column, out = columns[j], ended_columns[j]
         out.count, out.step_count, out.changes = column.present, column.step_count, column.changes
         out.step_squares = column.step_squares
         if column.present == 0:
@@ -249,7 +249,7 @@ def _add(columns: Any, values: FloatArray, i: int) -> None:
 @njit
 def _gather(
     time_ns: IntArray, segment: IntArray, values: FloatArray, length_ns: int, rates: int, opened: Any,
-    columns: Any, turn: Any, ended: Any, said: Any, turns: Any,
+    columns: Any, turn: Any, ended: Any, ended_columns: Any, turns: Any,
 ) -> int:  # fmt: skip
     """Add the rows and write the slots that end; return how many."""
     m = 0
@@ -260,7 +260,7 @@ def _gather(
             continue
         anew = segment[i] != slot.segment or now < slot.last_ns
         if slot.begun and (anew or now >= slot.stop_ns):
-            _close(opened, columns, i, ended[m], said[m])
+            _close(opened, columns, i, ended[m], ended_columns[m])
             if rates >= 0:
                 end_turn(turn[0], turns[m])
                 begin_turn(turn[0])

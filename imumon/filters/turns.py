@@ -8,8 +8,8 @@ rotation vector::
 
 with c = 1/12 where a sample is the mean rate since the one before (Savage 1998, eq. 47), c = 0 where the
 device has taken coning into account itself, and 1/24 where it samples the rate at a moment (the same
-expansion, of a tangent instead of a chord).  Nobody knows which, so 1/24 is taken, and as much again is its
-error.  Of motion nearly as fast as the samples, the squared second differences of alpha bound the rest.
+expansion, of a tangent instead of a chord).  Which one holds is not known: 1/24 is taken, with an error of
+as much.  Of motion nearly as fast as the samples, the squared second differences of alpha bound the rest.
 What is faster than half the sample rate is lost, unless the device has integrated it.
 """
 
@@ -28,7 +28,7 @@ MIDDLE = 1.0 / 24.0
 """Of the products of successive angles: what is added, and the error of that."""
 FAST = 1.0 / 40.0
 """Of the squared second differences of the angles.  A cone of half angle a at half the sample rate has
-64 a² of these a sample, and of its turn, pi a² / 2, nothing is seen."""
+64 a² of these a sample, and of its turn, pi a² / 2, nothing is measured."""
 PAUSE_S, PAUSE_INTERVALS = 0.25, 3.0
 """A longer pause, in s and in usual intervals, hides how the unit turned in it."""
 LATE = 1.5
@@ -165,18 +165,18 @@ def mean_rates(turns: Turns) -> FloatArray:
 
 
 _VECTOR, _MATRIX = (np.float64, (3,)), (np.float64, (3, 3))
-_SAID = [
+_RESULTS = [
     ("rotation", *_MATRIX),
     ("by_bias", *_MATRIX),
     ("by_scale", np.float64, (3, 3, 3)),
     ("coning", *_VECTOR),
     *((name, np.float64, ()) for name in ("fast", "missed", "seconds")),
 ]
-ENDED = np.dtype(_SAID)
-"""What is said of a slot: the fields of `Turns`."""
+ENDED = np.dtype(_RESULTS)
+"""Results of a slot: the fields of `Turns`."""
 OPEN = np.dtype(
     [
-        *_SAID,
+        *_RESULTS,
         *((name, *_VECTOR) for name in ("rate", "angle", "before", "phi", "angles", "between")),
         *((name, np.float64, ()) for name in ("interval", "span")),
         *((name, np.int64, ()) for name in ("present", "time_ns")),
@@ -184,19 +184,19 @@ OPEN = np.dtype(
 )
 """The turn of the slot that is being filled, and the samples before.
 
-Samples make up a small rotation vector `phi` first, of `span` seconds, the sum of its angles, and what is
-said of turns `between` samples; the turn of the slot goes on by these.
+Samples are first summed in a small rotation vector: `phi` after `span` seconds, the sum of its `angles`, and
+its part by turns `between` samples.  The rotation of the slot is advanced by it.
 """
 
 
-def told(said: Any) -> Turns:
+def turns_of(ended: Any) -> Turns:
     """Return turns that were written, without what they were written into."""
-    if not len(said):
+    if not len(ended):
         return NONE
-    return Turns(*(np.array(said[one.name]) for one in fields(Turns)))
+    return Turns(*(np.array(ended[one.name]) for one in fields(Turns)))
 
 
-NONE = Turns(*(np.empty((0, *shape)) for _, _, shape in _SAID))
+NONE = Turns(*(np.empty((0, *shape)) for _, _, shape in _RESULTS))
 
 
 @inner
@@ -221,17 +221,17 @@ def begin_turn(turn: Any) -> None:
 
 
 @inner
-def end_turn(turn: Any, said: Any) -> None:
+def end_turn(turn: Any, ended: Any) -> None:
     """Write the turn of a slot into a row of the results."""
     _settle(turn)
     for a in range(3):
-        said.coning[a] = turn.coning[a]
+        ended.coning[a] = turn.coning[a]
         for i in range(3):
-            said.rotation[a, i] = turn.rotation[a, i]
-            said.by_bias[a, i] = turn.by_bias[a, i]
+            ended.rotation[a, i] = turn.rotation[a, i]
+            ended.by_bias[a, i] = turn.by_bias[a, i]
             for j in range(3):
-                said.by_scale[a, i, j] = turn.by_scale[a, i, j]
-    said.fast, said.missed, said.seconds = turn.fast, turn.missed, turn.seconds
+                ended.by_scale[a, i, j] = turn.by_scale[a, i, j]
+    ended.fast, ended.missed, ended.seconds = turn.fast, turn.missed, turn.seconds
 
 
 @inner
