@@ -26,9 +26,8 @@ from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
 from imumon.harmless import for_log
 
 if TYPE_CHECKING:
-    from imumon.estimation.alignment.guide import Guide
+    from imumon.estimation.alignment.report import Guide, Status
     from imumon.estimation.alignment.stage import Alignment
-    from imumon.estimation.alignment.status import Status
     from imumon.pipeline import Pipeline
     from imumon.run.setup import Setup
 
@@ -181,7 +180,7 @@ def _live(live: PortRun, positions: int) -> Pipeline:
 
 
 def _wait(live: PortRun, stage: Alignment, positions: int) -> None:
-    from imumon.estimation.alignment.guide import Guide
+    from imumon.estimation.alignment.report import Guide
 
     guide = Guide(positions)
     with _Shown(stage, guide) as shown:
@@ -216,7 +215,7 @@ class _Shown:
         self._bar.stop()
 
     def renew(self) -> None:
-        from imumon.estimation.alignment.charting import heading_text, to_go_text
+        from imumon.estimation.alignment.report import heading_text, to_go_text
 
         status = self._stage.status
         text = f"{heading_text(status)}; {to_go_text(status)}"
@@ -253,7 +252,7 @@ def as_data(status: Status, positions: int = 1) -> dict[str, object]:
     return {
         "heading_deg": math.nan if shown is None else degrees(shown.heading),
         "heading_sd_deg": math.nan if shown is None else math.degrees(shown.sd),
-        "estimator": status.estimator,
+        "estimator": None if shown is None else "joint",
         "settled_s": status.settled_s if status.positions >= positions else None,
         "observable": status.observable,
         "positions": status.positions,

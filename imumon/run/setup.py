@@ -10,8 +10,7 @@ from pydantic import Field, ValidationError, field_validator
 from imumon.allan.parameters import AllanParameters, Noise
 from imumon.config import StrictModel, dump_yaml, parse_yaml
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.warm_up import known_warm_up
+from imumon.estimation.alignment.parameters import AlignmentParameters, known_warm_up
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.rest.parameters import RestParameters

@@ -76,7 +76,7 @@ def statistics(case: Case, found: Sequence[Run]) -> None:
         rows,
     )
     settled = np.array([run.status.settled_s or math.inf for run in found])
-    chosen = sorted({run.status.estimator or "none" for run in found})
+    chosen = sorted({"none" if run.status.shown is None else "joint" for run in found})
     median, last = np.median(settled), settled.max()
     print(f"\nSettled by its own sigma: median {median:.1f} s, last {last:.1f} s after the first sample")
     print(f"Shown at the end: {', '.join(chosen)}")
@@ -108,7 +108,7 @@ def disturbances(seeds: int) -> None:
         left = sum(any("left out" in text for text in run.notices) for run in found)
         anew = sum(any("anew" in text for text in run.notices) for run in found)
         tilting = sum(run.status.tilt_probability > 0.5 for run in found)
-        states = ", ".join(sorted({f"{run.status.phase} by {run.status.estimator}" for run in found}))
+        states = ", ".join(sorted({run.status.phase for run in found}))
         rows.append(
             [
                 name, f"{left}/{seeds}", f"{anew}/{seeds}", f"{tilting}/{seeds}", states.replace("_", " "),

@@ -11,9 +11,8 @@ from imumon.blocks import SampleBlock
 from imumon.diagnosis.engine import diagnose
 from imumon.diagnosis.extended import extended_model
 from imumon.diagnosis.recording import Run, collect
-from imumon.estimation.alignment.parameters import AlignmentParameters, KnownWarmUp
+from imumon.estimation.alignment.parameters import AlignmentParameters, KnownWarmUp, known_warm_up
 from imumon.estimation.alignment.stage import Alignment
-from imumon.estimation.alignment.warm_up import known_warm_up
 from imumon.simulation.unit import SimulatedUnit
 from imumon.simulation.unit.scenario import Scenario
 

@@ -31,7 +31,7 @@ from imumon.estimation.alignment.record import (
     turned_about_vertical,
     upright,
 )
-from imumon.estimation.alignment.status import ANY_ANGLE_SD, Estimate, PositionHeading
+from imumon.estimation.alignment.report import ANY_ANGLE_SD, Estimate, PositionHeading
 from imumon.filters.turns import Turns
 from imumon.geodesy import EARTH_RATE
 

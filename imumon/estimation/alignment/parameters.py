@@ -1,4 +1,4 @@
-"""Parameters of the alignment in a pipeline file; apart from the stage, so that they load quickly."""
+"""Parameters of the alignment in a pipeline file, and the warm-up that a bias model knows."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ from typing import Annotated, Any
 from pydantic import Field, field_validator
 
 from imumon.config import StrictModel
+from imumon.effects.warm_up import WarmUp
+from imumon.geodesy import MICRO_G
+from imumon.models.model import BiasModel
 
 _Micro = Annotated[float, Field(ge=-1e5, le=1e5)]
 _Seconds = Annotated[float, Field(gt=0.0, le=1e5)]
@@ -74,3 +77,29 @@ class AlignmentParameters(StrictModel):
     gyro_scale_sd_ppm: float | None = Field(default=None, ge=0.0, le=1e5)
     accel_bias_sd_ug: float | None = Field(default=None, ge=0.0, le=1e5)
     known_warm_up: KnownWarmUp | None = None
+
+
+def known_warm_up(model: BiasModel | None) -> KnownWarmUp | None:
+    """Return the warm-up of a model's accelerometers, or None when it has none.
+
+    The effect adds c exp(-t / T) to a bias, which is a warm-up by -c.  How well it is known is judged by the
+    channel's residual, unless an accelerometer has other effects: it may drift by these.
+    """
+    amplitude, constant = [0.0] * 3, [1.0] * 3  # s: of no matter where there is no warm-up
+    residuals, others = [], False
+    for i, axis in enumerate("xyz"):
+        channel = None if model is None else model.channels.get(f"accel_{axis}")
+        for effect in channel.effects if channel is not None else ():
+            if isinstance(effect, WarmUp) and channel is not None:
+                amplitude[i] = -effect.coefficients[0] / MICRO_G
+                constant[i] = effect.time_constant_s
+                residuals.append(channel.residual_sd / MICRO_G)
+            else:
+                others = True
+    if not residuals:
+        return None
+    return KnownWarmUp(
+        amplitude_ug=amplitude,
+        time_constant_s=constant,
+        amplitude_sd_ug=None if others else max(residuals) or None,
+    )

@@ -23,7 +23,7 @@ from scipy.special import i0e, i1e
 from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.alignment.hypotheses import PositionFit
 from imumon.estimation.alignment.prior import SensorErrors
-from imumon.estimation.alignment.status import ANY_ANGLE_SD
+from imumon.estimation.alignment.report import ANY_ANGLE_SD
 from imumon.geodesy import EARTH_RATE
 
 LIKELY = -15.0

@@ -1,16 +1,138 @@
-"""The result of an alignment as text."""
+"""What a user reads of an alignment: its state, texts of the result, instructions for several positions."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 
-from imumon.estimation.alignment.charting import heading_text
-from imumon.estimation.alignment.status import Status
 from imumon.geodesy import DEG_PER_H, EARTH_RATE
 
-DEG_PER_SQRT_H = math.pi / 180.0 / 60.0
+ANY_ANGLE_SD = math.pi / math.sqrt(3.0)
+"""Standard deviation of an angle that is uniform on the circle, rad."""
+HOPELESS_S = 120.0
+"""Time at rest after which a bias that hides the north is reported as such."""
 START_S = 10.0
 """Time at the start that is not reported as a disturbance: the rest detector takes some seconds."""
+LEAST_S, LONGEST_S = 20.0, 300.0
+"""Shortest and longest time in one of several positions."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A heading, rad clockwise from north, NaN if not observable, and its standard deviation."""
+
+    heading: float
+    sd: float
+
+    @property
+    def known(self) -> bool:
+        """Whether the angle is better known than one that is uniform on the circle."""
+        return self.sd < ANY_ANGLE_SD
+
+
+@dataclass(frozen=True, slots=True)
+class PositionHeading:
+    """Heading in one position by all positions, rad; NaN where it is not observable.
+
+    `run` counts the device's segments from 1; the times are since the first sample of it.
+    """
+
+    run: int
+    begun_s: float
+    ended_s: float
+    heading: float
+    sd: float
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """State of an alignment at the end of a block: rad, rad/s and s; NaN where nothing is known yet."""
+
+    phase: str
+    """waiting, coarse, aligning, settled, not observable or disturbed."""
+    observable: bool
+    estimates: Mapping[str, Estimate]
+    """The joint fit, which is the heading shown, and plain and Hann-weighted mean of the gyros; empty before
+    the first fit."""
+    settled_s: float | None
+    """Time from the first sample until the heading settled; None if it is not settled."""
+    remaining_s: float | None
+    """Predicted time until the wanted standard deviation is reached; None if unknown or never."""
+    magnetic: float
+    """Heading from magnetic north."""
+    device_yaw: float
+    """The last yaw that the device reported, in its own convention."""
+    rest_s: float
+    disturbed_s: float
+    elapsed_s: float
+    """Time at rest, in motion, and since the first sample."""
+    roll: float
+    pitch: float
+    arw: float
+    """Angular random walk of the quietest gyro, rad/√s."""
+    level_bias_sd: float
+    """Standard deviation of the gyros' bias in the level axes."""
+    accel_bias_sd: float
+    """That of the accelerometers' bias, g."""
+    bias_declared: bool
+    tilt_probability: float
+    """Probability that the unit tilts, rather than an accelerometer drifts."""
+    disturbances: int
+    restarts: int
+    wanted_sd: float
+    horizontal_earth_rate: float
+    positions: int
+    """Number of positions, the present one included."""
+    position_s: float
+    position_sd: float
+    """Time at rest in the present position, and the sd of the heading by its white noise alone."""
+    turned: float
+    """Angle about the vertical since the previous position, clockwise; also during a turn."""
+
+    @property
+    def shown(self) -> Estimate | None:
+        """The heading shown, that of the joint fit; None before the first fit."""
+        return self.estimates.get("joint")
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether more time will not bring the wanted sigma, as the gyros' bias limits it."""
+        return self.rest_s >= HOPELESS_S and self.remaining_s is None
+
+    @property
+    def substitute(self) -> tuple[str, float]:
+        """Name and angle, rad, of what is shown where the heading is not observable."""
+        if math.isfinite(self.device_yaw):
+            return "the device's own yaw", self.device_yaw
+        if math.isfinite(self.magnetic):
+            return "magnetic, not true north", self.magnetic
+        return "nothing", math.nan
+
+
+def heading_text(status: Status) -> str:
+    """Return the heading with its sigma, or the reason why there is none and what is shown instead."""
+    if status.shown is None:
+        return "no heading yet"
+    if not status.observable:
+        name, angle = status.substitute
+        other = f" {math.degrees(angle) % 360.0:.1f}°" if math.isfinite(angle) else ""
+        return f"heading not observable with this gyro; shown instead: {name}{other}"
+    return f"{math.degrees(status.shown.heading) % 360.0:.3f}° ± {math.degrees(status.shown.sd):.3f}°"
+
+
+def to_go_text(status: Status) -> str:
+    """Return the predicted time to the wanted sigma."""
+    if status.phase in ("settled", "disturbed"):
+        return status.phase
+    if status.phase in ("coarse", "waiting") or status.shown is None:
+        return f"coarse, {status.rest_s:.0f} s of rest"
+    wanted = f"{math.degrees(status.wanted_sd):g}°"
+    return (
+        f"{wanted} not in reach"
+        if status.remaining_s is None
+        else f"about {status.remaining_s:.0f} s to {wanted}"
+    )
 
 
 def rows(status: Status) -> dict[str, str]:
@@ -21,7 +143,7 @@ def rows(status: Status) -> dict[str, str]:
         texts["roll, pitch"] = f"{roll:.4f}°, {pitch:.4f}°"
     if math.isfinite(status.arw):
         texts["gyro"] = (
-            f"noise {_short(status.arw / DEG_PER_SQRT_H)} °/√h, "
+            f"noise {_short(math.degrees(status.arw) * 60.0)} °/√h, "
             f"σ of a horizontal bias {_short(status.level_bias_sd / DEG_PER_H)} °/h"
         )
     if status.shown is not None and status.observable and not status.bias_declared and status.positions == 1:
@@ -60,7 +182,7 @@ def _settled(status: Status) -> str:
         return f"no ({wanted}): the unit is disturbed; let it rest"
     if status.phase in ("waiting", "coarse"):
         return f"no ({wanted}): {status.rest_s:.0f} s of rest do not tell a heading"
-    if not status.observable and status.estimator is not None:
+    if not status.observable and status.shown is not None:
         rate = status.horizontal_earth_rate / DEG_PER_H
         return f"no ({wanted}): the earth's horizontal rate here is {rate:.2g} °/h"
     if status.remaining_s is None:
@@ -74,7 +196,7 @@ def estimator_rows(status: Status) -> list[tuple[str, str, str]]:
     """Return name, heading and sigma of each estimator in degrees; the one shown is marked."""
     found = []
     for name, estimate in status.estimates.items():
-        mark = " *" if name == status.estimator and status.observable else ""
+        mark = " *" if name == "joint" and status.observable else ""
         heading = "-"
         if estimate.known and math.isfinite(estimate.heading):
             heading = f"{math.degrees(estimate.heading) % 360.0:.4f}"
@@ -85,3 +207,52 @@ def estimator_rows(status: Status) -> list[tuple[str, str, str]]:
 
 def _short(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}"
+
+
+class Guide:
+    """Gives the next instruction to the operator, from the status of the alignment.
+
+    A position is held until its white noise alone allows the wanted sigma.  Two positions are best half a
+    turn apart, three a third of a turn, and so on; the gyros measure the actual turn.
+
+    Parameters
+    ----------
+    positions : int
+        Number of positions; with one there are no instructions.
+    """
+
+    def __init__(self, positions: int) -> None:
+        self.positions = positions
+        self.instruction = ""
+        """The present instruction."""
+        self.done = False
+        self._turn_from = 0
+        """Number of the position in which the last turn was requested."""
+
+    def update(self, status: Status) -> list[str]:
+        """Return a new instruction, if there is one, (0 or 1)."""
+        settled, hopeless = status.settled_s is not None, status.hopeless
+        if self.positions == 1:
+            self.done = settled or hopeless
+            return []
+        before, turned = self.instruction, math.degrees(status.turned)
+        angle = 360.0 / self.positions
+        at, last = status.positions, status.positions >= self.positions
+        held = status.position_s >= LEAST_S and status.position_sd <= status.wanted_sd
+        held |= status.position_s >= LONGEST_S
+        if status.phase == "disturbed":
+            if self._turn_from >= at and not last:
+                self.instruction = (
+                    f"turned by {turned:.0f}° so far; stop at about {angle:.0f}° and let it rest"
+                )
+                before = self.instruction  # shown on the status line only
+        elif not last and held:
+            self.instruction = f"turn the unit now by about {angle:.0f}° about the vertical"
+            self._turn_from = at
+        elif last and (settled or hopeless or status.position_s >= LONGEST_S):
+            self.instruction, self.done = "done", True
+        elif at:
+            self.instruction = f"position {at} of {self.positions}: do not touch the unit"
+            if at > 1:
+                self.instruction += f" (turned by {turned:.1f}°)"
+        return [self.instruction] if self.instruction != before else []

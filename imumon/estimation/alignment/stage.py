@@ -11,13 +11,12 @@ from typing import Any, Literal
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
-from imumon.charts import Chart
+from imumon.charts import GREEN, GREY, ORANGE, RED, Axis, Chart, Curve
 from imumon.columns import Column
-from imumon.estimation.alignment import charting
 from imumon.estimation.alignment.aligner import SLOT_S, Aligner
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.positions import CALM_SLOTS, Slot
-from imumon.estimation.alignment.status import PositionHeading, Status
+from imumon.estimation.alignment.report import PositionHeading, Status, heading_text, to_go_text
 from imumon.filters.slots import SlotGatherer, held
 from imumon.geodesy import DEG_PER_H
 
@@ -27,12 +26,12 @@ NOT_OBSERVABLE_S = 30.0
 """Time at rest after which "not observable" is reported."""
 TILT_PROBABILITY = 0.5
 """Probability of a tilt above which it is reported."""
-CHART_POINTS = 400
+CHART_POINTS, PLACE, COLORS = 400, "Alignment", (GREEN, RED, ORANGE)
+"""Most points of the chart of sigma; the tab; colours of joint fit, plain and Hann mean."""
 GAP, LONGEST_INTERVAL_S = 2.5, 30.0
 """Ratio to the sample interval above which the time between slots of one sample is a gap, and the longest
 such interval, s."""
 _INPUTS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel", "mag") for axis in "xyz")
-_NOT_SAVED = ("_parameters", "_slots")
 
 
 class Alignment:
@@ -201,13 +200,11 @@ class Alignment:
 
     def snapshot(self) -> dict[str, object]:
         """Return a copy of the state."""
-        own = {name: value for name, value in vars(self).items() if name not in _NOT_SAVED}
-        return {"slots": self._slots.snapshot(), "stage": copy.deepcopy(own)}
+        return copy.deepcopy(vars(self))
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Continue from what `snapshot` returned."""
-        self._slots.restore(saved["slots"])
-        vars(self).update(copy.deepcopy(saved["stage"]))
+        vars(self).update(copy.deepcopy(saved))
 
     def finish(self) -> list[PositionHeading]:
         """Fit the rest since the last fit; return the heading in each position."""
@@ -274,13 +271,33 @@ class Alignment:
 
     def charts(self) -> Sequence[Chart]:
         """Return the estimators beside each other, and sigma against time."""
-        if len(self._points) < 2 or self._aligner.state.posterior is None:
+        status = self.status
+        if len(self._points) < 2 or status.shown is None:
             return []
+        names = tuple(name.replace("_", " ") for name in status.estimates)
+        curves = []
+        for k, (name, one, color) in enumerate(zip(names, status.estimates.values(), COLORS, strict=True)):
+            off = math.degrees(math.remainder(one.heading - status.shown.heading, 2.0 * math.pi))
+            ends = off + 2.0 * math.degrees(one.sd) * np.array([-1.0, 1.0])
+            x, y = np.array([k, k, np.nan, k - 0.1, k + 0.1]), np.array([*ends, np.nan, off, off])
+            curves.append(Curve(name, x, y, color, width=3.0, listed=False))
         time_s, sd = np.array(self._points).T
+        wanted = np.full(2, math.degrees(status.wanted_sd))
+        sigmas = (
+            Curve("σ", time_s, np.degrees(sd), GREEN, width=2.0),
+            Curve("wanted", np.array([max(time_s[0], 1.0), max(time_s[-1], 10.0)]), wanted, GREY),
+        )
         return [
-            charting.headings(self.status),
-            charting.progress(self.status, time_s, sd),
-        ]
+            Chart(
+                "alignment_headings", PLACE, "Headings of all estimators, 2σ", Axis("estimator", names=names),
+                Axis("heading less the one shown [°]"), tuple(curves), headline=heading_text(status),
+            ),
+            Chart(
+                "alignment_progress", PLACE, "Sigma of the heading shown",
+                Axis("observed time [s]", log=True), Axis("σ [°]", log=True), sigmas,
+                headline=to_go_text(status),
+            ),
+        ]  # fmt: skip
 
     def notices(self) -> list[str]:
         """Return, once each, motions and restarts, and conditions that limit the heading."""

@@ -13,8 +13,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray, SampleBlock
+from imumon.estimation.alignment.report import PositionHeading
 from imumon.estimation.alignment.stage import Alignment
-from imumon.estimation.alignment.status import PositionHeading
 from imumon.estimation.smoothing.combine import SUSPECT, Smoothed
 from imumon.estimation.smoothing.record import SENSORS, Record
 

@@ -1,8 +1,8 @@
 from __future__ import annotations
 
 from imumon.blocks import SampleBlock
-from imumon.estimation.alignment.guide import Guide
 from imumon.estimation.alignment.parameters import AlignmentParameters
+from imumon.estimation.alignment.report import Guide
 from imumon.estimation.alignment.stage import Alignment
 from tests.estimation.alignment.units import samples, scenario
 

@@ -8,9 +8,8 @@ import pytest
 from imumon.blocks import SampleBlock
 from imumon.cli.align_command import as_data
 from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.report import estimator_rows, rows
+from imumon.estimation.alignment.report import ANY_ANGLE_SD, estimator_rows, rows
 from imumon.estimation.alignment.stage import Alignment
-from imumon.estimation.alignment.status import ANY_ANGLE_SD
 from tests.estimation.alignment.units import (
     INPUTS,
     MEMS_ARW,

@@ -4,8 +4,8 @@ import pytest
 
 from imumon.effects.stress_relaxation import StressRelaxation
 from imumon.effects.warm_up import WarmUp
+from imumon.estimation.alignment.parameters import known_warm_up
 from imumon.estimation.alignment.stage import Alignment
-from imumon.estimation.alignment.warm_up import known_warm_up
 from imumon.estimation.smoothing.stage import smoothed
 from imumon.geodesy import MICRO_G
 from imumon.models.curves.polynomial import PolynomialCurve
