@@ -10,7 +10,7 @@ import numpy as np
 from attitude_scenes import SCENES, simulate
 
 from imumon.blocks import SampleBlock
-from imumon.estimation.attitude.angles import heading
+from imumon.estimation.attitude.fusion import heading
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from vqf import VQF
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.attitude.angles import heading
+from imumon.estimation.attitude.fusion import heading
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import GyroBias

@@ -15,18 +15,17 @@ import numpy as np
 import numpy.typing as npt
 from vqf import VQF
 
-from imumon.blocks import BoolArray, IntArray
-from imumon.estimation.attitude.angles import heading
+from imumon.blocks import BoolArray, FloatArray, IntArray
+from imumon.geodesy import LEAST_HORIZONTAL
 
 FIRST = 16
 """Intervals that the sample rate is taken from."""
 TAU_ACC_S, TAU_MAG_S = 3.0, 9.0
 """VQF's defaults, s: so slowly the vertical follows the accelerometers, and the heading the magnetometer."""
-
 ROW = np.dtype(
     [(name, np.float64, (3,)) for name in ("angle", "accel", "mag", "field", "bias_sd", "path", "ignored")]
     + [(name, np.float64, (4,)) for name in ("q", "levelling", "carried")]
-    + [(name, np.float64) for name in ("low_force", "delta", "follows", "free")]
+    + [(name, np.float64) for name in ("low_force", "yaw", "follow_rate")]
     + [("north", np.int64)]
 )
 """A sample and what the filter makes of it; NaN before it has begun.
@@ -39,9 +38,8 @@ path, ignored : running sums of the angles in motion, and of those while at rest
 q, levelling, carried : w, x, y, z, from body to level axes without north; from gyro-carried to level; from
     body to gyro-carried
 low_force : magnitude of the low-passed specific force, m/s²
-delta, follows : by how much the field has turned the heading from where the gyros have it, rad, and how fast
-    the heading follows: 1 as usual, 0 not at all while VQF rejects the field
-free : what turns a heading without north clockwise to where it was declared to begin, rad
+yaw : counterclockwise angle from q to the attitude, rad: that of the field, or that to the declared heading
+follow_rate : how fast the heading follows the field: 1 as usual, 0 not at all while VQF rejects the field
 north : whether the field has shown north
 """
 Rows = npt.NDArray[np.void]
@@ -62,6 +60,31 @@ def _restored(rates: list[float], parameters: dict[str, Any], state: dict[str, A
 copyreg.pickle(VQF, _stored)
 
 
+def matrices(q: FloatArray) -> FloatArray:
+    """Return the matrices, (n, 3, 3), of quaternions w, x, y, z, (n, 4)."""
+    w, x, y, z = q.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def heading(q: FloatArray) -> FloatArray:
+    """Return the heading of the x axis, rad, clockwise from north, 0 to 2π, (n,); where x is vertical, of -z.
+
+    Parameters
+    ----------
+    q : array (n, 4)
+        w, x, y, z, body to east-north-up.
+    """
+    body = matrices(q)
+    steep = np.hypot(body[:, 0, 0], body[:, 1, 0]) < LEAST_HORIZONTAL
+    ahead = np.where(steep[:, np.newaxis], -body[:, :, 2], body[:, :, 0])
+    return np.asarray(np.mod(np.arctan2(ahead[:, 0], ahead[:, 1]), 2.0 * np.pi))
+
+
 class Fusion:
     """Attitude from one begin to the next: a restart, a gap.
 
@@ -78,7 +101,8 @@ class Fusion:
         self._vqf: VQF | None = None
         self._interval_s = 0.0
         self._bias_known = False
-        self._free = math.nan
+        self._yaw = math.nan
+        """Of a free heading."""
         self.north = False
         """Whether the heading refers to the magnetometer."""
         self.disturbed = False
@@ -87,20 +111,20 @@ class Fusion:
     @property
     def begun(self) -> bool:
         """Whether there is an attitude."""
-        return not math.isnan(self._free)
+        return not math.isnan(self._yaw)
 
     def lose_north(self, rows: Rows, start: int) -> None:
         """Make the heading free from a row on: it begins there where it was declared to."""
         self.north = self.disturbed = False
-        self._free = self._begins_at - float(heading(rows["q"][start - 1 : start])[0])
-        rows["north"][start:], rows["free"][start:] = 0, self._free
+        self._yaw = float(heading(rows["q"][start - 1 : start])[0]) - self._begins_at
+        rows["north"][start:], rows["yaw"][start:] = 0, self._yaw
 
     def process(self, rows: Rows, time_ns: IntArray, has_mag: BoolArray, bias_known: bool) -> None:
         """Follow rows, (n,), and fill in what is found."""
         start = self._learn_rate(rows, time_ns, has_mag)
         if start == len(rows) or self._vqf is None:
             return
-        self._know_bias(self._vqf, bias_known)
+        self._estimate_bias(self._vqf, not bias_known)
         rows, has_mag = rows[start:], has_mag[start:]
         gyro, accel = rows["angle"] * (1.0 / self._interval_s), rows["accel"].copy()
         with_mag = self.north or bool(has_mag.any())
@@ -109,22 +133,22 @@ class Fusion:
             rows[name] = found[of_vqf]
         rows["low_force"] = np.sqrt((found["lastAccLp"] ** 2).sum(1))
         if not self.begun:
-            self._free = self._begins_at - float(heading(rows["q"][:1])[0])
-        rows["free"] = self._free
+            self._yaw = float(heading(rows["q"][:1])[0]) - self._begins_at
+        rows["yaw"] = self._yaw
         if with_mag:
-            self._follow_field(rows, found, has_mag)
+            self._follow_field(rows, found, has_mag, self._vqf.params)
 
-    def _follow_field(self, rows: Rows, found: dict[str, Any], has_mag: BoolArray) -> None:
+    def _follow_field(
+        self, rows: Rows, found: dict[str, Any], has_mag: BoolArray, given: dict[str, Any]
+    ) -> None:
         """Fill in where north is, and how fast the heading follows the field."""
-        assert self._vqf is not None
-        given = self._vqf.params
-        rows["delta"] = found["delta"]
-        rows["north"] = self.north | np.logical_or.accumulate(has_mag)
+        north = self.north | np.logical_or.accumulate(has_mag)
+        rows["north"], rows["yaw"] = north, np.where(north, found["delta"], self._yaw)
         # Before it has taken a field as its reference VQF calls every field disturbed, and follows it.
         disturbed = found["magDistDetected"] & (found["magRefNorm"] > 0.0)
         rejected = found["magRejectT"] <= given["magMaxRejectionTime"]
         slower = np.where(rejected, 0.0, 1.0 / given["magRejectionFactor"])
-        rows["follows"] = np.where(disturbed, slower, 1.0)
+        rows["follow_rate"] = np.where(disturbed, slower, 1.0)
         self.north, self.disturbed = True, bool(disturbed[-1])
 
     def _learn_rate(self, rows: Rows, time_ns: IntArray, has_mag: BoolArray) -> int:
@@ -134,24 +158,18 @@ class Fusion:
             self._first.append(int(time_ns[start]))
             self._mags += bool(has_mag[start])
             if len(self._first) > FIRST and rows["accel"][start].any():
-                self._begin()
+                intervals = np.diff(self._first)
+                usual = intervals[intervals <= 1.5 * np.median(intervals)]
+                self._interval_s = max(float(usual.mean()), 1.0) * 1e-9
+                mag_s = self._interval_s * (len(self._first) / self._mags if self._mags else 1.0)
+                self._vqf = VQF(self._interval_s, magTs=mag_s, tauAcc=TAU_ACC_S, tauMag=TAU_MAG_S)
             start += 1
         return start
 
-    def _begin(self) -> None:
-        intervals = np.diff(self._first)
-        usual = intervals[intervals <= 1.5 * np.median(intervals)]
-        self._interval_s = max(float(usual.mean()), 1.0) * 1e-9
-        between_mags = len(self._first) / self._mags if self._mags else 1.0
-        self._vqf = VQF(
-            self._interval_s, magTs=between_mags * self._interval_s, tauAcc=TAU_ACC_S, tauMag=TAU_MAG_S
-        )
-
-    def _know_bias(self, vqf: VQF, known: bool) -> None:
-        """Let VQF estimate the bias while nobody else knows it."""
-        if known == self._bias_known:
-            return
-        self._bias_known = known
-        vqf.setBiasEstimate(np.zeros(3), math.radians(vqf.params["biasSigmaInit"]))
-        vqf.setMotionBiasEstEnabled(not known)
-        vqf.setRestBiasEstEnabled(not known)
+    def _estimate_bias(self, vqf: VQF, enabled: bool) -> None:
+        """Let VQF estimate the bias while no stage before has it."""
+        if enabled == self._bias_known:
+            self._bias_known = not enabled
+            vqf.setBiasEstimate(np.zeros(3), math.radians(vqf.params["biasSigmaInit"]))
+            vqf.setMotionBiasEstEnabled(enabled)
+            vqf.setRestBiasEstEnabled(enabled)

@@ -5,16 +5,19 @@ tau, and takes what is left for up, u.  True up stands still in these axes.  So 
 a change of u, whether accelerations or gyros cause it.  With J the integral of C (x) rate over a slot, C from
 body to gyro-carried axes, and level(J) = |J|² - |u J|² what of it tilts, summed over its nine columns::
 
-    change  d  = |u(t) - u(t - 2 tau)|²                                          (1)
-    mean    m  = mean of d / 4 over the last 20 s of motion                      (2)
-    late    l  = s² level(sum of J, forgotten within tau) / 2 + lost             (3)
-    scale   s² = (g0 s0² + sum of d) / (g0 + sum of level(J over 2 tau))         (4)
-    accel   a² = a0² + 2 mean of z² over the body faces that were up             (5)
-    in motion  : max(m, 2 d / 4, l) + a² / g²                                    (6)
-    at rest    : |u - f / |f||² / 2 + a² / g²                                    (7)
+    change     d  = |u(t) - u(t - 2 tau)|²                                          (1)
+    mean       m  = mean of d / 4 over the last 20 s of motion                      (2)
+    delay      l  = s² level(J) / 2 + sum over unconfirmed gyros of level(J_ii) / 2 + lost,
+                    J of the last tau: what u has not followed yet                  (3)
+    scale      s² = (g0 s0² + sum of d) / (g0 + sum of level(J over 2 tau))         (4)
+    accel      a² = a0² + 2 mean of z² over the body faces that were up             (5)
+    in motion  : max(m, 2 d / 4, l) + a² / g²                                       (6)
+    at rest    : |u - f / |f||² / 2 + a² / g²                                       (7)
 
 (1) has two moments and two axes, so d / 4 is the variance.  The 2 in (6): when a motion begins u was right
-before, so all of the change is error.  In (5) z is the mean of |low-passed force| - g with that face up.
+before, so all of the change is error.  In (5) z is the mean of |low-passed force| - g with that face up: one
+of three components of the error, two of which tilt.  A gyro is confirmed once u has followed turns about its
+axis; until then its error is as large as its turn, for its axis or sign may not be as declared.
 """
 
 from __future__ import annotations
@@ -32,25 +35,19 @@ from imumon.geodesy import STANDARD_GRAVITY
 SLOT_S = 0.5
 """Length of a slot, s; 1/4 s gives the same sigma to 0.04 of its errors."""
 LAG_S = 2.0 * TAU_ACC_S
-"""Lag of (1), s: by then VQF's low-pass has forgotten.  Ablation: 3 s is not honest, 12 s is 10 % wider."""
+"""Lag of (1), s: by then VQF's low-pass has forgotten.  Ablation: 3 s is not honest, 12 s is 7 % wider."""
 MEMORY_S = 20.0
 """A motion is taken to go on as it was for so long, s; 5 and 60 s make no difference."""
-ONSET = 2.0
-"""Factor of the change when a motion begins; it follows from (1)."""
 ACCEL_SD = 0.075
 """a0 of accelerometers that are not declared, m/s²: 7.5 mg, between 5 and 10 mg of a calibrated unit.  A bet:
 a single pose cannot tell 5 mg from 40.  Ablation: attitude, a0."""
-ACCEL_SHOWN = 2.0
-"""Factor of z² in (5): z shows one of three components of the error, two of which tilt."""
 SCALE_SD = 0.02
 """s0 of gyros that are not declared: between 1 % of a calibrated unit and 3 % of an MPU-6050."""
 SCALE_TURN = 2.0
 """g0, rad²: s0 counts like so much turn; 0.5 to 8 make no difference."""
-WRONG_AXES = 0.05
-"""Probability that a gyro shows another axis or sign than declared, until it is confirmed.  Assumed."""
-CLEARED = 0.1
+CONFIRMING_TURN = 0.1
 """rad² of turn about its own axis, the vertical having moved as it should, that confirm a gyro."""
-CONTRADICTS = 0.05
+LARGEST_CHANGE = 0.05
 """Share of that turn by which u may change; 1 to 10 % make no difference."""
 
 
@@ -69,18 +66,17 @@ class Slot:
     low_force : float
         Magnitude of the low-passed specific force at its end, m/s².
     turn : array (3, 9)
-        Integral of C (x) rate, rad.
+        J, rad.
     lost : float
-        Variance of the angle by samples that are missing or too slow, rad².
-    ignored : float
-        Variance by what was turned while the unit was taken for at rest, rad².
+        Variance of the angle by samples that are missing or too slow, and by turns that were taken for rest,
+        rad².
     bias_sd : float
         Standard deviation of the gyro bias about the vertical, rad/s; NaN where it is not known.
     north : bool
         Whether the heading is by the magnetometer.
-    mag : array (3,)
+    field : array (3,)
         Its latest reading, in body axes, in the unit of the calibration.
-    delta, follows : float
+    yaw, follow_rate : float
         At its end, as of `fusion.ROW`.
     """
 
@@ -91,12 +87,11 @@ class Slot:
     low_force: float
     turn: FloatArray
     lost: float
-    ignored: float
     bias_sd: float
     north: bool
-    mag: FloatArray
-    delta: float
-    follows: float
+    field: FloatArray
+    yaw: float
+    follow_rate: float
 
 
 @dataclass(slots=True)
@@ -120,9 +115,8 @@ class Accelerometers:
         """a² of (5), (m/s²)²."""
         if self.declared is not None:
             return self.declared**2
-        known = self.face_s > 0.0
-        shown = float(np.mean((self.face_sum[known] / self.face_s[known]) ** 2)) if known.any() else 0.0
-        return ACCEL_SD**2 + ACCEL_SHOWN * shown
+        z = self.face_sum / np.maximum(self.face_s, SLOT_S)
+        return ACCEL_SD**2 + 2.0 * float(z @ z) / max(int(np.count_nonzero(self.face_s)), 1)
 
 
 @dataclass(slots=True)
@@ -140,15 +134,17 @@ class Gyros:
     confirmed: BoolArray = field(default_factory=lambda: np.zeros(3, bool))
     """Which gyros have turned the vertical as they should."""
 
-    def learn(self, change: float, over: FloatArray) -> None:
-        """Take the change of u, rad², and the level part of the turn, (9,), rad², over the last lag."""
+    def learn(self, change: float, turned: FloatArray) -> None:
+        """Take d, and level(J) over the last lag, (9,), rad²."""
         share = SLOT_S / LAG_S  # successive lags overlap
-        own = over[::4]
+        own = turned[::4]
         self.change += share * change
-        self.turned += share * float(over.sum())
+        self.turned += share * float(turned.sum())
         self.own_turned += share * own
         self.own_change += share * change * own / max(float(own.sum()), 1e-12)
-        self.confirmed = (self.own_turned > CLEARED) & (self.own_change < CONTRADICTS * self.own_turned)
+        self.confirmed = (self.own_turned > CONFIRMING_TURN) & (
+            self.own_change < LARGEST_CHANGE * self.own_turned
+        )
 
     @property
     def prior(self) -> float:
@@ -163,12 +159,12 @@ class Gyros:
     @property
     def contradicted(self) -> bool:
         """Whether a gyro has turned enough and the vertical does not confirm it."""
-        return bool(((self.own_turned > CLEARED) & ~self.confirmed).any())
+        return bool(((self.own_turned > CONFIRMING_TURN) & ~self.confirmed).any())
 
 
 @dataclass(slots=True)
 class TiltSigma:
-    """State of the estimate of the tilt's standard deviation."""
+    """State of the estimate of the tilt's standard deviation, since the attitude began."""
 
     accelerometers: Accelerometers
     gyros: Gyros
@@ -178,16 +174,13 @@ class TiltSigma:
     mean: float = 0.0
     """m of (2), rad²."""
     moved_s: float = 0.0
-    """Time in motion, s, up to the memory."""
+    """Time in motion, s."""
     late: FloatArray = field(default_factory=lambda: np.zeros((3, 9)))
+    """J of (3), rad."""
     lost: float = 0.0
-    """J, rad, and the variance by lost samples, rad², forgotten within tau."""
+    """Variance by lost samples, rad², forgotten within tau as J of (3)."""
     rested: bool = False
     """Whether the unit has been at rest since the attitude began."""
-
-    def begin_anew(self) -> TiltSigma:
-        """Return the state when the attitude begins anew: what is known of the sensors stays."""
-        return TiltSigma(self.accelerometers, self.gyros)
 
     def step(self, slot: Slot) -> float:
         """Take a slot; return the variance at its end, rad²; NaN while nothing is known."""
@@ -197,33 +190,32 @@ class TiltSigma:
         if math.isfinite(slot.low_force):
             self.accelerometers.learn(slot.up_body, slot.low_force)
         self.gyros.learn(change, level(np.sum(self.turns, axis=0), slot.up))
-        measured = self._at_rest(slot) if slot.rest else self._in_motion(slot, change)
-        return measured + self.accelerometers.variance / STANDARD_GRAVITY**2
+        variance = self._at_rest(slot) if slot.rest else self._in_motion(slot, change)
+        return variance + self.accelerometers.variance / STANDARD_GRAVITY**2
 
     def _at_rest(self, slot: Slot) -> float:
         """(7): the distance from the vertical that the accelerometers show."""
         self.rested = True
-        self.late[:] = 0.0
-        self.lost = 0.0
+        self.late[:] = self.lost = 0.0
         return 0.5 * float(((slot.up - slot.force / np.linalg.norm(slot.force)) ** 2).sum())
 
     def _in_motion(self, slot: Slot, change: float) -> float:
         """(6)."""
-        self.moved_s = min(self.moved_s + SLOT_S, MEMORY_S)
-        self.mean += SLOT_S / max(self.moved_s, LAG_S) * (0.25 * change - self.mean)
-        late = self._late(slot)
+        self.moved_s += SLOT_S
+        self.mean += SLOT_S / min(max(self.moved_s, LAG_S), MEMORY_S) * (0.25 * change - self.mean)
+        delay = self._delay(slot)
         if not self.rested and self.moved_s < LAG_S:
             return math.nan  # begun in motion: there is no earlier vertical to compare with
-        return max(self.mean, ONSET * 0.25 * change, late)
+        return max(self.mean, 0.5 * change, delay)
 
-    def _late(self, slot: Slot) -> float:
-        """(3), and gyros whose axes are not confirmed."""
+    def _delay(self, slot: Slot) -> float:
+        """(3)."""
         forget = math.exp(-SLOT_S / TAU_ACC_S)
         self.late = forget * self.late + slot.turn
-        self.lost = forget**2 * self.lost + slot.lost + slot.ignored
+        self.lost = forget**2 * self.lost + slot.lost
         tilted = level(self.late, slot.up)
         unconfirmed = float(tilted[::4] @ ~self.gyros.confirmed)
-        return 0.5 * (self.gyros.variance * float(tilted.sum()) + WRONG_AXES * unconfirmed) + self.lost
+        return 0.5 * (self.gyros.variance * float(tilted.sum()) + unconfirmed) + self.lost
 
 
 def level(turn: FloatArray, up: FloatArray) -> FloatArray:
