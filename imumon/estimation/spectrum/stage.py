@@ -10,14 +10,14 @@ import numpy as np
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.charts import AXIS_COLORS, Axis, Chart, Curve
 from imumon.columns import Column
-from imumon.estimation.spectrum.welch import Peak, Spectrum, fast_length, peaks, welch
+from imumon.estimation.spectrum.welch import Spectrum, peaks, welch
 
 TAB = "Spectrum"
 SPAN_S = 30.0
 """Length of the window of samples, s."""
 MOST_SAMPLES = 32768
 PARTS = 7
-"""A segment is two of so many parts of the span, or a little less (`fast_length`): six overlap by half."""
+"""A segment is two of so many parts of the span, or a little less: six overlap by half."""
 FEWEST = 256
 """Samples that are needed: with fewer a segment has too few bins for a floor beside a line."""
 GAP = 20.0
@@ -32,15 +32,13 @@ CHANNELS = tuple(f"{group}_{axis}" for group in _GROUPS for axis in AXIS_COLORS)
 class LiveSpectrum:
     """Power spectral densities of the last seconds, up to half the rate, with their lines named."""
 
+    columns: Sequence[Column] = ()
+    """None: a spectrum is not a quantity of each sample."""
+
     def __init__(self) -> None:
         self._blocks: deque[tuple[IntArray, dict[str, FloatArray]]] = deque()
         self._held = 0
         self._segment: int | None = None
-
-    @property
-    def columns(self) -> Sequence[Column]:
-        """No columns: a spectrum is not a quantity of each sample."""
-        return ()
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Take the samples of a block; needs ``device_time_ns`` and ``segment``."""
@@ -55,14 +53,12 @@ class LiveSpectrum:
         times = np.asarray(block["device_time_ns"][rows], np.int64)
         self._blocks.append((times, {name: np.asarray(block[name][rows], np.float64) for name in names}))
         self._held += len(rows)
-        while len(self._blocks) > 1 and self._is_old(times[-1]):
+        while len(self._blocks) > 1:
+            oldest = self._blocks[0][0]
+            if times[-1] - oldest[-1] <= SPAN_S * 1e9 and self._held - len(oldest) <= MOST_SAMPLES:
+                break
             self._held -= len(self._blocks.popleft()[0])
         return {}
-
-    def _is_old(self, now_ns: int) -> bool:
-        """Return whether the oldest block is outside the window."""
-        end = int(self._blocks[0][0][-1])
-        return now_ns - end > SPAN_S * 1e9 or self._held - len(self._blocks[0][0]) > MOST_SAMPLES
 
     def notices(self) -> list[str]:
         """Return nothing."""
@@ -94,8 +90,13 @@ def _spectrum(even: FloatArray, times: IntArray, values: FloatArray, interval_s:
     known = np.isfinite(values)
     if known.mean() < 0.5:
         return None
-    laid = np.interp(even, times[known], values[known])
-    return welch(laid, interval_s, 2 * fast_length(max(len(laid) // PARTS, 1)))
+    from scipy.fft import prev_fast_len  # 0.2 s, which no command spends before the first spectrum
+
+    return welch(
+        np.interp(even, times[known], values[known]),
+        interval_s,
+        2 * prev_fast_len(max(len(even) // PARTS, 1)),
+    )
 
 
 def _chart(group: str, found: Mapping[str, Spectrum | None]) -> Chart | None:
@@ -107,12 +108,11 @@ def _chart(group: str, found: Mapping[str, Spectrum | None]) -> Chart | None:
             continue
         density = factor * np.sqrt(spectrum.density[1:])
         curves.append(Curve(axis, spectrum.frequency_hz[1:], density, color, width=1.2))
-        notes.append(f"{axis}  " + (_named(peaks(spectrum), unit, factor) or "no line above the noise"))
+        lines = [
+            f"{line.frequency_hz:.4g} Hz: {factor * line.rms:.3g} {unit} rms" for line in peaks(spectrum)
+        ]
+        notes.append(f"{axis}  " + ("   ".join(lines) or "no line above the noise"))
     if not curves:
         return None
     x, y = Axis("frequency [Hz]", log=True), Axis(f"amplitude spectral density [{unit}/√Hz]", log=True)
     return Chart(f"spectrum_{group}", TAB, title, x, y, tuple(curves), notes=tuple(notes))
-
-
-def _named(lines: Sequence[Peak], unit: str, factor: float) -> str:
-    return "   ".join(f"{line.frequency_hz:.4g} Hz: {factor * line.rms:.3g} {unit} rms" for line in lines)

@@ -1,4 +1,1 @@
-"""Watch over the bias filter: do its innovations look as it expects, or does its model lack something?
-
-`imumon.estimation.watch.stage.ModelWatch` is the stage; this package imports nothing by itself.
-"""
+"""Watch over the bias filter: are its innovations as it expects, or does its model lack something?"""

@@ -19,11 +19,10 @@ from __future__ import annotations
 
 import math
 from enum import StrEnum
-from functools import cache
 
 import numpy as np
 
-from imumon.blocks import FloatArray
+from imumon.blocks import BoolArray, FloatArray
 
 SLOT_S, BLOCK = 1.0, 10
 """Length of a slot at rest, s, and how many make a step of the tests."""
@@ -41,8 +40,8 @@ SCALE_S = 3600.0
 """A regressor is in units of its largest value, which is forgotten within about an hour."""
 
 
-class Trait(StrEnum):
-    """What the innovations may do that they should not; effects name it in `suspected_by`."""
+class Pattern(StrEnum):
+    """What innovations that are not white may follow; effects name it in `suspected_by`."""
 
     TEMPERATURE = "temperature"
     RATE = "temperature rate"
@@ -51,51 +50,48 @@ class Trait(StrEnum):
     SIZE = "exceed their standard deviation"
 
 
-REGRESSORS = (
-    *((Trait.TEMPERATURE, seconds) for seconds in (30.0, 300.0)),
-    *((Trait.RATE, seconds) for seconds in (math.inf, 30.0, 100.0, 300.0)),
-    *((Trait.TIME, seconds) for seconds in (math.inf, 300.0, 1500.0)),
-    *((Trait.PAST, seconds) for seconds in (1.0, 10.0, 100.0)),
+THERMAL = (
+    (Pattern.TEMPERATURE, 300.0, 0.2),
+    (Pattern.RATE, math.inf, 0.003),
+    (Pattern.RATE, 100.0, 0.003),
 )
-"""Temperature and its rate behind a high-pass, warm-up (infinite: constant), and mean of earlier innovations,
-with their time constants, s."""
-DRIVEN = [trait for trait, _ in REGRESSORS if trait in (Trait.TEMPERATURE, Trait.RATE)]
-LEAST = {Trait.TEMPERATURE: 0.2, Trait.RATE: 0.003}
-"""Smaller changes, degC and degC/s, are not in units of themselves: noise of the thermometer."""
-
-
-@cache
-def seconds_of(*traits: Trait) -> FloatArray:
-    """Return the time constants of the regressors of some traits, s."""
-    return np.array([seconds for trait, seconds in REGRESSORS if trait in traits])
-
-
-@cache
-def columns_of(trait: Trait) -> list[int]:
-    """Return where the regressors of a trait stand among the peaks; behind all of them stands the size."""
-    return [j for j, (of, _) in enumerate((*REGRESSORS, (Trait.SIZE, 0.0))) if of == trait]
+"""Temperature and its rate: time constant of a high-pass, s, and the least change that is not noise of the
+thermometer, °C and °C/s."""
+DECAYS_S = np.array([math.inf, 600.0])
+"""A constant and a warm-up: their time constants."""
+PAST_S = np.array([1.0, 10.0])
+"""Means of earlier innovations: their time constants, s."""
+PATTERNS = np.array(
+    [pattern for pattern, *_ in THERMAL]
+    + [Pattern.TIME] * len(DECAYS_S)
+    + [Pattern.PAST] * len(PAST_S)
+    + [Pattern.SIZE]
+)
+"""Of each regressor in their order, and of (2) at the end."""
+_SECONDS, _LEAST = np.array([each[1:] for each in THERMAL]).T
+_OF_RATE: BoolArray = PATTERNS[: len(THERMAL)] == Pattern.RATE
+_KEEP = np.where(PAST_S > SLOT_S, np.exp(-SLOT_S / PAST_S), 0.0)  # by slots: a pause holds none
 
 
 class State:
-    """All that is carried from slot to slot, by axis and regressor in their order."""
+    """All that is carried from slot to slot, by axis and regressor."""
 
     def __init__(self) -> None:
-        driven, regressors = len(DRIVEN), len(REGRESSORS)
-        self.low = np.full((3, driven), np.nan)
+        thermal, regressors = len(THERMAL), len(PATTERNS) - 1
+        self.low = np.full((3, thermal), np.nan)
         """Low-passes of temperature and rate."""
-        self.scale = np.zeros((3, driven))
+        self.scale = np.zeros((3, thermal))
         """Their largest high-passed values."""
-        self.past = np.zeros((3, len(columns_of(Trait.PAST))))
+        self.past = np.zeros((3, len(PAST_S)))
         """Means of earlier innovations."""
-        self.along, self.absolute, self.power = (np.zeros((3, regressors)) for _ in range(3))
+        self.product, self.absolute, self.power = np.zeros((3, 3, regressors))
         """Sums of r v, |r| and r² over the block."""
-        self.square = np.zeros(3)
+        self.square = np.zeros((3, 1))
         """Sum of v² over the block."""
-        self.tests = np.zeros((3, regressors, len(THETAS)))
-        self.sizes = np.zeros((3, len(LAMBDAS)))
+        self.tests, self.sizes = np.zeros((3, regressors, len(THETAS))), np.zeros((3, len(LAMBDAS)))
         """CUSUM of each test."""
-        self.peaks = np.zeros((3, regressors + 1))
-        """Their largest values since the start, the size last."""
+        self.peaks = np.zeros((3, len(PATTERNS)))
+        """Their largest values since the start."""
         self.first_s = self.last_s = 0.0
         """Time of the first and the last slot, s."""
         self.slots = 0
@@ -104,9 +100,7 @@ class State:
 
 def limit(false_alarm_hours: float) -> float:
     """Return the value at which a CUSUM alarms, for a mean time at rest to a false alarm of so many hours."""
-    # A negative correlation with the past is not tested: it means that the filter expects too much.
-    past = len(columns_of(Trait.PAST))
-    tests = 3 * ((len(REGRESSORS) - past) * len(THETAS) + past * len(THETAS) // 2 + len(LAMBDAS))
+    tests = 3 * ((len(PATTERNS) - 1) * len(THETAS) + len(LAMBDAS))
     return math.log(tests * max(false_alarm_hours * 3600.0 / (BLOCK * SLOT_S), 1.0))
 
 
@@ -128,56 +122,45 @@ def step(
         state.first_s = state.last_s = now_s
     dt, state.last_s = now_s - state.last_s, now_s
     state.slots += 1
-    v = np.clip(innovation, -CLIP, CLIP)
-    r = np.hstack([_of_temperature(state, dt, temperature, rate), _of_time(state), _of_past(state, v)])
+    v = np.clip(innovation, -CLIP, CLIP)[:, np.newaxis]
+    decay = np.tile(np.exp((state.first_s - now_s) / DECAYS_S), (3, 1))
+    # Over three of their standard deviations.
+    past = np.clip(state.past / (3.0 * np.sqrt((1.0 - _KEEP) / (1.0 + _KEEP))), -1.0, 1.0)
+    state.past = _KEEP * state.past + (1.0 - _KEEP) * v
+    r = np.hstack([_thermal(state, dt, temperature, rate), decay, past])
     counted = state.slots - LEARNING
-    if counted > 0:
-        state.along += r * v[:, np.newaxis]
-        state.absolute += np.abs(r)
-        state.power += r * r
-        state.square += v * v
-    return _end_block(state) if counted > 0 and counted % BLOCK == 0 else 0.0
+    if counted <= 0:
+        return 0.0
+    state.product += r * v
+    state.absolute += np.abs(r)
+    state.power += r * r
+    state.square += v * v
+    return _end_block(state) if counted % BLOCK == 0 else 0.0
 
 
-def _of_temperature(state: State, dt: float, temperature: FloatArray, rate: FloatArray) -> FloatArray:
+def _thermal(state: State, dt: float, temperature: FloatArray, rate: FloatArray) -> FloatArray:
     """Return temperature and rate behind their high-passes, between -1 and 1; 0 where unknown."""
-    value = np.column_stack([temperature if trait == Trait.TEMPERATURE else rate for trait in DRIVEN])
-    seconds = seconds_of(Trait.TEMPERATURE, Trait.RATE)
-    state.low = np.where(np.isnan(state.low), np.where(np.isinf(seconds), 0.0, value), state.low)
-    change = np.where(np.isnan(value), 0.0, value - state.low)
-    state.low += -np.expm1(-dt / seconds) * change
-    driven = value - state.low
-    least = [LEAST[trait] for trait in DRIVEN]
-    largest = np.fmax(np.fmax(np.abs(driven), math.exp(-dt / SCALE_S) * state.scale), least)
-    state.scale = np.where(np.isnan(driven), state.scale, largest)
-    return np.where(np.isnan(driven), 0.0, driven / np.maximum(state.scale, least))
-
-
-def _of_time(state: State) -> FloatArray:
-    """Return a constant and what a warm-up leaves."""
-    return np.tile(np.exp((state.first_s - state.last_s) / seconds_of(Trait.TIME)), (3, 1))
-
-
-def _of_past(state: State, v: FloatArray) -> FloatArray:
-    """Return means of earlier innovations over three of their standard deviations, and bring them on."""
-    seconds = seconds_of(Trait.PAST)
-    keep = np.where(seconds > SLOT_S, np.exp(-SLOT_S / seconds), 0.0)  # by slots: a pause holds none
-    before = state.past / (3.0 * np.sqrt((1.0 - keep) / (1.0 + keep)))
-    state.past = keep * state.past + (1.0 - keep) * v[:, np.newaxis]
-    return np.clip(before, -1.0, 1.0)
+    value = np.where(_OF_RATE, rate[:, np.newaxis], temperature[:, np.newaxis])
+    state.low = np.where(np.isnan(state.low), np.where(np.isinf(_SECONDS), 0.0, value), state.low)
+    state.low += -np.expm1(-dt / _SECONDS) * np.nan_to_num(value - state.low)
+    change = value - state.low
+    largest = np.fmax(np.fmax(np.abs(change), math.exp(-dt / SCALE_S) * state.scale), _LEAST)
+    state.scale = np.where(np.isnan(change), state.scale, largest)
+    return np.asarray(np.nan_to_num(change / np.maximum(state.scale, _LEAST)))
 
 
 def _end_block(state: State) -> float:
     """Bring every test on, and return the highest."""
     cost = TOLERANCE * state.absolute[..., np.newaxis] * np.abs(THETAS)
     cost = cost + 0.5 * KAPPA * state.power[..., np.newaxis] * THETAS**2
-    gain = state.along[..., np.newaxis] * THETAS - cost
-    gain[:, columns_of(Trait.PAST), len(THETAS) // 2 :] = 0.0
+    gain = state.product[..., np.newaxis] * THETAS - cost
+    # A negative correlation with the past is no fault: the filter expects too much.
+    gain[:, PATTERNS[:-1] == Pattern.PAST, len(THETAS) // 2 :] = 0.0
     state.tests = np.maximum(state.tests, 0.0) + gain
-    large = LAMBDAS * state.square[:, np.newaxis] + 0.5 * BLOCK * np.log(1.0 - 2.0 * LAMBDAS * KAPPA)
+    large = LAMBDAS * state.square + 0.5 * BLOCK * np.log(1.0 - 2.0 * LAMBDAS * KAPPA)
     state.sizes = np.maximum(state.sizes, 0.0) + large
     now = np.hstack([state.tests.max(-1), state.sizes.max(-1, keepdims=True)])
     state.peaks = np.maximum(state.peaks, now)
-    for sums in (state.along, state.absolute, state.power, state.square):
+    for sums in (state.product, state.absolute, state.power, state.square):
         sums[:] = 0.0
     return float(state.peaks.max())

@@ -7,7 +7,7 @@ import pytest
 
 from imumon.blocks import SampleBlock
 from imumon.estimation.spectrum.stage import LiveSpectrum
-from imumon.estimation.spectrum.welch import fast_length, peaks, welch
+from imumon.estimation.spectrum.welch import peaks, welch
 
 
 @pytest.mark.parametrize("rate", [20.0, 100.0, 1000.0])
@@ -83,9 +83,3 @@ def test_memory_is_bounded() -> None:
     for first in range(0, 100_000, 1000):
         stage.process(_block(first, 1000))
     assert len(stage.charts()[0].curves[0].x) < 1000
-
-
-def test_a_fast_length_has_small_factors_and_none_is_nearer() -> None:
-    smooth = {2**a * 3**b * 5**c for a in range(13) for b in range(9) for c in range(6)}
-    for most in (*range(1, 200), 4285):
-        assert fast_length(most) == max(n for n in smooth if n <= most)

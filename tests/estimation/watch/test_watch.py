@@ -11,7 +11,7 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.watch import evidence
-from imumon.estimation.watch.evidence import Trait
+from imumon.estimation.watch.evidence import Pattern
 from imumon.estimation.watch.parameters import WatchParameters
 from imumon.estimation.watch.stage import ModelWatch
 from imumon.models.curves.polynomial import PolynomialCurve
@@ -66,7 +66,7 @@ def test_the_evidence_is_the_largest_sum_of_logarithms_of_e_factors() -> None:
     past = np.clip(
         np.clip(innovation, -evidence.CLIP, evidence.CLIP)[evidence.LEARNING - 1 : -1, 1] / 3, -1, 1
     )
-    constant, first_past = (evidence.columns_of(trait)[0] for trait in (Trait.TIME, Trait.PAST))
+    constant, first_past = (np.argmax(each == evidence.PATTERNS) for each in (Pattern.TIME, Pattern.PAST))
     for place, r in ((constant, np.ones(len(v))), (first_past, past)):
         gains = [
             theta * (r * v - evidence.TOLERANCE * np.abs(r)) - theta**2 * r**2 * evidence.KAPPA / 2
@@ -86,10 +86,8 @@ def test_a_pause_forgets_the_extremes_of_the_temperature() -> None:
     state = evidence.State()
     for i, now_s in enumerate(seconds.tolist()):
         evidence.step(state, now_s, innovation[i], temperature[i], rate[i])
-    assert state.scale[:, evidence.columns_of(Trait.TEMPERATURE)] == pytest.approx(
-        100.0 * np.exp(-4.0), rel=0.5
-    )
-    assert state.scale[:, evidence.columns_of(Trait.RATE)] == pytest.approx(evidence.LEAST[Trait.RATE])
+    assert state.scale[:, 0] == pytest.approx(100.0 * np.exp(-4.0), rel=0.5)
+    assert state.scale[:, 1:] == pytest.approx(0.003)
 
 
 def test_false_alarms_are_as_rare_as_promised() -> None:
