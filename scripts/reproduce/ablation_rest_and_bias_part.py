@@ -17,9 +17,9 @@ from rest_detector_scenes import SENSORS, measure_with_bias, steady_turn
 from rest_detector_table import TURN_RATE_HZ
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias import modes, odds, table
+from imumon.estimation.gyro_bias import hypotheses, modes
 from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.estimation.rest import detector, quiet
+from imumon.estimation.rest import detector, odds, quiet
 from imumon.estimation.rest.stage import RestDetector
 from imumon.geodesy import DEG_PER_H
 
@@ -35,19 +35,21 @@ Change = tuple[ModuleType, str, object]
 VARIANTS: dict[str, list[Change]] = {
     "one level of flicker, 10 s": [(modes, "FLICKER_CORNERS_S", (10.0,))],
     "no flicker of 0.1 s": [(modes, "FLICKER_CORNERS_S", (100.0, 10.0, 1.0))],
-    "no walk": [(modes, "WALK_PRIOR", 1e-6)],
     "levels of the axes independent": [(modes, "SAME_LEVEL", 0.25)],
     "no sensitivity": [(modes, "SENSITIVITIES", modes.SENSITIVITIES[:1] * 1e-6)],
     "large sensitivity only": [(modes, "SENSITIVITIES", modes.SENSITIVITIES[1:])],
     "no flicker within a slot": [(modes, "FASTEST_S", 1.0)],
-    "believed compared as it is, not as it was": [(table, "LAG_S", 1.0)],
-    "a mean fits by 5.5 sigma, not 4.5": [(table, "BEYOND", 5.5)],
-    "a mean fits by 3.5 sigma, not 4.5": [(table, "BEYOND", 3.5)],
-    "no tight return": [(table, "AGAIN", table.BEYOND)],
-    "a wide law is believed against gravity": [(table, "AGAINST", 50.0)],
-    "gravity is no witness": [(odds, "OBLIQUE", 1e9)],
-    "witnesses decide from 4, not 12": [(table, "CERTAIN", 4.0)],
-    "a dispute outlives the motion it began with": [(table, "SETTLED_S", 0.0)],
+    "nominal compared as it is, not as it was": [(hypotheses, "LAG_S", 1.0)],
+    "a mean fits by 5.5 sigma, not 4.5": [(hypotheses, "FIT_SIGMAS", 5.5)],
+    "a mean fits by 3.5 sigma, not 4.5": [(hypotheses, "FIT_SIGMAS", 3.5)],
+    "no tight return": [(hypotheses, "RETURN_SIGMAS", hypotheses.FIT_SIGMAS)],
+    "a wide law is rest against gravity": [(detector, "TURN_LOG_RATIO", 50.0)],
+    "no test by gravity": [(odds, "OBLIQUE", 1e9)],
+    "gravity decides from 4, not 12": [(detector, "CHANGE_LOG_RATIO", 4.0)],
+    "a contradiction outlives the motion it began with": [(hypotheses, "ONSET_S", 0.0)],
+    "a vague law does not explain a rate": [(detector, "as_predicted", lambda *_: 0.0)],
+    "the first mean was no turn": [(detector, "first_was_turn", lambda *_: 0.0)],
+    "an oblique change excludes no turn about the vertical": [(odds, "MOSTLY_LEVEL", 1e9)],
     "no floor of a suspicious mean": [(quiet, "QUIET", quiet.QUIET * 1e-3)],
 }
 

@@ -412,14 +412,6 @@ def measure_with_bias(scene: Scene, grade: Grade, seed: int) -> tuple[SampleBloc
     return SampleBlock(columns), BIAS + walk
 
 
-def with_field(samples: SampleBlock, scene: Scene, seed: int) -> SampleBlock:
-    """Add a magnetometer with noise of 0.5 µT, in a field of 22, 3 and 42 µT (north, east, down)."""
-    rng = np.random.default_rng([seed, 7])
-    body_to_ned = Rotation.from_euler("ZYX", scene.angles[:, ::-1])
-    field = body_to_ned.inv().apply([22.0, 3.0, 42.0]) + 0.5 * rng.standard_normal((len(scene.t), 3))
-    return samples.with_columns({f"mag_{axis}": field[:, i] for i, axis in enumerate("xyz")})
-
-
 def averaged(samples: SampleBlock, count: int) -> SampleBlock:
     """Return means of count samples each, dated by the last: how a device lowers its rate."""
     n = len(samples) // count * count

@@ -25,7 +25,6 @@ from rest_detector_scenes import (
     steady_turn,
     swing,
     turn_from_start,
-    with_field,
 )
 from vqf import VQF
 
@@ -173,11 +172,10 @@ def bias_over_sigma(samples: SampleBlock, truth: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kind:
-    """A kind of scene: how it is made for a seed, with a compass or not, and what the detector is told."""
+    """A kind of scene: how it is made for a seed, and the detector's parameters."""
 
     name: str
     make: Callable[[int], Scene]
-    compass: bool = False
     told: RestParameters | None = None
 
 
@@ -186,7 +184,6 @@ def field_row(kind: Kind, grade: Grade, scenes: Sequence[tuple[int, Scene]]) -> 
     ours, theirs, z = Tally(), Tally(), []
     for seed, scene in scenes:
         samples, truth = measure_with_bias(scene, grade, seed)
-        samples = with_field(samples, scene, seed) if kind.compass else samples
         columns = RestDetector(kind.told).process(samples)
         ours.add(scene.t, scene.rest, columns["at_rest"] == 1)
         theirs.add(scene.t, scene.rest, vqf_rest(samples))
@@ -218,9 +215,7 @@ def doubtful_kinds() -> Iterator[Kind]:
     for rate_dps in FROM_START:
         name = f"begins in a turn of {rate_dps:g} deg/s"
         make = partial(_same, turn_from_start(TURN_RATE_HZ, rate_dps))
-        yield Kind(f"{name}, with magnetometer", make, compass=True)
-        yield Kind(f"{name}, without magnetometer", make)
-        yield Kind(f"{name}, without, begins_turning 0.1", make, told=RestParameters(begins_turning=0.1))
+        yield Kind(name, make)
     for name, (axis, degrees, period_s, arm_m) in SWINGS.items():
         yield Kind(name, partial(_same, swing(2 * TURN_RATE_HZ, axis, degrees, period_s, arm_m)))
     for rate_dps, ramp_s in AMBIGUOUS:

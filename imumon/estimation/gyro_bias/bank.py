@@ -8,7 +8,7 @@ for each axis, the sensitivity for all three together.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from imumon.estimation.gyro_bias.modes import (
     WALK,
     Modes,
     measurement_row,
-    transition,
+    propagate,
 )
 
 MEMORY_S = 600.0
@@ -54,12 +54,14 @@ class Bank:
     time_s: float
     degc: FloatArray
     """(3,)."""
+    law: Law
+    """Of the mixture, after the last update."""
 
     def copy(self) -> Bank:
         """Return a bank that goes its own way."""
-        return Bank(
-            self.modes, self.mean.copy(), self.covariance.copy(), self.log_weight.copy(), self.shape,
-            self.scale.copy(), self.known_noise, self.force, self.time_s, self.degc.copy(),
+        return replace(
+            self, mean=self.mean.copy(), covariance=self.covariance.copy(),
+            log_weight=self.log_weight.copy(), scale=self.scale.copy(),
         )  # fmt: skip
 
 
@@ -76,8 +78,20 @@ def start(
     mean = np.zeros((3, modes.count, STATES))
     count = KNOWN_COUNT if known_noise else PRIOR_COUNT
     scale = np.repeat(count * white[:, np.newaxis], modes.count, 1)
-    log_weight = np.tile(modes.log_prior, (3, 1))
-    return Bank(modes, mean, covariance, log_weight, count, scale, known_noise, force, time_s, degc)
+    law = Law.of(np.zeros(3), np.full(3, UNKNOWN), 0.0, force, time_s)
+    return Bank(
+        modes,
+        mean,
+        covariance,
+        np.zeros((3, modes.count)),
+        count,
+        scale,
+        known_noise,
+        force,
+        time_s,
+        degc,
+        law,
+    )
 
 
 def rescale(bank: Bank, white: FloatArray) -> None:
@@ -85,21 +99,13 @@ def rescale(bank: Bank, white: FloatArray) -> None:
     scale = np.repeat(PRIOR_COUNT * white[:, np.newaxis], bank.modes.count, 1)
     bank.covariance *= (bank.scale / bank.shape * PRIOR_COUNT / scale)[..., np.newaxis, np.newaxis]
     bank.shape, bank.scale = PRIOR_COUNT, scale
+    bank.law = law_of(bank)
 
 
 def predict(bank: Bank, time_s: float, degc: FloatArray) -> None:
     """Bring the filters to a time and temperatures, (3,); NaN is no change."""
     warming = np.nan_to_num(degc - bank.degc)
-    keeps, grows = transition(time_s - bank.time_s, warming)
-    x, p = bank.mean, bank.covariance
-    if warming.any():
-        by = warming[:, np.newaxis]
-        x[..., WALK] += by * x[..., SLOPE]
-        p[..., WALK, :] += by[..., np.newaxis] * p[..., SLOPE, :]
-        p[..., :, WALK] += by[..., np.newaxis] * p[..., :, SLOPE]
-    x *= keeps
-    p *= keeps[:, np.newaxis] * keeps
-    p.reshape(3, -1, STATES * STATES)[..., :: STATES + 1] += bank.modes.process * grows[:, np.newaxis]
+    propagate(bank.mean, bank.covariance, bank.modes.process, time_s - bank.time_s, warming)
     bank.time_s = time_s
     bank.degc = np.where(np.isfinite(degc), degc, bank.degc)
 
@@ -121,6 +127,7 @@ def update(bank: Bank, rate: FloatArray, force: FloatArray, seconds: float, weig
     bank.covariance -= gain[..., np.newaxis] * cross[..., np.newaxis, :]
     if weigh:
         _weigh(bank, innovation**2 / spread, spread)
+    bank.law = law_of(bank)
 
 
 def _weigh(bank: Bank, square: FloatArray, spread: FloatArray) -> None:
@@ -169,6 +176,7 @@ def law_of(bank: Bank) -> Law:
 def widen(bank: Bank, variance: FloatArray) -> None:
     """Let the bias have changed by an unknown amount of this variance, (rad/s)², (3,)."""
     bank.covariance[..., WALK, WALK] += variance[:, np.newaxis] * bank.shape / bank.scale
+    bank.law = bank.law.wider(variance)
 
 
 def forget(bank: Bank) -> None:

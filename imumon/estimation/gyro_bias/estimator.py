@@ -14,13 +14,12 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias import table
+from imumon.estimation.gyro_bias import hypotheses
+from imumon.estimation.gyro_bias.hypotheses import LEAST_WHITE, Evidence, Second
 from imumon.estimation.gyro_bias.law import Law
 from imumon.estimation.gyro_bias.modes import SENSITIVITIES, SLOPE, Modes, known_modes, unknown_modes
 from imumon.estimation.gyro_bias.motion import Motion
-from imumon.estimation.gyro_bias.odds import Second
 from imumon.estimation.gyro_bias.place import Attitude, Place, turned_earth
-from imumon.estimation.gyro_bias.table import LEAST_WHITE, Limits
 from imumon.estimation.gyro_bias.timing import Span
 from imumon.filters.turns import STILL, Turn
 from imumon.geodesy import EARTH_RATE
@@ -33,12 +32,8 @@ FIRST_SLOTS = 16
 """Slots at rest that show the noise."""
 ANOTHER = 4.0
 """Factor of the variance of the white noise that is no chance in so many slots."""
-LARGEST_JUMP = 10.0
-"""rad/s: at rest, as reported, the bias may jump by anything."""
 PATIENCE_S = 60.0
-"""A unit that is reported at rest, at another rate for so long, has another bias."""
-ACCEL_DRIFT = 1.5e-3
-"""Drift of the accelerometers that is no tilt, m/s³."""
+"""Without a rest detector of ours, rest at another rate for so long is rest with another bias."""
 
 
 class Slot(NamedTuple):
@@ -83,7 +78,7 @@ class Params:
 class State:
     """All that is carried from slot to slot."""
 
-    beliefs: table.State = field(default_factory=table.State)
+    beliefs: hypotheses.State = field(default_factory=hypotheses.State)
     pending: list[Slot] = field(default_factory=list)
     """Slots at rest that do not count yet."""
     latest: list[Slot] = field(default_factory=list)
@@ -131,13 +126,13 @@ def step(state: State, params: Params, slot: Slot) -> tuple[FloatArray | None, b
     if slot.rest:
         state.latest = [*state.latest[1 - FIRST_SLOTS :], slot]
         state.pending.append(slot)
-        if beliefs.believed is None:
+        if beliefs.nominal is None:
             state.motion.interrupt()
             return None, _look_for_beginning(state, params)
         seconds = sum(one.span.seconds for one in state.pending[:-HELD_BACK])
         if seconds >= SECOND_S:
             return _count(state, params), True
-    elif beliefs.believed is None:
+    elif beliefs.nominal is None:
         return None, _learn_from_motion(state, slot)
     return None, slot.span.end_s - state.shown_s >= SECOND_S
 
@@ -145,12 +140,13 @@ def step(state: State, params: Params, slot: Slot) -> tuple[FloatArray | None, b
 def miss(state: State, lag_degc: FloatArray) -> None:
     """Note a gap: the lag of the gyros' temperatures may have changed by so much (sd), °C, (3,)."""
     state.motion.interrupt()
-    law = state.beliefs.law
-    if law is not None:
+    nominal = state.beliefs.nominal
+    if nominal is not None:
+        law = nominal.law
         slope2 = law.mean[:, SLOPE] ** 2 + law.covariance[:, SLOPE, SLOPE]
         state.added = state.added + slope2 * lag_degc**2
         state.lost = True
-        table.move(state.beliefs)
+        hypotheses.move(state.beliefs)
     state.pending, state.latest = [], []
 
 
@@ -159,17 +155,16 @@ def _leave(state: State, slot: Slot) -> None:
     beliefs = state.beliefs
     if state.latest:
         state.left_s, state.pending, state.latest = slot.span.end_s, [], []
-    if beliefs.believed is None:
+    if beliefs.nominal is None:
         return
     if not beliefs.moved:
         state.turn, state.lost = STILL, False
     reported = slot.reported is not None and slot.reported.any()
-    if reported and beliefs.disputed:
-        beliefs.moved, beliefs.turning, beliefs.recent = True, True, []
+    if reported and beliefs.contradicted:
+        beliefs.moved, beliefs.probability, beliefs.recent, beliefs.alike = True, 1.0, [], 0
     else:
-        table.move(beliefs)
-    assert beliefs.law is not None
-    state.turn = state.turn.then(slot.turn.less(beliefs.law.mean[:, 0]))
+        hypotheses.move(beliefs)
+    state.turn = state.turn.then(slot.turn.less(beliefs.nominal.law.mean[:, 0]))
     state.lost |= slot.span.gap_s > 0.0
 
 
@@ -210,7 +205,7 @@ def _look_for_beginning(state: State, params: Params) -> bool:
     state.attitude.come_to_rest(
         first if np.isfinite(first).all() else None, params.place, STILL, math.nan, lost=True
     )
-    table.begin(state.beliefs, params.modes(noise[:3]), _seconds(state, slots), noise, bool(known))
+    hypotheses.begin(state.beliefs, params.modes(noise[:3]), _seconds(state, slots), noise, bool(known))
     state.pending, state.added = [], np.zeros(3)
     return True
 
@@ -235,29 +230,33 @@ def _second(state: State, slots: Sequence[Slot]) -> Second:
     degc = weight @ np.array([one.degc for one in slots])
     degc = np.where(np.isfinite(degc), degc, slots[-1].degc)
     force = np.where(np.isfinite(force), force, state.force)
-    return Second(slots[-1].span.end_s, total, rate, force, degc, np.full(3, np.nan))
+    return Second(slots[-1].span.end_s, total, rate, force, degc)
 
 
 def _count(state: State, params: Params) -> FloatArray:
     """Let a second count; return the normalised innovations, (3,)."""
     beliefs, slots = state.beliefs, state.pending[:-HELD_BACK]
     state.pending = state.pending[-HELD_BACK:]
-    assert beliefs.law is not None
+    assert beliefs.nominal is not None
+    law = beliefs.nominal.law
     if beliefs.moved:
         force = slots[0].force if np.isfinite(slots[0].force).all() else None
-        drift = (slots[-1].span.end_s - state.left_s) * math.sqrt(
-            float(beliefs.law.bias(state.force)[1].max())
-        )
+        drift = (slots[-1].span.end_s - state.left_s) * math.sqrt(float(law.bias(state.force)[1].max()))
         state.added = state.added + state.attitude.come_to_rest(
             force, params.place, state.turn, drift, state.lost
         )
         state.turn, state.lost = STILL, False
     _check_noise(state)
     now = _second(state, slots)
-    bias, variance = beliefs.law.wider(state.added).at(now.end_s, now.degc).bias(now.force)
-    innovation = (now.rate - bias) / np.sqrt(variance + beliefs.law.white / now.seconds)
-    limits = Limits(LARGEST_JUMP, PATIENCE_S, ACCEL_DRIFT)
-    table.decide(beliefs, limits, now, state.added, slots[-1].reported)
+    law = beliefs.nominal.law
+    bias, variance = law.wider(state.added).at(now.end_s, now.degc).bias(now.force)
+    innovation = (now.rate - bias) / np.sqrt(variance + law.white / now.seconds)
+    reported = slots[-1].reported
+    if reported is None:
+        evidence = Evidence(changed=now.end_s - beliefs.since_s > PATIENCE_S, probability=0.5)
+    else:
+        evidence = Evidence(changed=not reported.any())
+    hypotheses.decide(beliefs, now, state.added, lambda *_: evidence)
     state.added = np.zeros(3)
     if slots[-1].reported is not None:
         state.held = slots[-1].reported ** 2
@@ -267,22 +266,22 @@ def _count(state: State, params: Params) -> FloatArray:
 def _check_noise(state: State) -> None:
     """Take the noise of the latest slots, where it is plainly another."""
     beliefs = state.beliefs
-    if len(state.latest) < FIRST_SLOTS or beliefs.law is None:
+    if len(state.latest) < FIRST_SLOTS or beliefs.nominal is None:
         return
     noise = _noise_of(state.latest)
     beliefs.noise = np.concatenate([beliefs.noise[:3], noise[3:]])
-    if (noise[:3] > ANOTHER * beliefs.law.white).any():
+    if (noise[:3] > ANOTHER * beliefs.nominal.law.white).any():
         state.noise, state.latest = noise, []
-        table.take_noise(beliefs, noise)
+        hypotheses.take_noise(beliefs, noise)
 
 
 def shown(state: State, params: Params, now_s: float) -> tuple[Law | None, FloatArray, FloatArray]:
     """Return the law of the bias at a time, what is to be added to its variance, and the variance by
     the hypothesis that is not shown, (rad/s)², (3,)."""
     state.shown_s = now_s
-    if state.beliefs.law is None:
+    if state.beliefs.nominal is None:
         return state.by_motion, np.zeros(3), np.zeros(3)
-    law, ambiguity = table.shown(state.beliefs, now_s, state.degc, state.force)
+    law, ambiguity = hypotheses.shown(state.beliefs, now_s, state.degc, state.force)
     added = state.added + state.attitude.uncertain_earth(params.place)
     if state.beliefs.moved:
         added = added + turned_earth(state.attitude.up, params.place, state.turn)

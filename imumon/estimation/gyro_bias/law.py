@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.modes import SENSITIVITY, SLOPE, STATES, WALK, measurement_row, transition
+from imumon.estimation.gyro_bias.modes import SENSITIVITY, STATES, WALK, measurement_row, propagate
 
 _FAST = 1
 """The flicker process of a second: the mean of some seconds does not have it."""
@@ -47,18 +47,14 @@ class Law:
         """Return the law at a later time and temperatures, (3,)."""
         if time_s <= self.time_s:
             return self
-        warming = np.nan_to_num(degc - self.degc)
-        keeps, grows = transition(time_s - self.time_s, warming)
-        x, p = self.mean * keeps, self.covariance * (keeps[:, np.newaxis] * keeps)
-        if warming.any():
-            by = warming[:, np.newaxis]
-            x[:, WALK] += warming * x[:, SLOPE]
-            p[:, WALK, :] += by * p[:, SLOPE, :]
-            p[:, :, WALK] += by * p[:, :, SLOPE]
-        p.reshape(3, -1)[:, :: STATES + 1] += self.process * grows
-        return replace(
-            self, mean=x, covariance=p, time_s=time_s, degc=np.where(np.isfinite(degc), degc, self.degc)
-        )
+        mean, covariance = self.mean.copy(), self.covariance.copy()
+        propagate(mean, covariance, self.process, time_s - self.time_s, np.nan_to_num(degc - self.degc))
+        known = np.where(np.isfinite(degc), degc, self.degc)
+        return replace(self, mean=mean, covariance=covariance, time_s=time_s, degc=known)
+
+    def with_covariance(self, covariance: FloatArray) -> Law:
+        """Return a law of the same mean."""
+        return replace(self, covariance=covariance)
 
     def wider(self, variance: FloatArray) -> Law:
         """Return a law whose bias may have changed by an unknown amount of this variance, (3,)."""

@@ -35,10 +35,6 @@ FLOOR_OF_FLICKER = 0.664
 """Floor of the Allan deviation over B, sqrt(2 ln 2 / π) (IEEE 952)."""
 FLICKER_CORNERS_S = (100.0, 10.0, 1.0, 0.1)
 """Averaging times at which flicker overtakes white noise."""
-WALK_CORNERS_S = (10.0,)
-"""The same for a random walk; white noise and a walk of K are equal at √3 σ/K."""
-WALK_PRIOR = 0.5
-"""Prior of a walk over that of one level of flicker."""
 SLOPE_PER_SIGMA = 3.6
 """Standard deviation of the slope over σ, 1/°C: 60 °/h/°C for a gyro of 0.28 °/√h."""
 SLOPE_LEFT_PER_SIGMA = 0.25
@@ -72,8 +68,6 @@ class Modes:
     """Prior variance of an entry of the sensitivity, absolute, (F,)."""
     fast: FloatArray
     """Flicker of a sample that the filter does not follow, (3, F)."""
-    log_prior: FloatArray
-    """(F,)."""
     kinds: int
     """Kinds of noise: the slowest index of F."""
     levels: FloatArray
@@ -84,21 +78,18 @@ class Modes:
     @property
     def count(self) -> int:
         """F."""
-        return len(self.log_prior)
+        return len(self.group)
 
 
 def unknown_modes(slope_per_sigma: tuple[float, ...]) -> Modes:
     """Return the modes of a gyro of unknown noise; slopes (sd over σ), 1/°C."""
-    flicker = [1.0 / (FLOOR_OF_FLICKER * math.sqrt(c)) for c in FLICKER_CORNERS_S]
-    kinds = [(b, 0.0) for b in flicker] + [(0.05 * flicker[0], math.sqrt(3.0) / c) for c in WALK_CORNERS_S]
-    n, count = len(flicker), len(kinds)
+    flicker = np.array([1.0 / (FLOOR_OF_FLICKER * math.sqrt(c)) for c in FLICKER_CORNERS_S])
+    count = len(flicker)
     apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
-    apart[:n, n:] = apart[n:, :n] = count
     other = (1.0 - SAME_LEVEL) / 3.0
     levels = np.where(apart == 0, SAME_LEVEL, np.where(apart == 1, other, other / count))
-    prior = np.repeat([1.0, WALK_PRIOR], [n, count - n])
-    walk, b = (np.tile([kind[i] for kind in kinds], (3, 1)) for i in (1, 0))
-    return _modes(b, walk, slope_per_sigma, prior / prior.sum(), levels)
+    b = np.tile(flicker, (3, 1))
+    return _modes(b, 0.0 * b, slope_per_sigma, levels)
 
 
 def known_modes(
@@ -107,12 +98,10 @@ def known_modes(
     """Return the modes of declared noise: B and K, rad/s and rad/s/√s, over the white noise of 1 s, (3,)
     each."""
     b, k = (np.asarray(one / white)[:, np.newaxis] for one in (instability, walk))
-    return _modes(b, k, slope_per_sigma, np.ones(1), np.ones((1, 1)))
+    return _modes(b, k, slope_per_sigma, np.ones((1, 1)))
 
 
-def _modes(
-    b: FloatArray, walk: FloatArray, slopes: tuple[float, ...], prior: FloatArray, levels: FloatArray
-) -> Modes:
+def _modes(b: FloatArray, walk: FloatArray, slopes: tuple[float, ...], levels: FloatArray) -> Modes:
     """Return all combinations; B and K over σ, (3, kinds)."""
     kind, slope, group = (
         np.array(one)
@@ -125,22 +114,35 @@ def _modes(
     process[..., SLOPE] = slope**2 / SLOPE_DEGC
     # What is faster than the fastest process, and that process less its own mean over a second.
     fast = b[:, kind] ** 2 / math.pi * math.log(TAUS_S[0] / FASTEST_S) + 0.47 * variance
-    log_prior = np.log(np.repeat(prior, len(kind) // len(prior)) / (len(kind) // len(prior)))
     return Modes(
-        process, np.tile(slope**2, (3, 1)), SENSITIVITIES[group] ** 2, fast, log_prior, len(prior), levels,
-        group
-    )  # fmt: skip
+        process, np.tile(slope**2, (3, 1)), SENSITIVITIES[group] ** 2, fast, b.shape[1], levels, group
+    )
 
 
-def transition(dt: float, warming: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the diagonal of F, (8,), and by what Q grows, (3, 8), over dt seconds and `warming` °C, (3,)."""
+def propagate(
+    mean: FloatArray, covariance: FloatArray, process: FloatArray, dt: float, warming: FloatArray
+) -> None:
+    """Do x = F x and P = F P Fᵀ + Q in place, over dt seconds and `warming` °C, (3,).
+
+    Parameters
+    ----------
+    mean, covariance, process : array (3, ..., 8), (3, ..., 8, 8), (3, ..., 8)
+        Of three axes, and any number of modes; the process noise is that of `Modes.process`.
+    """
+    axes = (3, *(1,) * (mean.ndim - 1))
+    by = warming.reshape(axes)
+    if warming.any():
+        mean[..., WALK] += by[..., 0] * mean[..., SLOPE]
+        covariance[..., WALK, :] += by * covariance[..., SLOPE, :]
+        covariance[..., :, WALK] += by * covariance[..., :, SLOPE]
     keeps = np.ones(STATES)
     keeps[FLICKER] = np.exp(-dt / TAUS_S)
-    grows = np.zeros((3, STATES))
-    grows[:, WALK] = dt
-    grows[:, FLICKER] = 1.0 - keeps[FLICKER] ** 2
-    grows[:, SLOPE] = np.abs(warming)
-    return keeps, grows
+    mean *= keeps
+    covariance *= keeps[:, np.newaxis] * keeps
+    grows = np.zeros(mean.shape)
+    grows[..., WALK], grows[..., FLICKER] = dt, 1.0 - keeps[FLICKER] ** 2
+    grows[..., SLOPE] = np.abs(by[..., 0])
+    np.einsum("...ii->...i", covariance)[...] += process * grows
 
 
 def measurement_row(offset: FloatArray) -> FloatArray:

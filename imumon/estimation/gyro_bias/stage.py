@@ -15,7 +15,6 @@ from imumon.charts import Chart
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.gyro_bias.estimator import (
-    PATIENCE_S,
     SLOT_S,
     Params,
     Slot,
@@ -275,8 +274,7 @@ class GyroBias:
         if jumped > self._jumped:
             self._jumped = jumped
             texts.append(
-                f"at rest the rate contradicted the bias, and gravity, or {PATIENCE_S:.0f} s, show that it "
-                "has jumped: the bias is estimated anew"
+                "at rest the rate contradicted the bias, so it has jumped: the bias is estimated anew"
             )
         return texts
 

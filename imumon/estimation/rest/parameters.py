@@ -26,13 +26,8 @@ class RestParameters(StrictModel):
         and bias from then on, if it differs by no more than largest_jump and nothing decides before.
     largest_jump : float
         Largest change of a gyro's bias within one run of the unit, rad/s.
-    begins_turning : float
-        Share of recordings that begin in a steady turn: the first mean at rest may have one about the
-        vertical in it.  0 by default, for most stand on a bench; 0.1 suits who records on a turntable without
-        a magnetometer: five standard deviations cover 93 % of its turns, and are as large as the biases of
-        the other axes where nothing turns.
-    gyro_g_sensitivity, gyro_walk : float
-        Not used any more: both are learned.
+    begins_turning, gyro_g_sensitivity, gyro_walk : float
+        Not used any more: a recording is taken to begin at rest, and the others are learned.
     """
 
     gyro_drift: float = Field(default=1e-4, ge=0.0, le=1.0)
@@ -46,7 +41,7 @@ class RestParameters(StrictModel):
     @property
     def retired(self) -> set[str]:
         """Keys that were given and are not used any more."""
-        return self.model_fields_set & {"gyro_g_sensitivity", "gyro_walk"}
+        return self.model_fields_set & {"begins_turning", "gyro_g_sensitivity", "gyro_walk"}
 
     @cached_property
     def drift(self) -> FloatArray:

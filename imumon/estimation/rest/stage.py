@@ -11,7 +11,6 @@ import numpy as np
 from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
 from imumon.estimation.gyro_bias.timing import Timing
-from imumon.estimation.rest.compass import reference, temperature
 from imumon.estimation.rest.detector import Reading, State, begin, step
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.quiet import AXES, COARSEST_STEPS, SLOT_S, Slot
@@ -46,7 +45,7 @@ class RestDetector:
 
     def __init__(self, parameters: RestParameters | None = None) -> None:
         self._parameters = parameters or RestParameters()
-        self._slots = SlotGatherer(AXES + 4, int(SLOT_S * 1e9))
+        self._slots = SlotGatherer(AXES + 1, int(SLOT_S * 1e9))
         self._timing = Timing()
         self._state = State()
         self._last_ns, self._last_segment = NO_INT, 0
@@ -62,17 +61,13 @@ class RestDetector:
         """Return ``at_rest``, int64, and ``turn_hypothesis_{x,y,z}`` of a block.
 
         Needs ``device_time_ns`` and ``segment``; takes what there is of gyro_{x,y,z} in rad/s and
-        accel_{x,y,z} in m/s², of mag_{x,y,z}, yaw or q_{w,x,y,z}, and of temperature_estimate or temperature
-        in °C.
+        accel_{x,y,z} in m/s², and of temperature_estimate or temperature in °C.
         """
         n = len(block)
-        readings = np.full((n, AXES + 4), np.nan)
+        readings = np.full((n, AXES + 1), np.nan)
         for place, name in enumerate(INPUTS):
             readings[:, place] = block.columns.get(name, np.nan)
-        heading = reference(block)
-        if heading is not None:
-            readings[:, AXES:-1] = heading
-        readings[:, -1] = temperature(block)
+        readings[:, AXES] = _temperature(block)
         time_ns, segment = block["device_time_ns"], block["segment"]
         rows = np.flatnonzero((time_ns != NO_INT) & np.isfinite(readings[:, :AXES]).any(1))
         if len(rows) == n:
@@ -115,9 +110,8 @@ class RestDetector:
             int(ended.start_ns[k]), int(ended.end_ns[k]), int(ended.samples[k]), bool(ended.begins[k])
         )
         if span.seconds > 0.0:
-            heading, degc = ended.mean[k, AXES:-1], float(ended.mean[k, -1])
             slot = slots[k]._replace(seconds=span.seconds)
-            step(self._state, self._parameters, Reading(span, slot, degc, heading))
+            step(self._state, self._parameters, Reading(span, slot, float(ended.mean[k, AXES])))
 
     def _hold(self, found: IntArray, readings: FloatArray, start: int, stop: int) -> None:
         """Fill in rows of the slot that is open: a sample outside the band of a unit at rest ends it
@@ -134,9 +128,7 @@ class RestDetector:
     def notices(self) -> list[str]:
         """Return, once, which parameters are not used any more."""
         keys, self._pending = self._pending, []
-        return (
-            [f"the rest detector does not use {' and '.join(keys)} any more: it learns them"] if keys else []
-        )
+        return [f"the rest detector does not use {' and '.join(keys)} any more"] if keys else []
 
     def snapshot(self) -> dict[str, Any]:
         """Return a copy of the state."""
@@ -145,6 +137,21 @@ class RestDetector:
     def restore(self, saved: dict[str, Any]) -> None:
         """Go on from a state that `snapshot` returned."""
         vars(self).update(deepcopy(saved))
+
+
+def _temperature(block: SampleBlock) -> FloatArray:
+    """Return the temperature of the unit in °C, (n,): the estimate, else the reading, else NaN.
+
+    The mean of the axes where each has a thermometer.
+    """
+    # The reading is a stopgap where there is no estimate at all; mixed with it, it would jump.
+    for name in ("temperature_estimate", "temperature"):
+        if name in block:
+            return np.asarray(block[name])
+        axes = block.vector(name)
+        if axes is not None:
+            return np.asarray(axes.mean(1))
+    return np.full(len(block), np.nan)
 
 
 def _slots_of(ended: Slots) -> list[Slot]:

@@ -48,10 +48,6 @@ def rolled(accel: FloatArray, roll: FloatArray) -> FloatArray:
     return force
 
 
-ON_A_TURNTABLE = RestParameters(begins_turning=0.1)
-"""One recording in ten begins in a turn."""
-
-
 def detect(samples: SampleBlock, parameters: RestParameters | None = None) -> IntArray:
     """Return at_rest of all samples by a new detector."""
     result: IntArray = RestDetector(parameters).process(samples)["at_rest"]

@@ -1,0 +1,314 @@
+"""What the mean of a quiet second is: the bias as before, a changed bias, or a turn.
+
+Two hypotheses of the bias are filtered side by side: H0, *nominal*, the bias as predicted, which learns
+while no mean contradicts it, and H1, *changed*, a bias that is another since a mean did.  A mean fits one of
+them if the means of the last 1, 4 and 16 s lie within `FIT_SIGMAS` of its law on each axis.  Nominal is
+compared as it was 16 to 32 s ago, when it had not learned the beginning of a slow turn.  `ROWS` is the
+decision, first match; the docs print the same table.  Between H1 and a turn decides the caller's test.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from imumon.blocks import FloatArray
+from imumon.estimation.gyro_bias import bank as filters
+from imumon.estimation.gyro_bias.bank import Bank
+from imumon.estimation.gyro_bias.law import Law
+from imumon.estimation.gyro_bias.modes import Modes
+
+FIT_SIGMAS = 4.5
+"""Sigmas of an axis within which a mean fits; with 4, drifts of a warm-up contradicted the bias."""
+RETURN_SIGMAS = 2.0
+"""The same for a return to the nominal bias where the changed one fits as well."""
+SPANS = (1, 4, 16)
+"""Seconds whose means are compared."""
+LAG_S = 16.0
+"""Age of the nominal law that is compared, at least; twice as much at most."""
+ONSET_S = 4.0
+"""A contradiction that motion follows sooner was how the motion began."""
+NEW_POSE = 0.3
+"""m/s²: a specific force that differs by more from the first one is that of another pose."""
+LEAST_WHITE = 1e-18
+"""Variance of the mean of a second, (rad/s)²: less than any gyro has, and more than none."""
+
+
+class Second(NamedTuple):
+    """Means over about a second in which the unit was quiet."""
+
+    end_s: float
+    seconds: float
+    """What its samples cover: the white noise is that of so long."""
+    rate: FloatArray
+    """rad/s, (3,)."""
+    force: FloatArray
+    """m/s², (3,); NaN without accelerometers."""
+    degc: FloatArray
+    """Temperature of each gyro, (3,); NaN without one."""
+
+
+class Evidence(NamedTuple):
+    """What a test has found about a mean and its difference from the nominal bias."""
+
+    turns: bool = False
+    """The unit turns, however well the mean fits."""
+    changed: bool = False
+    """It does not turn: the bias has changed."""
+    probability: float = 0.0
+    """That the difference is a turn, while neither is certain."""
+
+
+Test = Callable[[Law, FloatArray, bool], Evidence]
+"""Of the law of the nominal bias, the difference from it, rad/s, (3,), and whether that fits."""
+
+
+@dataclass(slots=True, eq=False)
+class State:
+    """Both hypotheses, and what is known about the choice between them."""
+
+    nominal: Bank | None = None
+    older: tuple[Bank, ...] = ()
+    """Nominal as it was, the first 16 to 32 s ago; empty while it is contradicted."""
+    changed: Bank | None = None
+    earlier: tuple[Law, ...] = ()
+    """Laws of changed, the first 4 to 8 s ago: a rate that drifts on does not fit them."""
+    law_then: Law | None = None
+    """Of nominal, when changed began: as time goes on it becomes vague, and would fit a steady turn."""
+    fits_s: float = 0.0
+    """How long the changed one has fitted, s."""
+    since_s: float = math.nan
+    """Since when the nominal bias is contradicted; NaN while it is not."""
+    probability: float = 0.0
+    """That the present rate is a turn."""
+    changes: int = 0
+    """How often the rate has changed since then."""
+    first: FloatArray | None = None
+    """Mean rate of the first rest, (3,); None once the unit has been in another pose."""
+    pose: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    """Specific force at the first rest, (3,)."""
+    moved: bool = False
+    """Whether it has moved since the last second that was decided on."""
+    jumped: int = 0
+    """How often the bias has changed."""
+    noise: FloatArray = field(default_factory=lambda: np.zeros(6))
+    """Variance of the mean of a second, of rates and specific forces, (6,)."""
+    recent: list[Second] = field(default_factory=list)
+    """Seconds of this rest, 16 at most."""
+    alike: int = 0
+    """How many of them are of the present rate."""
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the rate contradicts the nominal bias."""
+        return math.isfinite(self.since_s)
+
+    @property
+    def turning(self) -> bool:
+        """Whether a turn is more likely than a changed bias."""
+        return self.probability > 0.5
+
+
+class Facts(NamedTuple):
+    """The predicates of the table."""
+
+    fits_nominal: bool
+    """And the test finds no turn."""
+    fits_changed: bool
+    contradicted: bool
+    settled: bool
+    """Whether at least two seconds of this rate fit."""
+    accepted: bool
+    """Whether the test has decided for a change of the bias."""
+
+
+Action = Callable[[State, Second, Bank], None]
+
+
+def _learn(state: State, now: Second, _: Bank) -> None:
+    """H0 holds, or holds again: nominal learns."""
+    nominal = _nominal(state)
+    _take(nominal, now)
+    state.changed, state.since_s, state.changes, state.probability = None, math.nan, 0, 0.0
+    if state.moved or not state.older:
+        state.older = (nominal.copy(),) * 2
+    elif nominal.time_s - state.older[1].time_s >= LAG_S:
+        state.older = (state.older[1], nominal.copy())
+
+
+def _accept(state: State, now: Second, compared: Bank) -> None:
+    """H1 holds: the changed bias becomes the nominal one."""
+    state.nominal, state.first, state.older = state.changed, None, ()
+    state.jumped += 1
+    _learn(state, now, compared)
+
+
+def _continue(state: State, now: Second, _: Bank) -> None:
+    """The rate is the same since it changed; H1 or a turn is not decided."""
+    assert state.changed is not None
+    _take(state.changed, now)
+    state.fits_s += now.seconds
+    if now.end_s - state.earlier[1].time_s >= ONSET_S:
+        state.earlier = (state.earlier[1], state.changed.law)
+
+
+def _begin(state: State, now: Second, compared: Bank) -> None:
+    """The rate is another: H1 begins, or begins anew."""
+    if not state.contradicted:
+        state.since_s, state.older, state.nominal = now.end_s, (), compared
+    if state.changed is not None:
+        state.changes, state.alike = state.changes + 1, 1
+    changed = _nominal(state).copy()
+    state.law_then = changed.law.at(now.end_s, now.degc)
+    filters.predict(changed, now.end_s, now.degc)
+    filters.forget(changed)
+    filters.update(changed, now.rate, now.force, now.seconds, weigh=False)
+    state.changed, state.fits_s, state.earlier = changed, now.seconds, (changed.law,) * 2
+
+
+ROWS: tuple[tuple[str, Callable[[Facts], bool], Action], ...] = (
+    ("rest", lambda f: f.fits_nominal and not f.contradicted, _learn),
+    ("rest again", lambda f: f.fits_nominal and f.settled, _learn),
+    ("changed bias", lambda f: f.fits_changed and f.accepted, _accept),
+    ("undecided", lambda f: f.fits_changed, _continue),
+    ("another rate", lambda _: True, _begin),
+)
+"""Name, condition and action; the first that holds.  In the last two the probability of a turn sets which
+bias is shown, and whether it is rest."""
+
+
+def decide(state: State, now: Second, added: FloatArray, test: Test) -> None:
+    """Decide on a quiet second.
+
+    Parameters
+    ----------
+    added : array (3,)
+        What has been added to the variance of the bias meanwhile, (rad/s)².
+    """
+    _widen(state, added)
+    if state.moved:
+        if np.linalg.norm(now.force - state.pose) > NEW_POSE:
+            state.first = None  # it was in a hand, and not on a turntable
+        if not state.contradicted:
+            state.older = (_nominal(state),) * 2
+    state.recent = [*state.recent[1 - SPANS[-1] :], now]
+    state.alike = min(state.alike + 1, len(state.recent))
+    compared = _nominal(state) if state.contradicted else state.older[0]
+    facts, probability = _facts(state, now, compared, test)
+    action = next(row[2] for row in ROWS if row[1](facts))
+    action(state, now, compared)
+    if state.contradicted:
+        state.probability = probability
+    state.moved = False
+
+
+def _nominal(state: State) -> Bank:
+    assert state.nominal is not None
+    return state.nominal
+
+
+def _facts(state: State, now: Second, compared: Bank, test: Test) -> tuple[Facts, float]:
+    """Return the predicates, and the probability of a turn, if the rate is not the nominal bias."""
+    law = compared.law.at(now.end_s, now.degc)
+    alike = state.recent[-state.alike :]
+    fits_changed, limits, sigmas = False, law, FIT_SIGMAS
+    if state.changed is not None:
+        lately = alike[-max(int(state.fits_s), 1) - 1 :]
+        fits_changed, _ = _fit(FIT_SIGMAS, state.earlier[0].at(now.end_s, now.degc), now, lately)
+        if fits_changed and state.law_then is not None:
+            limits, sigmas = law.with_covariance(state.law_then.covariance), RETURN_SIGMAS
+    fits, difference = _fit(sigmas, limits, now, alike)
+    evidence = Evidence()
+    if not fits or state.contradicted or len(state.recent) <= SPANS[1]:
+        evidence = test(law, difference, fits)
+    facts = Facts(
+        fits and not evidence.turns, fits_changed, state.contradicted, len(alike) > 1, evidence.changed
+    )
+    return facts, evidence.probability
+
+
+def _fit(sigmas: float, law: Law, now: Second, recent: Sequence[Second]) -> tuple[bool, FloatArray]:
+    """Compare the means of the last seconds with a law; the difference is that of up to 4 s."""
+    bias, of_second = law.bias(now.force)
+    _, of_mean = law.bias(now.force, of_mean=True)
+    fits, difference = True, np.zeros(3)
+    for span in SPANS:
+        if len(recent) < span and span != SPANS[1]:
+            continue
+        part = recent[-span:]
+        seconds = sum(one.seconds for one in part)
+        off = sum((one.seconds * one.rate for one in part), np.zeros(3)) / seconds - bias
+        spread = (of_second if len(part) == 1 else of_mean) + law.white / seconds
+        fits &= bool((off * off <= sigmas**2 * spread).all())
+        if span <= SPANS[1]:
+            difference = off
+    return fits, difference
+
+
+def _banks(state: State) -> list[Bank]:
+    """Return each bank once: an older one may be the nominal one itself."""
+    banks = (state.nominal, state.changed, *state.older)
+    return list({id(bank): bank for bank in banks if bank is not None}.values())
+
+
+def _widen(state: State, variance: FloatArray) -> None:
+    """Add to the variance of the bias, (3,)."""
+    if variance.any():
+        for bank in _banks(state):
+            filters.widen(bank, variance)
+        state.earlier = tuple(law.wider(variance) for law in state.earlier)
+
+
+def _take(bank: Bank, now: Second) -> None:
+    if np.isnan(bank.force[0]):
+        bank.force = now.force  # accelerometers that come late
+    filters.predict(bank, now.end_s, now.degc)
+    filters.update(bank, now.rate, now.force, now.seconds)
+
+
+def begin(
+    state: State, modes: Modes, seconds: Sequence[Second], noise: FloatArray, known_noise: bool = False
+) -> None:
+    """Begin with the first seconds at rest; noise, (6,), is the variance of the mean of a second."""
+    first = seconds[0]
+    state.noise = noise
+    state.nominal = filters.start(
+        modes, np.maximum(noise[:3], LEAST_WHITE), known_noise, first.force, first.end_s - first.seconds,
+        first.degc,
+    )  # fmt: skip
+    for now in seconds:
+        _learn(state, now, state.nominal)
+    state.older, state.moved = (state.nominal.copy(),) * 2, False
+    state.recent, state.alike = list(seconds), len(seconds)
+    state.first, state.pose = np.mean([one.rate for one in seconds], axis=0), first.force
+
+
+def move(state: State) -> None:
+    """Note that the unit moves: a contradiction of a few seconds was how the motion began."""
+    if state.changed is not None and state.changed.time_s - state.since_s < ONSET_S:
+        state.changed, state.since_s, state.older, state.probability = None, math.nan, (), 0.0
+    state.moved, state.recent, state.alike = True, [], 0
+
+
+def take_noise(state: State, noise: FloatArray) -> None:
+    """Take another noise, (6,), as of a fan that starts."""
+    state.noise = noise
+    for bank in _banks(state):
+        if not bank.known_noise:
+            filters.rescale(bank, np.maximum(noise[:3], LEAST_WHITE))
+
+
+def shown(state: State, now_s: float, degc: FloatArray, force: FloatArray) -> tuple[Law, FloatArray]:
+    """Return the more likely law at a time, and the ambiguity that the other adds to sigma, rad/s, (3,)."""
+    nominal = _nominal(state).law.at(now_s, degc)
+    if state.changed is None:
+        return nominal, np.zeros(3)
+    changed = state.changed.law.at(now_s, degc)
+    difference = changed.bias(force)[0] - nominal.bias(force)[0]
+    if state.turning:
+        return nominal, math.sqrt(1.0 - state.probability) * difference
+    return changed, math.sqrt(state.probability) * difference

@@ -1,0 +1,119 @@
+"""Of a steady rate that is not the nominal bias: is it a turn, or has the bias changed?  The odds, and the
+likelihood ratio by gravity."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from imumon.blocks import FloatArray
+from imumon.estimation.gyro_bias.hypotheses import Second
+from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
+
+USUAL_CHANGE = 50.0 * DEG_PER_H
+"""Changes of a bias are half-Cauchy of this scale, rad/s."""
+TURNS = np.radians([0.01, 300.0])
+"""Turns are as likely on a logarithmic scale between these, rad/s."""
+OBLIQUE = 0.3
+"""Share of a rate across the vertical from which on gravity is compared: no turntable leans so much (17°)."""
+EXCLUDED_SIGMAS = 6.0
+"""Of the tilt: an oblique turn by more, where the unit has tilted by less than half of it, is excluded."""
+MOSTLY_LEVEL = 3.0
+"""The level part of a change over the vertical one from which on that decides for the whole."""
+NOT_OBLIQUE = 3.0
+"""Log likelihood ratio against an oblique turn from which on only the vertical part may be a turn."""
+MOST_LOG_RATIO = 50.0
+TINY = 1e-24
+BEGAN_TURNING = 0.05
+"""Prior that the first rest of a recording was a turn, where two steady means cannot both be the bias."""
+
+
+def probability_of_turn(
+    change: FloatArray, log_ratio: float, others: float, largest: float, changes: int
+) -> float:
+    """Return the probability that a mean which differs from the bias by `change`, rad/s, (3,), is a turn.
+
+    With equal priors, a log-uniform density of turns and a half-Cauchy one of changes of the bias, u in units
+    of `USUAL_CHANGE`, the odds are π/(2 ln(300/0.01)) (u + 1/u) (1 + changes): of as many changes as there
+    were one may be of the bias.  No bias changes by more than `largest`.
+
+    Parameters
+    ----------
+    log_ratio : float
+        Log likelihood ratio of a changed bias over a turn, by other sensors.
+    others : float
+        Odds of other explanations over a turn: `as_predicted`, `first_was_turn`.
+    """
+    size = math.sqrt(float(change @ change))
+    u = max(size, 1e-12) / USUAL_CHANGE
+    changed = 2.0 * math.log(TURNS[1] / TURNS[0]) / (math.pi * (u + 1.0 / u) * (1.0 + changes))
+    no_turn = (changed if size <= largest else 0.0) + others
+    return 1.0 / (1.0 + no_turn * math.exp(max(min(log_ratio, MOST_LOG_RATIO), -MOST_LOG_RATIO)))
+
+
+def as_predicted(difference: FloatArray, variance: FloatArray) -> float:
+    """Return the odds of the nominal bias over a turn: much where its law has become vague, (3,) each."""
+    size2 = float(difference @ difference) + TINY
+    along = (float(difference**2 @ variance) + TINY * float(variance.max())) / size2
+    density = 2.0 * math.exp(-0.5 * size2 / along) / math.sqrt(2.0 * math.pi * along)
+    return density * math.sqrt(size2) * math.log(float(TURNS[1] / TURNS[0]))
+
+
+def by_gravity(
+    seconds: Sequence[Second],
+    change: FloatArray,
+    turn: FloatArray,
+    variance: float,
+    noise: float,
+    drift: float,
+) -> tuple[float, FloatArray]:
+    """Return the log likelihood ratio of a changed bias over a turn by how gravity moved, and the part of the
+    change that may be a turn, rad/s, (3,).
+
+    A turn is about the vertical, or oblique.  An oblique one tilts the unit by the angle turned, a change of
+    the bias does not.  In one about the vertical the level axes show the noise of the bias alone.
+
+    Parameters
+    ----------
+    seconds : sequence of Second
+        Up to 16 s of rest.
+    change, turn : array (3,)
+        By how much the rate differs from the bias, rad/s, and the angle by which it has turned since the
+        first of the seconds if that is a turn, rad; `variance` is that of an axis of the difference.
+    noise, drift : float
+        Variance of the mean force of a second, (m/s²)², and drift of the accelerometers, m/s³.
+    """
+    force = seconds[-1].force
+    gravity = math.sqrt(float(force @ force))
+    if len(seconds) < 3 or not gravity > 0.5 * STANDARD_GRAVITY:
+        return 0.0, change
+    up = force / gravity
+    across = change - (change @ up) * up
+    if float(across @ across) < OBLIQUE**2 * float(change @ change):
+        return 0.0, change
+    elapsed = sum(one.seconds for one in seconds[1:])
+    turn = turn - (turn @ up) * up
+    tilt = np.cross(force, seconds[0].force) / (gravity * gravity)
+    of_tilt = ((math.sqrt(2.0 * noise) + drift * elapsed) / gravity) ** 2
+    of_turn = of_tilt + variance * elapsed * elapsed
+    oblique = 0.5 * (float((tilt - turn) @ (tilt - turn)) / of_turn - float(tilt @ tilt) / of_tilt)
+    level2 = float(across @ across)
+    excluded = float(turn @ turn) > EXCLUDED_SIGMAS**2 * of_tilt > 4.0 * float(tilt @ tilt)
+    if excluded and level2 > MOSTLY_LEVEL**2 * float(change @ up) ** 2:
+        return MOST_LOG_RATIO, change
+    # About the vertical: what the level axes show is noise of the bias, or a change of it.
+    upright = 0.5 * level2 / variance + math.log(variance * USUAL_CHANGE / (USUAL_CHANGE**2 + level2) ** 1.5)
+    ratio = math.log(2.0) - float(np.logaddexp(-oblique, -max(upright, 0.0)))
+    return ratio, change - across if oblique > NOT_OBLIQUE else change
+
+
+def first_was_turn(first: FloatArray, now: FloatArray) -> float:
+    """Return the odds that the first mean, rad/s, (3,), had a turn in it, over that this one has.
+
+    Of the biases of a gyro nobody knows the scale s: with a density of 1/s, a mean of size m is the bias
+    with a density of 1/m³.
+    """
+    larger = (float(first @ first) + EARTH_RATE**2) / (float(now @ now) + EARTH_RATE**2)
+    return BEGAN_TURNING * math.sqrt(larger) ** 3
