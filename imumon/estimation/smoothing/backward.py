@@ -28,19 +28,20 @@ def backward(
     """
     ends = np.flatnonzero(np.diff(record.run, append=-1))
     last_ns = record.middle_ns[ends][np.searchsorted(record.run[ends], record.run)]
+    # The modelled bias: zero without a model, NaN while it is not known.
+    curve = record.vector("gyro_bias") - record.vector("gyro_random_error")
+    modelled = (np.nan_to_num(curve) != 0.0).any(0)
+    curve = np.where(np.isfinite(curve) | modelled, curve, 0.0)
     columns = {
-        "device_time_ns": (last_ns - record.middle_ns)[::-1],
-        "segment": (record.run.max(initial=0) - record.run)[::-1],
-        "at_rest": (record.columns["at_rest"] == 1.0).astype(np.int64)[::-1],
+        "device_time_ns": last_ns - record.middle_ns,
+        "segment": record.run.max(initial=0) - record.run,
+        "at_rest": (record.columns["at_rest"] == 1.0).astype(np.int64),
     }
-    curve = known_curve(record)
     for j, axis in enumerate("xyz"):
-        columns[f"gyro_{axis}"] = -(record.columns[f"gyro_{axis}"] - curve[:, j])[::-1]
-        columns[f"accel_{axis}"] = record.columns[f"accel_{axis}"][::-1]
-    columns |= {
-        name: record.columns[name][::-1] for name in READINGS if np.isfinite(record.columns[name]).any()
-    }
-    block = SampleBlock({name: np.ascontiguousarray(values) for name, values in columns.items()})
+        columns[f"gyro_{axis}"] = curve[:, j] - record.columns[f"gyro_{axis}"]
+        columns[f"accel_{axis}"] = record.columns[f"accel_{axis}"]
+    columns |= {name: record.columns[name] for name in READINGS if np.isfinite(record.columns[name]).any()}
+    block = SampleBlock({name: np.ascontiguousarray(values[::-1]) for name, values in columns.items()})
     block = block.with_columns(temperature.process(block))
     turn = {name: values for name, values in rest.process(block).items() if name in TURN}
     block = block.with_columns(turn)
@@ -55,10 +56,3 @@ def backward(
         found[f"gyro_bias_{axis}"] = curve[:, j] - block[f"gyro_bias_{axis}"][::-1]
         found[f"gyro_bias_sd_{axis}"] = block[f"gyro_bias_sd_{axis}"][::-1]
     return found
-
-
-def known_curve(record: Record) -> FloatArray:
-    """Return the modelled bias, rad/s, (n, 3): zero without a model, NaN while it is not known."""
-    curve = record.vector("gyro_bias") - record.vector("gyro_random_error")
-    modelled = (np.nan_to_num(curve) != 0.0).any(0)
-    return np.where(np.isfinite(curve) | modelled, curve, 0.0)

@@ -38,20 +38,19 @@ def combine(
 ) -> Smoothed:
     """Return the estimate from both directions, (n,); the only one where there is one; NaN where none."""
     both = np.isfinite(forward + forward_sd + backward + backward_sd)
-    value = np.where(np.isfinite(forward_sd), forward, backward)
-    sd = np.where(np.isfinite(forward_sd), forward_sd, backward_sd)
+    has_forward = np.isfinite(forward_sd)
+    value, sd = np.where(has_forward, forward, backward), np.where(has_forward, forward_sd, backward_sd)
     if not both.any():
         return Smoothed(value, sd, math.nan)
-    difference, p_f, p_b = (forward - backward)[both], forward_sd[both] ** 2, backward_sd[both] ** 2
-    normalised = np.abs(difference) / np.sqrt(p_f + p_b)
-    r = float(np.sqrt(np.mean(normalised**2)))
+    p_f, p_b = forward_sd[both] ** 2, backward_sd[both] ** 2
+    ratio = np.abs(forward - backward)[both] / np.sqrt(p_f + p_b)
+    r = float(np.sqrt(np.mean(ratio**2)))
     # At most the smaller variance: then the direction that has it is taken alone.
     common = np.minimum(max(1.0 - r * r, 0.0) * 0.5 * (p_f + p_b), np.minimum(p_f, p_b))
     own_f, own_b = p_f - common, p_b - common
-    own = own_f + own_b
-    weight = np.divide(own_b, own, out=np.full(len(own), 0.5), where=own > 0.0)
+    weight = np.divide(own_b, own_f + own_b, out=np.full(len(p_f), 0.5), where=own_f + own_b > 0.0)
     value[both] = weight * forward[both] + (1.0 - weight) * backward[both]
     variance = weight**2 * own_f + (1.0 - weight) ** 2 * own_b + common
-    usual = max(min(r, float(np.median(normalised)) / MEDIAN), 1.0)
-    sd[both] = np.sqrt(variance) * np.maximum(usual, np.where(normalised > SUSPECT, normalised, 1.0))
+    usual = max(min(r, float(np.median(ratio)) / MEDIAN), 1.0)
+    sd[both] = np.sqrt(variance) * np.maximum(usual, np.where(ratio > SUSPECT, ratio, 1.0))
     return Smoothed(value, sd, r)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from imumon.blocks import FloatArray, IntArray, SampleBlock
+from imumon.blocks import IntArray, SampleBlock
 from imumon.estimation.alignment.report import PositionHeading
 from imumon.estimation.alignment.stage import Alignment
 from imumon.estimation.smoothing.combine import SUSPECT, Smoothed
@@ -31,39 +31,28 @@ def still_heading(
     later : callable
         Makes a new stage, for the second half of a position.
     """
-    value, sd = (np.full(len(record.run), np.nan) for _ in range(2))
+    value, sd = np.full((2, len(record.run)), np.nan)
     ratios = []
     for position in positions:
-        rows = _rows(record, position)
-        if not len(rows):
-            continue
-        apart = _apart(record, rows[len(rows) // 2 :], later())
-        ratios += [apart] if math.isfinite(apart) else []
-        value[rows] = position.heading
-        sd[rows] = position.sd * (apart if apart > SUSPECT else 1.0)
-    return Smoothed(value, sd, float(np.sqrt(np.mean(np.square(ratios)))) if ratios else math.nan)
+        run = np.flatnonzero(record.run == position.run)
+        since_s = 1e-9 * (record.middle_ns[run] - record.middle_ns[run[:1]])
+        rows = run[(since_s >= position.begun_s) & (since_s <= position.ended_s)]
+        if len(rows):
+            ratios.append(_halves_differ(record, rows[len(rows) // 2 :], later()))
+            value[rows], sd[rows] = position.heading, position.sd
+            if ratios[-1] > SUSPECT:
+                sd[rows] *= ratios[-1]
+    known = [ratio for ratio in ratios if math.isfinite(ratio)]
+    return Smoothed(value, sd, float(np.sqrt(np.mean(np.square(known)))) if known else math.nan)
 
 
-def _rows(record: Record, position: PositionHeading) -> IntArray:
-    run = np.flatnonzero(record.run == position.run)
-    if not len(run):
-        return run
-    since_s = 1e-9 * (record.middle_ns[run] - record.middle_ns[run[0]])
-    return np.asarray(run[(since_s >= position.begun_s) & (since_s <= position.ended_s)])
-
-
-def _apart(record: Record, rows: IntArray, stage: Alignment) -> float:
+def _halves_differ(record: Record, rows: IntArray, stage: Alignment) -> float:
     """Return the difference of the headings from these and from earlier rows, in standard deviations."""
-    columns: dict[str, FloatArray] = {name: record.columns[name][rows] for name in SENSORS}
+    columns = {name: record.columns[name][rows] for name in SENSORS}
     at_rest = (record.columns["at_rest"][rows] == 1.0).astype(np.int64)
-    found = stage.process(
-        SampleBlock(
-            {"device_time_ns": record.middle_ns[rows], "segment": record.run[rows], "at_rest": at_rest}
-            | columns
-        )
-    )
+    times = {"device_time_ns": record.middle_ns[rows], "segment": record.run[rows], "at_rest": at_rest}
+    found = stage.process(SampleBlock({**times, **columns}))
     before, before_sd = (float(record.columns[name][rows[0]]) for name in ("heading", "heading_sd"))
     after, after_sd = (float(found[name][-1]) for name in ("heading", "heading_sd"))
-    if not math.isfinite(before + after):
-        return math.nan
-    return abs(math.remainder(before - after, 2.0 * math.pi)) / math.hypot(before_sd, after_sd)
+    difference = math.remainder(before - after, math.tau) if math.isfinite(before + after) else math.nan
+    return abs(difference) / math.hypot(before_sd, after_sd)

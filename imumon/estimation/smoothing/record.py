@@ -17,24 +17,21 @@ SUFFIXES = ("", "_x", "_y", "_z")
 READINGS = tuple(f"temperature{suffix}" for suffix in SUFFIXES)
 
 
-def _axes(name: str) -> list[str]:
-    return [f"{name}_{axis}" for axis in "xyz"]
-
-
-SENSORS = (*_axes("gyro"), *_axes("accel"))
-TURN = tuple(_axes("turn_hypothesis"))
-FORWARD = (
-    *(f"{name}{suffix}" for name in ("temperature_estimate", "temperature_rate") for suffix in SUFFIXES),
-    *(f"{name}_sd{suffix}" for name in ("temperature_estimate", "temperature_rate") for suffix in SUFFIXES),
-    *_axes("gyro_bias"),
-    *_axes("gyro_bias_sd"),
-    *_axes("gyro_random_error"),
+SENSORS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
+TURN = tuple(f"turn_hypothesis_{axis}" for axis in "xyz")
+_THERMAL = ("temperature_estimate", "temperature_estimate_sd", "temperature_rate", "temperature_rate_sd")
+_BIAS = ("gyro_bias", "gyro_bias_sd", "gyro_random_error")
+NAMES = (
+    *SENSORS,
+    *READINGS,
+    "at_rest",
+    *(f"{name}{suffix}" for name in _THERMAL for suffix in SUFFIXES),
+    *(f"{name}_{axis}" for name in _BIAS for axis in "xyz"),
     *TURN,
     "attitude_estimate_heading",
     "heading",
     "heading_sd",
 )
-NAMES = (*SENSORS, *READINGS, "at_rest", *FORWARD)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,17 +76,17 @@ class Recorder:
     def finish(self) -> Record:
         """Return the record of all rows."""
         last = self._slots.finish()
-        parts = [*self._parts, (last.row + self._rows, last)]
-        stop = np.concatenate([rows for rows, _ in parts])
-        begins = np.concatenate([slots.begins for _, slots in parts])
-        middle = np.concatenate([slots.middle_ns for _, slots in parts])
-        mean = np.concatenate([_means(slots) for _, slots in parts])
-        final = np.concatenate([slots.last for _, slots in parts])
+        rows, parts = zip(*self._parts, (last.row + self._rows, last), strict=True)
+        begins, middle_ns, final = (
+            np.concatenate([getattr(slots, name) for slots in parts])
+            for name in ("begins", "middle_ns", "last")
+        )
+        mean = np.concatenate([_means(slots) for slots in parts])
         columns = {
             name: np.ascontiguousarray((mean if name in SENSORS else final)[:, j])
             for j, name in enumerate(NAMES)
         }
-        return Record(stop, np.cumsum(begins), middle, columns)
+        return Record(np.concatenate(rows), np.cumsum(begins), middle_ns, columns)
 
 
 def _means(slots: Slots) -> FloatArray:

@@ -40,34 +40,28 @@ class SmoothedEstimates:
         self._rows = 0
         self._reported = False
         self._values: dict[str, FloatArray] = {}
-        self._units: dict[str, str] = {}
+        columns: list[Column] = []
+        self.columns: Sequence[Column] = columns
+        """The columns that `process` adds."""
         self.disagreement: dict[str, float] = {}
         """r of `combine`, by quantity."""
-        for value, sd, unit in QUANTITIES:
-            if value in backward:
-                found = combine(record.columns[value], record.columns[sd], backward[value], backward[sd])
-                self._add(value, sd, unit, found)
+        forward = record.columns
+        found = {
+            each: combine(forward[each[0]], forward[each[1]], backward[each[0]], backward[each[1]])
+            for each in QUANTITIES
+            if each[0] in backward
+        }
         if heading is not None:
-            self._add("heading", "heading_sd", "rad", heading)
-
-    def _add(self, value: str, sd: str, unit: str, found: Smoothed) -> None:
-        if math.isfinite(found.disagreement):
-            self.disagreement[value] = found.disagreement
-        if np.isfinite(found.sd).any():
-            self._values |= {smoothed(value): found.value, smoothed(sd): found.sd}
-            self._units |= {smoothed(value): unit, smoothed(sd): unit}
-
-    @property
-    def columns(self) -> Sequence[Column]:
-        """The columns that `process` adds."""
-        return [
-            Column(
-                name,
-                unit,
-                description=f"{'standard deviation ' if '_sd' in name else ''}with what came later",
-            )
-            for name, unit in self._units.items()
-        ]
+            found["heading", "heading_sd", "rad"] = heading
+        for (value, sd, unit), of in found.items():
+            if math.isfinite(of.disagreement):
+                self.disagreement[value] = of.disagreement
+            if np.isfinite(of.sd).any():
+                self._values |= {smoothed(value): of.value, smoothed(sd): of.sd}
+                columns.append(Column(smoothed(value), unit, description="with what came later"))
+                columns.append(
+                    Column(smoothed(sd), unit, description="standard deviation with what came later")
+                )
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; the blocks must be the rows of the first run, in their order."""
