@@ -13,8 +13,8 @@ from thermometer_kinds import KINDS, Profile, constant, drifting, ramp, thermost
 from thermometers_table import errors, largest, rms
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.method import MultipleModelRate
 from imumon.estimation.temperature_rate.model import LEVEL_KINDS, MEAN_KINDS, Params, level_kind
+from imumon.estimation.temperature_rate.stage import MultipleModelRate
 
 TITLE = "Rate of temperature: kinds of thermometers, and a measured record in steps of 0, 1/16, 0.5 and 1 °C."
 FLOOR = 0.1

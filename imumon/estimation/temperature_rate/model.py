@@ -7,13 +7,13 @@ the reading.  What a thermometer rounds to its steps is T + e + white noise.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import BoolArray, FloatArray
+from imumon.blocks import FloatArray
 from imumon.filters.multiple_models import mode_transition
 from imumon.filters.rates import FASTEST_RATE
 
@@ -94,7 +94,7 @@ class Params:
     """A prediction is wide whose sigma exceeds so many steps."""
     spacing: float = 0.1
     """Relative standard deviation of the σ of a kind: half the distance of two hypotheses."""
-    renewal: float = 1.0
+    renewal: float = 0.1
     """Share of the log likelihood of a level that stays, per renewal of the slow error."""
     edge: float = 0.05
     """Standard deviation of the place of an edge, steps: linearity of a good converter."""
@@ -108,8 +108,6 @@ class Params:
     """Rate of such a ramp, °C/s: 2 °C/min, the usual ramp of a chamber."""
     glide_s: float = 3.0
     """Time constant with which the rate shown follows the estimate, so that it does not jump."""
-    unobserved_jerk: float = 1e-13
-    """Density of jerk while readings are missing, °C²/s⁵."""
 
     @cached_property
     def kinds(self) -> Kinds:
@@ -127,12 +125,9 @@ class Kinds:
     slow_variance: FloatArray
     slow_s: FloatArray
     walk: FloatArray
-    is_level: BoolArray
-    prior: FloatArray
-    """(k,), of sum 1."""
     renewed: FloatArray
     """1 - φ of a slot of the level kinds, (levels, 1)."""
-    ripple: FloatArray = field(repr=False)
+    ripple: FloatArray
     """β = exp(-2π²σ²) of the level kinds, (levels, 1): in steps, E[reading] = x - β/π sin 2πx of white noise
     (Widrow and Kollar, Quantization Noise, 2008, ch. 4)."""
 
@@ -146,20 +141,8 @@ class Kinds:
         keep = np.exp(-SLOT_S / slow_s)
         shown = (1.0 - keep) * (3.0 - keep) / 3.0
         shown[:levels] = 1.0
-        prior = np.full(len(rows), 1.0 / len(rows))
         ripple = np.exp(-2.0 * np.pi**2 * white[:levels] ** 2)
-        is_level = (np.arange(len(rows)) < levels)[:, np.newaxis]
-        return cls(
-            levels,
-            white,
-            slow / shown,
-            slow_s,
-            walk,
-            is_level,
-            prior,
-            1.0 - keep[:levels],
-            ripple,
-        )
+        return cls(levels, white, slow / shown, slow_s, walk, 1.0 - keep[:levels], ripple)
 
 
 class Dynamics(NamedTuple):
@@ -189,25 +172,20 @@ def dynamics(params: Params, dt: float) -> Dynamics:
     f[TEMPERATURE, ACCELERATION] = 0.5 * dt**2
     decay = np.ones((STATES, len(params.kinds.slow_s), 1))
     decay[ERROR] = np.exp(-dt / params.kinds.slow_s)
-    q = jerk_noise(dt)[:, :, np.newaxis, np.newaxis] * params.jerks
-    return Dynamics(f, np.asarray(np.kron(f, f), np.float64), decay, q)
-
-
-def jerk_noise(dt: float) -> FloatArray:
-    """Return the covariance of T, r and a after `dt` seconds of white jerk of density 1, (3, 3)."""
-    return np.array(
+    q = np.array(
         [
             [dt**5 / 20.0, dt**4 / 8.0, dt**3 / 6.0],
             [dt**4 / 8.0, dt**3 / 3.0, dt**2 / 2.0],
             [dt**3 / 6.0, dt**2 / 2.0, dt],
         ]
     )
+    return Dynamics(
+        f, np.asarray(np.kron(f, f), np.float64), decay, q[:, :, np.newaxis, np.newaxis] * params.jerks
+    )
 
 
 @lru_cache(maxsize=64)
 def smoothness_transition(params: Params, dt: float) -> FloatArray:
     """Return the transition matrix of the smoothnesses over a time in s, (m, m)."""
-    most = 0.4
-    return mode_transition(
-        len(params.jerks), min(dt * params.neighbour_per_s, most), min(dt * params.any_per_s, most)
-    )
+    neighbour, other = (min(dt * rate, 0.4) for rate in (params.neighbour_per_s, params.any_per_s))
+    return mode_transition(len(params.jerks), neighbour, other)

@@ -1,4 +1,4 @@
-"""Temperature rate as a stage of the pipeline: one estimator per temperature channel."""
+"""Temperature rate as a stage of the pipeline: samples to slots, slots to filters, and back to samples."""
 
 from __future__ import annotations
 
@@ -8,14 +8,142 @@ from functools import partial
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, FloatArray, SampleBlock
+from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
-from imumon.estimation.temperature_rate.method import MultipleModelRate, StepWatch
-from imumon.filters.rates import RateMethod
+from imumon.estimation.temperature_rate.filter import Shown, State, step
+from imumon.estimation.temperature_rate.gate import GATE_SLOTS
+from imumon.estimation.temperature_rate.model import SLOT_S, Params
+from imumon.estimation.temperature_rate.thermometer import (
+    COARSEST_DEGC,
+    NEIGHBOUR_S,
+    Reading,
+    StepFinder,
+    Thermometer,
+)
+from imumon.filters.rates import FASTEST_RATE, RateEstimate, RateMethod
+from imumon.filters.slots import SlotGatherer, Slots, held
 from imumon.protocols.thermometer import TemperatureRateParameters
 
-CHANNEL = "temperature"
-CHANNELS = (CHANNEL, *(f"{CHANNEL}_{axis}" for axis in "xyz"))
+CHANNELS = ("temperature", *(f"temperature_{axis}" for axis in "xyz"))
+
+
+class MultipleModelRate:
+    """Temperature and rate of one thermometer by a multiple-model Kalman filter.
+
+    Parameters
+    ----------
+    step_degc : float, optional
+        Quantization step in °C, if it is declared; it is found from the readings in any case.
+    params : Params, optional
+        Assumptions of the model.
+    """
+
+    def __init__(self, step_degc: float | None = None, params: Params | None = None) -> None:
+        self.params = params or Params()
+        self.state = State(Thermometer(StepFinder(step_degc or COARSEST_DEGC)))
+        self.stuck: float | None = None
+        """Where readings stuck last after a leap that no temperature makes, °C; None if they never did."""
+        self._gatherer = SlotGatherer(1, round(SLOT_S * 1e9))
+        self._origin_ns = 0
+        self._before = (math.nan, -math.inf)
+        """Last reading, and the end of its slot, s."""
+        self._end_s = 0.0
+        self._shown = np.array(Shown())
+        self._shown_ns: IntArray = np.array(0, np.int64)
+        self._segment: IntArray = np.array(NO_INT, np.int64)
+
+    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
+        """Return the estimates of samples that follow those of the last call; the same in blocks of any size.
+
+        Parameters
+        ----------
+        time_ns, segment : array, (n,)
+            Device time and the number of its segment; a new segment starts anew but keeps what is known of
+            the sensor.
+        reading : array, (n,)
+            °C; NaN where there is none.
+        """
+        slots = self._gatherer.process(time_ns, segment, reading[:, np.newaxis])
+        shown = np.empty((len(slots), len(self._shown)))
+        for i in range(len(slots)):
+            taken = self._reading(slots, i)
+            if slots.begins[i]:
+                self.state.begin()
+            shown[i] = step(self.params, self.state, taken)
+            gate = self.state.gate
+            if gate.rejected == GATE_SLOTS and gate.constant:
+                self.stuck = gate.off_degc
+        n = len(reading)
+        columns = held(slots.row, shown, self._shown, n).T
+        shown_ns = held(slots.row, slots.end_ns, self._shown_ns, n)
+        shown_segment = held(slots.row, slots.segment, self._segment, n)
+        if len(slots):
+            self._shown = shown[-1]
+            self._shown_ns, self._segment = np.array(slots.end_ns[-1]), np.array(slots.segment[-1])
+        age = np.asarray((time_ns - shown_ns) * 1e-9, np.float64)
+        known = (segment == shown_segment) & (age >= 0.0)
+        return extrapolate(age, known, reading, Shown(*columns), self.params.glide_s)
+
+    def _reading(self, slots: Slots, i: int) -> Reading:
+        """Return the readings of a slot."""
+        if slots.begins[i]:
+            self._origin_ns, self._end_s = int(slots.start_ns[i]), 0.0
+            self._before = (math.nan, -math.inf)
+        start_s, end_s = (int(ns[i] - self._origin_ns) * 1e-9 for ns in (slots.start_ns, slots.end_ns))
+        before, before_s = self._before
+        mean, variance, low, high, first, last, squares = (
+            float(values[i, 0])
+            for values in (
+                slots.mean, slots.variance, slots.smallest, slots.largest, slots.first, slots.last,
+                slots.step_squares,
+            )
+        )  # fmt: skip
+        if not start_s - before_s < NEIGHBOUR_S:
+            before = first
+        reading = Reading(
+            start_s=start_s,
+            end_s=end_s,
+            count=int(slots.count[i, 0]),
+            mean=mean,
+            variance=variance,
+            low=low,
+            high=high,
+            before=before,
+            first=first,
+            last=last,
+            changes=max(int(slots.changes[i, 0]), int(before != first)),
+            step_squares=squares,
+            gap_s=max(end_s - self._end_s, 1e-9) / int(slots.samples[i]),
+        )
+        if reading.count:
+            self._before = (last, end_s)
+        self._end_s = end_s
+        return reading
+
+
+def extrapolate(
+    age: FloatArray, known: BoolArray, reading: FloatArray, shown: Shown, glide_s: float
+) -> RateEstimate:
+    """Return the estimates at samples from what the last slot shows; all arrays, also in `shown`, are (n,).
+
+    Before the first slot of a segment ends, and behind a gap until the next slot ends, there is the reading,
+    with its standard deviation (NaN while nothing shows it), and any rate.
+    """
+    late = known & (age > shown.late_s) & np.isfinite(shown.rate)
+    known = known & ~late
+    fading = np.exp(-age / glide_s, where=known, out=np.zeros_like(age)) * shown.rate_offset
+    # A slot is known when the next begins; readings farther apart leave the temperature to the rate.
+    waited = np.maximum(age - 2.0 * SLOT_S, 0.0)
+    unknown = 0.0 * reading
+    temperature_sd = np.hypot(shown.temperature_sd, waited * shown.rate_sd)
+    return RateEstimate(
+        temperature=np.where(known, shown.temperature + age * shown.rate, reading),
+        rate=np.where(
+            known, shown.rate + age * shown.acceleration + fading, unknown + np.where(late, shown.rate, 0.0)
+        ),
+        temperature_sd=np.where(known, temperature_sd, unknown + shown.reading_sd),
+        rate_sd=np.where(known, np.hypot(shown.rate_sd, fading), unknown + FASTEST_RATE),
+    )
 
 
 class TemperatureRate:
@@ -40,11 +168,12 @@ class TemperatureRate:
         self._parameters = parameters or TemperatureRateParameters()
         self._new_method = new_method or partial(MultipleModelRate, self._parameters.step_degc)
         self._methods: dict[str, RateMethod] = {}
-        self._begun: set[str] = set()
-        self._watches: dict[str, StepWatch] = {}
-        self._stuck: set[str] = set()
-        self._outside: dict[str, float] = {}
-        """What of each channel was first out of range, until it is reported; then NaN."""
+        self._last: dict[str, float] = {}
+        """Last reading of each channel that has had one, °C."""
+        self._finders: dict[str, StepFinder] = {}
+        """The steps that each channel shows, as long as they may contradict the declared one."""
+        self._notices: list[str] = []
+        self._noticed: set[tuple[str, str]] = set()
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -59,8 +188,7 @@ class TemperatureRate:
         for channel in CHANNELS:
             if channel in block and channel not in self._methods:
                 self._methods[channel] = self._new_method()
-                if self._parameters.step_degc is not None:
-                    self._watches[channel] = StepWatch(self._parameters.step_degc)
+                self._finders[channel] = StepFinder()
         added: dict[str, ColumnArray] = {}
         for channel in self._methods:
             for column, part in zip(_columns(channel), self._estimate(channel, block), strict=True):
@@ -74,64 +202,59 @@ class TemperatureRate:
         what follows must not depend on that.
         """
         reading = self._reading(channel, block)
+        valid = np.flatnonzero(np.isfinite(reading))
         first = 0
-        if channel not in self._begun:
-            valid = np.flatnonzero(np.isfinite(reading))
+        if channel not in self._last:
             if not len(valid):
                 return [np.full(len(block), np.nan) for _ in range(4)]
             first = int(valid[0])
-            self._begun.add(channel)
-        time_ns, segment = block["device_time_ns"][first:], block["segment"][first:]
-        if channel in self._watches:
-            self._watches[channel].process(time_ns, segment, reading[first:])
-        result = self._methods[channel].process(time_ns, segment, reading[first:])
+        if len(valid):
+            self._compare_step(channel, reading[valid])
+            self._last[channel] = float(reading[valid[-1]])
+        method = self._methods[channel]
+        result = method.process(block["device_time_ns"][first:], block["segment"][first:], reading[first:])
+        if isinstance(method, MultipleModelRate) and method.stuck is not None:
+            text = f"it leapt to {method.stuck:g} °C, as no temperature does, and stuck there: "
+            self._notice(channel, "stuck", text + "taken for a fault of the thermometer until it changes")
         parts = (result.temperature, result.rate, result.temperature_sd, result.rate_sd)
         return [np.concatenate([np.full(first, np.nan), part]) for part in parts] if first else parts
 
     def _reading(self, channel: str, block: SampleBlock) -> FloatArray:
         """Return the readings, NaN where there is none or it is out of range."""
-        reading = np.full(len(block), np.nan)
-        if channel in block:
-            given = block[channel]
-            with np.errstate(invalid="ignore"):
-                inside = (given >= self._parameters.lowest_degc) & (given <= self._parameters.highest_degc)
-            reading[inside] = given[inside]
-            if channel not in self._outside and (outside := given[np.isfinite(given) & ~inside]).size:
-                self._outside[channel] = float(outside[0])
-        return reading
+        given = block[channel] if channel in block else np.full(len(block), np.nan)
+        low, high = self._parameters.lowest_degc, self._parameters.highest_degc
+        with np.errstate(invalid="ignore"):
+            inside = (given >= low) & (given <= high)
+        if (outside := given[np.isfinite(given) & ~inside]).size:
+            text = f"{outside[0]:g} °C is left out, as all beyond {low:g} to {high:g} (lowest_degc, "
+            self._notice(channel, "outside", text + "highest_degc): is its unit right?")
+        return np.where(inside, given, np.nan)
+
+    def _compare_step(self, channel: str, reading: FloatArray) -> None:
+        """Compare the declared step with what the changes of valid readings show, until they show it."""
+        declared, finder = self._parameters.step_degc, self._finders[channel]
+        if declared is None or finder.changes >= 1000:
+            return
+        changes = np.abs(np.diff(reading, prepend=self._last.get(channel, reading[0])))
+        for change in changes[changes > 0.0].tolist():
+            finder.learn(change)
+        if (found := finder.contradiction(declared)) is not None:
+            self._notice(channel, "step", f"step_degc contradicts the data: {found}")
+
+    def _notice(self, channel: str, what: str, text: str) -> None:
+        """Add a notice, once for each channel and kind."""
+        if (channel, what) not in self._noticed:
+            self._noticed.add((channel, what))
+            self._notices.append(f"{channel}: {text}")
 
     def notices(self) -> list[str]:
         """Return, once each, what is wrong with the declared step and with the readings; for the log."""
-        texts = []
-        for channel, value in self._outside.items():
-            if not math.isnan(value):
-                low, high = self._parameters.lowest_degc, self._parameters.highest_degc
-                texts.append(
-                    f"{channel}: {value:g} °C is left out, as all beyond {low:g} to {high:g} (lowest_degc, "
-                    "highest_degc): is its unit right?"
-                )
-                self._outside[channel] = math.nan
-        for channel, method in self._methods.items():
-            if (
-                isinstance(method, MultipleModelRate)
-                and method.stuck is not None
-                and channel not in self._stuck
-            ):
-                self._stuck.add(channel)
-                texts.append(
-                    f"{channel}: it leapt to {method.stuck:g} °C, as no temperature does, and stuck there: "
-                    "taken for a fault of the thermometer until it changes"
-                )
-        for channel in list(self._watches):
-            found = self._watches[channel].finder.contradiction()
-            if found is not None:
-                texts.append(f"{channel}: step_degc contradicts the data: {found}")
-                del self._watches[channel]
-        return texts
+        notices, self._notices = self._notices, []
+        return notices
 
 
 def _columns(channel: str) -> list[Column]:
-    suffix = channel.removeprefix(CHANNEL)
+    suffix = channel.removeprefix("temperature")
     of = f" of {channel}" if suffix else ""
     return [
         Column(f"temperature_estimate{suffix}", "degC", description=f"estimated temperature{of}"),

