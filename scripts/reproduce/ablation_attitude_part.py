@@ -68,7 +68,8 @@ VARIANTS: dict[str, list[Change]] = {
     "rest not used": [(tilt_sigma.TiltSigma, "_at_rest", _as_in_motion)],
     "i0 1 %": [(heading_sigma, "IRON", 0.01)],
     "i0 4 %": [(heading_sigma, "IRON", 0.04)],
-    "iron never shows": [(heading_sigma.Iron, "learn", _nothing)],
+    "iron forgotten in 0.1 s": [(heading_sigma, "IRON_MEMORY_S", 0.1)],
+    "iron forgotten in 300 s": [(heading_sigma, "IRON_MEMORY_S", 300.0)],
 }
 """What is left out or set otherwise."""
 

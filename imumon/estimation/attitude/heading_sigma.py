@@ -11,9 +11,9 @@ With H and V the horizontal and the vertical field, c the error of the calibrati
 that came after it, and p the angle by which the field turned the heading against the gyros, forgotten alike::
 
     magnetic = (c² + i² + (V tilt)²) / H² + (1) forgotten                                                (2)
-    iron  i² = i0² + 2 mean of (along² + across²) over the body faces that the field pointed out of        (3)
-    along    = mean of |m| less its calibrated strength in the latest visit of that face                 (4)
-    across²  = largest (H p)² beyond H² (2) with i = i0, in that visit                                   (5)
+    iron  i² = i0² + 2 largest (along² + across²) of the last half minute                               (3)
+    along    = |m| less its calibrated strength                                                          (4)
+    across²  = (H p)² beyond H² (2) with i = i0                                                          (5)
 
 The 2 in (3): what is along the field in one pose is across it in another, as in (5) of the tilt.
 """
@@ -27,43 +27,15 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.attitude.fusion import TAU_MAG_S
-from imumon.estimation.attitude.tilt_sigma import SLOT_S, Gyros, Slot, face_of
+from imumon.estimation.attitude.tilt_sigma import SLOT_S, Gyros, Slot
 from imumon.models.magnetometer import MagnetometerModel
 
 IRON = 0.025
 """i0, share of the field: iron that came after the calibration and has not shown yet.  A bet, as `ACCEL_SD`:
 a single pose shows one of three components.  Ablation: attitude, i0."""
-
-
-@dataclass(slots=True)
-class Iron:
-    """Size of the iron on the unit, by the strength and the direction of the field in each pose."""
-
-    followed_s: FloatArray = field(default_factory=lambda: np.zeros(6))
-    """Time for which the field pointed out of each face and was followed, s, in the latest visit."""
-    along: FloatArray = field(default_factory=lambda: np.zeros(6))
-    """Integral of |m| less the calibrated strength over that time."""
-    across2: FloatArray = field(default_factory=lambda: np.zeros(6))
-    """(5) of that visit."""
-    face: int = -1
-
-    def learn(self, magnetic: FloatArray, excess: float, across2: float, seconds: float) -> None:
-        """Take a slot's field, its strength less the calibrated one, (5), and how long it was followed, s."""
-        face = face_of(magnetic)
-        if face != self.face:
-            self.face = face
-            self.followed_s[face] = self.along[face] = self.across2[face] = 0.0
-        self.followed_s[face] += seconds
-        self.along[face] += seconds * excess
-        self.across2[face] = max(self.across2[face], across2)
-
-    @property
-    def variance(self) -> float:
-        """i² - i0² of (3), in the square of the field's unit."""
-        known = self.followed_s > 0.0
-        if not known.any():
-            return 0.0
-        return 2.0 * float(np.mean((self.along[known] / self.followed_s[known]) ** 2 + self.across2[known]))
+IRON_MEMORY_S = 30.0
+"""Time in which iron that has shown is forgotten, s: it may have been a magnet in the room, and the next pose
+shows it again."""
 
 
 @dataclass(slots=True)
@@ -83,7 +55,8 @@ class HeadingSigma:
     gyros: Gyros
     magnetometer: MagnetometerModel | None
     earth_rate: float
-    iron: Iron = field(default_factory=Iron)
+    iron: float = 0.0
+    """Largest (along² + across²) of (3), in the square of the field's unit."""
     about_up: FloatArray = field(default_factory=lambda: np.zeros(9))
     """Sum of u J: turn about the vertical for each element of scale and misalignment, rad."""
     earlier: float = 0.0
@@ -139,7 +112,7 @@ class HeadingSigma:
             return math.nan
         declared = magnetometer.error_sd**2 + (IRON * magnetometer.field) ** 2 + vertical**2 * tilt_variance
         across2 = max(level2 * (self.pull**2 - free) - declared, 0.0)
-        if math.isfinite(across2):
-            seconds = slot.follow_rate * SLOT_S
-            self.iron.learn(slot.field, strength - magnetometer.field, across2, seconds)
-        return (declared + self.iron.variance) / level2 + free
+        self.iron *= math.exp(-SLOT_S / IRON_MEMORY_S)
+        if slot.follow_rate and math.isfinite(across2):
+            self.iron = max(self.iron, (strength - magnetometer.field) ** 2 + across2)
+        return (declared + 2.0 * self.iron) / level2 + free

@@ -53,45 +53,28 @@ LARGEST_CHANGE = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Slot:
-    """Half a second of motion or rest; vectors in gyro-carried axes unless stated otherwise.
-
-    Parameters
-    ----------
-    rest : bool
-        Whether the unit was at rest for the whole slot.
-    up, up_body : array (3,)
-        VQF's up at its end, in gyro-carried and in body axes.
-    force : array (3,)
-        Mean specific force, m/s²; NaN where there is none.
-    low_force : float
-        Magnitude of the low-passed specific force at its end, m/s².
-    turn : array (3, 9)
-        J, rad.
-    lost : float
-        Variance of the angle by samples that are missing or too slow, and by turns that were taken for rest,
-        rad².
-    bias_sd : float
-        Standard deviation of the gyro bias about the vertical, rad/s; NaN where it is not known.
-    north : bool
-        Whether the heading is by the magnetometer.
-    field : array (3,)
-        Its latest reading, in body axes, in the unit of the calibration.
-    yaw, follow_rate : float
-        At its end, as of `fusion.ROW`.
-    """
+    """Half a second of motion or rest; vectors in gyro-carried axes unless stated otherwise."""
 
     rest: bool
+    """Whether the unit was at rest for the whole slot."""
     up: FloatArray
     up_body: FloatArray
+    """VQF's up at its end, in gyro-carried and in body axes, (3,)."""
     force: FloatArray
+    """Mean specific force, m/s², (3,); NaN where there is none."""
     low_force: float
+    """Magnitude of the low-passed specific force at its end, m/s²."""
     turn: FloatArray
+    """J, rad, (3, 9)."""
     lost: float
+    """Variance of the angle by samples that are missing or too slow, and by turns taken for rest, rad²."""
     bias_sd: float
+    """Standard deviation of the gyro bias about the vertical, rad/s; NaN where it is not known."""
     north: bool
     field: FloatArray
     yaw: float
     follow_rate: float
+    """At its end, as of `fusion.ROW`; the field in the unit of the calibration."""
 
 
 @dataclass(slots=True)
@@ -106,7 +89,8 @@ class Accelerometers:
 
     def learn(self, up_body: FloatArray, low_force: float) -> None:
         """Take a slot."""
-        face = face_of(up_body)
+        axis = int(np.argmax(np.abs(up_body)))
+        face = 2 * axis + int(up_body[axis] > 0.0)
         self.face_s[face] += SLOT_S
         self.face_sum[face] += SLOT_S * (low_force - STANDARD_GRAVITY)
 
@@ -221,9 +205,3 @@ class TiltSigma:
 def level(turn: FloatArray, up: FloatArray) -> FloatArray:
     """Return the squares of what each element of scale and misalignment tilts, rad², (9,)."""
     return np.asarray((turn * turn).sum(0) - (up @ turn) ** 2)
-
-
-def face_of(direction: FloatArray) -> int:
-    """Return which of the six faces of the body a direction in body axes points out of."""
-    axis = int(np.argmax(np.abs(direction)))
-    return 2 * axis + int(direction[axis] > 0.0)
