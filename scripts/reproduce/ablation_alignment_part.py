@@ -15,26 +15,30 @@ from ablation_outcome import Outcome
 from alignment_site_scenes import CREEPS, SCENES, Record, Scene
 from alignment_site_scenes import record as record_of
 
-from imumon.estimation.alignment import aligner, cells, hypotheses, posterior, prior, sway
+from imumon.estimation.alignment import aligner, cells, hypotheses, posterior, sway
 
 Change = Sequence[tuple[Any, str, Any]]
 """Module, constant, and what it is instead."""
 VARIANTS: Mapping[str, Change] = {
     "cells: 48 alone": [(cells, "CELLS", (48,))],
-    "guard of smoother cells": [(cells, "BETTER_BY", 1.0)],
-    "robust weights": [(cells, "HUBER", 1e9), (cells, "OUTLIER", 1e9)],
+    "cells: also 48 and 12": [(cells, "CELLS", (96, 48, 24, 12, 6))],
+    "rejection of knocks": [(cells, "KNOCK", 1e9)],
     "sways": [(sway, "MAX_LINES", 0)],
     "creep about the vertical": [(cells, "CREEP_RATIO", math.inf)],
     "vertical gyro between fits": [(aligner.State, "yaw_since_fit", property(lambda _: 0, lambda *_: None))],
     "warm-up": [(aligner, "DRIFTS", (hypotheses.Drift(1.0, 1e-7, 0.0),))],
     "jump of an accelerometer": [(aligner, "DRIFTS", hypotheses.DRIFTS[:2])],
     "settling": [(hypotheses, "P_SETTLES", 1e-9)],
-    "settling: one exponential": [(hypotheses, "NEIGHBOURS", 1)],
+    "settling: one exponential": [
+        (hypotheses, "NEIGHBOURS", 1),
+        (hypotheses, "WHICH", hypotheses.WHICH[:, :1]),
+    ],
     "settling: prior of 0.3": [(hypotheses, "P_SETTLES", 0.3)],
     "tempering": [(hypotheses, "TEMPER", 1.0)],
     "averaging: the best hypothesis": [(posterior, "LIKELY", -1e-9)],
-    "one gyro worse than the others": [(prior, "P_SOME_WORSE", 1e-12)],
-    "all gyros worse than their class": [(prior, "P_ALL_WORSE", 1e-12)],
+    "gyros worse than the others": [(posterior, "P_WORSE", 1e-12)],
+    "wider sigma of the first seconds": [(aligner, "EARLY_S", 0.0)],
+    "wider sigma of a heading that moved": [(aligner, "MOVED", 1e9)],
 }
 """What is left out or set otherwise."""
 CHOSEN = (

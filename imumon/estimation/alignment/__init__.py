@@ -2,8 +2,8 @@
 
 `stage.Alignment` is the stage of the pipeline and `aligner` its state and steps.  `positions` detects motion,
 `record` holds the rows of a position, `sway` fits narrow-band sway, and `cells` averages the rest with Hann
-windows and Huber weights.  `hypotheses` gives the level rate of a position if the unit stands or settles,
-`prior` the expected sensor errors, and `posterior` the heading and its sigma from all positions.
+windows.  `hypotheses` gives the level rate of a position if the unit stands or settles, and `posterior` the
+heading and its sigma from all positions.  `report` is what a user reads of it.
 The method of Lee et al. as printed is `imumon.published.self_alignment`.
 
 Nothing is imported here, so that parameters load without the rest.

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.alignment.hypotheses import DRIFTS, Drift, PositionFit, fit_position
+from imumon.estimation.alignment.hypotheses import DRIFTS, Drift, fit_position
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.positions import (
     CALM_SLOTS,
@@ -21,8 +21,12 @@ from imumon.estimation.alignment.positions import (
     Slot,
     turn_variance,
 )
-from imumon.estimation.alignment.posterior import HeadingPosterior, heading_posterior
-from imumon.estimation.alignment.prior import SensorErrors, sensor_errors
+from imumon.estimation.alignment.posterior import (
+    HeadingPosterior,
+    SensorErrors,
+    heading_posterior,
+    sensor_errors,
+)
 from imumon.estimation.alignment.record import (
     Record,
     direction_of,
@@ -41,11 +45,14 @@ FIRST_FIT_S, LONGEST_REFIT_S = 3.0, 60.0
 fitted anew when its time at rest has grown by a third, which lowers sigma by an eighth."""
 LONGEST_GAP_S = 30.0
 """A longer gap in the data restarts the alignment."""
-VERTICAL_RATE_TOLERANCE = 0.01
-"""Largest standard deviation of `vertical_rate`, in earth rates, that is used to integrate the vertical gyro
-between two fits: 0.0025° in a minute."""
-MOST_POSITIONS = 100
-"""Only the latest positions enter a fit, which bounds its time."""
+EARLY_S = 10.0
+"""In seconds nobody can tell a bias from a tilt, and the prior decides: sigma is 1 + (10 s /
+time at rest)² times as large."""
+MOVED = 0.3
+"""A fit that moves the heading by more than this, in standard deviations of the fit before,
+contradicts it: the rest of the way is in the sigma."""
+MOST_POSITIONS, MOST_SIGMAS = 100, 400
+"""Only the latest positions enter a fit, which bounds its time; and so many sigmas the chart."""
 
 
 @dataclass
@@ -64,18 +71,17 @@ class State:
     """Sum of the magnetometer in this position, body axes, and its number of samples."""
     posterior: HeadingPosterior | None = None
     """Of the last fit; None before it."""
-    posterior_turn_variance: float = 0.0
-    """Turn variance of the last position at the last fit, rad²."""
-    sd: float = math.nan
-    """Standard deviation of the heading at the last fit, with that of turns since, rad; NaN before a fit."""
-    vertical_rate: float = math.nan
-    vertical_rate_sd: float = 0.0
-    """Reading of the vertical gyro of a unit at rest by the last fit, and its standard deviation, rad/s."""
+    fitted: Position | None = None
+    """The last position in that fit."""
+    fitted_turn_variance: float = 0.0
+    """Its turn variance, rad²."""
     yaw_since_fit: float = 0.0
-    """Integral of the vertical gyro less `vertical_rate` since the last fit, rad, counter-clockwise."""
-    since_fit_s: float = 0.0
-    """Time at rest since the last fit."""
+    creep_since_fit_s: float = 0.0
+    """Rotation about the vertical since the last fit by the vertical gyro, rad, counter-clockwise, and time
+    over which it is integrated; 0 for a unit that does not creep."""
     means: dict[str, Estimate] = field(default_factory=dict)
+    sigmas: list[tuple[float, float]] = field(default_factory=list)
+    """Time at rest, s, and sigma, rad, of each fit."""
     elapsed_s: float = 0.0
     """From the first sample to the end of the last slot."""
     rest_s: float = 0.0
@@ -175,16 +181,16 @@ class Aligner:
         return record
 
     def _add_rest_slot(self, slot: Slot) -> None:
-        """Add a slot at rest to the record, and integrate the vertical gyro since the last fit."""
+        """Add a slot at rest to the record, and follow a creep by the vertical gyro."""
         state = self.state
         self._record.add(slot.samples, slot.values, slot.ended_s, slot.length_s)
         state.rest_s += slot.length_s
         state.motion.add_rest(slot.rate)
-        if not math.isnan(state.vertical_rate):
-            state.yaw_since_fit += slot.length_s * (
-                float(state.attitude[2] @ slot.values[:3]) - state.vertical_rate
-            )
-            state.since_fit_s += slot.length_s
+        fit = state.positions[-1].fit
+        if fit is not None and fit.yaw:
+            vertical = float(state.attitude[2] @ slot.rate)
+            state.yaw_since_fit += slot.length_s * (vertical - self.earth_vertical)
+            state.creep_since_fit_s += slot.length_s
 
     def _begin_position(self, attitude: FloatArray, turns: float, number: int, rest: Sequence[Slot]) -> None:
         """Begin a position whose record starts with these slots."""
@@ -211,7 +217,6 @@ class Aligner:
                 self._add_rest_slot(slot)
         elif outcome is Outcome.TURNED:
             self._end_turn()
-        self.state.sd = self._sd()
 
     def _end_turn(self) -> None:
         """Begin a position after a turn; restart if the angle of the turn is unknown."""
@@ -282,72 +287,55 @@ class Aligner:
 
     def evaluate(self) -> None:
         """Fit the present position, and update the heading."""
-        state = self.state
+        state, here = self.state, self.state.positions[-1]
         self._fit_position()
         fitted = [(one.fit, one.turn_variance) for one in state.positions if one.fit][-MOST_POSITIONS:]
-        fits, turns = [one for one, _ in fitted], [turn for _, turn in fitted]
-        here_s = self._record.rest_s
-        after_s = min(here_s / 3.0, LONGEST_REFIT_S)
-        if state.positions[-1].fit is not None:
-            state.posterior = heading_posterior(fits, np.array(turns), self.latitude, self.errors)
-            state.posterior_turn_variance, state.yaw_since_fit = turns[-1], 0.0
-            self._estimate_vertical_rate(fits, state.posterior.bias_size)
-            state.sd = self._sd()
+        after_s = min(self._record.rest_s / 3.0, LONGEST_REFIT_S)
+        if here.fit is not None:
+            fits, turns = [one for one, _ in fitted], np.array([turn for _, turn in fitted])
+            new, old = heading_posterior(fits, turns, self.latitude, self.errors), state.posterior
+            sd, moved = new.sd * (1.0 + (EARLY_S / state.rest_s) ** 2), 0.0
+            if old is not None and state.fitted is here:
+                moved = abs(math.remainder(new.north - old.north + state.yaw_since_fit, 2.0 * math.pi))
+                moved = max(moved - MOVED * old.sd, 0.0)
+            new = new._replace(sd=min(math.hypot(sd, moved), ANY_ANGLE_SD))
+            state.posterior, state.fitted, state.fitted_turn_variance = new, here, here.turn_variance
+            state.yaw_since_fit = state.creep_since_fit_s = 0.0
+            state.sigmas = [*state.sigmas[-MOST_SIGMAS:], (state.rest_s, self.heading_sd)]
             self._update_settled()
             # A bias that hides the north hides it until the unit is turned, so fits may be rare.
-            if state.posterior.level_bias_sd > self.level_rate * math.radians(self.parameters.observable_deg):
-                after_s = here_s
+            if new.level_bias_sd > self.level_rate * math.radians(self.parameters.observable_deg):
+                after_s = self._record.rest_s
         state.due_s = state.rest_s + max(after_s, 1.0)
-
-    def _estimate_vertical_rate(self, fits: Sequence[PositionFit], bias_sd: float) -> None:
-        """Estimate the reading of the vertical gyro at rest from the last position without slow rotation."""
-        state = self.state
-        state.vertical_rate, state.vertical_rate_sd, state.since_fit_s = self.earth_vertical, bias_sd, 0.0
-        for one in reversed(fits):
-            tilted = float(np.sum((one.attitude[2] - state.attitude[2]) ** 2))
-            sd = math.sqrt(one.vertical_variance + tilted * bias_sd**2)
-            if sd < min(VERTICAL_RATE_TOLERANCE * EARTH_RATE, bias_sd):
-                state.vertical_rate, state.vertical_rate_sd = one.vertical, sd
-                return
 
     def _update_settled(self) -> None:
         """Set `settled_s` when sigma falls to the wanted one; unset it when sigma exceeds 1.25 times that."""
         state, wanted = self.state, math.radians(self.parameters.settled_deg)
-        if not (self.observable and state.sd <= 1.25 * wanted):
+        if not (self.observable and self.heading_sd <= 1.25 * wanted):
             state.settled_s = None
-        elif state.settled_s is None and state.sd <= wanted:
+        elif state.settled_s is None and self.heading_sd <= wanted:
             state.settled_s = state.elapsed_s
 
     @property
     def heading_sd(self) -> float:
-        """Standard deviation of the heading, rad; NaN before a fit."""
-        state = self.state
-        return min(math.hypot(state.sd, state.vertical_rate_sd * state.since_fit_s), ANY_ANGLE_SD)
+        """Standard deviation of the heading with what turned it since the last fit, rad; NaN before a fit."""
+        state, motion = self.state, self.state.motion
+        if state.posterior is None:
+            return math.nan
+        here, creep = state.positions[-1], state.posterior.bias_size * state.creep_since_fit_s
+        turned = max(here.turn_variance - state.fitted_turn_variance, 0.0)
+        variance = state.posterior.sd**2 + turned + creep**2
+        if motion.turning:
+            variance += turn_variance(
+                motion.turned, here.attitude, state.attitude[2], motion.moving_s, motion.noise,
+                self.errors.scale, 1.0,
+            )  # fmt: skip
+        return min(math.sqrt(variance), ANY_ANGLE_SD)
 
     @property
     def observable(self) -> bool:
         """Whether the heading is known well enough to be shown (`observable_deg`)."""
         return self.heading_sd < math.radians(self.parameters.observable_deg)
-
-    def _sd(self) -> float:
-        """Return the standard deviation of the heading with that of turns since the last fit, rad."""
-        state, motion = self.state, self.state.motion
-        if state.posterior is None:
-            return math.nan
-        variance = state.posterior.sd**2 + max(
-            state.positions[-1].turn_variance - state.posterior_turn_variance, 0.0
-        )
-        if motion.turning:
-            variance += turn_variance(
-                motion.turned,
-                state.positions[-1].attitude,
-                state.attitude[2],
-                motion.moving_s,
-                motion.noise,
-                self.errors.scale,
-                1.0,
-            )
-        return min(math.sqrt(variance), ANY_ANGLE_SD)
 
     @property
     def estimates(self) -> dict[str, Estimate]:

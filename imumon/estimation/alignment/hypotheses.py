@@ -12,9 +12,7 @@ each are closed forms; c has a flat prior.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -27,22 +25,21 @@ from imumon.estimation.alignment.sway import find_sway
 SETTLING_TAU_S = np.geomspace(5.0, 640.0, 8)
 """Time constants of a tripod, in octaves."""
 NEIGHBOURS = 3
-"""Exponentials side by side; ablation: with one, a sway of 0.05 Hz is not shown after a minute."""
-TILT_SD = np.array([1e-5, 1e-4, 1e-3])
-"""rad: sizes of a tilt."""
+"""Exponentials side by side."""
+TILT_SD, STANDS_SD = np.array([1e-5, 1e-4, 1e-3]), 1e-9
+"""rad: sizes of a tilt, and what is none."""
 WARM_UP_TAU_S = np.array([100.0, 300.0, 1000.0])
 P_SETTLES = 0.03
-"""Prior probability of a settling tripod; ablation: 0.3 makes 1.01 times the error, 0 up to 14 times."""
+"""Prior probability of a settling tripod; ablation: 0.3 makes 1.04 times the error, 0 up to 8 times."""
 LEVEL_SD = 1e-3
 """Constant of an accelerometer's level, rad."""
 TEMPER = 0.7
 """Exponent of prior times evidence (tempered posterior): below 1 because real tilts are no exact exponentials
-and the noise is estimated.
-Assumed; ablation: with 1 the rms of error/sigma is 0.74 instead of 0.72."""
-LEVEL_TREND_ORDER = 8
-"""Coefficients of the course of the level that is no noise."""
+and the noise is estimated."""
 LARGEST_BIAS = 1e-3
 """rad/s: 200 °/h."""
+LEVEL_TREND_ORDER = 8
+"""Coefficients of the course of the level that is no noise."""
 
 
 class Drift(NamedTuple):
@@ -54,36 +51,17 @@ class Drift(NamedTuple):
 
 
 DRIFTS = (Drift(0.495, 1e-7, 0.0), Drift(0.495, 1e-7, 1e-4), Drift(0.01, 3e-6, 0.0))
-"""Warmed up, warming up, or with a sudden step.  Ablation: without a warm-up errors are up to 10 sigma;
+"""Warmed up, warming up, or with a sudden step.  Ablation: without a warm-up errors are up to 8 sigma;
 without a step, one of 30 µg hides the north."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PositionFit:
-    """Level rate of one position given each of h hypotheses.
+class PositionFit(NamedTuple):
+    """Level rate of one position given each of h hypotheses, in the axes at the end of the record.
 
-    Parameters
-    ----------
-    log_weight : array, (h,)
-        Of prior and evidence, the largest 0.
-    rate : array of complex, (h,)
-        Earth rate and bias in level axes at the end of the position, rad/s.
-    variance : array, (h,)
-        Of each part of it.
-    settles : array of bool, (h,)
-    vertical, vertical_variance : float
-        Mean of the vertical gyro, rad/s, and its variance.
-    white : float
-        White noise of the quietest gyro, (rad/s)²/Hz.
-    attitude : array, (3, 3)
-        Body axes to level axes.
-    seconds : float
-        Length of the record.
-    yaw : float
-        Slow rotation about the vertical during the record by the vertical gyro, rad, counter-clockwise; 0 if
-        none was detected.  `rate` is in the axes at the end of the record.
-    bias_rotation : complex
-        Mean of e^{i yaw} over the record: the factor that the rotation of the rates gives to a constant bias.
+    `log_weight` (h,) is that of prior and evidence, the largest 0; `rate` (h,) earth rate and bias, rad/s,
+    with the variance of each part; `white` the white noise of the quietest gyro, (rad/s)²/Hz; `yaw` the slow
+    rotation about the vertical by the vertical gyro, rad, 0 if none was detected, and `bias_rotation` the
+    mean of e^{i yaw}, the factor that turning the rates back gives to a constant bias.
     """
 
     log_weight: FloatArray
@@ -114,178 +92,110 @@ class PositionFit:
 def fit_position(data: Levelled, earth_vertical: float, drifts: Sequence[Drift]) -> PositionFit | None:
     """Return the fit of one position given each hypothesis; None if the record is too short.
 
-    Parameters
-    ----------
-    data : Levelled
-    earth_vertical : float
-        Ω sin L, rad/s.
-    drifts : sequence of Drift
-        Models of the accelerometer drift.
+    `earth_vertical` is Ω sin L, rad/s; `drifts` are models of the accelerometers.
     """
     n = len(data.rate)
     creeps = cells.rotates_slowly(data)
     turned = np.cumsum(creeps * data.valid * (data.vertical - earth_vertical)) * data.row_s
-    factor = np.exp(1j * (turned - turned[-1]))
-    rate = data.rate * factor
-    edge_s = data.row_s * np.arange(n + 1.0)
-    basis = -np.expm1(-edge_s[:, None] / SETTLING_TAU_S)
-    slopes = np.diff(basis, axis=0) / data.row_s
+    back = np.exp(1j * (turned - turned[-1]))
+    rate = data.rate * back
+    settling = -np.expm1(-data.row_s * np.arange(n + 1.0)[:, None] / SETTLING_TAU_S)
+    slopes = np.diff(settling, axis=0) / data.row_s
     slow = np.column_stack([cells.trend(n, cells.TREND_ORDER), slopes])
     sways = find_sway(rate, data.level, data.valid, slow)
     found = cells.divide(data, rate - sways.rate, creeps)
     if found is None:
         return None
-    columns = np.column_stack([slopes, sways.columns, factor.real, factor.imag])
-    gyros = _gyros(found, cells.hann_means(columns, len(found.used)))
-    middles = cells.hann_means(0.5 * (basis[1:] + basis[:-1]), len(found.used))[found.used]
-    parts = [
-        _stands_or_settles(gyros, one)
-        for one in _accelerometers(data, data.level - sways.level, found, middles, drifts)
-    ]
-    log_weight, mean, variance, settles = (np.concatenate(part) for part in zip(*parts, strict=True))
-    log_weight = TEMPER * (log_weight - log_weight.max())
+    turning_bias = LARGEST_BIAS * (back.imag - back.imag.mean())
+    columns = np.column_stack([np.ones(n), slopes, sways.columns, turning_bias])
+    offset = complex(found.rate[found.used].mean())
+    gyros = _gyros(found, cells.hann_means(columns, len(found.used))[found.used], offset)
+    level = data.level - sways.level
+    middles = 0.5 * (settling[1:] + settling[:-1])
+    parts = [_tilts(gyros, *_accelerometers(data, level, found.used, middles, drift)) for drift in drifts]
+    log_weight, mean, variance = (np.concatenate(part) for part in zip(*parts, strict=True))
     return PositionFit(
-        log_weight=log_weight,
-        rate=mean + gyros.offset,
+        log_weight=TEMPER * (log_weight - log_weight.max()),
+        rate=mean + offset,
         variance=variance,
-        settles=settles,
+        settles=np.tile(SIZE > STANDS_SD, len(drifts)),
         vertical=found.vertical,
         vertical_variance=found.vertical_variance,
         white=found.white,
         attitude=data.attitude,
         seconds=n * data.row_s,
         yaw=float(turned[-1]),
-        bias_rotation=gyros.bias_rotation,
+        bias_rotation=complex(back.mean()),
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Gyros:
-    """Normal equations of the gyros for the constant rate and the amplitudes of the exponentials.
+def _normal(covariance: FloatArray, columns: FloatArray) -> FloatArray:
+    """Return columns' inverse(covariance) columns."""
+    return np.asarray(columns.T @ np.linalg.solve(covariance, columns))
 
-    `constant` is the weight of the rate, `rate` its weighted sum, `by_tilt` (8,) its products with the slopes
-    of the exponentials; `tilt` (8, 8) and `tilt_sum` (8,) are those of the slopes with the rate eliminated.
-    The rates are less `offset`; `bias_rotation` is the mean factor of the bias.
+
+def _correlation(used: BoolArray) -> FloatArray:
+    """Return the correlation of the noise of the used cells, (m, m)."""
+    apart = np.abs(np.subtract.outer(np.flatnonzero(used), np.flatnonzero(used)))
+    return np.asarray((apart == 0) + cells.OVERLAP * (apart == 1))
+
+
+def _gyros(found: cells.Cells, columns: FloatArray, offset: complex) -> FloatArray:
+    """Return the normal equations of rate, amplitudes of the exponentials, and the two parts of the data.
+
+    The other columns, sways and a bias in axes that creep, are eliminated; their prior is N(0, 1).
     """
-
-    constant: float
-    rate: complex
-    by_tilt: FloatArray
-    tilt: FloatArray
-    tilt_sum: ColumnArray
-    offset: complex
-    bias_rotation: complex
-
-
-def _gyros(found: cells.Cells, columns: FloatArray) -> _Gyros:
-    """Return the normal equations, by the means of columns in all cells, (J, 8 + 4 l + 2).
-
-    These are the slopes of the exponentials, the sways, and real and imaginary part of the factor by which
-    rates were turned.  The sways are eliminated, with the prior that they are as large as found, and so is a
-    bias of any size that this factor turned from cell to cell.
-    """
-    used, tilts = found.used, len(SETTLING_TAU_S)
-    offset = complex(found.rate[used].mean())
-    data = found.rate[used] - offset
-    every = np.column_stack([np.ones(len(data)), columns[used], data.real, data.imag])
-    factored = np.linalg.cholesky(_overlapping(len(data)))
-    white = np.linalg.solve(factored, every * np.sqrt(found.weight[used] / found.variance)[:, None])
-    constant = float(white[:, 0] @ white[:, 0])
-    turned = complex(*(white[:, 0] @ white[:, -4:-2]) / constant)
-    white[:, -3] = LARGEST_BIAS * (white[:, -3] - turned.imag * white[:, 0])
-    normal = white.T @ white
-    kept = np.r_[: tilts + 1, len(normal) - 2 : len(normal)]
-    gone = np.r_[tilts + 1 : len(normal) - 4, len(normal) - 3]
-    across = normal[np.ix_(kept, gone)]
-    normal = normal[np.ix_(kept, kept)] - across @ np.linalg.solve(
-        normal[np.ix_(gone, gone)] + np.eye(len(gone)), across.T
-    )
-    constant, rate = float(normal[0, 0]), complex(normal[0, -2], normal[0, -1])
-    by_tilt = normal[1:-2, 0]
-    tilt = normal[1:-2, 1:-2] - np.outer(by_tilt, by_tilt) / constant
-    tilt_sum = normal[1:-2, -2] + 1j * normal[1:-2, -1] - by_tilt * rate / constant
-    return _Gyros(constant, rate, by_tilt, tilt, tilt_sum, offset, turned)
-
-
-def _overlapping(m: int) -> FloatArray:
-    """Return the correlation of the noise of m cells, (m, m)."""
-    return np.asarray(np.eye(m) + cells.OVERLAP * (np.eye(m, k=1) + np.eye(m, k=-1)))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Accelerometers:
-    """Normal equations of the accelerometers for the amplitudes of the exponentials, by one size of warm-up.
-
-    `tilt` (8, 8), `tilt_sum` (8,) and the log density of the level of a unit that stands, with the prior.
-    """
-
-    tilt: FloatArray
-    tilt_sum: ColumnArray
-    log_density: float
+    data = found.rate[found.used] - offset
+    every = np.column_stack([columns, data.real, data.imag])
+    normal = _normal(found.variance * _correlation(found.used), every)
+    other = np.zeros(len(normal), bool)
+    other[1 + len(SETTLING_TAU_S) : -2] = True
+    cross = normal[np.ix_(~other, other)]
+    within = normal[np.ix_(other, other)] + np.eye(int(other.sum()))
+    return np.asarray(normal[np.ix_(~other, ~other)] - cross @ np.linalg.solve(within, cross.T))
 
 
 def _accelerometers(
-    data: Levelled, tilt: ColumnArray, found: cells.Cells, middles: FloatArray, drifts: Sequence[Drift]
-) -> list[_Accelerometers]:
-    """Return one for each drift; `middles` are the exponentials in the used cells, (m, 8)."""
-    used, count, n = found.used, len(found.used), len(tilt)
-    time_s = cells.hann_means(data.row_s * (np.arange(float(n))[:, None] + 0.5), count)[:, 0]
-    level = cells.hann_means(np.column_stack([tilt.real, tilt.imag]), count)
-    noise, _, _ = cells.scatter(level, cells.all_valid(data.valid, count), LEVEL_TREND_ORDER)
-    level = level[used] - level[used].mean(axis=0)
-    at, root = time_s[used], np.sqrt(found.weight[used])
-    m = len(at)
-    covariance = noise * _overlapping(m) / np.outer(root, root) + LEVEL_SD**2 + 1e-14 * np.eye(m)
-    # Behind a knock, where cells are left out, the level is unknown anew.
-    knocked = ~used & np.r_[True, used[:-1]]
-    for knock_s in time_s[knocked]:
-        behind = (at > knock_s).astype(np.float64)
-        covariance += LEVEL_SD**2 * np.outer(behind, behind)
-    warm_up = -np.expm1(-at[:, None] / WARM_UP_TAU_S)
-    parts = []
-    for drift in drifts:
-        course = drift.warm_up_sd**2 * warm_up @ warm_up.T + drift.walk**2 * np.minimum.outer(at, at)
-        factor = np.linalg.cholesky(covariance + course)
-        white = np.linalg.solve(factor, np.column_stack([middles, level]))
-        normal = white.T @ white
-        log_density = -2.0 * float(np.log(np.diag(factor)).sum()) - 0.5 * float(
-            normal[-1, -1] + normal[-2, -2]
-        )
-        parts.append(
-            _Accelerometers(
-                normal[:-2, :-2],
-                normal[:-2, -2] + 1j * normal[:-2, -1],
-                log_density + math.log(drift.probability),
-            )
-        )
-    return parts
+    data: Levelled, level: ColumnArray, used: BoolArray, middles: FloatArray, drift: Drift
+) -> tuple[FloatArray, float]:
+    """Return normal equations as those of the gyros, and the log density of the level if the unit stands."""
+    n = len(level)
+    time_s = data.row_s * (np.arange(float(n)) + 0.5)
+    means = cells.hann_means(np.column_stack([time_s, middles, level.real, level.imag]), len(used))
+    noise, _, _ = cells.scatter(means[:, -2:], used, LEVEL_TREND_ORDER)
+    at, columns = means[used, 0], means[used, 1:]
+    columns[:, -2:] -= columns[:, -2:].mean(axis=0)
+    warm_up = -drift.warm_up_sd * np.expm1(-at[:, None] / WARM_UP_TAU_S)
+    covariance = noise * _correlation(used) + LEVEL_SD**2 + 1e-14 * np.eye(len(at))
+    covariance += warm_up @ warm_up.T + drift.walk**2 * np.minimum.outer(at, at)
+    for knock_s in means[~used & np.r_[True, used[:-1]], 0]:  # the level is unknown anew behind it
+        covariance += LEVEL_SD**2 * np.outer(at > knock_s, at > knock_s)
+    normal = _normal(covariance, np.column_stack([np.zeros(len(at)), columns]))
+    log_density = -np.linalg.slogdet(covariance)[1] - 0.5 * (normal[-1, -1] + normal[-2, -2])
+    return normal, float(log_density + np.log(drift.probability))
 
 
-def _stands_or_settles(
-    gyros: _Gyros, level: _Accelerometers
-) -> tuple[FloatArray, ColumnArray, FloatArray, BoolArray]:
-    """Return log weight, mean rate, its variance and whether it settles, (19,) each.
+_FIRST = np.arange(len(SETTLING_TAU_S) - NEIGHBOURS + 1)
+WHICH = 1 + np.r_[_FIRST[:1], np.repeat(_FIRST, len(TILT_SD))][:, None] + np.arange(NEIGHBOURS)
+SIZE = np.r_[STANDS_SD, np.tile(TILT_SD, len(_FIRST))]
+"""Exponentials, (19, 3), and size of their amplitudes, rad, (19,), of each hypothesis about the tilt."""
 
-    The amplitudes A of three exponentials have the precision Λ = tilts of gyros and accelerometers + 1/σ²,
-    the mean Λ⁻¹ r, and the log evidence ½ rᴴ Λ⁻¹ r - log |Λ| - 6 log σ of two real parts.
+
+def _tilts(
+    gyros: FloatArray, level: FloatArray, log_density: float
+) -> tuple[FloatArray, ColumnArray, FloatArray]:
+    """Return log weight, mean rate and its variance of each hypothesis about the tilt, (19,).
+
+    Rate and amplitudes A ~ N(0, σ²) have the precision Λ, the mean Λ⁻¹ r, and the log evidence
+    ½ rᴴ Λ⁻¹ r - log |Λ| - 2 log |σ| of two real parts.
     """
-    first = np.arange(len(SETTLING_TAU_S) - NEIGHBOURS + 1)[:, None] + np.arange(NEIGHBOURS)
-    which = np.repeat(first, len(TILT_SD), axis=0)
-    size = np.tile(TILT_SD, len(first))
-    both = gyros.tilt + level.tilt
-    precision = both[which[:, :, None], which[:, None, :]] + np.eye(NEIGHBOURS) / size[:, None, None] ** 2
-    right = (gyros.tilt_sum + level.tilt_sum)[which]
-    by_tilt = gyros.by_tilt[which]
-    solved = np.linalg.solve(precision, np.stack([right.real, right.imag, by_tilt], axis=-1))
-    amplitude, gain = solved[..., 0] + 1j * solved[..., 1], solved[..., 2]
-    evidence = 0.5 * np.sum(right.real * amplitude.real + right.imag * amplitude.imag, axis=1)
-    evidence -= np.linalg.slogdet(precision)[1] + 2.0 * NEIGHBOURS * np.log(size)
-    mean = (gyros.rate - np.sum(by_tilt * amplitude, axis=1)) / gyros.constant
-    variance = 1.0 / gyros.constant + np.sum(by_tilt * gain, axis=1) / gyros.constant**2
-    log_weight = np.r_[math.log1p(-P_SETTLES), evidence + math.log(P_SETTLES / len(size))]
-    return (
-        log_weight + level.log_density,
-        np.r_[gyros.rate / gyros.constant, mean],
-        np.r_[1.0 / gyros.constant, variance],
-        np.arange(len(log_weight)) > 0,
-    )
+    both, index = gyros + level, np.insert(WHICH, 0, 0, axis=1)
+    precision = both[index[:, :, None], index[:, None, :]]
+    precision[:, 1:, 1:] += np.eye(NEIGHBOURS) / SIZE[:, None, None] ** 2
+    right = both[index, -2] + 1j * both[index, -1]
+    covariance = np.linalg.inv(precision)
+    mean = (covariance @ right[:, :, None])[..., 0]
+    evidence = 0.5 * np.sum(right.conj() * mean, axis=1).real - np.linalg.slogdet(precision)[1]
+    evidence -= 2.0 * NEIGHBOURS * np.log(SIZE)
+    prior = np.where(SIZE > STANDS_SD, P_SETTLES / (len(SIZE) - 1), 1.0 - P_SETTLES)
+    return evidence + np.log(prior) + log_density, mean[:, 0], covariance[:, 0, 0]

@@ -55,18 +55,9 @@ class Slot(NamedTuple):
 class Position:
     """A position: an attitude in which the unit rests.
 
-    Parameters
-    ----------
-    attitude : array, (3, 3)
-        Body axes to the reference frame: forward, left and up of the first position.
-    turn_variance : float
-        Of the angle about the vertical since the first position, rad².
-    record : Record or None
-        Its rows; none once the unit has left it.
-    number : int
-        Counts positions whose orientation differs by more than NEW_POSITION.
-    begun_s, ended_s : float
-    fit : PositionFit or None
+    `attitude` (3, 3) is from body axes to forward, left and up of the first position, `turn_variance` that
+    of the angle about the vertical since then, rad².  The record goes when the unit leaves the position.
+    `number` counts positions whose orientation differs by more than NEW_POSITION.
     """
 
     attitude: FloatArray
@@ -203,20 +194,9 @@ def turn_variance(
 ) -> float:
     """Return the variance of the angle about the vertical of a turn, rad².
 
-    Parameters
-    ----------
-    turn : Turn
-    before : array, (3, 3)
-        Attitude at its beginning.
-    after : array, (3,)
-        Vertical after it by the accelerometers, body axes.
-    seconds : float
-    noise : float
-        Of the gyros' angle, rad.
-    scale_sd : float
-        Of scale factor and misalignment of the gyros.
-    level_sd : float
-        Of the vertical by the accelerometers, rad.
+    `before` (3, 3) is the attitude at its beginning, `after` (3,) the vertical by the accelerometers after
+    `seconds`; `noise` is that of the gyros' angle, rad, `scale_sd` that of their scale factor and
+    misalignment, and `level_sd` that of the vertical, rad.
     """
     errors = [
         scale_sd**2 * float(np.sum(turn.scale_about(axis) ** 2)) + turn.sampling_variance(axis)

@@ -18,17 +18,8 @@ CAPACITY = 4096
 class Record:
     """Rows of equal length; a slot that is left out keeps its place with weight zero.
 
-    Parameters
-    ----------
-    begun_s, ended_s : float
-        Time of the first and behind the last slot, since the first sample.
-    rows : array, (CAPACITY, 7)
-        Number of valid samples, mean rate of the gyros (3), rad/s, and specific force (3), m/s², body axes.
-    slots : int
-        Slots in all rows.
-    slots_per_row : int
-    rest_s : float
-        Total time of the slots with valid samples.
+    A row (7,) is the number of valid samples, the mean rate of the gyros (3), rad/s, and the specific force
+    (3), m/s², in body axes; times are those of the first and behind the last slot, since the first sample.
     """
 
     begun_s: float
@@ -78,18 +69,9 @@ class Record:
 class Levelled:
     """A record in level axes, complex: forward + i left of the reference frame.
 
-    Parameters
-    ----------
-    row_s : float
-    valid : array of bool, (n,)
-    rate : array of complex, (n,)
-        Level gyros, rad/s, in axes that follow the level by the accelerometers.
-    vertical : array, (n,)
-        Vertical gyro, rad/s.
-    level : array of complex, (n,)
-        Tilt by the accelerometers, rad; its derivative appears in `rate`.
-    attitude : array, (3, 3)
-        Body axes to level axes, from the mean specific force of the record.
+    `rate` (n,) are the level gyros, rad/s, in axes that follow the level by the accelerometers, `vertical`
+    (n,) is the vertical gyro, and `level` (n,) the tilt by the accelerometers, rad, whose derivative appears
+    in the rate; `attitude` (3, 3) is from body to level axes by the mean specific force.
     """
 
     row_s: float
@@ -103,17 +85,10 @@ class Levelled:
 def levelled(
     record: Record, attitude: FloatArray, earth_vertical: float, known_tau_s: FloatArray, known_g: FloatArray
 ) -> Levelled:
-    """Return a record in level axes.
+    """Return a record in level axes; of the attitude, body to reference frame, only the azimuth is used.
 
-    Parameters
-    ----------
-    record : Record
-    attitude : array, (3, 3)
-        Body axes to the reference frame; only its azimuth is used, as the level is estimated from the record.
-    earth_vertical : float
-        Ω sin L, rad/s.
-    known_tau_s, known_g : array, (3,)
-        Time constant and amplitude of the accelerometers' known warm-up since the first sample.
+    `earth_vertical` is Ω sin L, rad/s; `known_tau_s` and `known_g` (3,) are time constant and amplitude of
+    the accelerometers' known warm-up since the first sample.
     """
     rows, row_s = record.whole_rows, record.row_s
     valid = rows[:, 0] > 0.0

@@ -26,8 +26,8 @@ NOT_OBSERVABLE_S = 30.0
 """Time at rest after which "not observable" is reported."""
 TILT_PROBABILITY = 0.5
 """Probability of a tilt above which it is reported."""
-CHART_POINTS, PLACE, COLORS = 400, "Alignment", (GREEN, RED, ORANGE)
-"""Most points of the chart of sigma; the tab; colours of joint fit, plain and Hann mean."""
+PLACE, COLORS = "Alignment", (GREEN, RED, ORANGE)
+"""The tab of the charts, and the colours of joint fit, plain and Hann mean."""
 GAP, LONGEST_INTERVAL_S = 2.5, 30.0
 """Ratio to the sample interval above which the time between slots of one sample is a gap, and the longest
 such interval, s."""
@@ -72,9 +72,6 @@ class Alignment:
         self._force: deque[FloatArray] = deque(maxlen=CALM_SLOTS)
         """Specific force of the last 2 s, m/s², whose mean is the vertical at rest."""
         self._reported: set[str] = set()
-        self._points: list[tuple[float, float]] = []
-        """Time at rest, s, and sigma, rad, for the chart."""
-        self._point_spacing_s = 1.0
         self._row = dict.fromkeys((column.name for column in self.columns), math.nan)
         """Columns after the last slot."""
         self._status = self._make_status()
@@ -123,7 +120,6 @@ class Alignment:
                 self._force.append(slot.values[3:])
                 at_rest = bool(slots.smallest[k, -1] > 0.0)
                 self._aligner.step(slot, mean[6:9].tolist(), at_rest, slots.turns, k)
-                self._add_point()
             self._row = self._make_row()
             rows[k] = list(self._row.values())
         out = held(slots.row, rows.T, before, n, axis=-1)
@@ -152,7 +148,7 @@ class Alignment:
         if begins:
             self._aligner.begin_run()
             self._origin_ns = self._last_ns = start_ns
-            self._interval_s, self._points, self._point_spacing_s = 0.0, [], 1.0
+            self._interval_s = 0.0
         since_s = (start_ns - self._last_ns) * 1e-9
         if samples > 1:
             self._interval_s = (end_ns - start_ns) * 1e-9 / (samples - 1)
@@ -185,18 +181,6 @@ class Alignment:
             self._down = 1.0 if up[2] < 0.0 else -1.0
         x, y, z = (-self._down * float(value) for value in up)
         return math.atan2(y, z), -math.atan2(x, math.hypot(y, z))
-
-    def _add_point(self) -> None:
-        """Add a point to the chart of sigma; thin them out when there are too many."""
-        aligner, time_s = self._aligner, self._aligner.state.rest_s
-        if aligner.state.posterior is None or not aligner.resting:
-            return
-        if self._points and time_s < self._points[-1][0]:
-            self._points, self._point_spacing_s = [], 1.0
-        if not self._points or time_s >= self._points[-1][0] + self._point_spacing_s:
-            self._points.append((time_s, aligner.heading_sd))
-        if len(self._points) > CHART_POINTS:
-            self._points, self._point_spacing_s = self._points[::2], 2.0 * self._point_spacing_s
 
     def snapshot(self) -> dict[str, object]:
         """Return a copy of the state."""
@@ -272,7 +256,8 @@ class Alignment:
     def charts(self) -> Sequence[Chart]:
         """Return the estimators beside each other, and sigma against time."""
         status = self.status
-        if len(self._points) < 2 or status.shown is None:
+        points = self._aligner.state.sigmas
+        if len(points) < 2 or status.shown is None:
             return []
         names = tuple(name.replace("_", " ") for name in status.estimates)
         curves = []
@@ -281,7 +266,7 @@ class Alignment:
             ends = off + 2.0 * math.degrees(one.sd) * np.array([-1.0, 1.0])
             x, y = np.array([k, k, np.nan, k - 0.1, k + 0.1]), np.array([*ends, np.nan, off, off])
             curves.append(Curve(name, x, y, color, width=3.0, listed=False))
-        time_s, sd = np.array(self._points).T
+        time_s, sd = np.array(points).T
         wanted = np.full(2, math.degrees(status.wanted_sd))
         sigmas = (
             Curve("σ", time_s, np.degrees(sd), GREEN, width=2.0),

@@ -29,12 +29,8 @@ all frequencies, too."""
 class Sway:
     """Fitted lines of a record.
 
-    Parameters
-    ----------
-    columns : array, (n, 4 l)
-        Cosine and sine of each line, and both times the time from -1 to 1, of its amplitude, rad/s.
-    rate, level : array of complex, (n,)
-        Fitted sway of gyros and accelerometers, rad/s and rad.
+    `columns` (n, 4 l) are cosine and sine of each line, and both times the time from -1 to 1, of its
+    amplitude, rad/s; `rate` and `level` (n,) the sway of gyros and accelerometers, rad/s and rad.
     """
 
     columns: FloatArray
