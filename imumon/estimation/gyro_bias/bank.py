@@ -17,6 +17,7 @@ from imumon.estimation.gyro_bias.law import Law
 from imumon.estimation.gyro_bias.modes import (
     SENSITIVITY,
     SLOPE,
+    SLOPE_DEGC,
     STATES,
     WALK,
     Modes,
@@ -73,7 +74,7 @@ def start(
     covariance = np.zeros((3, modes.count, STATES, STATES))
     diagonal = np.einsum("...ii->...i", covariance)
     diagonal[:] = modes.process
-    diagonal[..., WALK], diagonal[..., SLOPE] = UNKNOWN, modes.slope
+    diagonal[..., WALK], diagonal[..., SLOPE] = UNKNOWN, modes.process[..., SLOPE] * SLOPE_DEGC
     diagonal[..., SENSITIVITY] = (modes.sensitivity / white[:, np.newaxis])[..., np.newaxis]
     mean = np.zeros((3, modes.count, STATES))
     count = KNOWN_COUNT if known_noise else PRIOR_COUNT

@@ -84,7 +84,7 @@ class State:
     latest: list[Slot] = field(default_factory=list)
     """The latest slots of this rest, for their noise."""
     noise: FloatArray | None = None
-    """Variance of the mean of a second, (6,), once it is known: it survives a restart."""
+    """Variance of the mean of a second, (3,), once it is known: it survives a restart."""
     attitude: Attitude = field(default_factory=Attitude)
     turn: Turn = STILL
     lost: bool = False
@@ -182,8 +182,8 @@ def _learn_from_motion(state: State, slot: Slot) -> bool:
 
 
 def _noise_of(slots: Sequence[Slot]) -> FloatArray:
-    """Return the variance of the mean of a second by second differences of slots, (6,)."""
-    means = np.array([[*one.rate, *one.force] for one in slots])
+    """Return the variance of the mean rate of a second by second differences of slots, (3,)."""
+    means = np.array([one.rate for one in slots])
     second = means[2:] - 2.0 * means[1:-1] + means[:-2]
     seconds = float(np.mean([one.span.covered_s for one in slots]))
     return np.asarray(np.maximum(np.nan_to_num((second**2).mean(0) / 6.0 * seconds), LEAST_WHITE))
@@ -199,13 +199,13 @@ def _look_for_beginning(state: State, params: Params) -> bool:
     noise = _noise_of(slots) if state.noise is None else state.noise
     known = np.isfinite(params.white).all()
     if known:
-        noise = np.concatenate([params.white**2, noise[3:]])
+        noise = np.maximum(params.white**2, LEAST_WHITE)
     state.noise = noise
     first = slots[0].force
     state.attitude.come_to_rest(
         first if np.isfinite(first).all() else None, params.place, STILL, math.nan, lost=True
     )
-    hypotheses.begin(state.beliefs, params.modes(noise[:3]), _seconds(state, slots), noise, bool(known))
+    hypotheses.begin(state.beliefs, params.modes(noise), _seconds(state, slots), noise, bool(known))
     state.pending, state.added = [], np.zeros(3)
     return True
 
@@ -269,8 +269,7 @@ def _check_noise(state: State) -> None:
     if len(state.latest) < FIRST_SLOTS or beliefs.nominal is None:
         return
     noise = _noise_of(state.latest)
-    beliefs.noise = np.concatenate([beliefs.noise[:3], noise[3:]])
-    if (noise[:3] > ANOTHER * beliefs.nominal.law.white).any():
+    if (noise > ANOTHER * beliefs.nominal.law.white).any():
         state.noise, state.latest = noise, []
         hypotheses.take_noise(beliefs, noise)
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -95,8 +95,6 @@ class State:
     """Whether it has moved since the last second that was decided on."""
     jumped: int = 0
     """How often the bias has changed."""
-    noise: FloatArray = field(default_factory=lambda: np.zeros(6))
-    """Variance of the mean of a second, of rates and specific forces, (6,)."""
     recent: list[Second] = field(default_factory=list)
     """Seconds of this rest, 16 at most."""
     alike: int = 0
@@ -220,7 +218,7 @@ def _facts(state: State, now: Second, compared: Bank, test: Test) -> tuple[Facts
         lately = alike[-max(int(state.fits_s), 1) - 1 :]
         fits_changed, _ = _fit(FIT_SIGMAS, state.earlier[0].at(now.end_s, now.degc), now, lately)
         if fits_changed and state.law_then is not None:
-            limits, sigmas = law.with_covariance(state.law_then.covariance), RETURN_SIGMAS
+            limits, sigmas = replace(law, covariance=state.law_then.covariance), RETURN_SIGMAS
     fits, difference = _fit(sigmas, limits, now, alike)
     evidence = Evidence()
     if not fits or state.contradicted or len(state.recent) <= SPANS[1]:
@@ -271,13 +269,12 @@ def _take(bank: Bank, now: Second) -> None:
 
 
 def begin(
-    state: State, modes: Modes, seconds: Sequence[Second], noise: FloatArray, known_noise: bool = False
+    state: State, modes: Modes, seconds: Sequence[Second], white: FloatArray, known_noise: bool = False
 ) -> None:
-    """Begin with the first seconds at rest; noise, (6,), is the variance of the mean of a second."""
+    """Begin with the first seconds at rest; white, (3,), is the variance of the mean rate of a second."""
     first = seconds[0]
-    state.noise = noise
     state.nominal = filters.start(
-        modes, np.maximum(noise[:3], LEAST_WHITE), known_noise, first.force, first.end_s - first.seconds,
+        modes, white, known_noise, first.force, first.end_s - first.seconds,
         first.degc,
     )  # fmt: skip
     for now in seconds:
@@ -294,12 +291,11 @@ def move(state: State) -> None:
     state.moved, state.recent, state.alike = True, [], 0
 
 
-def take_noise(state: State, noise: FloatArray) -> None:
-    """Take another noise, (6,), as of a fan that starts."""
-    state.noise = noise
+def take_noise(state: State, white: FloatArray) -> None:
+    """Take another white noise, (3,), as of a fan that starts."""
     for bank in _banks(state):
         if not bank.known_noise:
-            filters.rescale(bank, np.maximum(noise[:3], LEAST_WHITE))
+            filters.rescale(bank, white)
 
 
 def shown(state: State, now_s: float, degc: FloatArray, force: FloatArray) -> tuple[Law, FloatArray]:

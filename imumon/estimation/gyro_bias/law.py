@@ -52,10 +52,6 @@ class Law:
         known = np.where(np.isfinite(degc), degc, self.degc)
         return replace(self, mean=mean, covariance=covariance, time_s=time_s, degc=known)
 
-    def with_covariance(self, covariance: FloatArray) -> Law:
-        """Return a law of the same mean."""
-        return replace(self, covariance=covariance)
-
     def wider(self, variance: FloatArray) -> Law:
         """Return a law whose bias may have changed by an unknown amount of this variance, (3,)."""
         covariance = self.covariance.copy()

@@ -62,8 +62,6 @@ class Modes:
 
     process: FloatArray
     """Q: of w per second, of each gi when it is in equilibrium, of s per °C, (3, F, 8)."""
-    slope: FloatArray
-    """Prior variance of the slope, (3, F)."""
     sensitivity: FloatArray
     """Prior variance of an entry of the sensitivity, absolute, (F,)."""
     fast: FloatArray
@@ -114,9 +112,7 @@ def _modes(b: FloatArray, walk: FloatArray, slopes: tuple[float, ...], levels: F
     process[..., SLOPE] = slope**2 / SLOPE_DEGC
     # What is faster than the fastest process, and that process less its own mean over a second.
     fast = b[:, kind] ** 2 / math.pi * math.log(TAUS_S[0] / FASTEST_S) + 0.47 * variance
-    return Modes(
-        process, np.tile(slope**2, (3, 1)), SENSITIVITIES[group] ** 2, fast, b.shape[1], levels, group
-    )
+    return Modes(process, SENSITIVITIES[group] ** 2, fast, b.shape[1], levels, group)
 
 
 def propagate(

@@ -32,6 +32,9 @@ CHANGE_LOG_RATIO = 12.0
 """Log likelihood ratio of a changed bias over a turn from which on the bias has changed."""
 TURN_LOG_RATIO = 2.0
 """The same of a turn over a changed bias, from which on a mean that fits a wide law is no rest."""
+LEAST_SECONDS = 3
+"""Seconds over which gravity is compared; in the first ones of a rest its slots are, and where the rate has
+just changed also the seconds before."""
 FIRST_S = 4.0
 """How long the mean has been the same before the first mean of the recording is called in question."""
 
@@ -82,7 +85,7 @@ def step(state: State, parameters: RestParameters, reading: Reading) -> None:
     elif state.bias.nominal is None:
         _look_for_beginning(state, reading)
     elif state.quiet.another:
-        hypotheses.take_noise(state.bias, _noise(state))
+        hypotheses.take_noise(state.bias, _noise(state)[GYRO])
         state.pending = []
     else:
         state.pending.append(reading)
@@ -129,7 +132,7 @@ def _look_for_beginning(state: State, reading: Reading) -> None:
         degc = np.full(3, reading.degc)
         seconds.append(Second(end_s, covered, part[:, GYRO].mean(0), force, degc))
         end_s -= covered
-    hypotheses.begin(state.bias, MODES, seconds[::-1], _noise(state))
+    hypotheses.begin(state.bias, MODES, seconds[::-1], _noise(state)[GYRO])
     state.pending, state.decided, state.path = [], True, 0.0
 
 
@@ -151,14 +154,13 @@ def _decide(state: State, parameters: RestParameters) -> None:
     state.pending = []
     if not np.isfinite(now.rate).all():
         return
-    bias.noise = _noise(state)
     earth = EARTH_RATE**2 * 2.0 / 3.0 * min(1.0, state.path**2) if bias.moved else 0.0
 
     def test(law: Law, difference: FloatArray, fits: bool) -> Evidence:
-        seconds = bias.recent[-bias.alike :] if fits else bias.recent
-        if len(seconds) < 3:
+        seconds = bias.recent[-bias.alike :] if fits and bias.alike >= LEAST_SECONDS else bias.recent
+        if len(seconds) < LEAST_SECONDS:
             seconds = [_second([one], with_force) for one in slots]
-        return _evidence(bias, parameters, law, difference, seconds)
+        return _evidence(state, parameters, law, difference, seconds)
 
     hypotheses.decide(bias, now, np.full(3, earth), test)
     state.decided, state.path = True, 0.0
@@ -168,17 +170,18 @@ def _decide(state: State, parameters: RestParameters) -> None:
 
 
 def _evidence(
-    bias: hypotheses.State,
+    state: State,
     parameters: RestParameters,
     law: Law,
     difference: FloatArray,
     seconds: list[Second],
 ) -> Evidence:
     """Test a difference from the nominal bias by gravity, the first mean of the recording, and time."""
+    bias = state.bias
     now = bias.recent[-1]
     value, variance = law.bias(now.force, of_mean=True)
     turn = sum((one.seconds * (one.rate - value) for one in seconds[1:]), np.zeros(3))
-    noise = float(bias.noise[3:].max()) / seconds[0].seconds
+    noise = float(_noise(state)[ACCEL].max()) / seconds[0].seconds
     ratio, part = by_gravity(seconds, difference, turn, float(variance.max()), noise, parameters.accel_drift)
     others = as_predicted(part, variance)
     if bias.first is not None and bias.fits_s >= FIRST_S:

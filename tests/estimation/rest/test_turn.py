@@ -95,6 +95,20 @@ def test_a_turn_about_a_level_axis_is_no_rest_for_gravity_turns_as_the_gyros_say
     assert rest[t > BEGIN_S + 620.0].all()
 
 
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_turn_about_a_level_axis_that_slows_down_is_no_rest_in_another_pose(seed: int) -> None:
+    """The sensitivity to gravity makes the law so wide that 200 °/h fit it, but gravity turns with them."""
+    t, gyro, accel = noise(BEGIN_S + 400.0, 25.0, 4.4e-6, 2.5e-3, seed=seed)
+    rate = 0.5 * DEG * np.clip(np.minimum(t - BEGIN_S, BEGIN_S + 390.0 - t) / 120.0, 0.0, 1.0)
+    gyro[:, 1] += rate
+    angle = np.cumsum(rate) / 25.0
+    accel[:, 0] += GRAVITY * np.sin(angle)
+    accel[:, 2] += GRAVITY * (1.0 - np.cos(angle))
+    _, rest, _ = found(block(t, gyro, accel))
+    slowing = (t > BEGIN_S + 300.0) & (rate > 20.0 / 3600.0 * DEG)
+    assert rest[slowing].mean() < 0.03
+
+
 @pytest.mark.parametrize("seed", range(2))
 def test_a_turn_that_may_be_wander_is_rest_and_the_hypothesis_until_it_is_over(seed: int) -> None:
     """A gyro with 30 °/h of flicker, turned by 0.1 °/s: five of the deviations that it wanders by."""
