@@ -66,3 +66,18 @@ def test_a_ramp_from_refresh_to_refresh_is_no_noise_that_a_soak_would_have_stopp
     result = MultipleModelRate().process(time_ns, segment, repeated(temperature, 5.0, 0.1, 11))
     soaked = t > 1600.0
     assert np.abs(result.temperature - temperature)[soaked].max() < 1.5 * STEP
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_silent_level_between_two_readings_is_no_certainty(seed: int) -> None:
+    """A reading that flickers once a minute or so: its edge is found, and a ramp is not taken for noise."""
+    t = np.arange(int(1500.0 * RATE_HZ)) / RATE_HZ
+    temperature = 25.353 + RAMP * np.maximum(t - 1200.0, 0.0)
+    reading = np.repeat(quantized(temperature[::200], 0.025, seed, step=0.25), 200)
+    time_ns, segment = clock(len(t), RATE_HZ)
+    result = MultipleModelRate().process(time_ns, segment, reading)
+    error = result.temperature - temperature
+    assert np.abs(error[(t > 600.0) & (t < 1200.0)]).max() < 0.125
+    later = t > 1230.0
+    assert np.abs((result.rate - RAMP) / result.rate_sd)[later].max() < 6.0
+    assert np.abs(error / result.temperature_sd)[later].max() < 6.0
