@@ -254,8 +254,9 @@ class Aligner:
     @property
     def errors(self) -> SensorErrors:
         """Standard deviations of the sensor errors, declared or from the noise of the quietest gyro."""
-        white = [one.fit.white for one in self.state.positions if one.fit is not None]
-        return sensor_errors(math.sqrt(min(white, default=0.0)), self.parameters)
+        fits = [one.fit for one in self.state.positions if one.fit is not None]
+        noise = math.sqrt(min((fit.white for fit in fits), default=0.0))
+        return sensor_errors(noise, self.parameters, any(fit.yaw for fit in fits))
 
     def _warm_up(self) -> tuple[FloatArray, FloatArray, Sequence[Drift]]:
         """Return time constants, s, and amplitudes, g, of the declared warm-up, and drift models."""

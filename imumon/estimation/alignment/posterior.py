@@ -60,9 +60,10 @@ LOG_SIZES, LOG_SIZE_SD = np.linspace(-4.0, 4.0, 9), 1.5
 _FACTORS = (1.0, *np.exp([2.0, 4.0, 6.0, 8.0, 10.0]))
 WORSE = np.array([three for three in product(_FACTORS, repeat=3) if len({*three, 1.0}) == 2])
 """Factors by which some gyros or all are worse than that, (35, 3): up to 200 °/h for the best of them."""
-P_WORSE, P_NOT_DECLARED = 0.003, 0.001
-"""Prior probabilities that they are: as rare as a normal value beyond three sigmas, and against a declared
-bias (assumed).  Ablation: without the first, errors are up to 39 sigma."""
+P_WORSE, P_WORSE_CREEPING, P_NOT_DECLARED = 0.003, 0.15, 0.001
+"""Prior probabilities that they are: as rare as a normal value beyond three sigmas; where the unit creeps, so
+that the vertical gyro is no witness; and against a declared bias (assumed).  Ablation: without the first,
+errors are up to 39 sigma."""
 
 
 class SensorErrors(NamedTuple):
@@ -79,19 +80,20 @@ class SensorErrors(NamedTuple):
     level: float
 
 
-def sensor_errors(noise: float, parameters: AlignmentParameters) -> SensorErrors:
+def sensor_errors(noise: float, parameters: AlignmentParameters, creeps: bool) -> SensorErrors:
     """Return the declared errors, and the regression on an angular random walk, rad/√s, for the others."""
     ppm, micro_g = parameters.gyro_scale_sd_ppm, parameters.accel_bias_sd_ug
     return SensorErrors(
-        *_bias_sizes(BIAS.at(noise), parameters.gyro_bias_sd_deg_per_h),
+        *_bias_sizes(BIAS.at(noise), parameters.gyro_bias_sd_deg_per_h, creeps),
         flicker=(parameters.gyro_flicker_deg_per_h or 0.0) * DEG_PER_H,
         scale=SCALE.at(noise) if ppm is None else ppm * 1e-6,
         level=LEVEL.at(noise) if micro_g is None else micro_g * 1e-6,
     )
 
 
-def _bias_sizes(typical: float, declared: float | None) -> tuple[FloatArray, FloatArray]:
-    alike, share, worse = typical * np.exp(LOG_SIZES), np.exp(-0.5 * (LOG_SIZES / LOG_SIZE_SD) ** 2), P_WORSE
+def _bias_sizes(typical: float, declared: float | None, creeps: bool) -> tuple[FloatArray, FloatArray]:
+    alike, share = typical * np.exp(LOG_SIZES), np.exp(-0.5 * (LOG_SIZES / LOG_SIZE_SD) ** 2)
+    worse = P_WORSE_CREEPING if creeps else P_WORSE
     if declared is not None:
         alike = np.array([max(declared * DEG_PER_H, 1e-11)])  # a bias of zero has no logarithm
         share, worse, typical = np.ones(1), P_NOT_DECLARED, max(typical, float(alike[0]))
