@@ -255,7 +255,9 @@ def _count(state: State, params: Params) -> FloatArray:
     if reported is None:
         evidence = Evidence(changed=now.end_s - beliefs.since_s > PATIENCE_S, probability=0.5)
     else:
-        evidence = Evidence(changed=not reported.any())
+        # What the detector has decided for H1 is in doubt here until a second second fits it.
+        undecided = bool(reported.any())
+        evidence = Evidence(changed=not undecided, probability=0.0 if undecided else 0.5)
     hypotheses.decide(beliefs, now, state.added, lambda *_: evidence)
     state.added = np.zeros(3)
     if slots[-1].reported is not None:

@@ -217,3 +217,14 @@ def test_it_goes_on_from_a_snapshot() -> None:
     np.testing.assert_array_equal(vector(other.process(rest)), expected)
     stage.restore(saved)
     np.testing.assert_array_equal(vector(stage.process(rest)), expected)
+
+
+def test_a_second_that_contradicts_the_bias_is_in_doubt_until_another_confirms_it() -> None:
+    """As of a fan that starts: the rest detector has no doubt, and what its vibration does is not white."""
+    block, bias = record(TRUTH, 90.0, 6)
+    t = np.arange(len(block)) / RATE_HZ
+    off = np.where((t > 60.0) & (t < 61.0), math.radians(0.1), 0.0)
+    columns = {f"turn_hypothesis_{axis}": np.zeros(len(t)) for axis in "xyz"}
+    added = GyroBias().process(block.with_columns({**columns, "gyro_x": block["gyro_x"] + off}))
+    z = (added["gyro_bias_x"] - bias[:, 0]) / added["gyro_bias_sd_x"]
+    assert np.abs(z[t > 10.0]).max() < 5.0
