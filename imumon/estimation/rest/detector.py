@@ -186,9 +186,9 @@ def _evidence(
     others = as_predicted(part, variance)
     if bias.first is not None and bias.fits_s >= FIRST_S:
         others += first_was_turn(bias.first, now.rate)
-    waited = bias.contradicted and now.end_s - bias.since_s > parameters.undecided_s
+    steady = bias.fits_s > parameters.undecided_s and difference @ difference <= parameters.largest_jump**2
     return Evidence(
         turns=ratio < -TURN_LOG_RATIO,
-        changed=ratio > CHANGE_LOG_RATIO or (waited and ratio > -TURN_LOG_RATIO),
+        changed=ratio > CHANGE_LOG_RATIO or (steady and ratio > -TURN_LOG_RATIO),
         probability=probability_of_turn(part, ratio, others, parameters.largest_jump, bias.changes),
     )

@@ -47,7 +47,7 @@ def probability_of_turn(
         Odds of other explanations over a turn: `as_predicted`, `first_was_turn`.
     """
     size = math.sqrt(float(change @ change))
-    u = max(size, 1e-12) / USUAL_CHANGE
+    u = max(size, TURNS[0]) / USUAL_CHANGE  # no turn is slower: its odds do not grow further below
     changed = 2.0 * math.log(TURNS[1] / TURNS[0]) / (math.pi * (u + 1.0 / u) * (1.0 + changes))
     no_turn = (changed if size <= largest else 0.0) + others
     return 1.0 / (1.0 + no_turn * math.exp(max(min(log_ratio, MOST_LOG_RATIO), -MOST_LOG_RATIO)))

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.stage import RestDetector
-from tests.estimation.rest.scenes import DEG, GRAVITY, block, noise, rolled
+from tests.estimation.rest.scenes import DEG, GRAVITY, block, detect, noise, rolled
 
 BEGIN_S = 150.0
 FIELD = np.array([20.0, 5.0, 40.0])
@@ -253,3 +253,20 @@ def test_a_stage_goes_on_from_a_snapshot() -> None:
     got = second.process(samples.rows(half, len(samples)))
     for name, values in got.items():
         np.testing.assert_array_equal(values, expected[name][half:])
+
+
+def test_a_quiet_gyro_whose_bias_moves_by_less_than_any_turn_is_at_rest() -> None:
+    """2 °/h about the vertical, fifty times the noise of a mean over 16 s."""
+    t, gyro, accel = noise(300.0, gyro_sd=2e-6, accel_sd=1e-4)
+    gyro[t > 120.0, 2] += np.radians(2.0 / 3600.0)
+    at_rest = detect(block(t, gyro, accel))
+    assert at_rest[t > 130.0].mean() > 0.98
+
+
+def test_patience_is_with_a_steady_rate_and_not_with_one_that_changes() -> None:
+    """A turntable goes through rates of half a minute each for longer than `undecided_s`."""
+    t, gyro, accel = noise(300.0)
+    after = t > 60.0
+    gyro[after, 2] += np.radians(0.3 + 0.1 * ((t[after] // 30.0) % 4))
+    at_rest = detect(block(t, gyro, accel), RestParameters(undecided_s=60.0))
+    assert at_rest[t > 70.0].mean() < 0.05
