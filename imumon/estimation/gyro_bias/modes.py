@@ -35,6 +35,8 @@ FLOOR_OF_FLICKER = 0.664
 """Floor of the Allan deviation over B, sqrt(2 ln 2 / π) (IEEE 952)."""
 FLICKER_CORNERS_S = (100.0, 10.0, 1.0, 0.1)
 """Averaging times at which flicker overtakes white noise."""
+WALK_CORNER_S = 10.0
+"""The same of a random walk: white noise and a walk of K are equal at √3 σ/K."""
 SLOPE_PER_SIGMA = 3.6
 """Standard deviation of the slope over σ, 1/°C: 60 °/h/°C for a gyro of 0.28 °/√h."""
 SLOPE_LEFT_PER_SIGMA = 0.25
@@ -81,13 +83,15 @@ class Modes:
 
 def unknown_modes(slope_per_sigma: tuple[float, ...]) -> Modes:
     """Return the modes of a gyro of unknown noise; slopes (sd over σ), 1/°C."""
-    flicker = np.array([1.0 / (FLOOR_OF_FLICKER * math.sqrt(c)) for c in FLICKER_CORNERS_S])
-    count = len(flicker)
+    flicker = [1.0 / (FLOOR_OF_FLICKER * math.sqrt(c)) for c in FLICKER_CORNERS_S]
+    b = np.tile([*flicker, 0.05 * flicker[0]], (3, 1))
+    walk = np.zeros_like(b)
+    walk[:, -1] = math.sqrt(3.0) / WALK_CORNER_S
+    count = b.shape[1]
     apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
     other = (1.0 - SAME_LEVEL) / 3.0
     levels = np.where(apart == 0, SAME_LEVEL, np.where(apart == 1, other, other / count))
-    b = np.tile(flicker, (3, 1))
-    return _modes(b, 0.0 * b, slope_per_sigma, levels)
+    return _modes(b, walk, slope_per_sigma, levels)
 
 
 def known_modes(
