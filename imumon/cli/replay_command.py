@@ -104,7 +104,7 @@ def command(
         from imumon.run.smoothing import smoothed
 
         stage = smoothed(open_source(session, rate_hz=rate), setup)
-        more, disagreement = [stage], stage.disagreement
+        more, disagreement = [stage], stage.residuals
     pipeline, digest = pipeline_of(source, setup, more), Digest()
     publisher = narrator = None
     if view != "none":

@@ -50,8 +50,6 @@ def _as_in_motion(tilt: tilt_sigma.TiltSigma, slot: tilt_sigma.Slot) -> float:
 VARIANTS: dict[str, list[Change]] = {
     "lag 3 s": [(tilt_sigma, "LAG_S", 3.0)],
     "lag 12 s": [(tilt_sigma, "LAG_S", 12.0)],
-    "memory 5 s": [(tilt_sigma, "MEMORY_S", 5.0)],
-    "memory 60 s": [(tilt_sigma, "MEMORY_S", 60.0)],
     "scale not learned": [(tilt_sigma.Gyros, "variance", property(_prior))],
     "s0 1 %": [(tilt_sigma, "SCALE_SD", 0.01)],
     "s0 4 %": [(tilt_sigma, "SCALE_SD", 0.04)],

@@ -1,4 +1,4 @@
-"""Gyro bias and heading of simulated sessions, forward and smoothed: errors, over sigma, disagreement."""
+"""Gyro bias and heading of simulated sessions, forward and smoothed: errors, over sigma, residual r."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--quick", action="store_true", help="one seed of the shortest session")
     given = parser.parse_args()
-    print("| scenario | forward [°/h] | smoothed [°/h] | error over sigma, rms | largest | disagreement |")
+    print("| scenario | forward [°/h] | smoothed [°/h] | error over sigma, rms | largest | residual r |")
     print("|---|---|---|---|---|---|")
     for name, seconds in CASES[:1] if given.quick else CASES:
         seeds = range(FIRST_SEED, FIRST_SEED + (1 if given.quick else given.seeds))
@@ -58,14 +58,14 @@ def main() -> None:
         )
     seeds = range(FIRST_SEED, FIRST_SEED + (1 if given.quick else HEADINGS * given.seeds))
     error, z, live, apart_by = np.array([heading(seed) for seed in seeds]).T
-    print("| heading | forward, median [°] | smoothed [°] | error over sigma, rms | largest | disagreement |")
+    print("| heading | forward, median [°] | smoothed [°] | error over sigma, rms | largest | residual r |")
     print("|---|---|---|---|---|---|")
     values = f"{_rms(live):.4f} | {_rms(error):.4f} | {_rms(z):.2f} | {np.abs(z).max():.1f}"
     print(f"| alignment, 5 min | {values} | {apart_by.min():.2f} to {apart_by.max():.2f} |")
 
 
 def measured(name: str, seconds: int, seed: int) -> FloatArray:
-    """Return for each gyro: rms error forward and smoothed, °/h, rms and largest z, disagreement, (3, 5)."""
+    """Return for each gyro: rms error forward and smoothed, °/h, rms and largest z, r, (3, 5)."""
     recorder, truths = Recorder(), []
     for block, truth in played(name, seconds, seed):
         recorder.add(block)
@@ -79,12 +79,12 @@ def measured(name: str, seconds: int, seed: int) -> FloatArray:
     result = np.empty((3, 5))
     for j, axis in enumerate("xyz"):
         true = np.concatenate([truth[:, j] for truth in truths])[rows]
-        result[j] = _judged(record, smoothed, axis, true, stage.disagreement[f"gyro_bias_{axis}"])
+        result[j] = _judged(record, smoothed, axis, true, stage.residuals[f"gyro_bias_{axis}"])
     return result
 
 
 def heading(seed: int) -> tuple[float, float, float, float]:
-    """Return error of the smoothed heading, °, also over sigma, that forward, °, and the disagreement."""
+    """Return error of the smoothed heading, °, also over sigma, that forward, °, and the residual r."""
     scenario, recorder = load_scenario("alignment").played(RATE_HZ, "FRD"), Recorder()
     block, _ = SimulatedUnit(scenario, seed).run(scenario.samples)
     latitude_deg, true = scenario.latitude_deg or 0.0, np.radians(scenario.attitude.heading_deg)
@@ -98,7 +98,7 @@ def heading(seed: int) -> tuple[float, float, float, float]:
     off = np.degrees(np.remainder(record.columns["heading"] - true + np.pi, 2.0 * np.pi) - np.pi)
     error = float(np.degrees(np.remainder(found.value[middle] - true + np.pi, 2.0 * np.pi) - np.pi))
     live = float(np.nanmedian(np.abs(off)))
-    return error, error / float(np.degrees(found.sd[middle])), live, found.disagreement
+    return error, error / float(np.degrees(found.sd[middle])), live, found.residual
 
 
 def _rms(values: FloatArray) -> float:

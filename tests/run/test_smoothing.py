@@ -88,4 +88,4 @@ def test_the_bias_is_that_of_the_unit_whatever_is_known(session: Path, known: st
         assert np.nanmax(np.abs(z)) < 5.0, axis
         both = np.isfinite(before)
         assert np.sqrt(np.mean(error[both] ** 2)) <= np.sqrt(np.mean(before[both] ** 2)), axis
-        assert stage.disagreement[f"gyro_bias_{axis}"] < 2.0
+        assert stage.residuals[f"gyro_bias_{axis}"] < 2.0

@@ -1,7 +1,7 @@
 """The filter VQF (Laidig and Seel, Information Fusion 2023, doi 10.1016/j.inffus.2022.10.014) over samples.
 
 VQF takes samples at a constant rate.  Here the rate is that of the first samples, and each angular rate is
-multiplied by its own interval over the usual one: so the angle is right whatever the intervals are.
+multiplied by its own interval over the usual one, so the angle is right whatever the intervals are.
 """
 
 from __future__ import annotations
@@ -18,14 +18,15 @@ from vqf import VQF
 from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.geodesy import LEAST_HORIZONTAL
 
-FIRST = 16
-"""Intervals that the sample rate is taken from."""
+RATE_SAMPLES = 16
+"""Intervals whose median is taken for that of the samples: jitter of a clock averages out, a gap does not
+count, and at 50 Hz the attitude begins after 0.3 s."""
 TAU_ACC_S, TAU_MAG_S = 3.0, 9.0
 """VQF's defaults, s: so slowly the vertical follows the accelerometers, and the heading the magnetometer."""
 ROW = np.dtype(
     [(name, np.float64, (3,)) for name in ("angle", "accel", "mag", "field", "bias_sd", "path", "ignored")]
-    + [(name, np.float64, (4,)) for name in ("q", "levelling", "carried")]
-    + [(name, np.float64) for name in ("low_force", "yaw", "follow_rate")]
+    + [(name, np.float64, (4,)) for name in ("quat6d", "acc_quat", "gyr_quat")]
+    + [(name, np.float64) for name in ("low_force", "delta", "follow_rate")]
     + [("north", np.int64)]
 )
 """A sample and what the filter makes of it; NaN before it has begun.
@@ -35,10 +36,11 @@ accel, mag : m/s² and any unit, zero where there is none
 field : latest of mag; NaN before the first
 bias_sd : standard deviation of the gyro bias, rad/s
 path, ignored : running sums of the angles in motion, and of those while at rest, rad
-q, levelling, carried : w, x, y, z, from body to level axes without north; from gyro-carried to level; from
-    body to gyro-carried
+quat6d, acc_quat, gyr_quat : VQF's quaternions w, x, y, z, from body to level axes without north; from
+    gyro-carried to level; from body to gyro-carried
 low_force : magnitude of the low-passed specific force, m/s²
-yaw : counterclockwise angle from q to the attitude, rad: that of the field, or that to the declared heading
+delta : counterclockwise angle from quat6d to the attitude, rad: VQF's by the field, or that to the declared
+    heading
 follow_rate : how fast the heading follows the field: 1 as usual, 0 not at all while VQF rejects the field
 north : whether the field has shown north
 """
@@ -86,12 +88,12 @@ def heading(q: FloatArray) -> FloatArray:
 
 
 class Fusion:
-    """Attitude from one begin to the next: a restart, a gap.
+    """Attitude until the next reinitialization: a restart, a gap.
 
     Parameters
     ----------
     begins_at : float
-        Heading at which a free one begins, rad.
+        Heading at which a relative one begins, rad.
     """
 
     def __init__(self, begins_at: float) -> None:
@@ -101,8 +103,8 @@ class Fusion:
         self._vqf: VQF | None = None
         self._interval_s = 0.0
         self._bias_known = False
-        self._yaw = math.nan
-        """Of a free heading."""
+        self._delta = math.nan
+        """Of a relative heading."""
         self.north = False
         """Whether the heading refers to the magnetometer."""
         self.disturbed = False
@@ -111,13 +113,13 @@ class Fusion:
     @property
     def begun(self) -> bool:
         """Whether there is an attitude."""
-        return not math.isnan(self._yaw)
+        return not math.isnan(self._delta)
 
     def lose_north(self, rows: Rows, start: int) -> None:
-        """Make the heading free from a row on: it begins there where it was declared to."""
+        """Make the heading relative from a row on: it begins there where it was declared to."""
         self.north = self.disturbed = False
-        self._yaw = float(heading(rows["q"][start - 1 : start])[0]) - self._begins_at
-        rows["north"][start:], rows["yaw"][start:] = 0, self._yaw
+        self._delta = float(heading(rows["quat6d"][start - 1 : start])[0]) - self._begins_at
+        rows["north"][start:], rows["delta"][start:] = 0, self._delta
 
     def process(self, rows: Rows, time_ns: IntArray, has_mag: BoolArray, bias_known: bool) -> None:
         """Follow rows, (n,), and fill in what is found."""
@@ -129,12 +131,12 @@ class Fusion:
         gyro, accel = rows["angle"] * (1.0 / self._interval_s), rows["accel"].copy()
         with_mag = self.north or bool(has_mag.any())
         found = self._vqf.updateBatchFullState(gyro, accel, *([rows["mag"].copy()] if with_mag else []))
-        for name, of_vqf in (("q", "quat6D"), ("levelling", "accQuat"), ("carried", "gyrQuat")):
+        for name, of_vqf in (("quat6d", "quat6D"), ("acc_quat", "accQuat"), ("gyr_quat", "gyrQuat")):
             rows[name] = found[of_vqf]
         rows["low_force"] = np.sqrt((found["lastAccLp"] ** 2).sum(1))
         if not self.begun:
-            self._yaw = float(heading(rows["q"][:1])[0]) - self._begins_at
-        rows["yaw"] = self._yaw
+            self._delta = float(heading(rows["quat6d"][:1])[0]) - self._begins_at
+        rows["delta"] = self._delta
         if with_mag:
             self._follow_field(rows, found, has_mag, self._vqf.params)
 
@@ -143,7 +145,7 @@ class Fusion:
     ) -> None:
         """Fill in where north is, and how fast the heading follows the field."""
         north = self.north | np.logical_or.accumulate(has_mag)
-        rows["north"], rows["yaw"] = north, np.where(north, found["delta"], self._yaw)
+        rows["north"], rows["delta"] = north, np.where(north, found["delta"], self._delta)
         # Before it has taken a field as its reference VQF calls every field disturbed, and follows it.
         disturbed = found["magDistDetected"] & (found["magRefNorm"] > 0.0)
         rejected = found["magRejectT"] <= given["magMaxRejectionTime"]
@@ -157,10 +159,8 @@ class Fusion:
         while self._vqf is None and start < len(rows):
             self._first.append(int(time_ns[start]))
             self._mags += bool(has_mag[start])
-            if len(self._first) > FIRST and rows["accel"][start].any():
-                intervals = np.diff(self._first)
-                usual = intervals[intervals <= 1.5 * np.median(intervals)]
-                self._interval_s = max(float(usual.mean()), 1.0) * 1e-9
+            if len(self._first) > RATE_SAMPLES and rows["accel"][start].any():
+                self._interval_s = max(float(np.median(np.diff(self._first))), 1.0) * 1e-9
                 mag_s = self._interval_s * (len(self._first) / self._mags if self._mags else 1.0)
                 self._vqf = VQF(self._interval_s, magTs=mag_s, tauAcc=TAU_ACC_S, tauMag=TAU_MAG_S)
             start += 1

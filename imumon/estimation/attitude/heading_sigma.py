@@ -1,21 +1,9 @@
-"""How far the heading may be off: a free one by its change, one by the magnetometer by calibration and iron.
+"""Standard deviation of the heading, relative or by the magnetometer, by (H1) to (H5) of docs/attitude.md.
 
-A free heading turns wrong by scale errors of what was turned about the vertical (J of `tilt_sigma`), by gyros
-that are not confirmed (as there), and by the bias, which each rest measures anew::
-
-    free     = min(s², s0²) |sum of u J|² + sum over unconfirmed gyros of (sum of u J_ii)²
-               + sum over motions of (bias sd, seconds)² + lost                                          (1)
-
-A calibrated magnetometer ties the heading down.  VQF follows it with tau_mag and forgets older parts of (1).
-With H and V the horizontal and the vertical field, c the error of the calibration, i the iron on the unit
-that came after it, and p the angle by which the field turned the heading against the gyros, forgotten alike::
-
-    magnetic = (c² + i² + (V tilt)²) / H² + (1) forgotten                                                (2)
-    iron  i² = i0² + 2 largest (along² + across²) of the last half minute                               (3)
-    along    = |m| less its calibrated strength                                                          (4)
-    across²  = (H p)² beyond H² (2) with i = i0                                                          (5)
-
-The 2 in (3): what is along the field in one pose is across it in another, as in (5) of the tilt.
+A relative heading turns wrong by scale errors of what was turned about the vertical (u J of `tilt_sigma`),
+by gyros that are not confirmed, and by the bias, which each rest measures anew: (H1).  A calibrated
+magnetometer ties it down: VQF follows the field with tau_mag and forgets older parts of (H1).  What
+calibration, tilt and iron leave of the field's direction is (H2) to (H5).
 """
 
 from __future__ import annotations
@@ -31,8 +19,8 @@ from imumon.estimation.attitude.tilt_sigma import SLOT_S, Gyros, Slot
 from imumon.models.magnetometer import MagnetometerModel
 
 IRON = 0.025
-"""i0, share of the field: iron that came after the calibration and has not shown yet.  A bet, as `ACCEL_SD`:
-a single pose shows one of three components.  Ablation: attitude, i0."""
+"""i0, share of the field: iron that came after the calibration and has not shown yet.  A prior, as
+`ACCEL_SD`: a single pose shows one of three components."""
 IRON_MEMORY_S = 30.0
 """Time in which iron that has shown is forgotten, s: it may have been a magnet in the room, and the next pose
 shows it again."""
@@ -49,27 +37,27 @@ class HeadingSigma:
     magnetometer : MagnetometerModel or None
         None: not calibrated, so a heading by it has no sigma.
     earth_rate : float
-        What the bias does not hold of it, rad/s.
+        Vertical part of it that is left in the corrected rate, rad/s.
     """
 
     gyros: Gyros
     magnetometer: MagnetometerModel | None
     earth_rate: float
     iron: float = 0.0
-    """Largest (along² + across²) of (3), in the square of the field's unit."""
+    """Largest (along² + across²) of (H3), in the square of the field's unit."""
     about_up: FloatArray = field(default_factory=lambda: np.zeros(9))
     """Sum of u J: turn about the vertical for each element of scale and misalignment, rad."""
     earlier: float = 0.0
     """Variance by the bias in the motions before, and by lost samples, rad²."""
     moving_s: float = 0.0
     """Duration of this motion, s."""
-    pull: float = 0.0
-    """p, rad."""
-    yaw: float = math.nan
+    field_correction: float = 0.0
+    """p: angle by which the field has turned the heading, forgotten with tau_mag, rad."""
+    delta: float = math.nan
     """That of the last slot, rad."""
 
     def step(self, slot: Slot, tilt_variance: float) -> float:
-        """Take a slot; return the variance of the heading, or of its change where it is free, rad²."""
+        """Take a slot; return the variance of the heading, or of its change where it is relative, rad²."""
         if math.isnan(slot.bias_sd):
             self.about_up[:] = self.earlier = self.moving_s = 0.0
         bias_sd = math.hypot(slot.bias_sd, self.earth_rate)
@@ -78,15 +66,15 @@ class HeadingSigma:
             self.moving_s = 0.0
         else:
             self.moving_s += SLOT_S
-            self.about_up += slot.up @ slot.turn
+            self.about_up += slot.up @ slot.sensitivity
             self.earlier += slot.lost
         if not slot.north:
-            return self._free(bias_sd)
+            return self._relative(bias_sd)
         self._forget(slot)
-        return self._magnetic(slot, tilt_variance, self._free(bias_sd), self.magnetometer)
+        return self._magnetic(slot, tilt_variance, self._relative(bias_sd))
 
-    def _free(self, bias_sd: float) -> float:
-        """(1)."""
+    def _relative(self, bias_sd: float) -> float:
+        """(H1): scale, unconfirmed gyros, earlier motions and lost samples, bias in this motion."""
         squares = self.about_up**2
         scale = min(self.gyros.variance, self.gyros.prior) * float(squares.sum())
         unconfirmed = float(squares[::4] @ ~self.gyros.confirmed)
@@ -99,20 +87,20 @@ class HeadingSigma:
         self.moving_s *= keep
         self.earlier *= keep * keep
         # At first the field shows where north is: that is no change.
-        change = 0.0 if math.isnan(self.yaw) else math.remainder(slot.yaw - self.yaw, math.tau)
-        self.pull, self.yaw = keep * self.pull + change, slot.yaw
+        change = 0.0 if math.isnan(self.delta) else math.remainder(slot.delta - self.delta, 2.0 * math.pi)
+        self.field_correction, self.delta = keep * self.field_correction + change, slot.delta
 
-    def _magnetic(
-        self, slot: Slot, tilt_variance: float, free: float, magnetometer: MagnetometerModel | None
-    ) -> float:
-        """(2)."""
+    def _magnetic(self, slot: Slot, tilt_variance: float, relative: float) -> float:
+        """(H2): (c² + i² + (V tilt)²) / H² and what is not forgotten of (H1)."""
+        magnetometer = self.magnetometer
         strength, vertical = float(np.linalg.norm(slot.field)), float(slot.field @ slot.up_body)
-        level2 = max(strength**2 - vertical**2, 0.0)
-        if magnetometer is None or not level2:
+        horizontal2 = max(strength**2 - vertical**2, 0.0)
+        if magnetometer is None or not horizontal2 > 0.0:
             return math.nan
-        declared = magnetometer.error_sd**2 + (IRON * magnetometer.field) ** 2 + vertical**2 * tilt_variance
-        across2 = max(level2 * (self.pull**2 - free) - declared, 0.0)
+        prior = magnetometer.error_sd**2 + (IRON * magnetometer.field) ** 2 + vertical**2 * tilt_variance
+        across2 = horizontal2 * (self.field_correction**2 - relative) - prior
         self.iron *= math.exp(-SLOT_S / IRON_MEMORY_S)
         if slot.follow_rate and math.isfinite(across2):
-            self.iron = max(self.iron, (strength - magnetometer.field) ** 2 + across2)
-        return (declared + 2.0 * self.iron) / level2 + free
+            self.iron = max(self.iron, (strength - magnetometer.field) ** 2 + max(across2, 0.0))
+        # The 2 is a margin for the component of the iron that this pose does not show.
+        return (prior + 2.0 * self.iron) / horizontal2 + relative

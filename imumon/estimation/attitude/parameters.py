@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import AliasChoices, BeforeValidator, Field
 
@@ -11,6 +11,11 @@ from imumon.config import StrictModel
 Retired = Annotated[None, BeforeValidator(lambda _: None)]
 """A key of earlier versions: any value is read and dropped, and a session does not write it again."""
 RETIRED = ("accel_error_probability", "axes_error_probability", "magnet_error_probability")
+
+
+def _retired(sensor: str) -> Any:
+    aliases = AliasChoices(f"{sensor}_error_probability", f"{sensor}_doubt")
+    return Field(default=None, exclude=True, validation_alias=aliases)
 
 
 class AttitudeParameters(StrictModel):
@@ -33,15 +38,9 @@ class AttitudeParameters(StrictModel):
     use_magnetometer: bool = True
     accel_bias_m_per_s2: float | None = Field(default=None, ge=0.0, le=10.0)
     gyro_scale: float | None = Field(default=None, ge=0.0, le=0.5)
-    accel_error_probability: Retired = Field(
-        default=None, exclude=True, validation_alias=AliasChoices(RETIRED[0], "accel_doubt")
-    )
-    axes_error_probability: Retired = Field(
-        default=None, exclude=True, validation_alias=AliasChoices(RETIRED[1], "axes_doubt")
-    )
-    magnet_error_probability: Retired = Field(
-        default=None, exclude=True, validation_alias=AliasChoices(RETIRED[2], "magnet_doubt")
-    )
+    accel_error_probability: Retired = _retired("accel")
+    axes_error_probability: Retired = _retired("axes")
+    magnet_error_probability: Retired = _retired("magnet")
 
     @property
     def retired(self) -> list[str]:

@@ -20,19 +20,18 @@ from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL, STANDARD_GRAVITY
 from imumon.models.magnetometer import MagnetometerModel
 
 GAP_NS = 250_000_000
-"""A longer pause hides turns."""
+"""A longer pause hides turns: in it a hand turns by a radian."""
 NEAR = 0.2
-"""Share by which the field may differ from its calibrated strength and still show how the unit turned."""
-GRAVITY_SPREAD = 0.03
-"""m/s²: between equator and poles gravity differs by no more from the standard (WGS-84: 9.780 to 9.832)."""
+"""Share by which the field may differ from its calibrated strength and still show how the unit turned: in
+buildings it differs by as much."""
 _DESCRIPTIONS = {
     **{part: f"attitude by the estimator, body to east-north-up, {part}" for part in "wxyz"},
     "roll": "roll by the estimator",
     "pitch": "pitch by the estimator",
     "tilt_sd": "standard deviation of roll and pitch",
-    "heading": "heading of the body x axis, clockwise from magnetic north; free: from where it begins, or "
-    "begins anew behind a gap",
-    "heading_sd": "its standard deviation; of its change since then where it is free",
+    "heading": "heading of the body x axis, clockwise from magnetic north; relative: from where it begins, "
+    "also behind a gap",
+    "heading_sd": "its standard deviation; of its change since then where it is relative",
 }
 COLUMNS = (
     *(
@@ -43,7 +42,7 @@ COLUMNS = (
         "attitude_estimate_north",
         "1",
         "int64",
-        "1 where the heading is from magnetic north, 0 where it is free",
+        "1 where the heading is from magnetic north, 0 where it is relative",
     ),
 )
 SLOT_END = np.dtype(
@@ -51,7 +50,7 @@ SLOT_END = np.dtype(
     + [(name, np.float64, (3,)) for name in ("path", "ignored", "up", "gyros")]
 )
 """End of the latest slot: variances, rad²; path and ignored as of `ROW`; u; variance of each gyro's turn over
-its square."""
+its square: of its scale, and 1 where it is not confirmed."""
 
 
 class AttitudeEstimate:
@@ -59,8 +58,8 @@ class AttitudeEstimate:
 
     Where ``gyro_bias`` is known the rate is without it, and while the unit is ``at_rest`` it does not turn;
     before, VQF estimates the bias by its own means.  North is that of the magnetometer.  Without one the
-    heading begins at `heading_deg` or 0 and is free: its standard deviation is that of its change since then.
-    After a restart or a gap it begins there again: it has another reference.
+    heading is relative: it begins at `heading_deg` or 0, after a restart or a gap again, and its standard
+    deviation is that of its change since then.
 
     Parameters
     ----------
@@ -91,7 +90,10 @@ class AttitudeEstimate:
         """Of rate and specific force, three each, and whether the unit is at rest."""
         self._fusion = Fusion(self._heading)
         self._tilt_sigma = TiltSigma(Accelerometers(given.accel_bias_m_per_s2), Gyros(given.gyro_scale))
-        earth_rate = 0.0 if latitude_deg is None else EARTH_RATE
+        # Where the latitude is known its vertical part is not in the bias, and turns the heading.  Elsewhere
+        # it is in the bias, whose standard deviation has what is no bias after a turn.
+        latitude = math.radians(latitude_deg or 0.0)
+        earth_rate = EARTH_RATE * abs(math.sin(latitude))
         self._heading_sigma = HeadingSigma(self._tilt_sigma.gyros, magnetometer, earth_rate)
         self._last = np.zeros(1, ROW)
         self._last["field"] = math.nan
@@ -103,7 +105,7 @@ class AttitudeEstimate:
         self._field_before = np.full(3, math.nan)
         """Field at the end of the last slot, over its calibrated strength."""
         self._other_axes = 0
-        """Which of `WAYS` the magnetometer has, once the gyros have contradicted its axes."""
+        """Which of the signed permutations `WAYS`, once the gyros have contradicted the declared axes."""
         self._force = math.nan
         """Magnitude of the specific force at the last rest, m/s²."""
         self._restarts = 0
@@ -114,24 +116,22 @@ class AttitudeEstimate:
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; NaN where there is no attitude, none without gyros or gravity.
 
-        Needs ``device_time_ns`` and ``segment``, gyros and accelerometers; uses ``mag_*``, ``gyro_bias_*``,
-        ``gyro_bias_sd_*`` and ``at_rest``.
+        Needs ``device_time_ns`` and ``segment``, gyros and accelerometers; uses ``mag_*``,
+        ``gyro_corrected_*``, ``gyro_bias_sd_*`` and, while the bias is known, ``at_rest``.
         """
         gyro = block.gyro
         if gyro is None or block.accel is None:
             return {}
         self._device_has_attitude |= "q_w" in block or "roll" in block
         usable = (block["device_time_ns"] != NO_INT) & _finite(gyro)
-        if usable.all():
-            found = self._estimate(block)
-        else:
-            part = SampleBlock({name: values[usable] for name, values in block.columns.items()})
-            found = []
-            for values in self._estimate(part):
-                whole = np.full(len(block), NO_INT if values.dtype == np.int64 else math.nan, values.dtype)
-                whole[usable] = values
-                found.append(whole)
-        return {column.name: values for column, values in zip(COLUMNS, found, strict=True)}
+        if not usable.all():
+            block = SampleBlock({name: values[usable] for name, values in block.columns.items()})
+        found: dict[str, ColumnArray] = {}
+        for column, values in zip(COLUMNS, self._estimate(block), strict=True):
+            unknown = NO_INT if values.dtype == np.int64 else math.nan
+            found[column.name] = np.full(len(usable), unknown, values.dtype)
+            found[column.name][usable] = values
+        return found
 
     def _estimate(self, block: SampleBlock) -> list[ColumnArray]:
         """Run the filter over a block; return the columns."""
@@ -139,7 +139,7 @@ class AttitudeEstimate:
         time_ns, n = block["device_time_ns"], len(block)
         learned = np.flatnonzero(bias_known[1:] != bias_known[:-1]) + 1
         edges = sorted({0, n, *begins, *learned.tolist()})
-        # A slot ends before the row behind it, which may begin anew.
+        # A slot ends before the row behind it, at which the attitude may be reinitialized.
         ended = [0, *np.searchsorted(slots.row, edges, side="right").tolist()]
         ends: list[tuple[int, Rows]] = [(0, self._slot_end)]
         for j, start in enumerate(edges):
@@ -149,7 +149,7 @@ class AttitudeEstimate:
             if start == n:
                 break
             if start in begins:
-                self._begin_anew()
+                self._reinitialize()
                 ends.append((start, self._slot_end))
             part = slice(start, edges[j + 1])
             self._fusion.process(rows[1:][part], time_ns[part], has_mag[part], bool(bias_known[start]))
@@ -162,7 +162,7 @@ class AttitudeEstimate:
         """Gather what the filter and the sigmas take.
 
         Returns the samples as `ROW`, (n + 1,), behind the last one of the block before; whether each has a
-        field and a known bias, (n,); the slots that end; and the rows that begin anew.
+        field and a known bias, (n,); the slots that end; and the rows to reinitialize at.
         """
         n, gyro, accel, mag = len(block), block.gyro, block.accel, block.mag
         assert gyro is not None
@@ -191,12 +191,12 @@ class AttitudeEstimate:
             sent["mag"] = np.where(has_mag[:, np.newaxis], field, 0.0)
             latest = np.maximum.accumulate(np.where(has_mag, np.arange(1, n + 1), 0))
             sent["field"] = np.where((latest > 0)[:, np.newaxis], rows["mag"][latest], rows["field"][0])
-        for name in ("q", "levelling", "carried", "low_force"):
+        for name in ("quat6d", "acc_quat", "gyr_quat", "low_force"):
             sent[name] = math.nan
         return rows, has_mag, known, slots, begins
 
     def _intervals(self, time_ns: IntArray, segment: IntArray) -> tuple[list[int], FloatArray]:
-        """Return the rows that begin anew, after a restart or a gap, and the time since the row before, s."""
+        """Return the rows to reinitialize at (restart or gap), and the time since the row before, s."""
         if not len(time_ns):
             return [], np.empty(0)
         last_ns, last_segment = self._last_time or (int(time_ns[0]), int(segment[0]))
@@ -206,7 +206,7 @@ class AttitudeEstimate:
         begins = np.flatnonzero(changed | (interval > GAP_NS) | (interval < 0))
         return begins.tolist(), np.asarray(interval * 1e-9)
 
-    def _begin_anew(self) -> None:
+    def _reinitialize(self) -> None:
         """Begin another attitude; what is known of the sensors stays."""
         self._restarts += self._fusion.begun
         self._fusion = Fusion(self._heading)
@@ -221,26 +221,28 @@ class AttitudeEstimate:
     def _end_slot(self, rows: Rows, has_mag: BoolArray, slots: Slots, k: int) -> None:
         """Estimate how far the attitude is off at the end of a slot."""
         row, end = int(slots.row[k]), rows[slots.row[k]]
-        if not self._fusion.begun or np.isnan(end["q"][0]):
+        if not self._fusion.begun or np.isnan(end["quat6d"][0]):
             return
         slot = self._slot(end, slots, k)
         tilt = self._tilt_sigma.step(slot)
-        turn = self._heading_sigma.step(slot, tilt)
+        heading_variance = self._heading_sigma.step(slot, tilt)
         if slot.north and self._has_other_axes(slot, slots, k):
             self._fusion.lose_north(rows, row + 1)
             has_mag[row:] = False
             self._begin_heading()
-            turn = math.nan
+            heading_variance = math.nan
         gyros = self._tilt_sigma.gyros
         if self._other_axes and not gyros.confirmed.all():
-            turn = math.nan  # gyros or magnetometer: nobody knows which is wrong
-        of_gyros = gyros.variance + ~gyros.confirmed
-        self._slot_end = np.array([(tilt, turn, end["path"], end["ignored"], slot.up, of_gyros)], SLOT_END)
+            heading_variance = math.nan  # gyros or magnetometer: nobody knows which is wrong
+        of_gyros = gyros.variance + np.where(gyros.confirmed, 0.0, 1.0)
+        self._slot_end = np.array(
+            [(tilt, heading_variance, end["path"], end["ignored"], slot.up, of_gyros)], SLOT_END
+        )
 
     def _slot(self, end: Rows, slots: Slots, k: int) -> Slot:
         """Return a slot for the sigmas, from its last row."""
         turns = slots.turns
-        body, levelling, carried = matrices(np.array([end["q"], end["levelling"], end["carried"]]))
+        body, leveled, carried = matrices(np.array([end["quat6d"], end["acc_quat"], end["gyr_quat"]]))
         force = carried @ slots.mean[k, 3:6]
         rest = bool(slots.smallest[k, 6] == 1.0 and force @ force > 0.0)
         ignored = np.nan_to_num(end["ignored"] - self._slot_end["ignored"][0])  # NaN: the first slot
@@ -250,16 +252,16 @@ class AttitudeEstimate:
         lost = turns.fast[k] ** 2 + turns.missed[k] + turns.coning[k] @ turns.coning[k] / 3.0
         return Slot(
             rest=rest,
-            up=levelling[2],
+            up=leveled[2],
             up_body=body[2],
             force=force,
             low_force=float(end["low_force"]) or math.nan,
-            turn=carried @ turns.rotation[k].T @ turns.by_scale[k].reshape(3, 9),
+            sensitivity=carried @ turns.rotation[k].T @ turns.by_scale[k].reshape(3, 9),
             lost=float(lost + since @ since),
             bias_sd=float(np.linalg.norm(body[2] * end["bias_sd"])),
             north=bool(end["north"]),
             field=end["field"].copy(),
-            yaw=float(end["yaw"]),
+            delta=float(end["delta"]),
             follow_rate=float(end["follow_rate"]),
         )
 
@@ -281,19 +283,21 @@ class AttitudeEstimate:
 
     def _output(self, rows: Rows, latest: Rows) -> list[ColumnArray]:
         """Return the columns of rows from the filter and the end of the latest slot before each, (n,)."""
-        c, s = np.cos(0.5 * rows["yaw"]), np.sin(0.5 * rows["yaw"])
-        w, x, y, z = rows["q"].T
+        c, s = np.cos(0.5 * rows["delta"]), np.sin(0.5 * rows["delta"])
+        w, x, y, z = rows["quat6d"].T
         q = np.column_stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
         up = matrices(q)[:, 2]
         # What was turned wrong since the latest slot, and half an interval: a rate may be the mean of the
         # interval before or that of the moment.
         since = ((rows["path"] - latest["path"]) ** 2 * latest["gyros"]).sum(1)
         since += ((rows["ignored"] - latest["ignored"]) ** 2).sum(1) + (rows["angle"] ** 2).sum(1) / 12.0
-        moved2 = ((matrices(rows["levelling"])[:, 2] - latest["up"]) ** 2).sum(1)
+        moved2 = ((matrices(rows["acc_quat"])[:, 2] - latest["up"]) ** 2).sum(1)
         tilt = latest["tilt"] + since + 0.5 * moved2
-        turn = latest["heading"] + since + tilt_into_heading(up, tilt)
+        heading_variance = latest["heading"] + since + tilt_into_heading(up, tilt)
         # More than a radian is no small angle, and its standard deviation means nothing.
-        tilt_sd, heading_sd = (np.sqrt(np.where(each < 1.0, each, math.nan)) for each in (tilt, turn))
+        tilt_sd, heading_sd = (
+            np.sqrt(np.where(each < 1.0, each, math.nan)) for each in (tilt, heading_variance)
+        )
         if self._down == 0.0 and np.isfinite(up[:, 2]).any():
             self._down = 1.0 if up[np.argmax(np.isfinite(up[:, 2])), 2] < 0.0 else -1.0
         # The third axis of the level frame that the body axes are like, in body axes.
@@ -308,13 +312,13 @@ class AttitudeEstimate:
         if not self._fusion.begun:
             text = "waiting"
         elif not self._fusion.north:
-            text = "heading free"
+            text = "relative heading"
         else:
             text = "disturbed: magnetic field" if self._fusion.disturbed else f"magnetic north{calibrated}"
         return {"attitude": text}
 
     def notices(self) -> list[str]:
-        """Return, once each, what an attitude lacks and when it began anew, where the device sends none."""
+        """Return once what an attitude lacks and its reinitializations, where the device sends none."""
         retired = self._parameters.retired
         conditions = dict.fromkeys((f"attitude: {name} is not used any more" for name in retired), True)
         if not self._device_has_attitude:
@@ -326,8 +330,7 @@ class AttitudeEstimate:
     def _conditions(self) -> dict[str, bool]:
         """Return the texts of `notices`, and whether each applies."""
         north, begun, other_axes = self._fusion.north, self._fusion.begun, self._other_axes
-        declared = self._parameters.accel_bias_m_per_s2
-        accel_sd = ACCEL_SD if declared is None else declared
+        accel_sd = max(self._parameters.accel_bias_m_per_s2 or 0.0, ACCEL_SD)
         reference = f"{math.degrees(self._heading):.0f}°"
         return {
             "attitude: in turns the accelerometers show another vertical than the gyros carry, so the "
@@ -335,21 +338,21 @@ class AttitudeEstimate:
             "last for many seconds, as in a car, show the same": self._tilt_sigma.gyros.contradicted,
             "attitude: the specific force at rest is not gravity within what accelerometers are off by "
             f"({accel_sd:.2g} m/s²): are its scale and unit right?": (
-                abs(self._force - STANDARD_GRAVITY) > GRAVITY_SPREAD + 3.0 * accel_sd
+                abs(self._force - STANDARD_GRAVITY) > 3.0 * accel_sd
             ),
-            "attitude: without a magnetometer the heading is free; it counts from "
+            "attitude: without a magnetometer the heading is relative; it counts from "
             f"{reference} at the beginning": begun and not north and not other_axes,
             "attitude: while the unit turns the field goes as if the magnetometer had not the gyros' axes: "
             f"their x, y, z seem to be its {named(WAYS[other_axes])}; or the gyros are wrong. "
-            "North is not taken from it any more, the heading is free and counts from "
+            "North is not taken from it any more, the heading is relative and counts from "
             f"{reference} there": bool(other_axes),
             "attitude: the magnetometer is not calibrated, so nobody knows how far the heading is off; "
             "record a figure-eight, then: imumon magnetometer SESSION --out MODEL.yaml": (
                 north and self._magnetometer is None
             ),
-            f"attitude: begun anew, {self._restarts} times so far, after a restart or a gap of more than "
+            f"attitude: reinitialized, {self._restarts} times so far, after a restart or a gap of more than "
             f"{GAP_NS * 1e-9:g} s, in which the unit may have turned"
-            + ("" if north else f": the free heading counts from {reference} again"): self._restarts > 0,
+            + ("" if north else f": the relative heading counts from {reference} again"): self._restarts > 0,
         }
 
 

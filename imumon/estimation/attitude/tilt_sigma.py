@@ -1,23 +1,10 @@
-"""How far VQF's vertical may be off: one standard deviation about each level axis.
+"""Standard deviation of VQF's vertical about each level axis, by (T1) to (T7) of docs/attitude.md.
 
 VQF turns the specific force into axes that only the gyros carry, low-passes it there with the time constant
 tau, and takes what is left for up, u.  True up stands still in these axes.  So an error of the tilt shows as
-a change of u, whether accelerations or gyros cause it.  With J the integral of C (x) rate over a slot, C from
-body to gyro-carried axes, and level(J) = |J|² - |u J|² what of it tilts, summed over its nine columns::
-
-    change     d  = |u(t) - u(t - 2 tau)|²                                          (1)
-    mean       m  = mean of d / 4 over the last 20 s of motion                      (2)
-    delay      l  = s² level(J) / 2 + sum over unconfirmed gyros of level(J_ii) / 2 + lost,
-                    J of the last tau: what u has not followed yet                  (3)
-    scale      s² = (g0 s0² + sum of d) / (g0 + sum of level(J over 2 tau))         (4)
-    accel      a² = a0² + 2 mean of z² over the body faces that were up             (5)
-    in motion  : max(m, 2 d / 4, l) + a² / g²                                       (6)
-    at rest    : |u - f / |f||² / 2 + a² / g²                                       (7)
-
-(1) has two moments and two axes, so d / 4 is the variance.  The 2 in (6): when a motion begins u was right
-before, so all of the change is error.  In (5) z is the mean of |low-passed force| - g with that face up: one
-of three components of the error, two of which tilt.  A gyro is confirmed once u has followed turns about its
-axis; until then its error is as large as its turn, for its axis or sign may not be as declared.
+a change of u, whether accelerations or gyros cause it.  J, (3, 9), is the integral of C (x) rate over a slot,
+with C from body to gyro-carried axes: column 3 i + j is the rotation vector that a unit element (i, j) of the
+gyros' matrix of scale and misalignment adds, so 0, 4 and 8 are the turns about the gyros' own axes.
 """
 
 from __future__ import annotations
@@ -33,22 +20,22 @@ from imumon.estimation.attitude.fusion import TAU_ACC_S
 from imumon.geodesy import STANDARD_GRAVITY
 
 SLOT_S = 0.5
-"""Length of a slot, s; 1/4 s gives the same sigma to 0.04 of its errors."""
+"""Length of a slot, s: short beside tau."""
 LAG_S = 2.0 * TAU_ACC_S
-"""Lag of (1), s: by then VQF's low-pass has forgotten.  Ablation: 3 s is not honest, 12 s is 7 % wider."""
-MEMORY_S = 20.0
-"""A motion is taken to go on as it was for so long, s; 5 and 60 s make no difference."""
+"""Lag of (T1), s, after which VQF's low-pass has forgotten; (T2) averages over three lags.  Ablation: with a
+lag of 3 s z has an rms of 1.5, with 12 s sigma is 14 % wider."""
 ACCEL_SD = 0.075
-"""a0 of accelerometers that are not declared, m/s²: 7.5 mg, between 5 and 10 mg of a calibrated unit.  A bet:
-a single pose cannot tell 5 mg from 40.  Ablation: attitude, a0."""
+"""a0 of accelerometers that are not declared, m/s²: 7.5 mg, between 5 and 10 mg of a calibrated unit.  A
+prior that a single pose cannot correct: it does not tell 5 mg from 40."""
 SCALE_SD = 0.02
 """s0 of gyros that are not declared: between 1 % of a calibrated unit and 3 % of an MPU-6050."""
 SCALE_TURN = 2.0
-"""g0, rad²: s0 counts like so much turn; 0.5 to 8 make no difference."""
+"""g0, rad²: s0 counts like so much turn.  Ablation: 0.5 and 8 change sigma by 2 and 6 %."""
 CONFIRMING_TURN = 0.1
-"""rad² of turn about its own axis, the vertical having moved as it should, that confirm a gyro."""
+"""rad² of tilt by turns about its own axis that confirm a gyro: some 20°.  Ablation: 1 rad² leaves a drone
+without."""
 LARGEST_CHANGE = 0.05
-"""Share of that turn by which u may change; 1 to 10 % make no difference."""
+"""Share of that tilt by which u may change.  Ablation: 1 and 10 % change sigma by at most 2 %."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +51,7 @@ class Slot:
     """Mean specific force, m/s², (3,); NaN where there is none."""
     low_force: float
     """Magnitude of the low-passed specific force at its end, m/s²."""
-    turn: FloatArray
+    sensitivity: FloatArray
     """J, rad, (3, 9)."""
     lost: float
     """Variance of the angle by samples that are missing or too slow, and by turns taken for rest, rad²."""
@@ -72,14 +59,14 @@ class Slot:
     """Standard deviation of the gyro bias about the vertical, rad/s; NaN where it is not known."""
     north: bool
     field: FloatArray
-    yaw: float
+    delta: float
     follow_rate: float
     """At its end, as of `fusion.ROW`; the field in the unit of the calibration."""
 
 
 @dataclass(slots=True)
 class Accelerometers:
-    """Size of the accelerometers' error, by the magnitude of gravity in each pose."""
+    """Size of the accelerometers' error, by the magnitude of gravity in each pose: a² of (T5)."""
 
     declared: float | None
     face_s: FloatArray = field(default_factory=lambda: np.zeros(6))
@@ -96,7 +83,7 @@ class Accelerometers:
 
     @property
     def variance(self) -> float:
-        """a² of (5), (m/s²)²."""
+        """a0² + 2 mean of z², (m/s²)²; the 2 is a margin, as z shows one of three components."""
         if self.declared is not None:
             return self.declared**2
         z = self.face_sum / np.maximum(self.face_s, SLOT_S)
@@ -111,17 +98,19 @@ class Gyros:
     change: float = 0.0
     """Sum of d over all lags, rad²."""
     turned: float = 0.0
-    """Sum of level(J), rad²."""
+    """Sum of tilt²(J), rad²."""
     own_change: FloatArray = field(default_factory=lambda: np.zeros(3))
     own_turned: FloatArray = field(default_factory=lambda: np.zeros(3))
     """The same of each gyro about its own axis."""
     confirmed: BoolArray = field(default_factory=lambda: np.zeros(3, bool))
     """Which gyros have turned the vertical as they should."""
 
-    def learn(self, change: float, turned: FloatArray) -> None:
-        """Take d, and level(J) over the last lag, (9,), rad²."""
+    def learn(self, change: float, sensitivity: FloatArray, up: FloatArray) -> None:
+        """Take d, rad², and J, (3, 9), of the last lag."""
         share = SLOT_S / LAG_S  # successive lags overlap
-        own = turned[::4]
+        turned = tilt_squared(sensitivity, up)
+        # A turn counts as a quarter of a circle at most: by half a circle each way the vertical is the same.
+        own = turned[::4] / np.maximum((sensitivity[:, ::4] ** 2).sum(0) / (0.5 * math.pi) ** 2, 1.0)
         self.change += share * change
         self.turned += share * float(turned.sum())
         self.own_turned += share * own
@@ -137,7 +126,7 @@ class Gyros:
 
     @property
     def variance(self) -> float:
-        """s² of (4)."""
+        """s² = (g0 s0² + sum of d) / (g0 + sum of tilt²(J)) (T4)."""
         return (SCALE_TURN * self.prior + self.change) / (SCALE_TURN + self.turned)
 
     @property
@@ -153,14 +142,12 @@ class TiltSigma:
     accelerometers: Accelerometers
     gyros: Gyros
     ups: deque[FloatArray] = field(default_factory=lambda: deque(maxlen=round(LAG_S / SLOT_S) + 1))
-    turns: deque[FloatArray] = field(default_factory=lambda: deque(maxlen=round(LAG_S / SLOT_S)))
+    sensitivities: deque[FloatArray] = field(default_factory=lambda: deque(maxlen=round(LAG_S / SLOT_S)))
     """u and J of the last lag."""
     mean: float = 0.0
-    """m of (2), rad²."""
-    moved_s: float = 0.0
-    """Time in motion, s."""
+    """m of (T2), rad²."""
     late: FloatArray = field(default_factory=lambda: np.zeros((3, 9)))
-    """J of (3), rad."""
+    """J of (T3), rad."""
     lost: float = 0.0
     """Variance by lost samples, rad², forgotten within tau as J of (3)."""
     rested: bool = False
@@ -169,39 +156,38 @@ class TiltSigma:
     def step(self, slot: Slot) -> float:
         """Take a slot; return the variance at its end, rad²; NaN while nothing is known."""
         self.ups.append(slot.up)
-        self.turns.append(np.zeros((3, 9)) if slot.rest else slot.turn)
+        self.sensitivities.append(np.zeros((3, 9)) if slot.rest else slot.sensitivity)
         change = float(((slot.up - self.ups[0]) ** 2).sum())
         if math.isfinite(slot.low_force):
             self.accelerometers.learn(slot.up_body, slot.low_force)
-        self.gyros.learn(change, level(np.sum(self.turns, axis=0), slot.up))
+        self.gyros.learn(change, np.sum(self.sensitivities, axis=0), slot.up)
         variance = self._at_rest(slot) if slot.rest else self._in_motion(slot, change)
         return variance + self.accelerometers.variance / STANDARD_GRAVITY**2
 
     def _at_rest(self, slot: Slot) -> float:
-        """(7): the distance from the vertical that the accelerometers show."""
+        """|u - f / |f||² / 2 (T7): how far the specific force is from u."""
         self.rested = True
         self.late[:] = self.lost = 0.0
         return 0.5 * float(((slot.up - slot.force / np.linalg.norm(slot.force)) ** 2).sum())
 
     def _in_motion(self, slot: Slot, change: float) -> float:
-        """(6)."""
-        self.moved_s += SLOT_S
-        self.mean += SLOT_S / min(max(self.moved_s, LAG_S), MEMORY_S) * (0.25 * change - self.mean)
+        """max(m, d / 2, l) (T6); d / 2 where u was right before, so that all of the change is error."""
+        self.mean += SLOT_S / (3.0 * LAG_S) * (0.25 * change - self.mean)
         delay = self._delay(slot)
-        if not self.rested and self.moved_s < LAG_S:
+        if not self.rested and SLOT_S * len(self.sensitivities) < LAG_S:
             return math.nan  # begun in motion: there is no earlier vertical to compare with
         return max(self.mean, 0.5 * change, delay)
 
     def _delay(self, slot: Slot) -> float:
-        """(3)."""
+        """l of (T3), not yet corrected by VQF's low-pass: scale, unconfirmed gyros and lost samples."""
         forget = math.exp(-SLOT_S / TAU_ACC_S)
-        self.late = forget * self.late + slot.turn
+        self.late = forget * self.late + slot.sensitivity
         self.lost = forget**2 * self.lost + slot.lost
-        tilted = level(self.late, slot.up)
+        tilted = tilt_squared(self.late, slot.up)
         unconfirmed = float(tilted[::4] @ ~self.gyros.confirmed)
         return 0.5 * (self.gyros.variance * float(tilted.sum()) + unconfirmed) + self.lost
 
 
-def level(turn: FloatArray, up: FloatArray) -> FloatArray:
-    """Return the squares of what each element of scale and misalignment tilts, rad², (9,)."""
-    return np.asarray((turn * turn).sum(0) - (up @ turn) ** 2)
+def tilt_squared(sensitivity: FloatArray, up: FloatArray) -> FloatArray:
+    """Return |J|² - (u J)², rad², (9,): the squared tilt by a unit element of scale and misalignment."""
+    return np.asarray((sensitivity * sensitivity).sum(0) - (up @ sensitivity) ** 2)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.smoothing.record import READINGS, SUFFIXES, TURN, Record
+from imumon.estimation.smoothing.record import READINGS, SUFFIXES, Record
 from imumon.pipeline import Estimator
 
 
@@ -18,33 +18,33 @@ def backward(
 ) -> dict[str, FloatArray]:
     """Return temperature, its rate and the bias, with their sigmas, by what comes later, (n,) each.
 
-    Rest is that of the forward run.  The rest detector runs again only for ``turn_hypothesis``, the rotation
-    too slow to tell from a bias: reversed in time it begins where it ended.
+    Rest is that of the forward run.  Of the rest detector only ``turn_hypothesis_{x,y,z}`` are used, the
+    rotation rate that cannot be told from a bias: reversed in time it begins where it ended.
 
     Parameters
     ----------
     temperature, rest, bias : Estimator
-        New stages.  That of the bias has no curve over temperature: it is subtracted from the rates here.
+        New stages.  That of the bias has no bias model: the modelled bias is subtracted from the rates here.
     """
     ends = np.flatnonzero(np.diff(record.run, append=-1))
     last_ns = record.middle_ns[ends][np.searchsorted(record.run[ends], record.run)]
     # The modelled bias: zero without a model, NaN while it is not known.
-    curve = record.vector("gyro_bias") - record.vector("gyro_random_error")
-    modelled = (np.nan_to_num(curve) != 0.0).any(0)
-    curve = np.where(np.isfinite(curve) | modelled, curve, 0.0)
+    model = record.vector("gyro_bias") - record.vector("gyro_random_error")
+    modelled = (np.nan_to_num(model) != 0.0).any(0)
+    model = np.where(np.isfinite(model) | modelled, model, 0.0)
     columns = {
         "device_time_ns": last_ns - record.middle_ns,
         "segment": record.run.max(initial=0) - record.run,
         "at_rest": (record.columns["at_rest"] == 1.0).astype(np.int64),
     }
     for j, axis in enumerate("xyz"):
-        columns[f"gyro_{axis}"] = curve[:, j] - record.columns[f"gyro_{axis}"]
+        columns[f"gyro_{axis}"] = model[:, j] - record.columns[f"gyro_{axis}"]
         columns[f"accel_{axis}"] = record.columns[f"accel_{axis}"]
     columns |= {name: record.columns[name] for name in READINGS if np.isfinite(record.columns[name]).any()}
     block = SampleBlock({name: np.ascontiguousarray(values[::-1]) for name, values in columns.items()})
     block = block.with_columns(temperature.process(block))
-    turn = {name: values for name, values in rest.process(block).items() if name in TURN}
-    block = block.with_columns(turn)
+    turns = {name: each for name, each in rest.process(block).items() if name.startswith("turn_hypothesis")}
+    block = block.with_columns(turns)
     block = block.with_columns(bias.process(block))
     found: dict[str, FloatArray] = {}
     for suffix in SUFFIXES:
@@ -53,6 +53,6 @@ def backward(
                 found[f"{name}{suffix}"] = sign * block[f"{name}{suffix}"][::-1]
                 found[f"{name}_sd{suffix}"] = block[f"{name}_sd{suffix}"][::-1]
     for j, axis in enumerate("xyz"):
-        found[f"gyro_bias_{axis}"] = curve[:, j] - block[f"gyro_bias_{axis}"][::-1]
+        found[f"gyro_bias_{axis}"] = model[:, j] - block[f"gyro_bias_{axis}"][::-1]
         found[f"gyro_bias_sd_{axis}"] = block[f"gyro_bias_sd_{axis}"][::-1]
     return found

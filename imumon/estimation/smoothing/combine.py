@@ -1,12 +1,12 @@
 """One estimate from a forward and a backward filter (Fraser and Potter 1969).
 
 If their errors are independent, their difference has the variance P_f + P_b, and the weights are the inverse
-variances.  Let r be the rms of the difference over its standard deviation, over a recording::
+variances.  Let r be the rms over a recording of the normalised residual |f - b| / sqrt(P_f + P_b)::
 
     r < 1    the errors have a common covariance c = (1 - r²) (P_f + P_b) / 2, which averaging cannot reduce
-    r > 1    the model lacks an effect: all standard deviations are multiplied by r, or by the median ratio
-             if that is smaller; where a single ratio exceeds two, the standard deviation is multiplied by
-             that ratio (scale factor of the Particle Data Group)
+    r > 1    the model lacks an effect: all standard deviations are multiplied by r, or by the median
+             residual over that of a normal one if that is smaller (scale factor of the Particle Data
+             Group); where a single residual exceeds two, the standard deviation is multiplied by it
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ MEDIAN = 0.6745
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Smoothed:
-    """Estimate and standard deviation, (n,) each, and r, the disagreement of the directions; see above."""
+    """Estimate and standard deviation, (n,) each, and r as above."""
 
     value: FloatArray
     sd: FloatArray
-    disagreement: float
+    residual: float
 
 
 def combine(
@@ -43,14 +43,15 @@ def combine(
     if not both.any():
         return Smoothed(value, sd, math.nan)
     p_f, p_b = forward_sd[both] ** 2, backward_sd[both] ** 2
-    ratio = np.abs(forward - backward)[both] / np.sqrt(p_f + p_b)
-    r = float(np.sqrt(np.mean(ratio**2)))
+    residual = np.abs(forward - backward)[both] / np.sqrt(p_f + p_b)
+    r = float(np.sqrt(np.mean(residual**2)))
     # At most the smaller variance: then the direction that has it is taken alone.
     common = np.minimum(max(1.0 - r * r, 0.0) * 0.5 * (p_f + p_b), np.minimum(p_f, p_b))
     own_f, own_b = p_f - common, p_b - common
     weight = np.divide(own_b, own_f + own_b, out=np.full(len(p_f), 0.5), where=own_f + own_b > 0.0)
     value[both] = weight * forward[both] + (1.0 - weight) * backward[both]
     variance = weight**2 * own_f + (1.0 - weight) ** 2 * own_b + common
-    usual = max(min(r, float(np.median(ratio)) / MEDIAN), 1.0)
-    sd[both] = np.sqrt(variance) * np.maximum(usual, np.where(ratio > SUSPECT, ratio, 1.0))
+    usual = max(min(r, float(np.median(residual)) / MEDIAN), 1.0)
+    sd *= usual  # also where there is one direction
+    sd[both] = np.sqrt(variance) * np.where(residual > SUSPECT, np.maximum(residual, usual), usual)
     return Smoothed(value, sd, r)

@@ -15,10 +15,7 @@ SLOT_NS = 31_250_000
 SUFFIXES = ("", "_x", "_y", "_z")
 """Of the columns of a thermometer."""
 READINGS = tuple(f"temperature{suffix}" for suffix in SUFFIXES)
-
-
 SENSORS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
-TURN = tuple(f"turn_hypothesis_{axis}" for axis in "xyz")
 _THERMAL = ("temperature_estimate", "temperature_estimate_sd", "temperature_rate", "temperature_rate_sd")
 _BIAS = ("gyro_bias", "gyro_bias_sd", "gyro_random_error")
 NAMES = (
@@ -27,7 +24,6 @@ NAMES = (
     "at_rest",
     *(f"{name}{suffix}" for name in _THERMAL for suffix in SUFFIXES),
     *(f"{name}_{axis}" for name in _BIAS for axis in "xyz"),
-    *TURN,
     "attitude_estimate_heading",
     "heading",
     "heading_sd",
@@ -41,7 +37,7 @@ class Record:
     stop: IntArray
     """Row of the recording after the last of each slot, (n,)."""
     run: IntArray
-    """Counts restarts, (n,)."""
+    """Number of the segment, counted from restart to restart, (n,)."""
     middle_ns: IntArray
     """Device time, (n,)."""
     columns: dict[str, FloatArray]

@@ -43,7 +43,7 @@ class SmoothedEstimates:
         columns: list[Column] = []
         self.columns: Sequence[Column] = columns
         """The columns that `process` adds."""
-        self.disagreement: dict[str, float] = {}
+        self.residuals: dict[str, float] = {}
         """r of `combine`, by quantity."""
         forward = record.columns
         found = {
@@ -54,8 +54,8 @@ class SmoothedEstimates:
         if heading is not None:
             found["heading", "heading_sd", "rad"] = heading
         for (value, sd, unit), of in found.items():
-            if math.isfinite(of.disagreement):
-                self.disagreement[value] = of.disagreement
+            if math.isfinite(of.residual):
+                self.residuals[value] = of.residual
             if np.isfinite(of.sd).any():
                 self._values |= {smoothed(value): of.value, smoothed(sd): of.sd}
                 columns.append(Column(smoothed(value), unit, description="with what came later"))
@@ -72,12 +72,12 @@ class SmoothedEstimates:
 
     def notices(self) -> list[str]:
         """Return, once, the quantities in which forward and backward contradict each other."""
-        suspect = [f"{name} ({value:.1f} σ)" for name, value in self.disagreement.items() if value > SUSPECT]
+        suspect = [f"{name} ({r:.1f} σ)" for name, r in self.residuals.items() if r > SUSPECT]
         if self._reported or not suspect:
             return []
         self._reported = True
         return [
-            f"forward and backward contradict each other in {', '.join(suspect)}: something turned at once "
+            f"forward and backward contradict each other in {', '.join(suspect)}: something changed abruptly "
             "that the filter takes for smooth, or its model lacks an effect (of a bias, imumon diagnose may "
             "name it); the smoothed sigma is widened by that"
         ]

@@ -14,7 +14,7 @@ from imumon.estimation.spectrum.welch import Spectrum, peaks, welch
 
 TAB = "Spectrum"
 SPAN_S = 30.0
-"""Length of the window of samples, s."""
+"""Length of the window of samples, s, and the most samples in it: above 1.09 kHz it is shorter."""
 MOST_SAMPLES = 32768
 PARTS = 7
 """A segment is two of so many parts of the span, or a little less: six overlap by half."""
@@ -23,8 +23,8 @@ FEWEST = 256
 GAP = 20.0
 """A gap of more intervals is not bridged: the spectrum is that of what came after it."""
 _GROUPS = {
-    "gyro": ("Angular rate, the last 30 s", "°/s", float(np.degrees(1.0))),
-    "accel": ("Specific force, the last 30 s", "m/s²", 1.0),
+    "gyro": ("Angular rate, last 30 s at most", "°/s", float(np.degrees(1.0))),
+    "accel": ("Specific force, last 30 s at most", "m/s²", 1.0),
 }
 CHANNELS = tuple(f"{group}_{axis}" for group in _GROUPS for axis in AXIS_COLORS)
 

@@ -17,9 +17,9 @@ MOST_PEAKS = 3
 FALSE_ALARM = 0.01
 """Chance that white noise shows a peak anywhere in a spectrum."""
 FLOOR_BINS = 15
-"""The floor under a line is the median over so many bins beside it: a line of a Hann window covers four."""
+"""The floor under a line is the median over so many bins on one side, beyond the line itself."""
 HALF_LINE = 2
-"""A line of a Hann window has its power in so many bins on either side."""
+"""A line of a Hann window has its power in its bin and so many on either side."""
 OVERLAP_COST = 19.0 / 18.0
 """Variance of half-overlapping Hann segments over that of as many independent ones, for many: Welch, section
 on overlapped segments, 1 + 2 ρ² with ρ² = (1/6)²."""
@@ -55,7 +55,7 @@ def welch(values: FloatArray, interval_s: float, length: int) -> Spectrum:
 
 
 def peaks(spectrum: Spectrum) -> list[Peak]:
-    """Return the strongest lines that noise of this floor does not make, the strongest first."""
+    """Return the strongest lines above what noise of this floor reaches, the strongest first."""
     density, frequency = spectrum.density, spectrum.frequency_hz
     if len(density) < 2 * FLOOR_BINS:
         return []
@@ -63,10 +63,10 @@ def peaks(spectrum: Spectrum) -> list[Peak]:
     from scipy.special import gammaincinv
 
     shape = spectrum.segments / OVERLAP_COST
-    # The mean is taken out of each segment: its window leaks into the first bins.
+    # The first bins are left out: subtracting the mean of a segment has lowered them.
     medians = median_filter(density[HALF_LINE:], FLOOR_BINS, mode="nearest")
     medians = np.pad(medians, (HALF_LINE + FLOOR_BINS // 2 + 1, FLOOR_BINS // 2 + 1), "edge")
-    # The higher of those below and above each bin: on a slope that is the one to beat.
+    # The higher of the medians below and above each bin, so that the flank of a steep floor is no line.
     sides = np.maximum(medians[: len(density)], medians[-len(density) :])
     floor = sides * shape / float(gammaincinv(shape, 0.5))
     limit = float(gammaincinv(shape, 1.0 - FALSE_ALARM / len(density))) / shape

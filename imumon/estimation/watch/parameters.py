@@ -13,9 +13,10 @@ class WatchParameters(StrictModel):
     Parameters
     ----------
     false_alarm_hours : float
-        Mean time at rest, h, that passes at least until a first false alarm, while the filter is right.
+        Least mean time at rest, h, until a false alarm, while the filter is right.
     learn : bool
-        Whether a better model, where one is found, runs beside the present one and is kept when it wins.
+        Whether a better model, where one is found, runs beside the present one, and replaces it once its
+        predictions are better.
     """
 
     false_alarm_hours: float = Field(default=24.0, ge=0.1, le=1e5)

@@ -31,7 +31,7 @@ def interpret(peaks: FloatArray, modelled: bool) -> tuple[str, str]:
         named = [driver for driver in drivers if strength[driver] >= COMPARABLE_SHARE * strongest]
         does = f"follow {' or '.join(named)}"
     else:
-        named = [Pattern.PAST if strength[Pattern.PAST] >= least else Pattern.SIZE]
+        named = [Pattern.AUTOCORRELATION if strength[Pattern.AUTOCORRELATION] >= least else Pattern.VARIANCE]
         does = named[0]
     shown = [pattern in named for pattern in PATTERNS]
     axes = ", ".join(axis for axis, of in zip("xyz", peaks[:, shown].max(1), strict=True) if of >= least)
@@ -47,7 +47,7 @@ def _advice(named: list[Pattern], thermal: bool, modelled: bool) -> str:
     effects = list(dict.fromkeys(effect for pattern in named for effect in suspected_by(pattern)))
     either = " or ".join([", ".join(effects[:-1]), *effects[-1:]] if len(effects) > 1 else effects)
     diagnose = f"imumon diagnose --train SESSION{' --model SESSION' * modelled} --out DIR"
-    if named == [Pattern.SIZE]:
+    if named == [Pattern.VARIANCE]:
         return "the noise declared is too small, or something shakes the unit: imumon allan SESSION"
     if modelled:  # a session that ran with a model has it
         return f"the model lacks an effect such as {either}: {diagnose}"

@@ -104,8 +104,8 @@ def test_without_a_magnetometer_the_heading_is_free_and_its_change_has_a_sigma()
         assert np.abs(moved / sd[known[1:]]).max() < 4.0  # at every sample, that of the first motion too
         assert np.isnan(sd[0])  # nothing is known of the bias yet
         assert (found["attitude_estimate_north"][20:] == 0).all()
-        assert stage.lanes() == {"attitude": "heading free"}
-        assert [text for text in stage.notices() if "heading is free; it counts from 10°" in text]
+        assert stage.lanes() == {"attitude": "relative heading"}
+        assert [text for text in stage.notices() if "heading is relative; it counts from 10°" in text]
         assert stage.notices() == []
 
 
@@ -299,10 +299,10 @@ def test_the_result_does_not_depend_on_the_blocks(slower: int) -> None:
         for name, expected in whole.items():
             np.testing.assert_array_equal(pieces[name], expected, err_msg=name)
     q = whole["attitude_estimate_w"]
-    assert np.isnan(q[[0, 1234, 2501, 3000, 5000]]).all()  # no rate known yet, no time, no gyro, begun anew
+    assert np.isnan(q[[0, 1234, 2501, 3000, 5000]]).all()  # no rate known yet, no time, no gyro, gap
     assert np.isfinite(q[[20, 2002, 2999, 3020, 4999, 5020]]).all()
     assert whole["attitude_estimate_north"][3000] == NO_INT
-    assert any("begun anew, 2 times so far, after a restart or a gap" in text for text in stage.notices())
+    assert any("reinitialized, 2 times so far, after a restart or a gap" in text for text in stage.notices())
 
 
 @pytest.mark.parametrize("heading_deg", [None, 130.0])
@@ -319,11 +319,11 @@ def test_each_new_reference_of_a_free_heading_is_said(heading_deg: float | None)
     for start in range(0, len(block), 500):
         heading = stage.process(block.rows(start, start + 500))["attitude_estimate_heading"]
         began += heading[np.isfinite(heading)][:1].tolist() if start in (0, 1500, 3000, 4500) else []
-        said += [text for text in stage.notices() if "begun anew" in text]
+        said += [text for text in stage.notices() if "reinitialized" in text]
     reference = heading_deg or 0.0
     np.testing.assert_allclose(wrapped(np.array(began) - np.radians(reference)), 0.0, atol=0.01)
     assert [int(text.split(", ")[1].split()[0]) for text in said] == [1, 2, 3]
-    assert all(text.endswith(f"the free heading counts from {reference:.0f}° again") for text in said)
+    assert all(text.endswith(f"the relative heading counts from {reference:.0f}° again") for text in said)
 
 
 def test_samples_too_far_apart_for_an_attitude_do_not_begin_one_anew() -> None:
@@ -331,7 +331,7 @@ def test_samples_too_far_apart_for_an_attitude_do_not_begin_one_anew() -> None:
     slow = block.with_columns({"device_time_ns": 50 * block["device_time_ns"]})  # 2 Hz
     stage = AttitudeEstimate(axes="FRD")
     assert np.isnan(estimated(slow, stage)["attitude_estimate_w"]).all()
-    assert not [text for text in stage.notices() if "begun anew" in text]
+    assert not [text for text in stage.notices() if "reinitialized" in text]
 
 
 def test_intervals_that_differ_do_not_turn_the_heading() -> None:

@@ -45,7 +45,7 @@ def test_both_halves_of_a_rest_agree_within_their_sigmas() -> None:
     assert np.ptp(found.value[still]) == 0.0
     middle = len(time_s) // 2
     assert abs(error_deg(found.value[middle], 30.0)) < 4.0 * math.degrees(found.sd[middle])
-    assert found.disagreement < 3.0
+    assert found.residual < 3.0
 
 
 def test_halves_that_contradict_each_other_widen_the_sigma() -> None:
@@ -59,7 +59,7 @@ def test_halves_that_contradict_each_other_widen_the_sigma() -> None:
     }
     same, _ = smoothed(block)
     other, _ = smoothed(block.with_columns(turned))
-    assert same.disagreement < 2.0 < other.disagreement
+    assert same.residual < 2.0 < other.residual
     middle = len(other.sd) // 2
     assert other.sd[middle] > 2.0 * same.sd[middle]
 
@@ -67,4 +67,4 @@ def test_halves_that_contradict_each_other_widen_the_sigma() -> None:
 def test_nothing_is_said_where_the_north_is_not_observable() -> None:
     found, _ = smoothed(samples(scenario(60.0, rate_hz=RATE_HZ, arw=0.28)))
     assert np.isnan(found.value).all()
-    assert found.disagreement == pytest.approx(math.nan, nan_ok=True)
+    assert found.residual == pytest.approx(math.nan, nan_ok=True)

@@ -86,7 +86,7 @@ def test_the_smoothed_bias_errs_less_and_as_its_sigma_says(chamber: dict[str, An
             errors["smoothed"].append(error[known])
             errors["z"].append(error / found[f"gyro_bias_smoothed_sd_{axis}"])
             assert np.isfinite(error).all()  # what comes later fills the beginning
-            assert stage.disagreement[f"gyro_bias_{axis}"] < 2.0
+            assert stage.residuals[f"gyro_bias_{axis}"] < 2.0
     forward, smoothed, z = (np.concatenate(parts) for parts in errors.values())
     assert np.sqrt(np.mean(smoothed**2)) < 0.95 * np.sqrt(np.mean(forward**2))
     assert 0.4 < np.sqrt(np.mean(z**2)) < 1.8
@@ -125,7 +125,7 @@ def test_the_earth_turns_the_other_way_backward() -> None:
     true = true_bias(truth, vertical)
     z = (found["gyro_bias_smoothed_z"] - true[:, 2]) / found["gyro_bias_smoothed_sd_z"]
     assert np.abs(z).max() < 5.0
-    assert stage.disagreement["gyro_bias_z"] < 2.0
+    assert stage.residuals["gyro_bias_z"] < 2.0
 
 
 def test_a_jump_that_the_model_lacks_shows_in_the_disagreement() -> None:
@@ -138,7 +138,7 @@ def test_a_jump_that_the_model_lacks_shows_in_the_disagreement() -> None:
     jumped = SampleBlock(raw)
     jumped = jumped.with_columns(GyroBias(mode="learned").process(jumped))
     stage = smooth(jumped)
-    assert min(stage.disagreement[f"gyro_bias_{axis}"] for axis in "xyz") > 2.0
+    assert min(stage.residuals[f"gyro_bias_{axis}"] for axis in "xyz") > 2.0
     assert any("contradict each other in gyro_bias_x" in text for text in stage.notices())
     assert stage.notices() == []
 
@@ -186,6 +186,6 @@ def test_a_recording_without_sensors_has_nothing_to_smooth() -> None:
     empty = SampleBlock({"device_time_ns": np.arange(50) * 10_000_000, "segment": np.zeros(50, np.int64)})
     stage = smooth(empty)
     assert stage.process(empty) == {}
-    assert stage.disagreement == {}
+    assert stage.residuals == {}
     nothing = SampleBlock({"device_time_ns": np.empty(0, np.int64), "segment": np.empty(0, np.int64)})
     assert smooth(nothing).process(nothing) == {}

@@ -66,7 +66,9 @@ def test_the_evidence_is_the_largest_sum_of_logarithms_of_e_factors() -> None:
     past = np.clip(
         np.clip(innovation, -evidence.CLIP, evidence.CLIP)[evidence.LEARNING - 1 : -1, 1] / 3, -1, 1
     )
-    constant, first_past = (np.argmax(each == evidence.PATTERNS) for each in (Pattern.TIME, Pattern.PAST))
+    constant, first_past = (
+        np.argmax(each == evidence.PATTERNS) for each in (Pattern.TIME, Pattern.AUTOCORRELATION)
+    )
     for place, r in ((constant, np.ones(len(v))), (first_past, past)):
         gains = [
             theta * (r * v - evidence.TOLERANCE * np.abs(r)) - theta**2 * r**2 * evidence.KAPPA / 2
