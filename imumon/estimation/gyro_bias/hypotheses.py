@@ -50,6 +50,8 @@ class Second(NamedTuple):
     """m/s², (3,); NaN without accelerometers."""
     degc: FloatArray
     """Temperature of each gyro, (3,); NaN without one."""
+    heading: FloatArray = np.full(3, np.nan)
+    """A vector that turns with the heading, (3,), by a magnetometer or the device; NaN without one."""
 
 
 class Evidence(NamedTuple):

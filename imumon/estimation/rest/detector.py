@@ -19,7 +19,13 @@ from imumon.estimation.gyro_bias.law import Law
 from imumon.estimation.gyro_bias.modes import SLOPE_PER_SIGMA, unknown_modes
 from imumon.estimation.gyro_bias.timing import Span
 from imumon.estimation.rest import quiet
-from imumon.estimation.rest.odds import as_predicted, by_gravity, first_was_turn, probability_of_turn
+from imumon.estimation.rest.odds import (
+    as_predicted,
+    by_compass,
+    by_gravity,
+    first_was_turn,
+    probability_of_turn,
+)
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.quiet import ACCEL, GYRO, TRIAL
 from imumon.geodesy import EARTH_RATE
@@ -32,6 +38,8 @@ CHANGE_LOG_RATIO = 12.0
 """Log likelihood ratio of a changed bias over a turn from which on the bias has changed."""
 TURN_LOG_RATIO = 2.0
 """The same of a turn over a changed bias, from which on a mean that fits a wide law is no rest."""
+BEGAN_LOG_RATIO = 8.0
+"""Log likelihood ratio by the compass from which on the recording began in a turn."""
 LEAST_SECONDS = 3
 """Seconds over which gravity is compared; in the first ones of a rest its slots are, and where the rate has
 just changed also the seconds before."""
@@ -45,6 +53,8 @@ class Reading(NamedTuple):
     span: Span
     slot: quiet.Slot
     degc: float
+    heading: FloatArray
+    """(3,); NaN without one."""
 
 
 @dataclass(slots=True, eq=False)
@@ -59,6 +69,8 @@ class State:
     """Angle turned since the last rest, rad: the earth rate in the bias has turned by as much."""
     decided: bool = False
     """Whether a second has been decided on since it was last not quiet."""
+    began_turning: bool = False
+    """Whether the first mean of the recording is a turn, by the compass."""
     at_rest: bool = False
     turn: FloatArray = field(default_factory=lambda: np.zeros(3))
     """What is shown: whether it is at rest, and the turn that may be a change of the bias, rad/s, (3,)."""
@@ -69,7 +81,7 @@ def begin(state: State, other: bool) -> None:
     was."""
     quiet.begin(state.quiet)
     if other:
-        state.bias, state.turn = hypotheses.State(), np.zeros(3)
+        state.bias, state.began_turning, state.turn = hypotheses.State(), False, np.zeros(3)
     _move(state)
 
 
@@ -91,7 +103,8 @@ def step(state: State, parameters: RestParameters, reading: Reading) -> None:
         state.pending.append(reading)
         if run >= LEAST_SLOTS and sum(one.span.seconds for one in state.pending) >= SECOND_S:
             _decide(state, parameters)
-    state.at_rest = run >= LEAST_SLOTS and state.decided and not state.bias.turning
+    turning = state.bias.turning or state.began_turning
+    state.at_rest = run >= LEAST_SLOTS and state.decided and not turning
 
 
 def _noise(state: State) -> FloatArray:
@@ -109,6 +122,8 @@ def _turn_on(state: State, reading: Reading) -> None:
 
 def _move(state: State) -> None:
     """Note that the unit moves: a second that is not complete is dropped."""
+    if state.began_turning:
+        state.bias, state.began_turning = hypotheses.State(), False
     if state.bias.nominal is not None:
         hypotheses.move(state.bias)
         if not state.bias.contradicted:
@@ -140,10 +155,14 @@ def _second(readings: list[Reading], with_force: bool) -> Second:
     """Return the means of some slots."""
     seconds = [one.span.covered_s for one in readings]
     total = sum(seconds)
-    mean = np.array(seconds) / total @ np.array([one.slot.mean for one in readings])
+    weight = np.array(seconds) / total
+    mean, heading = (
+        weight @ np.array(part)
+        for part in zip(*((one.slot.mean, one.heading) for one in readings), strict=True)
+    )
     last = readings[-1]
     force = mean[ACCEL] if with_force else np.full(3, np.nan)
-    return Second(last.span.end_s, total, mean[GYRO], force, np.full(3, last.degc))
+    return Second(last.span.end_s, total, mean[GYRO], force, np.full(3, last.degc), heading)
 
 
 def _decide(state: State, parameters: RestParameters) -> None:
@@ -164,6 +183,14 @@ def _decide(state: State, parameters: RestParameters) -> None:
 
     hypotheses.decide(bias, now, np.full(3, earth), test)
     state.decided, state.path = True, 0.0
+    if bias.first is not None and not bias.contradicted:
+        state.began_turning |= by_compass(bias.recent, np.zeros(3)) < -BEGAN_LOG_RATIO
+    if state.began_turning:
+        if bias.contradicted:
+            begin(state, other=True)
+        else:
+            state.turn = now.rate
+        return
     _, ambiguity = hypotheses.shown(bias, now.end_s, now.degc, now.force)
     rounding = state.quiet.rounding_error[GYRO]
     state.turn = np.where(rounding > 0.0, np.copysign(np.hypot(ambiguity, rounding), ambiguity), ambiguity)
@@ -176,13 +203,14 @@ def _evidence(
     difference: FloatArray,
     seconds: list[Second],
 ) -> Evidence:
-    """Test a difference from the nominal bias by gravity, the first mean of the recording, and time."""
+    """Test a difference from the nominal bias by gravity, a compass, the first mean, and time."""
     bias = state.bias
     now = bias.recent[-1]
     value, variance = law.bias(now.force, of_mean=True)
     turn = sum((one.seconds * (one.rate - value) for one in seconds[1:]), np.zeros(3))
     noise = float(_noise(state)[ACCEL].max()) / seconds[0].seconds
     ratio, part = by_gravity(seconds, difference, turn, float(variance.max()), noise, parameters.accel_drift)
+    ratio += by_compass(seconds, value)
     others = as_predicted(part, variance)
     if bias.first is not None and bias.fits_s >= FIRST_S:
         others += first_was_turn(bias.first, now.rate)

@@ -1,5 +1,5 @@
 """Of a steady rate that is not the nominal bias: is it a turn, or has the bias changed?  The odds, and the
-likelihood ratio by gravity."""
+likelihood ratios by gravity and by a compass."""
 
 from __future__ import annotations
 
@@ -24,6 +24,10 @@ MOSTLY_LEVEL = 3.0
 """The level part of a change over the vertical one from which on that decides for the whole."""
 NOT_OBLIQUE = 3.0
 """Log likelihood ratio against an oblique turn from which on only the vertical part may be a turn."""
+COMPASS_ERROR = 0.15
+"""Error of a change of heading over that change: hard and soft iron.  Assumed."""
+COMPASS_NOISE = 0.01
+"""rad, least standard deviation of a heading: a device gives its yaw in steps, and filters it."""
 MOST_LOG_RATIO = 50.0
 TINY = 1e-24
 BEGAN_TURNING = 0.05
@@ -107,6 +111,30 @@ def by_gravity(
     upright = 0.5 * level2 / variance + math.log(variance * USUAL_CHANGE / (USUAL_CHANGE**2 + level2) ** 1.5)
     ratio = math.log(2.0) - float(np.logaddexp(-oblique, -max(upright, 0.0)))
     return ratio, change - across if oblique > NOT_OBLIQUE else change
+
+
+def by_compass(seconds: Sequence[Second], bias: FloatArray) -> float:
+    """Return the log likelihood ratio of no turn over one about the vertical by what the rate exceeds a
+    bias, rad/s, (3,).
+
+    Both hypotheses give the angle by which the heading has turned since the first of the seconds, with one
+    variance; its sense is not compared, for not all devices count the yaw alike.
+    """
+    seconds = [one for one in seconds if np.isfinite(one.heading[0] + one.force[0])]
+    if len(seconds) < 4:
+        return 0.0
+    heading, force = (
+        np.array(part) for part in zip(*((one.heading, one.force) for one in seconds), strict=True)
+    )
+    up = force / np.linalg.norm(force, axis=1, keepdims=True)
+    angle = abs(float(sum(one.seconds * (one.rate - bias) for one in seconds[1:]) @ up[-1]))
+    if not heading[:, 2].any():  # a yaw has two components
+        up = np.array([[0.0, 0.0, 1.0]])
+    north = heading - (heading * up).sum(1, keepdims=True) * up
+    turned = np.unwrap(np.arctan2(north @ np.cross(up[-1], north[0]), north @ north[0]))
+    found, noise2 = abs(float(turned[-1])), float((np.diff(turned, 2) ** 2).mean()) / 3.0
+    variance = noise2 + COMPASS_NOISE**2 + (COMPASS_ERROR * angle) ** 2
+    return ((found - angle) ** 2 - found**2) / (2.0 * variance)
 
 
 def first_was_turn(first: FloatArray, now: FloatArray) -> float:

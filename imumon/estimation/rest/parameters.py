@@ -27,7 +27,8 @@ class RestParameters(StrictModel):
     largest_jump : float
         Largest change of a gyro's bias within one run of the unit, rad/s.
     begins_turning, gyro_g_sensitivity, gyro_walk : float
-        Not used any more: a recording is taken to begin at rest, and the others are learned.
+        Not used any more: a recording that begins in a turn is found by a magnetometer or a yaw alone, and
+        the others are learned.
     """
 
     gyro_drift: float = Field(default=1e-4, ge=0.0, le=1.0)

@@ -45,7 +45,7 @@ class RestDetector:
 
     def __init__(self, parameters: RestParameters | None = None) -> None:
         self._parameters = parameters or RestParameters()
-        self._slots = SlotGatherer(AXES + 1, int(SLOT_S * 1e9))
+        self._slots = SlotGatherer(AXES + 4, int(SLOT_S * 1e9))
         self._timing = Timing()
         self._state = State()
         self._last_ns, self._last_segment = NO_INT, 0
@@ -61,13 +61,15 @@ class RestDetector:
         """Return ``at_rest``, int64, and ``turn_hypothesis_{x,y,z}`` of a block.
 
         Needs ``device_time_ns`` and ``segment``; takes what there is of gyro_{x,y,z} in rad/s and
-        accel_{x,y,z} in m/s², and of temperature_estimate or temperature in °C.
+        accel_{x,y,z} in m/s², of mag_{x,y,z}, yaw or q_{w,x,y,z}, and of temperature_estimate or temperature
+        in °C.
         """
         n = len(block)
-        readings = np.full((n, AXES + 1), np.nan)
+        readings = np.full((n, AXES + 4), np.nan)
         for place, name in enumerate(INPUTS):
             readings[:, place] = block.columns.get(name, np.nan)
-        readings[:, AXES] = _temperature(block)
+        readings[:, AXES:-1] = _heading(block)
+        readings[:, -1] = _temperature(block)
         time_ns, segment = block["device_time_ns"], block["segment"]
         rows = np.flatnonzero((time_ns != NO_INT) & np.isfinite(readings[:, :AXES]).any(1))
         if len(rows) == n:
@@ -111,7 +113,8 @@ class RestDetector:
         )
         if span.seconds > 0.0:
             slot = slots[k]._replace(seconds=span.seconds)
-            step(self._state, self._parameters, Reading(span, slot, float(ended.mean[k, AXES])))
+            heading, degc = ended.mean[k, AXES:-1], float(ended.mean[k, -1])
+            step(self._state, self._parameters, Reading(span, slot, degc, heading))
 
     def _hold(self, found: IntArray, readings: FloatArray, start: int, stop: int) -> None:
         """Fill in rows of the slot that is open: a sample outside the band of a unit at rest ends it
@@ -137,6 +140,20 @@ class RestDetector:
     def restore(self, saved: dict[str, Any]) -> None:
         """Go on from a state that `snapshot` returned."""
         vars(self).update(deepcopy(saved))
+
+
+def _heading(block: SampleBlock) -> FloatArray:
+    """Return a vector that turns with the heading, (n, 3): the magnetic field in body axes, else cosine and
+    sine of the yaw and zero, else NaN."""
+    if block.mag is not None:
+        return block.mag
+    yaw, q = block.columns.get("yaw"), block.quaternion
+    if yaw is None and q is not None:
+        w, x, y, z = q.T
+        yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    if yaw is None:
+        return np.full((len(block), 3), np.nan)
+    return np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(block))])
 
 
 def _temperature(block: SampleBlock) -> FloatArray:

@@ -35,6 +35,16 @@ def turn(
     return block(t, gyro, accel), rate
 
 
+def with_field(samples: SampleBlock, rate: FloatArray) -> SampleBlock:
+    """Add a magnetometer that turns at this rate about z."""
+    angle = -np.cumsum(rate) / 25.0
+    x = np.cos(angle) * FIELD[0] - np.sin(angle) * FIELD[1]
+    y = np.sin(angle) * FIELD[0] + np.cos(angle) * FIELD[1]
+    field = np.column_stack([x, y, np.full(len(x), FIELD[2])])
+    field += 0.3 * np.random.default_rng(9).standard_normal(field.shape)
+    return samples.with_columns({f"mag_{axis}": field[:, i] for i, axis in enumerate("xyz")})
+
+
 def found(
     samples: SampleBlock, parameters: RestParameters | None = None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -175,6 +185,41 @@ def test_a_jump_about_the_vertical_stays_undecided_and_says_so() -> None:
     _, rest, hypothesis = found(block(t, gyro, accel))
     assert not rest[t > 40.1].any()
     assert np.abs(hypothesis[t > 45.0]).min() > 0.2 * DEG
+
+
+@pytest.mark.parametrize("turns", [True, False])
+def test_a_magnetometer_decides(turns: bool) -> None:
+    samples, rate = turn(0.8, 5.0, 1.0)
+    t, rest, hypothesis = found(with_field(samples, rate if turns else np.zeros_like(rate)))
+    during = (t > BEGIN_S + 60.0) & (t < BEGIN_S + 300.0)
+    assert np.all(rest[during] == (0 if turns else 1))
+    assert np.abs(hypothesis[during]).max() < 0.04 * 0.8 * DEG
+    assert np.all(rest[t > BEGIN_S + 340.0] == 1) or not turns
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_so_does_the_yaw_of_the_device_whatever_its_sense(sense: float) -> None:
+    samples, rate = turn(0.8, 5.0, 1.0)
+    yaw = sense * np.cumsum(rate) / 25.0
+    t, rest, hypothesis = found(samples.with_columns({"yaw": (yaw + np.pi) % (2 * np.pi) - np.pi}))
+    during = (t > BEGIN_S + 60.0) & (t < BEGIN_S + 300.0)
+    assert not rest[during].any()
+    assert np.abs(hypothesis[during]).max() < 0.01 * DEG
+    still = found(samples.with_columns({"yaw": np.full(len(t), 3.1)}))[1]
+    assert still[during].all()
+
+
+@pytest.mark.parametrize("rate_dps", [0.6, -8.0, 30.0])
+def test_with_a_magnetometer_a_recording_that_begins_in_a_turn_is_not_at_rest(rate_dps: float) -> None:
+    t, gyro, accel = noise(200.0, 25.0)
+    rate = np.where(t < 100.0, rate_dps * DEG, 0.0)
+    gyro[:, 2] += rate
+    _, rest, hypothesis = found(with_field(block(t, gyro, accel), rate))
+    turning = (t > 15.0) & (t < 100.0)
+    assert not rest[turning].any()
+    assert np.abs(hypothesis[turning]).min() > 0.8 * abs(rate_dps) * DEG  # the whole of it may be in the bias
+    assert rest[t > 110.0].all()
+    assert np.abs(hypothesis[t > 110.0]).max() < 0.02 * DEG
 
 
 @pytest.mark.parametrize("degrees", [1.0, 8.0])
