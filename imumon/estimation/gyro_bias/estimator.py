@@ -89,8 +89,6 @@ class State:
     turn: Turn = STILL
     lost: bool = False
     """Since the last rest, and whether readings were missing meanwhile."""
-    left_s: float = 0.0
-    """When the last rest ended."""
     added: FloatArray = field(default_factory=lambda: np.zeros(3))
     """Variance that has not been taken into the filters yet, (rad/s)², (3,)."""
     force: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
@@ -154,7 +152,7 @@ def _leave(state: State, slot: Slot) -> None:
     """Follow the unit while it is not at rest; what has not counted does not."""
     beliefs = state.beliefs
     if state.latest:
-        state.left_s, state.pending, state.latest = slot.span.end_s, [], []
+        state.pending, state.latest = [], []
     if beliefs.nominal is None:
         return
     if not beliefs.moved:
@@ -201,10 +199,7 @@ def _look_for_beginning(state: State, params: Params) -> bool:
     if known:
         noise = np.maximum(params.white**2, LEAST_WHITE)
     state.noise = noise
-    first = slots[0].force
-    state.attitude.come_to_rest(
-        first if np.isfinite(first).all() else None, params.place, STILL, math.nan, lost=True
-    )
+    state.attitude.come_to_rest(slots[0].force, params.place, STILL, None)
     hypotheses.begin(state.beliefs, params.modes(noise), _seconds(state, slots), noise, bool(known))
     state.pending, state.added = [], np.zeros(3)
     return True
@@ -240,10 +235,9 @@ def _count(state: State, params: Params) -> FloatArray:
     assert beliefs.nominal is not None
     law = beliefs.nominal.law
     if beliefs.moved:
-        force = slots[0].force if np.isfinite(slots[0].force).all() else None
-        drift = (slots[-1].span.end_s - state.left_s) * math.sqrt(float(law.bias(state.force)[1].max()))
+        known = None if state.lost else law
         state.added = state.added + state.attitude.come_to_rest(
-            force, params.place, state.turn, drift, state.lost
+            slots[0].force, params.place, state.turn, known
         )
         state.turn, state.lost = STILL, False
     _check_noise(state)

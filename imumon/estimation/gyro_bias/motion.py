@@ -1,69 +1,38 @@
 """Bias of a unit that has never been at rest: gravity turns, by the gyros, with a bias that is not known.
 
-A vehicle speeds up and brakes, but its velocity stays bounded.  In axes that the gyros carry along, what the
-accelerometers sum up over a minute is gravity times the time, and a bias of the gyros bends it (to first
-order of what is left of the errors, and iterated, Gauss and Newton)::
+Once a minute twelve means of the specific force, in axes that the gyros carry along, are fitted (Gauss and
+Newton) by gravity, the bias, an accelerometer bias, and scale and misalignment M of the gyros::
 
-    ∫ C f dt = g t + v(t) - v(0) + ∫∫ [g x] C (bias + M ω) dt dt + ∫ C accelerometer bias dt
+    ∫ C f dt = (g + [g x] ∫ C (bias + M ω) dt + C accelerometer bias + N(0, s²)) dt
 
-The velocity v is a Matern process, jerky (Ornstein-Uhlenbeck) or smooth (once differentiable), with one of
-four correlation times, weighed by likelihood; its standard deviation is fitted to the window.
-Scale and misalignment M and the accelerometers' bias are constant, and go from window to window with the
-bias.
-
-The rate about the vertical is not estimated.  Only sways make it observable, by terms of second order: its
-estimate was wrong by four standard deviations.  So an upright axis has no bias.
+Accelerations are the noise, and the fit shows their variance s².  The rate about the vertical is not
+estimated: only sways make it observable.  So an upright axis has no bias.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.filters.turns import STILL, Turn, rotation_by
-from imumon.geodesy import DEG_PER_H, STANDARD_GRAVITY
+from imumon.geodesy import DEG_PER_H
 
 HALF_A_SLOT_S = 0.125
 PART_S, PARTS = 5.0, 12
 """A window is a minute: a bias of a degree per second turns it by a radian."""
-CORRELATIONS_S = (5.0, 20.0, 60.0, 200.0)
-MOST_TURNED = math.pi
-"""rad: a bias that turns a window by more may be a wrong minimum of the fit, and is not shown."""
 UNKNOWN_RATE = math.radians(3.0)
 """Standard deviation of the bias before anything is known: turn-on of consumer gyros."""
-UNKNOWN_SCALE, UNKNOWN_FORCE = 0.03, 0.4
-"""The same of elements of M, and of the accelerometers' bias, m/s²: 3 % and 40 mg, as data sheets of consumer
-units have it."""
-ANGLE_WALK = math.radians(0.6) / 60.0
-"""Of consumer gyros, rad/sqrt(s): in motion the noise is not measured."""
+PRIOR_SD = np.repeat([UNKNOWN_RATE, 0.03, 0.4], [3, 9, 3])
+"""Of the states: bias, elements of M, and accelerometers' bias, m/s²; 3 % and 40 mg, as consumer data sheets
+have it."""
+ALIKE = 4.0
+"""Factor of the variance: accelerations of successive parts are alike, where the speed changes slowly."""
 BIAS_WALK = 30.0 * DEG_PER_H
 """Random walk of the bias, rad/s/sqrt(s): 230 °/h a minute, as 100 °/h/°C at 2 °C/min makes it."""
-LEAST_SPEED2 = 1e-4
-"""(m/s)²: nothing that moves is steadier than 1 cm/s."""
-ITERATIONS = 5
-RATE, STATES = slice(0, 3), 15
-"""The states: bias, nine elements of M, bias of the accelerometers."""
-
-
-def _prior() -> FloatArray:
-    return np.diag(np.repeat([UNKNOWN_RATE**2, UNKNOWN_SCALE**2, UNKNOWN_FORCE**2], [3, 9, 3]))
-
-
-@dataclass(slots=True, eq=False)
-class Part:
-    """Some seconds: the turn, and the integral of the specific force in the axes of its beginning, m/s."""
-
-    turn: Turn = STILL
-    velocity: FloatArray = field(default_factory=lambda: np.zeros(3))
-
-    def then(self, turn: Turn, force: FloatArray) -> Part:
-        """Return this and a slot after it, with its mean specific force, m/s²."""
-        added = self.turn.rotation @ (turn.by_bias @ force)
-        return Part(self.turn.then(turn), self.velocity + added)
+RATE = slice(0, 3)
 
 
 @dataclass(slots=True, eq=False)
@@ -73,147 +42,82 @@ class Motion:
     Parameters
     ----------
     mean, covariance : array (15,), (15, 15)
-    parts : list of Part
-        Of the present window, the last one growing.
+        Of bias, nine elements of M, and accelerometers' bias.
+    parts : list of (Turn, array (3,))
+        Of the present window, the last one growing, with the integral of the specific force in the axes of
+        its beginning, m/s.
     force : array (3,)
         Mean specific force of the last window, m/s².
     """
 
-    mean: FloatArray = field(default_factory=lambda: np.zeros(STATES))
-    covariance: FloatArray = field(default_factory=_prior)
-    parts: list[Part] = field(default_factory=lambda: [Part()])
+    mean: FloatArray = field(default_factory=lambda: np.zeros(len(PRIOR_SD)))
+    covariance: FloatArray = field(default_factory=lambda: np.diag(PRIOR_SD**2))
+    parts: list[tuple[Turn, FloatArray]] = field(default_factory=list)
     force: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     def interrupt(self) -> None:
         """Begin the window anew: it rested, or readings are missing."""
-        self.parts = [Part()]
+        self.parts = []
 
     def take(self, turn: Turn, force: FloatArray) -> bool:
-        """Take a slot in motion; return whether a window has ended with it."""
-        self.parts[-1] = self.parts[-1].then(turn, force)
-        if self.parts[-1].turn.seconds < PART_S - HALF_A_SLOT_S:
+        """Take a slot in motion and its mean specific force, m/s²; return whether a window has ended."""
+        if not self.parts or self.parts[-1][0].seconds >= PART_S - HALF_A_SLOT_S:
+            self.parts.append((STILL, np.zeros(3)))
+        whole, velocity = self.parts[-1]
+        self.parts[-1] = whole.then(turn), velocity + whole.rotation @ (turn.by_bias @ force)
+        if len(self.parts) < PARTS or self.parts[-1][0].seconds < PART_S - HALF_A_SLOT_S:
             return False
-        if len(self.parts) < PARTS:
-            self.parts.append(Part())
-            return False
-        window = _Window(self.parts)
-        self.covariance[RATE, RATE] += np.eye(3) * BIAS_WALK**2 * window.seconds[-1]
-        fits = [_fitted(window, self.mean, self.covariance, process) for process in processes(window.seconds)]
-        self.mean, self.covariance = _mixed(fits)
-        vertical = window.force / math.sqrt(float(window.force @ window.force))
-        known = float(vertical @ self.covariance[RATE, RATE] @ vertical)
-        self.covariance[RATE, RATE] += max(UNKNOWN_RATE**2 - known, 0.0) * np.outer(vertical, vertical)
-        self.force = window.force
+        self._fit()
         self.interrupt()
         return True
+
+    def _fit(self) -> None:
+        """Take the window."""
+        seconds = sum(turn.seconds for turn, _ in self.parts)
+        total = sum((turn.rotation.T @ v for turn, v in self.parts), np.zeros(3))
+        self.force = np.asarray(total / seconds)
+        self.covariance[RATE, RATE] += np.eye(3) * BIAS_WALK**2 * seconds
+        known, variance = np.asarray(np.linalg.inv(self.covariance)), 1.0
+        mean = self.mean
+        for _ in range(10):
+            measured, design = self._linear(mean)
+            normal = design.T @ design / variance
+            information, right = normal.copy(), design.T @ measured / variance
+            information[3:, 3:] += known
+            right[3:] += known @ self.mean
+            found = np.asarray(np.linalg.solve(information, right))
+            left = measured - design @ found
+            free = len(left) - float(np.trace(np.linalg.solve(information, normal)))
+            variance, mean = ALIKE * max(float(left @ left) / free, 1e-4), found[3:]
+        self.mean, self.covariance = mean, np.asarray(np.linalg.inv(information)[3:, 3:])
+        vertical = self.force / np.linalg.norm(self.force)
+        self.mean[RATE] -= (vertical @ self.mean[RATE]) * vertical
+        lacking = UNKNOWN_RATE**2 - float(vertical @ self.covariance[RATE, RATE] @ vertical)
+        self.covariance[RATE, RATE] += max(lacking, 0.0) * np.outer(vertical, vertical)
+
+    def _linear(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what is linear in gravity and states (measured = design @ both), near some states."""
+        axes, angle = np.eye(3), np.zeros((3, len(at)))
+        measured, design = [], []
+        for turn, velocity in self.parts:
+            excess = turn.by_bias @ at[RATE]
+            added = axes @ rotation_by(-0.5 * excess) @ velocity
+            turned = np.zeros_like(angle)
+            turned[:, RATE], turned[:, 3:12] = axes @ turn.by_bias, axes @ turn.by_scale.reshape(3, 9)
+            # An angle too much turns the force, the half of it within the part.
+            by_states = np.cross(angle + 0.5 * turned, added[:, np.newaxis], axis=0)
+            measured.append(added + by_states[:, RATE] @ at[RATE])
+            by_states[:, 12:] += axes @ turn.by_bias
+            design.append(np.hstack([turn.seconds * np.eye(3), by_states]))
+            angle = angle + turned
+            axes = axes @ rotation_by(-excess) @ turn.rotation
+        return np.concatenate(measured), np.concatenate(design)
 
     @property
     def bias(self) -> tuple[FloatArray, FloatArray]:
         """Return bias and variance until the next window ends, (3,) each; NaN where little is known."""
         variance = np.diag(self.covariance)[RATE] + BIAS_WALK**2 * PART_S * PARTS
+        # A bias that turns a window by half a turn may be a wrong minimum of the fit.
         known = variance < (0.5 * UNKNOWN_RATE) ** 2
-        known &= float(np.linalg.norm(self.mean[RATE])) * PART_S * PARTS < MOST_TURNED
+        known &= float(np.linalg.norm(self.mean[RATE])) * PART_S * PARTS < math.pi
         return np.where(known, self.mean[RATE], np.nan), np.where(known, variance, np.nan)
-
-
-class _Window:
-    """A minute of parts."""
-
-    def __init__(self, parts: list[Part]) -> None:
-        self.parts = parts
-        self.seconds = np.cumsum([part.turn.seconds for part in parts])
-        # Each in the axes of its end.
-        total = sum((part.turn.rotation.T @ part.velocity for part in parts), np.zeros(3))
-        self.force = np.asarray(total / self.seconds[-1])
-
-    def summed(self, bias: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the velocities at the ends of parts, less a bias, and what the states change of them.
-
-        They are (n, 3) and (n, 3, 15), m/s, in the axes of the beginning.
-        """
-        n = len(self.parts)
-        velocity, by_states = np.empty((n, 3)), np.empty((n, 3, STATES))
-        axes, angle = np.eye(3), np.zeros((3, STATES))
-        whole, change = np.zeros(3), np.zeros((3, STATES))
-        for k, part in enumerate(self.parts):
-            turn, excess = part.turn, part.turn.by_bias @ bias
-            added = axes @ rotation_by(-0.5 * excess) @ part.velocity
-            turned = np.zeros((3, STATES))
-            turned[:, RATE] = axes @ turn.by_bias
-            turned[:, 3:12] = axes @ turn.by_scale.reshape(3, 9)
-            # What an angle too much has turned the force by, less than first order aside.
-            change = change + _cross(added) @ (angle + 0.5 * turned)
-            change[:, 12:] -= axes @ turn.by_bias
-            angle, whole = angle + turned, whole + added
-            axes = axes @ rotation_by(-excess) @ turn.rotation
-            velocity[k], by_states[k] = whole, change
-        return velocity, by_states
-
-
-def _cross(vector: FloatArray) -> FloatArray:
-    x, y, z = vector.tolist()
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def processes(seconds: FloatArray) -> list[FloatArray]:
-    """Return covariances of changes of velocity since the beginning, by the variance of the velocity."""
-    at = np.append(0.0, seconds)
-    apart = np.abs(np.subtract.outer(at, at))
-    jerky = [np.exp(-apart / tau) for tau in CORRELATIONS_S]
-    ranges = [math.sqrt(3.0) * apart / tau for tau in CORRELATIONS_S]
-    smooth = [(1.0 + x) * np.exp(-x) for x in ranges]
-    return [p[1:, 1:] - p[1:, :1] - p[:1, 1:] + 1.0 for p in jerky + smooth]
-
-
-class Fit(NamedTuple):
-    """Mean and covariance of the states, and how likely the window is, as a logarithm up to a constant."""
-
-    mean: FloatArray
-    covariance: FloatArray
-    evidence: float
-
-
-def _mixed(fits: list[Fit]) -> tuple[FloatArray, FloatArray]:
-    """Return mean and covariance of states that are one of these."""
-    evidence = np.array([fit.evidence for fit in fits])
-    share = np.exp(evidence - evidence.max())
-    share /= share.sum()
-    mean = np.asarray(sum(p * fit.mean for p, fit in zip(share, fits, strict=True)))
-    cover = np.zeros_like(fits[0].covariance)
-    for p, fit in zip(share, fits, strict=True):
-        cover += p * (fit.covariance + np.outer(fit.mean - mean, fit.mean - mean))
-    return mean, cover
-
-
-def _fitted(window: _Window, prior: FloatArray, covariance: FloatArray, process: FloatArray) -> Fit:
-    """Return the states after a window, for a process of the velocity: as of `processes`."""
-    t, n = window.seconds, len(window.seconds)
-    first, last = np.minimum.outer(t, t), np.maximum.outer(t, t)
-    walk = (ANGLE_WALK * STANDARD_GRAVITY) ** 2 * first**2 / 6.0 * (3.0 * last - first)
-    known = np.linalg.inv(covariance)
-    mean, speed2 = prior.copy(), 1.0
-    cover = covariance
-    design = np.zeros((n, 3, 3 + STATES))
-    design[:, :, :3] = t[:, np.newaxis, np.newaxis] * np.eye(3)
-    for _ in range(ITERATIONS):
-        velocity, by_states = window.summed(mean[RATE])
-        design[:, :, 3:] = -by_states
-        measured = velocity - by_states[:, :, RATE] @ mean[RATE]
-        for _ in range(ITERATIONS):
-            weight = np.linalg.inv(speed2 * process + walk)
-            weighed = np.einsum("ab,bij->aij", weight, design).reshape(3 * n, -1)
-            normal = design.reshape(3 * n, -1).T @ weighed
-            information = normal.copy()
-            information[3:, 3:] += known
-            right = weighed.T @ measured.reshape(-1)
-            right[3:] += known @ prior
-            found = np.linalg.solve(information, right)
-            left = measured - design @ found
-            free = 3.0 * n - float(np.trace(np.linalg.solve(information, normal)))
-            speed2 = max(speed2 * float(np.einsum("ai,ab,bi->", left, weight, left)) / free, LEAST_SPEED2)
-        mean, cover = found[3:], np.linalg.inv(information)[3:, 3:]
-    spread = np.linalg.slogdet(speed2 * process + walk)[1]
-    off = mean - prior
-    misfit = float(np.einsum("ai,ab,bi->", left, weight, left)) + float(off @ known @ off)
-    evidence = -0.5 * (3.0 * spread + float(np.linalg.slogdet(information)[1]) + misfit)
-    return Fit(mean, cover, evidence)

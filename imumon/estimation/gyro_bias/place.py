@@ -13,8 +13,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.blocks import FloatArray
+from imumon.estimation.gyro_bias.law import Law
+from imumon.estimation.gyro_bias.modes import SENSITIVITY
 from imumon.filters.turns import Turn
-from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL, earth_rate_along, north_in_body
+from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL, STANDARD_GRAVITY, earth_rate_along, north_in_body
 
 SCALE_SD = 0.01
 """Error of an element of the matrix of scale and misalignment: consumer data sheets."""
@@ -51,54 +53,59 @@ class Attitude:
     """What is known of the earth rate, rad/s, (3,)."""
     heading_variance: float = 0.0
     """Of the heading, where the place is known, rad²."""
-    placed: bool = False
 
     def uncertain_earth(self, place: Place) -> FloatArray:
         """Return the variance of the known earth rate by the error of the heading, (rad/s)², (3,)."""
         return np.asarray(place.horizontal**2 * self.heading_variance * (1.0 - self.up**2))
 
-    def come_to_rest(
-        self, force: FloatArray | None, place: Place, turn: Turn, drift: float, lost: bool
-    ) -> FloatArray:
+    def come_to_rest(self, force: FloatArray, place: Place, turn: Turn, law: Law | None) -> FloatArray:
         """Take the attitude of a new rest; return what that adds to the variance of the bias, (3,).
 
         Parameters
         ----------
-        force : array (3,) or None
-            Mean specific force, m/s².
+        force : array (3,)
+            Mean specific force, m/s²; NaN or zero without one.
         turn : Turn
             Since the last rest.
-        drift : float
-            Error of the heading that the bias has made meanwhile, rad; NaN when it is not known.
-        lost : bool
-            Whether the angle turned is not known, as readings were missing.
+        law : Law or None
+            Of the bias meanwhile; None where the angle turned is not known, as readings were missing.
         """
-        before, placed = self.up, self.placed
-        if force is None or not force.any():
+        size = float(np.linalg.norm(force))
+        if not size > 0.0:
             return np.zeros(3)
-        self.up, self.placed = force / np.linalg.norm(force), True
-        added = np.zeros(3)
-        if place.oriented:
-            sampled = math.sqrt(turn.sampling_variance(before))
-            scaled = SCALE_SD * float(np.linalg.norm(np.tensordot(before, turn.by_scale, 1)))
-            heading_sd = min(LOST_SD, scaled + sampled + drift) if math.isfinite(drift) else 0.0
-            if placed:
-                northward = self.north @ turn.rotation
-                northward -= (northward @ self.up) * self.up
-                length = float(np.linalg.norm(northward))
-                if length > LEAST_HORIZONTAL and not lost:
-                    self.north = northward / length
-                else:
-                    self.north, heading_sd = north_in_body(self.up, place.heading), LOST_SD
-                added = (place.horizontal * heading_sd) ** 2 * (1.0 - self.up**2)
-                self.heading_variance = min(LOST_SD**2, self.heading_variance + heading_sd**2)
+        before, self.up = self.up, force / size
+        placed, added = before.any(), np.zeros(3)
+        if placed and not place.oriented:
+            added = turned_earth(before, place, turn)
+        elif placed:
+            northward = self.north @ turn.rotation
+            northward -= (northward @ self.up) * self.up
+            length = float(np.linalg.norm(northward))
+            variance = LOST_SD**2
+            if law is not None and length > LEAST_HORIZONTAL:
+                self.north, variance = northward / length, min(heading_variance(before, turn, law), variance)
             else:
                 self.north = north_in_body(self.up, place.heading)
-        elif placed:
-            added = turned_earth(before, place, turn)
+            added = place.horizontal**2 * variance * (1.0 - self.up**2)
+            self.heading_variance = min(LOST_SD**2, self.heading_variance + variance)
+        elif place.oriented:
+            self.north = north_in_body(self.up, place.heading)
         if math.isfinite(place.latitude):
             self.earth = earth_rate_along(self.up, self.north, place.latitude)
         return added
+
+
+def heading_variance(up: FloatArray, turn: Turn, law: Law) -> float:
+    """Return the variance of the angle that a turn is said to have about the vertical, rad².
+
+    By the bias at f0, by the sensitivity to a gravity that turns in body axes, by scale and misalignment, and
+    for want of more samples; `up` (3,) is that before the turn.
+    """
+    upright_s = up @ turn.by_bias
+    turned2 = max(turn.seconds**2 - float(upright_s @ upright_s), 0.0)
+    sensitivity = float(np.einsum("aii->", law.covariance[:, SENSITIVITY, SENSITIVITY])) / 9.0
+    by_bias = float(upright_s**2 @ law.bias(law.force)[1]) + turned2 * STANDARD_GRAVITY**2 * sensitivity
+    return by_bias + SCALE_SD**2 * float(np.sum(turn.scale_about(up) ** 2)) + turn.sampling_variance(up)
 
 
 def turned_earth(up: FloatArray, place: Place, turn: Turn) -> FloatArray:
