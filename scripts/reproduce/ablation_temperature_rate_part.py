@@ -13,7 +13,7 @@ from thermometer_kinds import KINDS, Profile, constant, drifting, ramp, thermost
 from thermometers_table import errors, largest, rms
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.model import LEVEL_KINDS, MEAN_KINDS, Params, level_kind
+from imumon.estimation.temperature_rate.model import CODE_MODELS, MEAN_MODELS, Params, code_model
 from imumon.estimation.temperature_rate.stage import MultipleModelRate
 
 TITLE = "Rate of temperature: kinds of thermometers, and a measured record in steps of 0, 1/16, 0.5 and 1 °C."
@@ -36,32 +36,32 @@ STEPS_DEGC = (0.0, 0.0625, 0.5, 1.0)
 
 PARAMS = Params()
 VARIANTS: dict[str, Params] = {
-    "a level that stays is no evidence on slow errors": replace(PARAMS, renewal=0.0),
+    "a code that stays is no evidence on slow errors": replace(PARAMS, renewal=0.0),
     "no soft edges": replace(PARAMS, soft=0.0),
-    "no level is a surprise": replace(PARAMS, surprise=1e-300),
-    "a level never replaces a wide prediction": replace(PARAMS, wide=1e9),
-    "σ of a kind exact": replace(PARAMS, spacing=0.0),
+    "no code is a surprise": replace(PARAMS, surprise=1e-300),
+    "a code never replaces a wide prediction": replace(PARAMS, wide=1e9),
+    "σ of a model exact": replace(PARAMS, spacing=0.0),
     "7 white sigmas, not 13": replace(
         PARAMS,
-        level_kinds=(
-            *(level_kind(w) for w in (0.02, 0.06, 0.12, 0.2, 0.28, 0.36, 0.45)),
-            *(kind for kind in LEVEL_KINDS if kind.slow_variance),
+        code_models=(
+            *(code_model(w) for w in (0.02, 0.06, 0.12, 0.2, 0.28, 0.36, 0.45)),
+            *(model for model in CODE_MODELS if model.slow_variance),
         ),
     ),
-    "no level kinds with a slow error": replace(
-        PARAMS, level_kinds=tuple(kind for kind in LEVEL_KINDS if not kind.slow_variance)
+    "no code models with a slow error": replace(
+        PARAMS, code_models=tuple(model for model in CODE_MODELS if not model.slow_variance)
     ),
-    "no mean kinds with a slow error": replace(PARAMS, mean_kinds=MEAN_KINDS[:1]),
-    "no 1/f kinds": replace(
+    "no mean models with a slow error": replace(PARAMS, mean_models=MEAN_MODELS[:1]),
+    "no 1/f models": replace(
         PARAMS,
-        level_kinds=tuple(kind for kind in LEVEL_KINDS if not kind.walk),
-        mean_kinds=tuple(kind for kind in MEAN_KINDS if not kind.walk),
+        code_models=tuple(model for model in CODE_MODELS if not model.walk_per_s),
+        mean_models=tuple(model for model in MEAN_MODELS if not model.walk_per_s),
     ),
-    "5 smoothnesses, not 9": replace(PARAMS, jerks=PARAMS.jerks[::2]),
-    "no change of smoothness at once": replace(PARAMS, any_per_s=1e-9),
+    "5 jerk PSDs, not 9": replace(PARAMS, jerk_psds=PARAMS.jerk_psds[::2]),
+    "no change of the jerk PSD at once": replace(PARAMS, any_per_s=1e-9),
     "mixed every 16 s, not 4": replace(PARAMS, mix_s=16.0),
-    "no ramp that may have begun (λ = 0)": replace(PARAMS, onset_per_s=0.0),
-    "no glide": replace(PARAMS, glide_s=1e-3),
+    "no ramp that may have begun": replace(PARAMS, memory_s=1e9),
+    "no output lag": replace(PARAMS, output_lag_s=1e-3),
 }
 
 

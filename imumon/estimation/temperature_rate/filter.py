@@ -1,8 +1,8 @@
 """Multiple-model Kalman filter of temperature and rate: predict, mix, correct, output, once a slot.
 
-Arrays have the state first, then the kinds of noise and the smoothnesses: x (4, k, m), P (4, 4, k, m), and
-mode probabilities mu (k, m).  The smoothness of a temperature may change, so smoothnesses are mixed within
-each kind (IMM).  A thermometer does not change its nature, so kinds are only weighed (MMAE).  The steps are
+Arrays have the state first, then the noise models and the jerk PSDs: x (4, k, m), P (4, 4, k, m), and mode
+probabilities mu (k, m).  The jerk PSD of a temperature may change, so the filters of a noise model are mixed
+(IMM).  A thermometer does not change its nature, so noise models are only weighed (MMAE).  The steps are
 those of Bar-Shalom et al. (2001), section 11.6.
 """
 
@@ -26,26 +26,29 @@ from imumon.estimation.temperature_rate.model import (
     TEMPERATURE,
     Params,
     dynamics,
-    smoothness_transition,
+    jerk_transition,
 )
-from imumon.estimation.temperature_rate.thermometer import NEIGHBOUR_S, REVERSALS, Reading, Thermometer
+from imumon.estimation.temperature_rate.thermometer import REVERSALS, Reading, Thermometer
 from imumon.filters.multiple_models import mix, mixture, mode_probabilities
 from imumon.filters.rates import FASTEST_RATE, START_ACCELERATION, UNSEEN_RATE
 
 GAP_S = 600.0
-"""After so long without a reading, or of a sensor that is dead or sticks, there is no estimate, s."""
-LATE_INTERVALS = 3.0
-"""After so many usual intervals, and `NEIGHBOUR_S`, the next reading is not extrapolated to."""
+"""After so long without a reading, or of a sensor that is dead or sticks, there is no estimate, s.  Assumed:
+in that time a board goes through half a warm-up."""
+START_S = 900.0
+"""At the start a smooth temperature has no more acceleration than its jerk makes in this time, s."""
 WALK_S = 900.0
 """What a walk of the reading gains in this time is not known of the temperature, s."""
 FROZEN_S = 3600.0
-"""A level unchanged for an hour may be frozen: the rate is known worse by 1 °C/h every hour."""
+"""A code unchanged for this long may be frozen; from then on the sigma of the rate grows."""
+FROZEN_RATE = 1.0 / 3600.0
+"""It grows by this in every further `FROZEN_S`, °C/s: 1 °C/h."""
 LEAST_LEFT = 1e-9
 """A correction leaves so much of a variance, or rounding would leave none."""
 
 
-class Shown(NamedTuple):
-    """Estimate from a time on: a parabola of the temperature, and a decaying offset of its rate."""
+class Output(NamedTuple):
+    """Estimate from a time on: a temperature of constant rate, and a rate of constant acceleration."""
 
     time_s: float = 0.0
     temperature: float = math.nan
@@ -55,7 +58,7 @@ class Shown(NamedTuple):
     temperature_sd: float = math.nan
     rate_sd: float = math.nan
     rate_offset: float = 0.0
-    """Rate shown until `time_s` less the new rate, °C/s; it decays with `Params.glide_s`."""
+    """Rate of the output until `time_s` less the new rate, °C/s; it decays with `Params.output_lag_s`."""
     late_s: float = math.inf
     """Age from which on readings are missing, s."""
     reading_sd: float = math.nan
@@ -82,37 +85,40 @@ class State:
     gate: Gate = field(default_factory=Gate)
     filters: Filters | None = None
     """None without an estimate."""
-    shown: Shown = field(default_factory=Shown)
+    output: Output = field(default_factory=Output)
 
     def begin(self) -> None:
         """Begin a segment; what is known of the sensor stays."""
-        self.filters, self.shown, self.gate = None, Shown(), Gate()
+        self.filters, self.output, self.gate = None, Output(), Gate()
         self.thermometer.begin()
 
 
-def start(params: Params, thermometer: Thermometer, reading: Reading, kinds: FloatArray | None) -> Filters:
+def start(params: Params, thermometer: Thermometer, reading: Reading, models: FloatArray | None) -> Filters:
     """Return filters that begin at a slot's mean with any rate.
 
-    `kinds` (k,) are the probabilities of the kinds of noise; None if nothing is known of them.
+    `models` (k,) are the probabilities of the noise models; None if nothing is known of them.
     """
-    k, m = len(params.kinds.white), len(params.jerks)
-    kinds = np.full(k, 1.0 / k) if kinds is None else kinds
+    k, m = params.models.shape[1], len(params.jerk_psds)
+    models = np.full(k, 1.0 / k) if models is None else models
     x, p = np.zeros((STATES, k, m)), np.zeros((STATES, STATES, k, m))
     x[TEMPERATURE] = reading.mean
-    p[TEMPERATURE, TEMPERATURE] = thermometer.unit + reading.variance
+    p[TEMPERATURE, TEMPERATURE] = thermometer.noise_scale + reading.variance
     p[RATE, RATE] = FASTEST_RATE**2
-    # A smooth temperature has no more acceleration than its jerk makes in half an hour.
-    p[ACCELERATION, ACCELERATION] = np.minimum(START_ACCELERATION**2, np.array(params.jerks) * 900.0)
+    p[ACCELERATION, ACCELERATION] = np.minimum(START_ACCELERATION**2, np.array(params.jerk_psds) * START_S)
     p[ERROR, ERROR] = slow_error(params, thermometer)[0]
-    return Filters(x, p, np.repeat(kinds[:, np.newaxis] / m, m, axis=1), reading.time_s)
+    return Filters(x, p, np.repeat(models[:, np.newaxis] / m, m, axis=1), reading.time_s)
 
 
 def slow_error(params: Params, thermometer: Thermometer) -> tuple[FloatArray, FloatArray]:
-    """Return the variance of e in °C² and of its walk in °C²/s, of every kind, (k, 1)."""
-    kinds = params.kinds
-    unit = np.full_like(kinds.walk, thermometer.variance)
-    unit[: kinds.levels] = thermometer.unit
-    return kinds.slow_variance * unit, kinds.walk * unit
+    """Return the variance of e in °C² and of its walk in °C²/s, of every noise model, (k, 1)."""
+    _, slow_variance, slow_s, walk_per_s = params.models
+    # Of the variance of e, second differences of slot means, ρ, show (1 - φ)(3 - φ)/3.
+    keep = np.exp(-thermometer.spacing_s / slow_s)
+    scale = thermometer.variance / ((1.0 - keep) * (3.0 - keep) / 3.0)
+    walk_scale = np.full_like(slow_s, thermometer.variance / thermometer.spacing_s)
+    codes = len(params.code_models)
+    scale[:codes] = walk_scale[:codes] = thermometer.noise_scale
+    return slow_variance * scale, walk_per_s * walk_scale
 
 
 def predict(params: Params, filters: Filters, time_s: float, thermometer: Thermometer) -> None:
@@ -131,11 +137,11 @@ def predict(params: Params, filters: Filters, time_s: float, thermometer: Thermo
     filters.unmixed_s += dt
 
 
-def mix_smoothness(params: Params, filters: Filters) -> None:
-    """Mix the smoothnesses within each kind once enough time has passed: the IMM's interaction."""
+def mix_jerks(params: Params, filters: Filters) -> None:
+    """Mix the filters of each noise model once enough time has passed: the IMM's interaction."""
     if filters.unmixed_s < params.mix_s - 0.5 * SLOT_S:
         return
-    transition = smoothness_transition(params, round(filters.unmixed_s))
+    transition = jerk_transition(params, round(filters.unmixed_s))
     filters.x, filters.p, filters.mu = mix(filters.x, filters.p, filters.mu, transition)
     filters.unmixed_s = 0.0
 
@@ -146,94 +152,90 @@ def correct(params: Params, filters: Filters, y: Predicted, correction: Correcti
     variance_change = np.maximum(variance_change, -y.variance * (1.0 - LEAST_LEFT))
     filters.x = filters.x + y.gain * mean_change
     filters.p = filters.p + y.gain[:, np.newaxis] * (y.gain * variance_change)
-    filters.mu = mode_probabilities(filters.mu, log_likelihood, params.least)
+    filters.mu = mode_probabilities(filters.mu, log_likelihood, params.probability_floor)
 
 
-def step(params: Params, state: State, reading: Reading) -> Shown:
-    """Take a slot; return what is shown from its end on."""
+def step(params: Params, state: State, reading: Reading) -> Output:
+    """Take a slot; return the output from its end on."""
     thermometer, gate = state.thermometer, state.gate
-    repeated = thermometer.repeat_s
+    repeated = thermometer.repeat_s > 0.0
     fresh = thermometer.learn(reading) if reading.count else None
     if reading.end_s - gate.used_s > GAP_S:
-        state.filters, state.shown = None, Shown()
+        state.filters, state.output = None, Output()
     filters = state.filters
     if filters is None:
         dead = thermometer.is_dead(reading.time_s)
         if fresh is None or dead or gate.is_stuck(reading) or spans_a_fault(reading, thermometer):
-            return state.shown
+            return state.output
         return _restart(params, state, reading)
-    mix_smoothness(params, filters)
+    mix_jerks(params, filters)
     predict(params, filters, reading.time_s if fresh is None else fresh.time_s, thermometer)
     y = predicted_reading(filters.x, filters.p)
-    confines = None
+    output_only = None
     if fresh is not None:
         outcome = gate.decide(fresh, thermometer, *mixture(filters.mu, y.mean, y.variance))
-        if outcome is Outcome.RESTART:
-            return _restart(params, state, fresh, filters.mu.sum(axis=1))
-        if outcome is Outcome.PREDICT and thermometer.repeat_s > repeated == 0.0:
-            # So far repeats were taken for readings.
-            return _restart(params, state, fresh)
+        repeat_found = thermometer.repeat_s > 0.0 and not repeated
+        if outcome is Outcome.RESTART or (outcome is Outcome.PREDICT and repeat_found):
+            return _restart(params, state, fresh, None if repeat_found else filters.mu.sum(axis=1))
         if outcome is Outcome.USE:
             square_rate = filters.x[RATE] ** 2 + filters.p[RATE, RATE]
-            correction, confines = evaluate(params, thermometer, fresh, y, square_rate)
+            correction, output_only = evaluate(params, thermometer, fresh, y, square_rate)
             correct(params, filters, y, correction)
-    state.shown = _show(params, state, filters, y, confines, reading)
-    return state.shown
+    state.output = _output(params, state, filters, y, output_only, reading.end_s)
+    return state.output
 
 
-def _restart(params: Params, state: State, reading: Reading, kinds: FloatArray | None = None) -> Shown:
-    state.filters = filters = start(params, state.thermometer, reading, kinds)
+def _restart(params: Params, state: State, reading: Reading, models: FloatArray | None = None) -> Output:
+    state.filters = filters = start(params, state.thermometer, reading, models)
     state.gate.accept(reading)
-    state.shown = Shown()
+    state.output = Output()
     y = predicted_reading(filters.x, filters.p)
-    state.shown = _show(params, state, filters, y, None, reading)
-    return state.shown
+    state.output = _output(params, state, filters, y, None, reading.end_s)
+    return state.output
 
 
-def _show(
-    params: Params,
-    state: State,
-    filters: Filters,
-    y: Predicted,
-    confines: Correction | None,
-    reading: Reading,
-) -> Shown:
-    """Return temperature, rate and their standard deviations from the end of the slot on."""
-    thermometer, mu = state.thermometer, filters.mu
-    x, variances = filters.x, np.stack([filters.p[TEMPERATURE, TEMPERATURE], filters.p[RATE, RATE]])
-    if confines is not None:
-        # A level that did not enter the states confines what is shown.
-        x = x + y.gain * confines.mean_change
-        variances = variances + y.gain[: RATE + 1] ** 2 * confines.variance_change
-        mu = mu * np.exp(confines.log_likelihood)
+def _output(
+    params: Params, state: State, filters: Filters, y: Predicted, output_only: Correction | None, end_s: float
+) -> Output:
+    """Return mean and standard deviation of the mixture from the end of the slot on."""
+    mu, x = filters.mu, filters.x
+    variances = np.stack([filters.p[TEMPERATURE, TEMPERATURE], filters.p[RATE, RATE]])
+    if output_only is not None:
+        x = x + y.gain * output_only.mean_change
+        variances = variances + y.gain[: RATE + 1] ** 2 * output_only.variance_change
+        mu = mu * np.exp(output_only.log_likelihood)
         mu = mu / mu.sum()
     temperature, variance = mixture(mu, x[TEMPERATURE], variances[TEMPERATURE])
     rate, rate_variance = mixture(mu, x[RATE], variances[RATE])
     acceleration = float((mu * x[ACCELERATION]).sum())
-    slow, walk = slow_error(params, thermometer)
-    variance += params.slow_mean**2 * float((filters.mu * (slow + walk * WALK_S)).sum())
-    edge = params.edge if thermometer.reversals >= REVERSALS else params.sticky_edge
-    variance += (edge * thermometer.step) ** 2
-    variance += (rate * thermometer.repeat_s) ** 2 / 3.0
-    # A ramp r0 that begins at once hides for σ/r0, and then the rate is off by r0.
-    hidden_s = math.sqrt(variance + thermometer.step**2 / 12.0) / params.onset_rate
-    frozen_s = max(reading.end_s - thermometer.changed_s - FROZEN_S, 0.0)
-    rate_variance += params.onset_per_s * hidden_s * params.onset_rate**2
-    rate_variance += min(frozen_s / FROZEN_S**2, UNSEEN_RATE) ** 2
-    ahead = reading.end_s - filters.time_s
-    shown = Shown(
-        reading.end_s,
-        temperature + ahead * rate,
-        rate + ahead * acceleration,
+    more, more_of_rate = _beyond_the_models(params, state.thermometer, filters, rate, end_s, variance)
+    ahead, before = end_s - filters.time_s, state.output
+    rate += ahead * acceleration
+    age = end_s - before.time_s
+    fading = math.exp(-age / params.output_lag_s) * before.rate_offset
+    offset = before.rate + age * before.acceleration + fading - rate
+    return Output(
+        end_s,
+        temperature + ahead * (rate - ahead * acceleration),
+        rate,
         acceleration,
-        math.sqrt(variance),
-        math.sqrt(rate_variance),
-        late_s=SLOT_S + max(NEIGHBOUR_S, LATE_INTERVALS * state.gate.interval_s),
-        reading_sd=thermometer.reading_sd,
+        math.sqrt(variance + more),
+        math.sqrt(rate_variance + more_of_rate),
+        0.0 if math.isnan(before.rate) else offset,
+        SLOT_S + state.gate.neighbour_s,
+        state.thermometer.reading_sd,
     )
-    before = state.shown
-    if math.isnan(before.rate):
-        return shown
-    age = shown.time_s - before.time_s
-    fading = math.exp(-age / params.glide_s) * before.rate_offset
-    return shown._replace(rate_offset=before.rate + age * before.acceleration + fading - shown.rate)
+
+
+def _beyond_the_models(
+    params: Params, thermometer: Thermometer, filters: Filters, rate: float, end_s: float, variance: float
+) -> tuple[float, float]:
+    """Return what no model has of the variances of temperature and rate, °C² and (°C/s)²."""
+    slow, walk = slow_error(params, thermometer)
+    edge_sd = params.edge_sd if thermometer.reversals >= REVERSALS else params.hysteresis_sd
+    more = params.slow_mean**2 * float((filters.mu * (slow + walk * WALK_S)).sum())
+    more += (edge_sd * thermometer.step) ** 2 + (rate * thermometer.repeat_s) ** 2 / 3.0
+    # A ramp that has just begun is hidden by the temperature's sigma and the step.
+    hidden = (variance + more + thermometer.step**2 / 12.0) / params.memory_s**2
+    frozen = max(end_s - thermometer.changed_s - FROZEN_S, 0.0) / FROZEN_S
+    return more, hidden + min(frozen * FROZEN_RATE, UNSEEN_RATE) ** 2

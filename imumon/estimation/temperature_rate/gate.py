@@ -7,10 +7,11 @@ One decision table, evaluated top down, per slot:
 | has no readings, or noise of more than a step has stopped: a dead sensor | PREDICT |
 | spans more than any noise: a spike | PREDICT |
 | is where a temperature may be by now, and not stuck | USE |
-| is off, and the reading had never changed: the level before was a value at power-on | RESTART |
-| is off for less than three slots | PREDICT |
-| is off, and the same since the leap: stuck (85 °C of a restart) | PREDICT |
-| is off otherwise: a new level | RESTART |
+| is an outlier, and the reading had never changed: the code before was a value at power-on | RESTART |
+| is an outlier, and just proves that readings are repeated, which were taken for new ones | RESTART |
+| is an outlier for less than three slots | PREDICT |
+| is an outlier, and the same since the leap: stuck (85 °C of a restart) | PREDICT |
+| is an outlier otherwise: a new temperature | RESTART |
 """
 
 from __future__ import annotations
@@ -24,8 +25,11 @@ from imumon.estimation.temperature_rate.thermometer import COARSEST_DEGC, Readin
 from imumon.filters.rates import FASTEST_RATE
 
 GATE_SIGMA, GATE_STEPS, GATE_SLOTS = 8.0, 5.0, 3
-"""A slot is off where it lies so many sigmas, so many steps, and farther than a temperature moves from the
-prediction; after so many slots it may be the truth."""
+"""A slot is an outlier that lies so many sigmas, so many steps, and farther than a temperature moves from the
+prediction; after so many slots it may be the truth.  Assumed: wide, as the filters weigh what is nearer."""
+
+NEIGHBOUR_S, LATE_INTERVALS = 10.0, 3.0
+"""Readings are neighbours that are no farther apart than this, s, or than so many usual intervals."""
 
 
 class Outcome(Enum):
@@ -50,8 +54,8 @@ class Gate:
     has_changed: bool = False
     """Whether the reading has changed in this segment."""
     rejected: int = 0
-    """Slots in a row that were off."""
-    off_degc: float = math.nan
+    """Outliers in a row."""
+    outlier_degc: float = math.nan
     """Last reading of the first of them, °C."""
     constant: bool = False
     """Whether the reading is the same since."""
@@ -70,9 +74,9 @@ class Gate:
             self.has_changed |= reading.changes > 0
             return Outcome.USE
         if not self.rejected:
-            self.off_degc, self.constant = reading.last, True
+            self.outlier_degc, self.constant = reading.last, True
         else:
-            self.constant &= reading.low == reading.high == self.off_degc
+            self.constant &= reading.low == reading.high == self.outlier_degc
         self.rejected += 1
         lasts = self.rejected >= GATE_SLOTS and not self.constant
         return Outcome.RESTART if lasts or not self.has_changed else Outcome.PREDICT
@@ -83,9 +87,14 @@ class Gate:
             self.interval_s = reading.time_s - self.used_s
         self.used_s, self.rejected = reading.time_s, 0
 
+    @property
+    def neighbour_s(self) -> float:
+        """Readings farther apart than this are no neighbours, s."""
+        return max(NEIGHBOUR_S, LATE_INTERVALS * self.interval_s)
+
     def is_stuck(self, reading: Reading) -> bool:
         """Return whether readings leapt as no temperature does, and are exactly the same since."""
-        return self.rejected > 0 and self.constant and reading.low == reading.high == self.off_degc
+        return self.rejected > 0 and self.constant and reading.low == reading.high == self.outlier_degc
 
 
 def spans_a_fault(reading: Reading, thermometer: Thermometer) -> bool:

@@ -1,23 +1,25 @@
 """What the readings of a slot say of y = T + e, for all filters at once: one decision table.
 
-d is the step, n the number of independent readings, p the share of readings above an edge.
-s² = σ² + (r² + P_rr) (1 s)²/12 is the noise of a kind and the motion within the slot.  Rows are evaluated top
-down; the last reading before the slot counts as one of its readings.
+d is the step, n the number of independent readings, p the share of readings above an edge, φ the normal
+density at Φ⁻¹(p).  s² = σ² + (r² + P_rr) Δ²/12 is the noise of a model and the motion within the slot, Δ the
+spacing of slots.  Rows are evaluated top down; the last reading before the slot counts as one of its own.
 
 | the slot | filters | what enters the state |
 |---|---|---|
-| more than two levels | level kinds | z = mean less ripple, R = max(s², variance)/n + (β d/π)²/8 |
-| more than two levels, a single reading | level kinds | as one level |
-| two levels | level kinds | z = edge + s Φ⁻¹(p), R = s² p(1-p)/(n φ²) + (0.1 s Φ⁻¹(p))² |
-| one level: soft, a surprise, or prediction wide | level kinds | y is in the level: truncated Gaussian |
-| one level | level kinds | nothing; the level only confines what is shown |
-| any | mean kinds | z = mean, R = share of ρ + (d/n)²/2π + (β d/π)²/2 |
+| more than two codes | code models | z = mean less ripple, R = max(s², variance)/n + (β d/π)²/8 |
+| more than two codes, a single reading | code models | as one code |
+| two codes | code models | z = edge + s Φ⁻¹(p), R = s² p(1-p)/(n φ²) + (0.1 s Φ⁻¹(p))² |
+| one code: edge soft, a surprise, or prediction wide | code models | y is in the code: truncated Gaussian |
+| one code | code models | nothing; the code only confines the output |
+| any | mean models | z = mean, R = share of ρ + (d/n)²/2π + (β d/π)²/2 |
 
-"y is in the level" is one statement, however often it is read.  A level is *soft* for a filter whose
-prediction is sharper than twice its noise: then each reading is independent evidence.  It is a *surprise* for
-a filter that gave it less than 2 %.  A prediction is *wide* if it knows y to no better than 1.5 d.
+"y is in the code" is one statement, however often it is read.  Of n readings the extreme one has the sigma
+s_n = s/√(1 + 2 ln n), which is how sharp the edge of a code is.  An edge is *soft* for a filter that predicts
+y better than 2 s_n: then each reading is independent evidence.  A code is a *surprise* for a filter that gave
+it less than 2 %.  A prediction is *wide* if it knows y to no better than 1.5 d.
 
-Log likelihoods are probabilities of a slot's mean on its lattice of d/n, so that all rows can be compared.
+Log likelihoods are of probabilities of a slot's mean on its lattice of d/n, so that all rows can be compared.
+With R = (d/n)²/2π the density 1/√(2πR) times d/n is 1: no point of the lattice has a probability above it.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ import numpy as np
 from scipy.special import log_ndtr, ndtr, ndtri
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.model import ERROR, SLOT_S, TEMPERATURE, Params
+from imumon.estimation.temperature_rate.model import ERROR, TEMPERATURE, Params
 from imumon.estimation.temperature_rate.thermometer import Reading, Thermometer
 
 ROOT_2_PI = math.sqrt(2.0 * math.pi)
@@ -62,7 +64,7 @@ class Correction(NamedTuple):
 
 
 class Slot(NamedTuple):
-    """A slot as the level kinds take it."""
+    """A slot as the code models take it."""
 
     reading: Reading
     step: float
@@ -70,7 +72,7 @@ class Slot(NamedTuple):
     n: float
     """Independent readings, 1 at least."""
     sigma: FloatArray
-    """s, °C, (levels, m)."""
+    """s, °C, (code models, m)."""
 
 
 def evaluate(
@@ -78,7 +80,7 @@ def evaluate(
 ) -> tuple[Correction, Correction | None]:
     """Return the evidence of a slot with readings for all filters, by the table above.
 
-    The second is what only confines the estimate that is shown; None where there is no such level.
+    The second is for the output only, of a code that does not enter the states; None where there is none.
 
     Parameters
     ----------
@@ -87,50 +89,57 @@ def evaluate(
     square_rate : array, (k, m)
         Mean square of the rate, r² + P_rr, (°C/s)².
     """
-    kinds, step, n = params.kinds, thermometer.step, thermometer.independent(reading)
-    levels, means = slice(0, kinds.levels), slice(kinds.levels, None)
-    motion = square_rate[levels] * max(SLOT_S, reading.gap_s) ** 2 / 12.0
-    slot = Slot(reading, step, n, np.sqrt((kinds.white[levels] * step) ** 2 + motion))
-    mean, variance = y.mean[levels], y.variance[levels]
+    white, step, n = params.models[0], thermometer.step, thermometer.independent(reading)
+    codes, means = slice(0, len(params.code_models)), slice(len(params.code_models), None)
+    motion = square_rate[codes] * reading.spacing_s**2 / 12.0
+    slot = Slot(reading, step, n, np.sqrt((white[codes] * step) ** 2 + motion))
+    mean, variance = y.mean[codes], y.variance[codes]
     span = (reading.highest - reading.lowest) / step
-    confines = None
+    output_only = None
     if span > 1.5 and reading.count > 1:
-        of_levels = _many_levels(slot, mean, variance, kinds.white[levels], kinds.ripple)
+        of_codes = _many_codes(slot, mean, variance, white[codes])
     elif 0.5 <= span <= 1.5:
-        of_levels = _two_levels(slot, mean, variance, params.spacing)
+        of_codes = _two_codes(slot, mean, variance, params.spacing)
     else:
-        of_levels, confines = _one_level(slot, mean, variance, params)
-        confines = Correction(*(np.concatenate([part, np.zeros_like(y.mean[means])]) for part in confines))
+        of_codes, rest = _one_code(slot, mean, variance, params)
+        output_only = Correction(*(np.concatenate([part, np.zeros_like(y.mean[means])]) for part in rest))
     # The mean of a slot is on a lattice of d/n, and follows the ripple of the steps.
-    noise = kinds.white[means] * thermometer.mean_variance(reading) + (step / n) ** 2 / (2.0 * math.pi)
+    noise = white[means] * thermometer.mean_variance(reading) + (step / n) ** 2 / (2.0 * math.pi)
     noise = noise + thermometer.ripple_variance
-    of_means = _gaussian(y.mean[means], y.variance[means], reading.mean, noise, max(step / n, 1e-6))
-    return Correction(*map(np.concatenate, zip(of_levels, of_means, strict=True))), confines
+    of_means = _gaussian(y.mean[means], y.variance[means], reading.mean, noise, step / n)
+    return Correction(*map(np.concatenate, zip(of_codes, of_means, strict=True))), output_only
 
 
 def _gaussian(
-    mean: FloatArray, variance: FloatArray, z: FloatArray | float, noise: FloatArray, unit: FloatArray | float
+    mean: FloatArray,
+    variance: FloatArray,
+    z: FloatArray | float,
+    noise: FloatArray,
+    lattice: FloatArray | float,
 ) -> Correction:
-    """Correct by y = z with the variance R: v² / S; `unit` turns the density of z into a probability."""
+    """Correct by y = z with the variance R: v² / S; `lattice`, times the density of z, is a probability."""
     total = variance + noise
     innovation = z - mean
-    log = np.log(unit / ROOT_2_PI) - 0.5 * np.log(total) - 0.5 * innovation**2 / total
+    log = np.log(lattice / ROOT_2_PI) - 0.5 * np.log(total) - 0.5 * innovation**2 / total
     return Correction(variance * innovation / total, -(variance**2) / total, log)
 
 
-def _many_levels(
-    slot: Slot, mean: FloatArray, variance: FloatArray, white: FloatArray, ripple: FloatArray
-) -> Correction:
+def _many_codes(slot: Slot, mean: FloatArray, variance: FloatArray, white: FloatArray) -> Correction:
+    """Correct by the mean: with white noise, E[mean] = x - β/π sin 2πx in steps, β = exp(-2π²σ²).
+
+    Widrow and Kollar, Quantization Noise (2008), ch. 4.
+    """
     reading, step, n, sigma = slot
+    ripple = np.exp(-2.0 * np.pi**2 * white**2)
     offset = (reading.mean - reading.low) / step
     place = np.full_like(ripple, offset)
-    for _ in range(4):  # solve mean = x - β/π sin 2πx for x
+    for _ in range(4):  # solve for x
         place = offset + np.minimum(ripple, 0.4) / math.pi * np.sin(2.0 * math.pi * place)
     cosine, sine = ripple * np.cos(2.0 * math.pi * place), ripple * np.sin(2.0 * math.pi * place)
     noise = np.maximum(sigma**2, reading.variance) / n + (ripple * step / math.pi) ** 2 / 8.0
     found = _gaussian(mean, variance, reading.low + step * place, noise, step / n)
     # Rounded readings have the variance s² + d²/12 and its first harmonic.  Of readings that scatter more:
-    # the likelihood of their variance (χ² of n), zero in the mean.
+    # the likelihood of their variance (χ² of n).  In the mean it is zero: half the time it is -χ²/2, -1/4.
     harmonic = -cosine * (1.0 / math.pi**2 + 4.0 * white**2) - (sine / math.pi) ** 2
     rounded = sigma**2 + step**2 * np.maximum(1.0 / 12.0 + harmonic, 0.0)
     excess = np.maximum(reading.variance / rounded, 1.0)
@@ -138,7 +147,7 @@ def _many_levels(
     return found._replace(log_likelihood=found.log_likelihood + scatter)
 
 
-def _two_levels(slot: Slot, mean: FloatArray, variance: FloatArray, spacing: float) -> Correction:
+def _two_codes(slot: Slot, mean: FloatArray, variance: FloatArray, spacing: float) -> Correction:
     reading, step, n, sigma = slot
     jumped = reading.before != reading.first
     count = reading.count + jumped
@@ -151,31 +160,32 @@ def _two_levels(slot: Slot, mean: FloatArray, variance: FloatArray, spacing: flo
     noise = sigma**2 * (binomial + (spacing * quantile) ** 2)
     z = 0.5 * (reading.lowest + reading.highest) + sigma * quantile
     found = _gaussian(mean, variance, z, noise, sigma / (density * n))
-    # All n readings are of these two levels: kinds of more noise would have read a third.
+    # All n readings are of these two codes: models of more noise would have read a third.
     apart = step / sigma
     within = n * np.log(np.maximum(ndtr(apart - quantile) - ndtr(-apart - quantile), 1e-300))
     return found._replace(log_likelihood=found.log_likelihood + within)
 
 
-def _one_level(
+def _one_code(
     slot: Slot, mean: FloatArray, variance: FloatArray, params: Params
 ) -> tuple[Correction, Correction]:
-    """Confine y to the level; its edges are as soft as the extreme of n readings, moved in by its median.
+    """Confine y to the code; its edges are as soft as the extreme of n readings, moved in by its median.
 
     Returns what enters the states, and what does not.
     """
     reading, step, n, sigma = slot
     extreme = float(ndtri(2.0 ** (-1.0 / n)))
-    soft = sigma / math.sqrt(1.0 + 2.0 * math.log(n))
+    edge_sd = sigma / math.sqrt(1.0 + 2.0 * math.log(n))
     half = np.maximum(0.5 * step - extreme * sigma, 0.1 * step)
-    total = np.sqrt(variance + soft**2)
+    total = np.sqrt(variance + edge_sd**2)
     off = mean - reading.last
     shift, kept, log_mass = truncated((-half - off) / total, (half - off) / total)
     sd = np.sqrt(variance)
-    is_soft, is_wide = sd < params.soft * soft, sd > params.wide * step
+    is_soft, is_wide = sd < params.soft * edge_sd, sd > params.wide * step
     enters = is_soft | is_wide | (log_mass < math.log(params.surprise))
-    # A slow error is renewed with its correlation time: to that share, a level that stays is new evidence.
-    log = np.where(enters, log_mass, params.renewal * params.kinds.renewed * log_mass)
+    # A slow error is renewed with its correlation time: to that share, a code that stays is new evidence.
+    renewed = 1.0 - np.exp(-reading.spacing_s / params.models[2, : len(params.code_models)])
+    log = np.where(enters, log_mass, params.renewal * renewed * log_mass)
     gain = variance / total
     change, narrowing = gain * shift, gain**2 * (kept - 1.0)
     return (

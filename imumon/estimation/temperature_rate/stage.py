@@ -10,12 +10,11 @@ import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
-from imumon.estimation.temperature_rate.filter import Shown, State, step
+from imumon.estimation.temperature_rate.filter import Output, State, step
 from imumon.estimation.temperature_rate.gate import GATE_SLOTS
 from imumon.estimation.temperature_rate.model import SLOT_S, Params
 from imumon.estimation.temperature_rate.thermometer import (
     COARSEST_DEGC,
-    NEIGHBOUR_S,
     Reading,
     StepFinder,
     Thermometer,
@@ -33,7 +32,7 @@ class MultipleModelRate:
     Parameters
     ----------
     step_degc : float, optional
-        Quantization step in °C, if it is declared; it is found from the readings in any case.
+        Quantization step in °C, if it is declared; it holds until the first change of the readings.
     params : Params, optional
         Assumptions of the model.
     """
@@ -48,8 +47,8 @@ class MultipleModelRate:
         self._before = (math.nan, -math.inf)
         """Last reading, and the end of its slot, s."""
         self._end_s = 0.0
-        self._shown = np.array(Shown())
-        self._shown_ns: IntArray = np.array(0, np.int64)
+        self._output = np.array(Output())
+        self._output_ns: IntArray = np.array(0, np.int64)
         self._segment: IntArray = np.array(NO_INT, np.int64)
 
     def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
@@ -64,25 +63,25 @@ class MultipleModelRate:
             °C; NaN where there is none.
         """
         slots = self._gatherer.process(time_ns, segment, reading[:, np.newaxis])
-        shown = np.empty((len(slots), len(self._shown)))
+        outputs = np.empty((len(slots), len(self._output)))
         for i in range(len(slots)):
             taken = self._reading(slots, i)
             if slots.begins[i]:
                 self.state.begin()
-            shown[i] = step(self.params, self.state, taken)
+            outputs[i] = step(self.params, self.state, taken)
             gate = self.state.gate
             if gate.rejected == GATE_SLOTS and gate.constant:
-                self.stuck = gate.off_degc
+                self.stuck = gate.outlier_degc
         n = len(reading)
-        columns = held(slots.row, shown, self._shown, n).T
-        shown_ns = held(slots.row, slots.end_ns, self._shown_ns, n)
-        shown_segment = held(slots.row, slots.segment, self._segment, n)
+        columns = held(slots.row, outputs, self._output, n).T
+        output_ns = held(slots.row, slots.end_ns, self._output_ns, n)
+        output_segment = held(slots.row, slots.segment, self._segment, n)
         if len(slots):
-            self._shown = shown[-1]
-            self._shown_ns, self._segment = np.array(slots.end_ns[-1]), np.array(slots.segment[-1])
-        age = np.asarray((time_ns - shown_ns) * 1e-9, np.float64)
-        known = (segment == shown_segment) & (age >= 0.0)
-        return extrapolate(age, known, reading, Shown(*columns), self.params.glide_s)
+            self._output = outputs[-1]
+            self._output_ns, self._segment = np.array(slots.end_ns[-1]), np.array(slots.segment[-1])
+        age = np.asarray((time_ns - output_ns) * 1e-9, np.float64)
+        known = (segment == output_segment) & (age >= 0.0)
+        return extrapolate(age, known, reading, Output(*columns), self.params.output_lag_s)
 
     def _reading(self, slots: Slots, i: int) -> Reading:
         """Return the readings of a slot."""
@@ -98,7 +97,7 @@ class MultipleModelRate:
                 slots.step_squares,
             )
         )  # fmt: skip
-        if not start_s - before_s < NEIGHBOUR_S:
+        if not start_s - before_s < self.state.gate.neighbour_s:
             before = first
         reading = Reading(
             start_s=start_s,
@@ -113,7 +112,7 @@ class MultipleModelRate:
             last=last,
             changes=max(int(slots.changes[i, 0]), int(before != first)),
             step_squares=squares,
-            gap_s=max(end_s - self._end_s, 1e-9) / int(slots.samples[i]),
+            gap_s=(end_s - self._end_s) / int(slots.samples[i]),
         )
         if reading.count:
             self._before = (last, end_s)
@@ -122,27 +121,29 @@ class MultipleModelRate:
 
 
 def extrapolate(
-    age: FloatArray, known: BoolArray, reading: FloatArray, shown: Shown, glide_s: float
+    age: FloatArray, known: BoolArray, reading: FloatArray, output: Output, output_lag_s: float
 ) -> RateEstimate:
-    """Return the estimates at samples from what the last slot shows; all arrays, also in `shown`, are (n,).
+    """Return the estimates at samples from the output of the last slot; all arrays are (n,).
 
     Before the first slot of a segment ends, and behind a gap until the next slot ends, there is the reading,
-    with its standard deviation (NaN while nothing shows it), and any rate.
+    with its standard deviation (NaN while it is unknown), and any rate.
     """
-    late = known & (age > shown.late_s) & np.isfinite(shown.rate)
+    late = known & (age > output.late_s) & np.isfinite(output.rate)
     known = known & ~late
-    fading = np.exp(-age / glide_s, where=known, out=np.zeros_like(age)) * shown.rate_offset
+    fading = np.exp(-age / output_lag_s, where=known, out=np.zeros_like(age)) * output.rate_offset
     # A slot is known when the next begins; readings farther apart leave the temperature to the rate.
     waited = np.maximum(age - 2.0 * SLOT_S, 0.0)
     unknown = 0.0 * reading
-    temperature_sd = np.hypot(shown.temperature_sd, waited * shown.rate_sd)
+    temperature_sd = np.hypot(output.temperature_sd, waited * output.rate_sd)
     return RateEstimate(
-        temperature=np.where(known, shown.temperature + age * shown.rate, reading),
+        temperature=np.where(known, output.temperature + age * output.rate, reading),
         rate=np.where(
-            known, shown.rate + age * shown.acceleration + fading, unknown + np.where(late, shown.rate, 0.0)
+            known,
+            output.rate + age * output.acceleration + fading,
+            unknown + np.where(late, output.rate, 0.0),
         ),
-        temperature_sd=np.where(known, temperature_sd, unknown + shown.reading_sd),
-        rate_sd=np.where(known, np.hypot(shown.rate_sd, fading), unknown + FASTEST_RATE),
+        temperature_sd=np.where(known, temperature_sd, unknown + output.reading_sd),
+        rate_sd=np.where(known, np.hypot(output.rate_sd, fading), unknown + FASTEST_RATE),
     )
 
 

@@ -10,8 +10,6 @@ from imumon.filters.rates import FASTEST_RATE
 
 COARSEST_DEGC = 1.0
 """Step that is assumed until a reading changes, °C: that of the coarsest thermometers."""
-NEIGHBOUR_S = 10.0
-"""Readings farther apart than this are no neighbours, s."""
 TINY_DEGC = 1e-5
 """Readings closer than this are equal, °C."""
 MEMORY = 1.0 / 32.0
@@ -49,6 +47,11 @@ class Reading:
     """Time between two samples."""
 
     @property
+    def spacing_s(self) -> float:
+        """Time from one such slot to the next."""
+        return max(SLOT_S, self.gap_s)
+
+    @property
     def time_s(self) -> float:
         """Middle of the slot, which its mean refers to."""
         return 0.5 * (self.start_s + self.end_s)
@@ -76,7 +79,7 @@ class StepFinder:
     """Finds the quantization step: the least change, of which the others are multiples."""
 
     size: float = COARSEST_DEGC
-    """The step as far as it is known, °C."""
+    """The step as far as it is known, °C: one that is declared holds until the first change."""
     multiples: int = 0
     """Changes that were multiples of it, since it was first found."""
     changes: int = 0
@@ -85,7 +88,7 @@ class StepFinder:
     """Running share of changes that are no multiples of it."""
 
     @property
-    def step(self) -> float | None:
+    def confirmed_step(self) -> float | None:
         """The step in °C, None while fewer than 8 changes or too many that are no multiples show it."""
         return self.size if self.multiples >= 8 and self.misfit < 0.2 and self.size >= 1e-4 else None
 
@@ -107,9 +110,9 @@ class StepFinder:
 
     def contradiction(self, declared: float) -> str | None:
         """Return what the readings show in place of a declared step in °C, or None."""
-        if self.step is not None and abs(self.step / declared - 1.0) > 0.2:
-            return f"the readings change in steps of {self.step:.4g} °C, not of {declared:.4g} °C"
-        if self.step is None and self.changes >= 100:
+        if self.confirmed_step is not None and abs(self.confirmed_step / declared - 1.0) > 0.2:
+            return f"the readings change in steps of {self.confirmed_step:.4g} °C, not of {declared:.4g} °C"
+        if self.confirmed_step is None and self.changes >= 100:
             return f"the readings do not change in steps of {declared:.4g} °C, nor in any other"
         return None
 
@@ -123,6 +126,8 @@ class Thermometer:
     """Slots whose mean was measured."""
     means: tuple[float, ...] = ()
     """Means of the last of them, up to three."""
+    spacing_s: float = SLOT_S
+    """Time from one of them to the next."""
     rho: float = 0.0
     """Variance ρ of a slot's mean, from second differences of three slots, °C²."""
     scatter: float = 0.0
@@ -144,7 +149,7 @@ class Thermometer:
     fresh_s: float = -math.inf
     """When the last reading came that was not a repeat."""
     leapt: bool = False
-    """Whether a reading has skipped a level after a silence: a temperature passes each, a repeat does not."""
+    """Whether a reading has skipped a code after a silence: a temperature passes each, a repeat does not."""
     repeat_s: float = 0.0
     """How long a reading is repeated: the least time between changes; 0 unless noise or a leap shows it."""
 
@@ -154,18 +159,18 @@ class Thermometer:
         return self.finder.size
 
     @property
-    def unit(self) -> float:
-        """What noise is measured in, °C²: a step squared, or the noise of a slot where that is larger."""
-        return max(self.step**2, self.rho, 1e-8)
+    def noise_scale(self) -> float:
+        """Unit of the noise of code models, °C²: a step squared, or ρ where that is larger."""
+        return max(self.step**2, self.rho)
 
     @property
     def variance(self) -> float:
         """Variance that a slot's mean has at least, ρ or that of rounding, °C²."""
-        return max(self.rho, self.step**2 / 12.0, 1e-10)
+        return max(self.rho, self.step**2 / 12.0)
 
     def mean_variance(self, reading: Reading) -> float:
         """Return the variance ρ of a slot's mean; that of the slot's readings until three slots show it."""
-        return max(self.rho, 1e-12) if self.slots > 3 else max(self.variance, reading.variance)
+        return max(self.rho, TINY_DEGC**2) if self.slots > 3 else max(self.variance, reading.variance)
 
     @property
     def ripple_variance(self) -> float:
@@ -207,6 +212,7 @@ class Thermometer:
         if fresh is not None:
             self.slots += 1
             self.means, self.fresh_s = (*self.means[-2:], fresh.mean), fresh.end_s
+            self.spacing_s = fresh.spacing_s
         if reading.changes:
             single = math.sqrt(reading.step_squares) if reading.changes == 1 else 0.0
             for change in (single, abs(reading.first - reading.before), reading.highest - reading.lowest):
@@ -239,7 +245,7 @@ class Thermometer:
         single = reading.changes <= 1
         silent_s = reading.time_s - self.changed_s if self.change else math.nan
         back = change * self.change < 0.0 and silent_s < MOST_REPEAT_S
-        # A level that is read once in a hundred times shows no edge: its noise could be of any size.
+        # A code that is read once in a hundred times shows no edge: its noise could be of any size.
         shared = min(reading.mean - reading.lowest, reading.highest - reading.mean) > 0.1 * self.step
         self.reversals += (reading.changes > 1 or back) and (shared or not reading.variance)
         possible = 1.5 * self.step < abs(change) < FASTEST_RATE * silent_s
