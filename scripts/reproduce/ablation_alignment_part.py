@@ -33,12 +33,13 @@ VARIANTS: Mapping[str, Change] = {
         (hypotheses, "NEIGHBOURS", 1),
         (hypotheses, "WHICH", hypotheses.WHICH[:, :1]),
     ],
-    "settling: prior of 0.3": [(hypotheses, "P_SETTLES", 0.3)],
+    "settling: prior of 0.03": [(hypotheses, "P_SETTLES", 0.03)],
     "tempering": [(hypotheses, "TEMPER", 1.0)],
     "averaging: the best hypothesis": [(posterior, "LIKELY", -1e-9)],
     "gyros worse than the others": [(posterior, "P_WORSE", 1e-12)],
-    "wider sigma of the first seconds": [(aligner, "EARLY_S", 0.0)],
-    "wider sigma of a heading that moved": [(aligner, "MOVED", 1e9)],
+    "sigma of a heading that moves from fit to fit": [
+        (aligner.State, "norths", property(lambda _: [], lambda *_: None))
+    ],
 }
 """What is left out or set otherwise."""
 CHOSEN = (

@@ -40,17 +40,11 @@ from imumon.filters.turns import Turns
 from imumon.geodesy import EARTH_RATE
 
 SLOT_S = 0.25
-FIRST_FIT_S, LONGEST_REFIT_S = 3.0, 60.0
+FIRST_FIT_S, LONGEST_REFIT_S = 10.0, 60.0
 """Time at rest of the first fit of a position, and the longest between two fits; in between a position is
 fitted anew when its time at rest has grown by a third, which lowers sigma by an eighth."""
 LONGEST_GAP_S = 30.0
 """A longer gap in the data restarts the alignment."""
-EARLY_S = 10.0
-"""In seconds nobody can tell a bias from a tilt, and the prior decides: sigma is 1 + (10 s /
-time at rest)² times as large."""
-MOVED = 0.3
-"""A fit that moves the heading by more than this, in standard deviations of the fit before,
-contradicts it: the rest of the way is in the sigma."""
 MOST_POSITIONS, MOST_SIGMAS = 100, 400
 """Only the latest positions enter a fit, which bounds its time; and so many sigmas the chart."""
 
@@ -71,10 +65,10 @@ class State:
     """Sum of the magnetometer in this position, body axes, and its number of samples."""
     posterior: HeadingPosterior | None = None
     """Of the last fit; None before it."""
-    fitted: Position | None = None
-    """The last position in that fit."""
     fitted_turn_variance: float = 0.0
-    """Its turn variance, rad²."""
+    """Turn variance of the last position in that fit, rad²."""
+    norths: list[tuple[float, float]] = field(default_factory=list)
+    """Time at rest in this position, s, and direction of north, rad, of the fits since half of that time."""
     yaw_since_fit: float = 0.0
     creep_since_fit_s: float = 0.0
     """Rotation about the vertical since the last fit by the vertical gyro, rad, counter-clockwise, and time
@@ -198,7 +192,7 @@ class Aligner:
         self._set_attitude(attitude)
         state.positions.append(Position(attitude, turns, Record(begun_s), number, begun_s))
         state.due_s = state.rest_s + FIRST_FIT_S
-        state.field_sum = [0.0] * 4
+        state.field_sum, state.norths = [0.0] * 4, []
         for slot in rest:
             self._add_rest_slot(slot)
 
@@ -294,13 +288,13 @@ class Aligner:
         after_s = min(self._record.rest_s / 3.0, LONGEST_REFIT_S)
         if here.fit is not None:
             fits, turns = [one for one, _ in fitted], np.array([turn for _, turn in fitted])
-            new, old = heading_posterior(fits, turns, self.latitude, self.errors), state.posterior
-            sd, moved = new.sd * (1.0 + (EARLY_S / state.rest_s) ** 2), 0.0
-            if old is not None and state.fitted is here:
-                moved = abs(math.remainder(new.north - old.north + state.yaw_since_fit, 2.0 * math.pi))
-                moved = max(moved - MOVED * old.sd, 0.0)
-            new = new._replace(sd=min(math.hypot(sd, moved), ANY_ANGLE_SD))
-            state.posterior, state.fitted, state.fitted_turn_variance = new, here, here.turn_variance
+            new = heading_posterior(fits, turns, self.latitude, self.errors)
+            rest_s, yaw = self._record.rest_s, state.yaw_since_fit
+            state.norths = [(at_s, north - yaw) for at_s, north in state.norths if at_s >= 0.5 * rest_s]
+            state.norths.append((rest_s, new.north))
+            moved = [abs(math.remainder(new.north - north, 2.0 * math.pi)) for _, north in state.norths]
+            state.posterior = new = new._replace(sd=min(max(new.sd, *moved, 0.0), ANY_ANGLE_SD))
+            state.fitted_turn_variance = here.turn_variance
             state.yaw_since_fit = state.creep_since_fit_s = 0.0
             state.sigmas = [*state.sigmas[-MOST_SIGMAS:], (state.rest_s, self.heading_sd)]
             self._update_settled()

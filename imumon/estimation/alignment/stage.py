@@ -314,6 +314,6 @@ class Alignment:
             "alignment: the rates contradict the declared bias of the gyros, or the latitude is wrong": (
                 declared is not None
                 and posterior is not None
-                and posterior.bias_size > 3.0 * max(declared, 1e-3) * DEG_PER_H
+                and posterior.bias_size > 3.0 * max(declared, 0.01) * DEG_PER_H
             ),
         }

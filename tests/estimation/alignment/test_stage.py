@@ -238,7 +238,7 @@ def test_a_known_warm_up_tells_a_tilt_from_a_drift() -> None:
     sinking = {"kind": "rotation", "at_s": 5.0, "duration_s": 500.0, "pitch_deg_per_s": 2e-5}
     block = samples(scenario(200.0, warm_up=(83.7, 150.0)))
     still, _ = aligned(block, {"known_warm_up": known})
-    assert still.status.tilt_probability < 0.01
+    assert still.status.tilt_probability < 0.05
     block = samples(scenario(200.0, warm_up=(83.7, 150.0), motion=[sinking]))
     stage, _ = aligned(block, {"known_warm_up": known})
     assert stage.status.tilt_probability > 0.9
