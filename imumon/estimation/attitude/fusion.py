@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copyreg
 import math
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -47,19 +47,13 @@ north : whether the field has shown north
 Rows = npt.NDArray[np.void]
 
 
-def _stored(filter_: VQF) -> tuple[Callable[..., VQF], tuple[Any, ...]]:
-    """Return what a filter is made of, for pickle, so that a stage can be stored and go on."""
-    rates = [filter_.coeffs[name] for name in ("gyrTs", "accTs", "magTs")]
-    return _restored, (rates, filter_.params, filter_.state)
+def _reduced(vqf: VQF) -> tuple[Any, ...]:
+    """Return constructor, arguments and state of a filter, for pickle and copy."""
+    rates = tuple(vqf.coeffs[name] for name in ("gyrTs", "accTs", "magTs"))
+    return partial(VQF, **vqf.params), rates, (None, {"state": vqf.state})
 
 
-def _restored(rates: list[float], parameters: dict[str, Any], state: dict[str, Any]) -> VQF:
-    filter_ = VQF(*rates, **parameters)
-    filter_.state = state
-    return filter_
-
-
-copyreg.pickle(VQF, _stored)
+copyreg.pickle(VQF, _reduced)
 
 
 def matrices(q: FloatArray) -> FloatArray:

@@ -21,9 +21,6 @@ from imumon.models.magnetometer import MagnetometerModel
 
 GAP_NS = 250_000_000
 """A longer pause hides turns: in it a hand turns by a radian."""
-NEAR = 0.2
-"""Share by which the field may differ from its calibrated strength and still show how the unit turned: in
-buildings it differs by as much."""
 _DESCRIPTIONS = {
     **{part: f"attitude by the estimator, body to east-north-up, {part}" for part in "wxyz"},
     "roll": "roll by the estimator",
@@ -38,12 +35,7 @@ COLUMNS = (
         Column(f"attitude_estimate_{name}", "1" if name in "wxyz" else "rad", description=text)
         for name, text in _DESCRIPTIONS.items()
     ),
-    Column(
-        "attitude_estimate_north",
-        "1",
-        "int64",
-        "1 where the heading is from magnetic north, 0 where it is relative",
-    ),
+    Column("attitude_estimate_north", "1", "int64", "1: heading from magnetic north, 0: relative heading"),
 )
 SLOT_END = np.dtype(
     [("tilt", np.float64), ("heading", np.float64)]
@@ -274,8 +266,8 @@ class AttitudeEstimate:
             return False
         before, after = self._field_before, slot.field / self._magnetometer.field
         self._field_before = after
-        near = all(abs(float(np.linalg.norm(field)) - 1.0) < NEAR for field in (before, after))
-        if near and not (slots.begins[k] or slot.rest) and are_known(slots.turns.at(k)):
+        known = math.isfinite(float(before @ after)) and are_known(slots.turns.at(k))
+        if known and not (slots.begins[k] or slot.rest):
             self._mounting.add(before[np.newaxis], after[np.newaxis], slots.turns.rotation[k : k + 1])
             if not self._tilt_sigma.gyros.contradicted:
                 self._other_axes = self._mounting.found
@@ -331,7 +323,7 @@ class AttitudeEstimate:
         """Return the texts of `notices`, and whether each applies."""
         north, begun, other_axes = self._fusion.north, self._fusion.begun, self._other_axes
         accel_sd = max(self._parameters.accel_bias_m_per_s2 or 0.0, ACCEL_SD)
-        reference = f"{math.degrees(self._heading):.0f}°"
+        reference = f"counts from {math.degrees(self._heading):.0f}°"
         return {
             "attitude: in turns the accelerometers show another vertical than the gyros carry, so the "
             "heading is as uncertain as these turns: are axes, signs and units right? Accelerations that "
@@ -340,19 +332,19 @@ class AttitudeEstimate:
             f"({accel_sd:.2g} m/s²): are its scale and unit right?": (
                 abs(self._force - STANDARD_GRAVITY) > 3.0 * accel_sd
             ),
-            "attitude: without a magnetometer the heading is relative; it counts from "
-            f"{reference} at the beginning": begun and not north and not other_axes,
+            f"attitude: without a magnetometer the heading is relative; it {reference} at the beginning": (
+                begun and not north and not other_axes
+            ),
             "attitude: while the unit turns the field goes as if the magnetometer had not the gyros' axes: "
-            f"their x, y, z seem to be its {named(WAYS[other_axes])}; or the gyros are wrong. "
-            "North is not taken from it any more, the heading is relative and counts from "
-            f"{reference} there": bool(other_axes),
-            "attitude: the magnetometer is not calibrated, so nobody knows how far the heading is off; "
+            f"their x, y, z seem to be its {named(WAYS[other_axes])}; or the gyros are wrong. North is not "
+            f"taken from it any more, the heading is relative and {reference} there": bool(other_axes),
+            "attitude: the magnetometer is not calibrated, so it is not known how far the heading is off; "
             "record a figure-eight, then: imumon magnetometer SESSION --out MODEL.yaml": (
                 north and self._magnetometer is None
             ),
             f"attitude: reinitialized, {self._restarts} times so far, after a restart or a gap of more than "
             f"{GAP_NS * 1e-9:g} s, in which the unit may have turned"
-            + ("" if north else f": the relative heading counts from {reference} again"): self._restarts > 0,
+            + ("" if north else f": the relative heading {reference} again"): self._restarts > 0,
         }
 
 

@@ -31,9 +31,9 @@ SCALE_SD = 0.02
 """s0 of gyros that are not declared: between 1 % of a calibrated unit and 3 % of an MPU-6050."""
 SCALE_TURN = 2.0
 """g0, rad²: s0 counts like so much turn.  Ablation: 0.5 and 8 change sigma by 2 and 6 %."""
-CONFIRMING_TURN = 0.1
-"""rad² of tilt by turns about its own axis that confirm a gyro: some 20°.  Ablation: 1 rad² leaves a drone
-without."""
+CONFIRMING_TURN = 0.05
+"""rad² of tilt by turns about its own axis that confirm a gyro: 13°.  With 0.1 sigma is up to 2.8 times as
+wide, with 0.03 a gyro that is reversed may be confirmed."""
 LARGEST_CHANGE = 0.05
 """Share of that tilt by which u may change.  Ablation: 1 and 10 % change sigma by at most 2 %."""
 
@@ -105,12 +105,15 @@ class Gyros:
     confirmed: BoolArray = field(default_factory=lambda: np.zeros(3, bool))
     """Which gyros have turned the vertical as they should."""
 
-    def learn(self, change: float, sensitivity: FloatArray, up: FloatArray) -> None:
-        """Take d, rad², and J, (3, 9), of the last lag."""
+    def learn(self, change: float, sensitivities: FloatArray, up: FloatArray) -> None:
+        """Take d, rad², and J, (n, 3, 9), of the slots of the last lag."""
         share = SLOT_S / LAG_S  # successive lags overlap
-        turned = tilt_squared(sensitivity, up)
+        turned = tilt_squared(sensitivities.sum(0), up)
+        # Only turns that the low-pass has followed confirm a gyro.
+        followed = sensitivities[: -round(TAU_ACC_S / SLOT_S)].sum(0)
         # A turn counts as a quarter of a circle at most: by half a circle each way the vertical is the same.
-        own = turned[::4] / np.maximum((sensitivity[:, ::4] ** 2).sum(0) / (0.5 * math.pi) ** 2, 1.0)
+        circle = np.maximum((followed[:, ::4] ** 2).sum(0) / (0.5 * math.pi) ** 2, 1.0)
+        own = tilt_squared(followed, up)[::4] / circle
         self.change += share * change
         self.turned += share * float(turned.sum())
         self.own_turned += share * own
@@ -160,7 +163,7 @@ class TiltSigma:
         change = float(((slot.up - self.ups[0]) ** 2).sum())
         if math.isfinite(slot.low_force):
             self.accelerometers.learn(slot.up_body, slot.low_force)
-        self.gyros.learn(change, np.sum(self.sensitivities, axis=0), slot.up)
+        self.gyros.learn(change, np.array(self.sensitivities), slot.up)
         variance = self._at_rest(slot) if slot.rest else self._in_motion(slot, change)
         return variance + self.accelerometers.variance / STANDARD_GRAVITY**2
 

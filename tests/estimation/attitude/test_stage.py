@@ -346,11 +346,11 @@ def test_intervals_that_differ_do_not_turn_the_heading() -> None:
     assert abs((heading - true)[-1] - (heading - true)[2900]) < np.radians(2.0)
 
 
-def spun(seconds: float, rate_hz: float = 50.0) -> tuple[SampleBlock, FloatArray]:
+def spun(seconds: float, rate_hz: float = 50.0, deg_per_s: float = 40.0) -> tuple[SampleBlock, FloatArray]:
     """A unit at rest for 20 s that is spun about an axis that leans by 30°, by gyros with 1 % too much."""
     rng, n = np.random.default_rng(3), round((20.0 + seconds) * rate_hz)
     t = np.arange(1, n + 1) / rate_hz
-    speed = np.clip(t - 20.0, 0.0, 1.0) * np.radians(40.0) * (1.0 + 0.3 * np.sin(0.7 * t))
+    speed = np.clip(t - 20.0, 0.0, 1.0) * np.radians(deg_per_s) * (1.0 + 0.3 * np.sin(0.7 * t))
     angle = np.cumsum(speed) / rate_hz
     pose = Rotation.from_euler("y", 30.0, degrees=True) * Rotation.from_rotvec(np.outer(angle, [0, 0, 1]))
     force = pose.inv().apply([0.0, 0.0, STANDARD_GRAVITY]) + 0.01 * rng.normal(size=(n, 3))
@@ -376,6 +376,18 @@ def test_in_a_motion_the_tilt_is_known_as_the_filter_follows_gravity() -> None:
     assert np.max(sd[late]) < np.radians(6.0)  # of the gyros alone: 15°
 
 
+def test_a_reversed_gyro_is_not_confirmed_before_the_filter_has_followed_its_turn() -> None:
+    block, truth = spun(20.0, deg_per_s=90.0)
+    columns = {name: -block[name] for name in ("gyro_z", "gyro_corrected_z")}
+    found = AttitudeEstimate(axes="FLU").process(block.with_columns(columns))
+    q, true = matrices(np.column_stack([found[name] for name in Q]))[999:], truth[999:]
+    off = np.unwrap(np.arctan2(q[:, 1, 0], q[:, 0, 0]) - np.arctan2(true[:, 1, 0], true[:, 0, 0]))
+    sd = found["attitude_estimate_heading_sd"][999:]
+    known = np.isfinite(sd)
+    assert known[0]
+    assert np.abs((off - off[0]) / sd)[known].max() < 4.0
+
+
 def test_an_attitude_that_begins_in_motion_has_no_tilt_sigma_for_six_seconds() -> None:
     block, truth = spun(40.0)
     found = AttitudeEstimate(axes="FLU").process(block.rows(1250, len(block)))
@@ -394,7 +406,7 @@ def test_samples_that_are_missing_in_a_turn_as_where_the_gyros_are_saturated_wid
     for name, z in (("whole", block["gyro_z"]), ("lost", np.where(lost, np.nan, block["gyro_z"]))):
         sent = block.with_columns({"gyro_z": z, "gyro_corrected_z": z})
         sd[name] = AttitudeEstimate(axes="FLU").process(sent)["attitude_estimate_heading_sd"]
-    assert sd["lost"][1200] > 1.1 * sd["whole"][1200]  # by then the gyro is confirmed
+    assert sd["lost"][1350] > 1.1 * sd["whole"][1350]  # by then the gyro is confirmed
 
 
 def test_accelerometers_that_read_zero_at_rest_leave_no_error() -> None:
