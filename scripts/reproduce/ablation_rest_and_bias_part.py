@@ -16,7 +16,7 @@ from field_measured import errors
 from rest_detector_scenes import SENSORS, measure_with_bias, steady_turn
 from rest_detector_table import TURN_RATE_HZ
 
-from imumon.blocks import FloatArray
+from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.estimation.gyro_bias import hypotheses, modes
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest import detector, odds, quiet
@@ -35,6 +35,7 @@ Change = tuple[ModuleType, str, object]
 VARIANTS: dict[str, list[Change]] = {
     "one level of flicker, 10 s": [(modes, "FLICKER_CORNERS_S", (10.0,))],
     "no flicker of 0.1 s": [(modes, "FLICKER_CORNERS_S", (100.0, 10.0, 1.0))],
+    "no random walk": [(modes, "WALK_CORNER_S", 1e6)],
     "levels of the axes independent": [(modes, "SAME_LEVEL", 0.25)],
     "no sensitivity": [(modes, "SENSITIVITIES", modes.SENSITIVITIES[:1] * 1e-6)],
     "large sensitivity only": [(modes, "SENSITIVITIES", modes.SENSITIVITIES[1:])],
@@ -66,6 +67,7 @@ def outcomes(change: list[Change] | None, seeds: range, data: Path) -> Iterator[
         for name, turn in {**TURNS, **TILTED}.items():
             for grade, which in GRADES.items():
                 yield _outcome(f"{name}, {grade}", [_turned(turn, which, seed) for seed in seeds])
+        yield _outcome("walk of 6 °/h/√s at rest", [_walking(seed) for seed in seeds])
         for path in sorted((data / "broad").glob("*.npz")):
             error, ratio, _ = errors(path)
             yield _outcome(path.stem, [(error, ratio)])
@@ -85,7 +87,30 @@ def _turned(turn: tuple[float, float, float, float], grade: int, seed: int) -> t
     samples, truth = measure_with_bias(steady_turn(TURN_RATE_HZ, *turn), SENSORS[grade], seed)
     for stage in (RestDetector(), GyroBias()):
         samples = samples.with_columns(stage.process(samples))
-    at = slice(round(FIRST_S * TURN_RATE_HZ), None, round(TURN_RATE_HZ))
+    return _once_a_second(samples, truth, TURN_RATE_HZ)
+
+
+def _walking(seed: int) -> tuple[FloatArray, FloatArray]:
+    """Return the same of a resting unit whose biases walk, with white noise of 1 °/√h."""
+    rng, n, rate_hz = np.random.default_rng(seed), 40_000, 50.0
+    walk = np.cumsum(3e-5 / np.sqrt(rate_hz) * rng.standard_normal((n, 3)), axis=0)
+    gyro = walk + 3e-4 * np.sqrt(rate_hz) * rng.standard_normal((n, 3))
+    accel = 0.02 * rng.standard_normal((n, 3)) + [0.0, 0.0, 9.81]
+    columns: dict[str, ColumnArray] = {
+        "device_time_ns": np.rint(np.arange(n) / rate_hz * 1e9).astype(np.int64),
+        "segment": np.zeros(n, np.int64),
+    }
+    for name, values in (("gyro", gyro), ("accel", accel)):
+        columns |= {f"{name}_{axis}": values[:, i] for i, axis in enumerate("xyz")}
+    samples = SampleBlock(columns)
+    for stage in (RestDetector(), GyroBias()):
+        samples = samples.with_columns(stage.process(samples))
+    return _once_a_second(samples, walk, rate_hz)
+
+
+def _once_a_second(samples: SampleBlock, truth: FloatArray, rate_hz: float) -> tuple[FloatArray, FloatArray]:
+    """Return error and error over sigma of the bias after the first minute."""
+    at = slice(round(FIRST_S * rate_hz), None, round(rate_hz))
     bias, sd = (
         np.column_stack([samples[f"{name}_{axis}"] for axis in "xyz"])[at]
         for name in ("gyro_bias", "gyro_bias_sd")
