@@ -17,7 +17,7 @@ from rest_detector_scenes import SENSORS, measure_with_bias, steady_turn
 from rest_detector_table import TURN_RATE_HZ
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
-from imumon.estimation.gyro_bias import hypotheses, modes
+from imumon.estimation.gyro_bias import bank, hypotheses, modes
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest import detector, odds, quiet
 from imumon.estimation.rest.stage import RestDetector
@@ -37,8 +37,8 @@ VARIANTS: dict[str, list[Change]] = {
     "no flicker of 0.1 s": [(modes, "FLICKER_CORNERS_S", (100.0, 10.0, 1.0))],
     "no random walk": [(modes, "WALK_CORNER_S", 1e6)],
     "levels of the axes independent": [(modes, "SAME_LEVEL", 0.25)],
-    "no sensitivity": [(modes, "SENSITIVITIES", modes.SENSITIVITIES[:1] * 1e-6)],
-    "large sensitivity only": [(modes, "SENSITIVITIES", modes.SENSITIVITIES[1:])],
+    "no sensitivity": [(bank, "SENSITIVITY_SD", 1e-9)],
+    "half the sensitivity": [(bank, "SENSITIVITY_SD", 0.5 * modes.SENSITIVITY_SD)],
     "no flicker within a slot": [(modes, "FASTEST_S", 1.0)],
     "nominal compared as it is, not as it was": [(hypotheses, "LAG_S", 1.0)],
     "a mean fits by 5.5 sigma, not 4.5": [(hypotheses, "FIT_SIGMAS", 5.5)],

@@ -16,6 +16,7 @@ from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias.law import Law
 from imumon.estimation.gyro_bias.modes import (
     SENSITIVITY,
+    SENSITIVITY_SD,
     SLOPE,
     SLOPE_DEGC,
     STATES,
@@ -75,7 +76,7 @@ def start(
     diagonal = np.einsum("...ii->...i", covariance)
     diagonal[:] = modes.process
     diagonal[..., WALK], diagonal[..., SLOPE] = UNKNOWN, modes.process[..., SLOPE] * SLOPE_DEGC
-    diagonal[..., SENSITIVITY] = (modes.sensitivity / white[:, np.newaxis])[..., np.newaxis]
+    diagonal[..., SENSITIVITY] = (SENSITIVITY_SD**2 / white)[:, np.newaxis, np.newaxis]
     mean = np.zeros((3, modes.count, STATES))
     count = KNOWN_COUNT if known_noise else PRIOR_COUNT
     scale = np.repeat(count * white[:, np.newaxis], modes.count, 1)
@@ -146,19 +147,13 @@ def _weigh(bank: Bank, square: FloatArray, spread: FloatArray) -> None:
 def mode_probabilities(bank: Bank) -> FloatArray:
     """Return the probability of each mode, (3, F).
 
-    The flicker level of the unit is the parent of its axes' levels, and all axes have one sensitivity:
-    messages on a tree, so they are exact.
+    The flicker level of the unit is the parent of its axes' levels: messages on a tree, so they are exact.
     """
     modes, w = bank.modes, np.exp(bank.log_weight)
-    if modes.kinds > 1:
-        level = w.reshape(3, modes.kinds, -1).sum(2)
-        message = level @ modes.levels
-        others = (message.prod(0) / message) @ modes.levels.T
-        w = w * np.repeat(others, modes.count // modes.kinds, axis=1)
-    by_group = w.reshape(3, -1, int(modes.group[-1]) + 1).sum(1)
-    common = by_group.prod(0)
-    found: FloatArray = w / by_group[:, modes.group] * (common / common.sum())[modes.group]
-    return found
+    message = w.reshape(3, modes.kinds, -1).sum(2) @ modes.levels
+    others = (message.prod(0) / message) @ modes.levels.T
+    w *= np.repeat(others, modes.count // modes.kinds, axis=1)
+    return np.asarray(w / w.sum(1, keepdims=True))
 
 
 def law_of(bank: Bank) -> Law:

@@ -17,7 +17,7 @@ from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import hypotheses
 from imumon.estimation.gyro_bias.hypotheses import LEAST_WHITE, Evidence, Second
 from imumon.estimation.gyro_bias.law import Law
-from imumon.estimation.gyro_bias.modes import SENSITIVITIES, SLOPE, Modes, known_modes, unknown_modes
+from imumon.estimation.gyro_bias.modes import SENSITIVITY_SD, SLOPE, Modes, known_modes, unknown_modes
 from imumon.estimation.gyro_bias.motion import Motion
 from imumon.estimation.gyro_bias.place import Attitude, Place, turned_earth
 from imumon.estimation.gyro_bias.timing import Span
@@ -174,8 +174,9 @@ def _learn_from_motion(state: State, slot: Slot) -> bool:
     if not state.motion.take(slot.turn, slot.force):
         return False
     bias, variance = state.motion.bias
-    sensitivity = float(np.mean(SENSITIVITIES**2))
-    state.by_motion = Law.of(bias, variance + EARTH_RATE**2, sensitivity, state.motion.force, slot.span.end_s)
+    state.by_motion = Law.of(
+        bias, variance + EARTH_RATE**2, SENSITIVITY_SD**2, state.motion.force, slot.span.end_s
+    )
     return True
 
 

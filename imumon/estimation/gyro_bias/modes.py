@@ -1,4 +1,4 @@
-"""The model of a gyro's bias, and the modes: hypotheses of its flicker, slope and sensitivity.
+"""The model of a gyro's bias, and the modes: hypotheses of its noise and slope.
 
 Per axis the state is::
 
@@ -24,7 +24,7 @@ from itertools import product
 
 import numpy as np
 
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import FloatArray
 from imumon.geodesy import STANDARD_GRAVITY
 
 STATES = 8
@@ -43,9 +43,9 @@ SLOPE_LEFT_PER_SIGMA = 0.25
 """The same of what a model's curve leaves."""
 SLOPE_DEGC = 30.0
 """Difference of temperature over which a slope changes by as much as itself."""
-SENSITIVITIES = np.radians([0.003, 0.05]) / STANDARD_GRAVITY
-"""Standard deviation of an entry of the matrix of sensitivity, rad/s per m/s²: of a compensated gyro, and of
-one that is not.  A third level between gains 2 %."""
+SENSITIVITY_SD = math.radians(0.05) / STANDARD_GRAVITY
+"""Standard deviation of an entry of the matrix of sensitivity, rad/s per m/s²: of a gyro that is not
+compensated.  A second level for one that is would gain 12 % at most, where there is none."""
 SAME_LEVEL = 0.6
 """Probability that an axis has the flicker level of its unit; its neighbours in level share the most of
 the rest."""
@@ -57,28 +57,24 @@ BEYOND_SLOWEST = 0.015
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Modes:
-    """F modes, each a filter: kinds of noise, with or without a slope, and scales of the sensitivity.
+    """F modes, each a filter: kinds of noise, with or without a slope.
 
     Variances are over σ²; arrays (3, F, ...) are of the three axes.
     """
 
     process: FloatArray
     """Q: of w per second, of each gi when it is in equilibrium, of s per °C, (3, F, 8)."""
-    sensitivity: FloatArray
-    """Prior variance of an entry of the sensitivity, absolute, (F,)."""
     fast: FloatArray
     """Flicker of a sample that the filter does not follow, (3, F)."""
     kinds: int
     """Kinds of noise: the slowest index of F."""
     levels: FloatArray
     """Transition matrix from the flicker level of the unit to that of an axis, (kinds, kinds)."""
-    group: IntArray
-    """Which sensitivity each mode has, (F,)."""
 
     @property
     def count(self) -> int:
         """F."""
-        return len(self.group)
+        return int(self.fast.shape[1])
 
 
 def unknown_modes(slope_per_sigma: tuple[float, ...]) -> Modes:
@@ -105,10 +101,7 @@ def known_modes(
 
 def _modes(b: FloatArray, walk: FloatArray, slopes: tuple[float, ...], levels: FloatArray) -> Modes:
     """Return all combinations; B and K over σ, (3, kinds)."""
-    kind, slope, group = (
-        np.array(one)
-        for one in zip(*product(range(b.shape[1]), slopes, range(len(SENSITIVITIES))), strict=True)
-    )
+    kind, slope = (np.array(one) for one in zip(*product(range(b.shape[1]), slopes), strict=True))
     variance = (b[:, kind] ** 2) * math.log(TAUS_S[2] / TAUS_S[1]) / math.pi
     process = np.zeros((3, len(kind), STATES))
     process[..., WALK] = walk[:, kind] ** 2 + BEYOND_SLOWEST**2 * variance
@@ -116,7 +109,7 @@ def _modes(b: FloatArray, walk: FloatArray, slopes: tuple[float, ...], levels: F
     process[..., SLOPE] = slope**2 / SLOPE_DEGC
     # What is faster than the fastest process, and that process less its own mean over a second.
     fast = b[:, kind] ** 2 / math.pi * math.log(TAUS_S[0] / FASTEST_S) + 0.47 * variance
-    return Modes(process, SENSITIVITIES[group] ** 2, fast, b.shape[1], levels, group)
+    return Modes(process, fast, b.shape[1], levels)
 
 
 def propagate(

@@ -214,7 +214,8 @@ def _evidence(
     others = as_predicted(part, variance)
     if bias.first is not None and bias.fits_s >= FIRST_S:
         others += first_was_turn(bias.first, now.rate)
-    steady = bias.fits_s > parameters.undecided_s and difference @ difference <= parameters.largest_jump**2
+    small = float(np.linalg.norm(difference)) <= parameters.largest_jump
+    steady = small and bias.fits_s > parameters.undecided_s
     return Evidence(
         turns=ratio < -TURN_LOG_RATIO,
         changed=ratio > CHANGE_LOG_RATIO or (steady and ratio > -TURN_LOG_RATIO),
