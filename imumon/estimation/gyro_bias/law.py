@@ -1,15 +1,17 @@
 """The bias as a law: its mean and variance at a time, a temperature and a specific force.
 
-All modes have one F, so the law of their mixture propagates as each of them does.
+All modes have one F, so the law of their mixture propagates as each of them does.  It is evaluated at each
+sample: a unit in the hand is in another pose a quarter of a second later.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import FloatArray
+from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.estimation.gyro_bias.modes import SENSITIVITY, STATES, WALK, measurement_row, propagate
 
 _FAST = 1
@@ -72,11 +74,61 @@ class Law:
             h[_FAST] = 0.0
         return mean, np.maximum(self.covariance @ h @ h, 0.0)
 
-    def terms(self) -> tuple[FloatArray, FloatArray]:
-        """Return bias at f0 and sensitivity, (3, 4), and their covariance, (3, 4, 4), with the fast
-        flicker."""
+    def shown(self, added: FloatArray, ambiguity: FloatArray, force: FloatArray) -> Shown:
+        """Return what holds with so much more variance, and an ambiguity, (3,), at the specific force of a
+        slot, (3,)."""
         select = np.zeros((4, STATES))
         select[0], select[1:, SENSITIVITY] = measurement_row(np.zeros(3)), np.eye(3)
         covariance = select @ self.covariance @ select.T
-        covariance[:, 0, 0] += self.fast
-        return self.mean @ select.T, covariance
+        covariance[:, 0, 0] += self.fast + added
+        offset = np.nan_to_num(force - self.force)
+        return Shown(self.mean @ select.T, covariance, self.force, offset, ambiguity)
+
+
+class Shown(NamedTuple):
+    """A law from the end of a slot on; NaN where nothing is known."""
+
+    terms: FloatArray
+    """Bias at f0 and its sensitivity, t, (3, 4)."""
+    covariance: FloatArray
+    """Theirs, C, (3, 4, 4)."""
+    reference: FloatArray
+    """f0, (3,)."""
+    offset: FloatArray
+    """Specific force of the slot less f0, (3,)."""
+    ambiguity: FloatArray
+    """Variance by the hypothesis of the bias that is not shown, (3,)."""
+
+
+NOTHING = Shown(*(np.full(shape, np.nan) for shape in ((3, 4), (3, 4, 4), (3,), (3,), (3,))))
+
+
+def at_samples(
+    rows: IntArray, every: list[Shown], force: FloatArray, moving: BoolArray, reported: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return bias t (1, d) and variance (1, d) C (1, d) of samples, (n, 3) each.
+
+    d is the specific force of the sample less f0; at rest, where its noise is no change of pose, and without
+    accelerometers, that of the slot.  The sums are of few terms each, so they are the same whatever the
+    division into blocks.
+
+    Parameters
+    ----------
+    rows : array (m,)
+        From where on each but the first holds.
+    every : list of Shown, m + 1
+    force : array (n, 3)
+    moving : array of bool (n,)
+    reported : array (n, 3)
+        A turn that may be a change of the bias, by the rest detector, rad/s: its square is an ambiguity, too.
+    """
+    which = np.searchsorted(rows, np.arange(len(moving)), side="right")
+    terms, covariance, reference, offset, ambiguity = (np.array(one) for one in zip(*every, strict=True))
+    d = force - reference[which]
+    used = moving & np.isfinite(d).all(1)
+    row = np.ones((len(d), 1, 4))
+    row[:, 0, 1:] = np.where(used[:, np.newaxis], d, offset[which])
+    bias = (terms[which] * row).sum(2)
+    part = (covariance[which] * row[:, np.newaxis]).sum(3)
+    variance = np.maximum((part * row).sum(2), 0.0)
+    return bias, variance + np.maximum(ambiguity[which], reported**2)

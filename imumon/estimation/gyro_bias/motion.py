@@ -28,7 +28,7 @@ UNKNOWN_RATE = math.radians(3.0)
 PRIOR_SD = np.repeat([UNKNOWN_RATE, 0.03, 0.4], [3, 9, 3])
 """Of the states: bias, elements of M, and accelerometers' bias, m/s²; 3 % and 40 mg, as consumer data sheets
 have it."""
-ALIKE = 4.0
+ALIKE = 6.0
 """Factor of the variance: accelerations of successive parts are alike, where the speed changes slowly."""
 BIAS_WALK = 30.0 * DEG_PER_H
 """Random walk of the bias, rad/s/sqrt(s): 230 °/h a minute, as 100 °/h/°C at 2 °C/min makes it."""

@@ -24,10 +24,10 @@ from imumon.estimation.gyro_bias.estimator import (
     shown,
     step,
 )
+from imumon.estimation.gyro_bias.law import NOTHING, Shown, at_samples
 from imumon.estimation.gyro_bias.modes import SLOPE_LEFT_PER_SIGMA, SLOPE_PER_SIGMA
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.place import Place
-from imumon.estimation.gyro_bias.samples import NOTHING, Shown, at_samples, shown_by
 from imumon.estimation.gyro_bias.thermal_input import ThermalInput, unseen_lag
 from imumon.estimation.gyro_bias.timing import Timing
 from imumon.estimation.gyro_bias.trail import BiasTrail
@@ -154,7 +154,10 @@ class GyroBias:
         temperature, reported = self._thermal.temperature(block), block.vector("turn_hypothesis")
         breaks = self._breaks.rows(block["device_time_ns"], block["segment"])
         total, curve, initial_sd = self._model_input(block, temperature, breaks)
-        values = self._gathered(block, gyro - total, temperature, initial_sd, rest, reported)
+        turn = np.zeros((n, 3)) if reported is None else np.nan_to_num(reported)
+        force = np.full((n, 3), np.nan) if block.accel is None else block.accel
+        force = np.where(np.isfinite(force.sum(1))[:, np.newaxis], force, np.nan)
+        values = np.column_stack([gyro - total, force, temperature, initial_sd, turn, rest])
         time_ns = np.where(np.isfinite(values[:, RATE]).all(1), block["device_time_ns"], NO_INT)
         slots = self._slots.process(time_ns, block["segment"], values)
         rows, every = [], [self._shown]
@@ -167,29 +170,14 @@ class GyroBias:
                 rows.append(row)
                 every.append(self._present())
         self._shown = every[-1]
-        turn = np.zeros((n, 3)) if reported is None else np.nan_to_num(reported)
-        bias[:], variance = at_samples(np.array(rows, np.int64), every, values[:, FORCE], ~rest, turn)
+        bias[:], variance = at_samples(np.array(rows, np.int64), every, force, ~rest, turn)
         np.sqrt(variance, out=sd)
         bias += total
         drift_sd[:] = sd
         np.subtract(gyro, bias, out=corrected)
         np.subtract(bias, curve, out=drift)
         ended = slots.row[slots.row < n]
-        self._trail.add(block["device_time_ns"][ended], temperature[ended], bias[ended])
-
-    def _gathered(
-        self, block: SampleBlock, rate: FloatArray, degc: FloatArray, sd: FloatArray, rest: BoolArray,
-        reported: FloatArray | None,
-    ) -> FloatArray:  # fmt: skip
-        """Return the columns of the gatherer, (n, 16)."""
-        values = np.full((len(block), GATHERED), np.nan)
-        values[:, RATE], values[:, DEGC], values[:, INITIAL_SD], values[:, REST] = rate, degc, sd, rest
-        force = block.accel
-        if force is not None:
-            values[:, FORCE] = np.where(np.isfinite(force.sum(1))[:, np.newaxis], force, np.nan)
-        if reported is not None:
-            values[:, TURN] = np.nan_to_num(reported)
-        return values
+        self._trail.add(temperature[ended], bias[ended])
 
     def _step(self, slots: Slots, k: int, is_reported: bool) -> tuple[FloatArray | None, bool]:
         """Take a slot; return the innovations, and whether the bias is another."""
@@ -231,7 +219,7 @@ class GyroBias:
     def _present(self) -> Shown:
         """Return the law from now on."""
         law, added, ambiguity = shown(self._state, self._params, self._now_s)
-        return NOTHING if law is None else shown_by(law, added, ambiguity, self._state.force)
+        return NOTHING if law is None else law.shown(added, ambiguity, self._state.force)
 
     def _model_input(
         self, block: SampleBlock, temperature: FloatArray, breaks: Sequence[int]
@@ -270,9 +258,8 @@ class GyroBias:
             if true and text not in self._reported:
                 self._reported.add(text)
                 texts.append(text)
-        jumped = self._state.beliefs.jumped
-        if jumped > self._jumped:
-            self._jumped = jumped
+        if self._state.beliefs.jumped > self._jumped:
+            self._jumped = self._state.beliefs.jumped
             texts.append(
                 "at rest the rate contradicted the bias, so it has jumped: the bias is estimated anew"
             )

@@ -34,7 +34,8 @@ class ThermalVariance:
     """Variance that an uncertain thermal model has brought since the start, of three axes.
 
     Within the calibrated range the error of the curve is a random walk over temperature; outside it the slope
-    itself is unknown.  An unknown state at power-on has moved the bias by its sd at first less that now.
+    itself is unknown, and the farthest counts.  An unknown state at power-on has moved the bias by its sd at
+    first less that now.
     """
 
     residual: FloatArray
@@ -42,46 +43,36 @@ class ThermalVariance:
     low_degc: FloatArray
     high_degc: FloatArray
     """Residual of the curve, its rms slope per °C, and the calibrated range, (3,)."""
-    variance: FloatArray = field(init=False)
+    walk: FloatArray = field(init=False)
     mark_degc: FloatArray = field(init=False)
-    outside_degc: FloatArray = field(init=False)
+    beyond_degc: FloatArray = field(init=False)
     first_sd: FloatArray = field(init=False)
     faded: FloatArray = field(init=False)
-    modelled: bool = field(init=False)
 
     def __post_init__(self) -> None:
         """Begin."""
-        self.modelled = bool(self.steepness.any())
         self.begin()
 
     def begin(self) -> None:
         """Start at zero."""
-        self.variance, self.outside_degc, self.faded = np.zeros((3, 3))
+        self.walk, self.beyond_degc, self.faded = np.zeros((3, 3))
         self.mark_degc, self.first_sd = np.full((2, 3), np.nan)
 
     def step(self, degc: FloatArray, sd: FloatArray) -> FloatArray:
         """Return the variance at these temperatures, with this sd of the state, (3,); NaN changes nothing."""
-        if not self.modelled:
-            return self.variance
         self.mark_degc = np.where(np.isfinite(self.mark_degc), self.mark_degc, degc)
         moved = np.abs(degc - self.mark_degc)
-        has_moved = moved >= MOVED_DEGC
-        self.variance = self.variance + np.where(
-            has_moved, 2.0 * self.residual**2 * moved / CORRELATION_DEGC, 0.0
-        )
-        self.mark_degc = np.where(has_moved, degc, self.mark_degc)
-        beyond = np.maximum(np.maximum(self.low_degc - degc, degc - self.high_degc), 0.0)
-        farther = beyond > self.outside_degc
-        more = self.steepness**2 * (beyond**2 - self.outside_degc**2)
-        self.variance = self.variance + np.where(farther, more, 0.0)
-        self.outside_degc = np.where(farther | (beyond == 0.0), beyond, self.outside_degc)
+        far = moved >= MOVED_DEGC
+        self.walk = self.walk + np.where(far, 2.0 * self.residual**2 * moved / CORRELATION_DEGC, 0.0)
+        self.mark_degc = np.where(far, degc, self.mark_degc)
+        self.beyond_degc = np.fmax(self.beyond_degc, np.fmax(self.low_degc - degc, degc - self.high_degc))
         self.first_sd = np.where(np.isfinite(self.first_sd), self.first_sd, sd)
         self.faded = np.fmax(self.faded, (sd - self.first_sd) ** 2)
-        return np.asarray(self.variance + self.faded)
+        return np.asarray(self.walk + (self.steepness * self.beyond_degc) ** 2 + self.faded)
 
     def miss(self, lag_degc: FloatArray) -> None:
         """Add what the lag behind the thermometer may have done in a gap (sd), (3,)."""
-        self.variance = self.variance + (self.steepness * lag_degc) ** 2
+        self.walk = self.walk + (self.steepness * lag_degc) ** 2
 
 
 class ThermalInput:
@@ -124,21 +115,12 @@ class ThermalInput:
 
     def temperature(self, block: SampleBlock) -> FloatArray:
         """Return the temperature of each gyro in °C, the estimated one where there is one, (n, 3)."""
-        result = np.empty((len(block), 3))
-        for j, sources in enumerate(self._sources):
-            # The reading is a stopgap where the estimate has not begun; mixed with it, it would jump.
-            name = next((name for name in sources if name in block), None)
-            result[:, j] = np.nan if name is None else block[name]
-        return result
+        # The reading is a stopgap where the estimate has not begun; mixed with it, it would jump.
+        return _first_of(block, self._sources)
 
     def rate_sd(self, block: SampleBlock) -> FloatArray:
         """Return what is known of the rate of each gyro's temperature (sd), °C/s, (n, 3); NaN without one."""
-        result = np.full((len(block), 3), np.nan)
-        for j, sources in enumerate(self._sources):
-            name = sources[0].replace("estimate", "rate_sd")
-            if name in block:
-                result[:, j] = block[name]
-        return result
+        return _first_of(block, [[names[0].replace("estimate", "rate_sd")] for names in self._sources])
 
     def process(
         self, block: SampleBlock, temperature: FloatArray
@@ -172,6 +154,13 @@ class ThermalInput:
         self.outside |= bool((np.isfinite(temperature) & ~predicted.inside).any())
         self.lacking |= bool(n and not known.any())
         return total, predicted.bias, sd
+
+
+def _first_of(block: SampleBlock, sources: list[list[str]]) -> FloatArray:
+    """Return the first column of each list that a block has, (n, lists); NaN without one."""
+    none = np.full(len(block), np.nan)
+    found = [next((block[name] for name in names if name in block), none) for names in sources]
+    return np.column_stack(found).astype(np.float64)
 
 
 def _sources(column: str, axis: str) -> list[str]:
