@@ -118,7 +118,8 @@ def step(state: State, params: Params, slot: Slot) -> tuple[FloatArray | None, b
     state.added = state.added + slot.growth
     beliefs = state.beliefs
     if slot.reported is not None and (slot.reported.any() or not slot.rest):
-        state.held = slot.reported**2
+        learned = not slot.rest and not beliefs.contradicted  # what has been learned does not become better
+        state.held = np.maximum(slot.reported**2, state.held if learned else 0.0)
     if not slot.rest or slot.span.gap_s:
         _leave(state, slot)
     if slot.rest:

@@ -121,7 +121,7 @@ class Facts(NamedTuple):
     fits_changed: bool
     contradicted: bool
     settled: bool
-    """Whether at least two seconds of this rate fit."""
+    """Whether at least three seconds of this rate fit: one that goes on changing has two at most."""
     accepted: bool
     """Whether the test has decided for a change of the bias."""
 
@@ -226,7 +226,7 @@ def _facts(state: State, now: Second, compared: Bank, test: Test) -> tuple[Facts
     if not fits or state.contradicted or len(state.recent) <= SPANS[1]:
         evidence = test(law, difference, fits)
     facts = Facts(
-        fits and not evidence.turns, fits_changed, state.contradicted, len(alike) > 1, evidence.changed
+        fits and not evidence.turns, fits_changed, state.contradicted, len(alike) > 2, evidence.changed
     )
     return facts, evidence.probability
 
