@@ -13,6 +13,7 @@ from thermometer_kinds import KINDS, Profile, constant, drifting, ramp, thermost
 from thermometers_table import errors, largest, rms
 
 from imumon.blocks import FloatArray
+from imumon.estimation.temperature_rate import thermometer
 from imumon.estimation.temperature_rate.model import CODE_MODELS, MEAN_MODELS, Params, code_model
 from imumon.estimation.temperature_rate.stage import MultipleModelRate
 
@@ -26,8 +27,10 @@ SCENES: list[tuple[str, str, Profile, float, float]] = [
     ("1 °C, white 0.05 step", "5 °C/h", drifting, 1800.0, SETTLED_S),
     ("correlated 5 s, 0.5 step", "constant", constant, 1800.0, SETTLED_S),
     ("1/f, 0.5 step", "constant", constant, 1800.0, SETTLED_S),
+    ("0.5 °C, 1/f, 0.3 step", "5 °C/h", drifting, 1800.0, SETTLED_S),
     ("refresh 4 s, 0.3 step", "2 °C/min", ramp(300.0), 600.0, 324.0),
     ("refresh 10 s, 0.3 step", "2 °C/min", ramp(300.0), 600.0, 330.0),
+    ("refresh 60 s, 0.3 step", "2 °C/min", ramp(300.0), 600.0, 380.0),
     ("1 °C, white 0.3 step", "2 °C/min", ramp(300.0), 600.0, 320.0),
     ("0.05 °C, 2 Hz stream, 0.3 step", "thermostat", thermostat(1.0, 900.0, 40.0), 5400.0, 1800.0),
     ("no steps, white 0.02 °C", "2 °C/min", ramp(300.0), 600.0, 320.0),
@@ -35,7 +38,7 @@ SCENES: list[tuple[str, str, Profile, float, float]] = [
 STEPS_DEGC = (0.0, 0.0625, 0.5, 1.0)
 
 PARAMS = Params()
-VARIANTS: dict[str, Params] = {
+VARIANTS: dict[str, Params | dict[str, float]] = {
     "a code that stays is no evidence on slow errors": replace(PARAMS, renewal=0.0),
     "no soft edges": replace(PARAMS, soft=0.0),
     "no code is a surprise": replace(PARAMS, surprise=1e-300),
@@ -59,15 +62,32 @@ VARIANTS: dict[str, Params] = {
     ),
     "5 jerk PSDs, not 9": replace(PARAMS, jerk_psds=PARAMS.jerk_psds[::2]),
     "no change of the jerk PSD at once": replace(PARAMS, any_per_s=1e-9),
-    "mixed every 16 s, not 4": replace(PARAMS, mix_s=16.0),
     "no ramp that may have begun": replace(PARAMS, memory_s=1e9),
     "no output lag": replace(PARAMS, output_lag_s=1e-3),
+    "10 white sigmas, not 13": replace(
+        PARAMS,
+        code_models=(
+            *(code_model(0.02 * 25.0 ** (i / 9.0)) for i in range(10)),
+            *(model for model in CODE_MODELS if model.slow_variance),
+        ),
+    ),
+    "a code is a surprise below 10 %, not 2": replace(PARAMS, surprise=0.1),
+    "soft below 1 sigma, not 2": replace(PARAMS, soft=1.0),
+    "wide beyond 3 steps, not 1.5": replace(PARAMS, wide=3.0),
+    "renewal 0.03, not 0.1": replace(PARAMS, renewal=0.03),
+    "no outlier rule for ρ and the scatter": {"OUTLIER": 1e9},
+    "memory of 16 slots, not 32": {"MEMORY": 1.0 / 16.0},
+    "memory of 64 slots, not 32": {"MEMORY": 1.0 / 64.0},
 }
+CONSTANTS = {"OUTLIER": thermometer.OUTLIER, "MEMORY": thermometer.MEMORY}
+"""Of the module `thermometer`; a variant may change them."""
 
 
 def outcomes(change: object, seeds: range, data: Path) -> Iterator[Outcome]:
     """Yield the scenes, then the measured record where its folder exists."""
     params = change if isinstance(change, Params) else PARAMS
+    for name, value in CONSTANTS.items():
+        setattr(thermometer, name, change.get(name, value) if isinstance(change, dict) else value)
     kinds = {kind.name: kind for kind in KINDS}
     for name, what, profile, length_s, start_s in SCENES:
         runs = [

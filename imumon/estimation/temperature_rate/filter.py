@@ -26,7 +26,6 @@ from imumon.estimation.temperature_rate.model import (
     TEMPERATURE,
     Params,
     dynamics,
-    jerk_transition,
 )
 from imumon.estimation.temperature_rate.thermometer import REVERSALS, Reading, Thermometer
 from imumon.filters.multiple_models import mix, mixture, mode_probabilities
@@ -74,7 +73,6 @@ class Filters:
     mu: FloatArray
     time_s: float
     """What x refers to."""
-    unmixed_s: float = 0.0
 
 
 @dataclass(slots=True, eq=False)
@@ -122,28 +120,19 @@ def slow_error(params: Params, thermometer: Thermometer) -> tuple[FloatArray, Fl
 
 
 def predict(params: Params, filters: Filters, time_s: float, thermometer: Thermometer) -> None:
-    """Advance all filters to a time: x = F x, P = F P Fᵀ + Q."""
+    """Mix the filters of each noise model (IMM) and advance all to a time: x = F x, P = F P Fᵀ + Q."""
     dt = round(max(time_s - filters.time_s, 0.0), 3)
     step = dynamics(params, dt)
-    shape = filters.x.shape
-    filters.x = (step.f @ filters.x.reshape(STATES, -1)).reshape(shape) * step.decay
-    p = (step.f_kron_f @ filters.p.reshape(STATES**2, -1)).reshape(STATES, *shape)
+    x, p, filters.mu = mix(filters.x, filters.p, filters.mu, step.transition)
+    shape = x.shape
+    filters.x = (step.f @ x.reshape(STATES, -1)).reshape(shape) * step.decay
+    p = (step.f_kron_f @ p.reshape(STATES**2, -1)).reshape(STATES, *shape)
     p *= step.decay[:, np.newaxis] * step.decay
     variance, walk = slow_error(params, thermometer)
     p[:ERROR, :ERROR] += step.q
     p[ERROR, ERROR] += variance * (1.0 - step.decay[ERROR] ** 2)
     p[TEMPERATURE, TEMPERATURE] += walk * dt
     filters.p, filters.time_s = p, max(time_s, filters.time_s)
-    filters.unmixed_s += dt
-
-
-def mix_jerks(params: Params, filters: Filters) -> None:
-    """Mix the filters of each noise model once enough time has passed: the IMM's interaction."""
-    if filters.unmixed_s < params.mix_s - 0.5 * SLOT_S:
-        return
-    transition = jerk_transition(params, round(filters.unmixed_s))
-    filters.x, filters.p, filters.mu = mix(filters.x, filters.p, filters.mu, transition)
-    filters.unmixed_s = 0.0
 
 
 def correct(params: Params, filters: Filters, y: Predicted, correction: Correction) -> None:
@@ -168,7 +157,6 @@ def step(params: Params, state: State, reading: Reading) -> Output:
         if fresh is None or dead or gate.is_stuck(reading) or spans_a_fault(reading, thermometer):
             return state.output
         return _restart(params, state, reading)
-    mix_jerks(params, filters)
     predict(params, filters, reading.time_s if fresh is None else fresh.time_s, thermometer)
     y = predicted_reading(filters.x, filters.p)
     output_only = None

@@ -78,8 +78,6 @@ class Params:
     code_models: tuple[NoiseModel, ...] = CODE_MODELS
     mean_models: tuple[NoiseModel, ...] = MEAN_MODELS
     jerk_psds: tuple[float, ...] = JERK_PSDS
-    mix_s: float = 4.0
-    """Filters are mixed so often: a fraction of the time in which one could take over."""
     neighbour_per_s: float = 1e-4
     """Probability per second that the jerk PSD changes to a neighbour's."""
     any_per_s: float = 1e-6
@@ -114,7 +112,7 @@ class Params:
 
 
 class Dynamics(NamedTuple):
-    """F and Q of a time step; e, whose φ depends on the noise model, is apart."""
+    """F, Q and mode transitions of a time step; e, whose φ depends on the noise model, is apart."""
 
     f: FloatArray
     """F of T, r and a, (4, 4); its element of e is 1."""
@@ -124,11 +122,13 @@ class Dynamics(NamedTuple):
     """φ = exp(-dt/τ) of e, and 1 of the other states, (4, k, 1)."""
     q: FloatArray
     """Q of T, r and a, (3, 3, 1, m)."""
+    transition: FloatArray
+    """Transition matrix of the jerk PSDs, (m, m)."""
 
 
 @lru_cache(maxsize=64)
 def dynamics(params: Params, dt: float) -> Dynamics:
-    """Return F and Q of a time step in s: constant acceleration driven by white jerk.
+    """Return F, Q and transitions of a time step in s: constant acceleration driven by white jerk.
 
     ::
 
@@ -148,13 +148,11 @@ def dynamics(params: Params, dt: float) -> Dynamics:
             [dt**3 / 6.0, dt**2 / 2.0, dt],
         ]
     )
-    return Dynamics(
-        f, np.asarray(np.kron(f, f), np.float64), decay, q[:, :, np.newaxis, np.newaxis] * params.jerk_psds
-    )
-
-
-@lru_cache(maxsize=64)
-def jerk_transition(params: Params, dt: float) -> FloatArray:
-    """Return the transition matrix of the jerk PSDs over a time in s, (m, m)."""
     neighbour, other = (min(dt * rate, 0.4) for rate in (params.neighbour_per_s, params.any_per_s))
-    return mode_transition(len(params.jerk_psds), neighbour, other)
+    return Dynamics(
+        f,
+        np.asarray(np.kron(f, f), np.float64),
+        decay,
+        q[:, :, np.newaxis, np.newaxis] * params.jerk_psds,
+        mode_transition(len(params.jerk_psds), neighbour, other),
+    )

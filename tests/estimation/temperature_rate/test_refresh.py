@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray
+from imumon.estimation.temperature_rate.filter import slow_error
+from imumon.estimation.temperature_rate.model import Params, mean_model
 from imumon.estimation.temperature_rate.stage import MultipleModelRate
+from imumon.estimation.temperature_rate.thermometer import StepFinder, Thermometer
 from tests.estimation.temperature_rate.records import clock, quantized, steady
 
 STEP, RATE_HZ = 0.0625, 20.0
@@ -81,3 +84,27 @@ def test_a_silent_level_between_two_readings_is_no_certainty(seed: int) -> None:
     later = t > 1230.0
     assert np.abs((result.rate - RAMP) / result.rate_sd)[later].max() < 6.0
     assert np.abs(error / result.temperature_sd)[later].max() < 6.0
+
+
+@pytest.mark.parametrize(("interval_s", "widest"), [(10.0, 1.2), (60.0, 2.5)])
+def test_readings_far_apart_are_neighbours_whatever_the_jitter(interval_s: float, widest: float) -> None:
+    temperature = steady(5.0, 2.0, 1.0 / interval_s)
+    reading = quantized(temperature, 0.2 * STEP, step=STEP)
+    jitter_ns = np.random.default_rng(2).integers(-1_000_000, 1_000_000, len(reading))
+    time_ns, segment = clock(len(reading), 1.0 / interval_s)
+    for offset_ns in (0 * jitter_ns, jitter_ns):
+        result = MultipleModelRate().process(time_ns + offset_ns, segment, reading)
+        late = slice(len(reading) // 2, None)
+        assert np.abs(result.rate[late] * 3600.0 - 5.0).max() < 1.0
+        assert np.median(result.rate_sd[late]) * 3600.0 < widest
+        assert (np.abs(result.temperature - temperature) < 4.0 * result.temperature_sd)[late].all()
+
+
+def test_the_slow_error_of_a_sensor_read_every_10_s_is_what_its_spacing_shows() -> None:
+    params = Params(code_models=(), mean_models=(mean_model(1.0, 5.0),))
+    thermometer = Thermometer(rho=0.01, finder=StepFinder(0.001))
+    of_a_second, _ = slow_error(params, thermometer)
+    thermometer.spacing_s = 10.0
+    variance, _ = slow_error(params, thermometer)
+    assert of_a_second.item() == pytest.approx(0.01 / 0.1318, rel=0.01)
+    assert variance.item() == pytest.approx(0.01 / 0.8258, rel=0.01)
