@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copyreg
 import math
-from functools import partial
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -47,10 +47,16 @@ north : whether the field has shown north
 Rows = npt.NDArray[np.void]
 
 
+def _restored(rates: Sequence[float], params: dict[str, Any], state: dict[str, Any]) -> VQF:
+    """Return a filter in a given state."""
+    vqf = VQF(*rates, **params)
+    vqf.state = state
+    return vqf
+
+
 def _reduced(vqf: VQF) -> tuple[Any, ...]:
-    """Return constructor, arguments and state of a filter, for pickle and copy."""
-    rates = tuple(vqf.coeffs[name] for name in ("gyrTs", "accTs", "magTs"))
-    return partial(VQF, **vqf.params), rates, (None, {"state": vqf.state})
+    """Return what `_restored` needs, for pickle and copy: VQF's own `__setstate__` only raises."""
+    return _restored, ([vqf.coeffs[name] for name in ("gyrTs", "accTs", "magTs")], vqf.params, vqf.state)
 
 
 copyreg.pickle(VQF, _reduced)
