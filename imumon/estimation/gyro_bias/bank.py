@@ -106,7 +106,7 @@ def rescale(bank: Bank, white: FloatArray) -> None:
 
 def predict(bank: Bank, time_s: float, degc: FloatArray) -> None:
     """Bring the filters to a time and temperatures, (3,); NaN is no change."""
-    warming = np.nan_to_num(degc - bank.degc)
+    warming = degc - bank.degc
     propagate(bank.mean, bank.covariance, bank.modes.process, time_s - bank.time_s, warming)
     bank.time_s = time_s
     bank.degc = np.where(np.isfinite(degc), degc, bank.degc)
@@ -120,7 +120,7 @@ def update(bank: Bank, rate: FloatArray, force: FloatArray, seconds: float, weig
     weigh : bool
         Whether it weighs the modes and σ²: not where the bias has jumped.
     """
-    h = measurement_row(np.nan_to_num(force - bank.force))
+    h = measurement_row(force - bank.force)
     cross = (bank.covariance.reshape(-1, STATES) @ h).reshape(bank.mean.shape)  # P Hᵀ
     spread = cross @ h + 1.0 / seconds  # S
     innovation = rate[:, np.newaxis] - bank.mean @ h

@@ -50,7 +50,7 @@ class Law:
         if time_s <= self.time_s:
             return self
         mean, covariance = self.mean.copy(), self.covariance.copy()
-        propagate(mean, covariance, self.process, time_s - self.time_s, np.nan_to_num(degc - self.degc))
+        propagate(mean, covariance, self.process, time_s - self.time_s, degc - self.degc)
         known = np.where(np.isfinite(degc), degc, self.degc)
         return replace(self, mean=mean, covariance=covariance, time_s=time_s, degc=known)
 
@@ -68,7 +68,7 @@ class Law:
         of_mean : bool
             Of a mean over some seconds, which has none of the fastest flicker.
         """
-        h = measurement_row(np.nan_to_num(force - self.force))
+        h = measurement_row(force - self.force)
         mean = self.mean @ h
         if of_mean:
             h[_FAST] = 0.0

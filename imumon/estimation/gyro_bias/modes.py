@@ -115,13 +115,14 @@ def _modes(b: FloatArray, walk: FloatArray, slopes: tuple[float, ...], levels: F
 def propagate(
     mean: FloatArray, covariance: FloatArray, process: FloatArray, dt: float, warming: FloatArray
 ) -> None:
-    """Do x = F x and P = F P Fᵀ + Q in place, over dt seconds and `warming` °C, (3,).
+    """Do x = F x and P = F P Fᵀ + Q in place, over dt seconds and `warming` °C, (3,); NaN is no change.
 
     Parameters
     ----------
     mean, covariance, process : array (3, ..., 8), (3, ..., 8, 8), (3, ..., 8)
         Of three axes, and any number of modes; the process noise is that of `Modes.process`.
     """
+    warming = np.where(np.isnan(warming), 0.0, warming)
     axes = (3, *(1,) * (mean.ndim - 1))
     by = warming.reshape(axes)
     if warming.any():
@@ -139,8 +140,8 @@ def propagate(
 
 
 def measurement_row(offset: FloatArray) -> FloatArray:
-    """Return H, (8,), at a specific force of so much more than f0, m/s², (3,)."""
+    """Return H, (8,), at a specific force of so much more than f0, m/s², (3,); NaN is f0."""
     h = np.ones(STATES)
     h[SLOPE] = 0.0
-    h[SENSITIVITY] = offset
+    h[SENSITIVITY] = np.where(np.isnan(offset), 0.0, offset)
     return h
