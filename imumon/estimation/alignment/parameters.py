@@ -82,8 +82,8 @@ class AlignmentParameters(StrictModel):
 def known_warm_up(model: BiasModel | None) -> KnownWarmUp | None:
     """Return the warm-up of a model's accelerometers, or None when it has none.
 
-    The effect adds c exp(-t / T) to a bias, which is a warm-up by -c.  How well it is known is judged by the
-    channel's residual, unless an accelerometer has other effects: it may drift by these.
+    The effect adds c exp(-t / T) to a bias, which is a warm-up by -c.  How well it is known follows
+    from the channel's residual, unless an accelerometer has other effects: it may drift by these.
     """
     amplitude, constant = [0.0] * 3, [1.0] * 3  # s: of no matter where there is no warm-up
     residuals, others = [], False

@@ -225,7 +225,7 @@ class AttitudeEstimate:
             heading_variance = math.nan
         gyros = self._tilt_sigma.gyros
         if self._other_axes and not gyros.confirmed.all():
-            heading_variance = math.nan  # gyros or magnetometer: nobody knows which is wrong
+            heading_variance = math.nan  # gyros or magnetometer: which is wrong is not known
         of_gyros = gyros.variance + np.where(gyros.confirmed, 0.0, 1.0)
         self._slot_end = np.array(
             [(tilt, heading_variance, end["path"], end["ignored"], slot.up, of_gyros)], SLOT_END

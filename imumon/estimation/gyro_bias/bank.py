@@ -2,8 +2,8 @@
 
 Each filter has its mean x, its covariance P over σ², and of σ² an inverse-gamma posterior IG(a, β).  Gains do
 not depend on σ², so nothing is filtered twice when σ² becomes known.  The predictive density of a measurement
-is Student's t with 2 a degrees of freedom and squared scale S β/a, and it weighs the modes: flicker and slope
-for each axis, the sensitivity for all three together.
+is Student's t with 2 a degrees of freedom and squared scale S β/a, and it weighs the modes
+of each axis: its noise and slope.
 """
 
 from __future__ import annotations

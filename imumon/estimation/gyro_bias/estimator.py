@@ -17,7 +17,7 @@ from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import hypotheses
 from imumon.estimation.gyro_bias.hypotheses import LEAST_WHITE, Evidence, Second
 from imumon.estimation.gyro_bias.law import Law
-from imumon.estimation.gyro_bias.modes import SENSITIVITY_SD, SLOPE, Modes, known_modes, unknown_modes
+from imumon.estimation.gyro_bias.modes import SENSITIVITY_SD, SLOPE, WALK, Modes, known_modes, unknown_modes
 from imumon.estimation.gyro_bias.motion import Motion
 from imumon.estimation.gyro_bias.place import Attitude, Place, turned_earth
 from imumon.estimation.gyro_bias.timing import Span
@@ -163,7 +163,7 @@ def _leave(state: State, slot: Slot) -> None:
         beliefs.moved, beliefs.probability, beliefs.recent, beliefs.alike = True, 1.0, [], 0
     else:
         hypotheses.move(beliefs)
-    state.turn = state.turn.then(slot.turn.less(beliefs.nominal.law.mean[:, 0]))
+    state.turn = state.turn.then(slot.turn.less(beliefs.nominal.law.mean[:, WALK]))
     state.lost |= slot.span.gap_s > 0.0
 
 

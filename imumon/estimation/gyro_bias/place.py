@@ -96,7 +96,7 @@ class Attitude:
 
 
 def heading_variance(up: FloatArray, turn: Turn, law: Law) -> float:
-    """Return the variance of the angle that a turn is said to have about the vertical, rad².
+    """Return the variance of the angle by which the gyros estimate to have turned about the vertical, rad².
 
     By the bias at f0, by the sensitivity to a gravity that turns in body axes, by scale and misalignment, and
     for want of more samples; `up` (3,) is that before the turn.

@@ -16,7 +16,7 @@ from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import hypotheses
 from imumon.estimation.gyro_bias.hypotheses import LEAST_WHITE, Evidence, Second
 from imumon.estimation.gyro_bias.law import Law
-from imumon.estimation.gyro_bias.modes import SLOPE_PER_SIGMA, unknown_modes
+from imumon.estimation.gyro_bias.modes import SLOPE_PER_SIGMA, WALK, unknown_modes
 from imumon.estimation.gyro_bias.timing import Span
 from imumon.estimation.rest import quiet
 from imumon.estimation.rest.odds import (
@@ -115,7 +115,7 @@ def _noise(state: State) -> FloatArray:
 def _turn_on(state: State, reading: Reading) -> None:
     """Add a slot in motion to the path."""
     nominal = state.bias.nominal
-    rate = reading.slot.mean[GYRO] - (0.0 if nominal is None else nominal.law.mean[:, 0])
+    rate = reading.slot.mean[GYRO] - (0.0 if nominal is None else nominal.law.mean[:, WALK])
     turned = float(np.sqrt(rate @ rate)) * reading.span.seconds
     state.path += turned if np.isfinite(turned) else 0.0
 
