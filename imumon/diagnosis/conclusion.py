@@ -65,8 +65,6 @@ def in_short(verdict: ChannelVerdict) -> str:
     if verdict.left_out:
         refuted = " and ".join(dict.fromkeys(item["name"] for item in verdict.left_out))
         said += f"; the test refutes {refuted}"
-    if verdict.formula is not None:
-        said += "; a formula describes it"
     return said
 
 

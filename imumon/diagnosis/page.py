@@ -12,7 +12,6 @@ from imumon.diagnosis.conclusion import in_short, keep_in_mind, state
 from imumon.diagnosis.engine import Diagnosis, Progress
 from imumon.diagnosis.explaining import left_in_test
 from imumon.diagnosis.figures import figures, shown
-from imumon.diagnosis.formula import Formula
 from imumon.diagnosis.looking import RunLeft, most_different
 from imumon.diagnosis.report import report
 from imumon.diagnosis.verdict import ChannelVerdict, Claim
@@ -74,10 +73,7 @@ def _row(verdict: ChannelVerdict) -> dict[str, Any]:
 
 
 def _beside(verdict: ChannelVerdict, scale: float, unit: str) -> list[str]:
-    """Return what stands small below a verdict: the formula, or what comes nearest to an explanation."""
-    if verdict.formula is not None:
-        found = _formula(verdict.formula, scale)
-        return [f"{found['text']}: {found['before']} → {found['after']} {unit} in the test; no cause"]
+    """Return what stands small below a verdict: what comes nearest to an explanation."""
     if state(verdict) not in ("unexplained", "not proven"):
         return []
     nearest = [
@@ -122,7 +118,6 @@ def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict, content: dict[str, A
             else f"{item['name']} was found in training and left out: the test has nothing that can be scored"
             for item in verdict.left_out
         ],
-        "formula": None if verdict.formula is None else _formula(verdict.formula, scale),
         "figures": list(figures(diagnosis, verdict).items()),
     }
 
@@ -142,19 +137,6 @@ def _effect(effect: dict[str, Any], claim: Claim, scale: float, unit: str) -> di
 def _run(one: RunLeft, scale: float, *, most: bool) -> dict[str, Any]:
     left = [_number(value * scale) for value in (one.before, one.after, one.mean)]
     return {"name": f"{one.name}{', test' if one.test else ''}", "most": most, "numbers": [one.blocks, *left]}
-
-
-def _formula(found: Formula, scale: float) -> dict[str, Any]:
-    """Return what describes the unexplained, as the page has it."""
-    return {
-        "text": found.text(scale),
-        "signals": [
-            f"{name} less {each.middle:.4g}, over {each.half_span:.4g}" for name, each in found.scales.items()
-        ],
-        "tried": found.tried,
-        "before": _number(found.test_before * scale),
-        "after": _number(found.test_rms * scale),
-    }
 
 
 def _parameters(found: dict[str, Any], claim: Claim, scale: float, unit: str) -> str:

@@ -13,7 +13,6 @@ import numpy as np
 from imumon.diagnosis.conclusion import conclusion, next_steps, state
 from imumon.diagnosis.engine import Diagnosis
 from imumon.diagnosis.fitting import FittedPart
-from imumon.diagnosis.formula import Formula
 from imumon.diagnosis.gravity import Length
 from imumon.diagnosis.questions import Answer
 from imumon.diagnosis.verdict import ChannelVerdict, Claim
@@ -140,25 +139,9 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
         "in_model_file": verdict.predicts,
         "faults": [fault.text for fault in verdict.channel.faults],
         "unexplained": verdict.unexplained,
-        "formula": _formula(verdict.formula),
+        "formula": None,
         "remark": verdict.remark,
         "summary": verdict.summary,
-    }
-
-
-def _formula(found: Formula | None) -> dict[str, Any] | None:
-    """Return what describes the unexplained; its coefficients are in the unit of the channel."""
-    if found is None:
-        return None
-    return {
-        "is": "a description, no cause",
-        "terms": [{"of": str(node), "coefficient": value} for node, value in found.terms],
-        "signals": {name: asdict(scale) for name, scale in found.scales.items()},
-        "tried": found.tried,
-        "gain_bic": found.gain,
-        "train_rms": found.fit.train_rms,
-        "test_rms_without": found.test_before,
-        "test_rms_with": found.test_rms,
     }
 
 

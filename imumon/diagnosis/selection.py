@@ -228,10 +228,6 @@ class Search:
             leaders |= self._pairs(scored)
         return Table(scored, len(self.tried), leaders)
 
-    def gains(self, tried: Sequence[Candidate]) -> list[float]:
-        """Return the gains of candidates over the model so far, by a coarse grid of noise."""
-        return [one.gain for one in self._gains(tried, coarse_grid(self.null()[1]))]
-
     def _gains(self, tried: Sequence[Candidate], grid: Sequence[Noise]) -> list[Scored]:
         """Return the candidates with their gain: over the model so far, and over their free start alone."""
         if not tried:

@@ -21,7 +21,6 @@ from imumon.diagnosis.explaining import (
     shown,
 )
 from imumon.diagnosis.fitting import Fit, FittedPart, TestScore, fit, fit_given, goes_on, mean_rms, score
-from imumon.diagnosis.formula import Formula, formula
 from imumon.diagnosis.gains import PROVEN
 from imumon.diagnosis.likelihood import WALK_S
 from imumon.diagnosis.looking import Ranked, RunLeft, ranking, runs_left
@@ -105,8 +104,6 @@ class ChannelVerdict:
     """What was fitted anew of a model that was given, its curve first; empty when that stays as it is."""
     turns: list[Step] = field(default_factory=list)
     """The turns of the loop."""
-    formula: Formula | None = None
-    """What describes the unexplained, if anything does."""
     ranking: list[Ranked] = field(default_factory=list)
     """The effects that gain most at first, each alone."""
     runs: list[RunLeft] = field(default_factory=list)
@@ -143,14 +140,8 @@ class ChannelVerdict:
 
 
 def settle(channel: Channel, found: Search) -> ChannelVerdict:
-    """Return what is claimed of a channel, and the formula that describes what is left unexplained."""
+    """Return what is claimed of a channel."""
     verdict = _settled(channel, found)
-    if verdict.unexplained and np.isfinite(channel.blind):
-        beside = [one for one in found.findings if one.known]
-        beside += [claim.finding for claim in verdict.claims]
-        verdict.formula = formula(verdict.channel, found, verdict.after, beside)
-        if verdict.formula is not None:
-            verdict.summary += _described(verdict.formula, channel.floor.sd)
     _add_looks(verdict, found)
     return verdict
 
@@ -462,12 +453,6 @@ def _nothing(verdict: ChannelVerdict, before: float) -> str:
     if test.rms < MATERIAL * floor:
         return f"nothing is missing: {left}, {where}"
     return f"no effect is proven: {left}, {where}; slow noise may do that, or something is missing"
-
-
-def _described(found: Formula, floor: float) -> str:
-    before, after = found.test_before / floor, found.test_rms / floor
-    terms = " and ".join(str(node) for node, _ in found.terms)
-    return f"; {terms} describes it: {before:.1f} become {after:.2f} in the test; a description, no cause"
 
 
 def _tested(verdict: ChannelVerdict) -> str:
