@@ -1,13 +1,11 @@
 """Noise of a slowly varying bias: white noise, flicker as a sum of Gauss-Markov processes, and a random walk.
 
-One model in three forms, for the filter of the bias, the diagnosis and the Allan curves.  As a state space,
-x is the walk and the m processes, the bias their sum::
+As a state space, x is the walk and the m processes, the bias their sum::
 
     x(t + dt) = F x(t) + w,   F = diag(1, exp(-dt/tau_i)),   Q = diag(K² dt, sd_i² (1 - exp(-2 dt/tau_i)))
 
-and as a covariance, E[b(s) b(t)] = K² min(s, t) + Σ sd_i² exp(-|t - s|/tau_i).  Processes whose correlation
-times lie evenly on a logarithmic scale have a spectrum close to 1/f between them.  The Allan variance is
-that of N, B and K.  Leading axes of the parameters are filters side by side.
+Processes whose correlation times lie evenly on a logarithmic scale have a spectrum close to 1/f between them.
+The Allan variance is that of N, B and K.  Leading axes of the parameters are filters side by side.
 """
 
 from __future__ import annotations
@@ -46,27 +44,6 @@ class BiasNoise:
         """Return the diagonal of Q, (..., m + 1)."""
         markov = self.markov_sd**2 * -np.expm1(-2.0 * dt / self.taus_s)
         return np.asarray(np.concatenate([self.walk[..., np.newaxis] ** 2 * dt, markov], -1))
-
-    def covariance(self, time_s: FloatArray) -> FloatArray:
-        """Return the covariance of the bias at these times since the walk began, (..., n, n)."""
-        lag: FloatArray = np.abs(np.subtract.outer(time_s, time_s))
-        markov = np.einsum("...m,mij->...ij", self.markov_sd**2, np.exp(-lag / self.taus_s[:, None, None]))
-        walk = self.walk[..., np.newaxis, np.newaxis] ** 2 * np.minimum.outer(time_s, time_s)
-        return np.asarray(walk + markov)
-
-
-def flicker_sd(instability: FloatArray, taus_s: FloatArray) -> FloatArray:
-    """Return the standard deviation of each process for a bias instability B, (..., m).
-
-    Parameters
-    ----------
-    instability : array (...)
-    taus_s : array (m,)
-        Correlation times, evenly spaced on a logarithmic scale.
-    """
-    decades = math.log10(taus_s[-1] / taus_s[0]) / (len(taus_s) - 1)
-    share = math.sqrt(decades) / INSTABILITY_PER_DECADE
-    return np.asarray(np.asarray(instability)[..., np.newaxis] * np.full(len(taus_s), share))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,7 +122,7 @@ def whitener(noise: BiasNoise, elapsed_s: FloatArray, white: FloatArray, level: 
 @njit
 def _filtered(decay: FloatArray, growth: FloatArray, white: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return gain (n, f, m) and standard deviation of the innovation (n, f) of filters whose one measurement
-    is the sum of the states: `imumon.filters.kalman.predict` and `correct`, compiled, for there are many."""
+    is the sum of the states; compiled, for there are many."""
     n, filters, states = growth.shape
     gain, sd = np.empty((n, filters, states)), np.empty((n, filters))
     covariance, spread = np.empty((states, states)), np.empty(states)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-
 from imumon.blocks import FloatArray, IntArray
 
 FASTEST_RATE = 20.0 / 60.0
@@ -26,11 +24,6 @@ class RateEstimate:
     temperature_sd: FloatArray
     rate_sd: FloatArray
     """°C, °C/s, °C and °C/s, (n,); NaN where there is no estimate."""
-
-    @classmethod
-    def empty(cls, n: int) -> RateEstimate:
-        """Return n samples without an estimate."""
-        return cls(*(np.full(n, np.nan) for _ in range(4)))
 
 
 class RateMethod(Protocol):

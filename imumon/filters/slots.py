@@ -8,7 +8,7 @@ sample of a segment.  A slot ends with the first sample behind it, so its result
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -59,10 +59,6 @@ class Slots:
     def __len__(self) -> int:
         """Return the number of slots."""
         return len(self.row)
-
-    def __getitem__(self, which: slice | BoolArray) -> Slots:
-        """Return some of the slots."""
-        return Slots(*(getattr(self, field.name)[which] for field in fields(self)))
 
     @property
     def middle_ns(self) -> IntArray:
@@ -152,16 +148,6 @@ class SlotGatherer:
         self._open[:], self._open_columns[:] = np.zeros(1, OPEN), np.zeros(self._columns, OPEN_COLUMN)
         self._turn = np.zeros(1, turning.OPEN)
         return last
-
-    def snapshot(self) -> dict[str, RecordArray]:
-        """Return a copy of the state."""
-        parts = {"open": self._open, "columns": self._open_columns, "turn": self._turn}
-        return {name: part.copy() for name, part in parts.items()}
-
-    def restore(self, saved: dict[str, RecordArray]) -> None:
-        """Go on from a state that `snapshot` returned."""
-        self._open[:], self._open_columns[:] = saved["open"], saved["columns"]
-        self._turn[:] = saved["turn"]
 
 
 def held(

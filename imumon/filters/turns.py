@@ -113,10 +113,6 @@ class Turns:
     missed: FloatArray
     seconds: FloatArray
 
-    def __getitem__(self, which: Any) -> Turns:
-        """Return some of them."""
-        return Turns(*(getattr(self, one.name)[which] for one in fields(self)))
-
     def at(self, k: int) -> Turn:
         """Return one."""
         rotation = self.rotation[k]

@@ -19,7 +19,6 @@ import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray, FloatArray, SampleBlock
 from imumon.columns import Column
-from imumon.filters.kalman import Estimate, correct, predict
 from imumon.filters.slots import SlotGatherer
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY, body_to_ned
 from imumon.models.model import BiasModel
@@ -191,24 +190,24 @@ def step(
     force = state.attitude @ (accel - state.accel_bias)
     state.attitude = state.attitude @ half
     state.velocity = state.velocity + dt * (force + np.array([0.0, 0.0, state.gravity]))
-    predicted = predict(
-        Estimate(np.zeros(STATES), state.covariance),
-        transition(state, force, earth, dt),
-        settings.noise,
-    )
+    f = transition(state, force, earth, dt)
+    predicted = f @ state.covariance @ f.T + settings.noise
     h, r = settings.measured
     z = -state.velocity
     if len(h) > 3:
         off = state.held @ state.attitude.T
         z = np.append(z, 0.5 * (off[1, 0] - off[0, 1]))
-    found = correct(predicted, z, h, r)
-    error = found.estimate.mean
-    state.covariance = found.estimate.covariance
+    # The errors are expected to be zero, so that the innovation is the measurement.
+    spread = predicted @ h.T
+    total = h @ spread + r
+    gain = np.linalg.solve(total, spread.T).T
+    error, rest = gain @ z, np.eye(STATES) - gain @ h
+    state.covariance = rest @ predicted @ rest.T + gain @ r @ gain.T  # Joseph's form
     state.attitude = turn(error[PHI]) @ state.attitude
     state.velocity = state.velocity + error[VELOCITY]
     state.bias = state.bias + error[GYRO]
     state.accel_bias = state.accel_bias + error[ACCEL]
-    return found.standardised[:3]
+    return np.asarray((z / np.sqrt(np.diag(total)))[:3])
 
 
 class DenseZupt:

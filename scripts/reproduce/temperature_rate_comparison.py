@@ -10,7 +10,6 @@ import math
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.filters.kalman import Estimate, correct
 from imumon.filters.rates import RateEstimate
 from imumon.published.fir import model_row
 
@@ -72,25 +71,26 @@ class KalmanRate:
         """Return the estimates of a record."""
         del segment
         seconds = ((time_ns - time_ns[0]) * 1e-9).tolist()
-        estimate = Estimate(np.array([reading[0], 0.0, 0.0]), np.eye(3))
+        x, p = np.array([reading[0], 0.0, 0.0]), np.eye(3)
         t0, before, last, temperature = 0.0, 0.0, float(reading[0]), float(reading[0])
         out = np.empty((4, len(seconds)))
         for i, (t, value) in enumerate(zip(seconds, reading.tolist(), strict=True)):
-            estimate = Estimate(estimate.mean, estimate.covariance + np.diag(self._walk * (t - before)))
+            p = p + np.diag(self._walk * (t - before))
             before = t
             if t - t0 > RENEWAL_S:
                 shift = (t - t0) / self._constant
                 c = np.array([[1.0, shift, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, math.exp(-shift)]])
-                estimate = Estimate(c @ estimate.mean, c @ estimate.covariance @ c.T)
+                x, p = c @ x, c @ p @ c.T
                 t0 = t
             h = model_row(3, (t - t0) / self._constant)
             if abs(value - last) > self._step / 2 or abs(temperature - last) > self._step:
-                z, noise = np.array([(value + last) / 2]), np.array([[self._step**2 / 16.0]])
-                estimate = correct(estimate, z, h[np.newaxis], noise).estimate
+                spread = p @ h
+                gain = spread / (h @ spread + self._step**2 / 16.0)
+                x, p = x + gain * ((value + last) / 2 - h @ x), p - np.outer(gain, spread)
             slope = np.array([0.0, 1.0, -h[2]]) / self._constant
-            temperature, last = float(h @ estimate.mean), value
-            variance = [row @ estimate.covariance @ row for row in (h, slope)]
-            out[:, i] = temperature, slope @ estimate.mean, *np.sqrt(variance)
+            temperature, last = float(h @ x), value
+            variance = [row @ p @ row for row in (h, slope)]
+            out[:, i] = temperature, slope @ x, *np.sqrt(variance)
         return RateEstimate(*out)
 
 

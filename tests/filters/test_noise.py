@@ -5,23 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imumon.filters.noise import BiasNoise, NoiseTerms, flicker_sd, whitener
+from imumon.filters.noise import NoiseTerms, whitener
+from tests.bias_noise import covariance, flicker
 
 TAUS = np.array([1.0, 10.0, 100.0, 1e3, 1e4])
-
-
-def side_by_side(instability: list[float], walk: list[float]) -> BiasNoise:
-    return BiasNoise(TAUS, flicker_sd(np.array(instability), TAUS), np.array(walk))
 
 
 @pytest.mark.parametrize(("instability", "walk"), [(0.0, 0.0), (2.0, 0.0), (0.0, 0.3), (2.0, 0.3)])
 def test_it_whitens_as_the_covariance_says(instability: float, walk: float) -> None:
     rng = np.random.default_rng(1)
-    model, level = side_by_side([instability], [walk]), np.array([4.0])
+    model, level = flicker([instability], [walk], TAUS), np.array([4.0])
     elapsed, white = rng.uniform(0.5, 40.0, 60), rng.uniform(0.5, 2.0, 60)
     found = whitener(model, elapsed, white, level)
     time_s = np.cumsum(elapsed) - elapsed[0]
-    factor = np.linalg.cholesky(model.covariance(time_s)[0] + level + np.diag(white))
+    factor = np.linalg.cholesky(covariance(model, time_s)[0] + level + np.diag(white))
     columns = rng.normal(size=(60, 3))
     np.testing.assert_allclose(found(columns), np.linalg.solve(factor, columns), rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(np.log(found.sd).sum(), np.log(np.diag(factor)).sum(), rtol=1e-9)
@@ -30,7 +27,7 @@ def test_it_whitens_as_the_covariance_says(instability: float, walk: float) -> N
 @pytest.mark.parametrize("per_decade", [1, 2])
 def test_the_allan_floor_is_that_of_the_bias_instability(per_decade: int) -> None:
     taus = 10.0 ** np.arange(-1.0, 5.01, 1.0 / per_decade)
-    model = BiasNoise(taus, flicker_sd(np.array(1.0), taus), np.array(0.0))
+    model = flicker([1.0], [0.0], taus)
     m = 300.0
     # Allan variance from the covariance of means: those of a Gauss-Markov process over m s are known.
     a = m / taus
@@ -42,7 +39,7 @@ def test_the_allan_floor_is_that_of_the_bias_instability(per_decade: int) -> Non
 
 
 def test_a_new_run_begins_with_a_new_level() -> None:
-    model = side_by_side([1.0], [0.1])
+    model = flicker([1.0], [0.1], TAUS)
     z, ones = np.arange(20.0) ** 2, np.ones(20)
     elapsed = ones.copy()
     elapsed[10] = np.inf
