@@ -21,7 +21,7 @@ from imumon.files import check_output
 
 if TYPE_CHECKING:
     from imumon.calibration.calibration import Calibration, Finding
-    from imumon.calibration.driven import Driven
+    from imumon.diagnosis.driven import Driven
 
 NO_DRIVER = {"drivers": "none of those recorded is proven"}
 
@@ -75,7 +75,7 @@ def command(
         result = calibrate(records, latitude, heading, serial, tell)
         result.warnings[:0] = said
         if chosen != []:
-            from imumon.calibration.driven import with_drivers
+            from imumon.diagnosis.driven import with_drivers
 
             runs = [read(path, None, at_rest=False) for path in sessions]
             driven = with_drivers(result.model, runs, chosen, tell)

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.diagnosis.device_clock import CLOCK, block_noise
+from imumon.clock.channel import CLOCK, block_noise
 from imumon.diagnosis.poses import in_one_pose, poses
 from imumon.diagnosis.recording import Origin, Run
 from imumon.effects.base import Drive, Survey
@@ -117,6 +117,34 @@ def make_blocks(
         origin=run.origin,
         begun_in=run.begun_in,
     )
+
+
+def specific_force(run: RunBlocks) -> FloatArray | None:
+    """Return the specific force in each block, (n, 3); None where it is not recorded."""
+    accel = next((drive.accel for drive in run.drives.values()), None)
+    return None if accel is None else run.average(accel)
+
+
+def at_poses(runs: Sequence[RunBlocks]) -> list[RunBlocks]:
+    """Return runs in which the specific force that drives effects is the mean of its pose.
+
+    A reading that is to be explained must not explain its own noise.
+    """
+    found = []
+    for run in runs:
+        force = specific_force(run)
+        if force is None:
+            found.append(run)
+            continue
+        known, which = np.unique(run.pose, return_inverse=True)
+        level = np.array([force[run.pose == pose].mean(axis=0) for pose in known])
+        middle = 0.5 * (run.time_s[1:] + run.time_s[:-1])
+        drives = {
+            name: replace(drive, accel=level[which[np.searchsorted(middle, drive.time_s)]])
+            for name, drive in run.drives.items()
+        }
+        found.append(replace(run, drives=drives))
+    return found
 
 
 def common_block_s(runs: Sequence[Run]) -> float:

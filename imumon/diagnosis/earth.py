@@ -14,10 +14,9 @@ from itertools import pairwise
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.diagnosis.blocks import RunBlocks
+from imumon.diagnosis.blocks import RunBlocks, specific_force
 from imumon.diagnosis.channel import INDEPENDENT, Declared, estimated
 from imumon.diagnosis.gains import PROVEN
-from imumon.diagnosis.gravity import specific_force
 from imumon.effects.base import Effect
 from imumon.effects.drift import Drift
 from imumon.effects.step import EDGE_BLOCKS

@@ -6,21 +6,25 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from imumon.calibration.gravity import Length
+from imumon.clock.channel import CLOCK
 from imumon.diagnosis.blocks import (
     LEAST_BLOCKS,
     RunBlocks,
+    at_poses,
     common_block_s,
     make_blocks,
+    specific_force,
     survey,
     white_floor,
 )
 from imumon.diagnosis.candidates import Pool
 from imumon.diagnosis.channel import Channel, Declared, Own
-from imumon.diagnosis.device_clock import CLOCK
 from imumon.diagnosis.drivers import recorded, shadows, with_drivers
 from imumon.diagnosis.earth import EarthRate, earth_rate, turned, without
 from imumon.diagnosis.faults import faults
-from imumon.diagnosis.gravity import Length, at_poses, length
 from imumon.diagnosis.known import (
     check_range,
     effects_of,
@@ -203,8 +207,8 @@ def _sensor(
     if not group[0].startswith(("gyro", CLOCK)):
         # In each pose, and each day, another part of gravity, field or weather is seen, which nobody knows.
         own = "pose"
-        if group[0].startswith("accel"):
-            _add_length(group, temperatures[group[0]], asked.degree, diagnosis)
+        if group[0].startswith("accel") and len(group) == 3:
+            _add_length(temperatures[group[0]], asked.degree, diagnosis)
         blocks, tested = at_poses(blocks), at_poses(tested)
     models = {name: Declared.over(blocks, temperatures[name], asked.degree, own) for name in group}
     earth = None
@@ -267,13 +271,18 @@ def _blocks_again(
     ]
 
 
-def _add_length(group: Sequence[str], temperature: str, degree: int, diagnosis: Diagnosis) -> None:
+def _add_length(temperature: str, degree: int, diagnosis: Diagnosis) -> None:
     """Add to a diagnosis what follows from the length of gravity, where there are poses enough."""
-    declared = Declared.over(diagnosis.train, temperature, degree, "pose")
-    found = length(diagnosis.train, temperature, declared) if len(group) == 3 else None
+    runs = diagnosis.train
+    forces = [force for run in runs if (force := specific_force(run)) is not None]
+    if len(forces) < len(runs):
+        return
+    declared = Declared.over(runs, temperature, degree, "pose")
+    warmth = np.concatenate([declared.columns(run.temperature[temperature])[:, 1:] for run in runs])
+    found = Length.from_poses(np.concatenate(forces), warmth)
     if found is not None:
-        diagnosis.length = found[1]
-        diagnosis.caveats.append(found[1].said(found[0]))
+        poses, diagnosis.length = found
+        diagnosis.caveats.append(diagnosis.length.described(poses))
 
 
 def _said_of_earth(earth: EarthRate | None) -> str:

@@ -17,13 +17,12 @@ from pydantic import Field
 
 from imumon.blocks import SampleBlock
 from imumon.config import StrictModel, load_yaml
-from imumon.diagnosis.blocks import BLOCK_S, make_blocks, survey, white_floor
+from imumon.diagnosis.blocks import BLOCK_S, at_poses, make_blocks, survey, white_floor
 from imumon.diagnosis.candidates import Pool
 from imumon.diagnosis.channel import Channel, Declared, residual_rms
 from imumon.diagnosis.earth import earth_rate, turned, without
 from imumon.diagnosis.engine import search_block
 from imumon.diagnosis.gains import CLOSE, CLOSE_SHARE, PROVEN
-from imumon.diagnosis.gravity import at_poses
 from imumon.diagnosis.likelihood import TAUS_S
 from imumon.diagnosis.profiles import Profile, profiles
 from imumon.diagnosis.questions import NOTHING

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray, IntArray, SampleBlock
+from imumon.clock.channel import CLOCK, UNIT, rate_ppm, with_delay
 from imumon.columns import KNOWN
-from imumon.diagnosis.device_clock import CLOCK, UNIT, rate_ppm, with_delay
 from imumon.diagnosis.values import Look, Watcher
 from imumon.effects.vibration import VIBRATION
 from imumon.errors import ImumonError, Reason

@@ -10,10 +10,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from imumon.calibration.gravity import Length
 from imumon.diagnosis.conclusion import conclusion, next_steps, state
 from imumon.diagnosis.engine import Diagnosis
 from imumon.diagnosis.fitting import FittedPart
-from imumon.diagnosis.gravity import Length
 from imumon.diagnosis.questions import Answer
 from imumon.diagnosis.verdict import ChannelVerdict, Claim
 from imumon.effects.library import separated_by

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from imumon.blocks import FloatArray
+from imumon.clock.channel import CLOCK
 from imumon.diagnosis.blocks import LEAST_BLOCKS, REST_SHARE, RunBlocks, make_blocks
-from imumon.diagnosis.device_clock import CLOCK
 from imumon.diagnosis.faults import without_standstill
 from imumon.diagnosis.recording import CHANNELS, Run, channels_of, common_temperature, unit_of
 from imumon.errors import ImumonError, Reason

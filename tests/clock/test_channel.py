@@ -9,8 +9,8 @@ import pytest
 from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray, SampleBlock
+from imumon.clock.channel import CLOCK, with_delay
 from imumon.diagnosis.blocks import make_blocks, white_floor
-from imumon.diagnosis.device_clock import CLOCK, with_delay
 from imumon.diagnosis.engine import diagnose
 from imumon.diagnosis.recording import Run, collect
 from tests.diagnosis.units import ramps
