@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 
 from imumon.diagnosis.engine import Diagnosis
-from imumon.diagnosis.explaining import MATERIAL
 from imumon.diagnosis.extended import with_model
+from imumon.diagnosis.fit import MATERIAL
 from imumon.diagnosis.verdict import BY_TEST, TOO_FEW, ChannelVerdict
 from imumon.effects.library import separated_by
 

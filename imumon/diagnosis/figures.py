@@ -146,18 +146,17 @@ def _test(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict) -> Non
     assert verdict.test_before is not None
     assert verdict.test_after is not None
     offset = 0.0
-    tracked = verdict.test_after.tracked_rms != verdict.test_after.rms
+    estimated = verdict.test_after.estimated_rms != verdict.test_after.rms
     for at, run in enumerate(runs):
         hours = run.time_s / HOUR_S + offset
         before, after = verdict.test_before.residual[at], verdict.test_after.residual[at]
         label = at == 0
         axes.plot(hours, before * scale, ".", ms=3, color=COLOURS[1], label="before" if label else None)
         axes.plot(hours, after * scale, ".", ms=3, color=COLOURS[0], label="after" if label else None)
-        if tracked:
-            followed = verdict.test_after.tracked[at]
-            axes.plot(
-                hours, followed * scale, "-", lw=1, color=COLOURS[2], label="tracked" if label else None
-            )
+        if estimated:
+            further = verdict.test_after.estimated[at]
+            name = "estimated in the test" if label else None
+            axes.plot(hours, further * scale, "-", lw=1, color=COLOURS[2], label=name)
         outside = ~verdict.test_after.counted[at]
         axes.plot(hours[outside], np.zeros(outside.sum()), "k|", ms=4, label="not scored" if label else None)
         offset = float(hours[-1])

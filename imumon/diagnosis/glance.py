@@ -27,7 +27,7 @@ from imumon.diagnosis.candidates import Candidate, Pool, candidates
 from imumon.diagnosis.channel import Declared, ordinary
 from imumon.diagnosis.drivers import recorded, with_drivers
 from imumon.diagnosis.earth import ALLOWANCE, turned
-from imumon.diagnosis.explaining import MATERIAL
+from imumon.diagnosis.fit import MATERIAL
 from imumon.diagnosis.gains import SHORT_LIST, Scored, families
 from imumon.diagnosis.known import CUBIC, temperature_of
 from imumon.diagnosis.lacks import Lack, Ways, lacks

@@ -10,7 +10,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.channel import Channel
-from imumon.diagnosis.fitting import Fit, TestScore, fit, score
+from imumon.diagnosis.fit import Fit, TestScore, fit, score
 from imumon.diagnosis.selection import Search
 
 MOST_RANKED = 6

@@ -10,7 +10,6 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 
 from imumon.diagnosis.conclusion import in_short, keep_in_mind, state
 from imumon.diagnosis.engine import Diagnosis, Progress
-from imumon.diagnosis.explaining import left_in_test
 from imumon.diagnosis.figures import figures, shown
 from imumon.diagnosis.looking import RunLeft, most_different
 from imumon.diagnosis.report import report
@@ -51,10 +50,10 @@ def environment(package: str = "imumon.diagnosis") -> Environment:
 def _row(verdict: ChannelVerdict) -> dict[str, Any]:
     scale, unit = shown(verdict.channel.unit)
     before, after = verdict.test_before, verdict.test_after
-    left, tracked = np.nan, False
+    left, estimated = np.nan, False
     if after is not None:
-        left = left_in_test(after) if verdict.claims else after.rms
-        tracked = bool(left < after.rms)
+        left = after.left if verdict.claims else after.rms
+        estimated = bool(left < after.rms)
     colours = {"named": "found", "nothing missing": "ok"}
     return {
         "name": verdict.name,
@@ -63,7 +62,7 @@ def _row(verdict: ChannelVerdict) -> dict[str, Any]:
         "beside": _beside(verdict, scale, unit),
         "before": _number(np.nan if before is None else before.rms * scale),
         "after": _number(left * scale),
-        "tracked": tracked,
+        "estimated": estimated,
         "floor": _number(verdict.channel.floor.sd * scale),
         "covered": "" if after is None else f"{after.coverage:.0%}",
         "train_before": _number(verdict.before.train_rms * scale),

@@ -12,8 +12,7 @@ import numpy as np
 
 from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.channel import Channel
-from imumon.diagnosis.explaining import EXPLAINED, explained_share
-from imumon.diagnosis.fitting import Fit, begun, fit, score
+from imumon.diagnosis.fit import EXPLAINED, Fit, begun, explained_share, fit, score
 from imumon.diagnosis.selection import ALIKE, MOST_NAMES, Finding, Search
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from imumon.diagnosis.candidates import Candidate
 from imumon.diagnosis.channel import Channel
-from imumon.diagnosis.fitting import Fit, fit
+from imumon.diagnosis.fit import Fit, fit
 from imumon.diagnosis.selection import Finding, Search
 from imumon.effects.base import ACCEL
 

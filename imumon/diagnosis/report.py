@@ -13,7 +13,7 @@ import numpy as np
 from imumon.calibration.gravity import Length
 from imumon.diagnosis.conclusion import conclusion, next_steps, state
 from imumon.diagnosis.engine import Diagnosis
-from imumon.diagnosis.fitting import FittedPart
+from imumon.diagnosis.fit import FittedPart
 from imumon.diagnosis.questions import Answer
 from imumon.diagnosis.verdict import ChannelVerdict, Claim
 from imumon.effects.library import separated_by
@@ -104,7 +104,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
         "after": {
             "train_rms": verdict.after.train_rms,
             "test_rms": nothing if after is None else after.rms,
-            "test_rms_tracked": nothing if after is None else after.tracked_rms,
+            "test_rms_tracked": nothing if after is None else after.estimated_rms,
         },
         "coverage": nothing if after is None else after.coverage,
         "scored": nothing if after is None else after.scored,

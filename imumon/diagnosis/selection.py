@@ -11,7 +11,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.diagnosis.candidates import Candidate, Part, Term, candidates
 from imumon.diagnosis.channel import Channel, residual_rms
-from imumon.diagnosis.explaining import MATERIAL
+from imumon.diagnosis.fit import MATERIAL
 from imumon.diagnosis.gains import (
     CLOSE,
     CLOSE_SHARE,

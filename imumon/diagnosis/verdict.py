@@ -11,23 +11,29 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.channel import Channel
-from imumon.diagnosis.explaining import (
+from imumon.diagnosis.fit import (
     CLEAN,
     MATERIAL,
+    Fit,
+    FittedPart,
+    PartSigma,
+    TestScore,
     evidence_of_test,
     explained_share,
     explains,
-    left_in_test,
-    shown,
+    fit,
+    fit_given,
+    goes_on,
+    mean_rms,
+    score,
+    sigmas,
 )
-from imumon.diagnosis.fitting import Fit, FittedPart, TestScore, fit, fit_given, goes_on, mean_rms, score
 from imumon.diagnosis.gains import PROVEN
 from imumon.diagnosis.likelihood import WALK_S
 from imumon.diagnosis.looking import Ranked, RunLeft, ranking, runs_left
 from imumon.diagnosis.proven_by_test import proven_by_test
 from imumon.diagnosis.questions import Question, questions
 from imumon.diagnosis.selection import Finding, Search, Step
-from imumon.diagnosis.uncertainty import PartSigma, sigmas
 from imumon.effects.library import separated_by
 
 TOO_FEW = "too few digits to tell"
@@ -126,7 +132,7 @@ class ChannelVerdict:
         channel, test = self.channel, self.test_after
         if self.unexplained or not channel.coarse or np.isinf(channel.blind):
             return False
-        left = np.nan if test is None else left_in_test(test) if self.claims else test.rms
+        left = np.nan if test is None else test.left if self.claims else test.rms
         return not left >= MATERIAL * channel.limit
 
     def curve(self) -> list[tuple[float, float, float]]:
@@ -155,7 +161,7 @@ def _add_looks(verdict: ChannelVerdict, found: Search) -> None:
     verdict.runs = runs_left(channel, verdict.before, verdict.after, both)
     known = [one for one in found.findings if one.known]
     model = [*known, *(claim.finding for claim in claims)]
-    spread = sigmas(found, [one.candidate for one in model])
+    spread = sigmas(found.channel, found.likelihood, [one.candidate for one in model])
     verdict.declared_covariance = spread.declared
     for claim, parts in zip(claims, spread.parts[len(known) :], strict=True):
         claim.sigmas = parts
@@ -191,13 +197,22 @@ def _better(one: ChannelVerdict, other: ChannelVerdict) -> bool:
     left, before = one.test_after, other.test_after
     if left is None or before is None:
         return False
-    return left.rms < before.rms or left.tracked_rms < before.tracked_rms
+    return left.rms < before.rms or left.estimated_rms < before.estimated_rms
 
 
 def _shown(verdict: ChannelVerdict) -> bool:
     """Tell whether there is a test and it shows what training does."""
     before, after = verdict.test_before, verdict.test_after
-    return before is not None and after is not None and shown(before, after, verdict.channel.floor.sd)
+    return before is not None and after is not None and _shows(before, after, verdict.channel.floor.sd)
+
+
+def _shows(before: TestScore, after: TestScore, floor: float) -> bool:
+    """Tell whether a test, too, shows what training does; one that cannot be scored does not.
+
+    What is estimated in the test counts only where nothing is left: a level and a jump take away some of
+    whatever is slow.
+    """
+    return np.isfinite(after.rms) and (after.left < CLEAN * floor or explains(before.rms, after.rms, floor))
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,7 +255,7 @@ def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -
         claims=_claims(channel, given, after, kept.findings),
         unexplained=found.many_events
         or after.train_rms >= CLEAN * floor
-        or (claims and scores is not None and left_in_test(scores[1]) >= CLEAN * floor),
+        or (claims and scores is not None and scores[1].left >= CLEAN * floor),
         summary="",
         explained=explained_share(given.train_rms, after.train_rms, floor) if claims else 0.0,
         noise=found.null()[1],
@@ -258,9 +273,10 @@ def judge(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -
 
 def _kept(channel: Channel, found: Search, given: Fit, floor: float) -> _Kept:
     """Return what of the findings stays: what training or the test proves, and the test does not refute."""
-    # A jump that is too small to matter is not told from the steps of a walk.
-    small = found.many_events or given.train_rms < MATERIAL * channel.floor.sd
-    findings = [one for one in found.findings if not (small and one.candidate.scope == "event")]
+    # A jump that is too small to matter beside the rest is not told from the steps of a walk.
+    lasting = [one for one in found.findings if one.candidate.scope != "event"]
+    small = found.many_events or _fit(channel, lasting).train_rms < MATERIAL * channel.floor.sd
+    findings = lasting if small else list(found.findings)
     refit = [one for one in findings if one.known]
     before = _fit(channel, refit) if found.refit else given
     stay, refuted = _not_worse(channel, findings)
@@ -290,7 +306,7 @@ def _too_little(given: Fit, after: Fit, scores: tuple[TestScore, TestScore] | No
     """Say what is too little of training, or of the test, to name anything; empty where it is enough."""
     if not explains(given.train_rms, after.train_rms, floor):
         return _little_of("the training", given.train_rms, after.train_rms, floor)
-    if scores is None or not np.isfinite(scores[1].rms) or shown(*scores, floor):
+    if scores is None or not np.isfinite(scores[1].rms) or _shows(*scores, floor):
         return ""
     return _little_of("the test", scores[0].rms, scores[1].rms, floor)
 
@@ -357,17 +373,11 @@ def _trial(
     carries = any(part.carries for part in everything.parts if part.effect.label == finding.name)
     with_it = score(channel, everything)
     without = score(channel, _fit(channel, _others(kept, finding)), like=everything)
-    count = [a & b for a, b in zip(with_it.quiet, without.quiet, strict=True)]
-    # Of what can be followed only the part that was not yet is in the way of judging the others.
-    left = with_it.tracked, without.tracked
-    if carries and not np.isfinite(mean_rms(left[0], count)):
-        # Too near to jumps throughout: then what was predicted has to do.
-        left, count = (with_it.residual, without.residual), with_it.counted
-    rms = mean_rms(left[0], count), mean_rms(left[1], count)
+    count = [a & b for a, b in zip(with_it.counted, without.counted, strict=True)]
+    # What does not carry over is estimated in the test with both, and predicts nothing that could be refuted.
+    rms = mean_rms(with_it.estimated, count), mean_rms(without.estimated, count)
     record = {"name": finding.name, "test_rms_with": rms[0], "test_rms_without": rms[1]}
-    if not np.isfinite(rms).all():
-        return 0.0, record
-    return rms[1] ** 2 - rms[0] ** 2, record
+    return (rms[1] ** 2 - rms[0] ** 2 if carries and np.isfinite(rms).all() else 0.0), record
 
 
 def _claims(channel: Channel, before: Fit, after: Fit, kept: Sequence[Finding]) -> list[Claim]:
@@ -464,9 +474,7 @@ def _tested(verdict: ChannelVerdict) -> str:
         return "; no proof: the test has too little inside what training covered"
     predicted = any(part.carries for part in verdict.after.parts) and verdict.predicts
     predicted |= goes_on(verdict.channel, verdict.after) and after.rms < before.rms
-    value, how = (after.rms, "predicted") if predicted else (after.tracked_rms, "tracked")
-    if not np.isfinite(value):
-        return "; the test has too little that is not near to a jump to be followed"
+    value, how = (after.rms, "predicted") if predicted else (after.estimated_rms, "estimated in the test")
     floor = verdict.channel.floor.sd
     return f", {before.rms / floor:.1f} become {value / floor:.2f} in the test{_covered(after)} ({how})"
 

@@ -143,7 +143,7 @@ def run_case(job: tuple[Setting, int]) -> list[Result]:
                 verdict.unexplained,
                 before.rms / case.floor,
                 after.rms / case.floor,
-                after.tracked_rms / case.floor,
+                after.estimated_rms / case.floor,
                 seconds,
                 tuple(item["name"] for item in verdict.left_out),
                 verdict.remark,

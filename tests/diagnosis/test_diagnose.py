@@ -287,7 +287,7 @@ def test_any_log_will_do(rate: float, hours: float, gap_s: float, tmp_path: Path
     assert score.rms < 1.3 * diagnosis.verdicts[0].channel.floor.sd
 
 
-def test_a_jump_is_named_followed_and_left_out_of_the_model_file() -> None:
+def test_a_jump_is_named_estimated_in_the_test_and_left_out_of_the_model_file() -> None:
     def jump(time: FloatArray, temperature: FloatArray) -> FloatArray:  # noqa: ARG001 - as all biases
         return np.where(time > 2300.0, 15.0, 0.0)
 
@@ -297,7 +297,7 @@ def test_a_jump_is_named_followed_and_left_out_of_the_model_file() -> None:
     assert verdict.test_before is not None
     assert verdict.test_after is not None
     assert verdict.test_after.rms == verdict.test_before.rms
-    assert verdict.test_after.tracked_rms < 1.2 * verdict.channel.floor.sd
+    assert verdict.test_after.estimated_rms < 1.2 * verdict.channel.floor.sd
     assert extended_model(diagnosis).channels["gyro_x"].effects == []
 
 
