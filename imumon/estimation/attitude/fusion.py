@@ -24,7 +24,7 @@ count, and at 50 Hz the attitude begins after 0.3 s."""
 TAU_ACC_S, TAU_MAG_S = 3.0, 9.0
 """VQF's defaults, s: so slowly the vertical follows the accelerometers, and the heading the magnetometer."""
 ROW = np.dtype(
-    [(name, np.float64, (3,)) for name in ("angle", "accel", "mag", "field", "bias_sd", "path", "ignored")]
+    [(name, np.float64, (3,)) for name in ("angle", "accel", "mag", "field", "bias_sd", "path")]
     + [(name, np.float64, (4,)) for name in ("quat6d", "acc_quat", "gyr_quat")]
     + [(name, np.float64) for name in ("low_force", "delta", "follow_rate")]
     + [("north", np.int64)]
@@ -35,7 +35,7 @@ angle : turn since the sample before, rad, zero at rest
 accel, mag : m/s² and any unit, zero where there is none
 field : latest of mag; NaN before the first
 bias_sd : standard deviation of the gyro bias, rad/s
-path, ignored : running sums of the angles in motion, and of those while at rest, rad
+path : running sum of the angles, rad
 quat6d, acc_quat, gyr_quat : VQF's quaternions w, x, y, z, from body to level axes without north; from
     gyro-carried to level; from body to gyro-carried
 low_force : magnitude of the low-passed specific force, m/s²
@@ -114,12 +114,6 @@ class Fusion:
     def begun(self) -> bool:
         """Whether there is an attitude."""
         return not math.isnan(self._delta)
-
-    def lose_north(self, rows: Rows, start: int) -> None:
-        """Make the heading relative from a row on: it begins there where it was declared to."""
-        self.north = self.disturbed = False
-        self._delta = float(heading(rows["quat6d"][start - 1 : start])[0]) - self._begins_at
-        rows["north"][start:], rows["delta"][start:] = 0, self._delta
 
     def process(self, rows: Rows, time_ns: IntArray, has_mag: BoolArray, bias_known: bool) -> None:
         """Follow rows, (n,), and fill in what is found."""

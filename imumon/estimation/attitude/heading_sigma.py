@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.attitude.fusion import TAU_MAG_S
+from imumon.estimation.attitude.fusion import TAU_MAG_S, Rows
 from imumon.estimation.attitude.tilt_sigma import SLOT_S, Gyros, Slot
 from imumon.models.magnetometer import MagnetometerModel
 
@@ -56,11 +56,18 @@ class HeadingSigma:
     delta: float = math.nan
     """That of the last slot, rad."""
 
-    def step(self, slot: Slot, tilt_variance: float) -> float:
-        """Take a slot; return the variance of the heading, or of its change where it is relative, rad²."""
-        if math.isnan(slot.bias_sd):
+    def step(self, slot: Slot, end: Rows, tilt_variance: float) -> float:
+        """Take a slot; return the variance of the heading, or of its change where it is relative, rad².
+
+        Parameters
+        ----------
+        end : record
+            The last sample of the slot, of type `fusion.ROW`; its field in the unit of the calibration.
+        """
+        about_vertical = float(np.linalg.norm(slot.up_body * end["bias_sd"]))
+        if math.isnan(about_vertical):
             self.about_up[:] = self.earlier = self.moving_s = 0.0
-        bias_sd = math.hypot(slot.bias_sd, self.earth_rate)
+        bias_sd = math.hypot(about_vertical, self.earth_rate)
         if slot.rest:
             self.earlier += (bias_sd * self.moving_s) ** 2
             self.moving_s = 0.0
@@ -68,10 +75,10 @@ class HeadingSigma:
             self.moving_s += SLOT_S
             self.about_up += slot.up @ slot.sensitivity
             self.earlier += slot.lost
-        if not slot.north:
-            return self._relative(bias_sd)
-        self._forget(slot)
-        return self._magnetic(slot, tilt_variance, self._relative(bias_sd))
+        if end["north"]:
+            self._forget(float(end["follow_rate"]), float(end["delta"]))
+        relative = self._relative(bias_sd)
+        return self._magnetic(slot.up_body, end, tilt_variance, relative) if end["north"] else relative
 
     def _relative(self, bias_sd: float) -> float:
         """(H1): scale, unconfirmed gyros, earlier motions and lost samples, bias in this motion."""
@@ -80,27 +87,27 @@ class HeadingSigma:
         unconfirmed = float(squares[::4] @ ~self.gyros.confirmed)
         return scale + unconfirmed + self.earlier + (bias_sd * self.moving_s) ** 2
 
-    def _forget(self, slot: Slot) -> None:
+    def _forget(self, follow_rate: float, delta: float) -> None:
         """Forget what VQF has corrected by the field, and take by how much that was."""
-        keep = math.exp(-slot.follow_rate * SLOT_S / TAU_MAG_S)
+        keep = math.exp(-follow_rate * SLOT_S / TAU_MAG_S)
         self.about_up *= keep
         self.moving_s *= keep
         self.earlier *= keep * keep
         # At first the field shows where north is: that is no change.
-        change = 0.0 if math.isnan(self.delta) else math.remainder(slot.delta - self.delta, 2.0 * math.pi)
-        self.field_correction, self.delta = keep * self.field_correction + change, slot.delta
+        change = 0.0 if math.isnan(self.delta) else math.remainder(delta - self.delta, 2.0 * math.pi)
+        self.field_correction, self.delta = keep * self.field_correction + change, delta
 
-    def _magnetic(self, slot: Slot, tilt_variance: float, relative: float) -> float:
+    def _magnetic(self, up_body: FloatArray, end: Rows, tilt_variance: float, relative: float) -> float:
         """(H2): (c² + i² + (V tilt)²) / H² and what is not forgotten of (H1)."""
         magnetometer = self.magnetometer
-        strength, vertical = float(np.linalg.norm(slot.field)), float(slot.field @ slot.up_body)
+        strength, vertical = float(np.linalg.norm(end["field"])), float(end["field"] @ up_body)
         horizontal2 = max(strength**2 - vertical**2, 0.0)
         if magnetometer is None or not horizontal2 > 0.0:
             return math.nan
         prior = magnetometer.error_sd**2 + (IRON * magnetometer.field) ** 2 + vertical**2 * tilt_variance
         across2 = horizontal2 * (self.field_correction**2 - relative) - prior
         self.iron *= math.exp(-SLOT_S / IRON_MEMORY_S)
-        if slot.follow_rate and math.isfinite(across2):
+        if end["follow_rate"] and math.isfinite(across2):
             self.iron = max(self.iron, (strength - magnetometer.field) ** 2 + max(across2, 0.0))
         # The 2 is a margin for the component of the iron that this pose does not show.
         return (prior + 2.0 * self.iron) / horizontal2 + relative

@@ -13,36 +13,36 @@ from imumon.columns import Column
 from imumon.estimation.attitude.fusion import ROW, Fusion, Rows, heading, matrices
 from imumon.estimation.attitude.heading_sigma import HeadingSigma
 from imumon.estimation.attitude.parameters import AttitudeParameters
-from imumon.estimation.attitude.tilt_sigma import ACCEL_SD, SLOT_S, Accelerometers, Gyros, Slot, TiltSigma
-from imumon.filters.mounting import WAYS, Mounting, are_known, named
+from imumon.estimation.attitude.tilt_sigma import SLOT_S, Accelerometers, Gyros, Slot, TiltSigma
 from imumon.filters.slots import SlotGatherer, Slots
-from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL, STANDARD_GRAVITY
+from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL
 from imumon.models.magnetometer import MagnetometerModel
 
 GAP_NS = 250_000_000
 """A longer pause hides turns: in it a hand turns by a radian."""
-_DESCRIPTIONS = {
-    **{part: f"attitude by the estimator, body to east-north-up, {part}" for part in "wxyz"},
-    "roll": "roll by the estimator",
-    "pitch": "pitch by the estimator",
-    "tilt_sd": "standard deviation of roll and pitch",
-    "heading": "heading of the body x axis, clockwise from magnetic north; relative: from where it begins, "
-    "also behind a gap",
-    "heading_sd": "its standard deviation; of its change since then where it is relative",
-}
 COLUMNS = (
     *(
-        Column(f"attitude_estimate_{name}", "1" if name in "wxyz" else "rad", description=text)
-        for name, text in _DESCRIPTIONS.items()
+        Column(f"attitude_estimate_{part}", "1", description=f"attitude, body to east-north-up, {part}")
+        for part in "wxyz"
+    ),
+    *(
+        Column(f"attitude_estimate_{name}", "rad", description=text)
+        for name, text in (
+            ("roll", "estimated roll"),
+            ("pitch", "estimated pitch"),
+            ("tilt_sd", "standard deviation of roll and pitch"),
+            ("heading", "of the body x axis, clockwise from magnetic north; relative: from where it begins"),
+            ("heading_sd", "its standard deviation; of its change since then where it is relative"),
+        )
     ),
     Column("attitude_estimate_north", "1", "int64", "1: heading from magnetic north, 0: relative heading"),
 )
 SLOT_END = np.dtype(
     [("tilt", np.float64), ("heading", np.float64)]
-    + [(name, np.float64, (3,)) for name in ("path", "ignored", "up", "gyros")]
+    + [(name, np.float64, (3,)) for name in ("path", "up", "gyros")]
 )
-"""End of the latest slot: variances, rad²; path and ignored as of `ROW`; u; variance of each gyro's turn over
-its square: of its scale, and 1 where it is not confirmed."""
+"""End of the latest slot: variances, rad²; path as of `ROW`; u; variance of each gyro's turn over its square:
+of its scale, and 1 where it is not confirmed."""
 
 
 class AttitudeEstimate:
@@ -91,15 +91,6 @@ class AttitudeEstimate:
         self._last["field"] = math.nan
         self._last_time: tuple[int, int] | None = None
         self._slot_end = np.full(1, math.nan, SLOT_END)
-        self._ignored = np.zeros(3)
-        """Turned in the last slot while it was taken for at rest, rad."""
-        self._mounting = Mounting()
-        self._field_before = np.full(3, math.nan)
-        """Field at the end of the last slot, over its calibrated strength."""
-        self._other_axes = 0
-        """Which of the signed permutations `WAYS`, once the gyros have contradicted the declared axes."""
-        self._force = math.nan
-        """Magnitude of the specific force at the last rest, m/s²."""
         self._restarts = 0
         """How often an attitude has ended, for another to begin."""
         self._device_has_attitude = False
@@ -136,7 +127,7 @@ class AttitudeEstimate:
         ends: list[tuple[int, Rows]] = [(0, self._slot_end)]
         for j, start in enumerate(edges):
             for k in range(ended[j], ended[j + 1]):
-                self._end_slot(rows, has_mag, slots, k)
+                self._end_slot(rows[slots.row[k]], slots, k)
                 ends.append((int(slots.row[k]), self._slot_end))
             if start == n:
                 break
@@ -169,15 +160,12 @@ class AttitudeEstimate:
         slots = self._slots.process(
             block["device_time_ns"], block["segment"], np.column_stack([rate, accel, rest])
         )
-        turned = rate * interval_s[:, np.newaxis]
-        sent["angle"] = np.where(rest[:, np.newaxis], 0.0, turned)
-        sent["path"], sent["ignored"] = sent["angle"], turned - sent["angle"]
-        for name in ("path", "ignored"):  # running sums, the same whatever the blocks
-            rows[name] = np.cumsum(rows[name], axis=0)
+        sent["angle"] = sent["path"] = np.where(rest[:, np.newaxis], 0.0, rate * interval_s[:, np.newaxis])
+        rows["path"] = np.cumsum(rows["path"], axis=0)  # a running sum, the same whatever the blocks
         sent["accel"] = np.where(_finite(accel)[:, np.newaxis], accel, 0.0)
         sent["bias_sd"] = math.nan if bias_sd is None else bias_sd
         sent["field"], has_mag = rows["field"][0], np.zeros(n, bool)
-        if mag is not None and self._parameters.use_magnetometer and not self._other_axes:
+        if mag is not None and self._parameters.use_magnetometer:
             field = mag if self._magnetometer is None else self._magnetometer.corrected(mag)
             has_mag = _finite(field)
             sent["mag"] = np.where(has_mag[:, np.newaxis], field, 0.0)
@@ -203,75 +191,36 @@ class AttitudeEstimate:
         self._restarts += self._fusion.begun
         self._fusion = Fusion(self._heading)
         self._tilt_sigma = TiltSigma(self._tilt_sigma.accelerometers, self._tilt_sigma.gyros)
-        self._begin_heading()
-        self._slot_end, self._ignored = np.full(1, math.nan, SLOT_END), np.zeros(3)
-
-    def _begin_heading(self) -> None:
         sigma = self._heading_sigma
         self._heading_sigma = HeadingSigma(sigma.gyros, sigma.magnetometer, sigma.earth_rate, sigma.iron)
+        self._slot_end = np.full(1, math.nan, SLOT_END)
 
-    def _end_slot(self, rows: Rows, has_mag: BoolArray, slots: Slots, k: int) -> None:
-        """Estimate how far the attitude is off at the end of a slot."""
-        row, end = int(slots.row[k]), rows[slots.row[k]]
+    def _end_slot(self, end: Rows, slots: Slots, k: int) -> None:
+        """Estimate how far the attitude is off at the end of a slot, from its last row."""
         if not self._fusion.begun or np.isnan(end["quat6d"][0]):
             return
         slot = self._slot(end, slots, k)
         tilt = self._tilt_sigma.step(slot)
-        heading_variance = self._heading_sigma.step(slot, tilt)
-        if slot.north and self._has_other_axes(slot, slots, k):
-            self._fusion.lose_north(rows, row + 1)
-            has_mag[row:] = False
-            self._begin_heading()
-            heading_variance = math.nan
+        heading_variance = self._heading_sigma.step(slot, end, tilt)
         gyros = self._tilt_sigma.gyros
-        if self._other_axes and not gyros.confirmed.all():
-            heading_variance = math.nan  # gyros or magnetometer: which is wrong is not known
         of_gyros = gyros.variance + np.where(gyros.confirmed, 0.0, 1.0)
-        self._slot_end = np.array(
-            [(tilt, heading_variance, end["path"], end["ignored"], slot.up, of_gyros)], SLOT_END
-        )
+        self._slot_end = np.array([(tilt, heading_variance, end["path"], slot.up, of_gyros)], SLOT_END)
 
     def _slot(self, end: Rows, slots: Slots, k: int) -> Slot:
         """Return a slot for the sigmas, from its last row."""
         turns = slots.turns
         body, leveled, carried = matrices(np.array([end["quat6d"], end["acc_quat"], end["gyr_quat"]]))
         force = carried @ slots.mean[k, 3:6]
-        rest = bool(slots.smallest[k, 6] == 1.0 and force @ force > 0.0)
-        ignored = np.nan_to_num(end["ignored"] - self._slot_end["ignored"][0])  # NaN: the first slot
-        since, self._ignored = self._ignored + ignored, ignored if rest else np.zeros(3)
-        if rest:
-            self._force = float(np.linalg.norm(force))
         lost = turns.fast[k] ** 2 + turns.missed[k] + turns.coning[k] @ turns.coning[k] / 3.0
         return Slot(
-            rest=rest,
+            rest=bool(slots.smallest[k, 6] == 1.0 and force @ force > 0.0),
             up=leveled[2],
             up_body=body[2],
             force=force,
             low_force=float(end["low_force"]) or math.nan,
             sensitivity=carried @ turns.rotation[k].T @ turns.by_scale[k].reshape(3, 9),
-            lost=float(lost + since @ since),
-            bias_sd=float(np.linalg.norm(body[2] * end["bias_sd"])),
-            north=bool(end["north"]),
-            field=end["field"].copy(),
-            delta=float(end["delta"]),
-            follow_rate=float(end["follow_rate"]),
+            lost=float(lost),
         )
-
-    def _has_other_axes(self, slot: Slot, slots: Slots, k: int) -> bool:
-        """Compare the field with how the gyros have turned in a slot; return whether it has other axes.
-
-        Where the gyros contradict gravity as well, it is theirs that are wrong.
-        """
-        if self._magnetometer is None:
-            return False
-        before, after = self._field_before, slot.field / self._magnetometer.field
-        self._field_before = after
-        known = math.isfinite(float(before @ after)) and are_known(slots.turns.at(k))
-        if known and not (slots.begins[k] or slot.rest):
-            self._mounting.add(before[np.newaxis], after[np.newaxis], slots.turns.rotation[k : k + 1])
-            if not self._tilt_sigma.gyros.contradicted:
-                self._other_axes = self._mounting.found
-        return self._other_axes > 0
 
     def _output(self, rows: Rows, latest: Rows) -> list[ColumnArray]:
         """Return the columns of rows from the filter and the end of the latest slot before each, (n,)."""
@@ -282,7 +231,7 @@ class AttitudeEstimate:
         # What was turned wrong since the latest slot, and half an interval: a rate may be the mean of the
         # interval before or that of the moment.
         since = ((rows["path"] - latest["path"]) ** 2 * latest["gyros"]).sum(1)
-        since += ((rows["ignored"] - latest["ignored"]) ** 2).sum(1) + (rows["angle"] ** 2).sum(1) / 12.0
+        since += (rows["angle"] ** 2).sum(1) / 12.0
         moved2 = ((matrices(rows["acc_quat"])[:, 2] - latest["up"]) ** 2).sum(1)
         tilt = latest["tilt"] + since + 0.5 * moved2
         heading_variance = latest["heading"] + since + tilt_into_heading(up, tilt)
@@ -321,23 +270,15 @@ class AttitudeEstimate:
 
     def _conditions(self) -> dict[str, bool]:
         """Return the texts of `notices`, and whether each applies."""
-        north, begun, other_axes = self._fusion.north, self._fusion.begun, self._other_axes
-        accel_sd = max(self._parameters.accel_bias_m_per_s2 or 0.0, ACCEL_SD)
+        north, begun = self._fusion.north, self._fusion.begun
         reference = f"counts from {math.degrees(self._heading):.0f}°"
         return {
             "attitude: in turns the accelerometers show another vertical than the gyros carry, so the "
             "heading is as uncertain as these turns: are axes, signs and units right? Accelerations that "
             "last for many seconds, as in a car, show the same": self._tilt_sigma.gyros.contradicted,
-            "attitude: the specific force at rest is not gravity within what accelerometers are off by "
-            f"({accel_sd:.2g} m/s²): are its scale and unit right?": (
-                abs(self._force - STANDARD_GRAVITY) > 3.0 * accel_sd
-            ),
             f"attitude: without a magnetometer the heading is relative; it {reference} at the beginning": (
-                begun and not north and not other_axes
+                begun and not north
             ),
-            "attitude: while the unit turns the field goes as if the magnetometer had not the gyros' axes: "
-            f"their x, y, z seem to be its {named(WAYS[other_axes])}; or the gyros are wrong. North is not "
-            f"taken from it any more, the heading is relative and {reference} there": bool(other_axes),
             "attitude: the magnetometer is not calibrated, so it is not known how far the heading is off; "
             "record a figure-eight, then: imumon magnetometer SESSION --out MODEL.yaml": (
                 north and self._magnetometer is None

@@ -54,14 +54,7 @@ class Slot:
     sensitivity: FloatArray
     """J, rad, (3, 9)."""
     lost: float
-    """Variance of the angle by samples that are missing or too slow, and by turns taken for rest, rad²."""
-    bias_sd: float
-    """Standard deviation of the gyro bias about the vertical, rad/s; NaN where it is not known."""
-    north: bool
-    field: FloatArray
-    delta: float
-    follow_rate: float
-    """At its end, as of `fusion.ROW`; the field in the unit of the calibration."""
+    """Variance of the angle by samples that are missing or too slow, rad²."""
 
 
 @dataclass(slots=True)

@@ -16,7 +16,6 @@ from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.models.magnetometer import MagnetometerModel
-from tests.calibration.test_magnetometer_axes import HARD, LEFT_HANDED, MPU_9250, turns
 from tests.estimation.attitude.scenes import NORTH_DEG, matrices, scene, without_mag, wrapped
 
 Q = [f"attitude_estimate_{part}" for part in "wxyz"]
@@ -224,14 +223,6 @@ def test_a_heading_has_no_sigma_where_the_tilt_leaves_open_of_which_axis_it_is()
     np.testing.assert_allclose(np.delete(found, 3), np.delete(expected, 3), atol=1e-9)
 
 
-def test_a_specific_force_that_is_not_gravity_is_said() -> None:
-    made = scene(seconds=20.0, turns=False)
-    in_g = {f"accel_{axis}": made.block[f"accel_{axis}"] / 9.81 for axis in "xyz"}
-    stage = AttitudeEstimate(axes="FRD")
-    estimated(without_mag(made.block).with_columns(in_g), stage)
-    assert [text for text in stage.notices() if "is not gravity" in text]
-
-
 def test_a_magnetometer_without_calibration_gives_north_but_no_sigma() -> None:
     made = scene()
     stage = AttitudeEstimate(axes="FRD")
@@ -414,31 +405,6 @@ def test_accelerometers_that_read_zero_at_rest_leave_no_error() -> None:
     dead = block.with_columns({f"accel_{axis}": np.zeros(len(block)) for axis in "xyz"})
     found = AttitudeEstimate(axes="FLU").process(dead)
     assert np.isnan(found["attitude_estimate_tilt_sd"]).all()
-
-
-@pytest.mark.parametrize("way", [MPU_9250, LEFT_HANDED])
-def test_a_magnetometer_that_has_not_the_gyros_axes_loses_north(way: FloatArray) -> None:
-    sent = {}
-    for name, axes in (("as declared", np.eye(3)), ("other", way)):
-        block, model = turns(1, axes), CALIBRATED.model_copy(update={"hard_iron": HARD.tolist()})
-        stage = AttitudeEstimate(axes="FLU", magnetometer=model)
-        found = estimated(block, stage)
-        said = [text for text in stage.notices() if "had not the gyros' axes" in text]
-        sent[name] = found["attitude_estimate_north"][-1], len(said)
-        cuts = [0, 777, 778, len(block)]
-        stage = AttitudeEstimate(axes="FLU", magnetometer=model)
-        for before in (RestDetector(), GyroBias(mode="learned")):
-            block = block.with_columns(before.process(block))
-        parts = [SampleBlock(dict(stage.process(block.rows(a, b)))) for a, b in pairwise(cuts)]
-        for column, expected in found.columns.items():
-            np.testing.assert_array_equal(join(parts)[column], expected, err_msg=column)
-        if name == "other":
-            free = np.flatnonzero(found["attitude_estimate_north"] == 0)
-            assert free[0] < 15 * 50
-            assert (np.diff(free) == 1).all()
-            assert wrapped(found["attitude_estimate_heading"][free[0]]) == pytest.approx(0.0, abs=0.1)
-            assert np.isnan(found["attitude_estimate_heading_sd"][free[0]])  # which of the two is wrong?
-    assert sent == {"as declared": (1, 0), "other": (0, 1)}
 
 
 def test_retired_parameters_are_read_ignored_and_named_once() -> None:
