@@ -10,29 +10,35 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 
 from imumon.diagnosis.conclusion import in_short, keep_in_mind, state
 from imumon.diagnosis.engine import Diagnosis, Progress
-from imumon.diagnosis.figures import figures, shown
-from imumon.diagnosis.looking import RunLeft, most_different
+from imumon.diagnosis.figures import figures, proof, shown
+from imumon.diagnosis.looking import most_different
 from imumon.diagnosis.report import report
 from imumon.diagnosis.verdict import ChannelVerdict, Claim
 from imumon.files import write_text
 from imumon.harmless import for_html
 
 TEMPLATE = "report.html.j2"
+COLOURS = {"named": "found", "nothing missing": "ok"}
 
 
 def write_page(diagnosis: Diagnosis, path: Path, progress: Progress | None = None) -> None:
     """Write report.html; raises OSError when that fails."""
-    content = report(diagnosis, path.parent)
     channels = []
     for verdict in diagnosis.verdicts:
         if progress is not None:
             progress(f"drawing {verdict.name}")
-        channels.append(_channel(diagnosis, verdict, content["channels"][verdict.name]))
-    rows = [_row(verdict) for verdict in diagnosis.verdicts]
+        channels.append(_channel(diagnosis, verdict))
+    first = max(diagnosis.verdicts, key=_weight)
     text = (
         environment()
         .get_template(TEMPLATE)
-        .render(report=content, rows=rows, channels=channels, caveats=keep_in_mind(diagnosis))
+        .render(
+            report=report(diagnosis, path.parent),
+            picture=proof(diagnosis, first),
+            sure=how_sure(first),
+            channels=channels,
+            caveats=keep_in_mind(diagnosis),
+        )
     )
     write_text(path, text)
 
@@ -47,119 +53,102 @@ def environment(package: str = "imumon.diagnosis") -> Environment:
     )
 
 
-def _row(verdict: ChannelVerdict) -> dict[str, Any]:
+def how_sure(verdict: ChannelVerdict) -> str:
+    """Return in a sentence what supports a verdict: the error in the test, and the white noise beside it."""
     scale, unit = shown(verdict.channel.unit)
+    before, after = _errors(verdict)
+    floor = f"white noise alone would leave {_number(verdict.channel.floor.sd * scale)} {unit}"
+    if not np.isfinite(before):
+        return f"There is no test that can be scored, so nothing proves it: {floor}."
+    name, was = verdict.name, f"{_number(before * scale)} {unit}"
+    if not verdict.claims:
+        return f"On recordings that the fit has not seen, {name} errs by {was}; {floor}."
+    proven = " The test alone proves it." if any(claim.finding.by_test for claim in verdict.claims) else ""
+    return (
+        f"On recordings that the fit has not seen, the error of {name} goes from {was} to"
+        f" {_number(after * scale)} {unit}; {floor}.{proven}"
+    )
+
+
+def _errors(verdict: ChannelVerdict) -> tuple[float, float]:
+    """Return the rms of the test before and after; NaN without one."""
     before, after = verdict.test_before, verdict.test_after
-    left, estimated = np.nan, False
-    if after is not None:
-        left = after.left if verdict.claims else after.rms
-        estimated = bool(left < after.rms)
-    colours = {"named": "found", "nothing missing": "ok"}
-    return {
-        "name": verdict.name,
-        "state": colours.get(state(verdict), "open"),
-        "verdict": in_short(verdict),
-        "beside": _beside(verdict, scale, unit),
-        "before": _number(np.nan if before is None else before.rms * scale),
-        "after": _number(left * scale),
-        "estimated": estimated,
-        "floor": _number(verdict.channel.floor.sd * scale),
-        "covered": "" if after is None else f"{after.coverage:.0%}",
-        "train_before": _number(verdict.before.train_rms * scale),
-        "train_after": _number(verdict.after.train_rms * scale),
-        "unit": unit,
-    }
+    if before is None or after is None:
+        return np.nan, np.nan
+    return before.rms, after.left if verdict.claims else after.rms
 
 
-def _beside(verdict: ChannelVerdict, scale: float, unit: str) -> list[str]:
-    """Return what stands small below a verdict: what comes nearest to an explanation."""
-    if state(verdict) not in ("unexplained", "not proven"):
-        return []
-    nearest = [
-        f"{one.name} ({_number(one.test_rms * scale)} {unit} in the test)" for one in verdict.ranking[:2]
-    ]
-    if verdict.test_before is None:
-        nearest = [one.name for one in verdict.ranking[:2]]
-    return [f"nearest, each alone: {', '.join(nearest)}"] if nearest else []
+def _weight(verdict: ChannelVerdict) -> tuple[bool, float]:
+    """Return what puts a channel on top of the page: that something is named, and the floors of its error."""
+    before = _errors(verdict)[0]
+    error = before if np.isfinite(before) else verdict.before.train_rms
+    return bool(verdict.claims), error / verdict.channel.floor.sd if verdict.channel.floor.sd > 0 else 0.0
 
 
 def _number(value: float) -> str:
     return "" if not np.isfinite(value) else f"{value:.3g}"
 
 
-def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict, content: dict[str, Any]) -> dict[str, Any]:
+def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, Any]:
     scale, unit = shown(verdict.channel.unit)
+    before, after = (_number(value * scale) for value in _errors(verdict))
+    score, most = verdict.test_after, most_different(verdict.runs)
     return {
         "name": verdict.name,
+        "unit": unit,
+        "state": COLOURS.get(state(verdict), "open"),
+        "verdict": in_short(verdict),
+        "before": before,
+        "after": after if verdict.claims else "",
+        "estimated": score is not None and _errors(verdict)[1] < score.rms,
+        "floor": _number(verdict.channel.floor.sd * scale),
+        "covered": "" if score is None else f"{score.coverage:.0%}",
         "summary": verdict.summary,
-        "effects": [
-            _effect(effect, claim, scale, unit)
-            for effect, claim in zip(content["effects"], verdict.claims, strict=True)
-        ],
+        "left_out": [_left_out(item, scale, unit) for item in verdict.left_out],
+        "effects": [_effect(claim, scale, unit) for claim in verdict.claims],
         "ranking": [
-            [one.name, _number(one.gain), _number(one.train_rms * scale), _number(one.test_rms * scale)]
+            [one.name, *map(_number, (one.gain, one.train_rms * scale, one.test_rms * scale))]
             for one in verdict.ranking
         ],
-        "runs": [_run(one, scale, most=one is most_different(verdict.runs)) for one in verdict.runs],
+        "runs": [
+            {
+                "name": f"{one.name}{', test' if one.test else ''}",
+                "most": one is most,
+                "numbers": [one.blocks, *(_number(x * scale) for x in (one.before, one.after, one.mean))],
+            }
+            for one in verdict.runs
+        ],
         "curve": [
             [f"{at:.1f} °C", _number(value * scale), _number(sd * scale)] for at, value, sd in verdict.curve()
-        ],
-        "turns": [
-            [step.done, _number(step.train_rms * scale), _number(step.test_rms * scale), _number(step.gain)]
-            for step in verdict.turns
-        ],
-        "unit": unit,
-        "left_out": [
-            f"{item['name']} was found in training and left out: with it the test has"
-            f" {_number(item['test_rms_with'] * scale)} {unit}, without it"
-            f" {_number(item['test_rms_without'] * scale)} {unit}"
-            if np.isfinite(item["test_rms_with"])
-            else f"{item['name']} was found in training and left out: the test has nothing that can be scored"
-            for item in verdict.left_out
         ],
         "figures": list(figures(diagnosis, verdict).items()),
     }
 
 
-def _effect(effect: dict[str, Any], claim: Claim, scale: float, unit: str) -> dict[str, Any]:
-    evidence = effect["evidence"]
-    return {
-        "name": effect["name"],
-        "parameters": _parameters(effect["parameters"], claim, scale, unit),
-        "gain": f"{evidence['gain_bic']:.0f}",
-        "pooled": f"{evidence['pooled_gain_bic']:.0f}",
-        "test_gain": "" if evidence["test_gain"] is None else f"{evidence['test_gain']:.0f}",
-        "share": f"{evidence['explained_share_alone']:.0%}",
-    }
+def _left_out(item: dict[str, Any], scale: float, unit: str) -> str:
+    """Return why an effect that training shows is not claimed."""
+    text = f"{item['name']} was found in training and left out:"
+    with_it, without = (_number(item[f"test_rms_{key}"] * scale) for key in ("with", "without"))
+    if not with_it:
+        return f"{text} the test has nothing that can be scored"
+    return f"{text} with it the test has {with_it} {unit}, without it {without} {unit}"
 
 
-def _run(one: RunLeft, scale: float, *, most: bool) -> dict[str, Any]:
-    left = [_number(value * scale) for value in (one.before, one.after, one.mean)]
-    return {"name": f"{one.name}{', test' if one.test else ''}", "most": most, "numbers": [one.blocks, *left]}
+def _effect(claim: Claim, scale: float, unit: str) -> list[str]:
+    """Return name, parameters, gain in training, evidence of the test, and share explained of an effect."""
+    finding = claim.finding
+    evidence = "" if not np.isfinite(claim.test_gain) else f"{claim.test_gain:.0f}"
+    parameters = _parameters(claim, scale, unit)
+    return [finding.name, parameters, f"{finding.gain:.0f}", evidence, f"{claim.explained:.0%}"]
 
 
-def _parameters(found: dict[str, Any], claim: Claim, scale: float, unit: str) -> str:
-    """Return the parameters of an effect, searched or chosen, and its coefficients, with their sigma."""
-    fitted = ("coefficients", "start", "runs", "amplitude")
-    hidden = (*fitted, "middle", "half_span", "smoothing_s", "slack", "start_sd", "driver", "drivers")
-    spread: dict[str, list[float]] = {}
-    for part in claim.sigmas:
-        for name, sd in part.searched.items():
-            spread.setdefault(name, []).append(sd)
-    texts = [
-        f"{key} {_text(value)}" + (f" ± {_text(spread[key])}" if key in spread else "")
-        for key, value in found.items()
-        if key not in hidden
-    ]
-    sizes = [
-        f"{value * scale:.3g} ± {sd * scale:.2g}"
-        for part, sigma in zip(claim.parts, claim.sigmas, strict=True)
-        for value, sd in zip(part.own.ravel().tolist(), sigma.coefficients.ravel().tolist(), strict=True)
-    ]
+def _parameters(claim: Claim, scale: float, unit: str) -> str:
+    """Return the searched parameters and the coefficients of an effect, each with its sigma."""
+    texts, sizes = [], []
+    for part, sigma in zip(claim.parts, claim.sigmas, strict=True):
+        texts += [
+            f"{name} {getattr(part.effect, name):.3g} ± {sd:.2g}" for name, sd in sigma.searched.items()
+        ]
+        own, spread = part.own.ravel().tolist(), sigma.coefficients.ravel().tolist()
+        sizes += [f"{x * scale:.3g} ± {sd * scale:.2g}" for x, sd in zip(own, spread, strict=True)]
     return ", ".join([*texts, f"coefficients {' / '.join(sizes)} {unit}".strip()])
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, list):
-        return " / ".join(map(_text, value))
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
