@@ -253,8 +253,8 @@ def _calibrate(path: Path, job: Job) -> Iterator[Row]:
 
 def _diagnose(path: Path, job: Job) -> Iterator[Row]:
     from imumon.diagnosis.engine import diagnose
-    from imumon.diagnosis.recording import read_runs
     from imumon.diagnosis.report import report
+    from imumon.diagnosis.runs import read_runs
     from imumon.estimation.rest.stage import RestDetector
     from imumon.files import write_text
 

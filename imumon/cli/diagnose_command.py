@@ -21,7 +21,7 @@ from imumon.cli.progress import reading_bar
 from imumon.errors import ImumonError, Reason
 
 if TYPE_CHECKING:
-    from imumon.diagnosis.recording import Run
+    from imumon.diagnosis.runs import Run
     from imumon.models.model import BiasModel
 
 SEVERAL = ("--train", "--test")
@@ -155,7 +155,7 @@ def chosen_drivers(text: str) -> list[str] | None:
 
 def read(path: Path, map_path: Path | None, at_rest: bool, sensors: Sequence[str] | None = None) -> list[Run]:
     """Read a recording as runs from power-on, for a diagnosis of these sensors."""
-    from imumon.diagnosis.recording import SENSORS, read_runs
+    from imumon.diagnosis.runs import SENSORS, read_runs
     from imumon.estimation.rest.stage import RestDetector
 
     return read_runs(path, map_path, lambda _: [RestDetector()], at_rest, sensors or SENSORS)

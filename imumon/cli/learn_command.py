@@ -14,7 +14,7 @@ from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
 from imumon.files import check_output
 
 if TYPE_CHECKING:
-    from imumon.diagnosis.recording import Run
+    from imumon.diagnosis.runs import Run
     from imumon.recordings.folder import Session
 
 
@@ -43,7 +43,7 @@ def command(
     from imumon.diagnosis.engine import diagnose
     from imumon.diagnosis.extended import extended_model, with_model
     from imumon.diagnosis.report import report
-    from imumon.diagnosis.train_and_test import latest
+    from imumon.diagnosis.runs import latest
     from imumon.recordings.folder import sessions_in
 
     check_output(out)

@@ -8,7 +8,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import REST_SHARE
-from imumon.diagnosis.recording import SECOND_NS, Run, with_vibration
+from imumon.diagnosis.runs import SECOND_NS, Run, add_vibration
 from imumon.recordings.reduced import ACCEL, GYRO, KeptSlots
 
 MOST_SLOTS = 7200
@@ -92,7 +92,7 @@ class AgedRun:
 
         mean, variance = over(total, count), over(scatter, free)
         if all(name in mean for name in ACCEL):
-            with_vibration(mean, variance)
+            add_vibration(mean, variance)
         if self._width > 1:
             # How samples scatter within seconds does not tell how means of many seconds do.
             variance = {name: np.full(n, np.nan) for name in variance}

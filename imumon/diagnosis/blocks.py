@@ -8,26 +8,31 @@ from itertools import pairwise
 
 import numpy as np
 
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.clock.channel import CLOCK, block_noise
-from imumon.diagnosis.poses import in_one_pose, poses
-from imumon.diagnosis.recording import Origin, Run
+from imumon.diagnosis.runs import Origin, Run
 from imumon.effects.base import Drive, Survey
 
 BLOCK_S = 30.0
 LEAST_BLOCKS = 40
-"""Of a training: fewer tell nothing."""
+"""Of a training: ten for each coefficient of a cubic."""
 LEAST_SLOTS = 6
-"""Slots in a block: halves and thirds of it are blocks, too, and differences inside tell the white floor."""
+"""Slots in a block: halves and thirds of it are blocks, too, and differences inside show the white floor."""
 LEAST_SHARE = 0.5
-"""A block with less of its seconds at rest is a gap."""
+"""A block with less of its time at rest is a gap."""
 REST_SHARE = 0.99
-"""Share of a second's samples at rest for the second to count."""
+"""Share of a slot's samples at rest for the slot to count."""
 PLATEAU = 0.1
-"""Two estimates of the white floor that differ by less, as a share of the variance, agree."""
-STEPS_S = (1, 2, 4, 8)
+"""Two estimates of the white variance that differ by less, as a share of it, agree."""
+STEPS = (1, 2, 4, 8)
+"""Slots in the means whose differences are compared."""
 TURN_SHARE = 0.2
 """A turn of the temperature counts when it goes back by this share of the span."""
+BESIDE = 4
+"""Slots on either side of a turn of the unit that are compared."""
+TURNED, SIGMAS = 0.1, 8.0
+"""m/s², a tilt of 0.6°: accelerometers repeat better than that from one power-on to the next; and so many
+times the median change."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,6 +124,39 @@ def make_blocks(
     )
 
 
+def poses(force: FloatArray, resting: BoolArray) -> IntArray:
+    """Return the number of the pose in each slot, (n,): one more after each turn of the unit.
+
+    Parameters
+    ----------
+    force : array of shape (n, 3)
+        Specific force in m/s².
+    resting : array of shape (n,)
+        Slots that count; the others have the pose before them.
+    """
+    at = np.flatnonzero(resting)
+    turns = np.zeros(len(force), np.int64)
+    if len(at) > 2 * BESIDE:
+        total = np.cumsum(np.vstack([np.zeros(3), force[at]]), axis=0)
+        means = (total[BESIDE:] - total[:-BESIDE]) / BESIDE
+        change = np.abs(means[BESIDE:] - means[:-BESIDE]).max(axis=1)
+        turned = change > max(TURNED, SIGMAS * float(np.median(change)))
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], turned, [False]])))
+        for start, stop in edges.reshape(-1, 2).tolist():
+            turns[at[start + int(np.argmax(change[start:stop])) + BESIDE]] = 1
+    return np.cumsum(turns)
+
+
+def in_one_pose(valid: BoolArray, pose: IntArray, slots: int) -> BoolArray:
+    """Return the valid slots without those of a block that are of another pose than most of it, (n,)."""
+    kept = valid.copy()
+    for turn in np.flatnonzero(np.diff(pose)) + 1:
+        block = slice(turn // slots * slots, (turn // slots + 1) * slots)
+        counts = np.bincount(pose[block][valid[block]], minlength=1)
+        kept[block] &= pose[block] == np.argmax(counts)
+    return kept
+
+
 def specific_force(run: RunBlocks) -> FloatArray | None:
     """Return the specific force in each block, (n, 3); None where it is not recorded."""
     accel = next((drive.accel for drive in run.drives.values()), None)
@@ -199,67 +237,65 @@ def white_floor(runs: Sequence[Run], channel: str, block_s: float = BLOCK_S) -> 
     variance): an output filter makes the short ones too small, rounding makes them too large.  The first
     that agrees with the next is taken.  The clock's is that of the delays at both ends of a block.
     """
-    if channel == CLOCK:
-        return WhiteFloor(_of_delays(runs, block_s), "delays at the ends of blocks")
-    candidates: list[tuple[str, float]] = []
-    weighted, seconds, samples = 0.0, 0.0, 0.0
+    blocks = [_slots_of_blocks(run, channel, block_s) for run in runs]
+    if channel == CLOCK:  # no step leads from one run to the next
+        rates = [part for each in blocks for part in (each.mean(axis=1), [np.nan])]
+        return WhiteFloor(block_noise(np.concatenate(rates)), "delays at the ends of blocks")
     slot_s = runs[0].slot_s
-    for run in runs:
-        variance, count = run.variance[channel], run.count[channel]
-        usable = (run.rest >= REST_SHARE) & np.isfinite(variance) & (count > 1)
-        weighted += float((variance[usable] * (count[usable] - 1)).sum())
-        seconds += float((count[usable] - 1).sum())
-        samples = max(samples, run.samples_per_slot(channel) / run.slot_s)
-    if seconds > 0 and samples * slot_s >= 4:
-        candidates.append(("samples inside seconds", weighted / seconds / samples / block_s))
-    for step in STEPS_S:
-        value = _difference_variance(runs, channel, step, block_s)
-        if np.isfinite(value):
-            candidates.append((f"means of {step * slot_s:.0f} s inside blocks", value))
-    for (source, value), (_, following) in pairwise(candidates):
+    found = [("samples inside seconds", _sample_variance(runs, channel) / block_s)]
+    found += [
+        (f"means of {step * slot_s:.0f} s inside blocks", _difference_variance(blocks, step))
+        for step in STEPS
+    ]
+    found = [(source, value) for source, value in found if np.isfinite(value)]
+    for (source, value), (_, following) in pairwise(found):
         if value > 0 and abs(following / value - 1.0) < PLATEAU:
             return WhiteFloor(float(np.sqrt(value)), source)
-    if not candidates:
+    if not found:
         return WhiteFloor(0.0, "nothing")
-    source, value = min(candidates, key=lambda item: item[1])
+    source, value = min(found, key=lambda item: item[1])
     return WhiteFloor(float(np.sqrt(value)), f"{source} (no white region was found)")
 
 
-def _of_delays(runs: Sequence[Run], block_s: float) -> float:
-    rates = []
+def _slots_of_blocks(run: Run, channel: str, block_s: float) -> FloatArray:
+    """Return the slots of each whole block, (blocks, slots), NaN where the unit is not at rest."""
+    width = max(1, round(block_s / run.slot_s))
+    values = np.where(run.rest >= REST_SHARE, run.mean[channel], np.nan)
+    return values[: len(values) // width * width].reshape(-1, width)
+
+
+def _sample_variance(runs: Sequence[Run], channel: str) -> float:
+    """Return the variance of the mean of a second from that of its samples; NaN with fewer than four."""
+    total, free, rate = 0.0, 0.0, 0.0
     for run in runs:
-        width = max(1, round(block_s / run.slot_s))
-        values = np.where(run.rest >= REST_SHARE, run.mean[CLOCK], np.nan)
-        blocks = values[: len(values) // width * width].reshape(-1, width)
-        rates += [blocks.mean(axis=1), np.array([np.nan])]  # no step leads from one run to the next
-    return block_noise(np.concatenate(rates))
+        variance, count = run.variance[channel], run.count[channel]
+        usable = (run.rest >= REST_SHARE) & np.isfinite(variance) & (count > 1)
+        total += float((variance[usable] * (count[usable] - 1)).sum())
+        free += float((count[usable] - 1).sum())
+        rate = max(rate, run.samples_per_slot(channel) / run.slot_s)
+    return total / free / rate if free > 0 and rate * runs[0].slot_s >= 4 else float("nan")
 
 
-def _difference_variance(runs: Sequence[Run], channel: str, step: int, block_s: float) -> float:
+def _difference_variance(runs: Sequence[FloatArray], step: int) -> float:
     """Return the variance of a block mean from differences of neighbouring means of `step` slots.
 
-    The differences are taken within blocks and less the mean of their block, so that no ramp gets in.
+    The differences are taken within blocks (blocks, slots) and less the mean of their block, so that no ramp
+    gets in.
     """
     total, count, share = 0.0, 0.0, 1.0
-    for run in runs:
-        usable = (run.rest >= REST_SHARE) & np.isfinite(run.mean[channel])
-        values = np.where(usable, run.mean[channel], np.nan)
-        width = max(1, round(block_s / run.slot_s))
-        share = step / width
-        blocks = len(values) // width
-        per_block = width // step
-        if not blocks or per_block < 3:
+    for blocks in runs:
+        share = step / blocks.shape[1]
+        number = blocks.shape[1] // step
+        if number < 3:
             continue
-        means = values[: blocks * width].reshape(blocks, width)[:, : per_block * step]
-        means = means.reshape(blocks, per_block, step).mean(axis=2)
-        differences = np.diff(means, axis=1)
-        # Half the mean square of the differences is the variance, for white noise.
-        whole = np.isfinite(differences).all(axis=1)
-        spread = differences[whole] - differences[whole].mean(axis=1, keepdims=True)
-        # The mean of k differences is (last - first)/k: it holds 2/k² of the white variance.
-        k = per_block - 1
+        means = blocks[:, : number * step].reshape(-1, number, step).mean(axis=2)
+        differences = np.diff(means[np.isfinite(means).all(axis=1)], axis=1)
+        spread = differences - differences.mean(axis=1, keepdims=True)
+        # Half the mean square of the differences is the variance, for white noise; the mean of k of them is
+        # (last - first)/k, which holds 2/k² of it.
+        k = number - 1
         total += float((spread**2).sum()) / (2.0 * (1.0 - 1.0 / k**2))
-        count += float(whole.sum()) * k
+        count += float(differences.size)
     return total / count * share if count > 0 else float("nan")
 
 

@@ -13,7 +13,7 @@ from numpy.polynomial import Polynomial
 from imumon.blocks import FloatArray, IntArray
 from imumon.diagnosis.blocks import RunBlocks, WhiteFloor
 from imumon.diagnosis.candidates import Candidate, Part, Pool
-from imumon.diagnosis.faults import Fault
+from imumon.diagnosis.quality import Fault
 from imumon.effects.base import Effect
 
 INDEPENDENT = 10.0

@@ -14,7 +14,7 @@ from imumon.diagnosis.figures import COLOURS, HOUR_S, shown, svg
 from imumon.diagnosis.glance import residual
 from imumon.diagnosis.known import temperature_of
 from imumon.diagnosis.page import environment
-from imumon.diagnosis.recording import Run, unit_of
+from imumon.diagnosis.runs import Run, unit_of
 from imumon.errors import ImumonError, Reason
 from imumon.files import write_text
 from imumon.models.model import BiasModel

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 from imumon.diagnosis.engine import diagnose
 from imumon.diagnosis.extended import extended_model
-from imumon.diagnosis.recording import Run
-from imumon.diagnosis.train_and_test import latest
+from imumon.diagnosis.runs import Run, latest
 from imumon.diagnosis.verdict import ChannelVerdict
 from imumon.models.model import BiasModel
 

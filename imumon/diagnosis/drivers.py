@@ -9,7 +9,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import BLOCK_S, RunBlocks
-from imumon.diagnosis.recording import CHANNELS, Run
+from imumon.diagnosis.runs import CHANNELS, Run
 from imumon.effects.base import DrivenEffect, Scale, Survey
 from imumon.effects.drift import Drift
 from imumon.effects.library import EFFECTS

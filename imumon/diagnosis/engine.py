@@ -24,7 +24,6 @@ from imumon.diagnosis.candidates import Pool
 from imumon.diagnosis.channel import Channel, Declared, Own
 from imumon.diagnosis.drivers import recorded, shadows, with_drivers
 from imumon.diagnosis.earth import EarthRate, earth_rate, turned, without
-from imumon.diagnosis.faults import faults
 from imumon.diagnosis.known import (
     check_range,
     effects_of,
@@ -34,13 +33,13 @@ from imumon.diagnosis.known import (
     with_needed,
     without_curve,
 )
-from imumon.diagnosis.recording import SENSORS, Run, channels_of, unit_of
+from imumon.diagnosis.runs import SENSORS, STRETCHES, Run, channels_of, divided, in_order, unit_of
 from imumon.diagnosis.selection import search
-from imumon.diagnosis.train_and_test import STRETCHES, divided, in_order
 from imumon.diagnosis.usable import (
     Names,
     blocks_of_test,
     blocks_of_training,
+    faults,
     sound,
     temperature_of_axis,
     usable_channels,

@@ -32,7 +32,7 @@ from imumon.diagnosis.gains import SHORT_LIST, Scored, families
 from imumon.diagnosis.known import CUBIC, temperature_of
 from imumon.diagnosis.lacks import Lack, Ways, lacks
 from imumon.diagnosis.likelihood import Likelihood, Noise, coarse_grid, fine_grid
-from imumon.diagnosis.recording import SECOND_NS, Run
+from imumon.diagnosis.runs import SECOND_NS, Run
 from imumon.diagnosis.selection import REFINEMENTS
 from imumon.effects.base import Survey
 from imumon.effects.library import EFFECTS

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from imumon.diagnosis.blocks import RunBlocks
-from imumon.diagnosis.recording import Run, common_temperature
+from imumon.diagnosis.runs import Run, common_temperature
 from imumon.effects.base import Effect
 from imumon.errors import ImumonError, Reason
 from imumon.models.curves.polynomial import PolynomialCurve

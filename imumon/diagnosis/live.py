@@ -13,7 +13,7 @@ from imumon.columns import Column
 from imumon.diagnosis.aged import AgedRun
 from imumon.diagnosis.blocks import BLOCK_S, REST_SHARE, common_block_s
 from imumon.diagnosis.glance import Better, better_models, known_to
-from imumon.diagnosis.recording import DRIVERS, LONGEST_GAP_S, SECOND_NS, Run, further_columns
+from imumon.diagnosis.runs import DRIVERS, LONGEST_GAP_S, SECOND_NS, Run, further_columns
 from imumon.diagnosis.selection import MOST_NAMES
 from imumon.diagnosis.shadow import MARGIN, Shadow
 from imumon.diagnosis.through import RESIDUAL, effect_charts

@@ -26,7 +26,7 @@ from imumon.diagnosis.gains import CLOSE, CLOSE_SHARE, PROVEN
 from imumon.diagnosis.likelihood import TAUS_S
 from imumon.diagnosis.profiles import Profile, profiles
 from imumon.diagnosis.questions import NOTHING
-from imumon.diagnosis.recording import Run, collect, unit_of
+from imumon.diagnosis.runs import Run, collect, unit_of
 from imumon.diagnosis.selection import Search, search
 from imumon.effects.base import ACCEL
 from imumon.effects.library import EFFECTS, AnyEffect, effects_for

@@ -19,7 +19,7 @@ from imumon.diagnosis.gains import PROVEN
 from imumon.diagnosis.glance import Better, residual
 from imumon.diagnosis.known import temperature_of
 from imumon.diagnosis.likelihood import Likelihood
-from imumon.diagnosis.recording import Run
+from imumon.diagnosis.runs import Run
 from imumon.models.model import BiasModel
 
 MARGIN = PROVEN

@@ -6,7 +6,7 @@ from imumon.charts import AXIS_COLORS, Axis, Chart, Curve
 from imumon.diagnosis.blocks import common_block_s
 from imumon.diagnosis.glance import Better, residual
 from imumon.diagnosis.known import temperature_of
-from imumon.diagnosis.recording import Run
+from imumon.diagnosis.runs import Run
 from imumon.geodesy import DEG_PER_H
 from imumon.models.model import BiasModel
 

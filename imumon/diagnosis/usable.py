@@ -1,26 +1,33 @@
-"""What of the data a diagnosis can use: the channels, the runs, and their blocks; the rest is named."""
+"""The channels and runs that a diagnosis can use; what is left out is reported as a caveat."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.clock.channel import CLOCK
-from imumon.diagnosis.blocks import LEAST_BLOCKS, REST_SHARE, RunBlocks, make_blocks
-from imumon.diagnosis.faults import without_standstill
-from imumon.diagnosis.recording import CHANNELS, Run, channels_of, common_temperature, unit_of
+from imumon.diagnosis.blocks import BLOCK_S, LEAST_BLOCKS, REST_SHARE, RunBlocks, make_blocks
+from imumon.diagnosis.quality import Fault, noise_over_temperature, sample_faults, standing
+from imumon.diagnosis.runs import CHANNELS, Run, channels_of, common_temperature, unit_of
 from imumon.errors import ImumonError, Reason
 
 LEAST_RUN_BLOCKS = 8
+"""A run with fewer is not used: it adds no more than its own constant and slope."""
 LEAST_REST = 0.5
+"""Share of a run at rest below which the unit moves."""
 LEAST_THERE = 0.1
 """Share of its time in which a channel that is used has samples."""
 MANY_GAPS = 0.2
+"""Share of a run left out that is reported."""
 RESOLUTION = 1e-12
 """Share of its value below which the changes of a channel are rounding in the computation of its means."""
+COARSE = 0.5
+"""A channel that does not change in more of its time has too few digits; otherwise it is stuck."""
+LEAST_STILL = 6
+"""Slots of one value, and 30 s, that are a fault."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,23 +48,15 @@ def usable_channels(
 
     Raises BAD_DATA when there is none.
     """
-    found = _channels(train, sensors, caveats)
-    if len(found) > 1 and not all(CLOCK in run.mean for run in (*train, *test)):
-        return [name for name in found if name != CLOCK]
-    return found
-
-
-def _channels(runs: Sequence[Run], sensors: Sequence[str], caveats: list[str]) -> list[str]:
     found = []
-    for name in channels_of(sensors, {name for run in runs for name in run.variance}):
-        there = [run for run in runs if name in run.mean and np.isfinite(run.mean[name]).mean() > LEAST_THERE]
-        if not there:
+    for name in channels_of(sensors, {name for run in train for name in run.variance}):
+        lacking = [run.name for run in train if not _has(run, name)]
+        if len(lacking) == len(train):
             continue
-        if len(there) < len(runs):
-            lacking = ", ".join(run.name for run in runs if run not in there)
-            caveats.append(f"{name} is left out: {lacking} hardly has it")
-        elif not any(_varies(run.mean[name], run.variance[name]) for run in runs):
-            value = float(np.nanmean(runs[0].mean[name]))
+        if lacking:
+            caveats.append(f"{name} is left out: {', '.join(lacking)} hardly has it")
+        elif not any(_varies(run.mean[name], run.variance[name]) for run in train):
+            value = float(np.nanmean(train[0].mean[name]))
             caveats.append(f"{name} is left out: it has one value throughout, {value:g} {unit_of(name)}")
         else:
             found.append(name)
@@ -67,11 +66,17 @@ def _channels(runs: Sequence[Run], sensors: Sequence[str], caveats: list[str]) -
             f"no channel of {', '.join(sensors)} has data in every training run",
             "give sessions that have them, or a map that says which columns they are",
         )
+    if len(found) > 1 and not all(CLOCK in run.mean for run in (*train, *test)):
+        return [name for name in found if name != CLOCK]
     return found
 
 
+def _has(run: Run, channel: str) -> bool:
+    return channel in run.mean and bool(np.isfinite(run.mean[channel]).mean() > LEAST_THERE)
+
+
 def _varies(mean: FloatArray, variance: FloatArray) -> bool:
-    """Tell whether a channel changes by more than the rounding of its means, in or between its slots."""
+    """Return whether a channel changes by more than the rounding of its means, in or between its slots."""
     known, scatter = mean[np.isfinite(mean)], variance[np.isfinite(variance)]
     resolution = RESOLUTION * float(np.abs(known).max())
     return bool(np.ptp(known) > resolution or (scatter > resolution**2).any())
@@ -87,14 +92,53 @@ def temperature_of_axis(channel: str, runs: Sequence[Run]) -> str:
 
 
 def sound(runs: Sequence[Run], channels: Sequence[str], caveats: list[str]) -> list[Run]:
-    """Return runs without what is a fault of the data, which is named."""
-    both = [without_standstill(run, channels) for run in runs]
-    caveats += [text for _, said in both for text in said]
-    return [run for run, _ in both]
+    """Return runs without the slots in which a channel stands still, which are reported.
+
+    Noise never gives the same value for as long as a block, but a stuck sensor does, one at its limit, and
+    one whose digits are coarser than its noise.  The last is reported and kept.
+    """
+    found = []
+    for run in runs:
+        mean, variance, samples = dict(run.mean), dict(run.variance), dict(run.samples)
+        for name in channels:
+            if name not in mean:
+                continue
+            still = standing(mean[name], variance[name], max(LEAST_STILL, BLOCK_S / run.slot_s))
+            if not still.any():
+                continue
+            share = float(still.sum() / np.isfinite(mean[name]).sum())
+            one = samples.get(name)
+            if share > COARSE or (one is not None and one.step > one.noise * np.sqrt(1.0 - one.repeated)):
+                caveats.append(
+                    f"{run.name}: {name} does not change in {share:.0%} of its time: too few digits"
+                )
+                continue
+            values = mean[name][still]
+            if one is not None and np.isclose(values, one.atom, rtol=1e-9, atol=0.0).any():
+                stuck = one.place == "inside"
+                samples[name] = one.without(share)
+            else:
+                stuck = not np.isin(values, (np.nanmin(mean[name]), np.nanmax(mean[name]))).all()
+            seconds, what = still.sum() * run.slot_s, "stuck" if stuck else "saturated"
+            caveats.append(f"{run.name}: {name} is {what} for {seconds:.0f} s; they are left out")
+            mean[name] = np.where(still, np.nan, mean[name])
+            variance[name] = np.where(still, np.nan, variance[name])
+        found.append(replace(run, mean=mean, variance=variance, samples=samples))
+    return found
+
+
+def faults(runs: Sequence[Run], channel: str, temperature: str, floor: float) -> list[Fault]:
+    """Return what is wrong with the values of a channel; `floor` is the white noise of a block."""
+    samples = [run.samples[channel] for run in runs if channel in run.samples]
+    there = [run for run in runs if temperature in run.mean]
+    return sample_faults(samples, unit_of(channel), floor) or noise_over_temperature(
+        np.concatenate([run.variance[channel] for run in there]),
+        np.concatenate([run.mean[temperature] for run in there]),
+    )
 
 
 def resting(run: Run) -> bool:
-    """Tell whether the unit was at rest for most of a run."""
+    """Return whether the unit was at rest for most of a run."""
     return any(_rest_share(run, name) >= LEAST_REST for name in CHANNELS if name in run.mean)
 
 
@@ -106,7 +150,7 @@ def _rest_share(run: Run, channel: str) -> float:
 def blocks_of_training(
     runs: Sequence[Run], names: Names, block_s: float, caveats: list[str]
 ) -> list[RunBlocks]:
-    """Return the training as blocks, without runs that cannot be used, which are named.
+    """Return the training as blocks, without runs that cannot be used, which are reported.
 
     Raises BAD_DATA when the unit was hardly at rest, or the runs are too short.
     """
@@ -115,9 +159,8 @@ def blocks_of_training(
         raise ImumonError(
             Reason.BAD_DATA,
             "the unit moves: " + "; ".join(moving),
-            "what the bias model lacks can be told only of a unit at rest; if it was, add --at-rest",
+            "what the bias model lacks can be found only in a unit at rest; if it was, add --at-rest",
         )
-    caveats += [f"{text}: not used, it moves" for text in moving]
     total = sum(map(len, found))
     if total < LEAST_BLOCKS:
         raise ImumonError(
@@ -125,15 +168,14 @@ def blocks_of_training(
             f"too short: the training data has {total} means of {block_s:.0f} s at rest;"
             f" {LEAST_BLOCKS} are needed, {LEAST_BLOCKS * block_s / 60:.0f} min",
             "record the unit at rest for an hour or more while its temperature changes;"
-            " if it was at rest and is not seen to be, add --at-rest",
+            " if it was at rest and is not detected to be, add --at-rest",
         )
     return found
 
 
 def blocks_of_test(runs: Sequence[Run], names: Names, block_s: float, caveats: list[str]) -> list[RunBlocks]:
-    """Return the test as blocks, without runs that cannot be used, which are named."""
-    found, moving = _in_blocks(runs, names, block_s, caveats)
-    caveats += [f"{text}: not used, it moves" for text in moving]
+    """Return the test as blocks, without runs that cannot be used, which are reported."""
+    found, _ = _in_blocks(runs, names, block_s, caveats)
     if runs and not found:
         caveats.append("no run of the test can be used: there is no independent proof")
     return found
@@ -149,20 +191,21 @@ def _in_blocks(
         if lacking:
             caveats.append(f"{run.name}: not used, it lacks {', '.join(lacking)}")
             continue
-        there = np.isfinite(run.mean[names.channels[0]])[run.earlier :]
+        there = float(np.isfinite(run.mean[names.channels[0]])[run.earlier :].mean())
         rest_share = _rest_share(run, names.channels[0])
         if rest_share < LEAST_REST:
             moving.append(f"{run.name}: at rest for {rest_share:.0%} of its {run.duration_s / 60:.0f} min")
             continue
-        if there.mean() < run.share * (1.0 - MANY_GAPS):
-            caveats.append(f"{run.name}: samples in {there.mean():.0%} of its time only; gaps are left out")
-        if rest_share < 1.0 - MANY_GAPS:
-            caveats.append(f"{run.name}: at rest for {rest_share:.0%} of its time; the rest is left out")
         blocks = make_blocks(run, names.channels, names.temperatures, names.drivers, block_s)
         if len(blocks) < LEAST_RUN_BLOCKS:
             caveats.append(
                 f"{run.name}: not used, {len(blocks)} blocks of {block_s:.0f} s at rest are too few"
             )
             continue
+        if there < run.share * (1.0 - MANY_GAPS):
+            caveats.append(f"{run.name}: samples in {there:.0%} of its time only; gaps are left out")
+        if rest_share < 1.0 - MANY_GAPS:
+            caveats.append(f"{run.name}: at rest for {rest_share:.0%} of its time; the rest is left out")
         found.append(blocks)
+    caveats += [f"{text}: not used, it moves" for text in moving]
     return found, moving

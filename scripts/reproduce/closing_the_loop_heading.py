@@ -10,7 +10,7 @@ from alignment_runs import ACCEL_BIAS_UG
 from imumon.blocks import SampleBlock
 from imumon.diagnosis.engine import diagnose
 from imumon.diagnosis.extended import extended_model
-from imumon.diagnosis.recording import Run, collect
+from imumon.diagnosis.runs import Run, collect
 from imumon.estimation.alignment.parameters import AlignmentParameters, KnownWarmUp, known_warm_up
 from imumon.estimation.alignment.stage import Alignment
 from imumon.simulation.unit import SimulatedUnit

@@ -25,7 +25,7 @@ from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import RunBlocks, make_blocks
 from imumon.diagnosis.glance import residual
 from imumon.diagnosis.likelihood import Likelihood
-from imumon.diagnosis.recording import Run
+from imumon.diagnosis.runs import Run
 
 NAMES = [f"gyro_{axis}" for axis in AXES]
 KNOWN = (0.3, 0.0)

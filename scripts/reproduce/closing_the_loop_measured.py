@@ -17,8 +17,8 @@ from imumon.diagnosis.blocks import BLOCK_S
 from imumon.diagnosis.candidates import candidates
 from imumon.diagnosis.engine import Diagnosis, diagnose
 from imumon.diagnosis.fit import Fit, TestScore, fit, score
-from imumon.diagnosis.recording import SECOND_NS, Run, read_runs
 from imumon.diagnosis.report import report
+from imumon.diagnosis.runs import SECOND_NS, Run, read_runs
 from imumon.diagnosis.verdict import ChannelVerdict
 from imumon.errors import ImumonError
 from imumon.estimation.rest.stage import RestDetector

@@ -19,7 +19,7 @@ from closing_the_loop_statistics import IN_LIBRARY
 from imumon.blocks import FloatArray
 from imumon.diagnosis.engine import diagnose
 from imumon.diagnosis.live import LiveDiagnosis
-from imumon.diagnosis.recording import Run
+from imumon.diagnosis.runs import Run
 from imumon.diagnosis.verdict import ChannelVerdict
 from imumon.models.model import BiasModel
 

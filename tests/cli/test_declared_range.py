@@ -10,7 +10,7 @@ import pytest
 
 from imumon.allan.recording import read_channels
 from imumon.calibration.record import read_session
-from imumon.diagnosis.recording import read_runs
+from imumon.diagnosis.runs import read_runs
 from imumon.estimation.rest.stage import RestDetector
 from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile

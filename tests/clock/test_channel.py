@@ -12,7 +12,7 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.clock.channel import CLOCK, with_delay
 from imumon.diagnosis.blocks import make_blocks, white_floor
 from imumon.diagnosis.engine import diagnose
-from imumon.diagnosis.recording import Run, collect
+from imumon.diagnosis.runs import Run, collect
 from tests.diagnosis.units import ramps
 
 RATE_HZ = 20

@@ -9,7 +9,7 @@ import pytest
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.aged import MOST_SLOTS, AgedRun
-from imumon.diagnosis.recording import SECOND_NS
+from imumon.diagnosis.runs import SECOND_NS
 from imumon.effects.vibration import VIBRATION
 from imumon.recordings.reduced import ACCEL, KeptSlots
 

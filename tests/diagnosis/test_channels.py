@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imumon.diagnosis.engine import diagnose
-from imumon.diagnosis.recording import Run, channels_of
+from imumon.diagnosis.runs import Run, channels_of
 from imumon.errors import ImumonError
 from imumon.geodesy import DEG_PER_H
 from tests.cli.command import imumon

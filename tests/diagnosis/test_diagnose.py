@@ -12,8 +12,8 @@ from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.columns import KNOWN
 from imumon.diagnosis.engine import Diagnosis, diagnose
 from imumon.diagnosis.extended import extended_model
-from imumon.diagnosis.recording import Origin, Run, read_runs
 from imumon.diagnosis.report import report
+from imumon.diagnosis.runs import Origin, Run, read_runs
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.rest.stage import RestDetector
 from imumon.models.curves.points import Points

@@ -10,10 +10,10 @@ import pytest
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.diagnosis.conclusion import conclusion, in_short, next_steps, state
 from imumon.diagnosis.engine import Diagnosis, diagnose
-from imumon.diagnosis.faults import faults
-from imumon.diagnosis.recording import Run
+from imumon.diagnosis.quality import Watcher
 from imumon.diagnosis.report import report
-from imumon.diagnosis.values import Watcher
+from imumon.diagnosis.runs import Run
+from imumon.diagnosis.usable import faults
 from tests.diagnosis.units import DPH, WHITE_DPH, Bias, cubic, ramps
 
 RATE = 4
@@ -42,7 +42,7 @@ def rounded(seed: int, up: bool, rate: float, bias: Bias, sigmas: float, times: 
     mean = {"gyro_x": seconds.mean(axis=1), "temperature": np.round(temperature * 16) / 16}
     count = dict.fromkeys(mean, np.full(len(time), float(RATE)))
     variance = {"gyro_x": seconds.var(axis=1, ddof=1)}
-    return Run(f"run {seed}", time, count, mean, variance, np.ones(len(time)), looks=watcher.looks())
+    return Run(f"run {seed}", time, count, mean, variance, np.ones(len(time)), samples=watcher.samples())
 
 
 def found(bias: Bias, sigmas: float, seed: int = 1, times: float = 20.0) -> Diagnosis:
@@ -99,6 +99,6 @@ def test_a_bias_that_stays_within_a_step_is_not_known_to_be_complete() -> None:
 
 def test_what_never_changes_has_no_rate() -> None:
     run = rounded(1, True, 1.5, nothing, 12.0, 20.0)
-    (look,) = run.looks.values()
-    still = replace(run, looks={"gyro_x": replace(look, step=0.0, repeated=1.0)})
+    (samples,) = run.samples.values()
+    still = replace(run, samples={"gyro_x": replace(samples, step=0.0, repeated=1.0)})
     assert not [one for one in faults([still], "gyro_x", "temperature", 1e-6) if "another rate" in one.text]

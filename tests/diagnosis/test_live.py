@@ -10,7 +10,7 @@ import pytest
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.diagnosis.glance import Better, better_models
 from imumon.diagnosis.live import FIRST_LOOK_S, LOOK_S, LiveDiagnosis
-from imumon.diagnosis.recording import LONGEST_GAP_S, Run
+from imumon.diagnosis.runs import LONGEST_GAP_S, Run
 from imumon.diagnosis.shadow import Shadow
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 from imumon.models.curves.points import Points

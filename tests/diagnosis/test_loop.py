@@ -8,7 +8,7 @@ import pytest
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.diagnosis.engine import diagnose
 from imumon.diagnosis.extended import extended_model
-from imumon.diagnosis.recording import Run, collect
+from imumon.diagnosis.runs import Run, collect
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.models.model import BiasModel

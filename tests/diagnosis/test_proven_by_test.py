@@ -8,8 +8,8 @@ import pytest
 from imumon.diagnosis.blocks import make_blocks
 from imumon.diagnosis.engine import diagnose
 from imumon.diagnosis.likelihood import Likelihood
-from imumon.diagnosis.recording import Run
 from imumon.diagnosis.report import report
+from imumon.diagnosis.runs import Run
 from imumon.effects.base import Drive
 from imumon.effects.hysteresis import Hysteresis
 from imumon.effects.step import EDGE_BLOCKS

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.diagnosis.faults import faults, without_standstill
-from imumon.diagnosis.recording import Run
-from imumon.diagnosis.values import KEPT, Watcher
+from imumon.diagnosis.quality import KEPT, Watcher
+from imumon.diagnosis.runs import Run
+from imumon.diagnosis.usable import faults, sound
 
 SECONDS, RATE = 600, 50
 N = SECONDS * RATE
@@ -32,7 +32,7 @@ def watched(change: Callable[[FloatArray, FloatArray], FloatArray], sd: float = 
         {"gyro_x": seconds.mean(axis=1), "temperature": warmth.reshape(SECONDS, RATE).mean(axis=1)},
         {"gyro_x": seconds.var(axis=1, ddof=1)},
         np.ones(SECONDS),
-        looks=watcher.looks(),
+        samples=watcher.samples(),
     )
 
 
@@ -66,8 +66,9 @@ def test_what_stood_still_is_not_counted_again_as_a_value_that_comes_too_often(
     def frozen(values: FloatArray, _: FloatArray) -> FloatArray:
         return np.where(np.abs(np.arange(N) - 21_000) <= 1000, value, values)
 
-    left, (said,) = without_standstill(watched(frozen), ["gyro_x"])
-    assert said == f"a run: gyro_x is {what} for 40 s; they are left out"
+    caveats: list[str] = []
+    (left,) = sound([watched(frozen)], ["gyro_x"], caveats)
+    assert caveats == [f"a run: gyro_x is {what} for 40 s; they are left out"]
     assert faults([left], "gyro_x", "temperature", 0.02) == []
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.diagnosis.recording import Run
+from imumon.diagnosis.runs import Run
 
 DPH = np.pi / 180 / 3600
 WHITE_DPH = 1.6

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imumon.diagnosis.recording import Run, collect
+from imumon.diagnosis.runs import Run, collect
 from imumon.geodesy import DEG_PER_H
 from imumon.models.curves.points import Points
 from imumon.models.curves.polynomial import fit_polynomial

@@ -1,0 +1,197 @@
+"""Faults of single samples: digits, frequent values, repeats, standstill; means of blocks would hide them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imumon.blocks import BoolArray, FloatArray, SampleBlock
+from imumon.filters.rounding import digits, grid_step, largest_error, mean_error
+
+KEPT = 100_000
+"""Samples of a channel that are kept, evenly spaced over the recording, to bound the memory."""
+FREQUENT, TIMES_MORE = 0.01, 10.0
+"""A value with this share of all samples, and so many times more than its neighbours, is not by chance."""
+LEAST_RATIO = 0.2
+"""Noise in steps below which it is not estimated: hardly any sample leaves its step."""
+REPEATED = 0.3
+"""Share of samples equal to the one before that is reported: by chance 0.14, for steps of half the noise."""
+LOUDER = 1.3
+"""Ratio of the noise at the cold and at the warm end that is reported: of 20 slots of 20 samples it is known
+to 5 %."""
+OF_VALUE = {"end": "saturated", "apart": "dropouts", "inside": "dead-band"}
+"""What a frequent value is called, by its place among the other values."""
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Statistics of the samples of a channel in a recording.
+
+    Parameters
+    ----------
+    step : float
+        Step of the grid on which the values lie; 0 when there is none.
+    noise : float
+        Standard deviation of a sample about its neighbour, of those that differ; NaN when none does.
+    repeated : float
+        Share of the samples that equal the one before.
+    ratio : float
+        Noise before rounding, in steps; infinite where steps are far finer.
+    atom, atom_share, place
+        The value that is far more frequent than its neighbours (NaN without one), its share of all samples,
+        and whether it is inside the others, at their end, or apart from them.
+    """
+
+    step: float
+    noise: float
+    repeated: float
+    ratio: float = np.inf
+    atom: float = np.nan
+    atom_share: float = 0.0
+    place: str = "inside"
+
+    def without(self, share: float) -> Samples:
+        """Return the statistics of the rest where the frequent value stood still in this share of samples."""
+        left = max(self.atom_share - share, 0.0) / (1.0 - share)
+        repeated = max(self.repeated - share, 0.0) / (1.0 - share)
+        if left < FREQUENT:
+            return replace(self, repeated=repeated, atom=np.nan, atom_share=0.0, place="inside")
+        return replace(self, repeated=repeated, atom_share=left)
+
+
+class Watcher:
+    """Collects statistics of the samples of some channels while blocks pass."""
+
+    def __init__(self, channels: Sequence[str]) -> None:
+        self._kept: dict[str, list[FloatArray]] = {name: [] for name in channels}
+        self._stride, self._phase, self._count = 1, 0, 0
+        self._steps = {name: np.zeros(3) for name in channels}
+        """Number of steps from sample to sample, of those that are zero, and sum of squares."""
+
+    def through(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
+        """Yield the blocks unchanged."""
+        for block in blocks:
+            self._take(block)
+            yield block
+
+    def _take(self, block: SampleBlock) -> None:
+        chosen = slice(-self._phase % self._stride, None, self._stride)
+        self._phase = (self._phase + len(block)) % self._stride
+        self._count += len(block) // self._stride + 1
+        for name in self._kept.keys() & block.columns.keys():
+            values = block[name]
+            steps = np.diff(values[np.isfinite(values)])
+            self._steps[name] += np.array([len(steps), np.sum(steps == 0.0), np.sum(steps**2)])
+            self._kept[name].append(values[chosen].astype(np.float64))
+        if self._count > KEPT:
+            joined = {name: np.concatenate(kept) for name, kept in self._kept.items() if kept}
+            self._kept = {name: [values[::2]] for name, values in joined.items()}
+            self._stride, self._count = 2 * self._stride, self._count // 2
+
+    def samples(self) -> dict[str, Samples]:
+        """Return the statistics of each channel that has values."""
+        found = {}
+        for name, kept in self._kept.items():
+            values = np.concatenate([*kept, np.empty(0)])
+            values = values[np.isfinite(values)]
+            pairs, same, squares = self._steps[name].tolist()
+            if len(values) > 2 and pairs:
+                noise = float(np.sqrt(squares / (pairs - same) / 2.0)) if pairs > same else np.nan
+                found[name] = _samples(values, noise, same / pairs)
+        return found
+
+
+def _samples(values: FloatArray, noise: float, repeated: float) -> Samples:
+    distinct, count = np.unique(values, return_counts=True)
+    step = grid_step(distinct, len(values))
+    rounded = digits(values) if step > 0.0 else None
+    found = Samples(step, noise, repeated, np.inf if rounded is None else rounded.ratio)
+    at = int(np.argmax(count))
+    beside = max(count[max(at - 1, 0) : at].tolist() + count[at + 1 : at + 2].tolist(), default=0)
+    share = float(count[at] / len(values))
+    coarse = step > 0.0 and not step < noise
+    if coarse or len(distinct) < 3 or share < FREQUENT or count[at] < TIMES_MORE * max(beside, 1):
+        return found
+    place = "inside"
+    if at in (0, len(distinct) - 1):
+        gap = abs(distinct[at] - distinct[1 if at == 0 else -2])
+        place = "apart" if gap > noise else "end"
+    return replace(found, atom=float(distinct[at]), atom_share=share, place=place)
+
+
+def standing(mean: FloatArray, variance: FloatArray, least: float) -> BoolArray:
+    """Return the slots in which a channel has one value for at least so many of them, (n,)."""
+    same = (np.diff(mean, prepend=np.nan) == 0.0) & ~(variance > 0.0)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]])))
+    still = np.zeros(len(mean), np.bool_)
+    for start, stop in edges.reshape(-1, 2).tolist():
+        # The slot before the first that repeats has the value as well.
+        still[start - 1 : stop] = stop - start + 1 >= least
+    return still
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """What is wrong with the data of a channel.
+
+    `blind` is the most that the fault alone makes of a smooth bias: a smaller effect cannot be found.  It is
+    infinite where nothing that is fitted would be the bias.
+    """
+
+    text: str
+    blind: float = 0.0
+
+
+def sample_faults(recordings: Sequence[Samples], unit: str, floor: float) -> list[Fault]:
+    """Return the worst fault of each kind in the samples of a channel.
+
+    `unit` is that of the channel; `floor` is the white noise of a mean of a block.
+    """
+    found = []
+    for make in (_coarse_digits, _frequent_value, _repeats):
+        each = [fault for one in recordings if (fault := make(one, unit, floor)) is not None]
+        if each:
+            found.append(max(each, key=lambda fault: fault.blind))
+    return found
+
+
+def _coarse_digits(found: Samples, unit: str, floor: float) -> Fault | None:
+    """Return digits whose noise is too small to average what lies between them."""
+    if not found.step > 0.0 or mean_error(found.step, found.ratio) < 0.5 * floor:
+        return None
+    times = f"{1 / found.ratio:.1f}" if found.ratio > LEAST_RATIO else f"more than {1 / LEAST_RATIO:.0f}"
+    text = f"quantized: steps of {found.step:.3g} {unit}, {times} times the noise"
+    return Fault(text, largest_error(found.step, found.ratio))
+
+
+def _frequent_value(found: Samples, unit: str, _: float) -> Fault | None:
+    """Return a value that is too frequent."""
+    if not found.atom_share > 0.0:
+        return None
+    value = f"{found.atom_share:.1%} of the samples are {found.atom + 0.0:.4g} {unit}"
+    return Fault(f"{OF_VALUE[found.place]}: {value}", np.inf)
+
+
+def _repeats(found: Samples, _: str, __: float) -> Fault | None:
+    """Return new values that are rarer than the samples; what never has a new value has no rate."""
+    fine = not found.step > 0.0 or found.step < 0.5 * found.noise
+    if not fine or not REPEATED <= found.repeated < 1.0 or found.atom_share > 0.0:
+        return None
+    return Fault(f"another rate: a new value with every {1.0 / (1.0 - found.repeated):.1f}th sample only")
+
+
+def noise_over_temperature(variance: FloatArray, temperature: FloatArray) -> list[Fault]:
+    """Return white noise that depends on the temperature, from the variance of the samples in each slot."""
+    known = np.isfinite(variance) & np.isfinite(temperature) & (variance > 0.0)
+    if known.sum() < 100:
+        return []
+    variance, temperature = variance[known], temperature[known]
+    low, high = np.quantile(temperature, (0.2, 0.8))
+    ends = (variance[temperature <= low], variance[temperature >= high])
+    cold, warm = (float(np.sqrt(np.median(end))) for end in ends)
+    if not high > low or max(cold, warm) < LOUDER * min(cold, warm):
+        return []
+    times = f"{warm / cold:.2f} times as large above {high:.0f} °C as below {low:.0f} °C"
+    return [Fault(f"noise that depends on temperature: {times}")]
