@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -18,7 +19,6 @@ from imumon.estimation.alignment.positions import (
     Motion,
     Outcome,
     Position,
-    Slot,
     turn_variance,
 )
 from imumon.estimation.alignment.posterior import (
@@ -28,7 +28,10 @@ from imumon.estimation.alignment.posterior import (
     sensor_errors,
 )
 from imumon.estimation.alignment.record import (
+    SLOT_S,
+    Levelled,
     Record,
+    Slot,
     direction_of,
     first_attitude,
     levelled,
@@ -39,7 +42,6 @@ from imumon.estimation.alignment.report import ANY_ANGLE_SD, Estimate, PositionH
 from imumon.filters.turns import Turns
 from imumon.geodesy import EARTH_RATE
 
-SLOT_S = 0.25
 FIRST_FIT_S, LONGEST_REFIT_S = 10.0, 60.0
 """Time at rest of the first fit of a position, and the longest between two fits; in between a position is
 fitted anew when its time at rest has grown by a third, which lowers sigma by an eighth."""
@@ -50,6 +52,19 @@ MOST_POSITIONS, MOST_SIGMAS = 100, 400
 
 
 @dataclass
+class SinceFit:
+    """Rotations about the vertical since the last fit.
+
+    `yaw` is the slow one (creep) by the vertical gyro, rad, counter-clockwise, followed for `creep_s`;
+    `turn_variance`, rad², is that of turns to other positions.
+    """
+
+    yaw: float = 0.0
+    creep_s: float = 0.0
+    turn_variance: float = 0.0
+
+
+@dataclass
 class State:
     """State of the alignment."""
 
@@ -57,23 +72,13 @@ class State:
     positions: list[Position] = field(default_factory=list)
     attitude: FloatArray = field(default_factory=lambda: np.eye(3))
     """Body axes to the reference frame, now, (3, 3)."""
-    direction: float = 0.0
-    """Direction of the body in that frame, rad, counter-clockwise."""
-    first_vertical: tuple[float, ...] = (math.nan,) * 3
-    """Vertical of the first position, body axes."""
-    field_sum: list[float] = field(default_factory=lambda: [0.0] * 4)
-    """Sum of the magnetometer in this position, body axes, and its number of samples."""
     posterior: HeadingPosterior | None = None
     """Of the last fit; None before it."""
-    fitted_turn_variance: float = 0.0
-    """Turn variance of the last position in that fit, rad²."""
+    since_fit: SinceFit = field(default_factory=SinceFit)
     norths: list[tuple[float, float]] = field(default_factory=list)
     """Time at rest in this position, s, and direction of north, rad, of the fits since half of that time."""
-    yaw_since_fit: float = 0.0
-    creep_since_fit_s: float = 0.0
-    """Rotation about the vertical since the last fit by the vertical gyro, rad, counter-clockwise, and time
-    over which it is integrated; 0 for a unit that does not creep."""
     means: dict[str, Estimate] = field(default_factory=dict)
+    """Directions of north by means of the gyros, beside the joint fit."""
     sigmas: list[tuple[float, float]] = field(default_factory=list)
     """Time at rest, s, and sigma, rad, of each fit."""
     elapsed_s: float = 0.0
@@ -128,45 +133,34 @@ class Aligner:
             restarts=old.restarts + 1,
         )
 
-    def step(self, slot: Slot, magnetic: Sequence[float], at_rest: bool, turns: Turns, k: int) -> None:
+    def step(self, slot: Slot, magnetic: FloatArray, at_rest: bool, turns: Turns, k: int) -> None:
         """Process a slot with its mean magnetic field, (3,), the rest detector's flag, and turn k."""
-        gap = slot.time_s - 0.5 * slot.length_s - self.state.elapsed_s
-        if self.state.positions and gap > max(SLOT_S, 2.5 * slot.length_s):
-            self._fill_gap(gap, slot)
-        state = self.state
-        state.elapsed_s = slot.ended_s
-        outcome = state.motion.classify(slot, at_rest)
-        if outcome is Outcome.REST:
+        gap_s = slot.begun_s - self.state.elapsed_s
+        if self.state.positions and gap_s > LONGEST_GAP_S:
+            self.restart(f"samples are missing at {self.state.elapsed_s:.1f} s for {gap_s:.1f} s")
+        state, motion = self.state, self.state.motion
+        state.elapsed_s = slot.begun_s + SLOT_S
+        outcome = motion.classify(slot, at_rest)
+        if outcome is Outcome.WAITING:
+            return
+        if outcome is Outcome.FIRST_REST:
+            rest = motion.end()
+            attitude = first_attitude(np.mean([one.values[3:] for one in rest], axis=0))
+            self._begin_position(attitude, 0.0, 1, rest)
+        elif outcome is Outcome.REST:
             self._add_rest_slot(slot)
-        elif outcome is Outcome.FIRST_REST:
-            held = state.motion.end()
-            self._begin_position(
-                first_attitude(np.mean([one.values[3:] for one in held], axis=0)), 0.0, 1, held
-            )
-            state.first_vertical = tuple(state.attitude[2].tolist())
-        elif outcome is not Outcome.WAITING:
+        else:
             self._follow_motion(outcome, turns, k)
         if self.resting:
-            if math.isfinite(sum(magnetic)):
-                new = *(slot.samples * value for value in magnetic), slot.samples
-                self.state.field_sum = [a + b for a, b in zip(self.state.field_sum, new, strict=True)]
+            if np.isfinite(magnetic).all():
+                self.state.positions[-1].magnetic += magnetic
             if self.state.rest_s >= self.state.due_s:
                 self.evaluate()
-
-    def _fill_gap(self, gap: float, slot: Slot) -> None:
-        """Add invalid rows for missing slots, as rows are equally spaced; restart after a long gap."""
-        state = self.state
-        if gap > LONGEST_GAP_S:
-            self.restart(f"samples are missing at {state.elapsed_s:.1f} s for {gap:.1f} s")
-        elif not state.motion.turning:
-            missing = max(round(gap / slot.length_s), 1)
-            for j in range(missing):
-                self._record.add(0.0, slot.values, state.elapsed_s + gap * (j + 1) / missing, 0.0)
 
     @property
     def resting(self) -> bool:
         """Whether the unit rests in a position."""
-        return bool(self.state.positions) and not self.state.motion.turning
+        return bool(self.state.positions) and not self.state.motion.moving
 
     @property
     def _record(self) -> Record:
@@ -177,36 +171,39 @@ class Aligner:
     def _add_rest_slot(self, slot: Slot) -> None:
         """Add a slot at rest to the record, and follow a creep by the vertical gyro."""
         state = self.state
-        self._record.add(slot.samples, slot.values, slot.ended_s, slot.length_s)
+        self._record.add(slot)
         state.rest_s += slot.length_s
         state.motion.add_rest(slot.rate)
         fit = state.positions[-1].fit
         if fit is not None and fit.yaw:
             vertical = float(state.attitude[2] @ slot.rate)
-            state.yaw_since_fit += slot.length_s * (vertical - self.earth_vertical)
-            state.creep_since_fit_s += slot.length_s
+            state.since_fit.yaw += slot.length_s * (vertical - self.earth_vertical)
+            state.since_fit.creep_s += slot.length_s
 
-    def _begin_position(self, attitude: FloatArray, turns: float, number: int, rest: Sequence[Slot]) -> None:
+    def _begin_position(
+        self, attitude: FloatArray, variance: float, number: int, rest: Sequence[Slot]
+    ) -> None:
         """Begin a position whose record starts with these slots."""
-        state, begun_s = self.state, rest[0].ended_s - rest[0].length_s
-        self._set_attitude(attitude)
-        state.positions.append(Position(attitude, turns, Record(begun_s), number, begun_s))
+        state, first = self.state, rest[0]
+        # Of a device with one sample a slot at most, each row must last for two samples: none stays empty.
+        interval = (rest[-1].index - first.index) / (len(rest) - 1)
+        slow = max(slot.samples for slot in rest) == 1
+        record = Record(first.index, 1 << math.ceil(math.log2(2.0 * interval)) if slow else 1)
+        state.attitude = attitude
+        state.positions.append(Position(attitude, variance, record, number, first.begun_s))
         state.due_s = state.rest_s + FIRST_FIT_S
-        state.field_sum, state.norths = [0.0] * 4, []
+        state.norths = []
         for slot in rest:
             self._add_rest_slot(slot)
-
-    def _set_attitude(self, attitude: FloatArray) -> None:
-        self.state.attitude, self.state.direction = attitude, direction_of(attitude)
 
     def _follow_motion(self, outcome: Outcome, turns: Turns, k: int) -> None:
         """Rotate the attitude by the slot's turn, and act on the end of the motion."""
         state, motion = self.state, self.state.motion
-        self._set_attitude(state.attitude @ motion.follow(turns.at(k)))
+        state.attitude = state.attitude @ motion.follow(turns.at(k))
         if outcome is Outcome.LOST:
-            self.restart(f"the unit turned at {motion.begun_s:.1f} s for {LONGEST_MOTION_S:g} s")
+            self.restart(f"the unit turned at {motion.held[0].begun_s:.1f} s for {LONGEST_MOTION_S:g} s")
         elif outcome is Outcome.SAME_ATTITUDE:
-            self._set_attitude(state.positions[-1].attitude)
+            state.attitude = state.positions[-1].attitude
             for slot in motion.end():
                 self._add_rest_slot(slot)
         elif outcome is Outcome.TURNED:
@@ -215,9 +212,9 @@ class Aligner:
     def _end_turn(self) -> None:
         """Begin a position after a turn; restart if the angle of the turn is unknown."""
         state, motion, errors = self.state, self.state.motion, self.errors
-        before, rest, begun_s = state.positions[-1], motion.held[-CALM_SLOTS:], motion.begun_s
+        before, rest, begun_s = state.positions[-1], motion.held[-CALM_SLOTS:], motion.held[0].begun_s
         force = np.mean([slot.values[3:] for slot in rest[CALM_SLOTS // 2 :]], axis=0)
-        attitude, seconds = upright(state.attitude, force), rest[0].ended_s - rest[0].length_s - begun_s
+        attitude, seconds = upright(state.attitude[0], force), rest[0].begun_s - begun_s
         variance = turn_variance(
             motion.turned,
             before.attitude,
@@ -243,6 +240,7 @@ class Aligner:
         before.record, before.ended_s = None, begun_s
         motion.end()
         motion.recent.clear()
+        state.since_fit.turn_variance += variance
         self._begin_position(attitude, before.turn_variance + variance, before.number + new, rest)
 
     @property
@@ -266,46 +264,54 @@ class Aligner:
 
     def _fit_position(self) -> None:
         """Fit the present position, and its plain and Hann-weighted mean of the gyros."""
-        state, record = self.state, self._record
-        if not (record.whole_rows[:, 0] > 0.0).any():
-            return
-        tau_s, amplitude, drifts = self._warm_up()
-        data = levelled(record, state.positions[-1].attitude, self.earth_vertical, tau_s, amplitude)
-        fit = state.positions[-1].fit = fit_position(data, self.earth_vertical, drifts)
+        here, record = self.state.positions[-1], self._record
+        if record.rows()[0].any():
+            tau_s, amplitude, drifts = self._warm_up()
+            data = levelled(record, here.attitude, self.earth_vertical, tau_s, amplitude)
+            here.fit = fit_position(data, self.earth_vertical, drifts)
+            self._update_means(data)
+
+    def _update_means(self, data: Levelled) -> None:
+        """Update the directions of north by the plain and the Hann-weighted mean of the gyros."""
+        state, fit, rate = self.state, self.state.positions[-1].fit, data.rate[data.valid]
         if fit is None:
             return
-        rate, size = data.rate[data.valid], state.posterior.bias_size if state.posterior else 0.0
+        bias = state.posterior.bias_size if state.posterior else 0.0
         for name, taper, factor in (("gyro_mean", np.ones, 1.0), ("hann_mean", np.hanning, 1.5)):
             mean = complex(taper(len(rate)) @ rate)
-            sd = math.sqrt(factor * fit.white / record.rest_s + size**2) / self.level_rate
+            sd = math.sqrt(factor * fit.white / self._record.rest_s + bias**2) / self.level_rate
             state.means[name] = Estimate(math.atan2(mean.imag, mean.real), min(sd, ANY_ANGLE_SD))
 
     def evaluate(self) -> None:
         """Fit the present position, and update the heading."""
-        state, here = self.state, self.state.positions[-1]
+        state, rest_s = self.state, self._record.rest_s
         self._fit_position()
-        fitted = [(one.fit, one.turn_variance) for one in state.positions if one.fit][-MOST_POSITIONS:]
-        after_s = min(self._record.rest_s / 3.0, LONGEST_REFIT_S)
-        if here.fit is not None:
-            fits, turns = [one for one, _ in fitted], np.array([turn for _, turn in fitted])
-            new = heading_posterior(fits, turns, self.latitude, self.errors)
-            rest_s, yaw = self._record.rest_s, state.yaw_since_fit
-            state.norths = [(at_s, north - yaw) for at_s, north in state.norths if at_s >= 0.5 * rest_s]
-            state.norths.append((rest_s, new.north))
-            moved = [abs(math.remainder(new.north - north, 2.0 * math.pi)) for _, north in state.norths]
-            state.posterior = new = new._replace(sd=min(max(new.sd, *moved, 0.0), ANY_ANGLE_SD))
-            state.fitted_turn_variance = here.turn_variance
-            state.yaw_since_fit = state.creep_since_fit_s = 0.0
-            state.sigmas = [*state.sigmas[-MOST_SIGMAS:], (state.rest_s, self.heading_sd)]
-            self._update_settled()
-            # A bias that hides the north hides it until the unit is turned, so fits may be rare.
-            if new.level_bias_sd > self.level_rate * math.radians(self.parameters.observable_deg):
-                after_s = self._record.rest_s
-        state.due_s = state.rest_s + max(after_s, 1.0)
+        if state.positions[-1].fit is not None:
+            self._update_heading(rest_s)
+        state.due_s = state.rest_s + min(max(rest_s / 3.0, 1.0), LONGEST_REFIT_S)
 
-    def _update_settled(self) -> None:
-        """Set `settled_s` when sigma falls to the wanted one; unset it when sigma exceeds 1.25 times that."""
-        state, wanted = self.state, math.radians(self.parameters.settled_deg)
+    def _update_heading(self, rest_s: float) -> None:
+        """Update the heading from the fits of all positions, `rest_s` of which are in the present one."""
+        state = self.state
+        fitted = [(one.fit, one.turn_variance) for one in state.positions if one.fit][-MOST_POSITIONS:]
+        fits, variances = zip(*fitted, strict=True)
+        north = (
+            state.posterior.north - state.since_fit.yaw
+            if state.posterior
+            else cmath.phase(fits[-1].moments()[0])
+        )
+        new = heading_posterior(fits, np.array(variances), self.latitude, self.errors, north)
+        norths = [(at_s, north - state.since_fit.yaw) for at_s, north in state.norths]
+        state.norths = [
+            *((at_s, north) for at_s, north in norths if at_s >= 0.5 * rest_s),
+            (rest_s, new.north),
+        ]
+        moved = max(abs(math.remainder(new.north - north, 2.0 * math.pi)) for _, north in state.norths)
+        state.posterior = new._replace(sd=min(max(new.sd, moved), ANY_ANGLE_SD))
+        state.since_fit = SinceFit()
+        state.sigmas = [*state.sigmas[-MOST_SIGMAS:], (state.rest_s, self.heading_sd)]
+        # Settled when sigma falls to the wanted one, and no longer when it exceeds 1.25 times that.
+        wanted = math.radians(self.parameters.settled_deg)
         if not (self.observable and self.heading_sd <= 1.25 * wanted):
             state.settled_s = None
         elif state.settled_s is None and self.heading_sd <= wanted:
@@ -317,12 +323,11 @@ class Aligner:
         state, motion = self.state, self.state.motion
         if state.posterior is None:
             return math.nan
-        here, creep = state.positions[-1], state.posterior.bias_size * state.creep_since_fit_s
-        turned = max(here.turn_variance - state.fitted_turn_variance, 0.0)
-        variance = state.posterior.sd**2 + turned + creep**2
-        if motion.turning:
+        creep = state.posterior.bias_size * state.since_fit.creep_s
+        variance = state.posterior.sd**2 + state.since_fit.turn_variance + creep**2
+        if motion.moving:
             variance += turn_variance(
-                motion.turned, here.attitude, state.attitude[2], motion.moving_s, motion.noise,
+                motion.turned, state.positions[-1].attitude, state.attitude[2], motion.moving_s, motion.noise,
                 self.errors.scale, 1.0,
             )  # fmt: skip
         return min(math.sqrt(variance), ANY_ANGLE_SD)
@@ -338,7 +343,7 @@ class Aligner:
         state = self.state
         if state.posterior is None:
             return {}
-        joint = Estimate(state.posterior.north - state.yaw_since_fit, self.heading_sd)
+        joint = Estimate(state.posterior.north - state.since_fit.yaw, self.heading_sd)
         observable = self.observable
         return {
             name: Estimate(self.as_heading(one.heading) if observable else math.nan, one.sd)
@@ -348,10 +353,9 @@ class Aligner:
     @property
     def magnetic_heading(self) -> float:
         """Heading from magnetic north by the magnetometer's mean in this position, rad; NaN without one."""
-        *field_sum, samples = self.state.field_sum
-        if not samples or not self.state.positions:
+        if not self.state.positions or not self.state.positions[-1].magnetic.any():
             return math.nan
-        ahead, left, _ = (self.state.attitude @ field_sum).tolist()
+        ahead, left, _ = (self.state.attitude @ self.state.positions[-1].magnetic).tolist()
         return self.as_heading(math.atan2(left, ahead))
 
     @property
@@ -368,32 +372,30 @@ class Aligner:
 
     def as_heading(self, north: float) -> float:
         """Return the heading of the body from the direction of north in the reference frame."""
-        return (north - self.state.direction) % (2.0 * math.pi)
+        return (north - direction_of(self.state.attitude)) % (2.0 * math.pi)
 
     @property
     def turned(self) -> float:
         """Angle about the vertical since the previous position, rad, clockwise; also during a turn."""
         state, places = self.state, self.state.positions
-        if state.motion.turning:
+        if state.motion.moving:
             return -turned_about_vertical(places[-1].attitude, state.attitude)
         before = [one for one in places if one.number < places[-1].number]
         return -turned_about_vertical(before[-1].attitude, places[-1].attitude) if before else 0.0
 
     def finish(self) -> list[PositionHeading]:
         """Fit the rest since the last fit; return the heading in each position."""
-        state, headings = self.state, list(self.earlier_headings)
+        state, found = self.state, []
         if self.resting:
             self.evaluate()
         if state.posterior is None:
-            return headings
+            return self.earlier_headings
         north, now = state.posterior.north, state.positions[-1].turn_variance
         for one in reversed(state.positions):
             sd = min(math.sqrt(state.posterior.sd**2 + abs(now - one.turn_variance)), ANY_ANGLE_SD)
             shown = north if sd < math.radians(self.parameters.observable_deg) else math.nan
             ended_s = one.ended_s if one.record is None else one.record.ended_s
             heading = (shown - direction_of(one.attitude)) % (2.0 * math.pi)
-            headings.insert(
-                len(self.earlier_headings), PositionHeading(self.run, one.begun_s, ended_s, heading, sd)
-            )
+            found.append(PositionHeading(self.run, one.begun_s, ended_s, heading, sd))
             north += one.fit.yaw if one.fit is not None else 0.0
-        return headings
+        return self.earlier_headings + found[::-1]

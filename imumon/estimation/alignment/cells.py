@@ -10,7 +10,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray
 from imumon.estimation.alignment.record import Levelled
@@ -34,13 +33,14 @@ to rotate slowly about the vertical (creep of a tripod head)."""
 
 
 class Cells(NamedTuple):
-    """A division of a record into J cells.
+    """A division of a record of n rows into J cells.
 
-    `used` (J,) are those of valid rows without a knock, `rate` (J,) their level rates, rad/s, `variance` that
-    of each part of a rate; `vertical` is the mean of the vertical gyro, and `white` the white noise of the
-    quietest axis, (rad/s)²/Hz.
+    `windows` (J, n) are the weights of the rows, `used` (J,) the cells of valid rows without a knock, and
+    `rate` (J,) their level rates, rad/s, with the variance of each part; `vertical` is the mean of the
+    vertical gyro, and `white` the white noise of the quietest axis, (rad/s)²/Hz.
     """
 
+    windows: FloatArray
     used: BoolArray
     rate: ColumnArray
     variance: float
@@ -48,27 +48,24 @@ class Cells(NamedTuple):
     vertical_variance: float
     white: float
 
+    @property
+    def mean_rate(self) -> complex:
+        """Mean of the used cells, rad/s."""
+        return complex(self.rate[self.used].mean())
 
-def hann_means(rows: FloatArray, cells: int) -> FloatArray:
-    """Return the means of rows, (n, k), under Hann windows that overlap by half, (cells, k).
-
-    Window j is 0.5 + 0.5 cos(pi t/h - pi j) within a half length h of its middle; as the second cosine is
-    (-1)^j cos(pi t/h), sums over pieces of the rows, and of the rows times that, make all windows.
-    """
-    n = len(rows)
-    at = (np.arange(n) + 0.5) * ((cells + 1) / n)
-    columns = np.column_stack([np.ones(n), rows])
-    both = np.concatenate([columns, columns * np.cos(np.pi * at)[:, None]], axis=1)
-    flat, wave = np.split(_sums(both, cells), 2, axis=1)
-    sums = flat + np.where(np.arange(1, cells + 1) % 2, -1.0, 1.0)[:, None] * wave
-    return np.asarray(sums[:, 1:] / sums[:, :1])
+    @property
+    def correlation(self) -> FloatArray:
+        """Correlation of white noise in the used cells, (m, m)."""
+        apart = np.abs(np.subtract.outer(np.flatnonzero(self.used), np.flatnonzero(self.used)))
+        return np.asarray((apart == 0) + OVERLAP * (apart == 1))
 
 
-def _sums(rows: NDArray[np.floating], cells: int) -> FloatArray:
-    """Return the sums of the rows in each window, (cells, ...)."""
-    first = np.ceil(np.arange(cells + 2) * (len(rows) / (cells + 1)) - 0.5).astype(np.int64)
-    pieces = np.add.reduceat(rows, first[:-1], axis=0)
-    return np.asarray(pieces[:-1] + pieces[1:])
+def hann_windows(n: int, cells: int) -> FloatArray:
+    """Return the weights of n rows in Hann windows that overlap by half, (cells, n); each sums to one."""
+    row = (np.arange(n) + 0.5) * ((cells + 1) / n)
+    from_middle = np.minimum(np.abs(row - np.arange(1, cells + 1)[:, None]), 1.0)
+    windows = 1.0 + np.cos(np.pi * from_middle)
+    return np.asarray(windows / windows.sum(axis=1, keepdims=True))
 
 
 def trend(n: int, order: int) -> FloatArray:
@@ -76,15 +73,18 @@ def trend(n: int, order: int) -> FloatArray:
     return np.asarray(np.polynomial.chebyshev.chebvander((np.arange(n) + 0.5) / n * 2.0 - 1.0, order - 1))
 
 
-def scatter(values: FloatArray, used: BoolArray, order: int) -> tuple[float, BoolArray, float]:
-    """Return the variance of cells, (cells, axes), about a trend, those used, and degrees of freedom."""
+def scatter(values: ColumnArray, used: BoolArray, order: int) -> tuple[float, BoolArray, float]:
+    """Return the variance of cells about a trend, those used without knocks, and the degrees of freedom.
+
+    `values` (cells,) are real, or complex with the same variance in both parts.
+    """
     order = max(1, min(order, len(values) // 4))
     basis, square = trend(len(values), order), np.zeros(len(values))
     for _ in range(3):
         left = values - basis @ np.linalg.lstsq(basis[used], values[used], rcond=None)[0]
-        square = np.sum(left**2, axis=1)
+        square = np.abs(left) ** 2
         used = used & (square <= KNOCK**2 * np.median(square[used]) + MIN_VARIANCE)
-    freedom = values.shape[1] * max(int(used.sum()) - order, 0.5)
+    freedom = (2 if np.iscomplexobj(values) else 1) * max(int(used.sum()) - order, 0.5)
     return max(float(square[used].sum()), MIN_VARIANCE) / max(freedom - 2.0, 1.0), used, freedom
 
 
@@ -92,16 +92,10 @@ def rotates_slowly(data: Levelled) -> bool:
     """Return whether the vertical gyro varies by more than its noise: a slow rotation about the vertical."""
     if len(data.valid) < 2 * (CREEP_CELLS + 1):
         return False
-    used = _sums(1.0 - data.valid, CREEP_CELLS) == 0
-    means = hann_means(data.vertical[:, None], CREEP_CELLS)[used, 0]
-    return len(means) > MIN_CELLS and bool(np.var(means) > CREEP_RATIO * white_variance(data, CREEP_CELLS))
-
-
-def white_variance(data: Levelled, cells: int) -> float:
-    """Return the variance of a cell of the vertical gyro if it has only the white noise of the rows."""
-    steps = np.diff(data.vertical[data.valid])
-    # The sum of the squared weights of a Hann window of 2 n/(cells + 1) rows is 0.75 (cells + 1)/n.
-    return 0.5 * float(np.mean(steps**2)) * 0.75 * (cells + 1) / len(data.vertical)
+    windows = hann_windows(len(data.valid), CREEP_CELLS)
+    means = (windows @ data.vertical)[windows @ ~data.valid == 0.0]
+    white = 0.5 * float(np.mean(np.diff(data.vertical[data.valid]) ** 2)) * float(np.sum(windows[0] ** 2))
+    return len(means) > MIN_CELLS and bool(np.var(means) > CREEP_RATIO * white)
 
 
 def divide(data: Levelled, rate: ColumnArray, creeps: bool) -> Cells | None:
@@ -110,27 +104,30 @@ def divide(data: Levelled, rate: ColumnArray, creeps: bool) -> Cells | None:
     Longer cells suppress more sway but estimate the noise from fewer degrees of freedom, so they must be
     better by the standard deviation of that estimate.
     """
-    best, limit, n = None, math.inf, len(rate)
-    for cells in CELLS:
-        used = _sums(1.0 - data.valid, cells) == 0 if n >= 2 * (cells + 1) else np.zeros(0, bool)
+    best, smallest, n = None, math.inf, len(rate)
+    for count in CELLS:
+        if n < 2 * (count + 1):
+            continue
+        windows = hann_windows(n, count)
+        used = windows @ ~data.valid == 0.0
         if used.sum() < MIN_CELLS:
             continue
-        means = hann_means(np.column_stack([rate.real, rate.imag, data.vertical]), cells)
-        up_variance, up_used, _ = scatter(means[:, 2:], used, 1)
-        variance, used, freedom = scatter(means[:, :2], used, TREND_ORDER)
+        cells, vertical = windows @ rate, windows @ data.vertical
+        up_variance, up_used, _ = scatter(vertical, used, 1)
+        variance, used, freedom = scatter(cells, used, TREND_ORDER)
         if not creeps:
             variance = max(variance, 0.5 * up_variance)
         of_mean = (1.0 + 2.0 * OVERLAP) / float(used.sum())
-        if variance * of_mean * (1.0 + math.sqrt(2.0 / max(freedom, 1.0))) < limit:
-            limit = variance * of_mean
-            vertical = means[up_used, 2]
+        if variance * of_mean * (1.0 + math.sqrt(2.0 / max(freedom, 1.0))) < smallest:
+            smallest = variance * of_mean
             best = Cells(
+                windows=windows,
                 used=used,
-                rate=means[:, 0] + 1j * means[:, 1],
+                rate=cells,
                 variance=variance,
-                vertical=float(vertical.mean()),
+                vertical=float(vertical[up_used].mean()),
                 # The scatter of a unit that creeps contains the rotation itself.
-                vertical_variance=2.0 * float(vertical.var()) if creeps else up_variance * of_mean,
-                white=min(variance, up_variance) * 4.0 / 3.0 * n * data.row_s / (cells + 1),
+                vertical_variance=2.0 * float(vertical[up_used].var()) if creeps else up_variance * of_mean,
+                white=min(variance, up_variance) * data.row_s / float(np.sum(windows[0] ** 2)),
             )
     return best

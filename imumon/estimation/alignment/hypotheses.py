@@ -12,26 +12,27 @@ each are closed forms; c has a flat prior.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray
-from imumon.estimation.alignment import cells
+from imumon.estimation.alignment.cells import TREND_ORDER, Cells, divide, rotates_slowly, scatter, trend
 from imumon.estimation.alignment.record import Levelled
 from imumon.estimation.alignment.sway import find_sway
 
 SETTLING_TAU_S = np.geomspace(5.0, 640.0, 8)
-"""Time constants of a tripod, in octaves."""
+"""Time constants of a tripod that settles, in octaves."""
 NEIGHBOURS = 3
-"""Exponentials side by side."""
+"""Exponentials side by side in one hypothesis; ablation: a single one is up to 18 sigma off."""
 TILT_SD, STANDS_SD = np.array([1e-5, 1e-4, 1e-3]), 1e-9
 """rad: sizes of a tilt, and what is none."""
-WARM_UP_TAU_S = np.array([100.0, 300.0, 1000.0])
 P_SETTLES = 0.3
 """Prior probability of a settling tripod.  With 0.03 a slow tilt passes for a bias, 9 sigma off; ablation: 0
 makes up to 8 times the error."""
+WARM_UP_TAU_S = np.array([100.0, 300.0, 1000.0])
 LEVEL_SD = 1e-3
 """Constant of an accelerometer's level, rad."""
 TEMPER = 0.7
@@ -54,6 +55,20 @@ class Drift(NamedTuple):
 DRIFTS = (Drift(0.495, 1e-7, 0.0), Drift(0.495, 1e-7, 1e-4), Drift(0.01, 3e-6, 0.0))
 """Warmed up, warming up, or with a sudden step.  Ablation: without a warm-up errors are up to 8 sigma;
 without a step, one of 30 µg hides the north."""
+
+
+def tilt_hypotheses(neighbours: int) -> FloatArray:
+    """Return the prior sd of the amplitude of each exponential, rad, (19, 8): of a unit that stands, and of
+    each size of a tilt with neighbouring time constants."""
+    rows = [np.full(len(SETTLING_TAU_S), STANDS_SD)]
+    for first in range(len(SETTLING_TAU_S) - neighbours + 1):
+        for size in TILT_SD:
+            rows.append(rows[0].copy())
+            rows[-1][first : first + neighbours] = size
+    return np.array(rows)
+
+
+TILTS = tilt_hypotheses(NEIGHBOURS)
 
 
 class PositionFit(NamedTuple):
@@ -96,107 +111,105 @@ def fit_position(data: Levelled, earth_vertical: float, drifts: Sequence[Drift])
     `earth_vertical` is Ω sin L, rad/s; `drifts` are models of the accelerometers.
     """
     n = len(data.rate)
-    creeps = cells.rotates_slowly(data)
-    turned = np.cumsum(creeps * data.valid * (data.vertical - earth_vertical)) * data.row_s
-    back = np.exp(1j * (turned - turned[-1]))
+    creeps = rotates_slowly(data)
+    yaw = np.cumsum(creeps * data.valid * (data.vertical - earth_vertical)) * data.row_s
+    back = np.exp(1j * (yaw - yaw[-1]))
     rate = data.rate * back
     settling = -np.expm1(-data.row_s * np.arange(n + 1.0)[:, None] / SETTLING_TAU_S)
     slopes = np.diff(settling, axis=0) / data.row_s
-    slow = np.column_stack([cells.trend(n, cells.TREND_ORDER), slopes])
-    sways = find_sway(rate, data.level, data.valid, slow)
-    found = cells.divide(data, rate - sways.rate, creeps)
-    if found is None:
+    middles = 0.5 * (settling[1:] + settling[:-1])
+    sways = find_sway(rate, data.level, data.valid, np.column_stack([trend(n, TREND_ORDER), slopes]))
+    cells = divide(data, rate - sways.rate, creeps)
+    if cells is None:
         return None
     turning_bias = LARGEST_BIAS * (back.imag - back.imag.mean())
-    columns = np.column_stack([np.ones(n), slopes, sways.columns, turning_bias])
-    offset = complex(found.rate[found.used].mean())
-    gyros = _gyros(found, cells.hann_means(columns, len(found.used))[found.used], offset)
-    level = data.level - sways.level
-    middles = 0.5 * (settling[1:] + settling[:-1])
-    parts = [_tilts(gyros, *_accelerometers(data, level, found.used, middles, drift)) for drift in drifts]
+    gyros = _gyros(cells, slopes, np.column_stack([sways.columns, turning_bias]))
+    parts = []
+    for drift in drifts:
+        level, log_density = _accelerometers(cells, data.level - sways.level, data.row_s, middles, drift)
+        parts.append(_tilts(gyros.plus(level), log_density + math.log(drift.probability)))
     log_weight, mean, variance = (np.concatenate(part) for part in zip(*parts, strict=True))
     return PositionFit(
         log_weight=TEMPER * (log_weight - log_weight.max()),
-        rate=mean + offset,
+        rate=mean + cells.mean_rate,
         variance=variance,
-        settles=np.tile(SIZE > STANDS_SD, len(drifts)),
-        vertical=found.vertical,
-        vertical_variance=found.vertical_variance,
-        white=found.white,
+        settles=np.tile(TILTS.max(axis=1) > STANDS_SD, len(drifts)),
+        vertical=cells.vertical,
+        vertical_variance=cells.vertical_variance,
+        white=cells.white,
         attitude=data.attitude,
         seconds=n * data.row_s,
-        yaw=float(turned[-1]),
+        yaw=float(yaw[-1]),
         bias_rotation=complex(back.mean()),
     )
 
 
-def _normal(covariance: FloatArray, columns: FloatArray) -> FloatArray:
-    """Return columns' inverse(covariance) columns."""
-    return np.asarray(columns.T @ np.linalg.solve(covariance, columns))
+class Information(NamedTuple):
+    """Information on a constant rate and the amplitudes of the exponentials.
 
-
-def _correlation(used: BoolArray) -> FloatArray:
-    """Return the correlation of the noise of the used cells, (m, m)."""
-    apart = np.abs(np.subtract.outer(np.flatnonzero(used), np.flatnonzero(used)))
-    return np.asarray((apart == 0) + cells.OVERLAP * (apart == 1))
-
-
-def _gyros(found: cells.Cells, columns: FloatArray, offset: complex) -> FloatArray:
-    """Return the normal equations of rate, amplitudes of the exponentials, and the two parts of the data.
-
-    The other columns, sways and a bias in axes that creep, are eliminated; their prior is N(0, 1).
+    It is Hᵀ R⁻¹ H, (9, 9), and Hᵀ R⁻¹ y, (9,), complex, of observations y with the covariance R.
     """
-    data = found.rate[found.used] - offset
-    every = np.column_stack([columns, data.real, data.imag])
-    normal = _normal(found.variance * _correlation(found.used), every)
-    other = np.zeros(len(normal), bool)
-    other[1 + len(SETTLING_TAU_S) : -2] = True
-    cross = normal[np.ix_(~other, other)]
-    within = normal[np.ix_(other, other)] + np.eye(int(other.sum()))
-    return np.asarray(normal[np.ix_(~other, ~other)] - cross @ np.linalg.solve(within, cross.T))
+
+    matrix: FloatArray
+    vector: ColumnArray
+
+    def plus(self, other: Information) -> Information:
+        """Return the information of both."""
+        return Information(self.matrix + other.matrix, self.vector + other.vector)
+
+
+def _information(design: FloatArray, data: ColumnArray, covariance: FloatArray) -> Information:
+    weighted = np.asarray(np.linalg.solve(covariance, design).T, np.float64)
+    return Information(weighted @ design, weighted @ data)
+
+
+def _gyros(cells: Cells, slopes: FloatArray, nuisance: FloatArray) -> Information:
+    """Return what the gyros know of the rate, less the mean of the cells, and of the exponentials.
+
+    `slopes` (n, 8) are the derivatives of the exponentials.  `nuisance` (n, ...), sways and a bias in axes
+    that creep, have amplitudes of N(0, 1) and are a correlated noise.
+    """
+    windows = cells.windows[cells.used]
+    design = np.column_stack([np.ones(len(windows)), windows @ slopes])
+    other = windows @ nuisance
+    covariance = cells.variance * cells.correlation + other @ other.T
+    return _information(design, cells.rate[cells.used] - cells.mean_rate, covariance)
 
 
 def _accelerometers(
-    data: Levelled, level: ColumnArray, used: BoolArray, middles: FloatArray, drift: Drift
-) -> tuple[FloatArray, float]:
-    """Return normal equations as those of the gyros, and the log density of the level if the unit stands."""
-    n = len(level)
-    time_s = data.row_s * (np.arange(float(n)) + 0.5)
-    means = cells.hann_means(np.column_stack([time_s, middles, level.real, level.imag]), len(used))
-    noise, _, _ = cells.scatter(means[:, -2:], used, LEVEL_TREND_ORDER)
-    at, columns = means[used, 0], means[used, 1:]
-    columns[:, -2:] -= columns[:, -2:].mean(axis=0)
-    warm_up = -drift.warm_up_sd * np.expm1(-at[:, None] / WARM_UP_TAU_S)
-    covariance = noise * _correlation(used) + LEVEL_SD**2 + 1e-14 * np.eye(len(at))
-    covariance += warm_up @ warm_up.T + drift.walk**2 * np.minimum.outer(at, at)
-    for knock_s in means[~used & np.r_[True, used[:-1]], 0]:  # the level is unknown anew behind it
-        covariance += LEVEL_SD**2 * np.outer(at > knock_s, at > knock_s)
-    normal = _normal(covariance, np.column_stack([np.zeros(len(at)), columns]))
-    log_density = -np.linalg.slogdet(covariance)[1] - 0.5 * (normal[-1, -1] + normal[-2, -2])
-    return normal, float(log_density + np.log(drift.probability))
+    cells: Cells, level: ColumnArray, row_s: float, middles: FloatArray, drift: Drift
+) -> tuple[Information, float]:
+    """Return what the level, (n,), knows of the exponentials, and its log density if the unit stands.
+
+    `middles` (n, 8) are the exponentials.
+    """
+    used, means = cells.used, cells.windows @ level
+    time_s = row_s * level.size / (len(used) + 1) * np.arange(1.0, len(used) + 1)
+    knocks_s, at_s = time_s[~used & np.r_[True, used[:-1]]], time_s[used]
+    noise, _, _ = scatter(means, used, LEVEL_TREND_ORDER)
+    warm_up = -drift.warm_up_sd * np.expm1(-at_s[:, None] / WARM_UP_TAU_S)
+    covariance = noise * cells.correlation + LEVEL_SD**2 + 1e-14 * np.eye(len(at_s))
+    covariance += warm_up @ warm_up.T + drift.walk**2 * np.minimum.outer(at_s, at_s)
+    for knock_s in knocks_s:  # the level is unknown anew behind it
+        covariance += LEVEL_SD**2 * np.outer(at_s > knock_s, at_s > knock_s)
+    data = means[used] - means[used].mean()
+    design = np.column_stack([np.zeros(len(at_s)), cells.windows[used] @ middles])
+    square = float((data.conj() @ np.linalg.solve(covariance, data)).real)
+    log_density = -0.5 * square - float(np.linalg.slogdet(covariance)[1])
+    return _information(design, data, covariance), log_density
 
 
-_FIRST = np.arange(len(SETTLING_TAU_S) - NEIGHBOURS + 1)
-WHICH = 1 + np.r_[_FIRST[:1], np.repeat(_FIRST, len(TILT_SD))][:, None] + np.arange(NEIGHBOURS)
-SIZE = np.r_[STANDS_SD, np.tile(TILT_SD, len(_FIRST))]
-"""Exponentials, (19, 3), and size of their amplitudes, rad, (19,), of each hypothesis about the tilt."""
-
-
-def _tilts(
-    gyros: FloatArray, level: FloatArray, log_density: float
-) -> tuple[FloatArray, ColumnArray, FloatArray]:
+def _tilts(known: Information, log_density: float) -> tuple[FloatArray, ColumnArray, FloatArray]:
     """Return log weight, mean rate and its variance of each hypothesis about the tilt, (19,).
 
     Rate and amplitudes A ~ N(0, σ²) have the precision Λ, the mean Λ⁻¹ r, and the log evidence
     ½ rᴴ Λ⁻¹ r - log |Λ| - 2 log |σ| of two real parts.
     """
-    both, index = gyros + level, np.insert(WHICH, 0, 0, axis=1)
-    precision = both[index[:, :, None], index[:, None, :]]
-    precision[:, 1:, 1:] += np.eye(NEIGHBOURS) / SIZE[:, None, None] ** 2
-    right = both[index, -2] + 1j * both[index, -1]
-    covariance = np.linalg.inv(precision)
-    mean = (covariance @ right[:, :, None])[..., 0]
-    evidence = 0.5 * np.sum(right.conj() * mean, axis=1).real - np.linalg.slogdet(precision)[1]
-    evidence -= 2.0 * NEIGHBOURS * np.log(SIZE)
-    prior = np.where(SIZE > STANDS_SD, P_SETTLES / (len(SIZE) - 1), 1.0 - P_SETTLES)
+    precision = known.matrix + np.zeros((len(TILTS), 1, 1))
+    precision[:, 1:, 1:] += np.eye(len(SETTLING_TAU_S)) / TILTS[:, None, :] ** 2
+    covariance: FloatArray = np.asarray(np.linalg.inv(precision), np.float64)
+    mean = covariance @ known.vector
+    evidence = 0.5 * (mean @ known.vector.conj()).real - np.linalg.slogdet(precision)[1]
+    evidence -= 2.0 * np.log(TILTS).sum(axis=1)
+    prior = np.where(TILTS.max(axis=1) > STANDS_SD, P_SETTLES / (len(TILTS) - 1), 1.0 - P_SETTLES)
     return evidence + np.log(prior) + log_density, mean[:, 0], covariance[:, 0, 0]

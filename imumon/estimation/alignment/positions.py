@@ -8,47 +8,26 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import NamedTuple
 
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment.hypotheses import PositionFit
-from imumon.estimation.alignment.record import Record
+from imumon.estimation.alignment.record import SLOT_S, Record, Slot
 from imumon.filters.turns import STILL, Turn
 from imumon.geodesy import EARTH_RATE
 
-MOTION_RATE = 1e-3
-"""rad/s: a rate that differs by less from that at rest is sway, noise or creep; a hand is not slower."""
-LIMIT_FACTOR = 5.0
-"""Motion limit: this factor times the largest deviation from the median of the last 30 s."""
+MOTION_RATE, LIMIT_FACTOR = 1e-3, 5.0
+"""A rate is motion that differs from the median at rest by more than 1 mrad/s (slower than any hand; less is
+sway, noise or creep), and by more than 5 times the largest deviation of the last 30 s."""
 SWAYING_RATE = 20e-3
-"""rad/s: a rate that varies by less for SWAYING_SLOTS slots is taken for rest at the start."""
+"""rad/s: at the start, a rate that varies by less for 10 s is taken for rest."""
 CALM_SLOTS, SWAYING_SLOTS, MEDIAN_SLOTS = 8, 40, 120
 """Slots: 2 s of calm are a rest, 10 s of sway at the start; the rate at rest is the median of 30 s."""
 SAME_ATTITUDE, NEW_POSITION = 1e-4, 0.01
-"""rad: a turn by less leaves the position as it is, or does not tell the bias from the earth rate."""
+"""rad: a turn by less leaves the position as it is, or does not separate the bias from the earth rate."""
 LONGEST_MOTION_S = 120.0
-"""After a longer motion the alignment begins anew."""
-
-
-class Slot(NamedTuple):
-    """Middle and length of a slot, s, number of samples, mean rate (3) and specific force (3), body axes."""
-
-    time_s: float
-    length_s: float
-    samples: int
-    values: FloatArray
-
-    @property
-    def rate(self) -> FloatArray:
-        """Mean rate, rad/s, (3,)."""
-        return self.values[:3]
-
-    @property
-    def ended_s(self) -> float:
-        """End of the slot, s."""
-        return self.time_s + 0.5 * self.length_s
+"""After a longer motion the alignment starts anew."""
 
 
 @dataclass
@@ -57,7 +36,8 @@ class Position:
 
     `attitude` (3, 3) is from body axes to forward, left and up of the first position, `turn_variance` that
     of the angle about the vertical since then, rad².  The record goes when the unit leaves the position.
-    `number` counts positions whose orientation differs by more than NEW_POSITION.
+    `number` counts positions whose orientation differs by more than NEW_POSITION; `magnetic` (3,) is the sum
+    of the magnetometer's means in body axes.
     """
 
     attitude: FloatArray
@@ -67,6 +47,7 @@ class Position:
     begun_s: float
     ended_s: float = 0.0
     fit: PositionFit | None = None
+    magnetic: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
 class Outcome(Enum):
@@ -78,7 +59,7 @@ class Outcome(Enum):
     TURNING = "the attitude follows the gyros"
     SAME_ATTITUDE = "the attitude is unchanged: the slots of the motion are added to the record"
     TURNED = "the attitude has changed: a new record begins, and the motion is left out"
-    LOST = "motion for too long: the alignment begins anew"
+    LOST = "motion for too long: the alignment starts anew"
 
 
 @dataclass
@@ -90,14 +71,9 @@ class Motion:
     limit: float = MOTION_RATE
     """Distance from it that is still rest, rad/s."""
     recent: list[FloatArray] = field(default_factory=list)
-    """Rates of slots at rest."""
-    renewed: int = 0
-    """Slots at rest since the median was taken."""
+    """Rates of slots at rest, of the last 30 to 40 s."""
     held: list[Slot] = field(default_factory=list)
-    """Slots of the motion; before the first rest those that may belong to it."""
-    calm: int = 0
-    """How many of the last of them were within the limit."""
-    turning: bool = False
+    """Slots of the motion; before the first rest, those that may belong to it."""
     turned: Turn = STILL
     """Since the motion began."""
 
@@ -106,15 +82,12 @@ class Motion:
         if self.rest_rate is None:
             self.held = [*self.held[1 - 4 * MEDIAN_SLOTS :], slot]
             return Outcome.FIRST_REST if at_rest and self._first_rest() else Outcome.WAITING
-        moving = self._distance(slot) > self.limit
-        if not (moving or self.turning):
+        if not (self.moving or self._is_motion(slot)):
             return Outcome.REST
-        self.turning = True
         self.held.append(slot)
-        self.calm = 0 if moving else self.calm + 1
         if self.moving_s > LONGEST_MOTION_S:
             return Outcome.LOST
-        if self.calm < CALM_SLOTS:
+        if any(self._is_motion(one) for one in self.held[-CALM_SLOTS:]):
             return Outcome.TURNING
         return Outcome.SAME_ATTITUDE if self.angle <= max(SAME_ATTITUDE, 6.0 * self.noise) else Outcome.TURNED
 
@@ -125,24 +98,22 @@ class Motion:
         if not (calm or (len(rates) == SWAYING_SLOTS and np.ptp(rates, axis=0).max() < SWAYING_RATE)):
             return False
         self._update_rest_rate(rates[-CALM_SLOTS:] if calm else rates)
-        far = [k for k, one in enumerate(self.held) if self._distance(one) > self.limit]
-        del self.held[: far[-1] + 1 if far else 0]
+        while any(self._is_motion(one) for one in self.held):
+            del self.held[0]
         return True
 
-    def _distance(self, slot: Slot) -> float:
+    def _is_motion(self, slot: Slot) -> bool:
         assert self.rest_rate is not None
-        return float(np.abs(slot.rate - self.rest_rate).max())
+        return float(np.abs(slot.rate - self.rest_rate).max()) > self.limit
 
     def _update_rest_rate(self, rates: FloatArray) -> None:
         self.rest_rate = np.median(rates, axis=0)
         self.limit = max(MOTION_RATE, LIMIT_FACTOR * float(np.abs(rates - self.rest_rate).max()))
-        self.renewed = 0
 
     def add_rest(self, rate: FloatArray) -> None:
-        """Add the rate of a slot at rest; update the median after 10 s."""
+        """Add the rate of a slot at rest; update the median every 10 s."""
         self.recent.append(rate)
-        self.renewed += 1
-        if self.renewed >= SWAYING_SLOTS:
+        if len(self.recent) % SWAYING_SLOTS == 0:
             del self.recent[:-MEDIAN_SLOTS]
             self._update_rest_rate(np.array(self.recent))
 
@@ -155,18 +126,18 @@ class Motion:
 
     def end(self) -> list[Slot]:
         """End the motion; return its slots."""
-        held, self.held, self.calm, self.turning, self.turned = self.held, [], 0, False, STILL
+        held, self.held, self.turned = self.held, [], STILL
         return held
 
     @property
-    def begun_s(self) -> float:
-        """Beginning of the motion."""
-        return self.held[0].ended_s - self.held[0].length_s
+    def moving(self) -> bool:
+        """Whether the unit moves, or came to rest less than 2 s ago."""
+        return self.rest_rate is not None and bool(self.held)
 
     @property
     def moving_s(self) -> float:
         """Length of the motion, with the calm after it."""
-        return self.held[-1].ended_s - self.begun_s
+        return SLOT_S * (self.held[-1].index + 1 - self.held[0].index)
 
     @property
     def angle(self) -> float:
@@ -176,11 +147,10 @@ class Motion:
     @property
     def noise(self) -> float:
         """Noise of that angle, rad: of the slots, and of the rate at rest."""
-        recent = self.recent[-MEDIAN_SLOTS:]
-        if len(recent) < 2:
+        if len(self.recent) < 2:
             return SAME_ATTITUDE
-        spread = float(np.std(np.array(recent), axis=0).max()) * self.held[-1].length_s
-        return spread * math.sqrt(len(self.held) + len(self.held) ** 2 / len(recent))
+        spread = float(np.std(np.array(self.recent), axis=0).max()) * self.held[-1].length_s
+        return spread * math.sqrt(len(self.held) + len(self.held) ** 2 / len(self.recent))
 
 
 def turn_variance(
@@ -198,13 +168,14 @@ def turn_variance(
     `seconds`; `noise` is that of the gyros' angle, rad, `scale_sd` that of their scale factor and
     misalignment, and `level_sd` that of the vertical, rad.
     """
-    errors = [
+    # Of the angles about forward, left and up.
+    forward, left, up = (
         scale_sd**2 * float(np.sum(turn.scale_about(axis) ** 2)) + turn.sampling_variance(axis)
         for axis in before
-    ]
+    )
     # The earth rate turns against the body: up to all of it is wrong while it turns by a radian.
     drift = EARTH_RATE * seconds * min(turn.path, 1.0)
-    # What gravity shows to be wrong about the level axes beyond that may be wrong about the vertical, too.
-    off = (before @ (turn.rotation @ after))[:2]
-    unexplained = 0.5 * (float(off @ off) - errors[0] - errors[1]) - level_sd**2
-    return errors[2] + noise**2 + drift**2 + max(unexplained, 0.0)
+    # Errors of the level beyond that, as gravity shows them, are as likely in the vertical axis.
+    ahead_off, left_off, _ = before @ (turn.rotation @ after)
+    unexplained = 0.5 * (ahead_off**2 + left_off**2 - forward - left) - level_sd**2
+    return up + noise**2 + drift**2 + max(float(unexplained), 0.0)

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import i0e, i1e
 
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.estimation.alignment.hypotheses import PositionFit
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.report import ANY_ANGLE_SD
@@ -119,30 +119,38 @@ class HeadingPosterior(NamedTuple):
 
 
 def heading_posterior(
-    fits: Sequence[PositionFit], turn_variances: FloatArray, latitude: float, errors: SensorErrors
+    fits: Sequence[PositionFit],
+    turn_variances: FloatArray,
+    latitude: float,
+    errors: SensorErrors,
+    north: float,
 ) -> HeadingPosterior:
     """Return the heading at the end of the last position, at a latitude, rad.
 
     `turn_variances` (p,) are of the angle by which the unit was turned since the first position, rad².
-    Earlier positions count by mean and variance over their hypotheses.
+    Earlier positions count by mean and variance over their hypotheses.  `north` is about where north is, as a
+    bias turns the rates of a unit that creeps across it.
     """
-    last, north = fits[-1], cmath.phase(fits[-1].moments()[0])
-    for _ in range(2 if any(one.yaw for one in fits) else 1):  # the rotation of a creep acts across north
-        information, vector, log_density = _linear(fits, turn_variances, latitude, errors, north)
-        vector, matrix, log_factor = _without_bias(information, vector, errors.sizes)
-        log_density = log_density[:, None] + log_factor + errors.log_prior
-        of, size = _likely(vector, matrix, log_density)
-        matrix = matrix[of, size]
-        angle, height, sharpness = _peaks(vector[of, size], matrix)
-        log_mass = log_density[of, size] + height + np.log(i0e(sharpness))
-        mass = np.exp(log_mass - log_mass.max())
-        mass /= mass.sum()
-        # Mean and variance of the mixture of von Mises distributions.
-        length = i1e(sharpness) / i0e(sharpness)
-        north = float(np.angle(np.sum(mass * length * np.exp(1j * angle))))
+    hypotheses = fits[-1].log_weight > LIKELY
+    information, vector, log_density = _linear_model(
+        fits, hypotheses, turn_variances, latitude, errors.flicker, north
+    )
+    vector, matrix, log_factor = _without_bias(information, vector, errors.sizes)
+    log_density = log_density[:, None] + log_factor + errors.log_prior
+    of, size = _likely(vector, matrix, log_density)
+    matrix = matrix[of, size]
+    angle, height, sharpness = _peaks(vector[of, size], matrix)
+
+    # Each peak is a von Mises distribution with this concentration; moments of their mixture.
+    log_mass = log_density[of, size] + height + np.log(i0e(sharpness))
+    mass = np.exp(log_mass - log_mass.max())
+    mass /= mass.sum()
+    length = i1e(sharpness) / i0e(sharpness)
+    north = float(np.angle(np.sum(mass * length * np.exp(1j * angle))))
     off = np.remainder(angle - north + np.pi, 2.0 * np.pi) - np.pi
     spread = np.minimum(-2.0 * np.log(np.maximum(length, 1e-9)), ANY_ANGLE_SD**2)
     sd = math.hypot(math.sqrt(np.sum(mass * (spread + off**2))), errors.level * math.tan(latitude))
+
     weight, east = mass.sum(axis=0), np.array([-math.sin(north), math.cos(north)])
     noise, whole = (
         float(weight @ (1.0 / np.maximum(east @ form @ east, 1e-30)))
@@ -154,47 +162,48 @@ def heading_posterior(
         noise_sd=min(math.sqrt(noise), ANY_ANGLE_SD),
         level_bias_sd=EARTH_RATE * math.cos(latitude) * math.sqrt(max(whole - noise, 0.0)),
         bias_size=math.sqrt(weight @ np.mean(errors.sizes**2, axis=1)[size]),
-        settling=float(weight @ last.settles[last.log_weight > LIKELY][of]),
+        settling=float(weight @ fits[-1].settles[hypotheses][of]),
     )
 
 
-def _linear(
+def _linear_model(
     fits: Sequence[PositionFit],
+    hypotheses: BoolArray,
     turn_variances: FloatArray,
     latitude: float,
-    errors: SensorErrors,
+    flicker: float,
     north: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return information, (h, 5, 5), and its vector, (h, 5), of z and b, and the log density without them.
 
-    Where the unit creeps about the vertical, its rates were turned by the angle that the vertical gyro shows.
-    Its bias turned them as well: those of the position by half of what it adds up to, and by all of it in
-    later positions.  `north` is about where north is, rad.
+    `hypotheses` are those of the last position that are considered.
     """
     rate, earth_vertical = EARTH_RATE * math.cos(latitude), EARTH_RATE * math.sin(latitude)
     information: FloatArray = np.zeros((1, 5, 5))
-    vector, log_density = np.zeros((1, 5)), np.zeros(1)
+    vector, log_density = np.zeros((1, 5)), fits[-1].log_weight[hypotheses]
     yaw, creep_s = 0.0, 0.0
-    for one, turned in zip(fits[::-1], (turn_variances[-1] - turn_variances)[::-1], strict=True):
-        mean, variance = (np.array([value]) for value in one.moments())
-        if one is fits[-1]:
-            likely = one.log_weight > LIKELY
-            mean, variance, log_density = one.rate[likely], one.variance[likely], one.log_weight[likely]
-        mean = mean * cmath.exp(-1j * yaw)
+    for fit, turned in zip(fits[::-1], (turn_variances[-1] - turn_variances)[::-1], strict=True):
+        mean, variance = (np.array([value]) for value in fit.moments())
+        if fit is fits[-1]:
+            mean, variance = fit.rate[hypotheses], fit.variance[hypotheses]
+        to_now = cmath.exp(-1j * yaw)
+        mean = mean * to_now
+        observed = np.column_stack([mean.real, mean.imag, np.full(len(mean), fit.vertical - earth_vertical)])
+        level_variance = variance + rate**2 * turned
+        vertical_variance = np.full(len(mean), fit.vertical_variance)
+        weight = 1.0 / (np.column_stack([level_variance, level_variance, vertical_variance]) + flicker**2)
+        # A creep is followed by the vertical gyro, whose bias turns the rates across north: those of the
+        # position by half of what it adds up to, and those of earlier positions by all of it.
+        by_vertical = -1j * cmath.exp(1j * north) * rate * (creep_s + 0.5 * fit.creep_s)
+        level = fit.bias_rotation * to_now * (fit.attitude[0] + 1j * fit.attitude[1])
+        level = level + by_vertical * fit.attitude[2]
         design = np.zeros((3, 5))
         design[0, 0] = design[1, 1] = rate
-        level = one.bias_rotation * cmath.exp(-1j * yaw) * (one.attitude[0] + 1j * one.attitude[1])
-        late = (creep_s + 0.5 * one.creep_s) * rate * np.array([math.sin(north), -math.cos(north)])
-        design[:2, 2:] = np.stack([level.real, level.imag]) + np.outer(late, one.attitude[2])
-        design[2, 2:] = one.attitude[2]
-        level_variance = variance + rate**2 * turned
-        vertical = np.array([one.vertical_variance, one.vertical - earth_vertical]) + np.zeros((len(mean), 1))
-        weight = 1.0 / (np.column_stack([level_variance, level_variance, vertical[:, 0]]) + errors.flicker**2)
-        observed = np.column_stack([mean.real, mean.imag, vertical[:, 1]])
+        design[:, 2:] = level.real, level.imag, fit.attitude[2]
         information = information + np.einsum("ri,hr,rj->hij", design, weight, design)
         vector = vector + (weight * observed) @ design
         log_density = log_density - 0.5 * np.sum(weight * observed**2 - np.log(weight), axis=1)
-        yaw, creep_s = yaw + one.yaw, creep_s + one.creep_s
+        yaw, creep_s = yaw + fit.yaw, creep_s + fit.creep_s
     return information, vector, log_density
 
 
@@ -220,7 +229,10 @@ def _without_bias(
 
 
 def _likely(vector: FloatArray, matrix: FloatArray, log_density: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return indices of the likely hypotheses and bias sizes, by bounds of their log density."""
+    """Return indices of the likely hypotheses and bias sizes, by bounds of their log density.
+
+    The quadratic form ½ z' Λ z is between half the eigenvalues of Λ.
+    """
     xx, yy, xy = matrix[..., 0, 0], matrix[..., 1, 1], matrix[..., 0, 1]
     middle = log_density + np.hypot(vector[..., 0], vector[..., 1]) - 0.25 * (xx + yy)
     off = 0.5 * np.hypot(0.5 * (xx - yy), xy)
@@ -229,31 +241,30 @@ def _likely(vector: FloatArray, matrix: FloatArray, log_density: FloatArray) -> 
 
 
 def _peaks(vector: FloatArray, matrix: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return place, height and sharpness (minus the second derivative) of two peaks, (2, ...).
+    """Return place, height and sharpness (minus the second derivative) of two peaks of r.z - ½ z' Λ z.
 
-    r.z - ½ z' Λ z is a constant and waves, w0 cos a + w1 sin a + w2 cos 2a + w3 sin 2a, with one or two
-    peaks; a second one that is not there has the height -inf.
+    r (n, 2) and Λ (n, 2, 2) give arrays (2, n); a second peak that is not there has the height -inf.
     """
-    xx, yy, xy = matrix[..., 0, 0], matrix[..., 1, 1], matrix[..., 0, 1]
-    waves = np.stack([vector[..., 0], vector[..., 1], 0.25 * (yy - xx), -0.5 * xy])
-    order = np.array([1.0, 1.0, 2.0, 2.0]).reshape(4, *[1] * (waves.ndim - 1))
+    x, y = vector.T
+    xx, yy, xy = matrix[:, 0, 0], matrix[:, 1, 1], matrix[:, 0, 1]
 
-    def basis(angle: FloatArray) -> FloatArray:
-        return np.stack([np.cos(angle), np.sin(angle), np.cos(2.0 * angle), np.sin(2.0 * angle)])
+    def derivatives(angle: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        c, s = np.cos(angle), np.sin(angle)
+        along, across = x * c + y * s, y * c - x * s
+        form = xx * c * c + 2.0 * xy * c * s + yy * s * s
+        slope = across - (yy - xx) * c * s - xy * (c * c - s * s)
+        return along - 0.5 * form, slope, along + xx + yy - 2.0 * form
 
     around = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    values = np.moveaxis(waves, 0, -1) @ basis(around)
-    peak = (values >= np.roll(values, 1, axis=-1)) & (values > np.roll(values, -1, axis=-1))
-    first = np.argmax(values, axis=-1)
-    np.put_along_axis(peak, first[..., None], False, axis=-1)
-    second = np.argmax(np.where(peak, values, -np.inf), axis=-1)
+    values = derivatives(around[:, None])[0]
+    peak = (values >= np.roll(values, 1, axis=0)) & (values > np.roll(values, -1, axis=0))
+    first = np.argmax(values, axis=0)
+    peak[first, np.arange(len(x))] = False
+    second = np.argmax(np.where(peak, values, -np.inf), axis=0)
     angle = around[np.stack([first, second])]
     for _ in range(6):  # Newton's steps converge quadratically
-        c, s, c2, s2 = basis(angle)
-        slope = np.sum(order * waves * np.stack([-s, c, -s2, c2]).swapaxes(0, 1), axis=1)
-        sharp = np.sum(order**2 * waves * np.stack([c, s, c2, s2]).swapaxes(0, 1), axis=1)
-        angle = angle + np.clip(slope / np.maximum(np.abs(sharp), 1e-30), -0.2, 0.2)
-    at = basis(angle).swapaxes(0, 1)
-    height, sharp = np.sum(waves * at, axis=1), np.sum(order**2 * waves * at, axis=1)
-    height[1][~peak.any(axis=-1)] = -np.inf
-    return angle, height - 0.25 * (xx + yy), np.maximum(sharp, 0.0)
+        _, slope, sharpness = derivatives(angle)
+        angle = angle + np.clip(slope / np.maximum(np.abs(sharpness), 1e-30), -0.2, 0.2)
+    height, _, sharpness = derivatives(angle)
+    height[1][~peak.any(axis=0)] = -np.inf
+    return angle, height, np.maximum(sharpness, 0.0)

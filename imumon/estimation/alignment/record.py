@@ -1,4 +1,4 @@
-"""Rows of a unit at rest in one position, and its rates in level axes."""
+"""What a unit at rest in one position measured, in rows of equal length, and the same in level axes."""
 
 from __future__ import annotations
 
@@ -10,68 +10,95 @@ import numpy as np
 from imumon.blocks import BoolArray, ColumnArray, FloatArray
 from imumon.geodesy import STANDARD_GRAVITY, forward
 
+SLOT_S = 0.25
+"""Length of the slots into which samples are gathered: motion is detected, and rows are filled, four times a
+second."""
 CAPACITY = 4096
-"""Rows kept for a position: 17 minutes of slots of 1/4 s; then neighbours are merged."""
+"""Largest number of rows of a record: 17 minutes of slots; then rows are merged in pairs, so that the time of
+a fit stays bounded."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Slot:
+    """Means over one slot.
+
+    `index` counts slots of `SLOT_S` since the first sample of the device, `length_s` is the time since the
+    last slot with samples, `samples` their number, and `values` (6,) the mean rate, rad/s, and the mean
+    specific force, m/s², in body axes.
+    """
+
+    index: int
+    length_s: float
+    samples: int
+    values: FloatArray
+
+    @property
+    def rate(self) -> FloatArray:
+        """Mean rate, rad/s, (3,)."""
+        return self.values[:3]
+
+    @property
+    def begun_s(self) -> float:
+        """Beginning, s since the first sample."""
+        return SLOT_S * self.index
 
 
 @dataclass
 class Record:
-    """Rows of equal length; a slot that is left out keeps its place with weight zero.
+    """Sums over the slots of one position, in rows of `slots_per_row` slots.
 
-    A row (7,) is the number of valid samples, the mean rate of the gyros (3), rad/s, and the specific force
-    (3), m/s², in body axes; times are those of the first and behind the last slot, since the first sample.
+    A row (7,) has the number of samples, and the sums of their rates (3) and specific forces (3).  A row
+    without samples is missing: the unit was moving, or the data have a gap.
     """
 
-    begun_s: float
-    ended_s: float = 0.0
-    rows: FloatArray = field(default_factory=lambda: np.zeros((CAPACITY, 7)))
-    slots: int = 0
+    first_slot: int
     slots_per_row: int = 1
+    slots: int = 0
+    """Slots from the first to the last."""
     rest_s: float = 0.0
+    """Time at rest."""
+    sums: FloatArray = field(default_factory=lambda: np.zeros((CAPACITY, 7)))
 
-    def add(self, samples: float, values: FloatArray, ended_s: float, length_s: float) -> None:
-        """Add a slot; `samples` is zero for a slot that is left out."""
-        k, within = divmod(self.slots, self.slots_per_row)
-        if k == CAPACITY:
-            self._merge()
-            k, within = divmod(self.slots, self.slots_per_row)
-        row = self.rows[k]
-        if not within:
-            row[0], row[1:] = samples, values
-        elif samples:
-            row[0] += samples
-            row[1:] += samples / row[0] * (values - row[1:])
-        self.slots += 1
-        self.ended_s = ended_s
-        self.rest_s += length_s if samples else 0.0
-
-    def _merge(self) -> None:
-        pairs = self.rows.reshape(-1, 2, 7)
-        weight = pairs[:, :, :1]
-        total = weight.sum(axis=1)
-        half = CAPACITY // 2
-        self.rows[:half, 1:] = (weight * pairs[:, :, 1:]).sum(axis=1) / np.maximum(total, 1e-9)
-        self.rows[:half, :1] = total
-        self.slots_per_row *= 2
+    def add(self, slot: Slot) -> None:
+        """Add a slot at rest."""
+        offset = slot.index - self.first_slot
+        while offset >= CAPACITY * self.slots_per_row:
+            pairs = self.sums.reshape(-1, 2, 7).sum(axis=1)
+            self.sums = np.concatenate([pairs, np.zeros_like(pairs)])
+            self.slots_per_row *= 2
+        self.sums[offset // self.slots_per_row] += slot.samples * np.concatenate([[1.0], slot.values])
+        self.slots = offset + 1
+        self.rest_s += slot.length_s
 
     @property
     def row_s(self) -> float:
-        """Length of a row."""
-        return (self.ended_s - self.begun_s) / max(self.slots, 1) * self.slots_per_row
+        """Length of a row, s."""
+        return SLOT_S * self.slots_per_row
 
     @property
-    def whole_rows(self) -> FloatArray:
-        """The rows that are complete, (n, 7)."""
-        return self.rows[: self.slots // self.slots_per_row]
+    def begun_s(self) -> float:
+        """Beginning, s since the first sample of the device."""
+        return SLOT_S * self.first_slot
+
+    @property
+    def ended_s(self) -> float:
+        """End of the last slot, s since the first sample of the device."""
+        return SLOT_S * (self.first_slot + self.slots)
+
+    def rows(self) -> tuple[BoolArray, FloatArray]:
+        """Return of the complete rows which have samples, (n,), and the mean rates and forces, (n, 6)."""
+        sums = self.sums[: self.slots // self.slots_per_row]
+        count = sums[:, 0]
+        return count > 0.0, sums[:, 1:] / np.maximum(count, 1.0)[:, None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Levelled:
-    """A record in level axes, complex: forward + i left of the reference frame.
+    """The rows of a record in level axes; horizontal vectors are complex, forward + i left.
 
-    `rate` (n,) are the level gyros, rad/s, in axes that follow the level by the accelerometers, `vertical`
-    (n,) is the vertical gyro, and `level` (n,) the tilt by the accelerometers, rad, whose derivative appears
-    in the rate; `attitude` (3, 3) is from body to level axes by the mean specific force.
+    `rate` (n,) are the level gyros, rad/s, in axes that follow the level as the accelerometers measure it,
+    `vertical` (n,) is the vertical gyro, and `level` (n,) the tilt by the accelerometers, rad, whose
+    derivative is a part of the rate; `attitude` (3, 3) is from body to level axes by the mean specific force.
     """
 
     row_s: float
@@ -90,32 +117,31 @@ def levelled(
     `earth_vertical` is Ω sin L, rad/s; `known_tau_s` and `known_g` (3,) are time constant and amplitude of
     the accelerometers' known warm-up since the first sample.
     """
-    rows, row_s = record.whole_rows, record.row_s
-    valid = rows[:, 0] > 0.0
-    attitude = upright(attitude, rows[valid, 4:].mean(axis=0))
-    time_s = record.begun_s + row_s * (np.arange(len(rows)) + 0.5)
+    valid, means = record.rows()
+    attitude = upright(attitude[0], means[valid, 3:].mean(axis=0))
+    time_s = record.begun_s + record.row_s * (np.arange(len(means)) + 0.5)
     warm_up = -np.expm1(-time_s[:, None] / known_tau_s) * known_g
-    force = (rows[:, 4:] / STANDARD_GRAVITY - warm_up) @ attitude.T
-    rate = rows[:, 1:4] @ attitude.T
-    ahead, left = np.where(valid[:, None], force[:, :2], 0.0).T
-    level = left - 1j * ahead
+    force = (means[:, 3:] / STANDARD_GRAVITY - warm_up) @ attitude.T
+    rate = means[:, :3] @ attitude.T
+    level = np.where(valid, force[:, 1] - 1j * force[:, 0], 0.0)
     horizontal = rate[:, 0] + 1j * rate[:, 1] - 1j * level * earth_vertical
-    return Levelled(row_s, valid, horizontal, rate[:, 2], level, attitude)
+    return Levelled(record.row_s, valid, horizontal, rate[:, 2], level, attitude)
 
 
-def upright(attitude: FloatArray, force: FloatArray) -> FloatArray:
-    """Return the attitude, (3, 3), of the same azimuth whose vertical is a specific force, (3,)."""
+def upright(ahead: FloatArray, force: FloatArray) -> FloatArray:
+    """Return the attitude, body to level axes, (3, 3), with this specific force upward.
+
+    `ahead` (3,) is the forward direction in body axes, of which only the horizontal part counts.
+    """
     up = force / math.sqrt(float(force @ force))
-    ahead = attitude[0] - (attitude[0] @ up) * up
-    ahead /= math.sqrt(float(ahead @ ahead))
+    ahead = ahead - (ahead @ up) * up
+    ahead = ahead / math.sqrt(float(ahead @ ahead))
     return np.vstack([ahead, np.cross(up, ahead), up])
 
 
 def first_attitude(force: FloatArray) -> FloatArray:
     """Return the attitude, (3, 3), of the first position: its forward, left and up are the reference."""
-    up = force / math.sqrt(float(force @ force))
-    ahead = forward(up)
-    return np.vstack([ahead, np.cross(up, ahead), up])
+    return upright(forward(force / math.sqrt(float(force @ force))), force)
 
 
 def direction_of(attitude: FloatArray) -> float:

@@ -16,6 +16,8 @@ START_S = 10.0
 """Time at the start that is not reported as a disturbance: the rest detector takes some seconds."""
 LEAST_S, LONGEST_S = 20.0, 300.0
 """Shortest and longest time in one of several positions."""
+TILT_PROBABILITY = 0.5
+"""Probability of a tilt above which it is reported."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,48 +49,51 @@ class PositionHeading:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """State of an alignment at the end of a block: rad, rad/s and s; NaN where nothing is known yet."""
+    """State of an alignment at the end of a block: rad, rad/s and s; NaN where nothing is known yet.
+
+    `phase` is waiting, coarse, aligning, settled, not observable or disturbed.  `estimates` are the joint
+    fit, which is the heading shown, and plain and Hann-weighted mean of the gyros; empty before the first
+    fit.
+
+    `rest_s`, `disturbed_s` and `elapsed_s` are the time at rest, in motion, and since the first sample;
+    `settled_s` is the time from the first sample until the heading settled, None if it is not settled, and
+    `remaining_s` the predicted time until then, None if unknown or never.
+
+    `magnetic` is the heading from magnetic north, `device_yaw` the last yaw that the device reported, in its
+    own convention.  `arw` is the angular random walk of the quietest gyro, rad/√s, `level_bias_sd` the
+    standard deviation of the gyros' bias in the level axes, and `accel_bias_sd` that of the accelerometers'
+    bias, g; `tilt_probability` is that of a tilt of the unit rather than a drift of an accelerometer.
+
+    `positions` counts the positions, the present one included; `position_s` is the time at rest in it, and
+    `position_sd` that of the heading by its white noise alone.  `turned` is the angle about the vertical
+    since the previous position, clockwise, also during a turn.
+    """
 
     phase: str
-    """waiting, coarse, aligning, settled, not observable or disturbed."""
     observable: bool
     estimates: Mapping[str, Estimate]
-    """The joint fit, which is the heading shown, and plain and Hann-weighted mean of the gyros; empty before
-    the first fit."""
     settled_s: float | None
-    """Time from the first sample until the heading settled; None if it is not settled."""
     remaining_s: float | None
-    """Predicted time until the wanted standard deviation is reached; None if unknown or never."""
     magnetic: float
-    """Heading from magnetic north."""
     device_yaw: float
-    """The last yaw that the device reported, in its own convention."""
     rest_s: float
     disturbed_s: float
     elapsed_s: float
-    """Time at rest, in motion, and since the first sample."""
     roll: float
     pitch: float
     arw: float
-    """Angular random walk of the quietest gyro, rad/√s."""
     level_bias_sd: float
-    """Standard deviation of the gyros' bias in the level axes."""
     accel_bias_sd: float
-    """That of the accelerometers' bias, g."""
     bias_declared: bool
     tilt_probability: float
-    """Probability that the unit tilts, rather than an accelerometer drifts."""
     disturbances: int
     restarts: int
     wanted_sd: float
     horizontal_earth_rate: float
     positions: int
-    """Number of positions, the present one included."""
     position_s: float
     position_sd: float
-    """Time at rest in the present position, and the sd of the heading by its white noise alone."""
     turned: float
-    """Angle about the vertical since the previous position, clockwise; also during a turn."""
 
     @property
     def shown(self) -> Estimate | None:
@@ -122,44 +127,32 @@ def heading_text(status: Status) -> str:
 
 
 def to_go_text(status: Status) -> str:
-    """Return the predicted time to the wanted sigma."""
+    """Return the predicted time to the wanted sigma, or why there is none."""
+    wanted = f"{math.degrees(status.wanted_sd):g}°"
     if status.phase in ("settled", "disturbed"):
         return status.phase
-    if status.phase in ("coarse", "waiting") or status.shown is None:
+    if status.phase in ("coarse", "waiting"):
         return f"coarse, {status.rest_s:.0f} s of rest"
-    wanted = f"{math.degrees(status.wanted_sd):g}°"
-    return (
-        f"{wanted} not in reach"
-        if status.remaining_s is None
-        else f"about {status.remaining_s:.0f} s to {wanted}"
-    )
+    if status.remaining_s is None:
+        return f"{wanted} not in reach with the bias of these gyros"
+    return f"about {status.remaining_s:.0f} s to {wanted}"
 
 
 def rows(status: Status) -> dict[str, str]:
     """Return texts by label: the heading, whether it settled, and the conditions that limit it."""
-    texts = {"heading": heading_text(status), "settled": _settled(status)}
+    wanted = f"(σ ≤ {math.degrees(status.wanted_sd):g}°)"
+    texts = {"heading": heading_text(status), "settled": f"no {wanted}: {to_go_text(status)}"}
+    if status.settled_s is not None:
+        texts["settled"] = f"yes, {status.settled_s:.1f} s after the first sample {wanted}"
     if math.isfinite(status.roll):
-        roll, pitch = math.degrees(status.roll), math.degrees(status.pitch)
-        texts["roll, pitch"] = f"{roll:.4f}°, {pitch:.4f}°"
+        texts["roll, pitch"] = f"{math.degrees(status.roll):.4f}°, {math.degrees(status.pitch):.4f}°"
     if math.isfinite(status.arw):
         texts["gyro"] = (
             f"noise {_short(math.degrees(status.arw) * 60.0)} °/√h, "
             f"σ of a horizontal bias {_short(status.level_bias_sd / DEG_PER_H)} °/h"
         )
-    if status.shown is not None and status.observable and not status.bias_declared and status.positions == 1:
-        holds = status.shown.sd * status.horizontal_earth_rate / DEG_PER_H
-        texts["condition"] = (
-            "the gyros' turn-on bias is not declared: sigma is right only if the bias of the gyro that "
-            f"points east is below {_short(holds)} °/h, which turns the heading by one sigma; declare it "
-            "(gyro_bias_sd_deg_per_h), or measure it with --positions 2"
-        )
     if status.shown is not None and status.observable and status.positions == 1:
-        per_g = math.sqrt(max((EARTH_RATE / status.horizontal_earth_rate) ** 2 - 1.0, 0.0))  # tan L
-        texts["accelerometers"] = (
-            f"1 mg of bias of the one that points east turns the heading by "
-            f"{_short(math.degrees(1e-3 * per_g))}°; sigma has it for "
-            f"{_short(1e3 * status.accel_bias_sd)} mg (accel_bias_sd_ug)"
-        )
+        texts |= _conditions_of_one_position(status, status.shown)
     texts["data"] = f"{min(status.rest_s, status.elapsed_s):.0f} of {status.elapsed_s:.0f} s counted"
     if status.positions > 1:
         texts["positions"] = f"{status.positions}, the last turned by {math.degrees(status.turned):.1f}°"
@@ -167,41 +160,40 @@ def rows(status: Status) -> dict[str, str]:
         texts["disturbed"] = (
             f"{status.disturbed_s:.1f} s; {status.disturbances} times, {status.restarts} times it began anew"
         )
-    if status.tilt_probability > 0.5:
+    if status.tilt_probability > TILT_PROBABILITY:
         texts["level"] = (
             f"the unit is tilting (probability {status.tilt_probability:.2f}); its sigma allows for that"
         )
     return texts
 
 
-def _settled(status: Status) -> str:
-    wanted = f"σ ≤ {math.degrees(status.wanted_sd):g}°"
-    if status.settled_s is not None:
-        return f"yes, {status.settled_s:.1f} s after the first sample ({wanted})"
-    if status.phase == "disturbed":
-        return f"no ({wanted}): the unit is disturbed; let it rest"
-    if status.phase in ("waiting", "coarse"):
-        return f"no ({wanted}): {status.rest_s:.0f} s of rest do not tell a heading"
-    if not status.observable and status.shown is not None:
-        rate = status.horizontal_earth_rate / DEG_PER_H
-        return f"no ({wanted}): the earth's horizontal rate here is {rate:.2g} °/h"
-    if status.remaining_s is None:
-        return (
-            f"no ({wanted}): not in reach with the bias of these gyros" if status.shown else f"no ({wanted})"
+def _conditions_of_one_position(status: Status, shown: Estimate) -> dict[str, str]:
+    """Return texts of the biases up to which the sigma of one position holds."""
+    texts = {}
+    if not status.bias_declared:
+        holds = shown.sd * status.horizontal_earth_rate / DEG_PER_H
+        texts["condition"] = (
+            "the gyros' turn-on bias is not declared: sigma is right only if the bias of the gyro that "
+            f"points east is below {_short(holds)} °/h, which turns the heading by one sigma; declare it "
+            "(gyro_bias_sd_deg_per_h), or measure it with --positions 2"
         )
-    return f"no ({wanted}): about {status.remaining_s:.0f} s more would do"
+    tan_latitude = math.sqrt(max((EARTH_RATE / status.horizontal_earth_rate) ** 2 - 1.0, 0.0))
+    texts["accelerometers"] = (
+        f"1 mg of bias of the one that points east turns the heading by "
+        f"{_short(math.degrees(1e-3 * tan_latitude))}°; sigma has it for "
+        f"{_short(1e3 * status.accel_bias_sd)} mg (accel_bias_sd_ug)"
+    )
+    return texts
 
 
 def estimator_rows(status: Status) -> list[tuple[str, str, str]]:
     """Return name, heading and sigma of each estimator in degrees; the one shown is marked."""
     found = []
-    for name, estimate in status.estimates.items():
+    for name, one in status.estimates.items():
         mark = " *" if name == "joint" and status.observable else ""
-        heading = "-"
-        if estimate.known and math.isfinite(estimate.heading):
-            heading = f"{math.degrees(estimate.heading) % 360.0:.4f}"
-        sd = f"{math.degrees(estimate.sd):.4f}" if estimate.known else "not known"
-        found.append((name.replace("_", " ") + mark, heading, sd))
+        heading = f"{math.degrees(one.heading) % 360.0:.4f}" if math.isfinite(one.heading) else "-"
+        sd = f"{math.degrees(one.sd):.4f}"
+        found.append((name.replace("_", " ") + mark, *((heading, sd) if one.known else ("-", "not known"))))
     return found
 
 
@@ -231,28 +223,26 @@ class Guide:
 
     def update(self, status: Status) -> list[str]:
         """Return a new instruction, if there is one, (0 or 1)."""
-        settled, hopeless = status.settled_s is not None, status.hopeless
+        ended = status.settled_s is not None or status.hopeless
         if self.positions == 1:
-            self.done = settled or hopeless
+            self.done = ended
             return []
-        before, turned = self.instruction, math.degrees(status.turned)
-        angle = 360.0 / self.positions
+        before, angle = self.instruction, 360.0 / self.positions
         at, last = status.positions, status.positions >= self.positions
-        held = status.position_s >= LEAST_S and status.position_sd <= status.wanted_sd
-        held |= status.position_s >= LONGEST_S
+        too_long = status.position_s >= LONGEST_S
+        held = too_long or (status.position_s >= LEAST_S and status.position_sd <= status.wanted_sd)
         if status.phase == "disturbed":
-            if self._turn_from >= at and not last:
-                self.instruction = (
-                    f"turned by {turned:.0f}° so far; stop at about {angle:.0f}° and let it rest"
+            if self._turn_from >= at and not last:  # shown on the status line only
+                self.instruction = before = (
+                    f"turned by {math.degrees(status.turned):.0f}° so far; "
+                    f"stop at about {angle:.0f}° and let it rest"
                 )
-                before = self.instruction  # shown on the status line only
-        elif not last and held:
+        elif held and not last:
             self.instruction = f"turn the unit now by about {angle:.0f}° about the vertical"
             self._turn_from = at
-        elif last and (settled or hopeless or status.position_s >= LONGEST_S):
+        elif last and (ended or too_long):
             self.instruction, self.done = "done", True
         elif at:
-            self.instruction = f"position {at} of {self.positions}: do not touch the unit"
-            if at > 1:
-                self.instruction += f" (turned by {turned:.1f}°)"
+            turned = f" (turned by {math.degrees(status.turned):.1f}°)" if at > 1 else ""
+            self.instruction = f"position {at} of {self.positions}: do not touch the unit{turned}"
         return [self.instruction] if self.instruction != before else []

@@ -13,24 +13,28 @@ import numpy as np
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.charts import GREEN, GREY, ORANGE, RED, Axis, Chart, Curve
 from imumon.columns import Column
-from imumon.estimation.alignment.aligner import SLOT_S, Aligner
+from imumon.estimation.alignment.aligner import Aligner
 from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.positions import CALM_SLOTS, Slot
-from imumon.estimation.alignment.report import PositionHeading, Status, heading_text, to_go_text
-from imumon.filters.slots import SlotGatherer, held
+from imumon.estimation.alignment.positions import CALM_SLOTS
+from imumon.estimation.alignment.record import SLOT_S, Slot
+from imumon.estimation.alignment.report import (
+    TILT_PROBABILITY,
+    PositionHeading,
+    Status,
+    heading_text,
+    to_go_text,
+)
+from imumon.filters.slots import SlotGatherer, Slots, held
 from imumon.geodesy import DEG_PER_H
 
 MEANS = ("gyro_mean", "hann_mean")
 """Estimators beside the joint fit."""
 NOT_OBSERVABLE_S = 30.0
 """Time at rest after which "not observable" is reported."""
-TILT_PROBABILITY = 0.5
-"""Probability of a tilt above which it is reported."""
 PLACE, COLORS = "Alignment", (GREEN, RED, ORANGE)
 """The tab of the charts, and the colours of joint fit, plain and Hann mean."""
-GAP, LONGEST_INTERVAL_S = 2.5, 30.0
-"""Ratio to the sample interval above which the time between slots of one sample is a gap, and the longest
-such interval, s."""
+MOST_EMPTY_SLOTS = 8
+"""A device sends a sample in 2 s at least: a longer time without samples is no rest."""
 _INPUTS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel", "mag") for axis in "xyz")
 
 
@@ -67,8 +71,9 @@ class Alignment:
         self._prefix = "aligned_" if {"roll", "pitch"} & set(sent) else ""
         self._has_data = False
         self._yaw = math.nan
-        self._origin_ns = self._last_ns = self._segment = 0
-        self._interval_s = 0.0
+        self._origin_ns = self._segment = 0
+        self._index = -1
+        """Number of the last slot since the origin, the first sample of the segment."""
         self._force: deque[FloatArray] = deque(maxlen=CALM_SLOTS)
         """Specific force of the last 2 s, m/s², whose mean is the vertical at rest."""
         self._reported: set[str] = set()
@@ -108,18 +113,8 @@ class Alignment:
         self._yaw = next(iter(yaw[np.isfinite(yaw)][-1:].tolist()), self._yaw)
         names, before = list(self._row), np.array(list(self._row.values()))
         rows = np.empty((len(slots), len(names)))
-        valid = slots.count[:, :6].min(axis=1, initial=1 << 30).tolist()
         for k in range(len(slots)):
-            start_ns, end_ns = int(slots.start_ns[k]), int(slots.end_ns[k])
-            samples, mean = int(slots.samples[k]), slots.mean[k]
-            self._update_time(bool(slots.begins[k]), start_ns, end_ns, samples)
-            if valid[k]:
-                middle_s = 0.5e-9 * (start_ns - self._origin_ns + end_ns - self._origin_ns)
-                length_s = samples * (self._interval_s or SLOT_S)
-                slot = Slot(middle_s, length_s, valid[k], mean[:6].copy())
-                self._force.append(slot.values[3:])
-                at_rest = bool(slots.smallest[k, -1] > 0.0)
-                self._aligner.step(slot, mean[6:9].tolist(), at_rest, slots.turns, k)
+            self._process_slot(slots, k)
             self._row = self._make_row()
             rows[k] = list(self._row.values())
         out = held(slots.row, rows.T, before, n, axis=-1)
@@ -143,18 +138,20 @@ class Alignment:
         values[:, -1] = np.asarray(block.columns.get("at_rest", np.ones(n, np.int64))) != 0  # or unknown
         return values
 
-    def _update_time(self, begins: bool, start_ns: int, end_ns: int, samples: int) -> None:
-        """Update origin and sample interval from a slot."""
-        if begins:
+    def _process_slot(self, slots: Slots, k: int) -> None:
+        """Feed slot k to the aligner, unless it has no whole sample of gyros and accelerometers."""
+        start_ns, samples, mean = int(slots.start_ns[k]), int(slots.count[k, :6].min()), slots.mean[k]
+        if slots.begins[k]:
             self._aligner.begin_run()
-            self._origin_ns = self._last_ns = start_ns
-            self._interval_s = 0.0
-        since_s = (start_ns - self._last_ns) * 1e-9
-        if samples > 1:
-            self._interval_s = (end_ns - start_ns) * 1e-9 / (samples - 1)
-        elif 0.0 < since_s < (GAP * self._interval_s or LONGEST_INTERVAL_S):
-            self._interval_s = since_s
-        self._last_ns = end_ns
+            self._origin_ns, self._index = start_ns, -1
+        index = (start_ns - self._origin_ns) // self._slots.length_ns
+        length_s = SLOT_S * min(index - self._index, MOST_EMPTY_SLOTS)
+        self._index = index
+        if samples:
+            self._force.append(mean[3:6].copy())
+            at_rest = bool(slots.smallest[k, -1] > 0.0)
+            slot = Slot(index, length_s, samples, mean[:6].copy())
+            self._aligner.step(slot, mean[6:9], at_rest, slots.turns, k)
 
     def _make_row(self) -> dict[str, float]:
         """Return the columns by name."""
@@ -167,9 +164,9 @@ class Alignment:
             column = "heading" if name == "joint" else f"heading_{name}"
             row[column], row[f"{column}_sd"] = estimate.heading, estimate.sd
         row["heading_magnetic"] = aligner.magnetic_heading
-        turning = aligner.state.motion.turning
+        turning = aligner.state.motion.moving
         up = aligner.state.attitude[2] if turning else np.sum(self._force, axis=0)
-        angles, first = self._roll_and_pitch(up), self._roll_and_pitch(aligner.state.first_vertical)
+        angles, first = self._roll_and_pitch(up), self._roll_and_pitch(aligner.state.positions[0].attitude[2])
         for name, angle, at_first in zip(("roll", "pitch"), angles, first, strict=True):
             row[self._prefix + name] = angle
             row[f"{name}_drift"] = math.remainder(angle - at_first, 2.0 * math.pi)
@@ -203,8 +200,7 @@ class Alignment:
         aligner, state = self._aligner, self._aligner.state
         last = state.positions[-1] if state.positions else None
         fit, posterior = None if last is None else last.fit, state.posterior
-        angles = [self._row[self._prefix + name] for name in ("roll", "pitch")]
-        roll, pitch = angles if aligner.resting else (math.nan, math.nan)
+        roll, pitch = (self._row[self._prefix + name] for name in ("roll", "pitch"))
         return Status(
             phase=self._phase(),
             observable=aligner.observable,
@@ -216,8 +212,8 @@ class Alignment:
             rest_s=state.rest_s,
             disturbed_s=state.disturbed_s,
             elapsed_s=state.elapsed_s,
-            roll=roll,
-            pitch=pitch,
+            roll=roll if aligner.resting else math.nan,
+            pitch=pitch if aligner.resting else math.nan,
             arw=math.nan if fit is None else math.sqrt(fit.white),
             level_bias_sd=math.nan if posterior is None else posterior.level_bias_sd,
             accel_bias_sd=aligner.errors.level,
@@ -237,7 +233,7 @@ class Alignment:
         aligner, state = self._aligner, self._aligner.state
         table = (
             (not state.elapsed_s, "waiting"),
-            (bool(state.positions) and state.motion.turning, "disturbed"),
+            (state.motion.moving, "disturbed"),
             (state.posterior is None, "coarse"),
             (not aligner.observable and state.rest_s > NOT_OBSERVABLE_S, "not observable"),
             (not aligner.observable, "coarse"),
@@ -255,34 +251,34 @@ class Alignment:
 
     def charts(self) -> Sequence[Chart]:
         """Return the estimators beside each other, and sigma against time."""
-        status = self.status
-        points = self._aligner.state.sigmas
-        if len(points) < 2 or status.shown is None:
+        if len(self._aligner.state.sigmas) < 2 or self.status.shown is None:
             return []
+        return [self._headings_chart(self.status, self.status.shown.heading), self._sigma_chart(self.status)]
+
+    def _headings_chart(self, status: Status, shown: float) -> Chart:
         names = tuple(name.replace("_", " ") for name in status.estimates)
         curves = []
         for k, (name, one, color) in enumerate(zip(names, status.estimates.values(), COLORS, strict=True)):
-            off = math.degrees(math.remainder(one.heading - status.shown.heading, 2.0 * math.pi))
+            off = math.degrees(math.remainder(one.heading - shown, 2.0 * math.pi))
             ends = off + 2.0 * math.degrees(one.sd) * np.array([-1.0, 1.0])
             x, y = np.array([k, k, np.nan, k - 0.1, k + 0.1]), np.array([*ends, np.nan, off, off])
             curves.append(Curve(name, x, y, color, width=3.0, listed=False))
-        time_s, sd = np.array(points).T
+        return Chart(
+            "alignment_headings", PLACE, "Headings of all estimators, 2σ", Axis("estimator", names=names),
+            Axis("heading less the one shown [°]"), tuple(curves), headline=heading_text(status),
+        )  # fmt: skip
+
+    def _sigma_chart(self, status: Status) -> Chart:
+        time_s, sd = np.array(self._aligner.state.sigmas).T
         wanted = np.full(2, math.degrees(status.wanted_sd))
-        sigmas = (
+        curves = (
             Curve("σ", time_s, np.degrees(sd), GREEN, width=2.0),
             Curve("wanted", np.array([max(time_s[0], 1.0), max(time_s[-1], 10.0)]), wanted, GREY),
         )
-        return [
-            Chart(
-                "alignment_headings", PLACE, "Headings of all estimators, 2σ", Axis("estimator", names=names),
-                Axis("heading less the one shown [°]"), tuple(curves), headline=heading_text(status),
-            ),
-            Chart(
-                "alignment_progress", PLACE, "Sigma of the heading shown",
-                Axis("observed time [s]", log=True), Axis("σ [°]", log=True), sigmas,
-                headline=to_go_text(status),
-            ),
-        ]  # fmt: skip
+        return Chart(
+            "alignment_progress", PLACE, "Sigma of the heading shown", Axis("observed time [s]", log=True),
+            Axis("σ [°]", log=True), curves, headline=to_go_text(status),
+        )  # fmt: skip
 
     def notices(self) -> list[str]:
         """Return, once each, motions and restarts, and conditions that limit the heading."""

@@ -20,9 +20,6 @@ LINE_RATIO = 40.0
 a bin."""
 MIN_PERIODS = 1.5
 """A line with fewer periods in the record is left to the trend and the settling hypotheses."""
-FEW_PERIODS, EXPLAINED = 5.0, 0.3
-"""A line with fewer periods than this must reduce the residual variance to this share: a knock has power at
-all frequencies, too."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,8 +59,6 @@ def find_sway(rate: ColumnArray, level: ColumnArray, valid: BoolArray, slow: Flo
         coefficients = _least_squares(clean, data)
         remains = data[:, :2] - clean @ coefficients[:, :2]
         if periods < MIN_PERIODS or abs(omega - start) * n > math.tau:
-            break
-        if periods < FEW_PERIODS and np.sum(remains**2) > EXPLAINED * np.sum(left**2):
             break
         columns, fitted, left = line, coefficients, remains
         swing = _line(n, omega) @ coefficients[-4:, :2]

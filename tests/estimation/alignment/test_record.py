@@ -5,32 +5,46 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 
-from imumon.estimation.alignment.record import CAPACITY, Record
+from imumon.blocks import FloatArray
+from imumon.estimation.alignment.record import CAPACITY, SLOT_S, Record, Slot
 from tests.estimation.alignment.units import aligned, error_deg, samples, scenario
 
 
+def _slot(index: int, samples_: int, values: FloatArray) -> Slot:
+    return Slot(index, SLOT_S, samples_, values)
+
+
 def test_merged_rows_keep_time_and_mean() -> None:
-    record, rng = Record(0.0), np.random.default_rng(1)
+    record, rng = Record(100), np.random.default_rng(1)
     slots = rng.normal(size=(2 * CAPACITY + 6, 6))
     for k, values in enumerate(slots):
-        record.add(25.0, values, 0.25 * (k + 1), 0.25)
-    assert len(record.rows) == CAPACITY
+        record.add(_slot(100 + k, 25, values))
+    valid, means = record.rows()
     assert record.row_s == 1.0
-    np.testing.assert_allclose(
-        record.whole_rows[:, 1:], slots[:-2].reshape(-1, 4, 6).mean(axis=1), atol=1e-12
-    )
-    assert (record.whole_rows[:, 0] == 100.0).all()
+    assert valid.all()
+    np.testing.assert_allclose(means, slots[:-2].reshape(-1, 4, 6).mean(axis=1), atol=1e-12)
+    assert (record.begun_s, record.ended_s) == (25.0, 25.0 + 0.25 * len(slots))
     assert record.rest_s == 0.25 * len(slots)
 
 
-def test_a_slot_that_does_not_count_leaves_the_mean_of_its_row() -> None:
-    record = Record(0.0)
-    record.slots_per_row = 2
-    for samples_, value in ((25.0, 1.0), (0.0, 99.0), (0.0, 99.0), (25.0, 3.0), (0.0, 99.0), (0.0, 99.0)):
-        record.add(samples_, np.full(6, value), 0.0, 0.25)
-    assert record.whole_rows[:2, 1].tolist() == [1.0, 3.0]
-    assert record.whole_rows[:, 0].tolist() == [25.0, 25.0, 0.0]
+def test_a_row_is_the_mean_of_its_samples_and_missing_without_any() -> None:
+    record = Record(0, slots_per_row=2)
+    for index, samples_, value in ((0, 25, 1.0), (3, 20, 3.0), (6, 10, 4.0), (7, 30, 8.0)):
+        record.add(_slot(index, samples_, np.full(6, value)))
+    valid, means = record.rows()
+    assert valid.tolist() == [True, True, False, True]
+    assert means[valid, 0].tolist() == [1.0, 3.0, 7.0]
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 2.9, 3.5, 4.0])
+def test_a_device_with_a_sample_a_slot_at_most_leaves_no_row_empty(rate_hz: float) -> None:
+    stage, _ = aligned(samples(scenario(120.0, rate_hz=rate_hz)))
+    record = stage._aligner.state.positions[-1].record
+    assert record is not None
+    assert record.rows()[0].all()
+    assert record.rest_s == pytest.approx(120.0, abs=3.0)
 
 
 def test_an_hour_of_rest_is_as_good_as_it_should_be() -> None:

@@ -80,7 +80,8 @@ def test_one_lorry_or_door_leaves_the_heading_as_good_as_it_was(what: object, am
     assert status.positions == 1
     assert status.arw < 3.0 * ARW * DEG_PER_SQRT_H
     assert status.shown is not None
-    assert status.shown.sd < 1.5 * before
+    # A fit soon after it holds sigma up for as long as the record before that fit.
+    assert status.shown.sd < 2.5 * before
     assert abs(error_deg(status.shown.heading, 30.0)) < 4.0 * math.degrees(status.shown.sd)
 
 
