@@ -94,7 +94,7 @@ def command(
     The recordings are of a unit at rest, each from power-on.  Two or more for training, warmed and cooled,
     tell most.
     """
-    from imumon.diagnosis.conclusion import conclusion, next_steps
+    from imumon.diagnosis.conclusion import conclusion, next_step
     from imumon.diagnosis.engine import diagnose, parse_declared
     from imumon.diagnosis.extended import extended_model, with_model
     from imumon.diagnosis.page import write_page
@@ -130,8 +130,8 @@ def command(
     print_rows({verdict.name: verdict.summary for verdict in diagnosis.verdicts})
     print_rows({what: str(out / name) for what, name in written.items()})
     print_rows({"conclusion": conclusion(diagnosis)})
-    for step in next_steps(diagnosis, out):
-        print_rows({"next": f"{step.what} {step.command}".strip()})
+    step = next_step(diagnosis, out)
+    print_rows({"next": f"{step.what} {step.why} {step.command}".strip()})
 
 
 def model_of(path: Path) -> BiasModel:

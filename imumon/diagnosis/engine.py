@@ -22,6 +22,7 @@ from imumon.diagnosis.blocks import (
 )
 from imumon.diagnosis.candidates import Pool
 from imumon.diagnosis.channel import Channel, Declared, Own
+from imumon.diagnosis.claims import settle
 from imumon.diagnosis.drivers import recorded, shadows, with_drivers
 from imumon.diagnosis.earth import EarthRate, earth_rate, turned, without
 from imumon.diagnosis.known import (
@@ -44,7 +45,7 @@ from imumon.diagnosis.usable import (
     temperature_of_axis,
     usable_channels,
 )
-from imumon.diagnosis.verdict import ChannelVerdict, settle
+from imumon.diagnosis.verdict import ChannelVerdict
 from imumon.effects.base import LEAST_SPAN_DEGC, Survey
 from imumon.effects.library import effects_for
 from imumon.errors import ImumonError, Reason

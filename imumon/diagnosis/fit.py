@@ -325,28 +325,6 @@ def explains(before: float, after: float, floor: float) -> bool:
     return after < CLEAN * floor or explained_share(before, after, floor) >= EXPLAINED
 
 
-def evidence_of_test(channel: Channel, model: Fit, without: Fit) -> float:
-    """Return the evidence of a test for a model against a lesser one: twice the log-likelihood ratio.
-
-    Both predict from training alone and pay for no parameter; each has the slow noise and the constant that
-    suit it best, so that a course that noise would take as well is no evidence.  NaN where too little counts.
-    """
-    both = score(channel, model), score(channel, without, like=model)
-    counted = [a & b for a, b in zip(both[0].counted, both[1].counted, strict=True)]
-    if sum(int(use.sum()) for use in counted) < LEAST_TEST_BLOCKS:
-        return float("nan")
-    runs = [
-        replace(run, time_s=run.time_s[use], white=run.white[use])
-        for run, use in zip(channel.test, counted, strict=True)
-        if use.any()
-    ]
-    likelihood, found = Likelihood(runs), []
-    for one in both:
-        left = np.concatenate([part[use] for part, use in zip(one.residual, counted, strict=True)])
-        found.append(likelihood.best(left, np.ones((len(left), 1)))[0])
-    return 2.0 * (found[0] - found[1])
-
-
 # How well the parameters are known
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
-from imumon.diagnosis.conclusion import in_short, keep_in_mind, state
+from imumon.diagnosis.conclusion import keep_in_mind
 from imumon.diagnosis.engine import Diagnosis, Progress
 from imumon.diagnosis.figures import figures, proof, shown
 from imumon.diagnosis.looking import most_different
@@ -63,10 +63,9 @@ def how_sure(verdict: ChannelVerdict) -> str:
     name, was = verdict.name, f"{_number(before * scale)} {unit}"
     if not verdict.claims:
         return f"On recordings that the fit has not seen, {name} errs by {was}; {floor}."
-    proven = " The test alone proves it." if any(claim.finding.by_test for claim in verdict.claims) else ""
     return (
         f"On recordings that the fit has not seen, the error of {name} goes from {was} to"
-        f" {_number(after * scale)} {unit}; {floor}.{proven}"
+        f" {_number(after * scale)} {unit}; {floor}."
     )
 
 
@@ -96,8 +95,8 @@ def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, Any]:
     return {
         "name": verdict.name,
         "unit": unit,
-        "state": COLOURS.get(state(verdict), "open"),
-        "verdict": in_short(verdict),
+        "state": COLOURS.get(verdict.row.state, "open"),
+        "verdict": verdict.in_short,
         "before": before,
         "after": after if verdict.claims else "",
         "estimated": score is not None and _errors(verdict)[1] < score.rms,
@@ -135,11 +134,10 @@ def _left_out(item: dict[str, Any], scale: float, unit: str) -> str:
 
 
 def _effect(claim: Claim, scale: float, unit: str) -> list[str]:
-    """Return name, parameters, gain in training, evidence of the test, and share explained of an effect."""
+    """Return name, parameters, gain in training, and share explained of an effect."""
     finding = claim.finding
-    evidence = "" if not np.isfinite(claim.test_gain) else f"{claim.test_gain:.0f}"
     parameters = _parameters(claim, scale, unit)
-    return [finding.name, parameters, f"{finding.gain:.0f}", evidence, f"{claim.explained:.0%}"]
+    return [finding.name, parameters, f"{finding.gain:.0f}", f"{claim.explained:.0%}"]
 
 
 def _parameters(claim: Claim, scale: float, unit: str) -> str:

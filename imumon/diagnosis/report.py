@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from imumon.calibration.gravity import Length
-from imumon.diagnosis.conclusion import conclusion, next_steps, state
+from imumon.diagnosis.conclusion import conclusion, next_step
 from imumon.diagnosis.engine import Diagnosis
 from imumon.diagnosis.fit import FittedPart
 from imumon.diagnosis.questions import Answer
@@ -29,7 +29,7 @@ def report(diagnosis: Diagnosis, folder: Path | None = None) -> dict[str, Any]:
         "format": FORMAT,
         "imumon": __version__,
         "conclusion": conclusion(diagnosis),
-        "next": [asdict(step) for step in next_steps(diagnosis, folder)],
+        "next": [asdict(next_step(diagnosis, folder))],
         "declared_model": _declared(diagnosis),
         "block_s": diagnosis.block_s,
         "train": [_run(run.name, len(run), run.duration_s) for run in diagnosis.train],
@@ -86,7 +86,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
     nothing = float("nan")
     declared = verdict.channel.declared
     return {
-        "verdict": state(verdict),
+        "verdict": verdict.row.state,
         "unit": verdict.channel.unit,
         "noise_floor_rms": verdict.channel.floor.sd,
         "noise_floor_from": verdict.channel.floor.source,
@@ -171,7 +171,7 @@ def _effect(claim: Claim) -> dict[str, Any]:
         "evidence": {
             "proven_by": "test" if finding.by_test else "training",
             "gain_bic": finding.gain,
-            "test_gain": claim.test_gain,
+            "test_gain": None,
             "pooled_gain_bic": finding.pooled_gain,
             "rms_explained": finding.size,
             "explained_share_alone": claim.explained,

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imumon.diagnosis.conclusion import conclusion, in_short, next_steps, state
+from imumon.diagnosis.conclusion import conclusion, next_step
 from imumon.diagnosis.engine import Diagnosis, diagnose
 from imumon.diagnosis.page import write_page
 from imumon.diagnosis.report import report
+from imumon.diagnosis.verdict import VERDICTS, WHEN
 from tests.diagnosis.units import DPH, Bias, lagged, ramps, run, telegraph, three
 
 TAU_S = 220.0
@@ -61,8 +62,10 @@ def test_a_lag_of_the_training_is_not_named_where_the_test_is_driven_by_somethin
 
 def test_the_same_lag_is_named_where_the_test_shows_it(lagging: Diagnosis) -> None:
     (verdict,) = lagging.verdicts
-    assert state(verdict) == "named"
-    assert verdict.claims[0].test_gain > 20.0
+    assert verdict.row.state == "named"
+    assert verdict.test_before is not None
+    assert verdict.test_after is not None
+    assert verdict.test_after.rms < 0.5 * verdict.test_before.rms
 
 
 def test_time_constant_and_coefficient_are_within_three_sigma(lagging: Diagnosis) -> None:
@@ -81,11 +84,11 @@ def test_the_page_leads_with_conclusion_proof_and_next_step(lagging: Diagnosis, 
     first = text[: text.index("<h2")]
     assert f"<h1>{conclusion(lagging)}</h1>" in first
     assert "→" in first
-    assert str(tmp_path / "model.yaml") in first
+    assert next_step(lagging, tmp_path).why in first
     assert "±" in text
 
 
-def test_where_nothing_is_named_ranking_runs_and_the_next_experiment_are_there(
+def test_where_nothing_is_named_ranking_runs_and_one_next_step_are_there(
     unexplained: Diagnosis, tmp_path: Path
 ) -> None:
     found = json.loads(json.dumps(report(unexplained, tmp_path)))
@@ -93,8 +96,8 @@ def test_where_nothing_is_named_ranking_runs_and_the_next_experiment_are_there(
     assert channel["verdict"] == "unexplained"
     assert len(channel["ranking"]) > 3
     assert [one["test"] for one in channel["runs"]] == [False, False, True]
-    assert any("imumon plan" in step["command"] for step in found["next"])
-    assert in_short(unexplained.verdicts[0]).startswith("unexplained")
+    assert [bool(step["what"]) and bool(step["why"]) for step in found["next"]] == [True]
+    assert unexplained.verdicts[0].in_short.startswith("unexplained")
 
 
 def walking(seed: int) -> Bias:
@@ -110,17 +113,43 @@ def walking(seed: int) -> Bias:
 def test_who_has_a_noisy_unit_is_told_to_look_at_its_noise_and_who_has_jumps_at_what_drives_it(
     unexplained: Diagnosis,
 ) -> None:
-    first = next_steps(unexplained, None)[0].what
-    assert "jumps or comes in bursts" in first
-    assert "supply" in first
+    driven = next_step(unexplained, None)
+    assert "jumps or comes in bursts" in driven.why
+    assert "supply" in driven.what
     runs = [run(seed, *ramps(5000, up), walking(seed)) for seed, up in ((11, True), (12, False), (13, True))]
     noisy = diagnose(runs[:2], runs[2:])
-    assert [state(one) for one in noisy.verdicts] == ["unexplained"]
-    first = next_steps(noisy, None)[0].what
-    assert "moves as slow noise does" in first
-    assert first.index("imumon allan") < first.index("supply")
+    assert [one.row.state for one in noisy.verdicts] == ["unexplained"]
+    alone = next_step(noisy, None)
+    assert "moves as slow noise does" in alone.why
+    assert "imumon allan" in alone.what
 
 
 def test_without_a_test_the_next_step_is_one(lagging: Diagnosis, tmp_path: Path) -> None:
-    steps = next_steps(replace(lagging, test=[]), tmp_path)
-    assert any("--test NEW" in step.command for step in steps)
+    assert "--test NEW" in next_step(replace(lagging, test=[]), tmp_path).command
+
+
+def test_what_is_not_told_apart_is_one_verdict_with_one_next_step(lagging: Diagnosis, tmp_path: Path) -> None:
+    (verdict,) = lagging.verdicts
+    (claim,) = verdict.claims
+    both = replace(claim, finding=replace(claim.finding, alike=["thermal_lag", "dead_time"]))
+    found = replace(lagging, verdicts=[replace(verdict, claims=[both])])
+    assert found.verdicts[0].row.name == "not told apart"
+    assert conclusion(found) == "gyro_x: thermal_lag or dead_time, not told apart"
+    assert "imumon plan" in next_step(found, tmp_path).command
+    chosen = replace(both, finding=replace(both.finding, by_test=True))
+    found = replace(lagging, verdicts=[replace(verdict, claims=[chosen])])
+    assert "no longer unseen" in conclusion(found)
+    assert "--test NEW" in next_step(found, tmp_path).command
+    alone = replace(claim, finding=replace(claim.finding, alike=[]))
+    found = replace(lagging, verdicts=[replace(verdict, claims=[alone])])
+    assert conclusion(found) == "gyro_x: thermal_lag"
+    assert "model.yaml" in next_step(found, tmp_path).command
+
+
+def test_the_documented_table_of_verdicts_is_the_one_that_is_evaluated() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "closing-the-loop.md").read_text(encoding="utf-8")
+    for row in VERDICTS:
+        when = " and ".join(name.replace("_", " ") for name in row.predicates) or "otherwise"
+        assert f"| {when} | {row.sentence.format(names='NAMES')} | `{row.state}` |" in text
+    for name, meaning in WHEN.items():
+        assert f"- **{name.replace('_', ' ')}**: {meaning}" in text
