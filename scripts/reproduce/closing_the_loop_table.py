@@ -17,7 +17,7 @@ DOCS = ROOT / "docs"
 def main() -> int:
     """Run one part."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parts = ("simulated", "live", "limits", "told", "plans", "measured", "heading")
+    parts = ("steps", "simulated", "live", "limits", "told", "plans", "measured", "heading")
     parser.add_argument("--part", choices=parts, default="simulated")
     parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
     parser.add_argument("data", nargs="?", type=Path, default=DATA, help="folder of the measured recordings")
@@ -35,6 +35,10 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=math.inf, help="simulated: begin no case after")
     parser.add_argument("--jobs", type=int, default=2, help="simulated, live, plans: processes")
     given = parser.parse_args()
+    if given.part == "steps":
+        from closing_the_loop_steps import main as steps
+
+        return steps(DOCS / "figures" / "closing-the-loop")
     if given.part == "simulated":
         from closing_the_loop_statistics import main as statistics
 
