@@ -11,9 +11,8 @@ from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.rest.stage import RestDetector
 from imumon.estimation.smoothing.backward import backward
-from imumon.estimation.smoothing.combine import Smoothed
 from imumon.estimation.smoothing.record import Record, Recorder
-from imumon.estimation.smoothing.stage import SmoothedEstimates
+from imumon.estimation.smoothing.stage import Smoothed, SmoothedEstimates
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.pipeline import Estimator, Seen
 from imumon.protocols.thermometer import TemperatureRateParameters
@@ -49,10 +48,7 @@ def _heading(record: Record, stages: Sequence[Estimator], setup: Setup) -> Smoot
     from imumon.estimation.smoothing.heading import still_heading
 
     stage = next(stage for stage in stages if isinstance(stage, Alignment))
-    # A known warm-up counts from the first sample, which the second half of a position is without.
-    parameters = setup.alignment.model_copy(update={"known_warm_up": None})
-    latitude_deg = setup.latitude_deg
-    return still_heading(record, stage.finish(), lambda: Alignment(parameters, latitude_deg))
+    return still_heading(record, stage.finish())
 
 
 def _bias(record: Record, setup: Setup) -> GyroBias:

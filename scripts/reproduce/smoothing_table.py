@@ -93,7 +93,7 @@ def heading(seed: int) -> tuple[float, float, float, float]:
     block = block.with_columns({"at_rest": np.ones(len(block), np.int64)})
     recorder.add(block.with_columns(stage.process(block)))
     record = recorder.finish()
-    found = still_heading(record, stage.finish(), lambda: Alignment(declared, latitude_deg, "FRD"))
+    found = still_heading(record, stage.finish())
     middle = len(found.value) // 2
     off = np.degrees(np.remainder(record.columns["heading"] - true + np.pi, 2.0 * np.pi) - np.pi)
     error = float(np.degrees(np.remainder(found.value[middle] - true + np.pi, 2.0 * np.pi) - np.pi))

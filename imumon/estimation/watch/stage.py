@@ -8,12 +8,14 @@ import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import Column
-from imumon.estimation.watch.evidence import BLOCK, LEARNING, State, limit, step
+from imumon.effects.library import suspected_by
+from imumon.estimation.watch.evidence import BLOCK, LEARNING, PATTERNS, Pattern, State, limit, step
 from imumon.estimation.watch.parameters import WatchParameters
-from imumon.estimation.watch.verdict import interpret
 from imumon.filters.segments import Breaks
 
 SUSPECT = Column("model_suspect", "1", "int64", "1 once the bias filter is caught at being wrong, else 0")
+EXPLAINING_SHARE = 0.7
+"""A pattern explains the innovations with at least this share of the strongest evidence.  Assumed."""
 
 
 class ModelWatch:
@@ -89,3 +91,44 @@ def _of_axes(block: SampleBlock, name: str, rows: IntArray) -> FloatArray:
     unit = block.columns.get(name, nowhere)
     of_axes = [block.columns.get(f"{name}_{axis}", nowhere)[rows] for axis in "xyz"]
     return np.column_stack([np.where(np.isfinite(of), of, unit[rows]) for of in of_axes])
+
+
+def interpret(peaks: FloatArray, modelled: bool) -> tuple[str, str]:
+    """Return a short reason and a line for the log, with a bias model in use or not.
+
+    Drivers of the bias that explain the innovations are named before the mere fact that these follow each
+    other, and that before their size: an effect does all three.
+
+    Parameters
+    ----------
+    peaks : array (3, k)
+        Of `State`.
+    """
+    least = EXPLAINING_SHARE * float(peaks.max())
+    explains = {pattern: bool((peaks[:, pattern == PATTERNS] >= least).any()) for pattern in Pattern}
+    named = [driver for driver in (Pattern.TEMPERATURE, Pattern.RATE, Pattern.TIME) if explains[driver]]
+    does = f"follow {' or '.join(named)}"
+    if not named:
+        named = [Pattern.AUTOCORRELATION if explains[Pattern.AUTOCORRELATION] else Pattern.VARIANCE]
+        does = named[0]
+    shown = [pattern in named for pattern in PATTERNS]
+    axes = ", ".join(axis for axis, of in zip("xyz", peaks[:, shown].max(1), strict=True) if of >= least)
+    thermal = not modelled and set(named) <= {Pattern.TEMPERATURE, Pattern.RATE}
+    reason = "bias follows temperature" if thermal else f"innovations {does}"
+    start = f"MODEL SUSPECT: on {axes} the innovations of the bias filter {does}"
+    return reason, f"{start}; {_advice(named, thermal, modelled)}"
+
+
+def _advice(named: list[Pattern], thermal: bool, modelled: bool) -> str:
+    """Return what may be the cause, and which command tests it."""
+    if thermal:
+        return (
+            "the bias follows temperature, and there is no model: imumon calibrate SESSION --out MODEL.yaml"
+        )
+    if named == [Pattern.VARIANCE]:
+        return "the noise declared is too small, or something shakes the unit: imumon allan SESSION"
+    effects = ", ".join(dict.fromkeys(effect for pattern in named for effect in suspected_by(pattern)))
+    lacks = "the model lacks" if modelled else "there may be"
+    # A session that ran with a model has it.
+    diagnose = f"imumon diagnose --train SESSION{' --model SESSION' * modelled} --out DIR"
+    return f"{lacks} an effect such as {effects}: {diagnose}"

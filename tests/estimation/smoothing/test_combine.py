@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imumon.estimation.smoothing.combine import combine
+from imumon.estimation.smoothing.stage import combine
 
 
 def test_two_independent_sides_are_weighed_by_their_variances() -> None:
