@@ -107,14 +107,14 @@ def _verdict(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]
             both[1].rms = both[0].rms
     left = after.train_rms if both is None or not kept.claims else max(after.train_rms, both[1].left)
     unexplained = found.many_events or left >= CLEAN * floor
-    spread = sigmas(found.channel, found.likelihood, [one.candidate for one in kept.findings])
+    covariance, spread = sigmas(found.channel, found.likelihood, [one.candidate for one in kept.findings])
     return ChannelVerdict(
         channel=channel,
         before=given,
         after=after,
         test_before=None if both is None else both[0],
         test_after=None if both is None else both[1],
-        claims=_claims(channel, given, after, kept.findings, spread.parts),
+        claims=_claims(channel, given, after, kept.findings, spread),
         unexplained=unexplained,
         explained=explained_share(given.train_rms, after.train_rms, floor) if kept.claims else 0.0,
         noise=found.null()[1],
@@ -127,7 +127,7 @@ def _verdict(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]
         turns=_turns(channel, found, given),
         ranking=ranking(channel, found),
         runs=runs_left(channel, given, after, both),
-        declared_covariance=spread.declared,
+        declared_covariance=covariance,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -84,30 +84,27 @@ class Fit:
 
 def fit(channel: Channel, found: Sequence[Candidate]) -> Fit:
     """Fit the declared model and the candidates by ordinary least squares."""
-    pool, runs, width = channel.pool, len(channel.train), channel.base.shape[1]
-    further = channel.declared.degree + 1
+    width, further = channel.base.shape[1], channel.declared.degree + 1
     design = channel.design(found)
     coefficients = ordinary(design, channel.values)
     model = coefficients[:further].copy()
     model[0] += float(coefficients[further:width].sum()) / (width - further + 1)
-    parts = [_as_it_is(effect) for effect in channel.kept]
-    lifted, at = 0.0, width
-    for candidate in found:
-        defining, start = map(len, pool.terms(candidate))
-        own, starts = np.split(coefficients[at : at + defining + start], [defining])
-        if candidate.whole:
-            own = -own  # the curve less how late it is
-        fitted = _parts(candidate, own, starts, runs)
+    none = np.empty((0, 0))
+    parts = [FittedPart(one, (), np.array([one.coefficients]), none, carries=True) for one in channel.kept]
+    lifted = 0.0
+    for candidate, where, starts in _layout(channel, found):
+        # Of a curve that is late: the curve less how late it is.
+        own = -coefficients[where] if candidate.whole else coefficients[where]
+        fitted = _parts(candidate, own, coefficients[starts], len(channel.train))
         if candidate.whole:
             curve = channel.declared.powers(fitted[0].effect.curve())
             model = np.pad(model, (0, max(0, fitted[0].effect.width + 1 - len(model))))
             model[: len(curve)] += curve
         if not any(part.carries for part in fitted):
-            mean = float((design[:, at : at + defining] @ own).mean())
+            mean = float((design[:, where] @ own).mean())
             model[0] += mean
             lifted += mean if candidate.scope != "run" else 0.0
         parts += fitted
-        at += defining + start
     return Fit(model, parts, channel.values - design @ coefficients, lifted)
 
 
@@ -118,23 +115,31 @@ def fit_given(channel: Channel) -> Fit:
     return replace(found, declared=np.pad(found.declared, (0, missing)))
 
 
-def _as_it_is(effect: Effect) -> FittedPart:
-    return FittedPart(effect, (), np.array([effect.coefficients]), np.empty((0, 0)), carries=True)
+def _layout(
+    channel: Channel, model: Sequence[Candidate]
+) -> Iterator[tuple[Candidate, slice[int, int], slice[int, int]]]:
+    """Yield each candidate with the columns of the design that define it, and those of its free start."""
+    at = channel.base.shape[1]
+    for one in model:
+        defining, start = map(len, channel.pool.terms(one))
+        yield one, slice(at, at + defining), slice(at + defining, at + defining + start)
+        at += defining + start
+
+
+def _by_part(candidate: Candidate, values: FloatArray) -> list[FloatArray]:
+    """Return values of all defining columns of a candidate for each of its parts, (runs or 1, k)."""
+    sizes = [part.effect.width * max(1, len(part.runs)) for part in candidate.parts]
+    rows = np.split(values, np.cumsum(sizes)[:-1])
+    return [row.reshape(-1, part.effect.width) for part, row in zip(candidate.parts, rows, strict=True)]
 
 
 def _parts(candidate: Candidate, own: FloatArray, start: FloatArray, runs: int) -> list[FittedPart]:
     """Return the parts of a candidate with their coefficients, which are in the order of its terms."""
-    found: list[FittedPart] = []
-    count = len(candidate.parts)
+    found, count = list[FittedPart](), len(candidate.parts)
     starts = start.reshape(count, runs, -1) if start.size else np.empty((count, 0, 0))
-    at = 0
-    for number, part in enumerate(candidate.parts):
-        size = part.effect.width * max(1, len(part.runs))
-        rows = own[at : at + size].reshape(-1, part.effect.width)
+    for part, rows, begun_at in zip(candidate.parts, _by_part(candidate, own), starts, strict=True):
         mean, carries = _carried(part, rows)
-        effect = part.effect.with_coefficients(mean)
-        found.append(FittedPart(effect, part.runs, rows, starts[number], carries))
-        at += size
+        found.append(FittedPart(part.effect.with_coefficients(mean), part.runs, rows, begun_at, carries))
     return found
 
 
@@ -338,27 +343,20 @@ class PartSigma:
     """Of each nonlinear parameter, in its unit."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sigmas:
-    """Of each candidate's parts; of the declared model the covariance, (degree + 1, degree + 1)."""
-
-    declared: FloatArray
-    parts: list[list[PartSigma]]
-
-
-def sigmas(channel: Channel, likelihood: Likelihood, model: Sequence[Candidate]) -> Sigmas:
-    """Return the standard deviations of a model with the noise that it is likeliest with.
+def sigmas(
+    channel: Channel, likelihood: Likelihood, model: Sequence[Candidate]
+) -> tuple[FloatArray, list[list[PartSigma]]]:
+    """Return the covariance of the declared model, (degree + 1, degree + 1), and the standard deviations of
+    each candidate's parts, with the noise that the model is likeliest with.
 
     What is searched (time constants, widths) is where the likelihood is largest, what is linear is ordinary
     least squares beside it.  Both are linear in the noise near the truth, so one covariance of the noise
     gives all errors, those that the linear ones take over from the searched ones among them.
     """
     design = channel.design(model)
-    coefficients = ordinary(design, channel.values)
-    slopes, names = _slopes(channel, model, coefficients[channel.base.shape[1] :])
+    slopes, names = _slopes(channel, model, ordinary(design, channel.values))
     whiten = likelihood.white(np.eye(len(design)), likelihood.best(channel.values, design)[1])
-    both = whiten @ np.column_stack([design, slopes])
-    left = whiten @ channel.values
+    both, left = whiten @ np.column_stack([design, slopes]), whiten @ channel.values
     searching = np.linalg.pinv(both, rcond=1e-10)
     freedom = max(len(left) - both.shape[1], 1)
     sd = float(np.sqrt(np.sum((left - both @ (searching @ left)) ** 2) / freedom))
@@ -366,24 +364,29 @@ def sigmas(channel: Channel, likelihood: Likelihood, model: Sequence[Candidate])
     logarithms = searching[design.shape[1] :]
     least = np.linalg.pinv(design, rcond=1e-10)
     linear = sd * (np.linalg.solve(whiten.T, least.T).T - (least @ slopes) @ logarithms)
-    share = sd * np.linalg.norm(logarithms, axis=1)
-    searched: dict[tuple[int, int], dict[str, float]] = {}
-    for (number, at, name), one in zip(names, share.tolist(), strict=True):
-        value = getattr(model[number].parts[at].effect, name)
-        searched.setdefault((number, at), {})[name] = one * value
+    share, spread = sd * np.linalg.norm(logarithms, axis=1), np.linalg.norm(linear, axis=1)
+    searched: dict[int, dict[str, float]] = {}
+    for (part, name), one in zip(names, share.tolist(), strict=True):
+        searched.setdefault(id(part), {})[name] = one * getattr(part.effect, name)
+    parts = [
+        [
+            PartSigma(rows, searched.get(id(part), {}))
+            for part, rows in zip(one.parts, _by_part(one, spread[where]), strict=True)
+        ]
+        for one, where, _ in _layout(channel, model)
+    ]
     declared = _of_curve(channel, model, linear)
-    spread = np.linalg.norm(linear, axis=1)
-    return Sigmas(declared @ declared.T, _of_parts(channel, model, spread, searched))
+    return declared @ declared.T, parts
 
 
 def _slopes(
     channel: Channel, model: Sequence[Candidate], coefficients: FloatArray
-) -> tuple[FloatArray, list[tuple[int, int, str]]]:
-    """Return how the model changes with the logarithm of each searched parameter, (n, p), and which they are:
-    candidate, part and name."""
-    slopes, names, first = [np.empty((len(channel.values), 0))], [], 0
-    for number, one in enumerate(model):
-        own = coefficients[first : (first := first + sum(map(len, channel.pool.terms(one))))]
+) -> tuple[FloatArray, list[tuple[Part, str]]]:
+    """Return how the model changes with the logarithm of each searched parameter, (n, p), and which they
+    are."""
+    slopes, names = [np.empty((len(channel.values), 0))], []
+    for one, where, starts in _layout(channel, model):
+        own = coefficients[where.start : starts.stop]
         for at, part in enumerate(one.parts):
             for name in part.effect.nonlinear:
                 value, ends = getattr(part.effect, name), []
@@ -393,39 +396,19 @@ def _slopes(
                     changed = Part(part.effect.model_copy(update={name: value * factor}), part.runs)
                     other = replace(one, parts=(*one.parts[:at], changed, *one.parts[at + 1 :]))
                     ends.append(channel.pool.design([other]) @ own)
-                slopes.append((ends[0] - ends[1]) / (2.0 * CHANGE))
-                names.append((number, at, name))
+                slopes.append(((ends[0] - ends[1]) / (2.0 * CHANGE))[:, np.newaxis])
+                names.append((part, name))
     return np.column_stack(slopes), names
 
 
 def _of_curve(channel: Channel, model: Sequence[Candidate], linear: FloatArray) -> FloatArray:
     """Return the errors of the curve's coefficients, as weights, of those of all columns, (degree + 1, n)."""
-    curve, first = linear[: channel.declared.degree + 1], channel.base.shape[1]
-    for one in model:
+    curve = linear[: channel.declared.degree + 1]
+    for one, where, _ in _layout(channel, model):
         if one.whole:
             effect = one.parts[0].effect
             curve = np.pad(curve, ((0, max(0, effect.width + 1 - len(curve))), (0, 0)))
-            for at, row in enumerate(np.eye(effect.width)):
+            for row, error in zip(np.eye(effect.width), linear[where], strict=True):
                 powers = channel.declared.powers(effect.with_coefficients(-row).curve())
-                curve[: len(powers)] += np.outer(powers, linear[first + at])
-        first += sum(map(len, channel.pool.terms(one)))
+                curve[: len(powers)] += np.outer(powers, error)
     return curve
-
-
-def _of_parts(
-    channel: Channel,
-    model: Sequence[Candidate],
-    spread: FloatArray,
-    searched: dict[tuple[int, int], dict[str, float]],
-) -> list[list[PartSigma]]:
-    each, first = [], channel.base.shape[1]
-    for number, one in enumerate(model):
-        parts, at = [], first
-        for index, part in enumerate(one.parts):
-            size = part.effect.width * max(1, len(part.runs))
-            rows = spread[at : at + size].reshape(-1, part.effect.width)
-            parts.append(PartSigma(rows, searched.get((number, index), {})))
-            at += size
-        each.append(parts)
-        first += sum(map(len, channel.pool.terms(one)))
-    return each
