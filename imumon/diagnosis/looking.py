@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.diagnosis.blocks import RunBlocks
 from imumon.diagnosis.channel import Channel
 from imumon.diagnosis.fit import Fit, TestScore, fit, score
 from imumon.diagnosis.selection import Search
@@ -35,20 +35,27 @@ class RunLeft:
     name: str
     test: bool
     blocks: int
-    before: float
-    after: float
-    mean: float
+    before: float = float("nan")
+    after: float = float("nan")
+    mean: float = float("nan")
+
+    @classmethod
+    def of(cls, name: str, test: bool, before: FloatArray, after: FloatArray) -> Self:
+        """Return that of a run with these residuals."""
+        if not len(after):
+            return cls(name, test, 0)
+        first, last = (float(np.sqrt(np.mean(values**2))) for values in (before, after))
+        return cls(name, test, len(after), first, last, float(after.mean()))
 
 
 def ranking(channel: Channel, found: Search) -> list[Ranked]:
     """Return the effects that gain most, by what each does alone, whether or not any is named."""
-    leaders = {} if found.first is None else found.first.leaders
-    alone = {name: leader.scored for name, leader in leaders.items()}
+    leaders = [] if found.first is None else [one.scored for one in found.first.leaders.values()]
     ranked = []
-    for name in sorted(alone, key=lambda name: -alone[name].gain)[:MOST_RANKED]:
-        fitted = fit(channel, [alone[name].candidate])
+    for one in sorted(leaders, key=lambda one: -one.gain)[:MOST_RANKED]:
+        fitted = fit(channel, [one.candidate])
         left = score(channel, fitted).rms if channel.test else float("nan")
-        ranked.append(Ranked(name, alone[name].gain, fitted.train_rms, left))
+        ranked.append(Ranked(one.family, one.gain, fitted.train_rms, left))
     return ranked
 
 
@@ -58,13 +65,12 @@ def runs_left(
     """Return what each run of training and test is left with."""
     bounds = np.cumsum([len(run) for run in channel.train])[:-1]
     both = (np.split(one.train, bounds) for one in (before, after))
-    rows = [_left(run, False, *left) for run, *left in zip(channel.train, *both, strict=True)]
+    rows = [RunLeft.of(run.name, False, *left) for run, *left in zip(channel.train, *both, strict=True)]
     if tests is not None:
-        counted = tests[1].counted
-        rows += [
-            _left(run, True, tests[0].residual[at][counted[at]], tests[1].residual[at][counted[at]])
-            for at, run in enumerate(channel.test)
-        ]
+        for run, use, *left in zip(
+            channel.test, tests[1].counted, *(one.residual for one in tests), strict=True
+        ):
+            rows.append(RunLeft.of(run.name, True, *(values[use] for values in left)))
     return rows
 
 
@@ -72,11 +78,3 @@ def most_different(rows: Sequence[RunLeft]) -> RunLeft | None:
     """Return the run that is left with most, where there are several."""
     known = [row for row in rows if np.isfinite(row.after)]
     return max(known, key=lambda row: row.after) if len(known) > 1 else None
-
-
-def _left(run: RunBlocks, test: bool, before: FloatArray, after: FloatArray) -> RunLeft:
-    if not len(after):
-        nothing = float("nan")
-        return RunLeft(run.name, test, 0, nothing, nothing, nothing)
-    first, last = (float(np.sqrt(np.mean(values**2))) for values in (before, after))
-    return RunLeft(run.name, test, len(after), first, last, float(after.mean()))

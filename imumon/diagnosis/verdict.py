@@ -49,13 +49,13 @@ VERDICTS = (
         "proven by the test alone, not told apart",
         "named",
         ("by_test", "not_told_apart"),
-        "{names}, not told apart, by the test alone: the error there is no longer unseen",
+        "{names}, not told apart, proven by the test alone, so the error there is no longer unseen",
     ),
     Row(
         "proven by the test alone",
         "named",
         ("by_test",),
-        "{names}, by the test alone: the error there is no longer unseen",
+        "{names}, proven by the test alone, so the error there is no longer unseen",
     ),
     Row(
         "not told apart, and more",
@@ -202,8 +202,9 @@ class ChannelVerdict:
     @property
     def in_short(self) -> str:
         """The verdict in a few words."""
-        names = [" or ".join(claim.finding.alike) or claim.finding.name for claim in self.claims]
-        return self.row.sentence.format(names=" and ".join(dict.fromkeys(names)))
+        each = [" or ".join(claim.finding.alike) or claim.finding.name for claim in self.claims]
+        names = [f"({name})" if " or " in name and len(each) > 1 else name for name in dict.fromkeys(each)]
+        return self.row.sentence.format(names=" and ".join(names))
 
     @property
     def summary(self) -> str:
@@ -224,6 +225,8 @@ class ChannelVerdict:
 def _details(verdict: ChannelVerdict) -> Iterator[str]:
     """Yield the numbers of a verdict, then its reasons."""
     yield _left_in_training(verdict)
+    if verdict.unexplained:
+        yield "what is left is structure or slow noise that no known effect explains"
     if verdict.remark:
         yield verdict.remark
     for item in verdict.left_out:
@@ -246,9 +249,7 @@ def _left_in_training(verdict: ChannelVerdict) -> str:
     floor = verdict.channel.floor.sd
     before, after = (one.train_rms / floor for one in (verdict.before, verdict.after))
     if not verdict.claims and not verdict.refit:
-        what = ", structure or slow noise" if verdict.unexplained else ""
-        left = f"the declared model leaves {before:.2f} white floors in training"
-        return left + _left_in_test(verdict) + what
+        return f"the declared model leaves {before:.2f} white floors in training{_left_in_test(verdict)}"
     anew = "" if verdict.claims else f"{', '.join(verdict.refit)} fitted anew, "
     return f"{anew}{before:.1f} white floors become {after:.2f} in training{_left_in_test(verdict)}"
 

@@ -43,7 +43,7 @@ def test_a_loop_that_training_cannot_prove_is_proven_by_what_it_predicts(
     assert verdict.questions[0][0].name == "nothing"
     if names:
         assert verdict.claims[0].finding.by_test
-        assert "by the test alone: the error there is no longer unseen" in verdict.summary
+        assert "proven by the test alone, so the error there is no longer unseen" in verdict.summary
         (effect,) = report(diagnosis)["channels"]["gyro_x"]["effects"]
         assert effect["evidence"]["proven_by"] == "test"
 
