@@ -12,7 +12,7 @@ from imumon.diagnosis.verdict import ChannelVerdict
 from imumon.effects.library import separated_by
 
 WELL_COVERED = 0.9
-"""Share of a test inside what training covered below which that is said on the first screen."""
+"""Share of a test inside what training covered below which the first screen has it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,44 +25,38 @@ class NextStep:
 
 
 def conclusion(diagnosis: Diagnosis) -> str:
-    """Return the whole in a line: what is said of which channels."""
+    """Return the whole in a line: the verdicts, each with its channels."""
     groups: dict[str, list[str]] = {}
     for verdict in diagnosis.verdicts:
         groups.setdefault(verdict.in_short, []).append(verdict.name)
-    return ". ".join(f"{_together(names)}: {said}" for said, names in groups.items())
+    return ". ".join(f"{_together(names)}: {text}" for text, names in groups.items())
 
 
 def keep_in_mind(diagnosis: Diagnosis) -> list[str]:
-    """Return what limits the verdicts, then what is to be said of the data."""
-    said = []
-    verdicts = diagnosis.verdicts
-    little = [
-        one for one in verdicts if one.test_after is not None and one.test_after.coverage < WELL_COVERED
-    ]
-    if little:
-        least = min(one.test_after.coverage for one in little if one.test_after is not None)
-        said.append(f"only {least:.0%} of the test is inside what training covered; the rest proves nothing")
-    if any(one.row.state == "named" for one in verdicts):
-        said.append(
-            "a name is the shape that fits, not a cause that was seen: what else has that shape is called so"
+    """Return what limits the verdicts, then the caveats of the data."""
+    limits, verdicts = [], diagnosis.verdicts
+    least = min((one.test_after.coverage for one in verdicts if one.test_after is not None), default=1.0)
+    if least < WELL_COVERED:
+        limits.append(
+            f"only {least:.0%} of the test is inside what training covered; the rest proves nothing"
         )
+    if any(one.claims for one in verdicts):
+        limits.append("a name is the shape that fits, not its cause: what else has that shape has that name")
     if any(one.row.state == "unexplained" and not one.slow.jumps for one in verdicts):
-        said.append("unexplained is structure, or slow noise, which what was recorded does not tell from it")
-    return [*said, *diagnosis.caveats]
+        limits.append("unexplained is structure, or slow noise, which these recordings do not tell from it")
+    return [*limits, *diagnosis.caveats]
 
 
 def _together(names: Sequence[str]) -> str:
     """Return names in short: gyro_x, y, z."""
-    found: list[str] = []
+    sensors: dict[str, list[str]] = {}
     for name in names:
-        stem, _, axis = name.rpartition("_")
-        follows = found and stem and found[-1].rpartition(", ")[0].startswith(f"{stem}_")
-        first = found and stem and found[-1].rpartition("_")[0] == stem
-        if follows or first:
-            found[-1] += f", {axis}"
-        else:
-            found.append(name)
-    return " and ".join(found)
+        sensor, _, axis = name.rpartition("_")
+        sensors.setdefault(sensor if len(axis) == 1 else name, []).append(axis)
+    texts = [
+        f"{sensor}_{', '.join(axes)}" if sensor not in names else sensor for sensor, axes in sensors.items()
+    ]
+    return " and ".join(texts)
 
 
 def next_step(diagnosis: Diagnosis, folder: Path | None) -> NextStep:
@@ -84,10 +78,11 @@ def _steps(diagnosis: Diagnosis, folder: Path | None) -> Iterator[NextStep]:
     if names := _which(verdicts, lambda one: one.unexplained):
         what = f"Record {names} at constant temperature, and run imumon allan on that."
         yield NextStep(what, "What is left moves as slow noise does: that shows whether the unit has it.")
-    for pair in _not_told(verdicts):
+    sets = (one.finding.alike for verdict in verdicts for one in verdict.claims)
+    if alike := next(filter(None, sets), []):
         command = "" if folder is None else f"imumon plan {folder} --out {folder / 'next'}"
-        why = f"{pair[0]} and {pair[1]} fit these recordings alike, and predict others differently."
-        yield NextStep(f"Record {separated_by(*pair)}.", why, command)
+        why = f"{alike[0]} and {alike[1]} fit these recordings alike, and predict others differently."
+        yield NextStep(f"Record {separated_by(alike[0], alike[1])}.", why, command)
     useful = [one for one in with_model(diagnosis) if one.claims and one.predicts]
     if useful:
         yield _use(useful, folder)
@@ -110,7 +105,7 @@ def _another_session(diagnosis: Diagnosis, folder: Path | None) -> NextStep:
     """Return the step to a test that nothing was chosen by."""
     chosen = bool(diagnosis.test) and not diagnosis.held_out
     why = "The test has chosen the effect." if chosen else "Without a test nothing is proven."
-    again = " ".join(dict.fromkeys(_session(run.name) for run in diagnosis.train))
+    again = " ".join(dict.fromkeys(run.name.partition(",")[0] for run in diagnosis.train))
     command = "" if folder is None else f"imumon diagnose --train {again} --test NEW --out {folder}"
     return NextStep("Record another session from power-on and test on that.", why, command)
 
@@ -122,18 +117,3 @@ def _use(useful: Sequence[ChannelVerdict], folder: Path | None) -> NextStep:
     why = f"Errors in the test fall by up to {1.0 - least:.0%}."
     command = "" if folder is None else f"imumon monitor PORT --device NAME --model {folder / 'model.yaml'}"
     return NextStep(f"Use the model with what is named of {names}.", why, command)
-
-
-def _not_told(verdicts: Sequence[ChannelVerdict]) -> list[tuple[str, str]]:
-    """Return the pairs of effects that are not told apart, each once."""
-    pairs = {
-        (claim.finding.alike[0], other): tuple(sorted((claim.finding.alike[0], other)))
-        for verdict in verdicts
-        for claim in verdict.claims
-        for other in claim.finding.alike[1:]
-    }
-    return list({key: pair for pair, key in pairs.items()}.values())
-
-
-def _session(name: str) -> str:
-    return name.partition(",")[0]

@@ -37,19 +37,19 @@ Question = list[Answer]
 
 def questions(channel: Channel, found: Search, kept: Sequence[Finding], unexplained: bool) -> list[Question]:
     """Return what is open in a channel in which these findings are claimed."""
-    claimed = [finding.candidate for finding in kept]
-    asked = []
+    claimed, opened = [finding.candidate for finding in kept], list[Question]()
     for finding in kept:
         if finding.alike:
             beside = [other for other in claimed if other is not finding.candidate]
-            answers = [finding.candidate, *finding.others.values()]
-            asked.append(_question(channel, beside, answers))
+            either = [finding.candidate, *finding.others.values()]
+            opened.append([_answer(channel, beside, one) for one in either])
     if unexplained and found.last is not None:
         leaders = sorted(found.last.leaders.values(), key=lambda one: -one.scored.gain)
         tried = [one.scored.candidate for one in leaders if one.scored.fit > 0.0]
-        left = [one for one in tried if one not in claimed and _may_be_tried(one)]
-        asked.append(_question(channel, claimed, left[:MOST_ANSWERS], nothing=True))
-    return asked
+        further = [one for one in tried if one not in claimed and _may_be_tried(one)][:MOST_ANSWERS]
+        nothing = Answer(NOTHING, fit(channel, claimed))
+        opened.append([nothing, *(_answer(channel, claimed, one) for one in further)])
+    return opened
 
 
 def _may_be_tried(candidate: Candidate) -> bool:
@@ -58,14 +58,6 @@ def _may_be_tried(candidate: Candidate) -> bool:
     return candidate.scope in ("shared", "either") and inputs <= {ACCEL}
 
 
-def _question(
-    channel: Channel, beside: Sequence[Candidate], tried: Sequence[Candidate], *, nothing: bool = False
-) -> Question:
-    answers: Question = []
-    for one in tried:
-        model = fit(channel, [*beside, one])
-        own = model.parts[-len(one.parts) :]
-        answers.append(Answer(one.family, model, all(part.carries for part in own)))
-    if nothing:
-        answers.insert(0, Answer(NOTHING, fit(channel, beside)))
-    return answers
+def _answer(channel: Channel, beside: Sequence[Candidate], one: Candidate) -> Answer:
+    model = fit(channel, [*beside, one])
+    return Answer(one.family, model, all(part.carries for part in model.parts[-len(one.parts) :]))
