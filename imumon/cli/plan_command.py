@@ -56,7 +56,7 @@ def _described(made: Plan, paths: list[Path]) -> dict[str, Any]:
         "hours": None if made.profile is None else made.profile.duration_s / 3600.0,
         "expected_evidence_bic": None if expected is None else expected.value,
         "needed_bic": None if expected is None else expected.needed,
-        "reached_bic": None if expected is None else made.reached,
+        "reached_bic": None if expected is None else expected.least,
         "why_not": made.why_not,
         "files": [str(path) for path in paths],
     }
@@ -71,5 +71,5 @@ def _said(made: Plan) -> str:
     return (
         f"{asked} {made.profile.duration_s / 3600.0:.1f} h, {made.profile.title}: expected evidence for"
         f" {pair.truth} against {pair.rival} {pair.value:.0f} in BIC, {pair.needed:.0f} are needed;"
-        f" one more simulated unit reached {made.reached:.0f}"
+        f" {pair.least:.0f} is the least of three simulated units"
     )

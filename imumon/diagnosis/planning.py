@@ -19,7 +19,7 @@ from imumon.blocks import SampleBlock
 from imumon.config import StrictModel, load_yaml
 from imumon.diagnosis.blocks import BLOCK_S, at_poses, make_blocks, survey, white_floor
 from imumon.diagnosis.candidates import Pool
-from imumon.diagnosis.channel import Channel, Declared, residual_rms
+from imumon.diagnosis.channel import Channel, Declared
 from imumon.diagnosis.earth import earth_rate, turned, without
 from imumon.diagnosis.engine import search_block
 from imumon.diagnosis.gains import CLOSE, CLOSE_SHARE, PROVEN
@@ -110,14 +110,17 @@ class Open:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """How a profile does."""
+    """What a profile shows of the pair of answers that it tells apart worst, `truth` and its `rival`.
+
+    `value` is the mean difference of their gains in BIC over simulated units, `least` the smallest, `needed`
+    what tells them apart.
+    """
 
     value: float
+    least: float
     needed: float
-    """Difference of gains in BIC for the pair that is told apart worst, and what is needed for it."""
     truth: str
     rival: str
-    """That pair."""
 
     @property
     def ratio(self) -> float:
@@ -127,16 +130,12 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The answer to what to do next about a question.
-
-    `profile` is None where nothing that was tried tells, and `why_not` says why; else `reached` is the
-    evidence on one more simulated unit, with all effects in question.
-    """
+    """The next experiment for a question; `profile` and `expected` are None where nothing that was tried
+    tells, and `why_not` says why."""
 
     question: Open
-    profile: Profile | None
-    expected: Evidence | None
-    reached: float = float("nan")
+    profile: Profile | None = None
+    expected: Evidence | None = None
     why_not: str = ""
 
 
@@ -164,92 +163,63 @@ def open_questions(report: Report) -> list[Open]:
 def plan(report: Report, question: Open, most_s: float, progress: Progress | None = None) -> Plan:
     """Return the shortest experiment that answers a question, with the evidence to expect of it."""
     inputs = {name for answer in question.answers for effect in answer.effects for name in effect.inputs}
-    if inputs - {ACCEL}:
-        lacking = ", ".join(sorted(inputs - {ACCEL}))
-        return Plan(
-            question, None, None, why_not=f"{lacking} must vary apart from the rest: no chamber does that"
-        )
+    if others := sorted(inputs - {ACCEL}):
+        why_not = f"{', '.join(others)} must vary apart from the rest: no chamber does that"
+        return Plan(question, why_not=why_not)
     if not all(answer.carries for answer in question.answers):
-        return Plan(question, None, None, why_not="what is another in each run is told by more sessions")
-    bench = _Bench(report, question)
+        return Plan(question, why_not="what is another in each run is told by more sessions")
+    in_question = {effect.name for answer in question.answers for effect in answer.effects}
+    few, every = [name for name in EFFECTS if name in in_question], effects_for(question.channel)
     low, high = report.temperature_range_degc
     slowest_s = max((time for answer in question.answers for time in answer.times_s), default=0.0)
-    tried = profiles(low, high, report.fastest_degc_per_min, slowest_s, most_s, ACCEL in inputs)
-    best: tuple[float, Profile] | None = None
-    for at, profile in enumerate(tried):
-        if best is not None and at >= EVERY_SHAPE and best[0] * most_s < best[1].duration_s:
+    best: tuple[Evidence, Profile] | None = None
+    possible = profiles(low, high, report.fastest_degc_per_min, slowest_s, most_s, ACCEL in inputs)
+    for at, profile in enumerate(possible):
+        if best is not None and at >= EVERY_SHAPE and best[0].ratio * most_s < best[1].duration_s:
             break  # evidence grows no faster than time
         if progress is not None:
             progress(f"{question.name}: {profile.duration_s / 3600:.1f} h, {profile.title}")
-        ratio = bench.tried(profile, range(TRIALS)).ratio
-        if best is None or ratio > best[0]:
-            best = ratio, profile
-        if ratio < MARGIN:
+        found = evidence(report, question, profile, range(TRIALS), few)
+        if best is None or found.ratio > best[0].ratio:
+            best = found, profile
+        if found.ratio >= MARGIN:
+            # What was chosen for its evidence has had luck as well: other units have to show it again.
+            proof = evidence(report, question, profile, range(TRIALS, TRIALS + PROOFS), every)
+            if proof.least >= proof.needed:
+                return Plan(question, profile, proof)
+    return Plan(question, why_not=_why_not(*best) if best else "no profile is so short")
+
+
+def _why_not(found: Evidence, profile: Profile) -> str:
+    return (
+        f"nothing that was tried tells; the best, {profile.duration_s / 3600:.1f} h {profile.title}, gives"
+        f" {found.value:.0f} of the {found.needed:.0f} in BIC that are needed for {found.truth} against"
+        f" {found.rival}"
+    )
+
+
+def evidence(
+    report: Report, question: Open, profile: Profile, seeds: Sequence[int], kinds: Sequence[str]
+) -> Evidence:
+    """Return what the search finds on simulated units with each of the answers, among these effects."""
+    pairs: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    for truth in question.answers:
+        rivals = [one.name for one in question.answers if one is not truth] or [DRIVEN]
+        if truth.name == NOTHING and rivals != [DRIVEN]:
             continue
-        # What was chosen for its evidence has had luck as well: others have to show it again.
-        expected = bench.tried(profile, range(TRIALS, TRIALS + PROOFS))
-        reached = bench.reached(profile, expected, TRIALS + PROOFS)
-        if min(expected.value, reached) >= expected.needed:
-            return Plan(question, profile, expected, reached)
-    return Plan(question, None, None, why_not=bench.why_not(best[1]) if best else "no profile is so short")
+        for seed in seeds:
+            run = recorded(scenario(report, question.channel, profile, truth), seed)
+            searched = _searched(run, question.channel, len(truth.declared) - 1, kinds)
+            for rival in rivals:
+                pairs.setdefault((truth.name, rival), []).append(_difference(searched, truth.name, rival))
+    found = []
+    for pair, each in pairs.items():
+        values, needed = zip(*each, strict=True)
+        found.append(Evidence(float(np.mean(values)), min(values), float(np.mean(needed)), *pair))
+    return min(found, key=lambda one: one.ratio)
 
 
-class _Bench:
-    """Simulated units with each of the answers."""
-
-    def __init__(self, report: Report, question: Open) -> None:
-        self._report, self._question = report, question
-        effects = {effect.name for answer in question.answers for effect in answer.effects}
-        self._kinds = [name for name in EFFECTS if name in effects]
-
-    def tried(self, profile: Profile, seeds: Sequence[int]) -> Evidence:
-        """Return the mean evidence for the pair of answers that is told apart worst."""
-        found: dict[tuple[str, str], list[tuple[float, float]]] = {}
-        for truth in self._question.answers:
-            rivals = [one.name for one in self._question.answers if one is not truth] or [DRIVEN]
-            if truth.name == NOTHING and rivals != [DRIVEN]:
-                continue
-            for seed in seeds:
-                searched = self._search(profile, truth, seed, self._kinds)
-                for rival in rivals:
-                    pair = found.setdefault((truth.name, rival), [])
-                    pair.append(told(searched, truth.name, rival))
-        each = [
-            Evidence(float(np.mean(values, axis=0)[0]), float(np.mean(values, axis=0)[1]), truth, rival)
-            for (truth, rival), values in found.items()
-        ]
-        return min(each, key=lambda one: one.ratio)
-
-    def reached(self, profile: Profile, expected: Evidence, seed: int) -> float:
-        """Return the evidence on another unit for the same pair, with all effects in question."""
-        truth = next(answer for answer in self._question.answers if answer.name == expected.truth)
-        kinds = effects_for(self._question.channel)
-        return told(self._search(profile, truth, seed, kinds), expected.truth, expected.rival)[0]
-
-    def why_not(self, profile: Profile) -> str:
-        """Say by how little the answers differ with the best profile that there is."""
-        worst = self.tried(profile, range(TRIALS))
-        truth = next(answer for answer in self._question.answers if answer.name == worst.truth)
-        searched = self._search(profile, truth, 0, self._kinds)
-        said = " and ".join(
-            f"{_left(searched, worst, name):.2f} floors with {name}" for name in (worst.truth, worst.rival)
-        )
-        return (
-            f"nothing that was tried tells; the best, {profile.duration_s / 3600:.1f} h"
-            f" {profile.title}, gives {worst.value:.0f} of the {worst.needed:.0f} in BIC that are needed for"
-            f" {worst.truth} against {worst.rival}: a unit that has {worst.truth} leaves {said}"
-        )
-
-    def scenario(self, profile: Profile, answer: Model) -> Scenario:
-        """Return an experiment on a unit that has one of the answers."""
-        return scenario(self._report, self._question.channel, profile, answer)
-
-    def _search(self, profile: Profile, truth: Model, seed: int, kinds: Sequence[str]) -> Search:
-        run = recorded(self.scenario(profile, truth), seed)
-        return _searched(run, self._question.channel, len(truth.declared) - 1, kinds)
-
-
-def told(searched: Search, truth: str, rival: str) -> tuple[float, float]:
+def _difference(searched: Search, truth: str, rival: str) -> tuple[float, float]:
     """Return by how much the gain of one effect exceeds another's, or nothing's, and what is needed of it."""
     if rival == DRIVEN:
         return searched.noise_gain(), PROVEN
@@ -263,15 +233,6 @@ def told(searched: Search, truth: str, rival: str) -> tuple[float, float]:
     if rival == NOTHING:
         return own, PROVEN
     return own - max(gains.get(rival, 0.0), 0.0), max(CLOSE, CLOSE_SHARE * max(gains.values(), default=0.0))
-
-
-def _left(searched: Search, pair: Evidence, name: str) -> float:
-    """Return how many floors are left with one effect of a pair beside whatever else was found."""
-    leaders = {} if searched.first is None else searched.first.leaders
-    model = [one for one in searched.found if one.family not in (pair.truth, pair.rival)]
-    model += [leaders[name].scored.candidate] if name in leaders else []
-    channel = searched.channel
-    return residual_rms(channel.design(model), channel.values) / channel.floor.sd
 
 
 def scenario(report: Report, channel: str, profile: Profile, answer: Model) -> Scenario:

@@ -33,7 +33,7 @@ def test_a_plan_separates_what_was_not_told_apart_and_its_files_play(
     assert plan["channel"] == "gyro_x"
     assert len(plan["answers"]) > 1
     assert plan["expected_evidence_bic"] > plan["needed_bic"]
-    assert plan["needed_bic"] < plan["reached_bic"] < 2 * plan["expected_evidence_bic"]
+    assert plan["needed_bic"] < plan["reached_bic"] <= plan["expected_evidence_bic"]
     course = np.loadtxt(tmp_path / "1-chamber.csv", delimiter=",", skiprows=1)
     scenarios = [load_scenario(path) for path in sorted(tmp_path.glob("*.yaml"))]
     assert len(scenarios) == len(plan["answers"])
@@ -52,7 +52,7 @@ def test_what_no_experiment_separates_is_said_and_no_file_is_written(
     (plan,) = json.loads(capsys.readouterr().out)["questions"]
     assert plan["profile"] is None
     assert "nothing that was tried tells" in plan["why_not"]
-    assert all(f"floors with {name}" in plan["why_not"] for name in plan["answers"])
+    assert "in BIC that are needed" in plan["why_not"]
     assert plan["files"] == []
     assert not list(tmp_path.iterdir())
 
