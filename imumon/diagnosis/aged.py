@@ -9,17 +9,16 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import REST_SHARE
 from imumon.diagnosis.runs import SECOND_NS, Run, add_vibration
-from imumon.recordings.reduced import ACCEL, GYRO, KeptSlots
+from imumon.recordings.reduced import GYRO, KeptSlots
 
 MOST_SLOTS = 7200
-"""Two hours of seconds: a glance at that takes some tenths of a second.  A column takes 32 bytes of each."""
+"""Two hours of seconds; a column takes 32 bytes of each."""
 
 
 class AgedRun:
-    """Sums over slots of 1, 2, 4, ... s: where a slot more would be too many, they are joined in pairs.
+    """Sums over slots of 1, 2, 4, ... s: where they would be too many, neighbours are added in pairs.
 
-    Gyros count at rest alone, so that a slot in which the unit moved for a while still tells of the rest of
-    it.
+    Gyros count at rest only, so that the rest of a slot counts in which the unit moved for a while.
 
     Parameters
     ----------
@@ -30,27 +29,19 @@ class AgedRun:
     def __init__(self, names: Sequence[str]) -> None:
         self._names = list(names)
         self._gyros = [at for at, name in enumerate(names) if name in GYRO]
-        shape = (MOST_SLOTS, len(names))
-        self._count, self._total = np.zeros(shape), np.zeros(shape)
-        self._scatter, self._free = np.zeros(shape), np.zeros(shape)
-        self._width, self._last = 1, -1
-        self._begun_ns = 0
+        self._sums = np.zeros((MOST_SLOTS, 4, len(names)))
+        """Samples, their sum, squares about the means of seconds, and degrees of freedom of these."""
+        self._width, self._last, self._begun_ns = 1, -1, 0
 
     @property
     def nbytes(self) -> int:
         """Bytes that it takes, however long the run is."""
-        return sum(part.nbytes for part in self._sums)
-
-    @property
-    def _sums(self) -> tuple[FloatArray, ...]:
-        """Of each slot and column: values, their sum, squares about the means of seconds, and what is free
-        in these."""
-        return self._count, self._total, self._scatter, self._free
+        return self._sums.nbytes
 
     def has_any(self, names: Collection[str]) -> bool:
-        """Tell whether any of these columns has values in several slots."""
+        """Return whether any of these columns has values in several slots."""
         among = [at for at, name in enumerate(self._names) if name in names]
-        return bool(((self._count[:, among] > 0).sum(axis=0) > 1).any())
+        return bool(((self._sums[:, 0, among] > 0).sum(axis=0) > 1).any())
 
     def elapsed_s(self, part: KeptSlots) -> FloatArray:
         """Return the time from the first sample to the end of each second, (n,)."""
@@ -64,44 +55,37 @@ class AgedRun:
         second = (part.start_ns - self._begun_ns) // SECOND_NS
         self._last = int(second[-1])
         while self._last // self._width >= MOST_SLOTS:
-            self._join()
+            half = MOST_SLOTS // 2
+            self._sums[:half] = self._sums[::2] + self._sums[1::2]
+            self._sums[half:] = 0.0
+            self._width *= 2
         count = part.count[:, :-1].astype(np.float64)
         count[:, self._gyros] *= (part.mean[:, -1] >= REST_SHARE)[:, np.newaxis]
-        there = count > 0
-        mean, variance = (np.where(there, values[:, :-1], 0.0) for values in (part.mean, part.variance))
-        free = np.maximum(count - 1.0, 0.0)
-        for total, more in zip(self._sums, (count, mean * count, variance * count, free), strict=True):
-            np.add.at(total, second // self._width, more)
-
-    def _join(self) -> None:
-        half = MOST_SLOTS // 2
-        for total in self._sums:
-            total[:half] = total[::2] + total[1::2]
-            total[half:] = 0.0
-        self._width *= 2
+        mean, variance = (np.where(count > 0, part_of[:, :-1], 0.0) for part_of in (part.mean, part.variance))
+        more = np.stack([count, mean * count, variance * count, np.maximum(count - 1.0, 0.0)], axis=1)
+        np.add.at(self._sums, second // self._width, more)
 
     def run(self) -> Run:
         """Return the run so far, in slots that have ended; at rest where a gyro was."""
         n = max(1, (self._last + 1) // self._width)
-        count, total, scatter, free = (part[:n] for part in self._sums)
+        count, total, scatter, free = self._sums[:n].swapaxes(0, 1)
         there = [at for at in range(len(self._names)) if at in self._gyros or count[:, at].any()]
 
-        def over(sums: FloatArray, by: FloatArray) -> dict[str, FloatArray]:
+        def ratio(sums: FloatArray, by: FloatArray) -> dict[str, FloatArray]:
             values = np.where(by > 0, sums / np.maximum(by, 1.0), np.nan)
             return {self._names[at]: values[:, at] for at in there}
 
-        mean, variance = over(total, count), over(scatter, free)
-        if all(name in mean for name in ACCEL):
-            add_vibration(mean, variance)
+        mean, variance = ratio(total, count), ratio(scatter, free)
+        add_vibration(mean, variance)
         if self._width > 1:
-            # How samples scatter within seconds does not tell how means of many seconds do.
+            # The scatter of samples within seconds does not show that of means of many seconds.
             variance = {name: np.full(n, np.nan) for name in variance}
         return Run(
-            "this session",
-            np.asarray((np.arange(n) + 0.5) * self._width),
-            {self._names[at]: count[:, at].copy() for at in there},
-            mean,
-            variance,
-            np.asarray((count[:, self._gyros] > 0).all(axis=1), np.float64),
+            name="this session",
+            time_s=np.asarray((np.arange(n) + 0.5) * self._width),
+            count={self._names[at]: count[:, at].copy() for at in there},
+            mean=mean,
+            variance=variance,
+            rest=np.asarray((count[:, self._gyros] > 0).all(axis=1), np.float64),
             slot_s=float(self._width),
         )

@@ -1,9 +1,9 @@
-"""What else was recorded and may drive a bias: which columns, how they move, and how many they amount to."""
+"""What else was recorded and may drive a bias: which columns, how they move, and what hides them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -19,11 +19,12 @@ from imumon.effects.warm_up import WarmUp
 from imumon.errors import ImumonError, Reason
 
 OPERATORS = sum(issubclass(kind, (DrivenEffect, Product)) for kind in EFFECTS.values())
-"""What may be done with a driver."""
+"""Number of effects that a driver may have."""
 SHADOW = 0.02
-"""A driver of whose variance less is left beside temperature and time is said to go with them."""
+"""A driver of whose variance less is left beside temperature and time is reported to go with them: the sigma
+of its coefficient is seven times that of one by itself."""
 TIMES_S = (100.0, 300.0, 1000.0)
-"""Time constants of lags and warm-ups that a driver is compared with."""
+"""Time constants of lags and warm-ups that a driver is compared with; those between are near one of them."""
 
 
 def recorded(
@@ -64,41 +65,28 @@ def _covers(run: Run, name: str) -> bool:
     return name in run.mean and np.isfinite(run.mean[name]).sum() >= 0.5 * run.duration_s / BLOCK_S
 
 
-def with_drivers(seen: Survey, runs: Sequence[RunBlocks], temperature: str) -> Survey:
+def with_drivers(found: Survey, runs: Sequence[RunBlocks], temperature: str) -> Survey:
     """Return what training runs can show, with the drivers that there are beside a temperature."""
-    means = _means(runs, temperature)
     scales = {}
-    for name, values in means.items():
+    for name, values in _means(runs, temperature).items():
         low, high = float(values.min()), float(values.max())
         scales[name] = Scale(0.5 * (low + high), 0.5 * (high - low) or 1.0)
-    choices = max(1.0, _independent(list(means.values()))) * OPERATORS
-    return replace(seen, others=scales, choices=choices)
+    return replace(found, others=scales, choices=max(1, len(scales)) * OPERATORS)
 
 
 def _means(runs: Sequence[RunBlocks], temperature: str) -> dict[str, FloatArray]:
-    names = runs[0].drives[temperature].others if temperature in runs[0].drives else {}
+    """Return the block means of each driver over all runs, (n,) each."""
+    drives = [(run, run.drives[temperature].others) for run in runs if temperature in run.drives]
+    names = drives[0][1] if drives else {}
     return {
-        name: np.concatenate(
-            [run.average(run.drives[temperature].others[name][:, np.newaxis])[:, 0] for run in runs]
-        )
+        name: np.concatenate([run.average(others[name][:, np.newaxis])[:, 0] for run, others in drives])
         for name in names
     }
 
 
-def _independent(columns: Sequence[FloatArray]) -> float:
-    """Return how many columns are independent in effect: (sum of eigenvalues)² over that of their squares,
-    of their correlation."""
-    moving = [column for column in columns if column.std() > 0]
-    if not moving:
-        return 0.0
-    values = np.linalg.eigvalsh(np.atleast_2d(np.corrcoef(moving)))
-    return float(values.sum() ** 2 / (values**2).sum())
-
-
 def shadows(runs: Sequence[RunBlocks], temperature: str, scale: Scale, degree: int) -> list[str]:
-    """Return the drivers that go with temperature and time in these runs: nothing tells them apart."""
-    columns = np.concatenate([_regressors(run, temperature, scale, degree) for run in runs])
-    basis = np.linalg.qr(columns)[0]
+    """Return the drivers that go with temperature and time in these runs: nothing separates them."""
+    basis = np.linalg.qr(np.concatenate([_regressors(run, temperature, scale, degree) for run in runs]))[0]
     found = []
     for name, values in _means(runs, temperature).items():
         centred = values - values.mean()
@@ -109,11 +97,10 @@ def shadows(runs: Sequence[RunBlocks], temperature: str, scale: Scale, degree: i
 
 
 def _regressors(run: RunBlocks, temperature: str, scale: Scale, degree: int) -> FloatArray:
-    drive = run.drives[temperature]
-    lags = [
-        ThermalLag(time_constant_s=tau, middle=scale.middle, half_span=scale.half_span) for tau in TIMES_S
-    ]
+    """Return powers of the temperature, lags of it, warm-ups and a drift as block means, (n, k)."""
+    place = asdict(scale)
+    lags = [ThermalLag(time_constant_s=tau, **place) for tau in TIMES_S]
     others = [Drift(), *(WarmUp(time_constant_s=tau) for tau in TIMES_S)]
     u = (run.temperature[temperature] - scale.middle) / scale.half_span
-    parts = [run.average(effect.columns(drive)) for effect in (*lags, *others)]
+    parts = [run.average(effect.columns(run.drives[temperature])) for effect in (*lags, *others)]
     return np.column_stack([u[:, np.newaxis] ** np.arange(degree + 3), *parts])

@@ -10,11 +10,8 @@ from pydantic import Field, FiniteFloat
 
 from imumon.blocks import BoolArray, FloatArray
 from imumon.effects.base import Drive, Memory, Survey, logarithmic
-from imumon.effects.follower import Follower
+from imumon.effects.follower import SHORTEST_S, Follower
 
-SHORTEST_S = 20.0
-LONGEST_S = 900.0
-RATIO = 1.3
 SPACING_S = 0.25
 """One temperature is remembered of each such interval; the temperature of a unit is straight in between."""
 
@@ -65,4 +62,4 @@ class DeadTime(Follower):
 
 
 def _delays(survey: Survey) -> list[float]:
-    return logarithmic(SHORTEST_S, min(LONGEST_S, survey.shortest_s / 8), RATIO)
+    return logarithmic(SHORTEST_S, survey.shortest_s / 8)

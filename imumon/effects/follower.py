@@ -14,6 +14,8 @@ from imumon.blocks import FloatArray
 from imumon.effects.base import Drive, DrivenEffect, Effect, Memory, Positive, Scale, Survey
 from imumon.effects.temperature_curve import MORE_DEGREES
 
+SHORTEST_S = 20.0
+"""A lag or delay that is shorter is a rate in means of 30 s."""
 HIGHEST_ORDER = 9
 MOST_IN_SUMS = 9
 """Parameters of which sums are tried."""

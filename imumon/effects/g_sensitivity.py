@@ -44,6 +44,4 @@ class GSensitivity(Effect):
 
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - it has no memory
         """Return the specific force."""
-        if drive.accel is None:
-            raise ValueError("g sensitivity needs the specific force")
-        return drive.accel
+        return drive.of(ACCEL)

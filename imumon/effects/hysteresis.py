@@ -12,8 +12,7 @@ from imumon.effects.base import Drive, Memory, NotNegative, Positive, Survey, lo
 from imumon.effects.follower import Follower, sums_of
 
 NARROWEST_DEGC = 0.3
-WIDEST_DEGC = 14.0
-RATIO = 1.35
+"""Twice the slack."""
 SHARES = (0.05, 0.1, 0.2, 0.4)
 """Half widths of a loop of another driver, of its span."""
 SLACK_DEGC = 0.15
@@ -46,7 +45,7 @@ class Hysteresis(Follower):
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
         """Return widths up to half the span."""
-        widths = logarithmic(NARROWEST_DEGC, min(WIDEST_DEGC, survey.span_degc / 2), RATIO)
+        widths = logarithmic(NARROWEST_DEGC, survey.span_degc / 2)
         shapes: tuple[Literal["play", "smooth"], ...] = ("play", "smooth")
         return [
             cls(half_width=width, shape=shape, **form)

@@ -83,18 +83,15 @@ class Carrier:
             return bias, start_sd
         first = int(np.argmax(known))
         seconds = np.asarray((time_ns[first:] - self._start_ns) * 1e-9, np.float64)
-        drive = self._drive(seconds, held[first:])
+        temperature, *others = (held[first:, at].copy() for at in range(1 + len(self._others)))
+        accel = held[first:, -3:] if ACCEL in self._effect.inputs else None
+        drive = Drive(seconds, temperature, accel, dict(zip(self._others, others, strict=True)))
         if not self._memories:
             self._memories = [Memory(), *(self._effect.starts(drive) or ())]
         bias[first:], *ends = [self._effect.added(memory, drive) for memory in self._memories]
         if ends:
             start_sd[first:] = 0.5 * self._effect.start_share * np.abs(ends[1] - ends[0])
         return bias, start_sd
-
-    def _drive(self, seconds: FloatArray, held: FloatArray) -> Drive:
-        behind = 1 + len(self._others)
-        others = {name: held[:, at].copy() for at, name in enumerate(self._others, start=1)}
-        return Drive(seconds, held[:, 0].copy(), held[:, behind:] if behind < held.shape[1] else None, others)
 
 
 def _held(values: FloatArray, before: float) -> FloatArray:

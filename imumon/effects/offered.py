@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from types import FunctionType
 from typing import Any, get_args
 
 import numpy as np
 
-from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, Effect, Memory, Scope, Survey
+from imumon.effects.base import ACCEL, Drive, Effect, Memory, Scope, Survey
 from imumon.errors import ImumonError
 from imumon.plugins import Plugin, described
 
@@ -21,6 +20,12 @@ SURVEY = Survey((7200.0, 7200.0), 30.0, 4, 19.6, 30.0, 3, 25.0, 15.0)
 """Two runs of two hours over 30 °C in which the unit is turned over: they can show nearly any effect."""
 TRIED = 5
 """So many effects of the grid are tried at load."""
+LISTS, MATRICES, OF_SAMPLES = (
+    ("grid", "driven", "of_curve", "refined"),
+    ("advance", "columns"),
+    ("added", "simulate"),
+)
+"""Methods whose results are checked: lists of effects, arrays (n, width), and arrays (n,)."""
 _FOREIGN_TO_PLUGINS = ("imumon", "pydantic", "builtins", "abc", "typing")
 
 
@@ -40,11 +45,11 @@ def guarded(plugin: Plugin) -> type[Effect]:
     """
     effect: type[Effect] = plugin.offered
     _check_attributes(plugin, effect)
-    for name in dir(effect):
-        defined = next((vars(base)[name], base) for base in effect.__mro__ if name in vars(base))
-        if name.startswith("_") or defined[1].__module__.partition(".")[0] in _FOREIGN_TO_PLUGINS:
+    own = [base for base in effect.__mro__ if base.__module__.partition(".")[0] not in _FOREIGN_TO_PLUGINS]
+    defined = {name: what for base in reversed(own) for name, what in vars(base).items()}
+    for name, what in defined.items():
+        if name.startswith("_"):
             continue
-        what = defined[0]
         if isinstance(what, FunctionType):
             setattr(effect, name, _checked(plugin, name, what))
         elif isinstance(what, classmethod):
@@ -68,24 +73,20 @@ def _try(plugin: Plugin, effect: type[Effect]) -> None:
     """Run some effects of the grid over a ramp, whole and in two parts."""
     time_s = np.arange(0.0, 600.0, 10.0)
     turned = np.where(time_s[:, np.newaxis] < 300.0, [0.0, 0.0, 9.8], [9.8, 0.0, 0.0])
-    drive = Drive(time_s, 20.0 + 0.02 * time_s, turned)
-    parts = [_rows(drive, slice(0, 25)), _rows(drive, slice(25, None))]
+    whole, *parts = (
+        Drive(time_s[rows], 20.0 + 0.02 * time_s[rows], turned[rows])
+        for rows in (slice(None), slice(0, 25), slice(25, None))
+    )
     for one in effect.grid(SURVEY)[:TRIED]:
         if not isinstance(one.width, int) or one.width < 1:
             raise plugin.error(f"has width {one.width!r}: expected the number of its columns")
-        if one.inputs and {*one.inputs} != {"accel"}:
+        if not {*one.inputs} <= {ACCEL}:
             continue  # what drives it is not in the trial
-        fitted = one.with_coefficients(np.ones(one.width))
-        memory = Memory()
+        fitted, memory = one.with_coefficients(np.ones(one.width)), Memory()
         added = np.concatenate([fitted.added(memory, part) for part in parts])
-        if not np.array_equal(added, fitted.added(Memory(), drive)):
+        if not np.array_equal(added, fitted.added(Memory(), whole)):
             raise plugin.error("adds another bias where its samples are divided otherwise")
-        fitted.starts(drive)
-
-
-def _rows(drive: Drive, rows: slice) -> Drive:
-    assert drive.accel is not None
-    return Drive(drive.time_s[rows], drive.temperature_degc[rows], drive.accel[rows])
+        fitted.starts(whole)
 
 
 def _checked(plugin: Plugin, name: str, method: Callable[..., Any]) -> Callable[..., Any]:
@@ -99,51 +100,25 @@ def _checked(plugin: Plugin, name: str, method: Callable[..., Any]) -> Callable[
             raise
         except Exception as error:  # whatever somebody else's code raises
             raise plugin.error(f"failed in {name}: {described(error, __file__)}") from error
-        if wrong := RESULTS.get(name, _anything)(result, [*given, *named.values()]):
+        if wrong := _wrong(name, result, [*given, *named.values()]):
             raise plugin.error(f"returned from {name} {wrong}")
         return result
 
     return call
 
 
-def _anything(_: object, __: list[Any]) -> str:
-    return ""
-
-
-def _list_of_effects(result: object, _: list[Any]) -> str:
-    if isinstance(result, list) and all(isinstance(one, Effect) for one in result):
+def _wrong(name: str, result: object, given: list[Any]) -> str:
+    """Return what is wrong with the result of a method; empty if nothing is."""
+    if name in LISTS:
+        is_list = isinstance(result, list) and all(isinstance(one, Effect) for one in result)
+        return "" if is_list else f"a {type(result).__name__}: expected a list of effects"
+    if name not in (*OF_SAMPLES, *MATRICES):
         return ""
-    return f"a {type(result).__name__}: expected a list of effects"
-
-
-def _of_each_sample(result: object, given: list[Any]) -> str:
-    return _array(result, (len(given[-1]),))
-
-
-def _matrix(result: object, given: list[Any]) -> str:
-    return _array(result, (len(given[-1]), given[0].width))
-
-
-def _array(result: object, shape: tuple[int, ...]) -> str:
-    """Return what is wrong with an array, empty if nothing is."""
+    shape = (len(given[-1]),) if name in OF_SAMPLES else (len(given[-1]), given[0].width)
     if not isinstance(result, np.ndarray):
         return f"a {type(result).__name__}: expected an array of shape {shape}"
     if result.shape != shape:
         return f"an array of shape {result.shape}: expected {shape}"
     if result.dtype != np.float64:
         return f"{result.dtype}: expected float64"
-    values: FloatArray = result
-    return "" if np.isfinite(values).all() else "values that are not finite"
-
-
-RESULTS: Mapping[str, Callable[[object, list[Any]], str]] = {
-    "grid": _list_of_effects,
-    "driven": _list_of_effects,
-    "of_curve": _list_of_effects,
-    "refined": _list_of_effects,
-    "advance": _matrix,
-    "columns": _matrix,
-    "added": _of_each_sample,
-    "simulate": _of_each_sample,
-}
-"""What is wrong with the result of a method, by its name."""
+    return "" if np.isfinite(result).all() else "values that are not finite"

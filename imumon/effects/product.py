@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import astuple
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
@@ -13,7 +12,7 @@ from imumon.blocks import FloatArray
 from imumon.effects.base import ACCEL, TEMPERATURE, Drive, Effect, Memory, Positive, Scale, Survey
 from imumon.effects.g_sensitivity import LEAST_RANGE
 
-Pair = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
+Two = Field(min_length=2, max_length=2)
 
 
 class Product(Effect):
@@ -28,11 +27,9 @@ class Product(Effect):
         "g_sensitivity": "each pose at several temperatures, and upside down",
         "temperature_curve": "a run at one temperature in which the other driver moves",
     }
-    drivers: Annotated[list[str], Field(min_length=2, max_length=2)]
-    middle: Pair = Field(default_factory=lambda: [0.0, 0.0])
-    half_span: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(
-        default_factory=lambda: [1.0, 1.0]
-    )
+    drivers: Annotated[list[str], Two]
+    middle: Annotated[list[FiniteFloat], Two] = [0.0, 0.0]  # noqa: RUF012 - the model copies it
+    half_span: Annotated[list[Positive], Two] = [1.0, 1.0]  # noqa: RUF012 - the model copies it
 
     @property
     def label(self) -> str:
@@ -59,25 +56,23 @@ class Product(Effect):
         """Return those of the specific force, where it varies: with the temperature, and with itself."""
         if survey.accel_range < LEAST_RANGE:
             return []
-        warm = cls(
-            drivers=[TEMPERATURE, ACCEL],
-            middle=[survey.middle_degc, 0.0],
-            half_span=[survey.half_span_degc, 1.0],
-        )
         square = cls(drivers=[ACCEL, ACCEL])
-        return [warm, square] if survey.thermal else [square]
+        return [*cls._with_temperature(survey, ACCEL, Scale(0.0, 1.0)), square]
 
     @classmethod
     def driven(cls, survey: Survey, driver: str) -> list[Self]:
         """Return that with the temperature."""
-        middle, half = astuple(survey.others[driver])
+        return cls._with_temperature(survey, driver, survey.others[driver])
+
+    @classmethod
+    def _with_temperature(cls, survey: Survey, driver: str, scale: Scale) -> list[Self]:
         if not survey.thermal:
             return []
         return [
             cls(
                 drivers=[TEMPERATURE, driver],
-                middle=[survey.middle_degc, middle],
-                half_span=[survey.half_span_degc, half],
+                middle=[survey.middle_degc, scale.middle],
+                half_span=[survey.half_span_degc, scale.half_span],
             )
         ]
 
@@ -88,19 +83,10 @@ class Product(Effect):
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - it has no memory
         """Return the products."""
         first, second = (
-            (_values(drive, name) - middle) / half
+            (np.reshape(drive.of(name), (len(drive), -1)) - middle) / half
             for name, middle, half in zip(self.drivers, self.middle, self.half_span, strict=True)
         )
         if first.shape[1] == second.shape[1] == 3:
             rows, columns = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
             return np.asarray(first[:, rows] * second[:, columns])
         return np.asarray(first * second if ACCEL in self.drivers else np.hstack([first * second, second]))
-
-
-def _values(drive: Drive, driver: str) -> FloatArray:
-    """Return a driver, (n, 1), or the specific force, (n, 3)."""
-    if driver != ACCEL:
-        return drive.of(driver)[:, np.newaxis]
-    if drive.accel is None:
-        raise ValueError("a product with the specific force needs it")
-    return drive.accel

@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, FiniteFloat, model_validator
+from pydantic import Field, FiniteFloat
 
 from imumon.blocks import FloatArray
 from imumon.effects.base import Drive, Effect, Memory, Positive, Survey, logarithmic
@@ -21,11 +21,6 @@ MOST_STEPS = 5
 random barriers and of stretched exponentials, in 20 min, in 2 h and in 20 h, before they are refined."""
 BEGUN = 1e-9
 """Share of a time constant: at power-on itself either integral is infinite, and their difference is not."""
-LONGEST = 1e9
-"""Longest end of a spectrum, in time constants, of which the shape at power-on is exact."""
-NOTHING_LEFT = 40.0
-"""E1 of that is 1e-19."""
-POINTS = 30000
 
 
 class StressRelaxation(Effect):
@@ -50,15 +45,6 @@ class StressRelaxation(Effect):
     time_constant_s: Positive
     ratio: Annotated[FiniteFloat, Field(gt=1.0)]
     steps: Annotated[int, Field(ge=1, le=MOST_STEPS)] = 1
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_today(cls, given: object) -> object:
-        if isinstance(given, dict) and "exponent" in given:
-            raise ValueError(
-                "a stretched exponential, which no longer is: find the effect again with imumon diagnose"
-            )
-        return given
 
     @property
     def width(self) -> int:
@@ -92,8 +78,11 @@ class StressRelaxation(Effect):
 
 @cache
 def _integral() -> tuple[FloatArray, FloatArray]:
-    """Return logarithms of x and E1(x), between which a line errs by 1.1e-7; calls take ten times as long."""
+    """Return log x and E1(x), from ends 1e9 time constants long to an E1 of 1e-19.
+
+    A line between these errs by 1.1e-7; calls of `exp1` would take ten times as long.
+    """
     from scipy.special import exp1  # 0.13 s, which no command spends that has no such effect
 
-    logarithm = np.linspace(np.log(BEGUN / LONGEST), np.log(NOTHING_LEFT), POINTS)
+    logarithm = np.linspace(np.log(1e-9 * BEGUN), np.log(40.0), 30_000)
     return logarithm, np.asarray(exp1(np.exp(logarithm)))

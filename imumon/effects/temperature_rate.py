@@ -16,10 +16,9 @@ FILTERS_S = (5.0, 15.0, 45.0)
 
 
 class TemperatureRate(DrivenEffect):
-    """The rate of the driver, in its unit per second.
+    """The rate of the driver behind a first-order filter of `smoothing_s`, in its unit per second.
 
-    Live it is the rate behind a first-order filter of `smoothing_s`; over a whole run, a difference of
-    means on both sides, which has no delay.
+    Over a whole run that of the temperature has no delay: it is a difference of means on both sides.
     """
 
     kind: Literal["temperature_rate"] = "temperature_rate"
@@ -50,18 +49,16 @@ class TemperatureRate(DrivenEffect):
 
         Of another driver, whose rate may change at any moment, the filter is part of what is looked for.
         """
-        if not self.of_temperature:
+        if not self.of_temperature or len(drive) < 2:
             return self.advance(Memory(), drive)
-        time, values, width = drive.time_s, drive.of(self.driver), 2 * self.smoothing_s
-        if len(time) < 2:
-            return np.zeros((len(time), 1))
-        steps = np.diff(time)
-        middle = 0.5 * (values[1:] + values[:-1])
-        integral = np.concatenate([[0.0], np.cumsum(middle * steps)])
-        low, high = np.clip(time - width, time[0], time[-1]), np.clip(time + width, time[0], time[-1])
-        at_low, at_high = np.interp(low, time, integral), np.interp(high, time, integral)
-        before, after = np.maximum(time - low, 0.0), np.maximum(high - time, 0.0)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            mean_before = np.where(before > 0, (integral - at_low) / before, values)
-            mean_after = np.where(after > 0, (at_high - integral) / after, values)
-        return np.asarray((mean_after - mean_before) / (0.5 * (before + after)))[:, np.newaxis]
+        time, values, width = drive.time_s, drive.of(self.driver), 2.0 * self.smoothing_s
+        area = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])
+        low, high = (np.clip(time + ahead, time[0], time[-1]) for ahead in (-width, width))
+        before, after = time - low, high - time
+        earlier = _mean(area - np.interp(low, time, area), before, values)
+        later = _mean(np.interp(high, time, area) - area, after, values)
+        return np.asarray((later - earlier) / (0.5 * (before + after)))[:, np.newaxis]
+
+
+def _mean(area: FloatArray, length: FloatArray, otherwise: FloatArray) -> FloatArray:
+    return np.divide(area, length, out=otherwise.copy(), where=length > 0)

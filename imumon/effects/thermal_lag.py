@@ -9,12 +9,9 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, Memory, NotNegative, Positive, Survey, logarithmic
-from imumon.effects.follower import Follower, sums_of
+from imumon.effects.base import RATIO, Drive, Memory, NotNegative, Positive, Survey, logarithmic
+from imumon.effects.follower import SHORTEST_S, Follower, sums_of
 
-SHORTEST_S = 20.0
-LONGEST_S = 1500.0
-RATIO = 1.3
 FAST_S = 60.0
 """A faster lag, in means of 30 s, is a rate: it has gone before the next mean."""
 UNTOLD_S = 0.5 * FAST_S
@@ -60,7 +57,7 @@ class ThermalLag(Follower):
     def driven(cls, survey: Survey, driver: str) -> list[Self]:
         """Return time constants up to a quarter of the shortest run; power-on finds it in equilibrium."""
         scale = asdict(survey.others[driver])
-        times = logarithmic(SHORTEST_S, min(LONGEST_S, survey.shortest_s / 4), RATIO**2)
+        times = logarithmic(SHORTEST_S, survey.shortest_s / 4, RATIO**2)
         return [cls(driver=driver, time_constant_s=tau, start_sd=0.0, **scale) for tau in times]
 
     @classmethod
@@ -98,4 +95,4 @@ class ThermalLag(Follower):
 
 
 def _times(survey: Survey) -> list[float]:
-    return logarithmic(SHORTEST_S, min(LONGEST_S, survey.shortest_s / 4), RATIO)
+    return logarithmic(SHORTEST_S, survey.shortest_s / 4)

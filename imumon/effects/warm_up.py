@@ -11,8 +11,7 @@ from imumon.blocks import FloatArray
 from imumon.effects.base import Drive, Effect, Memory, Positive, Survey, logarithmic
 
 SHORTEST_S = 60.0
-LONGEST_S = 2000.0
-RATIO = 1.3
+"""Two means of 30 s: a faster one is over in the first."""
 
 
 class WarmUp(Effect):
@@ -33,8 +32,7 @@ class WarmUp(Effect):
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
         """Return time constants up to a third of the shortest run: with longer ones it is a drift."""
-        times = logarithmic(SHORTEST_S, min(LONGEST_S, survey.shortest_s / 3), RATIO)
-        return [cls(time_constant_s=tau) for tau in times]
+        return [cls(time_constant_s=tau) for tau in logarithmic(SHORTEST_S, survey.shortest_s / 3)]
 
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - time is its memory
         """Return the decay."""
