@@ -234,14 +234,23 @@ def _proven_by_test(
                 size = float(np.sqrt(max(before.train_rms**2 - after.train_rms**2, 0.0)))
                 gain = leader.scored.gain
                 hits.append((left, Finding(candidate, gain, gain, {name: gain}, [], size, by_test=True)))
-    hits.sort(key=lambda hit: hit[0])
+    return chosen_by_test(hits)
+
+
+def chosen_by_test(hits: Sequence[tuple[float, Finding]]) -> Finding | None:
+    """Return, of effects with what they leave of the test, the one that leaves least; effects of other names
+    are not told apart from it."""
     if not hits:
         return None
-    best = hits[0][1]
-    alike = list(dict.fromkeys(finding.name for _, finding in hits))[:MOST_NAMES]
-    best.rivals = {finding.name: finding.gain for _, finding in hits}
-    best.alike = alike if len(alike) > 1 else []
-    best.others = {one.name: one.candidate for _, one in reversed(hits) if one.name in alike[1:]}
+    findings = [finding for _, finding in sorted(hits, key=lambda hit: hit[0])]
+    by_name: dict[str, Finding] = {}
+    for finding in findings:
+        by_name.setdefault(finding.name, finding)
+    names = list(by_name)[:MOST_NAMES]
+    best = findings[0]
+    best.rivals = {name: finding.gain for name, finding in by_name.items()}
+    best.alike = names if len(names) > 1 else []
+    best.others = {name: by_name[name].candidate for name in names[1:]}
     return best
 
 

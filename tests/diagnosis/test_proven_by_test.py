@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from imumon.diagnosis.blocks import make_blocks
+from imumon.diagnosis.candidates import Candidate
+from imumon.diagnosis.claims import chosen_by_test
 from imumon.diagnosis.engine import diagnose
 from imumon.diagnosis.likelihood import Likelihood
 from imumon.diagnosis.report import report
 from imumon.diagnosis.runs import Run
+from imumon.diagnosis.selection import Finding
 from imumon.effects.base import Drive
 from imumon.effects.hysteresis import Hysteresis
 from imumon.effects.step import EDGE_BLOCKS
@@ -46,6 +49,21 @@ def test_a_loop_that_training_cannot_prove_is_proven_by_what_it_predicts(
         assert "proven by the test alone, so the error there is no longer unseen" in verdict.summary
         (effect,) = report(diagnosis)["channels"]["gyro_x"]["effects"]
         assert effect["evidence"]["proven_by"] == "test"
+
+
+def test_effects_of_several_names_that_explain_the_test_are_not_told_apart() -> None:
+    def hit(left: float, name: str) -> tuple[float, Finding]:
+        return left, Finding(Candidate(name, ()), 9.0, 9.0, {}, [], 1.0, by_test=True)
+
+    best = chosen_by_test([hit(2.0, "drift"), hit(1.0, "warm_up"), hit(1.5, "warm_up")])
+    assert best is not None
+    assert best.name == "warm_up"
+    assert best.alike == ["warm_up", "drift"]
+    assert list(best.others) == ["drift"]
+    best = chosen_by_test([hit(1.0, "warm_up"), hit(1.5, "warm_up")])
+    assert best is not None
+    assert best.alike == []
+    assert chosen_by_test([]) is None
 
 
 def test_a_step_of_noise_that_jumps_by_itself_proves_less() -> None:
