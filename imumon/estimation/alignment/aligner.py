@@ -47,8 +47,8 @@ FIRST_FIT_S, LONGEST_REFIT_S = 10.0, 60.0
 fitted anew when its time at rest has grown by a third, which lowers sigma by an eighth."""
 LONGEST_GAP_S = 30.0
 """A longer gap in the data restarts the alignment."""
-MOST_POSITIONS, MOST_SIGMAS = 100, 400
-"""Only the latest positions enter a fit, which bounds its time; and so many sigmas the chart."""
+MOST_SIGMAS = 400
+"""Sigmas in the chart."""
 
 
 @dataclass
@@ -66,7 +66,7 @@ class SinceFit:
 
 @dataclass
 class State:
-    """State of the alignment."""
+    """State of the alignment that a restart drops."""
 
     motion: Motion = field(default_factory=Motion)
     positions: list[Position] = field(default_factory=list)
@@ -81,17 +81,12 @@ class State:
     """Directions of north by means of the gyros, beside the joint fit."""
     sigmas: list[tuple[float, float]] = field(default_factory=list)
     """Time at rest, s, and sigma, rad, of each fit."""
-    elapsed_s: float = 0.0
-    """From the first sample to the end of the last slot."""
     rest_s: float = 0.0
     """Time at rest."""
     due_s: float = FIRST_FIT_S
     """Time at rest at which the next fit is due."""
-    disturbed_s: float = 0.0
     settled_s: float | None = None
-    events: list[str] = field(default_factory=list)
-    disturbances: int = 0
-    restarts: int = 0
+    """Time since the first sample at which the heading settled; None if it is not settled."""
 
 
 class Aligner:
@@ -108,38 +103,43 @@ class Aligner:
         self.latitude = math.radians(latitude_deg)
         self.level_rate = EARTH_RATE * math.cos(self.latitude)
         self.earth_vertical = EARTH_RATE * math.sin(self.latitude)
+        known = parameters.known_warm_up
+        self.known_tau_s = np.array(known.time_constant_s if known else [1.0] * 3)
+        self.known_g = np.array(known.amplitude_ug if known else [0.0] * 3) * 1e-6
+        """Time constant and amplitude of the accelerometers' declared warm-up, (3,)."""
+        remaining = known.amplitude_sd_g if known else None
+        self.drifts = DRIFTS if remaining is None else (Drift(1.0, DRIFTS[0].walk, remaining),)
         self.state = State()
-        self.run = 0
-        """Number of segments of the device so far."""
         self.earlier_headings: list[PositionHeading] = []
         """Headings of the positions before the last restart."""
+        self.run = self.restarts = 0
+        """Numbers of segments of the device, and of restarts."""
+        self.elapsed_s = self.disturbed_s = 0.0
+        """Times from the first sample of the segment to the end of the last slot, and of motion in it."""
+        self.events: list[str] = []
+        """Messages that were not reported yet."""
 
     def begin_run(self) -> None:
         """Begin a segment of the device."""
         if self.state.positions:
             self.restart("the device started anew")
-        self.state = State(events=self.state.events, restarts=self.state.restarts)
+        self.state, self.elapsed_s, self.disturbed_s = State(), 0.0, 0.0
         self.run += 1
 
     def restart(self, why: str) -> None:
         """Drop all positions, and report the reason."""
-        self.earlier_headings, old = self.finish(), self.state
-        old.events.append(f"alignment: {why}: the alignment starts anew")
-        self.state = State(
-            elapsed_s=old.elapsed_s,
-            disturbed_s=old.disturbed_s,
-            events=old.events,
-            disturbances=old.disturbances,
-            restarts=old.restarts + 1,
-        )
+        self.earlier_headings = self.finish()
+        self.events.append(f"alignment: {why}: the alignment starts anew")
+        self.restarts += 1
+        self.state = State()
 
     def step(self, slot: Slot, magnetic: FloatArray, at_rest: bool, turns: Turns, k: int) -> None:
         """Process a slot with its mean magnetic field, (3,), the rest detector's flag, and turn k."""
-        gap_s = slot.begun_s - self.state.elapsed_s
+        gap_s = slot.begun_s - self.elapsed_s
         if self.state.positions and gap_s > LONGEST_GAP_S:
-            self.restart(f"samples are missing at {self.state.elapsed_s:.1f} s for {gap_s:.1f} s")
-        state, motion = self.state, self.state.motion
-        state.elapsed_s = slot.begun_s + SLOT_S
+            self.restart(f"samples are missing at {self.elapsed_s:.1f} s for {gap_s:.1f} s")
+        self.elapsed_s = slot.begun_s + SLOT_S
+        motion = self.state.motion
         outcome = motion.classify(slot, at_rest)
         if outcome is Outcome.WAITING:
             return
@@ -230,9 +230,8 @@ class Aligner:
         new = motion.angle > NEW_POSITION
         angle = math.degrees(-turned_about_vertical(before.attitude, attitude))
         sd = math.degrees(math.sqrt(variance))
-        state.disturbances += 1
-        state.disturbed_s += seconds
-        state.events.append(
+        self.disturbed_s += seconds
+        self.events.append(
             f"alignment: the unit turned at {begun_s:.1f} s for {seconds:.1f} s: left out; "
             f"{'a new position, ' if new else ''}turned by {angle:.2f}° ± {sd:.2f}° about the vertical"
         )
@@ -250,25 +249,12 @@ class Aligner:
         noise = math.sqrt(min((fit.white for fit in fits), default=0.0))
         return sensor_errors(noise, self.parameters, any(fit.yaw for fit in fits))
 
-    def _warm_up(self) -> tuple[FloatArray, FloatArray, Sequence[Drift]]:
-        """Return time constants, s, and amplitudes, g, of the declared warm-up, and drift models."""
-        known = self.parameters.known_warm_up
-        if known is None:
-            return np.ones(3), np.zeros(3), DRIFTS
-        drifts: Sequence[Drift] = DRIFTS
-        if known.amplitude_sd_ug is not None:
-            relative = known.time_constant_sd_s / float(np.mean(known.time_constant_s))
-            size = math.hypot(known.amplitude_sd_ug, relative * max(map(abs, known.amplitude_ug)))
-            drifts = [Drift(1.0, DRIFTS[0].walk, size * 1e-6)]
-        return np.array(known.time_constant_s), np.array(known.amplitude_ug) * 1e-6, drifts
-
     def _fit_position(self) -> None:
         """Fit the present position, and its plain and Hann-weighted mean of the gyros."""
         here, record = self.state.positions[-1], self._record
         if record.rows()[0].any():
-            tau_s, amplitude, drifts = self._warm_up()
-            data = levelled(record, here.attitude, self.earth_vertical, tau_s, amplitude)
-            here.fit = fit_position(data, self.earth_vertical, drifts)
+            data = levelled(record, here.attitude, self.earth_vertical, self.known_tau_s, self.known_g)
+            here.fit = fit_position(data, self.earth_vertical, self.drifts)
             self._update_means(data)
 
     def _update_means(self, data: Levelled) -> None:
@@ -293,7 +279,7 @@ class Aligner:
     def _update_heading(self, rest_s: float) -> None:
         """Update the heading from the fits of all positions, `rest_s` of which are in the present one."""
         state = self.state
-        fitted = [(one.fit, one.turn_variance) for one in state.positions if one.fit][-MOST_POSITIONS:]
+        fitted = [(one.fit, one.turn_variance) for one in state.positions if one.fit]
         fits, variances = zip(*fitted, strict=True)
         north = (
             state.posterior.north - state.since_fit.yaw
@@ -315,7 +301,7 @@ class Aligner:
         if not (self.observable and self.heading_sd <= 1.25 * wanted):
             state.settled_s = None
         elif state.settled_s is None and self.heading_sd <= wanted:
-            state.settled_s = state.elapsed_s
+            state.settled_s = self.elapsed_s
 
     @property
     def heading_sd(self) -> float:

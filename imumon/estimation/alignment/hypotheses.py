@@ -25,8 +25,6 @@ from imumon.estimation.alignment.sway import find_sway
 
 SETTLING_TAU_S = np.geomspace(5.0, 640.0, 8)
 """Time constants of a tripod that settles, in octaves."""
-NEIGHBOURS = 3
-"""Exponentials side by side in one hypothesis; ablation: a single one is up to 18 sigma off."""
 TILT_SD, STANDS_SD = np.array([1e-5, 1e-4, 1e-3]), 1e-9
 """rad: sizes of a tilt, and what is none."""
 P_SETTLES = 0.3
@@ -40,8 +38,6 @@ TEMPER = 0.7
 and the noise is estimated."""
 LARGEST_BIAS = 1e-3
 """rad/s: 200 °/h."""
-LEVEL_TREND_ORDER = 8
-"""Coefficients of the course of the level that is no noise."""
 
 
 class Drift(NamedTuple):
@@ -57,9 +53,12 @@ DRIFTS = (Drift(0.495, 1e-7, 0.0), Drift(0.495, 1e-7, 1e-4), Drift(0.01, 3e-6, 0
 without a step, one of 30 µg hides the north."""
 
 
-def tilt_hypotheses(neighbours: int) -> FloatArray:
-    """Return the prior sd of the amplitude of each exponential, rad, (19, 8): of a unit that stands, and of
-    each size of a tilt with neighbouring time constants."""
+def tilt_hypotheses(neighbours: int = 3) -> FloatArray:
+    """Return the prior sd of the amplitude of each exponential, rad, (19, 8).
+
+    The first hypothesis is that the unit stands; in the others some neighbouring exponentials have one size.
+    A single exponential, or all eight, would be up to 18 sigma off (ablation).
+    """
     rows = [np.full(len(SETTLING_TAU_S), STANDS_SD)]
     for first in range(len(SETTLING_TAU_S) - neighbours + 1):
         for size in TILT_SD:
@@ -68,7 +67,7 @@ def tilt_hypotheses(neighbours: int) -> FloatArray:
     return np.array(rows)
 
 
-TILTS = tilt_hypotheses(NEIGHBOURS)
+TILTS = tilt_hypotheses()
 
 
 class PositionFit(NamedTuple):
@@ -186,7 +185,7 @@ def _accelerometers(
     used, means = cells.used, cells.windows @ level
     time_s = row_s * level.size / (len(used) + 1) * np.arange(1.0, len(used) + 1)
     knocks_s, at_s = time_s[~used & np.r_[True, used[:-1]]], time_s[used]
-    noise, _, _ = scatter(means, used, LEVEL_TREND_ORDER)
+    noise, _, _ = scatter(means, used, TREND_ORDER)
     warm_up = -drift.warm_up_sd * np.expm1(-at_s[:, None] / WARM_UP_TAU_S)
     covariance = noise * cells.correlation + LEVEL_SD**2 + 1e-14 * np.eye(len(at_s))
     covariance += warm_up @ warm_up.T + drift.walk**2 * np.minimum.outer(at_s, at_s)

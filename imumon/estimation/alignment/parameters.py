@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any
 
 from pydantic import Field, field_validator
@@ -32,6 +33,14 @@ class KnownWarmUp(StrictModel):
     time_constant_s: Annotated[list[_Seconds], Field(min_length=3, max_length=3)]
     amplitude_sd_ug: float | None = Field(default=None, gt=0.0, le=1e5)
     time_constant_sd_s: float = Field(default=0.0, ge=0.0, le=1e5)
+
+    @property
+    def amplitude_sd_g(self) -> float | None:
+        """Standard deviation of what remains of the warm-up, g; None if it is not known."""
+        if self.amplitude_sd_ug is None:
+            return None
+        relative = self.time_constant_sd_s * len(self.time_constant_s) / sum(self.time_constant_s)
+        return 1e-6 * math.hypot(self.amplitude_sd_ug, relative * max(map(abs, self.amplitude_ug)))
 
     @field_validator("time_constant_s", mode="before")
     @classmethod

@@ -31,8 +31,6 @@ from imumon.geodesy import DEG_PER_H, EARTH_RATE
 
 LIKELY = -15.0
 """Log weight relative to the largest below which a hypothesis is dropped."""
-DIRECTIONS = 32
-"""Directions around the circle from which the search for the likeliest begins."""
 
 
 class ByNoise(NamedTuple):
@@ -57,8 +55,14 @@ LEVEL = ByNoise(7.5e-4, 1.4, 7.5e-4, 0.04)
 """Bias of an accelerometer, g."""
 LOG_SIZES, LOG_SIZE_SD = np.linspace(-4.0, 4.0, 9), 1.5
 """Logarithms of the sizes of a bias over that of the regression, and their standard deviation."""
-_FACTORS = (1.0, *np.exp([2.0, 4.0, 6.0, 8.0, 10.0]))
-WORSE = np.array([three for three in product(_FACTORS, repeat=3) if len({*three, 1.0}) == 2])
+WORSE = np.array(
+    [
+        np.where(axes, factor, 1.0)
+        for factor in np.exp([2.0, 4.0, 6.0, 8.0, 10.0])
+        for axes in product([False, True], repeat=3)
+        if any(axes)
+    ]
+)
 """Factors by which some gyros or all are worse than that, (35, 3): up to 200 °/h for the best of them."""
 P_WORSE, P_WORSE_CREEPING, P_NOT_DECLARED = 0.003, 0.15, 0.001
 """Prior probabilities that they are: as rare as a normal value beyond three sigmas; where the unit creeps, so
@@ -255,7 +259,7 @@ def _peaks(vector: FloatArray, matrix: FloatArray) -> tuple[FloatArray, FloatArr
         slope = across - (yy - xx) * c * s - xy * (c * c - s * s)
         return along - 0.5 * form, slope, along + xx + yy - 2.0 * form
 
-    around = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    around = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
     values = derivatives(around[:, None])[0]
     peak = (values >= np.roll(values, 1, axis=0)) & (values > np.roll(values, -1, axis=0))
     first = np.argmax(values, axis=0)

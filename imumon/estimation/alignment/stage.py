@@ -210,8 +210,8 @@ class Alignment:
             magnetic=aligner.magnetic_heading,
             device_yaw=self._yaw,
             rest_s=state.rest_s,
-            disturbed_s=state.disturbed_s,
-            elapsed_s=state.elapsed_s,
+            disturbed_s=aligner.disturbed_s,
+            elapsed_s=aligner.elapsed_s,
             roll=roll if aligner.resting else math.nan,
             pitch=pitch if aligner.resting else math.nan,
             arw=math.nan if fit is None else math.sqrt(fit.white),
@@ -219,8 +219,8 @@ class Alignment:
             accel_bias_sd=aligner.errors.level,
             bias_declared=self._parameters.gyro_bias_sd_deg_per_h is not None,
             tilt_probability=0.0 if posterior is None else posterior.settling,
-            disturbances=state.disturbances,
-            restarts=state.restarts,
+            disturbances=max(len(state.positions) - 1, 0),
+            restarts=aligner.restarts,
             wanted_sd=math.radians(self._parameters.settled_deg),
             horizontal_earth_rate=aligner.level_rate,
             positions=0 if last is None else last.number,
@@ -232,7 +232,7 @@ class Alignment:
     def _phase(self) -> str:
         aligner, state = self._aligner, self._aligner.state
         table = (
-            (not state.elapsed_s, "waiting"),
+            (not aligner.elapsed_s, "waiting"),
             (state.motion.moving, "disturbed"),
             (state.posterior is None, "coarse"),
             (not aligner.observable and state.rest_s > NOT_OBSERVABLE_S, "not observable"),
@@ -282,8 +282,7 @@ class Alignment:
 
     def notices(self) -> list[str]:
         """Return, once each, motions and restarts, and conditions that limit the heading."""
-        texts = list(self._aligner.state.events)
-        self._aligner.state.events.clear()
+        texts, self._aligner.events = self._aligner.events, []
         new = [text for text, true in self._conditions().items() if true and text not in self._reported]
         self._reported.update(new)
         return texts + new

@@ -1,12 +1,8 @@
-"""Narrow sways of a record: sines that are fitted to the gyros beside a slow course, strongest first.
-
-Each has an amplitude and a frequency that may change along the record, as a sway that swells or wanders.
-"""
+"""Narrow-band sways of a record: spectral lines that are fitted beside a slow course, strongest first."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,14 +16,17 @@ LINE_RATIO = 40.0
 a bin."""
 MIN_PERIODS = 1.5
 """A line with fewer periods in the record is left to the trend and the settling hypotheses."""
+FEW_PERIODS, RESIDUAL_SHARE = 5.0, 0.3
+"""A line with fewer periods than this must reduce the residual variance to this share: a knock has power at
+all frequencies, too."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sway:
-    """Fitted lines of a record.
+    """Fitted lines of a record of n rows.
 
-    `columns` (n, 4 l) are cosine and sine of each line, and both times the time from -1 to 1, of its
-    amplitude, rad/s; `rate` and `level` (n,) the sway of gyros and accelerometers, rad/s and rad.
+    `columns` (n, 4 l) are the courses of each line, of its amplitude, rad/s; `rate` and `level` (n,) the sway
+    of gyros and accelerometers, rad/s and rad, complex as in `record.Levelled`.
     """
 
     columns: FloatArray
@@ -41,61 +40,50 @@ def find_sway(rate: ColumnArray, level: ColumnArray, valid: BoolArray, slow: Flo
     slow = slow / np.sqrt(np.sum(slow**2, axis=0)) * valid[:, None]
     inverse = np.linalg.inv(slow.T @ slow + 1e-9 * np.eye(slow.shape[1]))
 
-    def beside(values: FloatArray) -> FloatArray:
+    def beside(values: ColumnArray) -> ColumnArray:
+        """Return valid values, (n, ...), less the slow courses fitted to them."""
         values = values * valid[:, None]
         return np.asarray(values - slow @ (inverse @ (slow.T @ values)))
 
-    data = beside(np.column_stack([rate.real, rate.imag, level.real, level.imag]))
-    left, taper = data[:, :2], (np.hanning(n + 2)[1:-1] * valid)[:, None]
-    columns, fitted, size = np.zeros((n, 0)), np.zeros((0, 4)), np.zeros(0)
+    data, taper = beside(np.column_stack([rate, level])), np.hanning(n + 2)[1:-1]
+    left, sways = data[:, 0], np.zeros((n, 2), complex)
+    columns, size = np.zeros((n, 0)), np.zeros(0)
     for _ in range(min(MAX_LINES, n // ROWS_PER_LINE)):
-        start = _strongest(left * taper)
-        if start is None:
+        omega = _strongest(left * taper)
+        if omega is None:
             break
-        omega = _refined(start, left, beside)
-        periods = omega * n / math.tau
-        line = np.column_stack([columns, _line(n, omega)])
-        clean = beside(line)
-        coefficients = _least_squares(clean, data)
-        remains = data[:, :2] - clean @ coefficients[:, :2]
-        if periods < MIN_PERIODS or abs(omega - start) * n > math.tau:
+        courses = np.column_stack([columns, _line(n, omega)])
+        fitted = beside(courses)
+        normal = fitted.T @ fitted
+        normal.flat[:: len(normal) + 1] *= 1.0 + 1e-9
+        amplitudes = np.linalg.solve(normal, fitted.T @ data)
+        remains = data[:, 0] - fitted @ amplitudes[:, 0]
+        reduced = np.vdot(remains, remains).real < RESIDUAL_SHARE * np.vdot(left, left).real
+        if omega * n < FEW_PERIODS * math.tau and not reduced:
             break
-        columns, fitted, left = line, coefficients, remains
-        swing = _line(n, omega) @ coefficients[-4:, :2]
-        size = np.r_[size, np.full(4, math.sqrt(2.0 * float(np.mean(swing**2))))]
-    sways = columns @ fitted
-    return Sway(columns * size, sways[:, 0] + 1j * sways[:, 1], sways[:, 2] + 1j * sways[:, 3])
+        columns, left, sways = courses, remains, courses @ amplitudes
+        swing = columns[:, -4:] @ amplitudes[-4:, 0]
+        size = np.r_[size, np.full(4, math.sqrt(2.0 * float(np.mean(np.abs(swing) ** 2))))]
+    return Sway(columns * size, sways[:, 0], sways[:, 1])
 
 
 def _line(n: int, omega: float) -> FloatArray:
-    """Return cosine, sine, and both times the time, (n, 4); omega in rad a row."""
+    """Return the courses of a line, (n, 4); omega in rad a row.
+
+    They are cosine and sine, and both times the time from -1 to 1: so the amplitude may change along the
+    record, and the frequency by a fraction of a period in the record.
+    """
     row = np.arange(n) - 0.5 * (n - 1)
     wave = np.column_stack([np.cos(omega * row), np.sin(omega * row)])
     return np.column_stack([wave, wave * (row / (0.5 * n))[:, None]])
 
 
-def _least_squares(columns: FloatArray, data: FloatArray) -> FloatArray:
-    normal = columns.T @ columns
-    normal.flat[:: len(normal) + 1] *= 1.0 + 1e-9
-    return np.asarray(np.linalg.solve(normal, columns.T @ data))
-
-
-def _strongest(left: FloatArray) -> float | None:
+def _strongest(left: ColumnArray) -> float | None:
     """Return the frequency of the strongest line, rad a row, or None when there is none."""
     n = len(left)
-    bins = 1 << (4 * n - 1).bit_length()  # at least four to a period in the record
+    bins = 1 << (8 * n - 1).bit_length()  # at least eight to a period in the record
     least = math.ceil(MIN_PERIODS * bins / n)
-    power = np.sum(np.abs(np.fft.rfft(left, bins, axis=0)) ** 2, axis=1)[: bins // 2]
-    power[:least] = 0.0
+    axes = np.column_stack([left.real, left.imag])
+    power = np.sum(np.abs(np.fft.rfft(axes, bins, axis=0)) ** 2, axis=1)[least : bins // 2]
     peak = int(np.argmax(power))
-    return 2.0 * math.pi * peak / bins if power[peak] > LINE_RATIO * np.median(power[least:]) else None
-
-
-def _refined(omega: float, left: FloatArray, beside: Callable[[FloatArray], FloatArray]) -> float:
-    """Return the frequency of a line after four Gauss-Newton steps, of 0.3 periods in the record at most."""
-    n = len(left)
-    for _ in range(4):
-        a, b, by_a, by_b = _least_squares(beside(_line(n, omega)), left)
-        step = float(np.sum(by_a * b - by_b * a) / np.sum(a * a + b * b)) / (0.5 * n)
-        omega += min(max(step, -0.3 * math.tau / n), 0.3 * math.tau / n)
-    return omega
+    return math.tau * (least + peak) / bins if power[peak] > LINE_RATIO * np.median(power) else None
