@@ -8,9 +8,8 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 
-from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import BLOCK_S, RunBlocks
-from imumon.diagnosis.figures import COLOURS, HOUR_S, shown, svg
+from imumon.diagnosis.figures import AFTER, BEFORE, HOUR_S, shown, svg
 from imumon.diagnosis.glance import residual
 from imumon.diagnosis.known import temperature_of
 from imumon.diagnosis.page import environment
@@ -70,10 +69,7 @@ def write_comparison(compared: Sequence[Compared], names: tuple[str, str], sessi
     for one in compared:
         scale, unit = shown(unit_of(one.channel))
         numbers = [f"{value * scale:.3g}" for value in one.rms]
-        drawn = [
-            svg(lambda axes, one=one: _in_time(axes, one, names)),  # type: ignore[misc]  # the default binds it
-            svg(lambda axes, one=one: _over_temperature(axes, one, names)),  # type: ignore[misc]  # the same
-        ]
+        drawn = [_drawn(one, names, over) for over in ("time since power-on, h", "temperature, °C")]
         rows.append(
             {"run": one.run, "channel": one.channel, "numbers": numbers, "unit": unit, "drawn": drawn}
         )
@@ -81,25 +77,16 @@ def write_comparison(compared: Sequence[Compared], names: tuple[str, str], sessi
     write_text(path, environment().get_template(TEMPLATE).render(**content))
 
 
-def _in_time(axes: Axes, one: Compared, names: tuple[str, str]) -> None:
-    _draw(axes, one, names, [blocks.time_s / HOUR_S for blocks in one.left])
-    axes.set_xlabel("time since power-on, h")
+def _drawn(one: Compared, names: tuple[str, str], over: str) -> str:
+    """Return what both models leave of a channel, over time or temperature, as SVG text."""
 
+    def draw(axes: Axes) -> None:
+        scale, unit = shown(unit_of(one.channel))
+        for blocks, name, colour in zip(one.left, names, (BEFORE, AFTER), strict=True):
+            x = blocks.time_s / HOUR_S if over.startswith("time") else blocks.temperature[one.temperature]
+            values = blocks.mean[one.channel]
+            axes.plot(x, (values - values.mean()) * scale, ".", ms=3, color=colour, label=name)
+        axes.set(xlabel=over, ylabel=f"{one.channel}, {unit}")
+        axes.legend(fontsize=6)
 
-def _over_temperature(axes: Axes, one: Compared, names: tuple[str, str]) -> None:
-    _draw(axes, one, names, [blocks.temperature[one.temperature] for blocks in one.left])
-    axes.set_xlabel("temperature, °C")
-
-
-def _draw(
-    axes: Axes,
-    one: Compared,
-    names: tuple[str, str],
-    at: Sequence[FloatArray],
-) -> None:
-    scale, unit = shown(unit_of(one.channel))
-    for blocks, x, name, colour in zip(one.left, at, names, (COLOURS[1], COLOURS[0]), strict=True):
-        values = blocks.mean[one.channel]
-        axes.plot(x, (values - values.mean()) * scale, ".", ms=3, color=colour, label=name)
-    axes.set_ylabel(f"{one.channel}, {unit}")
-    axes.legend(fontsize=6)
+    return svg(draw)

@@ -77,7 +77,8 @@ def _training(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict) ->
     for at, run in enumerate(runs):
         hours, colour = run.time_s / HOUR_S, COLOURS[at % len(COLOURS)]
         axes.plot(hours, before[at] * scale, ".", ms=3, color=colour, label=for_plot(run.name))
-        axes.plot(hours, (before[at] - after[at]) * scale, "-", lw=1, color=colour)
+        if verdict.claims:
+            axes.plot(hours, (before[at] - after[at]) * scale, "-", lw=1, color=colour)
     _labelled(axes, verdict, "left of", "time since power-on, h")
 
 

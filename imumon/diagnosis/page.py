@@ -62,9 +62,9 @@ def how_sure(verdict: ChannelVerdict) -> str:
         return f"There is no test that can be scored, so nothing proves it: {floor}."
     name, was = verdict.name, f"{_number(before * scale)} {unit}"
     if not verdict.claims:
-        return f"On recordings that the fit has not seen, {name} errs by {was}; {floor}."
+        return f"On recordings that the fit has not used, {name} errs by {was}; {floor}."
     return (
-        f"On recordings that the fit has not seen, the error of {name} goes from {was} to"
+        f"On recordings that the fit has not used, the error of {name} goes from {was} to"
         f" {_number(after * scale)} {unit}; {floor}."
     )
 
@@ -85,7 +85,9 @@ def _weight(verdict: ChannelVerdict) -> tuple[bool, float]:
 
 
 def _number(value: float) -> str:
-    return "" if not np.isfinite(value) else f"{value:.3g}"
+    if not np.isfinite(value):
+        return ""
+    return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
 
 
 def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, Any]:
