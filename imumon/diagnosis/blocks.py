@@ -232,22 +232,20 @@ class WhiteFloor:
 def white_floor(runs: Sequence[Run], channel: str, block_s: float = BLOCK_S) -> WhiteFloor:
     """Return the white floor of a channel from the scatter inside blocks.
 
-    The variance of the samples within a slot over their number is right for independent samples.  It is
-    compared with half the mean square difference of neighbouring means of 1, 2, 4 and 8 slots (an Allan
-    variance): an output filter makes the short ones too small, rounding makes them too large.  The first
-    that agrees with the next is taken.  The clock's is that of the delays at both ends of a block.
+    It is half the mean square difference of neighbouring means of 1, 2, 4 and 8 slots (an Allan variance): an
+    output filter makes the short ones too small, rounding makes them too large.  The first that agrees with
+    the next is taken.  The clock's is that of the delays at both ends of a block.
     """
     blocks = [_slots_of_blocks(run, channel, block_s) for run in runs]
     if channel == CLOCK:  # no step leads from one run to the next
         rates = [part for each in blocks for part in (each.mean(axis=1), [np.nan])]
         return WhiteFloor(block_noise(np.concatenate(rates)), "delays at the ends of blocks")
-    slot_s = runs[0].slot_s
-    found = [("samples inside seconds", _sample_variance(runs, channel) / block_s)]
-    found += [
-        (f"means of {step * slot_s:.0f} s inside blocks", _difference_variance(blocks, step))
-        for step in STEPS
+    variances = {step: _difference_variance(blocks, step) for step in STEPS}
+    found = [
+        (f"means of {step * runs[0].slot_s:.0f} s inside blocks", value)
+        for step, value in variances.items()
+        if np.isfinite(value)
     ]
-    found = [(source, value) for source, value in found if np.isfinite(value)]
     for (source, value), (_, following) in pairwise(found):
         if value > 0 and abs(following / value - 1.0) < PLATEAU:
             return WhiteFloor(float(np.sqrt(value)), source)
@@ -262,18 +260,6 @@ def _slots_of_blocks(run: Run, channel: str, block_s: float) -> FloatArray:
     width = max(1, round(block_s / run.slot_s))
     values = np.where(run.rest >= REST_SHARE, run.mean[channel], np.nan)
     return values[: len(values) // width * width].reshape(-1, width)
-
-
-def _sample_variance(runs: Sequence[Run], channel: str) -> float:
-    """Return the variance of the mean of a second from that of its samples; NaN with fewer than four."""
-    total, free, rate = 0.0, 0.0, 0.0
-    for run in runs:
-        variance, count = run.variance[channel], run.count[channel]
-        usable = (run.rest >= REST_SHARE) & np.isfinite(variance) & (count > 1)
-        total += float((variance[usable] * (count[usable] - 1)).sum())
-        free += float((count[usable] - 1).sum())
-        rate = max(rate, run.samples_per_slot(channel) / run.slot_s)
-    return total / free / rate if free > 0 and rate * runs[0].slot_s >= 4 else float("nan")
 
 
 def _difference_variance(runs: Sequence[FloatArray], step: int) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,11 +11,8 @@ from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import BLOCK_S, RunBlocks
 from imumon.diagnosis.runs import CHANNELS, Run
 from imumon.effects.base import DrivenEffect, Scale, Survey
-from imumon.effects.drift import Drift
 from imumon.effects.library import EFFECTS
 from imumon.effects.product import Product
-from imumon.effects.thermal_lag import ThermalLag
-from imumon.effects.warm_up import WarmUp
 from imumon.errors import ImumonError, Reason
 
 OPERATORS = sum(issubclass(kind, (DrivenEffect, Product)) for kind in EFFECTS.values())
@@ -23,8 +20,6 @@ OPERATORS = sum(issubclass(kind, (DrivenEffect, Product)) for kind in EFFECTS.va
 SHADOW = 0.02
 """A driver of whose variance less is left beside temperature and time is reported to go with them: the sigma
 of its coefficient is seven times that of one by itself."""
-TIMES_S = (100.0, 300.0, 1000.0)
-"""Time constants of lags and warm-ups that a driver is compared with; those between are near one of them."""
 
 
 def recorded(
@@ -86,7 +81,9 @@ def _means(runs: Sequence[RunBlocks], temperature: str) -> dict[str, FloatArray]
 
 def shadows(runs: Sequence[RunBlocks], temperature: str, scale: Scale, degree: int) -> list[str]:
     """Return the drivers that go with temperature and time in these runs: nothing separates them."""
-    basis = np.linalg.qr(np.concatenate([_regressors(run, temperature, scale, degree) for run in runs]))[0]
+    u = (np.concatenate([run.temperature[temperature] for run in runs]) - scale.middle) / scale.half_span
+    time_s = np.concatenate([run.time_s for run in runs])
+    basis = np.linalg.qr(np.column_stack([u[:, np.newaxis] ** np.arange(degree + 3), time_s]))[0]
     found = []
     for name, values in _means(runs, temperature).items():
         centred = values - values.mean()
@@ -94,13 +91,3 @@ def shadows(runs: Sequence[RunBlocks], temperature: str, scale: Scale, degree: i
         if left @ left < SHADOW * (centred @ centred):
             found.append(name)
     return found
-
-
-def _regressors(run: RunBlocks, temperature: str, scale: Scale, degree: int) -> FloatArray:
-    """Return powers of the temperature, lags of it, warm-ups and a drift as block means, (n, k)."""
-    place = asdict(scale)
-    lags = [ThermalLag(time_constant_s=tau, **place) for tau in TIMES_S]
-    others = [Drift(), *(WarmUp(time_constant_s=tau) for tau in TIMES_S)]
-    u = (run.temperature[temperature] - scale.middle) / scale.half_span
-    parts = [run.average(effect.columns(run.drives[temperature])) for effect in (*lags, *others)]
-    return np.column_stack([u[:, np.newaxis] ** np.arange(degree + 3), *parts])

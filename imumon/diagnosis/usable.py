@@ -113,13 +113,11 @@ def sound(runs: Sequence[Run], channels: Sequence[str], caveats: list[str]) -> l
                     f"{run.name}: {name} does not change in {share:.0%} of its time: too few digits"
                 )
                 continue
-            values = mean[name][still]
+            values, limits = mean[name][still], (np.nanmin(mean[name]), np.nanmax(mean[name]))
             if one is not None and np.isclose(values, one.atom, rtol=1e-9, atol=0.0).any():
-                stuck = one.place == "inside"
                 samples[name] = one.without(share)
-            else:
-                stuck = not np.isin(values, (np.nanmin(mean[name]), np.nanmax(mean[name]))).all()
-            seconds, what = still.sum() * run.slot_s, "stuck" if stuck else "saturated"
+            seconds = still.sum() * run.slot_s
+            what = "saturated" if np.isin(values, limits).all() else "stuck"
             caveats.append(f"{run.name}: {name} is {what} for {seconds:.0f} s; they are left out")
             mean[name] = np.where(still, np.nan, mean[name])
             variance[name] = np.where(still, np.nan, variance[name])
