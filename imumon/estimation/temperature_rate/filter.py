@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.gate import Gate, Outcome, spans_a_fault
+from imumon.estimation.temperature_rate.gate import Gate, Outcome
 from imumon.estimation.temperature_rate.measurement import Correction, Predicted, evaluate, predicted_reading
 from imumon.estimation.temperature_rate.model import (
     ACCELERATION,
@@ -91,20 +91,16 @@ class State:
         self.thermometer.begin()
 
 
-def start(params: Params, thermometer: Thermometer, reading: Reading, models: FloatArray | None) -> Filters:
-    """Return filters that begin at a slot's mean with any rate.
-
-    `models` (k,) are the probabilities of the noise models; None if nothing is known of them.
-    """
+def start(params: Params, thermometer: Thermometer, reading: Reading) -> Filters:
+    """Return filters that begin at a slot's mean with any rate."""
     k, m = params.models.shape[1], len(params.jerk_psds)
-    models = np.full(k, 1.0 / k) if models is None else models
     x, p = np.zeros((STATES, k, m)), np.zeros((STATES, STATES, k, m))
     x[TEMPERATURE] = reading.mean
     p[TEMPERATURE, TEMPERATURE] = thermometer.noise_scale + reading.variance
     p[RATE, RATE] = FASTEST_RATE**2
     p[ACCELERATION, ACCELERATION] = np.minimum(START_ACCELERATION**2, np.array(params.jerk_psds) * START_S)
     p[ERROR, ERROR] = slow_error(params, thermometer)[0]
-    return Filters(x, p, np.repeat(models[:, np.newaxis] / m, m, axis=1), reading.time_s)
+    return Filters(x, p, np.full((k, m), 1.0 / (k * m)), reading.time_s)
 
 
 def slow_error(params: Params, thermometer: Thermometer) -> tuple[FloatArray, FloatArray]:
@@ -151,34 +147,27 @@ def step(params: Params, state: State, reading: Reading) -> Output:
     fresh = thermometer.learn(reading) if reading.count else None
     if reading.end_s - gate.used_s > GAP_S:
         state.filters, state.output = None, Output()
-    filters = state.filters
-    if filters is None:
-        dead = thermometer.is_dead(reading.time_s)
-        if fresh is None or dead or gate.is_stuck(reading) or spans_a_fault(reading, thermometer):
-            return state.output
-        return _restart(params, state, reading)
-    predict(params, filters, reading.time_s if fresh is None else fresh.time_s, thermometer)
-    y = predicted_reading(filters.x, filters.p)
-    output_only = None
+    filters, expected = state.filters, None
+    if filters is not None:
+        predict(params, filters, reading.time_s if fresh is None else fresh.time_s, thermometer)
+        y = predicted_reading(filters.x, filters.p)
+        expected = mixture(filters.mu, y.mean, y.variance)
+    outcome, output_only = Outcome.PREDICT, None
     if fresh is not None:
-        outcome = gate.decide(fresh, thermometer, *mixture(filters.mu, y.mean, y.variance))
-        repeat_found = thermometer.repeat_s > 0.0 and not repeated
-        if outcome is Outcome.RESTART or (outcome is Outcome.PREDICT and repeat_found):
-            return _restart(params, state, fresh, None if repeat_found else filters.mu.sum(axis=1))
-        if outcome is Outcome.USE:
-            square_rate = filters.x[RATE] ** 2 + filters.p[RATE, RATE]
-            correction, output_only = evaluate(params, thermometer, fresh, y, square_rate)
-            correct(params, filters, y, correction)
-    state.output = _output(params, state, filters, y, output_only, reading.end_s)
-    return state.output
-
-
-def _restart(params: Params, state: State, reading: Reading, models: FloatArray | None = None) -> Output:
-    state.filters = filters = start(params, state.thermometer, reading, models)
-    state.gate.accept(reading)
-    state.output = Output()
+        outcome = gate.decide(fresh, thermometer, expected)
+        if expected and outcome is Outcome.PREDICT and thermometer.repeat_s > 0.0 and not repeated:
+            outcome = Outcome.RESTART  # repeated readings were taken for new ones
+        if outcome is Outcome.RESTART:
+            gate.accept(fresh)
+            filters, state.output = start(params, thermometer, fresh), Output()
+    if filters is None:
+        return state.output
     y = predicted_reading(filters.x, filters.p)
-    state.output = _output(params, state, filters, y, None, reading.end_s)
+    if fresh is not None and outcome is Outcome.USE:
+        square_rate = filters.x[RATE] ** 2 + filters.p[RATE, RATE]
+        correction, output_only = evaluate(params, thermometer, fresh, y, square_rate)
+        correct(params, filters, y, correction)
+    state.filters, state.output = filters, _output(params, state, filters, y, output_only, reading.end_s)
     return state.output
 
 

@@ -4,8 +4,9 @@ One decision table, evaluated top down, per slot:
 
 | the slot | outcome |
 |---|---|
-| has no readings, or noise of more than a step has stopped: a dead sensor | PREDICT |
+| shows that noise of more than a step has stopped: a dead sensor | PREDICT |
 | spans more than any noise: a spike | PREDICT |
+| comes where there is no estimate, and is not stuck | RESTART |
 | is where a temperature may be by now, and not stuck | USE |
 | is an outlier, and the reading had never changed: the code before was a value at power-on | RESTART |
 | is an outlier, and just proves that readings are repeated, which were taken for new ones | RESTART |
@@ -60,23 +61,36 @@ class Gate:
     constant: bool = False
     """Whether the reading is the same since."""
 
-    def decide(self, reading: Reading, thermometer: Thermometer, mean: float, variance: float) -> Outcome:
-        """Return the outcome of a slot; mean and variance are of the predicted reading, °C and °C²."""
-        dead = thermometer.is_dead(reading.time_s)
-        if not reading.count or dead or spans_a_fault(reading, thermometer):
+    def decide(
+        self, reading: Reading, thermometer: Thermometer, expected: tuple[float, float] | None
+    ) -> Outcome:
+        """Return the outcome of a slot that has readings.
+
+        Parameters
+        ----------
+        expected : tuple of float, optional
+            Mean and variance of the predicted reading, °C and °C²; None without an estimate.
+        """
+        widest = max(thermometer.step, COARSEST_DEGC, math.sqrt(thermometer.scatter))
+        if thermometer.is_dead(reading.time_s) or reading.high - reading.low > GATE_SIGMA * widest:
             return Outcome.PREDICT
+        same = reading.low == reading.high == self.outlier_degc
+        sticks = self.rejected > 0 and self.constant and same
+        if expected is None:
+            return Outcome.PREDICT if sticks else Outcome.RESTART
+        mean, variance = expected
         noise = variance + thermometer.step**2 + thermometer.scatter + thermometer.rho
         moved = FASTEST_RATE * (reading.time_s - self.used_s + SLOT_S)
         reach = max(GATE_STEPS * thermometer.step, moved, GATE_SIGMA * math.sqrt(noise))
         # What has not been observed for long could be anywhere, but no more where the thermometer sticks.
-        if max(reading.high - mean, mean - reading.low) < reach and not self.is_stuck(reading):
+        if max(reading.high - mean, mean - reading.low) < reach and not sticks:
             self.accept(reading)
             self.has_changed |= reading.changes > 0
             return Outcome.USE
         if not self.rejected:
             self.outlier_degc, self.constant = reading.last, True
         else:
-            self.constant &= reading.low == reading.high == self.outlier_degc
+            self.constant &= same
         self.rejected += 1
         lasts = self.rejected >= GATE_SLOTS and not self.constant
         return Outcome.RESTART if lasts or not self.has_changed else Outcome.PREDICT
@@ -91,13 +105,3 @@ class Gate:
     def neighbour_s(self) -> float:
         """Readings farther apart than this are no neighbours, s."""
         return max(NEIGHBOUR_S, LATE_INTERVALS * self.interval_s)
-
-    def is_stuck(self, reading: Reading) -> bool:
-        """Return whether readings leapt as no temperature does, and are exactly the same since."""
-        return self.rejected > 0 and self.constant and reading.low == reading.high == self.outlier_degc
-
-
-def spans_a_fault(reading: Reading, thermometer: Thermometer) -> bool:
-    """Return whether a slot spans more than the noise and steps of any thermometer."""
-    noise = max(thermometer.step, COARSEST_DEGC, math.sqrt(thermometer.scatter))
-    return reading.high - reading.low > GATE_SIGMA * noise

@@ -90,32 +90,26 @@ class MultipleModelRate:
             self._before = (math.nan, -math.inf)
         start_s, end_s = (int(ns[i] - self._origin_ns) * 1e-9 for ns in (slots.start_ns, slots.end_ns))
         before, before_s = self._before
-        mean, variance, low, high, first, last, squares = (
-            float(values[i, 0])
-            for values in (
-                slots.mean, slots.variance, slots.smallest, slots.largest, slots.first, slots.last,
-                slots.step_squares,
-            )
-        )  # fmt: skip
+        first = float(slots.first[i, 0])
         if not start_s - before_s < self.state.gate.neighbour_s:
             before = first
         reading = Reading(
             start_s=start_s,
             end_s=end_s,
             count=int(slots.count[i, 0]),
-            mean=mean,
-            variance=variance,
-            low=low,
-            high=high,
+            mean=float(slots.mean[i, 0]),
+            variance=float(slots.variance[i, 0]),
+            low=float(slots.smallest[i, 0]),
+            high=float(slots.largest[i, 0]),
             before=before,
             first=first,
-            last=last,
+            last=float(slots.last[i, 0]),
             changes=max(int(slots.changes[i, 0]), int(before != first)),
-            step_squares=squares,
+            step_squares=float(slots.step_squares[i, 0]),
             gap_s=(end_s - self._end_s) / int(slots.samples[i]),
         )
         if reading.count:
-            self._before = (last, end_s)
+            self._before = (reading.last, end_s)
         self._end_s = end_s
         return reading
 
@@ -204,11 +198,7 @@ class TemperatureRate:
         """
         reading = self._reading(channel, block)
         valid = np.flatnonzero(np.isfinite(reading))
-        first = 0
-        if channel not in self._last:
-            if not len(valid):
-                return [np.full(len(block), np.nan) for _ in range(4)]
-            first = int(valid[0])
+        first = 0 if channel in self._last else int(valid[0]) if len(valid) else len(block)
         if len(valid):
             self._compare_step(channel, reading[valid])
             self._last[channel] = float(reading[valid[-1]])
@@ -217,8 +207,9 @@ class TemperatureRate:
         if isinstance(method, MultipleModelRate) and method.stuck is not None:
             text = f"it leapt to {method.stuck:g} °C, as no temperature does, and stuck there: "
             self._notice(channel, "stuck", text + "taken for a fault of the thermometer until it changes")
-        parts = (result.temperature, result.rate, result.temperature_sd, result.rate_sd)
-        return [np.concatenate([np.full(first, np.nan), part]) for part in parts] if first else parts
+        estimates = np.full((4, len(block)), np.nan)
+        estimates[:, first:] = result.temperature, result.rate, result.temperature_sd, result.rate_sd
+        return [*estimates]
 
     def _reading(self, channel: str, block: SampleBlock) -> FloatArray:
         """Return the readings, NaN where there is none or it is out of range."""
