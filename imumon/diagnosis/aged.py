@@ -7,7 +7,6 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.diagnosis.blocks import REST_SHARE
 from imumon.diagnosis.runs import SECOND_NS, Run, add_vibration
 from imumon.recordings.reduced import GYRO, KeptSlots
 
@@ -60,7 +59,7 @@ class AgedRun:
             self._sums[half:] = 0.0
             self._width *= 2
         count = part.count[:, :-1].astype(np.float64)
-        count[:, self._gyros] *= (part.mean[:, -1] >= REST_SHARE)[:, np.newaxis]
+        count[:, self._gyros] *= (part.mean[:, -1] == 1.0)[:, np.newaxis]
         mean, variance = (np.where(count > 0, part_of[:, :-1], 0.0) for part_of in (part.mean, part.variance))
         more = np.stack([count, mean * count, variance * count, np.maximum(count - 1.0, 0.0)], axis=1)
         np.add.at(self._sums, second // self._width, more)

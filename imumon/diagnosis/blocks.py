@@ -18,10 +18,6 @@ LEAST_BLOCKS = 40
 """Of a training: ten for each coefficient of a cubic."""
 LEAST_SLOTS = 6
 """Slots in a block: halves and thirds of it are blocks, too, and differences inside show the white floor."""
-LEAST_SHARE = 0.5
-"""A block with less of its time at rest is a gap."""
-REST_SHARE = 0.99
-"""Share of a slot's samples at rest for the slot to count."""
 PLATEAU = 0.1
 """Two estimates of the white variance that differ by less, as a share of it, agree."""
 STEPS = (1, 2, 4, 8)
@@ -54,7 +50,8 @@ class RunBlocks:
     drives: dict[str, Drive]
     """What drives the effects, each slot, for each temperature; gaps are bridged."""
     weight: FloatArray
-    """Of each slot in the means, (slots,): samples, over those of a whole slot."""
+    """Of each slot in the means, (slots,): samples, over those of a whole slot.  A block is a gap where it is
+    less than half a block's."""
     slots: int
     duration_s: float
     pose: IntArray
@@ -69,7 +66,7 @@ class RunBlocks:
     def average(self, columns: FloatArray) -> FloatArray:
         """Return block means (n, k) of columns (slots, k)."""
         means, share = _block_means(columns, self.weight, self.slots)
-        return means[share >= LEAST_SHARE]
+        return means[share >= 0.5]
 
 
 def make_blocks(
@@ -83,7 +80,7 @@ def make_blocks(
 
     `drivers` are what may drive effects besides the temperatures.
     """
-    valid = run.rest >= REST_SHARE
+    valid = run.at_rest
     for name in channels:
         valid = valid & np.isfinite(run.mean[name])
     accel = _filled([run.mean.get(f"accel_{axis}") for axis in "xyz"], run.time_s)
@@ -104,7 +101,7 @@ def make_blocks(
     weight = np.zeros(len(count))
     weight[valid] = count[valid] / run.samples_per_slot(channels[0])
     means, share = _block_means(parts, weight, slots)
-    keep = share >= LEAST_SHARE
+    keep = share >= 0.5
     means = means[keep]
     first = 2 + len(channels)
     return RunBlocks(
@@ -258,7 +255,7 @@ def white_floor(runs: Sequence[Run], channel: str, block_s: float = BLOCK_S) -> 
 def _slots_of_blocks(run: Run, channel: str, block_s: float) -> FloatArray:
     """Return the slots of each whole block, (blocks, slots), NaN where the unit is not at rest."""
     width = max(1, round(block_s / run.slot_s))
-    values = np.where(run.rest >= REST_SHARE, run.mean[channel], np.nan)
+    values = np.where(run.at_rest, run.mean[channel], np.nan)
     return values[: len(values) // width * width].reshape(-1, width)
 
 

@@ -11,7 +11,7 @@ from imumon.blocks import ColumnArray, SampleBlock
 from imumon.charts import BLUE, RED, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.diagnosis.aged import AgedRun
-from imumon.diagnosis.blocks import BLOCK_S, REST_SHARE, common_block_s
+from imumon.diagnosis.blocks import BLOCK_S, common_block_s
 from imumon.diagnosis.glance import Better, better_models, known_to
 from imumon.diagnosis.runs import DRIVERS, LONGEST_GAP_S, SECOND_NS, Run, further_columns
 from imumon.diagnosis.selection import MOST_NAMES
@@ -177,7 +177,7 @@ class LiveDiagnosis:
     def evidence(self, session: str, sha256: str) -> TrainedOn:
         """Return what a learned model says of this session."""
         run = self._run()
-        at_rest = run.rest >= REST_SHARE
+        at_rest = run.at_rest
         known = [run.mean[name] for name in self._temperatures if name in run.mean]
         temperature = np.concatenate([values[at_rest & np.isfinite(values)] for values in known])
         gyro = self._gyros[0]

@@ -14,15 +14,11 @@ KEPT = 100_000
 """Samples of a channel that are kept, evenly spaced over the recording, to bound the memory."""
 FREQUENT, TIMES_MORE = 0.01, 10.0
 """A value with this share of all samples, and so many times more than its neighbours, is not by chance."""
-LEAST_RATIO = 0.2
-"""Noise in steps below which it is not estimated: hardly any sample leaves its step."""
 REPEATED = 0.3
 """Share of samples equal to the one before that is reported: by chance 0.14, for steps of half the noise."""
 LOUDER = 1.3
 """Ratio of the noise at the cold and at the warm end that is reported: of 20 slots of 20 samples it is known
 to 5 %."""
-OF_VALUE = {"end": "saturated", "apart": "dropouts", "inside": "dead-band"}
-"""What a frequent value is called, by its place among the other values."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,9 +35,9 @@ class Samples:
         Share of the samples that equal the one before.
     ratio : float
         Noise before rounding, in steps; infinite where steps are far finer.
-    atom, atom_share, place
+    atom, atom_share, kind
         The value that is far more frequent than its neighbours (NaN without one), its share of all samples,
-        and whether it is inside the others, at their end, or apart from them.
+        and what that is: inside the other values a dead-band, at their end saturated, apart dropouts.
     """
 
     step: float
@@ -50,14 +46,14 @@ class Samples:
     ratio: float = np.inf
     atom: float = np.nan
     atom_share: float = 0.0
-    place: str = "inside"
+    kind: str = ""
 
     def without(self, share: float) -> Samples:
         """Return the statistics of the rest where the frequent value stood still in this share of samples."""
         left = max(self.atom_share - share, 0.0) / (1.0 - share)
         repeated = max(self.repeated - share, 0.0) / (1.0 - share)
         if left < FREQUENT:
-            return replace(self, repeated=repeated, atom=np.nan, atom_share=0.0, place="inside")
+            return replace(self, repeated=repeated, atom=np.nan, atom_share=0.0, kind="")
         return replace(self, repeated=repeated, atom_share=left)
 
 
@@ -114,11 +110,11 @@ def _samples(values: FloatArray, noise: float, repeated: float) -> Samples:
     coarse = step > 0.0 and not step < noise
     if coarse or len(distinct) < 3 or share < FREQUENT or count[at] < TIMES_MORE * max(beside, 1):
         return found
-    place = "inside"
+    kind = "dead-band"
     if at in (0, len(distinct) - 1):
         gap = abs(distinct[at] - distinct[1 if at == 0 else -2])
-        place = "apart" if gap > noise else "end"
-    return replace(found, atom=float(distinct[at]), atom_share=share, place=place)
+        kind = "dropouts" if gap > noise else "saturated"
+    return replace(found, atom=float(distinct[at]), atom_share=share, kind=kind)
 
 
 def standing(mean: FloatArray, variance: FloatArray, least: float) -> BoolArray:
@@ -161,8 +157,7 @@ def _coarse_digits(found: Samples, unit: str, floor: float) -> Fault | None:
     """Return digits whose noise is too small to average what lies between them."""
     if not found.step > 0.0 or mean_error(found.step, found.ratio) < 0.5 * floor:
         return None
-    times = f"{1 / found.ratio:.1f}" if found.ratio > LEAST_RATIO else f"more than {1 / LEAST_RATIO:.0f}"
-    text = f"quantized: steps of {found.step:.3g} {unit}, {times} times the noise"
+    text = f"quantized: steps of {found.step:.3g} {unit}, about {1 / found.ratio:.2g} times the noise"
     return Fault(text, largest_error(found.step, found.ratio))
 
 
@@ -171,7 +166,7 @@ def _frequent_value(found: Samples, unit: str, _: float) -> Fault | None:
     if not found.atom_share > 0.0:
         return None
     value = f"{found.atom_share:.1%} of the samples are {found.atom + 0.0:.4g} {unit}"
-    return Fault(f"{OF_VALUE[found.place]}: {value}", np.inf)
+    return Fault(f"{found.kind}: {value}", np.inf)
 
 
 def _repeats(found: Samples, _: str, __: float) -> Fault | None:

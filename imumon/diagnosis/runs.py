@@ -30,7 +30,7 @@ FIRST_ROWS = 1000
 LONGEST_GAP_S = 6 * 3600
 """A longer gap begins another run: the state of the unit after it is unknown."""
 SHORTEST_RUN_S = 300.0
-"""A shorter run, as restarts leave them, is passed over: it has ten means of 30 s."""
+"""A run that is shorter, or not as long at rest, is not used: it has fewer than ten means of 30 s."""
 STRETCHES = 12
 """Alternating stretches of a single run for training and test; of two halves one may lack an end of the
 temperatures, of single blocks both have the same flicker."""
@@ -86,6 +86,11 @@ class Run:
     def duration_s(self) -> float:
         """Length in seconds."""
         return len(self.time_s) * self.slot_s
+
+    @property
+    def at_rest(self) -> BoolArray:
+        """Slots in which the unit was at rest all the time, (n,)."""
+        return np.asarray(self.rest == 1.0)
 
     def samples_per_slot(self, channel: str) -> float:
         """Return the mean number of samples in a slot that no gap cuts: its neighbours have samples, too."""

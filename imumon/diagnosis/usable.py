@@ -9,25 +9,17 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.clock.channel import CLOCK
-from imumon.diagnosis.blocks import BLOCK_S, LEAST_BLOCKS, REST_SHARE, RunBlocks, make_blocks
+from imumon.diagnosis.blocks import BLOCK_S, LEAST_BLOCKS, LEAST_SLOTS, RunBlocks, make_blocks
 from imumon.diagnosis.quality import Fault, noise_over_temperature, sample_faults, standing
-from imumon.diagnosis.runs import CHANNELS, Run, channels_of, common_temperature, unit_of
+from imumon.diagnosis.runs import CHANNELS, SHORTEST_RUN_S, Run, channels_of, common_temperature, unit_of
 from imumon.errors import ImumonError, Reason
 
-LEAST_RUN_BLOCKS = 8
-"""A run with fewer is not used: it adds no more than its own constant and slope."""
-LEAST_REST = 0.5
-"""Share of a run at rest below which the unit moves."""
 LEAST_THERE = 0.1
 """Share of its time in which a channel that is used has samples."""
 MANY_GAPS = 0.2
 """Share of a run left out that is reported."""
 RESOLUTION = 1e-12
 """Share of its value below which the changes of a channel are rounding in the computation of its means."""
-COARSE = 0.5
-"""A channel that does not change in more of its time has too few digits; otherwise it is stuck."""
-LEAST_STILL = 6
-"""Slots of one value, and 30 s, that are a fault."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,12 +95,13 @@ def sound(runs: Sequence[Run], channels: Sequence[str], caveats: list[str]) -> l
         for name in channels:
             if name not in mean:
                 continue
-            still = standing(mean[name], variance[name], max(LEAST_STILL, BLOCK_S / run.slot_s))
+            still = standing(mean[name], variance[name], max(LEAST_SLOTS, BLOCK_S / run.slot_s))
             if not still.any():
                 continue
             share = float(still.sum() / np.isfinite(mean[name]).sum())
             one = samples.get(name)
-            if share > COARSE or (one is not None and one.step > one.noise * np.sqrt(1.0 - one.repeated)):
+            # What stands still most of the time is not stuck.
+            if share > 0.5 or (one is not None and one.step > one.noise * np.sqrt(1.0 - one.repeated)):
                 caveats.append(
                     f"{run.name}: {name} does not change in {share:.0%} of its time: too few digits"
                 )
@@ -137,12 +130,12 @@ def faults(runs: Sequence[Run], channel: str, temperature: str, floor: float) ->
 
 def resting(run: Run) -> bool:
     """Return whether the unit was at rest for most of a run."""
-    return any(_rest_share(run, name) >= LEAST_REST for name in CHANNELS if name in run.mean)
+    return any(_rest_share(run, name) >= 0.5 for name in CHANNELS if name in run.mean)
 
 
 def _rest_share(run: Run, channel: str) -> float:
     there = np.isfinite(run.mean[channel])[run.earlier :]
-    return float((run.rest[run.earlier :][there] >= REST_SHARE).mean()) if there.any() else 0.0
+    return float(run.at_rest[run.earlier :][there].mean()) if there.any() else 0.0
 
 
 def blocks_of_training(
@@ -191,11 +184,11 @@ def _in_blocks(
             continue
         there = float(np.isfinite(run.mean[names.channels[0]])[run.earlier :].mean())
         rest_share = _rest_share(run, names.channels[0])
-        if rest_share < LEAST_REST:
+        if rest_share < 0.5:
             moving.append(f"{run.name}: at rest for {rest_share:.0%} of its {run.duration_s / 60:.0f} min")
             continue
         blocks = make_blocks(run, names.channels, names.temperatures, names.drivers, block_s)
-        if len(blocks) < LEAST_RUN_BLOCKS:
+        if len(blocks) * block_s < SHORTEST_RUN_S:
             caveats.append(
                 f"{run.name}: not used, {len(blocks)} blocks of {block_s:.0f} s at rest are too few"
             )
