@@ -15,7 +15,7 @@ from ablation_outcome import Outcome
 from alignment_site_scenes import CREEPS, SCENES, Record, Scene
 from alignment_site_scenes import record as record_of
 
-from imumon.estimation.alignment import aligner, cells, hypotheses, posterior, sway
+from imumon.estimation.alignment import aligner, cells, hypotheses, posterior, sensor_errors, sway
 
 Change = Sequence[tuple[Any, str, Any]]
 """Module, constant, and what it is instead."""
@@ -24,6 +24,7 @@ VARIANTS: Mapping[str, Change] = {
     "cells: also 48 and 12": [(cells, "CELLS", (96, 48, 24, 12, 6))],
     "rejection of knocks": [(cells, "KNOCK", 1e9)],
     "sways": [(sway, "MAX_LINES", 0)],
+    "sways with fewer than 5 periods": [(sway, "MIN_PERIODS", 5.0)],
     "creep about the vertical": [(cells, "CREEP_RATIO", math.inf)],
     "vertical gyro between fits": [(aligner.SinceFit, "yaw", property(lambda _: 0, lambda *_: None))],
     "warm-up": [(aligner, "DRIFTS", (hypotheses.Drift(1.0, 1e-7, 0.0),))],
@@ -34,10 +35,11 @@ VARIANTS: Mapping[str, Change] = {
     "settling: prior of 0.03": [(hypotheses, "P_SETTLES", 0.03)],
     "tempering": [(hypotheses, "TEMPER", 1.0)],
     "averaging: the best hypothesis": [(posterior, "LIKELY", -1e-9)],
-    "gyros worse than the others": [(posterior, "P_WORSE", 1e-12)],
-    "sigma of a heading that moves from fit to fit": [
-        (aligner.State, "norths", property(lambda _: [], lambda *_: None))
+    "gyros worse than the others": [(sensor_errors, "P_WORSE", 1e-12)],
+    "gyros worse than the others: no more where the unit creeps": [
+        (sensor_errors, "P_WORSE_CREEPING", 0.003)
     ],
+    "sigma of a heading that moves from fit to fit": [(aligner, "RECENT_SHARE", 0.0)],
 }
 """What is left out or set otherwise."""
 CHOSEN = (

@@ -96,12 +96,13 @@ class PositionFit(NamedTuple):
         """Duration of the slow rotation, s; 0 if none was detected."""
         return self.seconds if self.yaw else 0.0
 
-    def moments(self) -> tuple[complex, float]:
-        """Return mean and variance of each part of the rate over all hypotheses."""
+    def moments(self) -> tuple[ColumnArray, FloatArray]:
+        """Return mean and variance of each part of the rate over all hypotheses, (1,)."""
         weight = np.exp(self.log_weight)
         weight /= weight.sum()
-        mean = complex(weight @ self.rate)
-        return mean, float(weight @ (self.variance + 0.5 * np.abs(self.rate - mean) ** 2))
+        mean = weight @ self.rate
+        variance = weight @ (self.variance + 0.5 * np.abs(self.rate - mean) ** 2)
+        return np.array([mean]), np.array([variance])
 
 
 def fit_position(data: Levelled, earth_vertical: float, drifts: Sequence[Drift]) -> PositionFit | None:
@@ -163,7 +164,7 @@ def _information(design: FloatArray, data: ColumnArray, covariance: FloatArray) 
 
 
 def _gyros(cells: Cells, slopes: FloatArray, nuisance: FloatArray) -> Information:
-    """Return what the gyros know of the rate, less the mean of the cells, and of the exponentials.
+    """Return the information of the gyros, for the rate less the mean of the cells.
 
     `slopes` (n, 8) are the derivatives of the exponentials.  `nuisance` (n, ...), sways and a bias in axes
     that creep, have amplitudes of N(0, 1) and are a correlated noise.
@@ -178,7 +179,7 @@ def _gyros(cells: Cells, slopes: FloatArray, nuisance: FloatArray) -> Informatio
 def _accelerometers(
     cells: Cells, level: ColumnArray, row_s: float, middles: FloatArray, drift: Drift
 ) -> tuple[Information, float]:
-    """Return what the level, (n,), knows of the exponentials, and its log density if the unit stands.
+    """Return the information of the level, (n,), and its log density if the unit stands.
 
     `middles` (n, 8) are the exponentials.
     """

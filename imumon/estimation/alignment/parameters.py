@@ -1,4 +1,4 @@
-"""Parameters of the alignment in a pipeline file, and the warm-up that a bias model knows."""
+"""Parameters of the alignment in a pipeline file, and the warm-up of a bias model."""
 
 from __future__ import annotations
 
@@ -94,21 +94,22 @@ def known_warm_up(model: BiasModel | None) -> KnownWarmUp | None:
     The effect adds c exp(-t / T) to a bias, which is a warm-up by -c.  How well it is known follows
     from the channel's residual, unless an accelerometer has other effects: it may drift by these.
     """
-    amplitude, constant = [0.0] * 3, [1.0] * 3  # s: of no matter where there is no warm-up
-    residuals, others = [], False
-    for i, axis in enumerate("xyz"):
-        channel = None if model is None else model.channels.get(f"accel_{axis}")
-        for effect in channel.effects if channel is not None else ():
-            if isinstance(effect, WarmUp) and channel is not None:
-                amplitude[i] = -effect.coefficients[0] / MICRO_G
-                constant[i] = effect.time_constant_s
-                residuals.append(channel.residual_sd / MICRO_G)
-            else:
-                others = True
-    if not residuals:
+    channels = {} if model is None else model.channels
+    found = [
+        (i, channels[f"accel_{axis}"].residual_sd, effect)
+        for i, axis in enumerate("xyz")
+        if f"accel_{axis}" in channels
+        for effect in channels[f"accel_{axis}"].effects
+    ]
+    warm_ups = [(i, residual_sd, effect) for i, residual_sd, effect in found if isinstance(effect, WarmUp)]
+    if not warm_ups:
         return None
+    amplitude, constant = [0.0] * 3, [1.0] * 3  # s: of no matter where there is no warm-up
+    for i, _, effect in warm_ups:
+        amplitude[i], constant[i] = -effect.coefficients[0] / MICRO_G, effect.time_constant_s
+    others = len(found) > len(warm_ups)
     return KnownWarmUp(
         amplitude_ug=amplitude,
         time_constant_s=constant,
-        amplitude_sd_ug=None if others else max(residuals) or None,
+        amplitude_sd_ug=None if others else max(sd for _, sd, _ in warm_ups) / MICRO_G or None,
     )

@@ -152,30 +152,24 @@ class Motion:
         spread = float(np.std(np.array(self.recent), axis=0).max()) * self.held[-1].length_s
         return spread * math.sqrt(len(self.held) + len(self.held) ** 2 / len(self.recent))
 
+    def turn_variance(
+        self, before: FloatArray, after: FloatArray, seconds: float, scale_sd: float, level_sd: float
+    ) -> float:
+        """Return the variance of the angle about the vertical by which the unit has turned, rad².
 
-def turn_variance(
-    turn: Turn,
-    before: FloatArray,
-    after: FloatArray,
-    seconds: float,
-    noise: float,
-    scale_sd: float,
-    level_sd: float,
-) -> float:
-    """Return the variance of the angle about the vertical of a turn, rad².
-
-    `before` (3, 3) is the attitude at its beginning, `after` (3,) the vertical by the accelerometers after
-    `seconds`; `noise` is that of the gyros' angle, rad, `scale_sd` that of their scale factor and
-    misalignment, and `level_sd` that of the vertical, rad.
-    """
-    # Of the angles about forward, left and up.
-    forward, left, up = (
-        scale_sd**2 * float(np.sum(turn.scale_about(axis) ** 2)) + turn.sampling_variance(axis)
-        for axis in before
-    )
-    # The earth rate turns against the body: up to all of it is wrong while it turns by a radian.
-    drift = EARTH_RATE * seconds * min(turn.path, 1.0)
-    # Errors of the level beyond that, as gravity shows them, are as likely in the vertical axis.
-    ahead_off, left_off, _ = before @ (turn.rotation @ after)
-    unexplained = 0.5 * (ahead_off**2 + left_off**2 - forward - left) - level_sd**2
-    return up + noise**2 + drift**2 + max(float(unexplained), 0.0)
+        `before` (3, 3) is the attitude at the beginning, `after` (3,) the vertical by the accelerometers
+        after `seconds`; `scale_sd` is that of scale factor and misalignment of the gyros, and `level_sd` that
+        of the vertical, rad.
+        """
+        # Of the angles about forward, left and up.
+        forward, left, up = (
+            scale_sd**2 * float(np.sum(self.turned.scale_about(axis) ** 2))
+            + self.turned.sampling_variance(axis)
+            for axis in before
+        )
+        # The earth rate turns against the body: up to all of it is wrong while it turns by a radian.
+        drift = EARTH_RATE * seconds * min(self.turned.path, 1.0)
+        # Errors of the level beyond that, as gravity shows them, are as likely in the vertical axis.
+        ahead_off, left_off, _ = before @ (self.turned.rotation @ after)
+        unexplained = 0.5 * (ahead_off**2 + left_off**2 - forward - left) - level_sd**2
+        return up + self.noise**2 + drift**2 + max(float(unexplained), 0.0)

@@ -1,7 +1,5 @@
 """The heading from all positions: a mixture over hypotheses and sizes of the gyros' bias.
 
-The prior of the sensor errors is a regression on the gyros' noise N over data sheets; see docs/alignment.md.
-
 Given a hypothesis and a size s of the bias, rates are linear in the direction z = (cos a, sin a) of north and
 the bias b, which turns with the body::
 
@@ -17,92 +15,19 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Sequence
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import i0e, i1e
 
-from imumon.blocks import BoolArray, FloatArray, IntArray
+from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.alignment.hypotheses import PositionFit
-from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.report import ANY_ANGLE_SD
-from imumon.geodesy import DEG_PER_H, EARTH_RATE
+from imumon.estimation.alignment.sensor_errors import SensorErrors
+from imumon.geodesy import EARTH_RATE
 
 LIKELY = -15.0
-"""Log weight relative to the largest below which a hypothesis is dropped."""
-
-
-class ByNoise(NamedTuple):
-    """A regression: factor (N / 0.1 °/√h)^power, clipped to least and most."""
-
-    factor: float
-    power: float
-    least: float
-    most: float
-
-    def at(self, noise: float) -> float:
-        """Return the value for gyros with this angular random walk, rad/√s."""
-        ratio = noise / (math.radians(0.1) / 60.0)
-        return min(max(self.factor * math.pow(ratio, self.power), self.least), self.most)
-
-
-BIAS = ByNoise(2.0 * DEG_PER_H, 1.86, 0.0014 * DEG_PER_H, EARTH_RATE)
-"""Bias of a gyro, rad/s: at least that of the quietest in the table, at most the earth rate."""
-SCALE = ByNoise(3e-4, 1.4, 3e-4, 0.03)
-"""Scale factor and misalignment of a gyro."""
-LEVEL = ByNoise(7.5e-4, 1.4, 7.5e-4, 0.04)
-"""Bias of an accelerometer, g."""
-LOG_SIZES, LOG_SIZE_SD = np.linspace(-4.0, 4.0, 9), 1.5
-"""Logarithms of the sizes of a bias over that of the regression, and their standard deviation."""
-WORSE = np.array(
-    [
-        np.where(axes, factor, 1.0)
-        for factor in np.exp([2.0, 4.0, 6.0, 8.0, 10.0])
-        for axes in product([False, True], repeat=3)
-        if any(axes)
-    ]
-)
-"""Factors by which some gyros or all are worse than that, (35, 3): up to 200 °/h for the best of them."""
-P_WORSE, P_WORSE_CREEPING, P_NOT_DECLARED = 0.003, 0.15, 0.001
-"""Prior probabilities that they are: as rare as a normal value beyond three sigmas; where the unit creeps, so
-that the vertical gyro is no witness; and against a declared bias (assumed).  Ablation: without the first,
-errors are up to 39 sigma."""
-
-
-class SensorErrors(NamedTuple):
-    """Standard deviations of the errors of gyros and accelerometers.
-
-    `sizes` (s, 3) of the gyros' biases, rad/s, have the log probabilities `log_prior` (s,); `flicker` is the
-    change of a bias from position to position, rad/s; `scale` is a ratio; `level` is in g.
-    """
-
-    sizes: FloatArray
-    log_prior: FloatArray
-    flicker: float
-    scale: float
-    level: float
-
-
-def sensor_errors(noise: float, parameters: AlignmentParameters, creeps: bool) -> SensorErrors:
-    """Return the declared errors, and the regression on an angular random walk, rad/√s, for the others."""
-    ppm, micro_g = parameters.gyro_scale_sd_ppm, parameters.accel_bias_sd_ug
-    return SensorErrors(
-        *_bias_sizes(BIAS.at(noise), parameters.gyro_bias_sd_deg_per_h, creeps),
-        flicker=(parameters.gyro_flicker_deg_per_h or 0.0) * DEG_PER_H,
-        scale=SCALE.at(noise) if ppm is None else ppm * 1e-6,
-        level=LEVEL.at(noise) if micro_g is None else micro_g * 1e-6,
-    )
-
-
-def _bias_sizes(typical: float, declared: float | None, creeps: bool) -> tuple[FloatArray, FloatArray]:
-    alike, share = typical * np.exp(LOG_SIZES), np.exp(-0.5 * (LOG_SIZES / LOG_SIZE_SD) ** 2)
-    worse = P_WORSE_CREEPING if creeps else P_WORSE
-    if declared is not None:
-        alike = np.array([max(declared * DEG_PER_H, 1e-11)])  # a bias of zero has no logarithm
-        share, worse, typical = np.ones(1), P_NOT_DECLARED, max(typical, float(alike[0]))
-    sizes = np.concatenate([np.tile(alike[:, None], (1, 3)), typical * WORSE])
-    return sizes, np.log(np.r_[(1.0 - worse) * share / share.sum(), np.full(len(WORSE), worse / len(WORSE))])
+"""Log weight relative to the largest below which a hypothesis with a size of the bias is dropped."""
 
 
 class HeadingPosterior(NamedTuple):
@@ -135,10 +60,7 @@ def heading_posterior(
     Earlier positions count by mean and variance over their hypotheses.  `north` is about where north is, as a
     bias turns the rates of a unit that creeps across it.
     """
-    hypotheses = fits[-1].log_weight > LIKELY
-    information, vector, log_density = _linear_model(
-        fits, hypotheses, turn_variances, latitude, errors.flicker, north
-    )
+    information, vector, log_density = _linear_model(fits, turn_variances, latitude, errors.flicker, north)
     vector, matrix, log_factor = _without_bias(information, vector, errors.sizes)
     log_density = log_density[:, None] + log_factor + errors.log_prior
     of, size = _likely(vector, matrix, log_density)
@@ -166,33 +88,23 @@ def heading_posterior(
         noise_sd=min(math.sqrt(noise), ANY_ANGLE_SD),
         level_bias_sd=EARTH_RATE * math.cos(latitude) * math.sqrt(max(whole - noise, 0.0)),
         bias_size=math.sqrt(weight @ np.mean(errors.sizes**2, axis=1)[size]),
-        settling=float(weight @ fits[-1].settles[hypotheses][of]),
+        settling=float(weight @ fits[-1].settles[of]),
     )
 
 
 def _linear_model(
-    fits: Sequence[PositionFit],
-    hypotheses: BoolArray,
-    turn_variances: FloatArray,
-    latitude: float,
-    flicker: float,
-    north: float,
+    fits: Sequence[PositionFit], turn_variances: FloatArray, latitude: float, flicker: float, north: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return information, (h, 5, 5), and its vector, (h, 5), of z and b, and the log density without them.
-
-    `hypotheses` are those of the last position that are considered.
-    """
+    """Return information, (h, 5, 5), and its vector, (h, 5), of z and b, and the log density without them."""
     rate, earth_vertical = EARTH_RATE * math.cos(latitude), EARTH_RATE * math.sin(latitude)
     information: FloatArray = np.zeros((1, 5, 5))
-    vector, log_density = np.zeros((1, 5)), fits[-1].log_weight[hypotheses]
+    vector, log_density = np.zeros((1, 5)), fits[-1].log_weight
     yaw, creep_s = 0.0, 0.0
     for fit, turned in zip(fits[::-1], (turn_variances[-1] - turn_variances)[::-1], strict=True):
-        mean, variance = (np.array([value]) for value in fit.moments())
-        if fit is fits[-1]:
-            mean, variance = fit.rate[hypotheses], fit.variance[hypotheses]
+        mean, variance = (fit.rate, fit.variance) if fit is fits[-1] else fit.moments()
         to_now = cmath.exp(-1j * yaw)
-        mean = mean * to_now
-        observed = np.column_stack([mean.real, mean.imag, np.full(len(mean), fit.vertical - earth_vertical)])
+        level_rate, up_rate = mean * to_now, np.full(len(mean), fit.vertical - earth_vertical)
+        observed = np.column_stack([level_rate.real, level_rate.imag, up_rate])
         level_variance = variance + rate**2 * turned
         vertical_variance = np.full(len(mean), fit.vertical_variance)
         weight = 1.0 / (np.column_stack([level_variance, level_variance, vertical_variance]) + flicker**2)

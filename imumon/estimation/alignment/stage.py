@@ -251,7 +251,7 @@ class Alignment:
 
     def charts(self) -> Sequence[Chart]:
         """Return the estimators beside each other, and sigma against time."""
-        if len(self._aligner.state.sigmas) < 2 or self.status.shown is None:
+        if len(self._aligner.state.history) < 2 or self.status.shown is None:
             return []
         return [self._headings_chart(self.status, self.status.shown.heading), self._sigma_chart(self.status)]
 
@@ -269,7 +269,7 @@ class Alignment:
         )  # fmt: skip
 
     def _sigma_chart(self, status: Status) -> Chart:
-        time_s, sd = np.array(self._aligner.state.sigmas).T
+        time_s, _, sd = np.array(self._aligner.state.history).T
         wanted = np.full(2, math.degrees(status.wanted_sd))
         curves = (
             Curve("σ", time_s, np.degrees(sd), GREEN, width=2.0),
@@ -297,13 +297,13 @@ class Alignment:
                 status.tilt_probability > TILT_PROBABILITY and status.observable
             ),
             "heading not observable with this gyro: its bias is not small beside the earth's horizontal "
-            f"rate of {level:.1f} °/h; a turn by half a circle, and a rest, tell them apart; or an axis is "
+            f"rate of {level:.1f} °/h; a turn by half a circle, and a rest, separate them; or an axis is "
             "swapped or reversed, or the unit of the gyros or the latitude is wrong": (
                 status.phase == "not observable"
             ),
             "alignment: the gyros' turn-on bias is not declared (gyro_bias_sd_deg_per_h), and from one "
-            "position it cannot be told from the earth's rotation: sigma takes it for that of gyros of such "
-            "noise, and is too small where it is larger; a turn by half a circle and a rest take it off": (
+            "position it cannot be separated from the earth's rotation: sigma takes it for that of gyros of "
+            "such noise, and is too small where it is larger; a turn by half a circle and a rest remove it": (
                 one_position and declared is None
             ),
             "alignment: the rates contradict the declared bias of the gyros, or the latitude is wrong": (

@@ -1,4 +1,4 @@
-"""Narrow-band sways of a record: spectral lines that are fitted beside a slow course, strongest first."""
+"""Narrow-band sways of a record: spectral lines that are fitted beside a slow trend, strongest first."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ all frequencies, too."""
 class Sway:
     """Fitted lines of a record of n rows.
 
-    `columns` (n, 4 l) are the courses of each line, of its amplitude, rad/s; `rate` and `level` (n,) the sway
-    of gyros and accelerometers, rad/s and rad, complex as in `record.Levelled`.
+    `columns` (n, 4 l) are the basis functions of each line times its amplitude, rad/s; `rate` and `level`
+    (n,) the sway of gyros and accelerometers, rad/s and rad, complex as in `record.Levelled`.
     """
 
     columns: FloatArray
@@ -35,13 +35,13 @@ class Sway:
 
 
 def find_sway(rate: ColumnArray, level: ColumnArray, valid: BoolArray, slow: FloatArray) -> Sway:
-    """Return the sway of level rates and level, (n,), beside slow courses, (n, m)."""
+    """Return the sway of level rates and level, (n,), beside slow functions of time, (n, m)."""
     n = len(rate)
     slow = slow / np.sqrt(np.sum(slow**2, axis=0)) * valid[:, None]
     inverse = np.linalg.inv(slow.T @ slow + 1e-9 * np.eye(slow.shape[1]))
 
     def beside(values: ColumnArray) -> ColumnArray:
-        """Return valid values, (n, ...), less the slow courses fitted to them."""
+        """Return valid values, (n, ...), less the slow functions fitted to them."""
         values = values * valid[:, None]
         return np.asarray(values - slow @ (inverse @ (slow.T @ values)))
 
@@ -52,8 +52,8 @@ def find_sway(rate: ColumnArray, level: ColumnArray, valid: BoolArray, slow: Flo
         omega = _strongest(left * taper)
         if omega is None:
             break
-        courses = np.column_stack([columns, _line(n, omega)])
-        fitted = beside(courses)
+        basis = np.column_stack([columns, _line(n, omega)])
+        fitted = beside(basis)
         normal = fitted.T @ fitted
         normal.flat[:: len(normal) + 1] *= 1.0 + 1e-9
         amplitudes = np.linalg.solve(normal, fitted.T @ data)
@@ -61,14 +61,14 @@ def find_sway(rate: ColumnArray, level: ColumnArray, valid: BoolArray, slow: Flo
         reduced = np.vdot(remains, remains).real < RESIDUAL_SHARE * np.vdot(left, left).real
         if omega * n < FEW_PERIODS * math.tau and not reduced:
             break
-        columns, left, sways = courses, remains, courses @ amplitudes
+        columns, left, sways = basis, remains, basis @ amplitudes
         swing = columns[:, -4:] @ amplitudes[-4:, 0]
         size = np.r_[size, np.full(4, math.sqrt(2.0 * float(np.mean(np.abs(swing) ** 2))))]
     return Sway(columns * size, sways[:, 0], sways[:, 1])
 
 
 def _line(n: int, omega: float) -> FloatArray:
-    """Return the courses of a line, (n, 4); omega in rad a row.
+    """Return the basis functions of a line, (n, 4); omega in rad a row.
 
     They are cosine and sine, and both times the time from -1 to 1: so the amplitude may change along the
     record, and the frequency by a fraction of a period in the record.
