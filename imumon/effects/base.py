@@ -26,7 +26,6 @@ from imumon.config import StrictModel
 
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
-NAN = float("nan")
 
 Scope = Literal["shared", "either", "run", "event"]
 """Whose the coefficients are: shared by all runs; shared, or else each run's own; each run's own by nature;
@@ -123,7 +122,7 @@ class Survey:
 
     @property
     def thermal(self) -> bool:
-        """Whether the temperature moves enough for an effect of temperature to be told."""
+        """Whether the temperature moves enough for an effect of temperature to show."""
         return self.span_degc >= LEAST_SPAN_DEGC
 
 
@@ -131,12 +130,12 @@ class Survey:
 class Memory:
     """What an effect carries from one block to the next; NaN at power-on."""
 
-    time_s: float = NAN
-    driver: float = NAN
+    time_s: float = np.nan
+    driver: float = np.nan
     """The last ones seen (behind the slack of a smooth loop)."""
-    follower: float = NAN
+    follower: float = np.nan
     """Where the one stands that follows the driver: lagged, or dragged along."""
-    ahead: float = NAN
+    ahead: float = np.nan
     """How far the driver of a smooth loop is ahead of what it drags."""
     past: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     """Earlier times and values of the driver, where a delay needs them, (k, 2)."""
@@ -159,7 +158,9 @@ class Effect(StrictModel):
     nonlinear: ClassVar[tuple[str, ...]] = ()
     """Parameters that are searched and refined."""
     free_start: ClassVar[Literal["never", "alone", "in sums"]] = "never"
-    """Whether an unknown state at power-on is fitted as well: of the effect alone, or of sums of it, too."""
+    """Whether an unknown state at power-on may be fitted as well."""
+    start_share: ClassVar[float] = 1.0
+    """Standard deviation of the state at power-on; 1 is half the way between those of `starts`."""
     one_sign: ClassVar[bool] = False
     """Whether coefficients of both signs are none of it."""
     suspected_by: ClassVar[tuple[str, ...]] = ()
@@ -190,11 +191,11 @@ class Effect(StrictModel):
         return ()
 
     def contains(self, label: str) -> bool:  # noqa: ARG002 - for those that may
-        """Tell whether the effect of a label is in the main a special case of this one."""
+        """Return whether the effect of a label is in the main a special case of this one."""
         return False
 
     def passes_for(self, label: str) -> bool:  # noqa: ARG002 - for those that may
-        """Tell whether, with these parameters, it is hardly told from the simpler effect of a label."""
+        """Return whether, with these parameters, it is hardly told from the simpler effect of a label."""
         return False
 
     def scale_of(self, driver: str) -> Scale | None:  # noqa: ARG002 - for those that have one
@@ -215,7 +216,7 @@ class Effect(StrictModel):
 
     @classmethod
     def of_curve(cls, survey: Survey) -> list[Self]:  # noqa: ARG003 - for those that can be
-        """Return the effects worth trying that the whole curve is over."""
+        """Return the effects worth trying where the whole curve is late."""
         return []
 
     @classmethod
@@ -224,7 +225,7 @@ class Effect(StrictModel):
         return []
 
     def fits_in(self, duration_s: float, survey: Survey) -> bool:  # noqa: ARG002 - for events
-        """Tell whether it can happen in a run of this length."""
+        """Return whether it can happen in a run of this length."""
         return True
 
     def refined(self, survey: Survey, level: int) -> list[Self]:
@@ -271,11 +272,6 @@ class Effect(StrictModel):
         """Return a low and a high state at power-on, or None where it is known."""
         return None
 
-    @property
-    def start_share(self) -> float:
-        """Standard deviation of the state at power-on; 1 is half the way between those of `starts`."""
-        return 1.0
-
     def start_columns(self, drive: Drive) -> FloatArray:
         """Return what a state at power-on higher by 1 adds to the first column, (n, m)."""
         ends = self.starts(drive) if len(drive) else None
@@ -285,7 +281,7 @@ class Effect(StrictModel):
         return np.asarray(0.5 * (high - low))
 
     def settled(self, drive: Drive) -> BoolArray:
-        """Tell from when on the state at power-on no longer matters, (n,)."""
+        """Return from when on the state at power-on no longer matters, (n,)."""
         start = np.abs(self.start_columns(drive)).max(axis=1, initial=0.0)
         return np.asarray(start <= FORGOTTEN * start[:1])
 
@@ -341,6 +337,17 @@ class DrivenEffect(Effect):
     def inputs(self) -> tuple[str, ...]:
         """The driver, where it is another."""
         return () if self.of_temperature else (self.driver,)
+
+
+class ScaledEffect(DrivenEffect):
+    """An effect of u = (driver - middle) / half span."""
+
+    middle: FiniteFloat
+    half_span: Positive
+
+    def scale_of(self, driver: str) -> Scale | None:
+        """Return that of its driver."""
+        return Scale(self.middle, self.half_span) if driver == self.driver else None
 
 
 def logarithmic(low: float, high: float, ratio: float = RATIO) -> list[float]:

@@ -37,12 +37,8 @@ class DeadTime(Follower):
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
         """Return delays up to an eighth of the shortest run."""
-        return [cls(delay_s=delay, **form) for form in cls.forms(survey) for delay in _delays(survey)]
-
-    @classmethod
-    def of_curve(cls, survey: Survey) -> list[Self]:
-        """Return the same delays, of the whole curve."""
-        return [cls(delay_s=delay, **form) for form in cls.curves(survey) for delay in _delays(survey)]
+        delays = logarithmic(SHORTEST_S, survey.shortest_s / 8)
+        return [cls(delay_s=delay, **form) for form in cls.forms(survey) for delay in delays]
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return the delayed temperature, between those remembered on a straight line."""
@@ -57,9 +53,5 @@ class DeadTime(Follower):
         return np.asarray(np.interp(time - self.delay_s, past[:, 0], past[:, 1]))
 
     def settled(self, drive: Drive) -> BoolArray:
-        """Tell whether the delay has passed: what was before power-on, nobody knows."""
+        """Return whether the delay has passed: what was before power-on, nobody knows."""
         return np.asarray(drive.time_s > self.delay_s)
-
-
-def _delays(survey: Survey) -> list[float]:
-    return logarithmic(SHORTEST_S, survey.shortest_s / 8)

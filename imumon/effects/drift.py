@@ -10,8 +10,6 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.effects.base import Drive, Effect, Memory, Survey
 
-HOUR_S = 3600.0
-
 
 class Drift(Effect):
     """Time since power-on in hours."""
@@ -33,4 +31,4 @@ class Drift(Effect):
 
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - time is its memory
         """Return the hours."""
-        return np.asarray(drive.time_s / HOUR_S)[:, np.newaxis]
+        return np.asarray(drive.time_s / 3600.0)[:, np.newaxis]

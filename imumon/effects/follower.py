@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from itertools import combinations
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from pydantic import Field, FiniteFloat
+from pydantic import Field
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, DrivenEffect, Effect, Memory, Positive, Scale, Survey
+from imumon.effects.base import Drive, Memory, ScaledEffect, Survey
 from imumon.effects.temperature_curve import MORE_DEGREES
 
 SHORTEST_S = 20.0
@@ -20,22 +21,14 @@ HIGHEST_ORDER = 9
 MOST_IN_SUMS = 9
 """Parameters of which sums are tried."""
 
-E = TypeVar("E", bound=Effect)
 
-
-class Follower(DrivenEffect):
+class Follower(ScaledEffect):
     """u^k - v^k, k = 1 .. order: u the driver, v what follows it, both as (driver - middle) / half span.
 
     Of another driver than the temperature, which no declared curve is over, u is a column as well, the last.
     """
 
     order: Annotated[int, Field(ge=1, le=HIGHEST_ORDER)] = 1
-    middle: FiniteFloat
-    half_span: Positive
-
-    def scale_of(self, driver: str) -> Scale | None:
-        """Return that of its driver."""
-        return Scale(self.middle, self.half_span) if driver == self.driver else None
 
     @property
     def width(self) -> int:
@@ -48,32 +41,32 @@ class Follower(DrivenEffect):
         show it."""
         if not survey.thermal:
             return []
-        scale = {"middle": survey.middle_degc, "half_span": survey.half_span_degc}
-        return [{"order": order, **scale} for order in ((1, 3) if may_sum(survey, 4) else (1,))]
+        orders = (1, 3) if may_sum(survey, 4) else (1,)
+        return [{"order": order, **asdict(survey.scale)} for order in orders]
 
     @classmethod
-    def curves(cls, survey: Survey) -> list[dict[str, Any]]:
-        """Return orders and scale of a curve that is itself over what follows: as many powers as declared, or
-        more; none where the temperature went one way only."""
-        if not survey.thermal or not may_sum(survey, 2):
-            return []
-        scale = {"middle": survey.middle_degc, "half_span": survey.half_span_degc}
-        orders = [max(survey.degree, 1) + more for more in (0, *MORE_DEGREES)]
-        return [{"order": order, **scale} for order in orders if order <= HIGHEST_ORDER]
+    def of_curve(cls, survey: Survey) -> list[Self]:
+        """Return those of more powers than are declared; none where the temperature went one way only."""
+        every = [max(survey.degree, 1) + more for more in (0, *MORE_DEGREES)]
+        orders = [order for order in every if order <= HIGHEST_ORDER]
+        linear = [one for one in cls.grid(survey) if one.order == 1] if may_sum(survey, 2) else []
+        return [one.model_copy(update={"order": order}) for order in orders for one in linear]
+
+    @staticmethod
+    def _sums_of(chosen: Sequence[Follower], sizes: Sequence[int]) -> list[tuple[Any, ...]]:
+        """Return sums of so many of the chosen effects, or of some spread over them where they are many."""
+        count = min(MOST_IN_SUMS, len(chosen))
+        spread = np.unique(np.linspace(0, len(chosen) - 1, count).round().astype(int))
+        few = [chosen[index] for index in spread.tolist()]
+        return [group for size in sizes for group in combinations(few, size)]
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return what follows the driver, (n,), and carry the memory along."""
         raise NotImplementedError
 
     def contains(self, label: str) -> bool:
-        """Tell whether it is a curve over the same driver, or its rate, of which nothing is declared."""
+        """Return whether it is a curve over the same driver, or its rate, of which nothing is declared."""
         return label in (f"curve({self.driver})", f"rate({self.driver})")
-
-    def advance(self, memory: Memory, drive: Drive) -> FloatArray:
-        """Return the differences of powers, ahead less following."""
-        ahead, behind = self._powers(drive.of(self.driver)), self._powers(self.follow(memory, drive))
-        late = ahead - behind
-        return np.asarray(late if self.of_temperature else np.column_stack([late, ahead[:, :1]]))
 
     def followed(self, drive: Drive) -> FloatArray:
         """Return the powers of what follows, over a whole run, (n, order)."""
@@ -83,6 +76,12 @@ class Follower(DrivenEffect):
         """Return the curve over the driver, less its constant, of which this is how late it is."""
         ends = self.middle - self.half_span, self.middle + self.half_span
         return Polynomial([0.0, *(-one for one in self.coefficients)], domain=ends)
+
+    def advance(self, memory: Memory, drive: Drive) -> FloatArray:
+        """Return the differences of powers, ahead less following."""
+        ahead, behind = self._powers(drive.of(self.driver)), self._powers(self.follow(memory, drive))
+        late = ahead - behind
+        return np.asarray(late if self.of_temperature else np.column_stack([late, ahead[:, :1]]))
 
     def _powers(self, values: FloatArray) -> FloatArray:
         u = (values - self.middle) / self.half_span
@@ -94,13 +93,5 @@ class Follower(DrivenEffect):
 
 
 def may_sum(survey: Survey, reversals: int) -> bool:
-    """Tell whether the runs can show more than one term of a kind: two runs, or so many turns."""
+    """Return whether the runs can show more than one term of a kind: two runs, or so many turns."""
     return survey.runs > 1 or survey.reversals >= reversals
-
-
-def sums_of(chosen: Sequence[E], sizes: Sequence[int]) -> list[tuple[E, ...]]:
-    """Return sums of so many of the chosen effects, or of some spread over them where they are many."""
-    count = min(MOST_IN_SUMS, len(chosen))
-    spread = np.unique(np.linspace(0, len(chosen) - 1, count).round().astype(int))
-    few = [chosen[index] for index in spread.tolist()]
-    return [group for size in sizes for group in combinations(few, size)]

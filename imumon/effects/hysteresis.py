@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, Literal, Self
+from dataclasses import asdict
+from typing import ClassVar, Literal, Self, get_args
 
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.effects.base import Drive, Memory, NotNegative, Positive, Survey, logarithmic
-from imumon.effects.follower import Follower, sums_of
+from imumon.effects.follower import Follower
 
-NARROWEST_DEGC = 0.3
-"""Twice the slack."""
 SHARES = (0.05, 0.1, 0.2, 0.4)
 """Half widths of a loop of another driver, of its span."""
 SLACK_DEGC = 0.15
 """Way of the thermometer that its noise and its steps make up."""
+
+Shape = Literal["play", "smooth"]
 
 
 class Hysteresis(Follower):
@@ -31,6 +32,7 @@ class Hysteresis(Follower):
     operator = "loop"
     nonlinear = ("half_width",)
     free_start = "alone"
+    start_share = 3.0**-0.5  # equally likely anywhere between its ends
     suspected_by = ("temperature", "temperature rate")
     separated_by: ClassVar[Mapping[str, str]] = {
         "temperature_rate": "two ramp rates: a loop does not care, a rate effect doubles",
@@ -39,38 +41,38 @@ class Hysteresis(Follower):
         "drift": "a second ramp in the other direction",
     }
     half_width: Positive
-    shape: Literal["play", "smooth"] = "play"
+    shape: Shape = "play"
     slack: NotNegative = SLACK_DEGC
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
-        """Return widths up to half the span."""
-        widths = logarithmic(NARROWEST_DEGC, survey.span_degc / 2)
-        shapes: tuple[Literal["play", "smooth"], ...] = ("play", "smooth")
+        """Return widths from twice the slack up to half the span."""
         return [
             cls(half_width=width, shape=shape, **form)
             for form in cls.forms(survey)
-            for shape in shapes
-            for width in widths
+            for shape in get_args(Shape)
+            for width in logarithmic(2 * SLACK_DEGC, survey.span_degc / 2)
         ]
 
     @classmethod
     def driven(cls, survey: Survey, driver: str) -> list[Self]:
         """Return backlashes of a tenth to four fifths of the span."""
-        scale = survey.others[driver]
-        return [
-            cls(driver=driver, half_width=share * 2 * half, slack=0.0, middle=scale.middle, half_span=half)
-            for half in [scale.half_span]
-            for share in SHARES
-        ]
+        scale = asdict(survey.others[driver])
+        widths = [share * 2 * scale["half_span"] for share in SHARES]
+        return [cls(driver=driver, half_width=width, slack=0.0, **scale) for width in widths]
+
+    @classmethod
+    def of_curve(cls, survey: Survey) -> list[Self]:  # noqa: ARG003 - whatever the runs can show
+        """Return none: sums of loops have any shape."""
+        return []
 
     @classmethod
     def sums(cls, grid: Sequence[Self]) -> list[tuple[Self, ...]]:
         """Return sums of two and three backlashes, and of two smooth loops."""
         plays, smooth = (
-            [loop for loop in grid if loop.order == 1 and loop.shape == shape] for shape in ("play", "smooth")
+            [loop for loop in grid if loop.order == 1 and loop.shape == shape] for shape in get_args(Shape)
         )
-        return [*sums_of(plays, (2, 3)), *sums_of(smooth, (2,))]
+        return [*cls._sums_of(plays, (2, 3)), *cls._sums_of(smooth, (2,))]
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return what is dragged along."""
@@ -96,8 +98,3 @@ class Hysteresis(Follower):
             for ahead in (-self.half_width, self.half_width)
         )
         return low, high
-
-    @property
-    def start_share(self) -> float:
-        """Somewhere between two ends, nobody knows where: that over the root of three."""
-        return 1.0 / float(np.sqrt(3.0))

@@ -27,7 +27,6 @@ FILES = (
     "g_sensitivity",
     "product",
 )
-OTHERWISE = "another run with a different course of temperature, the ambient held after power-on"
 
 
 def _effect(name: str) -> type[Effect]:
@@ -74,16 +73,12 @@ else:
 
 def separated_by(one: str, other: str) -> str:
     """Return what to record to tell two effects, given by their labels, apart."""
-    if "(" in one + other and _driver(one) != _driver(other):
+    if one.partition("(")[2] != other.partition("(")[2]:
         free = [name for name in (one, other) if "(" in name]
         return f"a run in which what {' and '.join(free)} depends on goes another way than the rest"
     kinds = kind_of(one), kind_of(other)
     said = kinds[0].separated_by.get(kinds[1].name) or kinds[1].separated_by.get(kinds[0].name)
-    return said or OTHERWISE
-
-
-def _driver(label: str) -> str:
-    return label.partition("(")[2]
+    return said or "another run with a different course of temperature, the ambient held after power-on"
 
 
 def suspected_by(trait: str) -> tuple[str, ...]:

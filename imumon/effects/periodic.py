@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field
@@ -18,7 +18,6 @@ BLOCKS_PER_PERIOD = 3.0
 MOST_FREQUENCIES = 1000
 """As many as 1200 means have, the most that a session is looked at in while it runs.  Of more means the
 shortest periods are not tried."""
-MOST_HARMONICS = 3
 
 
 class Periodic(Effect):
@@ -48,12 +47,6 @@ class Periodic(Effect):
         count = min(MOST_FREQUENCIES, int((highest - lowest) / step) + 1) if highest > lowest else 0
         return [cls(period_s=1.0 / (lowest + index * step)) for index in range(count)]
 
-    def refined(self, survey: Survey, level: int) -> list[Self]:
-        """Return neighbouring periods, and one harmonic more or less."""
-        others = [self.harmonics - 1, self.harmonics + 1]
-        changed = [self.model_copy(update={"harmonics": k}) for k in others if 1 <= k <= MOST_HARMONICS]
-        return [*super().refined(survey, level), *changed]
-
     def moved(self, name: str, step: float, survey: Survey) -> float:  # noqa: ARG002 - its one parameter
         """Return another period: the grid is one of frequencies."""
         return 1.0 / (1.0 / self.period_s + step * STEP / max(survey.durations_s))
@@ -63,7 +56,3 @@ class Periodic(Effect):
         phase = 2 * np.pi / self.period_s * drive.time_s
         odd = (2 * np.arange(self.harmonics) + 1).tolist()
         return np.column_stack([part for k in odd for part in (np.sin(k * phase), np.cos(k * phase))])
-
-    def described(self, coefficients: FloatArray) -> dict[str, Any]:
-        """Return the amplitude of the first harmonic in each run."""
-        return {"amplitude": np.hypot(coefficients[:, 0], coefficients[:, 1]).tolist()}

@@ -37,7 +37,7 @@ class Step(Effect):
         ]
 
     def fits_in(self, duration_s: float, survey: Survey) -> bool:
-        """Tell whether the jump is not too near to an end of such a run."""
+        """Return whether the jump is not too near to an end of such a run."""
         edge = EDGE_BLOCKS * survey.block_s
         return edge <= self.time_s <= duration_s - edge
 

@@ -11,10 +11,9 @@ import numpy as np
 from pydantic import Field, FiniteFloat
 
 from imumon.blocks import FloatArray
-from imumon.effects.base import Drive, Effect, Memory, Positive, Survey, logarithmic
+from imumon.effects.base import RATIO, Drive, Effect, Memory, Positive, Survey, logarithmic
 
 SHORTEST_S = 5.0
-RATIO = 1.6
 WIDTHS = (4.0, 16.0)
 MOST_STEPS = 5
 """Up to five steps of these widths leave 0.2 to 0.6 % (rms, median; 2.9 % at most) of creeps through thirty
@@ -59,7 +58,7 @@ class StressRelaxation(Effect):
             cls(time_constant_s=tau, ratio=ratio, steps=steps)
             for ratio in WIDTHS
             for steps in range(1, MOST_STEPS + 1)
-            for tau in logarithmic(SHORTEST_S, survey.shortest_s / max(3.0, ratio ** (steps - 1)), RATIO)
+            for tau in logarithmic(SHORTEST_S, survey.shortest_s / max(3.0, ratio ** (steps - 1)), RATIO**2)
         ]
 
     def moved(self, name: str, step: float, survey: Survey) -> float:

@@ -10,12 +10,11 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.effects.base import RATIO, Drive, Memory, NotNegative, Positive, Survey, logarithmic
-from imumon.effects.follower import SHORTEST_S, Follower, sums_of
+from imumon.effects.follower import SHORTEST_S, Follower
 
-FAST_S = 60.0
-"""A faster lag, in means of 30 s, is a rate: it has gone before the next mean."""
-UNTOLD_S = 0.5 * FAST_S
-"""How far a gyro's temperature may be behind the thermometer's (sd): half of what is told from a rate."""
+UNTOLD_S = 30.0
+"""How far a gyro's temperature may be behind the thermometer's (sd): half of the lag that means of 30 s
+separate from a rate."""
 START_SD_DEGC = 1.0
 """How far from equilibrium a unit is at power-on, where nothing better is known (standard deviation)."""
 
@@ -46,12 +45,8 @@ class ThermalLag(Follower):
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
         """Return time constants up to a quarter of the shortest run."""
-        return [cls(time_constant_s=tau, **form) for form in cls.forms(survey) for tau in _times(survey)]
-
-    @classmethod
-    def of_curve(cls, survey: Survey) -> list[Self]:
-        """Return the same time constants, of the whole curve."""
-        return [cls(time_constant_s=tau, **form) for form in cls.curves(survey) for tau in _times(survey)]
+        times = logarithmic(SHORTEST_S, survey.shortest_s / 4)
+        return [cls(time_constant_s=tau, **form) for form in cls.forms(survey) for tau in times]
 
     @classmethod
     def driven(cls, survey: Survey, driver: str) -> list[Self]:
@@ -63,11 +58,13 @@ class ThermalLag(Follower):
     @classmethod
     def sums(cls, grid: Sequence[Self]) -> list[tuple[Self, ...]]:
         """Return sums of two lags, none of which is a rate."""
-        return sums_of([lag for lag in grid if lag.order == 1 and lag.time_constant_s >= FAST_S], (2,))
+        return cls._sums_of(
+            [lag for lag in grid if lag.order == 1 and lag.time_constant_s >= 2 * UNTOLD_S], (2,)
+        )
 
     def passes_for(self, label: str) -> bool:
-        """Tell whether it is fast enough to be a rate."""
-        return self.of_temperature and label == "temperature_rate" and self.time_constant_s < FAST_S
+        """Return whether it is fast enough to be a rate."""
+        return self.of_temperature and label == "temperature_rate" and self.time_constant_s < 2 * UNTOLD_S
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return the lagged driver."""
@@ -92,7 +89,3 @@ class ThermalLag(Follower):
             return self
         seen = float(np.sqrt(np.mean(start**2))) * self.start_sd / abs(self.coefficients[0])
         return self.model_copy(update={"start_sd": max(START_SD_DEGC, seen)})
-
-
-def _times(survey: Survey) -> list[float]:
-    return logarithmic(SHORTEST_S, survey.shortest_s / 4)
