@@ -104,7 +104,7 @@ def evaluate(
         of_codes, rest = _one_code(slot, mean, variance, params)
         output_only = Correction(*(np.concatenate([part, np.zeros_like(y.mean[means])]) for part in rest))
     # The mean of a slot is on a lattice of d/n, and follows the ripple of the steps.
-    noise = white[means] * thermometer.mean_variance(reading) + (step / n) ** 2 / (2.0 * math.pi)
+    noise = white[means] * thermometer.variance + (step / n) ** 2 / (2.0 * math.pi)
     noise = noise + thermometer.ripple_variance
     of_means = _gaussian(y.mean[means], y.variance[means], reading.mean, noise, step / n)
     return Correction(*map(np.concatenate, zip(of_codes, of_means, strict=True))), output_only

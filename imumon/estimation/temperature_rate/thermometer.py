@@ -168,10 +168,6 @@ class Thermometer:
         """Variance that a slot's mean has at least, ρ or that of rounding, °C²."""
         return max(self.rho, self.step**2 / 12.0)
 
-    def mean_variance(self, reading: Reading) -> float:
-        """Return the variance ρ of a slot's mean; that of the slot's readings until three slots show it."""
-        return max(self.rho, TINY_DEGC**2) if self.slots > 3 else max(self.variance, reading.variance)
-
     @property
     def ripple_variance(self) -> float:
         """Variance of the ripple β d/π sin 2πT/d that a mean of rounded readings follows, °C²."""
