@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 
 from imumon.diagnosis.blocks import BLOCK_S, RunBlocks
 from imumon.diagnosis.figures import AFTER, BEFORE, HOUR_S, shown, svg
-from imumon.diagnosis.glance import residual
 from imumon.diagnosis.known import temperature_of
 from imumon.diagnosis.page import environment
+from imumon.diagnosis.residual import residual
 from imumon.diagnosis.runs import Run, unit_of
 from imumon.errors import ImumonError, Reason
 from imumon.files import write_text

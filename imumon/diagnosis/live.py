@@ -8,46 +8,45 @@ from itertools import pairwise
 import numpy as np
 
 from imumon.blocks import ColumnArray, SampleBlock
-from imumon.charts import BLUE, RED, Axis, Chart, Curve
+from imumon.charts import AXIS_COLORS, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.diagnosis.aged import AgedRun
 from imumon.diagnosis.blocks import BLOCK_S, common_block_s
-from imumon.diagnosis.glance import Better, better_models, known_to
+from imumon.diagnosis.known import temperature_of
+from imumon.diagnosis.residual import Better, better_models, known_to, residual
 from imumon.diagnosis.runs import DRIVERS, LONGEST_GAP_S, SECOND_NS, Run, further_columns
-from imumon.diagnosis.selection import MOST_NAMES
-from imumon.diagnosis.shadow import MARGIN, Shadow
-from imumon.diagnosis.through import RESIDUAL, effect_charts
+from imumon.diagnosis.shadow import Shadow
 from imumon.geodesy import DEG_PER_H
 from imumon.models.model import BiasModel, TrainedOn
 from imumon.models.predictor import BiasPredictor
 from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES, KeptSlots, gatherer_of, kept_slots
 
-LANE = "model"
+LANE, RESIDUAL = "model", "Residual"
 FIRST_LOOK_S, LOOK_S = 1200.0, 600.0
-"""The first look has forty means of 30 s, the least that a diagnosis needs; the next ones come at even
-distances, so that nothing goes unseen for longer, and cost less than a thousandth of a core."""
-JUDGED_S = 300.0
-"""How often a shadow is judged: ten means of 30 s."""
+"""The first search has forty means of 30 s, the least that a diagnosis needs; the next ones follow at even
+distances, so that nothing stays unnoticed for longer."""
 HAD = 2.0
-"""A shadow has as much time to win as it was found in; then what was found last takes its place."""
+"""A shadow has as much time to win as it was found in; then the last model that was found takes its place."""
 HELD_NS = 10 * SECOND_NS
 """Samples wait so long until they are reduced to seconds: short blocks then cost no more than long ones."""
 DIAGNOSE = "imumon diagnose --train SESSION --model SESSION --out DIR"
+INK = (150, 155, 165)
+"""Colour of the effect in a chart: it reads on both themes, and is no axis' colour."""
 
 
 class LiveDiagnosis:
-    """Says when a better model than the present one exists: MODEL CAN BE BETTER, with effect, gain and error.
+    """Reports when a better model than the present one exists: MODEL CAN BE BETTER, with effect and error.
 
-    A run from power-on is looked at after 20 min, and every 10 min from then on.
+    A run from power-on is searched after 20 min, and every 10 min from then on.
 
     Parameters
     ----------
     model : BiasModel
-        The present one; the gyros that it has are watched.
+        The present one; its gyros are searched.
     learn : bool
-        Whether a better model is then run beside it, and offered after it has won on what came later.
+        Whether a better model then runs beside it, and is offered after it has won on what came later.
     made : callable
-        Tells which columns other stages make: they drive nothing.
+        Returns the columns that other stages make: they drive nothing.
     """
 
     def __init__(
@@ -63,7 +62,7 @@ class LiveDiagnosis:
         self._gatherer = gatherer_of(self._names, 1.0)
         self._waiting: list[SampleBlock] = []
         self._pending: list[str] = []
-        self._said: set[str] = set()
+        self._reported: set[str] = set()
         self._last_ns = 0
         self.offered: Shadow | None = None
         """The better model that has won, to be kept when the session ends."""
@@ -72,14 +71,14 @@ class LiveDiagnosis:
     def _begin(self) -> None:
         """Begin with a run from power-on; a shadow that has not won yet is of another."""
         self._aged = AgedRun(self._names)
-        self._next_look_s, self._next_judged_s = FIRST_LOOK_S, 0.0
+        self._next_look_s = FIRST_LOOK_S
         self._shadow: Shadow | None = None
         self._lacking: list[Chart] = []
         self.state = ""
 
     @property
     def columns(self) -> Sequence[Column]:
-        """None: what it finds is said."""
+        """None: what it finds is reported."""
         return []
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
@@ -118,25 +117,40 @@ class LiveDiagnosis:
                 self._follow(slots[start:stop])
 
     def _follow(self, part: KeptSlots) -> None:
-        """Take seconds of one run, and stop wherever it is time to look or to judge."""
+        """Take seconds of one run, and stop wherever a search is due."""
         while len(part):
             elapsed = self._aged.elapsed_s(part)
-            due = min(self._next_look_s, self._next_judged_s if self._shadow is not None else np.inf)
-            count = min(int(np.searchsorted(elapsed, due)) + 1, len(part))
+            count = min(int(np.searchsorted(elapsed, self._next_look_s)) + 1, len(part))
             self._aged.take(part[:count])
             now_s, part = float(elapsed[count - 1]), part[count:]
-            if self._shadow is not None and now_s >= self._next_judged_s:
-                self._judge(self._shadow, now_s)
             if now_s >= self._next_look_s:
+                self._next_look_s = (now_s // LOOK_S + 1.0) * LOOK_S
+                self._score()
                 self._look(now_s)
 
+    def _score(self) -> None:
+        """Compare the model that runs beside the present one with it, on what came since it was found."""
+        score = None if self._shadow is None or self.offered else self._shadow.score(self._run())
+        if score is None:
+            return
+        change = f"{score.before / DEG_PER_H:.3g} become {score.after / DEG_PER_H:.3g} °/h"
+        if score.lost:
+            self._shadow = None
+            self._report(f"the better model did worse on what came later: {change}")
+        elif score.won:
+            self.offered = self._shadow
+            self._report(
+                f"a better model has won on what came later: {change} (likelihood ratio e^{score.ratio:.0f});"
+                " it is kept with the session when that ends"
+            )
+
     def _look(self, elapsed_s: float) -> None:
-        self._next_look_s = (elapsed_s // LOOK_S + 1.0) * LOOK_S
+        """Search the run so far for what the model lacks, and report that."""
         if self.offered is not None:
             return
         if not self._aged.has_any({*self._temperatures, *TEMPERATURES}):
             wanted = " or ".join(self._temperatures)
-            self._say(f"what the model lacks is not told: the device has not sent any {wanted} so far")
+            self._report(f"the model is not searched: the device has not sent any {wanted} so far")
             return
         run = self._run()
         found = better_models(run, self._model, self._gyros)
@@ -145,37 +159,21 @@ class LiveDiagnosis:
             return
         best = max(found, key=lambda one: one.gain)
         before, after = (max(getattr(one, key) for one in found) / DEG_PER_H for key in ("before", "after"))
-        what = "; ".join(_said(found))
+        what = "; ".join(_effects_by_axes(found))
         self.state = f"MODEL CAN BE BETTER: {what}: {before:.3g} become {after:.3g} °/h"
         length = common_block_s([run])
-        self._say(f"{self.state} (rms of {length:.0f} s, gain {best.gain:.0f}): {DIAGNOSE}", what)
+        self._report(f"{self.state} (rms of {length:.0f} s, gain {best.gain:.0f}): {DIAGNOSE}", what)
         shadow = Shadow(self._model, found, elapsed_s)
-        self._lacking = effect_charts(run, self._model, shadow.model, best)
+        self._lacking = _charts(run, self._model, shadow.model, best)
         if self._learn and (self._shadow is None or elapsed_s >= HAD * self._shadow.since_s):
-            self._shadow, self._next_judged_s = shadow, elapsed_s + JUDGED_S
-
-    def _judge(self, shadow: Shadow, elapsed_s: float) -> None:
-        self._next_judged_s = elapsed_s + JUDGED_S
-        score = shadow.judge(self._run())
-        if score is None:
-            return
-        before, after = (value / DEG_PER_H for value in score.rms)
-        if score.lost:
-            self._shadow, self.state = None, ""
-            self._say(f"the better model did worse on what came later: {before:.3g} became {after:.3g} °/h")
-        elif score.won and self.offered is None:
-            self.offered = shadow
-            self._say(
-                f"a better model has won on what came later: {before:.3g} become {after:.3g} °/h"
-                f" (likelihood ratio e^{score.ratio:.0f}); it is kept with the session when that ends"
-            )
+            self._shadow = shadow
 
     def _run(self) -> Run:
         """Return the run so far, at rest only where the present model knows the temperature."""
         return known_to(self._model, self._aged.run(), self._gyros)
 
     def evidence(self, session: str, sha256: str) -> TrainedOn:
-        """Return what a learned model says of this session."""
+        """Return what a learned model states of this session."""
         run = self._run()
         at_rest = run.at_rest
         known = [run.mean[name] for name in self._temperatures if name in run.mean]
@@ -190,14 +188,14 @@ class LiveDiagnosis:
             temperature_range_degc=[float(temperature.min()), float(temperature.max())],
         )
 
-    def _say(self, text: str, what: str = "") -> None:
-        """Say a text for the log, unless it, or what it is about, has been said."""
-        if (what or text) not in self._said:
-            self._said.add(what or text)
+    def _report(self, text: str, what: str = "") -> None:
+        """Add a text to the log, unless it, or what it is about, is in there already."""
+        if (what or text) not in self._reported:
+            self._reported.add(what or text)
             self._pending.append(text)
 
     def lanes(self) -> Mapping[str, str]:
-        """Return the lane ``model`` while there is a better one, in the place of what the watch says."""
+        """Return the lane ``model`` while there is a better one, in the place of what the watch reports."""
         return {LANE: self.state} if self.state else {}
 
     def notices(self) -> list[str]:
@@ -206,38 +204,46 @@ class LiveDiagnosis:
         return texts
 
     def charts(self) -> Sequence[Chart]:
-        """Return what the model lacks, and the errors of both models while a better one runs beside."""
-        shadow = self.offered or self._shadow
-        if shadow is None or shadow.score is None:
-            return self._lacking
-        score = shadow.score
-        minutes = score.time_s / 60.0
-        curves = (
-            Curve("present model", minutes, score.present / DEG_PER_H, RED),
-            Curve("better model", minutes, score.shadow / DEG_PER_H, BLUE),
-        )
-        before, after = (value / DEG_PER_H for value in score.rms)
-        verdict = "it wins beyond" if self.offered is None else "it has won, beyond"
-        return [
-            *self._lacking,
-            Chart(
-                "model_better",
-                RESIDUAL,
-                f"Error of means of {score.block_s:.0f} s, present and better model",
-                Axis("time since power-on [min]"),
-                Axis("[°/h]"),
-                curves,
-                headline=f"{before:.3g} → {after:.3g} °/h since it was found",
-                notes=(f"likelihood ratio e^{score.ratio:.1f}; {verdict} e^{MARGIN:.0f}",),
-            ),
-        ]
+        """Return what the model leaves of the worst axis, with the effect that it lacks."""
+        return self._lacking
 
 
-def _said(found: Sequence[Better]) -> list[str]:
-    """Return which effects may be missing on which axes: up to three, or that it is not told yet."""
+def _effects_by_axes(found: Sequence[Better]) -> list[str]:
+    """Return which effects may be missing on which axes."""
     axes: dict[str, list[str]] = {}
     for one in sorted(found, key=lambda one: -one.gain):
-        more = len(one.names) - MOST_NAMES
-        text = " or ".join(one.names[:MOST_NAMES]) + (f" or {more} others, not told yet," if more > 0 else "")
-        axes.setdefault(text, []).append(one.channel[-1])
+        axes.setdefault(" or ".join(one.names), []).append(one.channel[-1])
     return [f"{text} on {', '.join(sorted(letters))}" for text, letters in axes.items()]
+
+
+def _charts(run: Run, present: BiasModel, better: BiasModel, one: Better) -> list[Chart]:
+    """Return what is left of a channel over time and temperature, and what the better model would take away.
+
+    Block means at rest, °/h, less their mean, which is the turn-on bias.  The line through them is the
+    difference of the two models.
+    """
+    block_s, name = common_block_s([run]), one.channel
+    left, after = (residual(run, model, [name], block_s=block_s) for model in (present, better))
+    both = left.mean[name], left.mean[name] - after.mean[name]
+    points, line = ((part - part.mean()) / DEG_PER_H for part in both)
+    axis, what = name[-1], one.names[0]
+    over = {
+        "time": (left.time_s / 60.0, "time since power-on [min]"),
+        "temperature": (left.temperature[temperature_of(name, present, [run])], "temperature [°C]"),
+    }
+    return [
+        Chart(
+            f"model_lacks_over_{key}",
+            RESIDUAL,
+            f"Gyro {axis} less the model, means of {block_s:.0f} s, and {what} through it",
+            Axis(label),
+            Axis("[°/h]"),
+            (
+                Curve(f"left, {axis}", x, points, AXIS_COLORS[axis], points=True, width=4.0),
+                Curve(what, x, line, INK),
+            ),
+            headline=f"{one.before / DEG_PER_H:.3g} → {one.after / DEG_PER_H:.3g} °/h",
+            notes=(f"{' or '.join(one.names)}, gain {one.gain:.0f}",),
+        )
+        for key, (x, label) in over.items()
+    ]

@@ -273,7 +273,7 @@ class Search:
     def _pairs(self, scored: Sequence[Scored]) -> dict[str, Leader]:
         """Look for two effects at once; a jump that is one of them may be anywhere in a block."""
         leaders = [group[0] for group in families(scored, 1).values()]
-        jumps = [self._refined(one) for one in leaders if one.candidate.scope == "event"]
+        jumps = [self.refined(one) for one in leaders if one.candidate.scope == "event"]
         pairs, pool = pairs_of([*scored, *jumps]), self.channel.pool
         if not pairs:
             return {}
@@ -341,7 +341,7 @@ class Search:
     def _finding(self, leader: Leader, table: Table, pooled: Mapping[str, float]) -> Finding | None:
         """Return the effect with refined parameters, or None when it is too small beside those found."""
         name = leader.scored.family
-        best = self._refined(leader.scored)
+        best = self.refined(leader.scored)
         candidate, refined = best.candidate, best.gain
         before, after = self._left(), self._left(candidate)
         size = float(np.sqrt(max(before**2 - after**2, 0.0)))
@@ -423,7 +423,7 @@ class Search:
             self.many_events |= any(run in taken for part in finding.candidate.parts for run in part.runs)
         return self.many_events
 
-    def _refined(self, best: Scored) -> Scored:
+    def refined(self, best: Scored) -> Scored:
         """Return the candidate with its nonlinear parameters refined."""
         for level in range(REFINEMENTS):
             tried = [best.candidate, *best.candidate.neighbours(self.survey, level)]
@@ -464,7 +464,7 @@ class Search:
         everything, noise = list(self.findings), self.null()[1]
         for finding in everything:
             self.findings = [other for other in everything if other is not finding]
-            finding.candidate = self._refined(Scored(finding.candidate, 0.0, 0.0, noise)).candidate
+            finding.candidate = self.refined(Scored(finding.candidate, 0.0, 0.0, noise)).candidate
         self.findings = everything
 
     def _drop_needless(self) -> None:
@@ -490,7 +490,7 @@ class Search:
         self.findings = [other for other in everything if other is not finding]
         tried = [*self.of_family(name), *([finding.others[name]] if name in finding.others else [])]
         scored = self._gains(tried, fine_grid(self.null()[1]))
-        finding.candidate = self._refined(max(scored, key=_gain)).candidate if scored else candidate
+        finding.candidate = self.refined(max(scored, key=_gain)).candidate if scored else candidate
         self.findings = everything
         self._drop_needless()
         if len(self.findings) == len(everything) or before - self._evidence() > PROVEN:

@@ -23,8 +23,8 @@ from scipy.optimize import least_squares
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import RunBlocks, make_blocks
-from imumon.diagnosis.glance import residual
 from imumon.diagnosis.likelihood import Likelihood
+from imumon.diagnosis.residual import residual
 from imumon.diagnosis.runs import Run
 
 NAMES = [f"gyro_{axis}" for axis in AXES]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.diagnosis.glance import Better, better_models
 from imumon.diagnosis.live import FIRST_LOOK_S, LOOK_S, LiveDiagnosis
+from imumon.diagnosis.residual import Better, better_models
 from imumon.diagnosis.runs import LONGEST_GAP_S, Run
 from imumon.diagnosis.shadow import Shadow
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
@@ -42,7 +42,7 @@ def nothing(time: FloatArray, temperature: FloatArray) -> FloatArray:  # noqa: A
 
 def session(bias: FloatArray | None = None, **columns: FloatArray) -> Run:
     """Return a session with a bias in rad/s beside the curve, and these columns."""
-    told = run(5, *ramps(SECONDS, up=True), nothing)
+    told = run(5, *ramps(SECONDS if bias is None else len(bias), up=True), nothing)
     more = 0.0 if bias is None else bias
     return replace(told, mean={**told.mean, **columns, "gyro_x": told.mean["gyro_x"] + more})
 
@@ -106,12 +106,14 @@ def test_a_shadow_has_as_much_time_to_win_as_it_was_found_in(monkeypatch: pytest
     begun: list[float] = []
 
     class Undecided(Shadow):
-        def judge(self, _: Run) -> None:
+        def score(self, _: Run) -> None:
             if self.since_s not in begun:
                 begun.append(self.since_s)
 
     monkeypatch.setattr("imumon.diagnosis.live.Shadow", Undecided)
-    assert said(session(40.0 * DPH * np.sin(np.arange(SECONDS) / 30.0)), LiveDiagnosis(model(), learn=True))
+    seconds = int(2.0 * FIRST_LOOK_S + 2.0 * LOOK_S)
+    swinging = session(40.0 * DPH * np.sin(np.arange(seconds) / 30.0))
+    assert said(swinging, LiveDiagnosis(model(), learn=True))
     np.testing.assert_allclose(begun, [FIRST_LOOK_S, 2.0 * FIRST_LOOK_S], atol=2.0)
 
 
@@ -131,9 +133,7 @@ def test_a_session_without_any_temperature_is_looked_at_in_vain_and_that_is_said
     told = session(40.0 * DPH * np.sin(np.arange(SECONDS) / 30.0), temperature=np.full(SECONDS, np.nan))
     stage = LiveDiagnosis(model())
     assert said(told, stage) == ""
-    assert stage.notices() == [
-        "what the model lacks is not told: the device has not sent any temperature so far"
-    ]
+    assert stage.notices() == ["the model is not searched: the device has not sent any temperature so far"]
 
 
 def test_after_a_gap_of_many_hours_a_run_begins_anew() -> None:
