@@ -1,4 +1,4 @@
-"""Does the live look name what a calibration had inside, and is it silent where nothing is missing?
+"""Does the live search name what a calibration had inside, and nothing where nothing is missing?
 
 A curve is fitted to two runs of a unit whose bias has an undeclared effect, so that the model's `residual_sd`
 covers it; a third run from another power-on goes sample by sample through the stage that says MODEL CAN BE
@@ -59,9 +59,9 @@ BEYOND = "beyond the calibration"
 """Label of the sessions that leave the middle half of the temperatures, which the calibration is cut to."""
 HEAD = (
     "# Closing the loop: live sessions\n\n"
-    "Made by `scripts/reproduce/closing_the_loop_live.py`. Right is what is said last when the effect is"
-    " among the three best on every axis that is named; `said` counts sessions in which anything was said at"
-    " any look. Wilson's 95 % interval.\n\n"
+    "Made by `scripts/reproduce/closing_the_loop_live.py`. Right is what is named last when the effect"
+    " is among the three best on every axis that is named; `named` counts sessions in which anything was"
+    " named by any search. Wilson's 95 % interval.\n\n"
 )
 SAID = re.compile(r"MODEL CAN BE BETTER: (.*?): ([\d.e+-]+) become ([\d.e+-]+) °/h")
 
@@ -289,7 +289,7 @@ def kept(path: Path | None) -> list[Said]:
 def table(results: Sequence[Said]) -> str:
     """Return what was said, as Markdown."""
     lines = [
-        "| effect | floors | said | right | first said, min, median | °/h before | after |",
+        "| effect | floors | named | right | first named, min, median | °/h before | after |",
         "|---|---|---|---|---|---|---|",
     ]
     labels = list(dict.fromkeys(one.label for one in results))
