@@ -25,6 +25,7 @@ VARIANTS: Mapping[str, Change] = {
     "rejection of knocks": [(cells, "KNOCK", 1e9)],
     "sways": [(sway, "MAX_LINES", 0)],
     "sways with fewer than 5 periods": [(sway, "MIN_PERIODS", 5.0)],
+    "sways: their frequency as the spectrum has it": [(sway, "_refined", lambda omega, *_: omega)],
     "creep about the vertical": [(cells, "CREEP_RATIO", math.inf)],
     "vertical gyro between fits": [(aligner.SinceFit, "yaw", property(lambda _: 0, lambda *_: None))],
     "warm-up": [(aligner, "DRIFTS", (hypotheses.Drift(1.0, 1e-7, 0.0),))],

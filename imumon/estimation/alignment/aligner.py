@@ -312,9 +312,9 @@ class Aligner:
         if state.posterior is None:
             return {}
         joint = Estimate(state.posterior.north - state.since_fit.yaw, self.heading_sd)
-        observable = self.observable
+        direction = direction_of(state.attitude) if self.observable else math.nan
         return {
-            name: Estimate(self.as_heading(one.heading) if observable else math.nan, one.sd)
+            name: Estimate((one.heading - direction) % (2.0 * math.pi), one.sd)
             for name, one in {"joint": joint, **state.means}.items()
         }
 
@@ -324,7 +324,7 @@ class Aligner:
         if not self.state.positions or not self.state.positions[-1].magnetic.any():
             return math.nan
         ahead, left, _ = (self.state.attitude @ self.state.positions[-1].magnetic).tolist()
-        return self.as_heading(math.atan2(left, ahead))
+        return (math.atan2(left, ahead) - direction_of(self.state.attitude)) % (2.0 * math.pi)
 
     @property
     def remaining_s(self) -> float | None:
@@ -337,10 +337,6 @@ class Aligner:
             return 0.0
         left = wanted**2 - (posterior.level_bias_sd / self.level_rate) ** 2
         return max(state.rest_s * (posterior.noise_sd**2 / left - 1.0), 1.0) if left > 0.0 else None
-
-    def as_heading(self, north: float) -> float:
-        """Return the heading of the body from the direction of north in the reference frame."""
-        return (north - direction_of(self.state.attitude)) % (2.0 * math.pi)
 
     @property
     def turned(self) -> float:

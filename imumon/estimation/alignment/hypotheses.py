@@ -6,8 +6,9 @@ In level axes, complex, per cell::
     accelerometers   alpha = phi + d + m
 
 phi stands, or settles: three neighbours of sum A_k (1 - exp(-t/tau_k)).  d is a random walk, with or without
-a warm-up, sum B_j (1 - exp(-t/T_j)).  All are linear and Gaussian, so that mean, variance and evidence of
-each are closed forms; c has a flat prior.
+a warm-up, sum B_j (1 - exp(-t/T_j)).  The state is the constant rate c + b and the eight amplitudes A, with
+two real parts each; a hypothesis is a prior of A and a covariance of d.  All are linear and Gaussian, so that
+mean, variance and evidence of each are closed forms; c has a flat prior.
 """
 
 from __future__ import annotations
@@ -31,13 +32,16 @@ P_SETTLES = 0.3
 """Prior probability of a settling tripod.  With 0.03 a slow tilt passes for a bias, 9 sigma off; ablation: 0
 makes up to 8 times the error."""
 WARM_UP_TAU_S = np.array([100.0, 300.0, 1000.0])
+"""Time constants of the warm-up of the accelerometers."""
 LEVEL_SD = 1e-3
-"""Constant of an accelerometer's level, rad."""
+"""Standard deviation of the level's constant, and of its step in a knock, rad."""
 TEMPER = 0.7
 """Exponent of prior times evidence (tempered posterior): below 1 because real tilts are no exact exponentials
 and the noise is estimated."""
+LIKELY = -15.0
+"""Log weight relative to the largest below which a hypothesis is dropped."""
 LARGEST_BIAS = 1e-3
-"""rad/s: 200 °/h."""
+"""Standard deviation of a bias while the unit creeps, rad/s: 200 °/h, more than any gyro that shows north."""
 
 
 class Drift(NamedTuple):
@@ -71,7 +75,7 @@ TILTS = tilt_hypotheses()
 
 
 class PositionFit(NamedTuple):
-    """Level rate of one position given each of h hypotheses, in the axes at the end of the record.
+    """Level rate of one position given each of h likely hypotheses, in the axes at the end of the record.
 
     `log_weight` (h,) is that of prior and evidence, the largest 0; `rate` (h,) earth rate and bias, rad/s,
     with the variance of each part; `white` the white noise of the quietest gyro, (rad/s)²/Hz; `yaw` the slow
@@ -111,10 +115,13 @@ def fit_position(data: Levelled, earth_vertical: float, drifts: Sequence[Drift])
     `earth_vertical` is Ω sin L, rad/s; `drifts` are models of the accelerometers.
     """
     n = len(data.rate)
+    # Rates of a unit that creeps about the vertical are turned into the axes at the end of the record.  There
+    # a bias, which is constant in body axes, turns: one more nuisance.
     creeps = rotates_slowly(data)
     yaw = np.cumsum(creeps * data.valid * (data.vertical - earth_vertical)) * data.row_s
     back = np.exp(1j * (yaw - yaw[-1]))
     rate = data.rate * back
+
     settling = -np.expm1(-data.row_s * np.arange(n + 1.0)[:, None] / SETTLING_TAU_S)
     slopes = np.diff(settling, axis=0) / data.row_s
     middles = 0.5 * (settling[1:] + settling[:-1])
@@ -122,6 +129,7 @@ def fit_position(data: Levelled, earth_vertical: float, drifts: Sequence[Drift])
     cells = divide(data, rate - sways.rate, creeps)
     if cells is None:
         return None
+
     turning_bias = LARGEST_BIAS * (back.imag - back.imag.mean())
     gyros = _gyros(cells, slopes, np.column_stack([sways.columns, turning_bias]))
     parts = []
@@ -129,11 +137,13 @@ def fit_position(data: Levelled, earth_vertical: float, drifts: Sequence[Drift])
         level, log_density = _accelerometers(cells, data.level - sways.level, data.row_s, middles, drift)
         parts.append(_tilts(gyros.plus(level), log_density + math.log(drift.probability)))
     log_weight, mean, variance = (np.concatenate(part) for part in zip(*parts, strict=True))
+    log_weight = TEMPER * (log_weight - log_weight.max())
+    likely = log_weight > LIKELY
     return PositionFit(
-        log_weight=TEMPER * (log_weight - log_weight.max()),
-        rate=mean + cells.mean_rate,
-        variance=variance,
-        settles=np.tile(TILTS.max(axis=1) > STANDS_SD, len(drifts)),
+        log_weight=log_weight[likely],
+        rate=mean[likely] + cells.mean_rate,
+        variance=variance[likely],
+        settles=np.tile(TILTS.max(axis=1) > STANDS_SD, len(drifts))[likely],
         vertical=cells.vertical,
         vertical_variance=cells.vertical_variance,
         white=cells.white,

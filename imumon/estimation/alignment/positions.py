@@ -71,7 +71,10 @@ class Motion:
     limit: float = MOTION_RATE
     """Distance from it that is still rest, rad/s."""
     recent: list[FloatArray] = field(default_factory=list)
-    """Rates of slots at rest, of the last 30 to 40 s."""
+    """Rates of slots at rest in this position, of the last 30 to 40 s."""
+    since_update: int = 0
+    """Slots at rest since the median was updated, in earlier positions, too: a strong sway is taken for turns
+    until then."""
     held: list[Slot] = field(default_factory=list)
     """Slots of the motion; before the first rest, those that may belong to it."""
     turned: Turn = STILL
@@ -109,11 +112,13 @@ class Motion:
     def _update_rest_rate(self, rates: FloatArray) -> None:
         self.rest_rate = np.median(rates, axis=0)
         self.limit = max(MOTION_RATE, LIMIT_FACTOR * float(np.abs(rates - self.rest_rate).max()))
+        self.since_update = 0
 
     def add_rest(self, rate: FloatArray) -> None:
         """Add the rate of a slot at rest; update the median every 10 s."""
         self.recent.append(rate)
-        if len(self.recent) % SWAYING_SLOTS == 0:
+        self.since_update += 1
+        if self.since_update >= SWAYING_SLOTS:
             del self.recent[:-MEDIAN_SLOTS]
             self._update_rest_rate(np.array(self.recent))
 

@@ -21,13 +21,10 @@ import numpy as np
 from scipy.special import i0e, i1e
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.alignment.hypotheses import PositionFit
+from imumon.estimation.alignment.hypotheses import LIKELY, PositionFit
 from imumon.estimation.alignment.report import ANY_ANGLE_SD
 from imumon.estimation.alignment.sensor_errors import SensorErrors
 from imumon.geodesy import EARTH_RATE
-
-LIKELY = -15.0
-"""Log weight relative to the largest below which a hypothesis with a size of the bias is dropped."""
 
 
 class HeadingPosterior(NamedTuple):

@@ -225,7 +225,7 @@ class Alignment:
             horizontal_earth_rate=aligner.level_rate,
             positions=0 if last is None else last.number,
             position_s=0.0 if fit is None else fit.seconds,
-            position_sd=math.inf if fit is None else math.sqrt(fit.variance[0]) / aligner.level_rate,
+            position_sd=math.inf if fit is None else math.sqrt(fit.variance.min()) / aligner.level_rate,
             turned=aligner.turned,
         )
 

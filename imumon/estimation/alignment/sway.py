@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,17 +50,16 @@ def find_sway(rate: ColumnArray, level: ColumnArray, valid: BoolArray, slow: Flo
     left, sways = data[:, 0], np.zeros((n, 2), complex)
     columns, size = np.zeros((n, 0)), np.zeros(0)
     for _ in range(min(MAX_LINES, n // ROWS_PER_LINE)):
-        omega = _strongest(left * taper)
-        if omega is None:
+        start = _strongest(left * taper)
+        if start is None:
             break
+        omega = _refined(start, left, beside)
         basis = np.column_stack([columns, _line(n, omega)])
         fitted = beside(basis)
-        normal = fitted.T @ fitted
-        normal.flat[:: len(normal) + 1] *= 1.0 + 1e-9
-        amplitudes = np.linalg.solve(normal, fitted.T @ data)
+        amplitudes = _least_squares(fitted, data)
         remains = data[:, 0] - fitted @ amplitudes[:, 0]
         reduced = np.vdot(remains, remains).real < RESIDUAL_SHARE * np.vdot(left, left).real
-        if omega * n < FEW_PERIODS * math.tau and not reduced:
+        if (omega * n < FEW_PERIODS * math.tau and not reduced) or abs(omega - start) * n > math.tau:
             break
         columns, left, sways = basis, remains, basis @ amplitudes
         swing = columns[:, -4:] @ amplitudes[-4:, 0]
@@ -87,3 +87,23 @@ def _strongest(left: ColumnArray) -> float | None:
     power = np.sum(np.abs(np.fft.rfft(axes, bins, axis=0)) ** 2, axis=1)[least : bins // 2]
     peak = int(np.argmax(power))
     return math.tau * (least + peak) / bins if power[peak] > LINE_RATIO * np.median(power) else None
+
+
+def _refined(omega: float, left: ColumnArray, beside: Callable[[ColumnArray], ColumnArray]) -> float:
+    """Return the frequency of a line after four Gauss-Newton steps, of 0.3 periods in the record at most.
+
+    A frequency that is off turns cosine into sine in proportion to the time.
+    """
+    n = len(left)
+    for _ in range(4):
+        a, b, a_slope, b_slope = _least_squares(beside(_line(n, omega)), left)
+        across = (np.conj(a_slope) * b - np.conj(b_slope) * a).real
+        step = float(across / (abs(a) ** 2 + abs(b) ** 2)) / (0.5 * n)
+        omega += min(max(step, -0.3 * math.tau / n), 0.3 * math.tau / n)
+    return omega
+
+
+def _least_squares(columns: ColumnArray, data: ColumnArray) -> ColumnArray:
+    normal = columns.T @ columns
+    normal.flat[:: len(normal) + 1] *= 1.0 + 1e-9
+    return np.asarray(np.linalg.solve(normal, columns.T @ data))

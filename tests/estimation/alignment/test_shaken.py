@@ -97,3 +97,14 @@ def test_a_detector_that_sees_no_rest_in_a_sway_stops_nothing() -> None:
     assert stage.status.shown is not None
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 3.0 * math.degrees(stage.status.shown.sd)
     assert math.degrees(stage.status.shown.sd) < 2.0
+
+
+def test_a_sway_faster_than_the_motion_limit_becomes_rest() -> None:
+    # The record begins around a peak of the rate, which is calm for 2 s.
+    sway = 2e-3 * np.sin(0.2 * math.pi * _time(240.0) - 0.63)
+    stage, _ = aligned(_shaken(240.0, np.outer(sway, [1.0, 1.0, 0.0])))
+    status = stage.status
+    assert status.rest_s > 200.0
+    assert status.shown is not None
+    assert math.degrees(status.shown.sd) < 0.3
+    assert abs(error_deg(status.shown.heading, 30.0)) < 4.0 * math.degrees(status.shown.sd)
