@@ -211,7 +211,7 @@ def _allan(path: Path, _: Job) -> Iterator[Row]:
     from imumon.allan.analysis import analyse
     from imumon.allan.output import TERMS_OF
     from imumon.allan.recording import UNITS, group_of, rate_hz, read_channels
-    from imumon.estimation.rest.stage import RestDetector
+    from imumon.estimation.gyro_bias.stage import RestDetector
 
     opened = read_channels(path, lambda _: [RestDetector()])
     for name, result in analyse(opened.series).items():
@@ -255,7 +255,7 @@ def _diagnose(path: Path, job: Job) -> Iterator[Row]:
     from imumon.diagnosis.engine import diagnose
     from imumon.diagnosis.report import report
     from imumon.diagnosis.runs import read_runs
-    from imumon.estimation.rest.stage import RestDetector
+    from imumon.estimation.gyro_bias.stage import RestDetector
     from imumon.files import write_text
 
     runs = read_runs(path, None, lambda _: [RestDetector()])

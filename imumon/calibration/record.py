@@ -8,7 +8,7 @@ from pathlib import Path
 
 from imumon.blocks import BoolArray, FloatArray, SampleBlock
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile

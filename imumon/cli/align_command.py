@@ -132,7 +132,7 @@ def _stage_of(pipeline: Pipeline) -> Alignment:
 def _recorded(path: Path, device: str | None, make: Callable[..., Setup]) -> Pipeline:
     """Go through a recording to its end."""
     from imumon.estimation.alignment.stage import Alignment
-    from imumon.estimation.rest.stage import RestDetector
+    from imumon.estimation.gyro_bias.stage import RestDetector
     from imumon.recordings.source import open_source, run_over
     from imumon.run.stages import pipeline_of
 

@@ -34,7 +34,7 @@ def command(
     from imumon.allan import output
     from imumon.allan.analysis import analyse
     from imumon.allan.recording import read_channels
-    from imumon.estimation.rest.stage import RestDetector
+    from imumon.estimation.gyro_bias.stage import RestDetector
 
     output.check_outputs(plot, noise_out, *odometry.values())
     with reading_bar([recording], quiet=as_json) as tell:

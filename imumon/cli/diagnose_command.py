@@ -156,6 +156,6 @@ def chosen_drivers(text: str) -> list[str] | None:
 def read(path: Path, map_path: Path | None, at_rest: bool, sensors: Sequence[str] | None = None) -> list[Run]:
     """Read a recording as runs from power-on, for a diagnosis of these sensors."""
     from imumon.diagnosis.runs import SENSORS, read_runs
-    from imumon.estimation.rest.stage import RestDetector
+    from imumon.estimation.gyro_bias.stage import RestDetector
 
     return read_runs(path, map_path, lambda _: [RestDetector()], at_rest, sensors or SENSORS)

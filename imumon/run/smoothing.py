@@ -8,8 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from imumon.estimation.attitude.stage import AttitudeEstimate
-from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.smoothing.backward import backward
 from imumon.estimation.smoothing.record import Record, Recorder
 from imumon.estimation.smoothing.stage import Smoothed, SmoothedEstimates
@@ -20,7 +19,7 @@ from imumon.recordings.source import Source, run_over
 from imumon.run.setup import Setup, ZuptMode
 from imumon.run.stages import pipeline_of, temperature_rate
 
-NEEDED = (TemperatureRate, RestDetector, GyroBias, AttitudeEstimate)
+NEEDED = (TemperatureRate, RestAndBias, AttitudeEstimate)
 
 
 def smoothed(source: Source, setup: Setup) -> SmoothedEstimates:
@@ -36,7 +35,7 @@ def smoothed(source: Source, setup: Setup) -> SmoothedEstimates:
         pass
     record = recorder.finish()
     given = source.device.temperature if source.device is not None else TemperatureRateParameters()
-    against_time = backward(record, temperature_rate(given), RestDetector(setup.rest), _bias(record, setup))
+    against_time = backward(record, temperature_rate(given), _bias(record, setup))
     return SmoothedEstimates(record, against_time, _heading(record, pipeline.estimators, setup))
 
 
@@ -51,12 +50,12 @@ def _heading(record: Record, stages: Sequence[Estimator], setup: Setup) -> Smoot
     return still_heading(record, stage.finish())
 
 
-def _bias(record: Record, setup: Setup) -> GyroBias:
+def _bias(record: Record, setup: Setup) -> RestAndBias:
     """Return the stage that goes backward, for which the earth turns the other way."""
     latitude = None if setup.latitude_deg is None else -setup.latitude_deg
     heading = None if setup.heading_deg is None else _last_heading(record, setup.heading_deg) + 180.0
     mode: ZuptMode = "learned" if setup.mode == "learned" else "standard"
-    return GyroBias(setup.zupt_with_noise, None, mode, latitude, heading)
+    return RestAndBias(setup.zupt_with_noise, None, mode, latitude, heading, setup.rest)
 
 
 def _last_heading(record: Record, first_deg: float) -> float:

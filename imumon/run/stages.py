@@ -7,8 +7,7 @@ from functools import partial
 
 from imumon.allan.stage import AllanStage
 from imumon.estimation.attitude.stage import AttitudeEstimate
-from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.spectrum.stage import LiveSpectrum
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.watch.stage import ModelWatch
@@ -56,8 +55,9 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
     axes = device.axes if device is not None else None
     stages: list[Estimator] = [
         temperature_rate(temperature),
-        RestDetector(setup.rest),
-        GyroBias(setup.zupt_with_noise, model, setup.mode, setup.latitude_deg, setup.heading_deg),
+        RestAndBias(
+            setup.zupt_with_noise, model, setup.mode, setup.latitude_deg, setup.heading_deg, setup.rest
+        ),
         ModelWatch(setup.watch, modelled=model is not None),
         AllanStage(setup.allan),
         LiveSpectrum(),

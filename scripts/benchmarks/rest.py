@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.measure import Bar, Table, measure
 from imumon.blocks import SampleBlock
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestDetector
 
 RATES_HZ = (25, 100, 1000)
 SAMPLES = 50_000

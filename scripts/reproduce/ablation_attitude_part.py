@@ -20,8 +20,7 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.attitude import heading_sigma, tilt_sigma
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.stage import AttitudeEstimate
-from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestAndBias
 
 FREE = (
     "by hand", "robot arm", "swing", "drone", "rover", "car", "by hand, consumer gyros",
@@ -87,8 +86,7 @@ def simulated(name: str, with_mag: bool, seed: int) -> Input:
     record = simulate(SCENES[name], RATE_HZ, seed)
     columns = record.samples.columns.items()
     samples = SampleBlock({key: each for key, each in columns if with_mag or not key.startswith("mag")})
-    for before in (RestDetector(), GyroBias(mode="learned")):
-        samples = samples.with_columns(before.process(samples))
+    samples = samples.with_columns(RestAndBias(mode="learned").process(samples))
     return Input(samples, record.attitude, record.axes)
 
 

@@ -18,9 +18,8 @@ from rest_detector_table import TURN_RATE_HZ
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.estimation.gyro_bias import bank, hypotheses, modes
-from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.rest import detector, odds, quiet
-from imumon.estimation.rest.stage import RestDetector
 from imumon.geodesy import DEG_PER_H
 
 TITLE = "Rest and gyro bias: error of the bias in hands and in steady turns, °/h."
@@ -85,8 +84,7 @@ def _in_a_hand(name: str, seed: int) -> tuple[FloatArray, FloatArray]:
 def _turned(turn: tuple[float, float, float, float], grade: int, seed: int) -> tuple[FloatArray, FloatArray]:
     """Return the same before, in and after a steady turn, once a second."""
     samples, truth = measure_with_bias(steady_turn(TURN_RATE_HZ, *turn), SENSORS[grade], seed)
-    for stage in (RestDetector(), GyroBias()):
-        samples = samples.with_columns(stage.process(samples))
+    samples = samples.with_columns(RestAndBias().process(samples))
     return _once_a_second(samples, truth, TURN_RATE_HZ)
 
 
@@ -103,8 +101,7 @@ def _walking(seed: int) -> tuple[FloatArray, FloatArray]:
     for name, values in (("gyro", gyro), ("accel", accel)):
         columns |= {f"{name}_{axis}": values[:, i] for i, axis in enumerate("xyz")}
     samples = SampleBlock(columns)
-    for stage in (RestDetector(), GyroBias()):
-        samples = samples.with_columns(stage.process(samples))
+    samples = samples.with_columns(RestAndBias().process(samples))
     return _once_a_second(samples, walk, rate_hz)
 
 

@@ -12,8 +12,7 @@ from attitude_scenes import SCENES, simulate
 from imumon.blocks import SampleBlock
 from imumon.estimation.attitude.fusion import heading
 from imumon.estimation.attitude.stage import AttitudeEstimate
-from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestAndBias
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -27,7 +26,7 @@ def draw(path: Path) -> None:
     record = simulate(SCENES["by hand"], RATE_HZ, SEED)
     columns = record.samples.columns.items()
     samples = SampleBlock({name: each for name, each in columns if not name.startswith("mag")})
-    for stage in (RestDetector(), GyroBias(mode="learned"), AttitudeEstimate()):
+    for stage in (RestAndBias(mode="learned"), AttitudeEstimate()):
         samples = samples.with_columns(stage.process(samples))
     q = np.column_stack([samples[f"attitude_estimate_{part}"] for part in "wxyz"])
     true_up = record.attitude[:, 2]

@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 from imumon.blocks import BoolArray, FloatArray, SampleBlock
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.stage import AttitudeEstimate
-from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestAndBias
 
 HEADS = (
     "trial, during motion", "tilt °", "z rms", "max", "σ °", "free heading °", "z rms", "max", "σ °",
@@ -74,8 +73,7 @@ def _trial(path: Path) -> tuple[SampleBlock, FloatArray, BoolArray]:
     with np.load(path) as data:
         samples, truth = _samples(data), data["opt_quat"]
         scored = data["movement"] & np.isfinite(truth).all(1)
-    for stage in (RestDetector(), GyroBias(mode="learned")):
-        samples = samples.with_columns(stage.process(samples))
+    samples = samples.with_columns(RestAndBias(mode="learned").process(samples))
     return samples, truth, scored
 
 

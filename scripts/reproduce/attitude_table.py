@@ -24,8 +24,7 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.attitude.fusion import heading
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.stage import AttitudeEstimate
-from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import STANDARD_GRAVITY
 
@@ -131,7 +130,7 @@ def add(tilt: Kind, turn: Kind, record: Record, with_mag: bool, dt: float, given
     axes = cast(Literal["FRD", "FLU"], record.axes)
     told = samples
     attitude = AttitudeEstimate(given, axes, calibrated())
-    for stage in (TemperatureRate(), RestDetector(), GyroBias(mode="learned"), attitude):
+    for stage in (TemperatureRate(), RestAndBias(mode="learned"), attitude):
         told = told.with_columns(stage.process(told))
     ours = np.column_stack([told[f"attitude_estimate_{part}"] for part in "wxyz"])
     tilt_known, heading_known = (

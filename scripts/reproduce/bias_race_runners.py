@@ -13,8 +13,7 @@ from vqf import VQF
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
-from imumon.estimation.gyro_bias.stage import GyroBias, Mode
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import GyroBias, Mode, RestDetector
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.models.model import BiasModel
 from imumon.simulation.unit.scenario import Scenario

@@ -11,8 +11,7 @@ from bias_race_runners import DEFAULTS, Run
 from bias_sigma_records import FIRST_REST_S, LATITUDE_DEG, RATE_HZ, Case, Record, simulate, varied
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H
 from imumon.simulation.unit.scenario import Scenario, load_scenario
@@ -66,7 +65,7 @@ def estimated(case: Case, record: Record) -> tuple[FloatArray, FloatArray, Recor
     """Return error and sigma of the pipeline, rad/s, (n, 3) each, and the record with what it was told."""
     samples = record.samples
     known = (LATITUDE_DEG, 0.0) if case.place else (None, None)
-    for stage in (TemperatureRate(), RestDetector(), GyroBias(None, None, "learned", *known)):
+    for stage in (TemperatureRate(), RestAndBias(None, None, "learned", *known)):
         samples = samples.with_columns(stage.process(samples))
     bias, sd = (
         np.column_stack([samples[f"{name}_{axis}"] for axis in "xyz"])

@@ -21,7 +21,7 @@ from imumon.diagnosis.report import report
 from imumon.diagnosis.runs import SECOND_NS, Run, read_runs
 from imumon.diagnosis.verdict import ChannelVerdict
 from imumon.errors import ImumonError
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.recordings.reduced import AXES
 
 SHARES = (0.5, 0.6, 0.65, 0.7)

@@ -17,7 +17,7 @@ from imumon.diagnosis.conclusion import conclusion
 from imumon.diagnosis.engine import diagnose
 from imumon.diagnosis.runs import Run, collect
 from imumon.diagnosis.verdict import ChannelVerdict
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.geodesy import DEG_PER_H
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 

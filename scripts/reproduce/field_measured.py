@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.geodesy import DEG_PER_H
 
 SETTLED_S, REST_S = 1.0, 20.0
@@ -41,8 +40,7 @@ def errors(path: Path) -> tuple[FloatArray, FloatArray, float]:
         **{f"accel_{axis}": accel[:, j].copy() for j, axis in enumerate("xyz")},
     }
     samples = SampleBlock(columns)
-    for stage in (RestDetector(), GyroBias()):
-        samples = samples.with_columns(stage.process(samples))
+    samples = samples.with_columns(RestAndBias().process(samples))
     end = int(np.flatnonzero(moving)[-1])
     after = slice(end + round(SETTLED_S * rate_hz), end + round((SETTLED_S + REST_S) * rate_hz))
     truth = gyro[after].mean(0)

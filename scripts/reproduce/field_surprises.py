@@ -16,8 +16,7 @@ import numpy.typing as npt
 from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H, STANDARD_GRAVITY
 from imumon.pipeline import Pipeline
@@ -222,7 +221,7 @@ def met(make: Callable[[np.random.Generator], Truth], seed: int) -> Outcome:
     rng = np.random.default_rng(seed)
     scene = make(rng)
     samples, bias = samples_of(scene, rng)
-    pipeline = Pipeline(None, [TemperatureRate(), RestDetector(), GyroBias(mode="learned")])
+    pipeline = Pipeline(None, [TemperatureRate(), RestAndBias(mode="learned")])
     pipeline.push(samples)
     samples = pipeline.take()
     slope = np.diff(scene.degc) / np.diff(

@@ -38,8 +38,7 @@ from thermometer_kinds import KINDS, PER_HOUR, Kind, Profile, constant, drifting
 from thermometers_table import ONSET_S, SETTLED_S, STEADY_S, errors
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H
 from imumon.recordings.table import read_table
@@ -125,7 +124,7 @@ def rest_rows(seeds: range) -> Iterator[Row]:
             for seed in seeds:
                 scene = make(seed)
                 samples, truth = measure_with_bias(scene, grade, seed)
-                found = samples.with_columns(RestDetector().process(samples))
+                found = samples.with_columns(RestAndBias().process(samples))
                 ours.add(scene.t, scene.rest, found["at_rest"] == 1)
                 theirs.add(scene.t, scene.rest, vqf_rest(samples))
                 ratios.append(bias_over_sigma(found, truth)[:: round(TURN_RATE_HZ)].ravel())
@@ -242,7 +241,7 @@ def measured_rows(folder: Path) -> Iterator[Row]:
         if "true_gyro_bias_x" not in samples:
             print(f"{path.name}: no column true_gyro_bias_x, so it is left out", file=sys.stderr)
             continue
-        for stage in (TemperatureRate(), RestDetector(), GyroBias()):
+        for stage in (TemperatureRate(), RestAndBias()):
             samples = samples.with_columns(stage.process(samples))
         error = matrix(samples, "gyro_bias") - matrix(samples, "true_gyro_bias")
         ratios = error / matrix(samples, "gyro_bias_sd")

@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 from vqf import VQF
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
 
 RMS_BAR, LARGEST_BAR = 1.8, 7.0
@@ -143,8 +142,7 @@ def row(name: str, rate_hz: float, minutes: float, seeds: range) -> tuple[float,
         samples, seen = simulate(VEHICLES[name], rate_hz, 60.0 * minutes, seed)
         gyro, accel = _vectors(samples, "gyro"), _vectors(samples, "accel")
         theirs = VQF(1.0 / rate_hz).updateBatchFullState(gyro, accel)["bias"] - seen
-        for stage in (RestDetector(), GyroBias(mode="learned")):
-            samples = samples.with_columns(stage.process(samples))
+        samples = samples.with_columns(RestAndBias(mode="learned").process(samples))
         late = slice(round(SETTLED_S * rate_hz), None, each)
         error, sd, other = (
             (_vectors(samples, "gyro_bias") - seen)[late],

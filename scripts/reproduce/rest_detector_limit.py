@@ -16,7 +16,7 @@ import numpy as np
 from rest_detector_scenes import FLICKER_TAUS_S, FLOOR_PER_MARKOV, Grade, Scene, measure
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestDetector
 
 LIKELY = 0.75
 """Probability from which on it is no rest."""

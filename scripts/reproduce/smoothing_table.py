@@ -11,8 +11,7 @@ from alignment_runs import ACCEL_BIAS_UG
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.stage import Alignment
-from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.smoothing.backward import backward
 from imumon.estimation.smoothing.heading import still_heading
 from imumon.estimation.smoothing.record import Record, Recorder
@@ -71,7 +70,7 @@ def measured(name: str, seconds: int, seed: int) -> FloatArray:
         recorder.add(block)
         truths.append(truth)
     record = recorder.finish()
-    against_time = backward(record, TemperatureRate(), RestDetector(), GyroBias(mode="learned"))
+    against_time = backward(record, TemperatureRate(), RestAndBias(mode="learned"))
     stage = SmoothedEstimates(record, against_time)
     rows = np.minimum(record.stop - 1, seconds * RATE_HZ - 1)
     slots = SampleBlock({"row": np.arange(seconds * RATE_HZ)})
@@ -108,7 +107,7 @@ def _rms(values: FloatArray) -> float:
 def played(name: str, seconds: int, seed: int) -> Iterator[tuple[SampleBlock, FloatArray]]:
     """Yield samples behind the stages, and the bias with the earth rate of the latest rest, (n, 3)."""
     unit = SimulatedUnit(load_scenario(name).played(RATE_HZ, "FRD"), seed)
-    stages: list[Estimator] = [TemperatureRate(), RestDetector(), GyroBias(mode="learned")]
+    stages: list[Estimator] = [TemperatureRate(), RestAndBias(mode="learned")]
     kept = np.zeros(3)
     for begun in range(0, seconds, PIECE_S):
         block, truth = unit.run(min(PIECE_S, seconds - begun) * RATE_HZ)

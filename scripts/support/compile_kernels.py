@@ -136,7 +136,7 @@ def temperature() -> None:
 
 def rest() -> None:
     """Tell rest from motion."""
-    from imumon.estimation.rest.stage import RestDetector
+    from imumon.estimation.gyro_bias.stage import RestDetector
     from imumon.run.live import rest_and_turn
 
     RestDetector().process(rest_and_turn())

@@ -13,7 +13,7 @@ import pytest
 from imumon.allan.output import check_outputs
 from imumon.allan.recording import read_channels
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestDetector
 
 N = 2000
 

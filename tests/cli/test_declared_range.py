@@ -11,7 +11,7 @@ import pytest
 from imumon.allan.recording import read_channels
 from imumon.calibration.record import read_session
 from imumon.diagnosis.runs import read_runs
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.ranges import Ranges

@@ -15,7 +15,7 @@ from imumon.diagnosis.extended import extended_model
 from imumon.diagnosis.report import report
 from imumon.diagnosis.runs import Origin, Run, read_runs
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.models.curves.points import Points
 from imumon.models.curves.polynomial import PolynomialCurve, fit_polynomial
 from imumon.models.curves.spline import SplineCurve

@@ -10,7 +10,7 @@ import pytest
 from imumon.diagnosis.engine import diagnose
 from imumon.diagnosis.extended import extended_model
 from imumon.diagnosis.runs import read_runs
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.geodesy import DEG_PER_H
 from imumon.models.model import load_model
 from imumon.models.predictor import BiasPredictor

@@ -20,7 +20,7 @@ from imumon.batch.tasks import Job, work
 from imumon.calibration.calibration import calibrate
 from imumon.calibration.record import read_session
 from imumon.diagnosis.runs import read_runs
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestDetector
 from tests.calibration.records import few_steps, samples, soak
 from tests.cli.command import answer, imumon
 from tests.faults.readings import FAULTS, Columns, Fault, write_session

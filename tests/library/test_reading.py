@@ -14,7 +14,7 @@ import imumon
 from imumon.blocks import NO_INT
 from imumon.columns import KNOWN
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.protocols.device import device_text, load_device, parse_device
 from imumon.simulation.recording import record_session
 from imumon.simulation.unit import SimulatedUnit, load_scenario

@@ -7,7 +7,7 @@ import pytest
 
 from imumon.blocks import ColumnArray, SampleBlock
 from imumon.errors import EXIT_USAGE, ImumonError, Reason
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_names, load_device, parse_device
 from imumon.protocols.ranges import Ranges

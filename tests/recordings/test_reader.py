@@ -10,7 +10,7 @@ import pytest
 from imumon.blocks import SampleBlock, join
 from imumon.columns import KNOWN
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.importing import import_table

@@ -1,7 +1,9 @@
-"""The bias from slot to slot: rests come and go, and what moves the bias meanwhile is in its variance.
+"""Slot by slot: is the unit at rest, and what is the bias?
 
-A second at rest counts once the unit has been at rest for half a second more: what moves it may begin
-before it is noticed.  All rates are less what the thermal model has added since the start.
+`imumon.estimation.rest.quiet` tests whether anything moves, without a bias; of each quiet second
+`hypotheses` decides what its mean is.  At rest is what is quiet for a second, has been decided on since it
+was last not, and is not rather a turn.  While the unit moves, what moves the bias is in its variance.  All
+rates are less what the thermal model has added since the start.
 """
 
 from __future__ import annotations
@@ -15,43 +17,72 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import hypotheses
-from imumon.estimation.gyro_bias.hypotheses import LEAST_WHITE, Evidence, Second
+from imumon.estimation.gyro_bias.hypotheses import LEAST_WHITE, Evidence
 from imumon.estimation.gyro_bias.law import Law
 from imumon.estimation.gyro_bias.modes import SENSITIVITY_SD, SLOPE, WALK, Modes, known_modes, unknown_modes
 from imumon.estimation.gyro_bias.motion import Motion
 from imumon.estimation.gyro_bias.place import Attitude, Place, turned_earth
 from imumon.estimation.gyro_bias.timing import Span
+from imumon.estimation.rest import quiet
+from imumon.estimation.rest.odds import (
+    as_predicted,
+    by_compass,
+    by_gravity,
+    first_was_turn,
+    probability_of_turn,
+)
+from imumon.estimation.rest.parameters import RestParameters
+from imumon.estimation.rest.quiet import ACCEL, GYRO, TRIAL, Second
 from imumon.filters.turns import STILL, Turn
 from imumon.geodesy import EARTH_RATE
 
-SLOT_S = 0.25
 SECOND_S = 1.0 - 1e-6
+LEAST_SLOTS = 4
+"""Quiet slots in a row before it is rest."""
 HELD_BACK = 2
-"""Slots at rest behind a second before it counts."""
-FIRST_SLOTS = 16
-"""Slots at rest that show the noise."""
-ANOTHER = 4.0
-"""Factor of the variance of the white noise that is no chance in so many slots."""
+"""Quiet slots behind a second without which it is not learned."""
+CHANGE_LOG_RATIO = 12.0
+"""Log likelihood ratio of a changed bias over a turn from which on the bias has changed."""
+TURN_LOG_RATIO = 2.0
+"""The same of a turn over a changed bias, from which on a mean that fits a wide law is no rest."""
+BEGAN_LOG_RATIO = 8.0
+"""Log likelihood ratio by the compass from which on the recording began in a turn."""
+LEAST_SECONDS = 3
+"""Seconds over which gravity is compared; in the first ones of a rest its slots are, and where the rate has
+just changed also the seconds before."""
+FIRST_S = 4.0
+"""How long the mean has been the same before the first mean of the recording is called in question."""
+GIVEN_ANOTHER = 4.0
+"""Where rest is given, factor of the variance of the white noise that is no chance in 16 slots."""
 PATIENCE_S = 60.0
-"""Without a rest detector of ours, rest at another rate for so long is rest with another bias."""
+"""Where rest is given, rest at another rate for so long is rest with another bias."""
 
 
 class Slot(NamedTuple):
-    """Means over a slot, (3,) each."""
+    """A slot, and what else is known at its end."""
 
     span: Span
-    rest: bool
-    """Whether it was at rest throughout."""
-    rate: FloatArray
-    """Mean of the gyros less what the thermal model has added, rad/s."""
-    force: FloatArray
-    """Mean specific force, m/s²; NaN without any."""
+    readings: quiet.Slot
+    modelled: FloatArray
+    """What the thermal model has added to the bias, rad/s, (3,)."""
     degc: FloatArray
     growth: FloatArray
-    """What an uncertain temperature has added to the variance of the bias meanwhile, (rad/s)²."""
-    reported: FloatArray | None
-    """A turn that may be a change of the bias, by the rest detector, rad/s; None without a detector."""
+    """What an uncertain temperature has added to the variance of the bias meanwhile, (rad/s)², (3,)."""
+    heading: FloatArray
+    """(3,); NaN without one."""
     turn: Turn
+    at_rest: bool | None
+    """Whether it was at rest throughout, where that is given."""
+
+    @property
+    def rate(self) -> FloatArray:
+        """Mean rate less what the thermal model has added, rad/s, (3,)."""
+        return self.readings.mean[GYRO] - self.modelled
+
+    @property
+    def force(self) -> FloatArray:
+        """Mean specific force, m/s², (3,); NaN without any."""
+        return self.readings.mean[ACCEL]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +97,7 @@ class Params:
     place: Place
     slopes: tuple[float, ...]
     """Standard deviations of the slope over temperature, over σ, 1/°C."""
+    rest: RestParameters
 
     def modes(self, white: FloatArray) -> Modes:
         """Return the modes of the bank; `white`, (3,), is the variance of the mean of a second."""
@@ -78,17 +110,16 @@ class Params:
 class State:
     """All that is carried from slot to slot."""
 
-    beliefs: hypotheses.State = field(default_factory=hypotheses.State)
-    pending: list[Slot] = field(default_factory=list)
-    """Slots at rest that do not count yet."""
+    quiet: quiet.State = field(default_factory=quiet.State)
+    bias: hypotheses.State = field(default_factory=hypotheses.State)
     latest: list[Slot] = field(default_factory=list)
-    """The latest slots of this rest, for their noise."""
-    noise: FloatArray | None = None
-    """Variance of the mean of a second, (3,), once it is known: it survives a restart."""
+    """The latest 16 slots."""
+    pending: list[Slot] = field(default_factory=list)
+    """Quiet slots of a second that is not complete."""
     attitude: Attitude = field(default_factory=Attitude)
     turn: Turn = STILL
     lost: bool = False
-    """Since the last rest, and whether readings were missing meanwhile."""
+    """Since the attitude was taken, and whether readings were missing meanwhile."""
     added: FloatArray = field(default_factory=lambda: np.zeros(3))
     """Variance that has not been taken into the filters yet, (rad/s)², (3,)."""
     force: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
@@ -97,189 +128,254 @@ class State:
     motion: Motion = field(default_factory=Motion)
     """Estimates the bias from motion before the first rest."""
     by_motion: Law | None = None
-    held: FloatArray = field(default_factory=lambda: np.zeros(3))
-    """Variance by a turn that the rest detector has reported, until a second has counted without, (3,)."""
+    decided: bool = False
+    """Whether a second has been decided on since it was last not quiet."""
+    began_turning: bool = False
+    """Whether the first mean of the recording is a turn, by the compass."""
+    at_rest: bool = False
+    turn_rate: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """What is shown: whether it is at rest, and the turn that may be a change of the bias, rad/s, (3,)."""
     shown_s: float = -math.inf
-    """Time of the law that is shown."""
+    """Time of the law that is shown; minus infinity once it is another."""
 
 
 def restarted(state: State) -> State:
-    """Return a state as after a restart of the device; what is known of the noise stays."""
-    fresh = State(noise=state.noise)
-    fresh.beliefs.jumped = state.beliefs.jumped
-    return fresh
+    """Return a state as after a restart of the device: the bias is another, the noise is what it was."""
+    quiet.begin(state.quiet)
+    return State(quiet=state.quiet, bias=hypotheses.State(jumped=state.bias.jumped))
 
 
-def step(state: State, params: Params, slot: Slot) -> tuple[FloatArray | None, bool]:
-    """Take a slot; return the normalised innovations of the second that counts, (3,), and whether the law
-    is another."""
+def step(state: State, params: Params, slot: Slot) -> FloatArray | None:
+    """Take a slot; return the normalised innovations of the second that it completes at rest, (3,)."""
     state.force = np.where(np.isfinite(slot.force), slot.force, state.force)
     state.degc = np.where(np.isfinite(slot.degc), slot.degc, state.degc)
     state.added = state.added + slot.growth
-    beliefs = state.beliefs
-    if slot.reported is not None and (slot.reported.any() or not slot.rest):
-        learned = not slot.rest and not beliefs.contradicted  # what has been learned does not become better
-        state.held = np.maximum(slot.reported**2, state.held if learned else 0.0)
-    if not slot.rest or slot.span.gap_s:
-        _leave(state, slot)
-    if slot.rest:
-        state.latest = [*state.latest[1 - FIRST_SLOTS :], slot]
+    state.latest = [*state.latest[1 - TRIAL :], slot]
+    run = quiet.step(state.quiet, slot.readings, params.rest.drift, slot.at_rest)
+    innovation = None
+    if not state.quiet.present[GYRO].all():
+        state.at_rest = run >= LEAST_SLOTS
+        return None
+    if run == 0:
+        _move(state, slot)
+    elif state.bias.nominal is None:
+        _look_for_beginning(state, params)
+    elif state.quiet.another:
+        hypotheses.take_noise(state.bias, _noise(state)[GYRO])
+        state.pending = []
+    else:
         state.pending.append(slot)
-        if beliefs.nominal is None:
-            state.motion.interrupt()
-            return None, _look_for_beginning(state, params)
-        seconds = sum(one.span.seconds for one in state.pending[:-HELD_BACK])
-        if seconds >= SECOND_S:
-            return _count(state, params), True
-    elif beliefs.nominal is None:
-        return None, _learn_from_motion(state, slot)
-    return None, slot.span.end_s - state.shown_s >= SECOND_S
+        if state.bias.turning:
+            _follow_turn(state, slot)
+        if run >= LEAST_SLOTS and sum(one.span.seconds for one in state.pending) >= SECOND_S:
+            innovation = _decide(state, params)
+    turning = state.bias.turning or state.began_turning
+    state.at_rest = run >= LEAST_SLOTS and state.decided and not turning
+    return innovation if state.at_rest else None
 
 
-def miss(state: State, lag_degc: FloatArray) -> None:
-    """Note a gap: the lag of the gyros' temperatures may have changed by so much (sd), °C, (3,)."""
+def miss(state: State, lag_degc: FloatArray, long: bool) -> None:
+    """Note a gap: the lag of the gyros' temperatures may have changed by so much (sd), °C, (3,).
+
+    Parameters
+    ----------
+    long : bool
+        Whether rest does not go on over it.
+    """
     state.motion.interrupt()
-    nominal = state.beliefs.nominal
-    if nominal is not None:
-        law = nominal.law
+    state.lost |= long or state.quiet.run == 0
+    if state.bias.nominal is not None:
+        law = state.bias.nominal.law
         slope2 = law.mean[:, SLOPE] ** 2 + law.covariance[:, SLOPE, SLOPE]
         state.added = state.added + slope2 * lag_degc**2
-        state.lost = True
-        hypotheses.move(state.beliefs)
-    state.pending, state.latest = [], []
+    if long:
+        quiet.begin(state.quiet)
+        _interrupt(state)
+    state.shown_s = -math.inf
 
 
-def _leave(state: State, slot: Slot) -> None:
-    """Follow the unit while it is not at rest; what has not counted does not."""
-    beliefs = state.beliefs
-    if state.latest:
-        state.pending, state.latest = [], []
-    if beliefs.nominal is None:
+def _noise(state: State) -> FloatArray:
+    """Return the variance of the mean of a second, (6,)."""
+    covered_s = sum(one.span.covered_s for one in state.latest) / len(state.latest)
+    return np.maximum(state.quiet.noise * covered_s, LEAST_WHITE)
+
+
+def _interrupt(state: State) -> None:
+    """Drop a second that is not complete: it moves, or nothing is known of it for a while."""
+    if state.began_turning:
+        state.bias, state.began_turning = hypotheses.State(jumped=state.bias.jumped), False
+    if state.decided:
+        state.shown_s = -math.inf
+    if state.bias.nominal is not None:
+        hypotheses.move(state.bias, undo=len(state.pending) < HELD_BACK)
+        if not state.bias.contradicted:
+            state.turn_rate = np.zeros(3)
+    state.pending, state.decided, state.at_rest = [], False, False
+
+
+def _move(state: State, slot: Slot) -> None:
+    """Follow a slot in motion."""
+    _interrupt(state)
+    if state.bias.nominal is not None:
+        _follow_turn(state, slot)
         return
-    if not beliefs.moved:
-        state.turn, state.lost = STILL, False
-    reported = slot.reported is not None and slot.reported.any()
-    if reported and beliefs.contradicted:
-        beliefs.moved, beliefs.probability, beliefs.recent, beliefs.alike = True, 1.0, [], 0
-    else:
-        hypotheses.move(beliefs)
-    state.turn = state.turn.then(slot.turn.less(beliefs.nominal.law.mean[:, WALK]))
+    if slot.span.gap_s or np.isnan(slot.force).any():
+        state.motion.interrupt()
+    elif state.motion.take(slot.turn, slot.force):
+        bias, variance = state.motion.bias
+        state.by_motion = Law.of(
+            bias, variance + EARTH_RATE**2, SENSITIVITY_SD**2, state.motion.force, slot.span.end_s
+        )
+        state.shown_s = -math.inf
+
+
+def _follow_turn(state: State, slot: Slot) -> None:
+    """Add a slot to the turn since the attitude was taken."""
+    assert state.bias.nominal is not None
+    state.turn = state.turn.then(slot.turn.less(state.bias.nominal.law.mean[:, WALK] + slot.modelled))
     state.lost |= slot.span.gap_s > 0.0
 
 
-def _learn_from_motion(state: State, slot: Slot) -> bool:
-    """Learn the bias from the motion before the first rest; return whether a window has ended."""
-    if slot.span.gap_s or np.isnan(slot.force).any():
-        state.motion.interrupt()
-        return False
-    if not state.motion.take(slot.turn, slot.force):
-        return False
-    bias, variance = state.motion.bias
-    state.by_motion = Law.of(
-        bias, variance + EARTH_RATE**2, SENSITIVITY_SD**2, state.motion.force, slot.span.end_s
-    )
-    return True
-
-
-def _noise_of(slots: Sequence[Slot]) -> FloatArray:
-    """Return the variance of the mean rate of a second by second differences of slots, (3,)."""
-    means = np.array([one.rate for one in slots])
-    second = means[2:] - 2.0 * means[1:-1] + means[:-2]
-    seconds = float(np.mean([one.span.covered_s for one in slots]))
-    return np.asarray(np.maximum(np.nan_to_num((second**2).mean(0) / 6.0 * seconds), LEAST_WHITE))
-
-
-def _look_for_beginning(state: State, params: Params) -> bool:
-    """Begin once the noise is known and a second has passed."""
-    slots = state.pending
-    needed = FIRST_SLOTS if state.noise is None else 2
-    seconds = sum(one.span.seconds for one in slots)
-    if len(slots) < needed or seconds < SECOND_S:
-        return False
-    noise = _noise_of(slots) if state.noise is None else state.noise
-    known = np.isfinite(params.white).all()
-    if known:
-        noise = np.maximum(params.white**2, LEAST_WHITE)
-    state.noise = noise
-    state.attitude.come_to_rest(slots[0].force, params.place, STILL, None)
-    hypotheses.begin(state.beliefs, params.modes(noise), _seconds(state, slots), noise, bool(known))
-    state.pending, state.added = [], np.zeros(3)
-    return True
-
-
-def _seconds(state: State, slots: Sequence[Slot]) -> list[Second]:
-    """Return the means of seconds, less the earth rate."""
-    found, part = [], []
-    for slot in slots:
-        part.append(slot)
-        if sum(one.span.seconds for one in part) >= SECOND_S:
-            found.append(_second(state, part))
-            part = []
-    return found + ([_second(state, part)] if part else [])
+def _look_for_beginning(state: State, params: Params) -> None:
+    """Begin with the first second, or the slots of the trial that has found the noise."""
+    state.motion.interrupt()
+    if not state.quiet.known or state.quiet.run < LEAST_SLOTS:
+        return
+    slots = state.latest[-state.quiet.run :]
+    parts: list[list[Slot]] = [[]]
+    for one in slots:
+        if sum(each.span.seconds for each in parts[-1]) >= SECOND_S:
+            parts.append([])
+        parts[-1].append(one)
+    state.attitude = Attitude()
+    state.attitude.come_to_rest(state.force, params.place, STILL, None)
+    seconds = [_second(state, part) for part in parts]
+    if not np.isfinite([one.rate for one in seconds]).all():
+        return
+    known = bool(np.isfinite(params.white).all())
+    white = np.maximum(params.white**2, LEAST_WHITE) if known else _noise(state)[GYRO]
+    hypotheses.begin(state.bias, params.modes(white), seconds, white, known)
+    state.decided, state.added = True, np.zeros(3)
+    state.turn, state.lost, state.shown_s = STILL, False, -math.inf
 
 
 def _second(state: State, slots: Sequence[Slot]) -> Second:
+    """Return the means of some slots; the rate is less the earth rate."""
     seconds = np.array([one.span.covered_s for one in slots])
     total = float(seconds.sum())
     weight = seconds / total
-    rate = weight @ np.array([one.rate for one in slots]) - state.attitude.earth
-    force = weight @ np.array([one.force for one in slots])
-    degc = weight @ np.array([one.degc for one in slots])
-    degc = np.where(np.isfinite(degc), degc, slots[-1].degc)
-    force = np.where(np.isfinite(force), force, state.force)
-    return Second(slots[-1].span.end_s, total, rate, force, degc)
-
-
-def _count(state: State, params: Params) -> FloatArray:
-    """Let a second count; return the normalised innovations, (3,)."""
-    beliefs, slots = state.beliefs, state.pending[:-HELD_BACK]
-    state.pending = state.pending[-HELD_BACK:]
-    assert beliefs.nominal is not None
-    law = beliefs.nominal.law
-    if beliefs.moved:
-        known = None if state.lost else law
-        state.added = state.added + state.attitude.come_to_rest(
-            slots[0].force, params.place, state.turn, known
+    mean, modelled, degc, heading = (
+        weight @ np.array(part)
+        for part in zip(
+            *((one.readings.mean, one.modelled, one.degc, one.heading) for one in slots), strict=True
         )
-        state.turn, state.lost = STILL, False
-    _check_noise(state)
+    )
+    last = slots[-1]
+    degc = np.where(np.isfinite(degc), degc, last.degc)
+    rate = mean[GYRO] - modelled - state.attitude.earth
+    return Second(last.span.end_s, total, rate, mean[ACCEL], degc, heading)
+
+
+def _come_to_rest(state: State, params: Params, force: FloatArray) -> None:
+    """Take the attitude after a turn, and what that adds to the variance of the bias."""
+    assert state.bias.nominal is not None
+    law = None if state.lost else state.bias.nominal.law
+    state.added = state.added + state.attitude.come_to_rest(force, params.place, state.turn, law)
+    state.turn, state.lost = STILL, False
+
+
+def _decide(state: State, params: Params) -> FloatArray | None:
+    """Decide on a complete second; return its normalised innovations, (3,)."""
+    bias, slots = state.bias, state.pending
+    assert bias.nominal is not None
+    state.pending = []
+    if bias.moved:
+        _come_to_rest(state, params, slots[0].force)
     now = _second(state, slots)
-    law = beliefs.nominal.law
-    bias, variance = law.wider(state.added).at(now.end_s, now.degc).bias(now.force)
-    innovation = (now.rate - bias) / np.sqrt(variance + law.white / now.seconds)
-    reported = slots[-1].reported
-    if reported is None:
-        evidence = Evidence(changed=now.end_s - beliefs.since_s > PATIENCE_S, probability=0.5)
-    else:
-        # What the detector has decided for H1 is in doubt here until a second second fits it.
-        undecided = bool(reported.any())
-        evidence = Evidence(changed=not undecided, probability=0.0 if undecided else 0.5)
-    hypotheses.decide(beliefs, now, state.added, lambda *_: evidence)
-    state.added = np.zeros(3)
-    if slots[-1].reported is not None:
-        state.held = slots[-1].reported ** 2
+    if not np.isfinite(now.rate).all():
+        return None
+    given = slots[-1].at_rest is not None
+    if given:
+        _check_noise(state)
+    law = bias.nominal.law.wider(state.added).at(now.end_s, now.degc)
+    mean, variance = law.bias(now.force)
+    innovation = (now.rate - mean) / np.sqrt(variance + law.white / now.seconds)
+
+    def test(law: Law, difference: FloatArray, fits: bool) -> Evidence:
+        if given:
+            return Evidence(changed=now.end_s - bias.since_s > PATIENCE_S, probability=0.5)
+        seconds = bias.recent[-bias.alike :] if fits and bias.alike >= LEAST_SECONDS else bias.recent
+        if len(seconds) < LEAST_SECONDS:
+            seconds = [_second(state, [one]) for one in slots]
+        noise = float(_noise(state)[ACCEL].max()) / seconds[0].seconds
+        return _evidence(bias, params.rest, law, difference, seconds, noise)
+
+    hypotheses.decide(bias, now, state.added, test)
+    state.added, state.decided, state.shown_s = np.zeros(3), True, -math.inf
+    if bias.first is not None and not bias.contradicted and not given:
+        state.began_turning |= by_compass(bias.recent, np.zeros(3)) < -BEGAN_LOG_RATIO
+    if state.began_turning and bias.contradicted:
+        quiet.begin(state.quiet)
+        _interrupt(state)
+    elif state.turn.seconds and not bias.turning:
+        _come_to_rest(state, params, slots[-1].force)
     return np.asarray(innovation)
 
 
 def _check_noise(state: State) -> None:
-    """Take the noise of the latest slots, where it is plainly another."""
-    beliefs = state.beliefs
-    if len(state.latest) < FIRST_SLOTS or beliefs.nominal is None:
+    """Take the noise of the latest slots at rest that is given, where it is plainly another."""
+    bias = state.bias
+    if state.quiet.run < TRIAL or bias.nominal is None:
         return
-    noise = _noise_of(state.latest)
-    if (noise > ANOTHER * beliefs.nominal.law.white).any():
-        state.noise, state.latest = noise, []
-        hypotheses.take_noise(beliefs, noise)
+    covered_s = sum(one.span.covered_s for one in state.latest) / TRIAL
+    noise = quiet.noise_of(state.quiet.means(TRIAL))[GYRO] * covered_s
+    if (noise > GIVEN_ANOTHER * bias.nominal.law.white).any():
+        hypotheses.take_noise(bias, np.maximum(noise, LEAST_WHITE))
 
 
-def shown(state: State, params: Params, now_s: float) -> tuple[Law | None, FloatArray, FloatArray]:
-    """Return the law of the bias at a time, what is to be added to its variance, and the variance by
-    the hypothesis that is not shown, (rad/s)², (3,)."""
+def _evidence(
+    bias: hypotheses.State,
+    parameters: RestParameters,
+    law: Law,
+    difference: FloatArray,
+    seconds: list[Second],
+    noise: float,
+) -> Evidence:
+    """Test a difference from the nominal bias by gravity, a compass, the first mean, and time.
+
+    `noise` is the variance of the mean force of a second, (m/s²)².
+    """
+    now = bias.recent[-1]
+    value, variance = law.bias(now.force, of_mean=True)
+    turn = sum((one.seconds * (one.rate - value) for one in seconds[1:]), np.zeros(3))
+    ratio, part = by_gravity(seconds, difference, turn, float(variance.max()), noise, parameters.accel_drift)
+    ratio += by_compass(seconds, value)
+    others = as_predicted(part, variance)
+    if bias.first is not None and bias.fits_s >= FIRST_S:
+        others += first_was_turn(bias.first, now.rate)
+    small = float(np.linalg.norm(difference)) <= parameters.largest_jump
+    steady = small and bias.fits_s > parameters.undecided_s
+    return Evidence(
+        turns=ratio < -TURN_LOG_RATIO,
+        changed=ratio > CHANGE_LOG_RATIO or (steady and ratio > -TURN_LOG_RATIO),
+        probability=probability_of_turn(part, ratio, others, parameters.largest_jump, bias.changes),
+    )
+
+
+def shown(state: State, params: Params, now_s: float) -> tuple[Law | None, FloatArray]:
+    """Return the law of the bias at a time, and what is to be added to its variance, (rad/s)², (3,); set the
+    turn that may be a change of the bias."""
     state.shown_s = now_s
-    if state.beliefs.nominal is None:
-        return state.by_motion, np.zeros(3), np.zeros(3)
-    law, ambiguity = hypotheses.shown(state.beliefs, now_s, state.degc, state.force)
+    bias = state.bias
+    if bias.nominal is None:
+        return state.by_motion, np.zeros(3)
+    law, ambiguity = hypotheses.shown(bias, now_s, state.degc, state.force)
+    if state.began_turning:
+        state.turn_rate = bias.recent[-1].rate
+    elif bias.contradicted or not bias.moved:
+        rounding = state.quiet.rounding_error[GYRO]
+        state.turn_rate = np.copysign(np.hypot(ambiguity, rounding), ambiguity)
     added = state.added + state.attitude.uncertain_earth(params.place)
-    if state.beliefs.moved:
+    if state.turn.seconds:
         added = added + turned_earth(state.attitude.up, params.place, state.turn)
-    return law, added, np.maximum(ambiguity**2, state.held)
+    return law, added

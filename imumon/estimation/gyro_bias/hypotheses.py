@@ -21,6 +21,7 @@ from imumon.estimation.gyro_bias import bank as filters
 from imumon.estimation.gyro_bias.bank import Bank
 from imumon.estimation.gyro_bias.law import Law
 from imumon.estimation.gyro_bias.modes import Modes
+from imumon.estimation.rest.quiet import Second
 
 FIT_SIGMAS = 4.5
 """Sigmas of an axis within which a mean fits; with 4, drifts of a warm-up contradicted the bias."""
@@ -36,22 +37,6 @@ NEW_POSE = 0.3
 """m/s²: a specific force that differs by more from the first one is that of another pose."""
 LEAST_WHITE = 1e-18
 """Variance of the mean of a second, (rad/s)²: less than any gyro has, and more than none."""
-
-
-class Second(NamedTuple):
-    """Means over about a second in which the unit was quiet."""
-
-    end_s: float
-    seconds: float
-    """What its samples cover: the white noise is that of so long."""
-    rate: FloatArray
-    """rad/s, (3,)."""
-    force: FloatArray
-    """m/s², (3,); NaN without accelerometers."""
-    degc: FloatArray
-    """Temperature of each gyro, (3,); NaN without one."""
-    heading: FloatArray = np.full(3, np.nan)
-    """A vector that turns with the heading, (3,), by a magnetometer or the device; NaN without one."""
 
 
 class Evidence(NamedTuple):
@@ -74,6 +59,8 @@ class State:
     """Both hypotheses, and what is known about the choice between them."""
 
     nominal: Bank | None = None
+    before: Bank | None = None
+    """Nominal before the last second, which is taken back where motion follows at once."""
     older: tuple[Bank, ...] = ()
     """Nominal as it was, the first 16 to 32 s ago; empty while it is contradicted."""
     changed: Bank | None = None
@@ -131,13 +118,13 @@ Action = Callable[[State, Second, Bank], None]
 
 def _learn(state: State, now: Second, _: Bank) -> None:
     """H0 holds, or holds again: nominal learns."""
-    nominal = _nominal(state)
-    _take(nominal, now)
+    state.before = _nominal(state)
+    state.nominal = nominal = _updated(state.before, now)
     state.changed, state.since_s, state.changes, state.probability = None, math.nan, 0, 0.0
     if state.moved or not state.older:
-        state.older = (nominal.copy(),) * 2
+        state.older = (nominal,) * 2
     elif nominal.time_s - state.older[1].time_s >= LAG_S:
-        state.older = (state.older[1], nominal.copy())
+        state.older = (state.older[1], nominal)
 
 
 def _accept(state: State, now: Second, compared: Bank) -> None:
@@ -150,7 +137,7 @@ def _accept(state: State, now: Second, compared: Bank) -> None:
 def _continue(state: State, now: Second, _: Bank) -> None:
     """The rate is the same since it changed; H1 or a turn is not decided."""
     assert state.changed is not None
-    _take(state.changed, now)
+    state.changed = _updated(state.changed, now)
     state.fits_s += now.seconds
     if now.end_s - state.earlier[1].time_s >= ONSET_S:
         state.earlier = (state.earlier[1], state.changed.law)
@@ -159,7 +146,7 @@ def _continue(state: State, now: Second, _: Bank) -> None:
 def _begin(state: State, now: Second, compared: Bank) -> None:
     """The rate is another: H1 begins, or begins anew."""
     if not state.contradicted:
-        state.since_s, state.older, state.nominal = now.end_s, (), compared
+        state.since_s, state.older, state.nominal, state.before = now.end_s, (), compared, None
     if state.changed is not None:
         state.changes, state.alike = state.changes + 1, 1
     changed = _nominal(state).copy()
@@ -251,7 +238,7 @@ def _fit(sigmas: float, law: Law, now: Second, recent: Sequence[Second]) -> tupl
 
 def _banks(state: State) -> list[Bank]:
     """Return each bank once: an older one may be the nominal one itself."""
-    banks = (state.nominal, state.changed, *state.older)
+    banks = (state.nominal, state.before, state.changed, *state.older)
     return list({id(bank): bank for bank in banks if bank is not None}.values())
 
 
@@ -263,11 +250,14 @@ def _widen(state: State, variance: FloatArray) -> None:
         state.earlier = tuple(law.wider(variance) for law in state.earlier)
 
 
-def _take(bank: Bank, now: Second) -> None:
+def _updated(bank: Bank, now: Second) -> Bank:
+    """Return the filters after a second at rest."""
+    bank = bank.copy()
     if np.isnan(bank.force[0]):
         bank.force = now.force  # accelerometers that come late
     filters.predict(bank, now.end_s, now.degc)
     filters.update(bank, now.rate, now.force, now.seconds)
+    return bank
 
 
 def begin(
@@ -281,13 +271,22 @@ def begin(
     )  # fmt: skip
     for now in seconds:
         _learn(state, now, state.nominal)
-    state.older, state.moved = (state.nominal.copy(),) * 2, False
+    state.older, state.before, state.moved = (state.nominal,) * 2, None, False
     state.recent, state.alike = list(seconds), len(seconds)
     state.first, state.pose = np.mean([one.rate for one in seconds], axis=0), first.force
 
 
-def move(state: State) -> None:
-    """Note that the unit moves: a contradiction of a few seconds was how the motion began."""
+def move(state: State, undo: bool) -> None:
+    """Note that the unit moves: a contradiction of a few seconds was how the motion began.
+
+    Parameters
+    ----------
+    undo : bool
+        Whether the last second is taken back: what moves the unit may begin before it is noticed.
+    """
+    if undo and state.before is not None:
+        state.nominal = state.before
+    state.before = None
     if state.changed is not None and state.changed.time_s - state.since_s < ONSET_S:
         state.changed, state.since_s, state.older, state.probability = None, math.nan, (), 0.0
     state.moved, state.recent, state.alike = True, [], 0

@@ -74,15 +74,14 @@ class Law:
             h[_FAST] = 0.0
         return mean, np.maximum(self.covariance @ h @ h, 0.0)
 
-    def shown(self, added: FloatArray, ambiguity: FloatArray, force: FloatArray) -> Shown:
-        """Return what holds with so much more variance, and an ambiguity, (3,), at the specific force of a
-        slot, (3,)."""
+    def shown(self, added: FloatArray, force: FloatArray) -> Shown:
+        """Return what holds with so much more variance, (3,), at the specific force of a slot, (3,)."""
         select = np.zeros((4, STATES))
         select[0], select[1:, SENSITIVITY] = measurement_row(np.zeros(3)), np.eye(3)
         covariance = select @ self.covariance @ select.T
         covariance[:, 0, 0] += self.fast + added
         offset = np.nan_to_num(force - self.force)
-        return Shown(self.mean @ select.T, covariance, self.force, offset, ambiguity)
+        return Shown(self.mean @ select.T, covariance, self.force, offset)
 
 
 class Shown(NamedTuple):
@@ -96,15 +95,13 @@ class Shown(NamedTuple):
     """f0, (3,)."""
     offset: FloatArray
     """Specific force of the slot less f0, (3,)."""
-    ambiguity: FloatArray
-    """Variance by the hypothesis of the bias that is not shown, (3,)."""
 
 
-NOTHING = Shown(*(np.full(shape, np.nan) for shape in ((3, 4), (3, 4, 4), (3,), (3,), (3,))))
+NOTHING = Shown(*(np.full(shape, np.nan) for shape in ((3, 4), (3, 4, 4), (3,), (3,))))
 
 
 def at_samples(
-    rows: IntArray, every: list[Shown], force: FloatArray, moving: BoolArray, reported: FloatArray
+    rows: IntArray, every: list[Shown], force: FloatArray, moving: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return bias t (1, d) and variance (1, d) C (1, d) of samples, (n, 3) each.
 
@@ -119,16 +116,13 @@ def at_samples(
     every : list of Shown, m + 1
     force : array (n, 3)
     moving : array of bool (n,)
-    reported : array (n, 3)
-        A turn that may be a change of the bias, by the rest detector, rad/s: its square is an ambiguity, too.
     """
     which = np.searchsorted(rows, np.arange(len(moving)), side="right")
-    terms, covariance, reference, offset, ambiguity = (np.array(one) for one in zip(*every, strict=True))
+    terms, covariance, reference, offset = (np.array(one) for one in zip(*every, strict=True))
     d = force - reference[which]
     used = moving & np.isfinite(d).all(1)
     row = np.ones((len(d), 1, 4))
     row[:, 0, 1:] = np.where(used[:, np.newaxis], d, offset[which])
     bias = (terms[which] * row).sum(2)
     part = (covariance[which] * row[:, np.newaxis]).sum(3)
-    variance = np.maximum((part * row).sum(2), 0.0)
-    return bias, variance + np.maximum(ambiguity[which], reported**2)
+    return bias, np.maximum((part * row).sum(2), 0.0)

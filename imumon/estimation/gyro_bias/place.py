@@ -72,7 +72,7 @@ class Attitude:
         """
         size = float(np.linalg.norm(force))
         if not size > 0.0:
-            return np.zeros(3)
+            return turned_earth(self.up, place, turn)
         before, self.up = self.up, force / size
         placed, added = before.any(), np.zeros(3)
         if placed and not place.oriented:

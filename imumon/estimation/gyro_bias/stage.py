@@ -1,4 +1,4 @@
-"""Gyro bias as a stage of the pipeline: zero-velocity updates at rest, the thermal model at all times."""
+"""Rest and gyro bias as stages of the pipeline: zero-velocity updates, and the thermal model at all times."""
 
 from __future__ import annotations
 
@@ -10,20 +10,12 @@ from typing import Literal
 
 import numpy as np
 
-from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, SampleBlock
+from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.charts import Chart
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.gyro_bias.estimator import (
-    SLOT_S,
-    Params,
-    Slot,
-    State,
-    miss,
-    restarted,
-    shown,
-    step,
-)
+from imumon.estimation.gyro_bias.estimator import Params, Slot, State, miss, restarted, shown, step
+from imumon.estimation.gyro_bias.inputs import heading_of, readings_of, slots_of
 from imumon.estimation.gyro_bias.law import NOTHING, Shown, at_samples
 from imumon.estimation.gyro_bias.modes import SLOPE_LEFT_PER_SIGMA, SLOPE_PER_SIGMA
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
@@ -31,14 +23,26 @@ from imumon.estimation.gyro_bias.place import Place
 from imumon.estimation.gyro_bias.thermal_input import ThermalInput, unseen_lag
 from imumon.estimation.gyro_bias.timing import Timing
 from imumon.estimation.gyro_bias.trail import BiasTrail
+from imumon.estimation.rest import quiet
+from imumon.estimation.rest.parameters import RestParameters
+from imumon.estimation.rest.quiet import ACCEL, AXES, GYRO, SLOT_S
 from imumon.filters.segments import Breaks
-from imumon.filters.slots import SlotGatherer, Slots
+from imumon.filters.slots import SlotGatherer, Slots, held
 from imumon.models.model import BiasModel
 
 Mode = Literal["standard", "thermal", "learned"]
-RATE, FORCE, DEGC, INITIAL_SD, TURN = (slice(3 * i, 3 * i + 3) for i in range(5))
-REST, GATHERED = 15, 16
-"""Columns of the gatherer."""
+HEADING, MODELLED, DEGC, INITIAL_SD = (slice(AXES + 3 * i, AXES + 3 * i + 3) for i in range(4))
+GIVEN, GATHERED = AXES + 12, AXES + 13
+"""Columns of the gatherer, behind the readings."""
+GAP_S = 2.5
+"""A rest goes on over a pause as long as this; it holds as long where readings are missing."""
+SHOWN_S = 1.0 - 1e-6
+"""In motion the law of the bias is evaluated as often."""
+AT_REST = Column("at_rest", "1", "int64", "1 while the unit is at rest, 0 while it moves or nothing is known")
+TURN = tuple(
+    Column(f"turn_hypothesis_{axis}", "rad/s", description=f"turn that may be a change of bias, {axis}")
+    for axis in "xyz"
+)
 _COLUMNS = (
     ("gyro_bias", "rad/s", "bias of the raw rate"),
     ("gyro_bias_sd", "rad/s", "standard deviation of the bias"),
@@ -49,8 +53,16 @@ _COLUMNS = (
 )
 
 
-class GyroBias:
-    """Bias of each gyro with its standard deviation, whatever the attitude of the unit.
+class RestAndBias:
+    """Rest and motion, and the bias of each gyro with its standard deviation, whatever the attitude.
+
+    Neither noise nor bias of the sensors needs to be known.  Rest is decided at the end of each slot of a
+    quarter of a second; a single sample far from the mean ends it at that sample.
+
+    While a steady turn cannot be distinguished from a bias that has changed, ``turn_hypothesis_{x,y,z}`` is
+    the difference of both, rad/s, times the square root of the probability of what is not shown; else the
+    largest error by rounding.  Its square is in the variance of the bias.  ``at_rest`` is 0 where a turn is
+    more likely.
 
     The columns ``gyro_bias_{x,y,z}`` hold the whole bias of the raw rate.  The earth rate is not in it where
     latitude and heading are given; with the latitude alone its vertical part is not; else it is part of the
@@ -71,7 +83,12 @@ class GyroBias:
     latitude_deg, heading_deg : float or None
         Of the place, and of the body's x axis (where that is vertical: of -z) at the first rest, clockwise
         from north.
+    rest : RestParameters or None
+        What a resting unit may do.
     """
+
+    _detects = True
+    """Whether rest is detected here, and not given by a column."""
 
     def __init__(
         self,
@@ -80,6 +97,7 @@ class GyroBias:
         mode: Mode = "standard",
         latitude_deg: float | None = None,
         heading_deg: float | None = None,
+        rest: RestParameters | None = None,
     ) -> None:
         if mode == "thermal" and model is None:
             raise ImumonError(
@@ -90,28 +108,35 @@ class GyroBias:
         self._parameters = parameters or GyroBiasParameters()
         self._thermal = ThermalInput(model)
         slopes = (0.0, SLOPE_LEFT_PER_SIGMA if model else SLOPE_PER_SIGMA) if mode == "learned" else (0.0,)
-        self._params = _params(self._parameters, slopes, Place(_angle(latitude_deg), _angle(heading_deg)))
+        place = Place(_angle(latitude_deg), _angle(heading_deg))
+        self._params = _params(self._parameters, slopes, place, rest)
         self._state = State()
         self._timing = Timing()
-        self._slots = SlotGatherer(GATHERED, round(SLOT_S * 1e9), rates=RATE.start)
+        self._slots = SlotGatherer(GATHERED, round(SLOT_S * 1e9), rates=GYRO.start)
         self._shown: Shown = NOTHING
         self._growth = np.zeros(3)
         self._trail = BiasTrail(model)
         self._breaks = Breaks()
         self._pending = _notices_at_start(latitude_deg, heading_deg)
         self._pending += [f"the gyro bias does not use {key} any more" for key in self._parameters.retired]
+        self._pending += _retired(rest)
         self._reported: set[str] = set()
         self._lacks_rest = False
         self._jumped = 0
         self._now_s = 0.0
+        self._last_ns, self._last_segment = NO_INT, 0
+        self._at_rest = 0
 
     @property
     def columns(self) -> Sequence[Column]:
         """The columns that `process` adds."""
         return [
-            Column(f"{name}_{axis}", unit, description=f"{meaning}, {axis}")
-            for name, unit, meaning in _COLUMNS
-            for axis in "xyz"
+            *([AT_REST, *TURN] if self._detects else []),
+            *(
+                Column(f"{name}_{axis}", unit, description=f"{meaning}, {axis}")
+                for name, unit, meaning in _COLUMNS
+                for axis in "xyz"
+            ),
         ]
 
     def snapshot(self) -> dict[str, object]:
@@ -125,85 +150,101 @@ class GyroBias:
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; NaN where there is no estimate.
 
-        Needs ``device_time_ns`` and ``segment``, the gyros, and ``at_rest``; the accelerometers distinguish a
-        slow rotation from a bias, and ``turn_hypothesis_{x,y,z}`` is a turn that the rest detector has not
-        excluded.
+        Needs ``device_time_ns`` and ``segment``; takes what there is of gyro_{x,y,z} in rad/s and
+        accel_{x,y,z} in m/s², of mag_{x,y,z}, yaw or q_{w,x,y,z}, and of temperature_estimate or temperature
+        in °C.
         """
         n = len(block)
-        gyro = block.gyro
-        if gyro is None:
-            gyro = np.full((n, 3), np.nan)
+        dated = block["device_time_ns"] != NO_INT
+        readings = readings_of(block, dated)
+        usable = np.isfinite(readings).any(1)
         first = 0
         if not self._breaks.begun:
-            usable = (block["device_time_ns"] != NO_INT) & np.isfinite(gyro).all(1)
             first = int(np.argmax(usable)) if usable.any() else n
-        result = np.full((6, 3, n), np.nan)
+        rest, turn = np.zeros(n, np.int64), np.zeros((n, 3))
+        result = np.full((len(_COLUMNS), 3, n), np.nan)
         if first < n:
             later = block.rows(first, n) if first else block
-            self._follow(later, gyro[first:], result[:, :, first:].swapaxes(1, 2))
-        return {
-            f"{name}_{axis}": part[j]
-            for (name, _, _), part in zip(_COLUMNS, result, strict=True)
-            for j, axis in enumerate("xyz")
-        }
+            parts = result[:, :, first:].swapaxes(1, 2)
+            self._follow(later, readings[first:], usable[first:], rest[first:], turn[first:], parts)
+        names = [column.name for column in self.columns]
+        values = [rest, *turn.T] if self._detects else []
+        return dict(zip(names, [*values, *result.reshape(3 * len(_COLUMNS), n)], strict=True))
 
-    def _follow(self, block: SampleBlock, gyro: FloatArray, result: FloatArray) -> None:
-        """Fill bias, sd, corrected rate, innovation, and drift with its sd, (6, n, 3)."""
+    def _follow(
+        self,
+        block: SampleBlock,
+        readings: FloatArray,
+        usable: BoolArray,
+        rest: IntArray,
+        turn: FloatArray,
+        result: FloatArray,
+    ) -> None:
+        """Fill at_rest, turn, and bias, sd, corrected rate, innovation, drift and its sd, (6, n, 3)."""
         bias, sd, corrected, innovation, drift, drift_sd = result
-        n, rest = len(block), self._rest(block)
-        temperature, reported = self._thermal.temperature(block), block.vector("turn_hypothesis")
-        breaks = self._breaks.rows(block["device_time_ns"], block["segment"])
-        total, curve, initial_sd = self._model_input(block, temperature, breaks)
-        turn = np.zeros((n, 3)) if reported is None else np.nan_to_num(reported)
-        force = np.full((n, 3), np.nan) if block.accel is None else block.accel
-        force = np.where(np.isfinite(force.sum(1))[:, np.newaxis], force, np.nan)
-        values = np.column_stack([gyro - total, force, temperature, initial_sd, turn, rest])
-        time_ns = np.where(np.isfinite(values[:, RATE]).all(1), block["device_time_ns"], NO_INT)
-        slots = self._slots.process(time_ns, block["segment"], values)
-        rows, every = [], [self._shown]
+        n, temperature, given = len(block), self._thermal.temperature(block), self._given_rest(block)
+        time_ns, segment = block["device_time_ns"], block["segment"]
+        total, curve, initial_sd = self._model_input(block, temperature, self._breaks.rows(time_ns, segment))
+        values = np.column_stack([readings, heading_of(block), total, temperature, initial_sd, given])
+        slots = self._slots.process(np.where(usable, time_ns, NO_INT), segment, values)
+        rows, every, turns = [], [self._shown], [self._state.turn_rate]
+        each, start = slots_of(slots), 0
         for k, row in enumerate(slots.row.tolist()):
-            found, another = self._step(slots, k, reported is not None)
+            self._hold(rest, readings, start, row)
+            found = self._step(slots, each[k], k)
             if found is not None:
                 innovation[row] = found
-            another |= self._look_ahead(block, slots, k, temperature)
-            if another:
+            self._look_ahead(block, slots, k, temperature)
+            if self._now_s - self._state.shown_s >= SHOWN_S:
                 rows.append(row)
                 every.append(self._present())
+            self._at_rest, start = int(self._state.at_rest), row
+            turns.append(self._state.turn_rate)
+        self._hold(rest, readings, start, n)
+        turn[:] = held(slots.row, np.array(turns[1:]).reshape(-1, 3), turns[0], n)
+        self._expire(rest, time_ns, segment, usable)
         self._shown = every[-1]
-        bias[:], variance = at_samples(np.array(rows, np.int64), every, force, ~rest, turn)
-        np.sqrt(variance, out=sd)
+        if not self._detects:
+            rest[:] = given
+            reported = block.vector("turn_hypothesis")
+            if reported is not None:
+                np.maximum(np.abs(turn), np.abs(np.nan_to_num(reported)), out=turn)
+        force = np.where(np.isfinite(readings[:, ACCEL].sum(1))[:, np.newaxis], readings[:, ACCEL], np.nan)
+        bias[:], variance = at_samples(np.array(rows, np.int64), every, force, rest == 0)
+        np.sqrt(variance + turn**2, out=sd)
         bias += total
         drift_sd[:] = sd
-        np.subtract(gyro, bias, out=corrected)
+        np.subtract(readings[:, GYRO], bias, out=corrected)
         np.subtract(bias, curve, out=drift)
         ended = slots.row[slots.row < n]
         self._trail.add(temperature[ended], bias[ended])
 
-    def _step(self, slots: Slots, k: int, is_reported: bool) -> tuple[FloatArray | None, bool]:
-        """Take a slot; return the innovations, and whether the bias is another."""
-        begins = bool(slots.begins[k])
-        span = self._timing.next(int(slots.start_ns[k]), int(slots.end_ns[k]), int(slots.samples[k]), begins)
+    def _step(self, slots: Slots, readings: quiet.Slot, k: int) -> FloatArray | None:
+        """Take a slot; return the innovations."""
+        begins, samples = bool(slots.begins[k]), int(slots.count[k, GYRO].max()) or int(slots.samples[k])
+        span = self._timing.next(int(slots.start_ns[k]), int(slots.end_ns[k]), samples, begins)
         if begins:
             self._thermal.variance.begin()
             self._growth = np.zeros(3)
         self._now_s = span.end_s
         if not span.seconds > 0.0:
-            return None, False
+            return None
         growth = self._thermal.variance.step(slots.last[k, DEGC], slots.last[k, INITIAL_SD])
         self._growth, added = growth, growth - self._growth
+        mean = slots.mean[k]
         slot = Slot(
-            span, bool(slots.smallest[k, REST] == 1.0), slots.mean[k, RATE], slots.mean[k, FORCE],
-            slots.mean[k, DEGC], added, slots.last[k, TURN] if is_reported else None, slots.turns.at(k),
+            span, readings._replace(seconds=span.seconds), mean[MODELLED], mean[DEGC], added, mean[HEADING],
+            slots.turns.at(k), None if self._detects else bool(slots.smallest[k, GIVEN] == 1.0),
         )  # fmt: skip
         return step(self._state, self._params, slot)
 
-    def _look_ahead(self, block: SampleBlock, slots: Slots, k: int, degc: FloatArray) -> bool:
+    def _look_ahead(self, block: SampleBlock, slots: Slots, k: int, degc: FloatArray) -> None:
         """Detect a restart or a gap by the first sample behind a slot."""
         row = int(slots.row[k])
         time_ns, segment = block["device_time_ns"][row], block["segment"][row]
         if segment != slots.segment[k] or time_ns < slots.end_ns[k]:
             self._state = restarted(self._state)
-            return True
+            return
         behind_s = 1e-9 * (int(time_ns) - self._timing.origin_ns)
         gap_s = self._timing.pause(behind_s)
         if gap_s:
@@ -213,13 +254,35 @@ class GyroBias:
             growth = self._thermal.variance.step(degc[row], np.full(3, np.nan))
             self._state.added = self._state.added + growth - self._growth
             self._growth, self._now_s = growth, behind_s
-            miss(self._state, lag)
-        return bool(gap_s)
+            miss(self._state, lag, gap_s > max(GAP_S, 3.0 * self._timing.interval_s))
+
+    def _hold(self, rest: IntArray, readings: FloatArray, start: int, stop: int) -> None:
+        """Fill in rows of the slot that is open: a sample outside the band of a unit at rest ends it
+        there."""
+        rest[start:stop] = self._at_rest
+        if self._at_rest and start < stop and self._detects:
+            low, high = self._state.quiet.band
+            outside = ((readings[start:stop] < low) | (readings[start:stop] > high)).any(1)
+            if outside.any():
+                rest[start + int(np.argmax(outside)) : stop] = self._at_rest = 0
+                self._state.quiet.disturbed = True
+
+    def _expire(self, rest: IntArray, time_ns: IntArray, segment: IntArray, usable: BoolArray) -> None:
+        """End rest where readings are missing for long, behind their segment, and at unknown times."""
+        if not usable.all():
+            latest = np.maximum.accumulate(np.where(usable, np.arange(len(usable)), -1))
+            last_ns = np.where(latest < 0, self._last_ns, time_ns[latest])
+            last_segment = np.where(latest < 0, self._last_segment, segment[latest])
+            expired = (time_ns == NO_INT) | (segment != last_segment)
+            rest[expired | (time_ns - last_ns > int(GAP_S * 1e9))] = 0
+        if usable.any():
+            last = int(np.flatnonzero(usable)[-1])
+            self._last_ns, self._last_segment = int(time_ns[last]), int(segment[last])
 
     def _present(self) -> Shown:
         """Return the law from now on."""
-        law, added, ambiguity = shown(self._state, self._params, self._now_s)
-        return NOTHING if law is None else law.shown(added, ambiguity, self._state.force)
+        law, added = shown(self._state, self._params, self._now_s)
+        return NOTHING if law is None else law.shown(added, self._state.force)
 
     def _model_input(
         self, block: SampleBlock, temperature: FloatArray, breaks: Sequence[int]
@@ -239,10 +302,10 @@ class GyroBias:
         """Return the bias over temperature, beside the model's curve where there is a model."""
         return self._trail.charts()
 
-    def _rest(self, block: SampleBlock) -> BoolArray:
+    def _given_rest(self, block: SampleBlock) -> BoolArray:
         if "at_rest" in block:
             return np.asarray(block["at_rest"] == 1)
-        self._lacks_rest |= not self._parameters.assume_at_rest
+        self._lacks_rest |= not (self._parameters.assume_at_rest or self._detects)
         return np.full(len(block), self._parameters.assume_at_rest)
 
     def notices(self) -> list[str]:
@@ -258,19 +321,76 @@ class GyroBias:
             if true and text not in self._reported:
                 self._reported.add(text)
                 texts.append(text)
-        if self._state.beliefs.jumped > self._jumped:
-            self._jumped = self._state.beliefs.jumped
+        if self._state.bias.jumped > self._jumped:
+            self._jumped = self._state.bias.jumped
             texts.append(
                 "at rest the rate contradicted the bias, so it has jumped: the bias is estimated anew"
             )
         return texts
 
 
+class GyroBias(RestAndBias):
+    """The bias alone, where a column ``at_rest`` is given.
+
+    What is given is believed: a rate that differs for a minute is another bias.  The squares of columns
+    ``turn_hypothesis_{x,y,z}`` are in the variance.
+    """
+
+    _detects = False
+
+
+class RestDetector:
+    """Rest and motion alone: the columns ``at_rest`` and ``turn_hypothesis_{x,y,z}`` of `RestAndBias`.
+
+    Parameters
+    ----------
+    parameters : RestParameters
+        What a resting unit may do.
+    """
+
+    def __init__(self, parameters: RestParameters | None = None) -> None:
+        self._both = RestAndBias(mode="learned", rest=parameters)
+        self._pending = _retired(parameters)
+
+    @property
+    def columns(self) -> Sequence[Column]:
+        """The columns that `process` adds."""
+        return [AT_REST, *TURN]
+
+    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+        """Return the new columns of a block; it needs and takes what that of `RestAndBias` does."""
+        found = self._both.process(block)
+        return {column.name: found[column.name] for column in self.columns}
+
+    def notices(self) -> list[str]:
+        """Return, once, which parameters are not used any more."""
+        texts, self._pending = self._pending, []
+        return texts
+
+    def snapshot(self) -> dict[str, object]:
+        """Return a copy of the state."""
+        return self._both.snapshot()
+
+    def restore(self, saved: Mapping[str, object]) -> None:
+        """Go on from a state that `snapshot` returned."""
+        self._both.restore(saved)
+
+
+def _retired(rest: RestParameters | None) -> list[str]:
+    keys = sorted(rest.retired) if rest is not None else []
+    return [f"the rest detector does not use {' and '.join(keys)} any more"] if keys else []
+
+
 def _angle(degrees: float | None) -> float:
     return math.nan if degrees is None else math.radians(degrees)
 
 
-def _params(parameters: GyroBiasParameters, slopes: tuple[float, ...], place: Place) -> Params:
+def _params(
+    parameters: GyroBiasParameters,
+    slopes: tuple[float, ...],
+    place: Place,
+    rest: RestParameters | None,
+) -> Params:
     def axes(value: float | list[float] | None, absent: float) -> FloatArray:
         return np.array(np.broadcast_to(absent if value is None else value, 3), np.float64)
 
@@ -278,7 +398,8 @@ def _params(parameters: GyroBiasParameters, slopes: tuple[float, ...], place: Pl
     walk = parameters.rate_random_walk_rad_per_s_per_sqrt_s
     absent = math.nan if instability is None and walk is None else 0.0
     white = axes(parameters.angle_random_walk_rad_per_sqrt_s, math.nan)
-    return Params(white, axes(instability, absent), axes(walk, absent), place, slopes)
+    b, k = axes(instability, absent), axes(walk, absent)
+    return Params(white, b, k, place, slopes, rest or RestParameters())
 
 
 def _notices_at_start(latitude_deg: float | None, heading_deg: float | None) -> list[str]:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.hypotheses import Second
+from imumon.estimation.rest.quiet import Second
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
 
 USUAL_CHANGE = 50.0 * DEG_PER_H

@@ -54,6 +54,22 @@ DITHER = 2.0 * np.pi**2
 (Widrow)."""
 
 
+class Second(NamedTuple):
+    """Means over about a second in which the unit was quiet."""
+
+    end_s: float
+    seconds: float
+    """What its samples cover: the white noise is that of so long."""
+    rate: FloatArray
+    """rad/s, (3,)."""
+    force: FloatArray
+    """m/s², (3,); NaN without accelerometers."""
+    degc: FloatArray
+    """Temperature of each gyro, (3,); NaN without one."""
+    heading: FloatArray = np.full(3, np.nan)
+    """A vector that turns with the heading, (3,), by a magnetometer or the device; NaN without one."""
+
+
 class Slot(NamedTuple):
     """One slot of samples of the six axes, (6,) each; NaN where an axis has none."""
 
@@ -128,19 +144,24 @@ def begin(state: State) -> None:
     state.begun, state.run, state.unquiet = state.slots, 0, 0
 
 
-def step(state: State, slot: Slot, drift: FloatArray) -> int:
+def step(state: State, slot: Slot, drift: FloatArray, at_rest: bool | None = None) -> int:
     """Take a slot; return how many have been quiet in a row.
 
     Parameters
     ----------
     drift : array (6,)
         Permitted at rest, rad/s² and m/s³.
+    at_rest : bool or None
+        Whether the unit was at rest, where another detector decides; only the noise is learned then.
     """
     mean = _completed(state, slot)
     j = state.slots % RING
     state.total[j], state.mean[j], state.within[j] = state.total[j - 1] + mean, mean, slot.variance
     state.slots += 1
     state.seconds, state.another = slot.seconds, False
+    if at_rest is not None:
+        _learn_at_given_rest(state, slot, at_rest)
+        return state.run
     first_step = bool((np.isfinite(slot.step) & ~np.isfinite(state.step)).any())
     state.disturbed &= not first_step  # the first step of a coarse sensor is outside a band that knew none
     state.step = np.minimum(state.step, slot.step)
@@ -214,6 +235,22 @@ def _learn(state: State, slot: Slot) -> None:
         state.unquiet = 0
 
 
+def _learn_at_given_rest(state: State, slot: Slot, at_rest: bool) -> None:
+    """Count slots at rest, and learn their noise, once there are enough of them."""
+    state.run = state.run + 1 if at_rest else 0
+    if state.run >= TRIAL and not state.known:
+        state.known, state.learned = True, TRIAL - 2.0
+        state.noise = noise_of(state.means(TRIAL))
+        state.sample_noise = state.noise * slot.samples
+    elif at_rest:
+        _learn(state, slot)
+
+
+def noise_of(mean: FloatArray) -> FloatArray:
+    """Return the variance of slot means by their second differences, (6,)."""
+    return np.asarray(np.maximum((np.diff(mean, 2, axis=0) ** 2).mean(0) / 6.0, TINY))
+
+
 def _try(state: State, slot: Slot) -> None:
     """Take the noise of the last slots, if they look like a constant with noise, and like another one."""
     found = trial(
@@ -245,8 +282,7 @@ def trial(
     mean, within : array (16, 6)
         Means of slots, and variances of their samples.
     """
-    second = mean[2:] - 2.0 * mean[1:-1] + mean[:-2]
-    noise = np.maximum((second**2).mean(0) / 6.0, TINY)
+    second, noise = np.diff(mean, 2, axis=0), noise_of(mean)
     enough = np.isfinite(within).all(0) & (count >= 3.0)
     samples = np.where(enough, np.where(enough, within, 0.0).mean(0), noise * count)
     quiet2 = (np.minimum(QUIET**2, 9.0 * state.noise) if state.known else QUIET**2) + state.rounding

@@ -13,17 +13,12 @@ from imumon.estimation.smoothing.record import READINGS, SUFFIXES, Record
 from imumon.pipeline import Estimator
 
 
-def backward(
-    record: Record, temperature: Estimator, rest: Estimator, bias: Estimator
-) -> dict[str, FloatArray]:
+def backward(record: Record, temperature: Estimator, bias: Estimator) -> dict[str, FloatArray]:
     """Return temperature, its rate and the bias, with their sigmas, by what comes later, (n,) each.
-
-    Rest is that of the forward run.  Of the rest detector only ``turn_hypothesis_{x,y,z}`` are used, the
-    rotation rate that cannot be told from a bias: reversed in time it begins where it ended.
 
     Parameters
     ----------
-    temperature, rest, bias : Estimator
+    temperature, bias : Estimator
         New stages.  That of the bias has no bias model: the modelled bias is subtracted from the rates here.
     """
     ends = np.flatnonzero(np.diff(record.run, append=-1))
@@ -35,7 +30,6 @@ def backward(
     columns = {
         "device_time_ns": last_ns - record.middle_ns,
         "segment": record.run.max(initial=0) - record.run,
-        "at_rest": (record.columns["at_rest"] == 1.0).astype(np.int64),
     }
     for j, axis in enumerate("xyz"):
         columns[f"gyro_{axis}"] = model[:, j] - record.columns[f"gyro_{axis}"]
@@ -43,8 +37,6 @@ def backward(
     columns |= {name: record.columns[name] for name in READINGS if np.isfinite(record.columns[name]).any()}
     block = SampleBlock({name: np.ascontiguousarray(values[::-1]) for name, values in columns.items()})
     block = block.with_columns(temperature.process(block))
-    turns = {name: each for name, each in rest.process(block).items() if name.startswith("turn_hypothesis")}
-    block = block.with_columns(turns)
     block = block.with_columns(bias.process(block))
     found: dict[str, FloatArray] = {}
     for suffix in SUFFIXES:

@@ -12,8 +12,7 @@ from imumon.config import parse_yaml
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.stage import AttitudeEstimate, tilt_into_heading
 from imumon.estimation.attitude.tilt_sigma import Accelerometers
-from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.models.magnetometer import MagnetometerModel
 from tests.estimation.attitude.scenes import NORTH_DEG, matrices, scene, without_mag, wrapped
@@ -32,8 +31,7 @@ CALIBRATED = MagnetometerModel(
 
 
 def estimated(block: SampleBlock, stage: AttitudeEstimate) -> SampleBlock:
-    for before in (RestDetector(), GyroBias(mode="learned")):
-        block = block.with_columns(before.process(block))
+    block = block.with_columns(RestAndBias(mode="learned").process(block))
     return SampleBlock(dict(stage.process(block)))
 
 
@@ -279,8 +277,7 @@ def test_the_result_does_not_depend_on_the_blocks(slower: int) -> None:
     accel = {"accel_x": np.where((rows > 2000) & (rows < 2005), np.nan, block["accel_x"])}
     gyro = {"gyro_y": np.where((rows > 2500) & (rows < 2504), np.nan, block["gyro_y"])}
     block = block.with_columns({**sparse, **accel, **gyro, "segment": segment, "device_time_ns": time_ns})
-    for before in (RestDetector(), GyroBias(mode="learned")):
-        block = block.with_columns(before.process(block))
+    block = block.with_columns(RestAndBias(mode="learned").process(block))
     whole = AttitudeEstimate(axes="FRD").process(block)
     cuts = np.unique(np.random.default_rng(4).integers(1, len(block), 60)).tolist()
     for edges in ([0, *cuts, len(block)], [*range(0, len(block), 7), len(block)]):
@@ -304,8 +301,7 @@ def test_each_new_reference_of_a_free_heading_is_said(heading_deg: float | None)
     for row in (1500, 3000, 4500):  # gaps of a second
         time_ns[row:] += 1_000_000_000
     block = block.with_columns({"device_time_ns": time_ns})
-    for before in (RestDetector(), GyroBias(mode="learned")):
-        block = block.with_columns(before.process(block))
+    block = block.with_columns(RestAndBias(mode="learned").process(block))
     stage, said, began = AttitudeEstimate(axes="FRD", heading_deg=heading_deg), list[str](), list[float]()
     for start in range(0, len(block), 500):
         heading = stage.process(block.rows(start, start + 500))["attitude_estimate_heading"]

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import GyroBias, RestAndBias
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 from imumon.models.curves.polynomial import PolynomialCurve
@@ -52,8 +51,7 @@ def test_a_change_that_the_temperature_explains_is_no_turn_and_does_not_cost_the
     model, heading = model_of(truth), scenario.attitude.heading_deg
     for stage in (
         TemperatureRate(),
-        RestDetector(),
-        GyroBias(None, model, "thermal", scenario.latitude_deg, heading),
+        RestAndBias(None, model, "thermal", scenario.latitude_deg, heading),
     ):
         samples = samples.with_columns(stage.process(samples))
     late = samples["device_time_ns"] * 1e-9 > 250.0

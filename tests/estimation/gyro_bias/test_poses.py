@@ -145,22 +145,6 @@ def test_a_turn_that_is_given_as_rest_is_in_the_sigma_and_no_jump(axis: int) -> 
     assert not any("jumped" in text for text in stage.notices())
 
 
-def test_what_was_a_turn_or_a_change_of_the_bias_is_learned_once_it_is_rest() -> None:
-    block, bias = record(TRUTH, 240.0, 3)
-    t = np.arange(len(block)) / RATE_HZ
-    jump = np.where(t > 120.0, math.radians(0.3), 0.0)
-    undecided = (t > 120.0) & (t < 135.0)
-    columns = {
-        "gyro_x": block["gyro_x"] + jump,
-        "at_rest": 1 - undecided,
-        **{f"turn_hypothesis_{axis}": undecided * jump * (axis == "x") for axis in "xyz"},
-    }
-    added = GyroBias().process(block.with_columns(columns))
-    error = added["gyro_bias_x"] - bias[:, 0] - jump
-    assert np.abs(error / added["gyro_bias_sd_x"])[t > 125.0].max() < 5.0
-    assert np.abs(error[t > 145.0]).max() < 20.0 * DPH
-
-
 def test_a_doubt_that_a_motion_leaves_as_it_was_makes_nobody_forget_the_bias() -> None:
     block, _ = record(TRUTH, 150.0, 5)
     t = np.arange(len(block)) / RATE_HZ

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.stage import RestDetector
 
 DEG = np.pi / 180.0
 GRAVITY = 9.80665

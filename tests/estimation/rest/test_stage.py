@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from imumon.blocks import NO_INT, FloatArray, IntArray, SampleBlock, join
+from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.stage import RestDetector
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import load_device
 from imumon.recordings.source import capture_items, run_over

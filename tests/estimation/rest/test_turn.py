@@ -7,8 +7,8 @@ import pytest
 from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.stage import RestDetector
 from tests.estimation.rest.scenes import DEG, GRAVITY, block, detect, noise, rolled
 
 BEGIN_S = 150.0

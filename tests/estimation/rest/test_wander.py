@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestDetector
 from tests.estimation.rest.scenes import DEG, block, noise, rolled
 
 TAUS_S = (1.0, 10.0, 100.0, 1000.0)

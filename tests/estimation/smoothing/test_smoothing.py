@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray, SampleBlock, join
-from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.estimation.rest.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import GyroBias, RestAndBias
 from imumon.estimation.smoothing.backward import backward
 from imumon.estimation.smoothing.record import Recorder
 from imumon.estimation.smoothing.stage import SmoothedEstimates
@@ -41,7 +40,7 @@ def recorded(seed: int, latitude_deg: float | None = None, **changes: Any) -> tu
     sent, truth = SimulatedUnit(scenario, seed).run(scenario.samples)
     own = {"roll", "pitch", "yaw", *(f"q_{part}" for part in "wxyz"), *(f"mag_{axis}" for axis in "xyz")}
     block = SampleBlock({name: values for name, values in sent.columns.items() if name not in own})
-    for stage in (TemperatureRate(), RestDetector(), GyroBias(mode="learned", latitude_deg=latitude_deg)):
+    for stage in (TemperatureRate(), RestAndBias(mode="learned", latitude_deg=latitude_deg)):
         block = block.with_columns(stage.process(block))
     return block, truth
 
@@ -50,8 +49,9 @@ def smooth(block: SampleBlock, latitude_deg: float | None = None) -> SmoothedEst
     recorder = Recorder()
     recorder.add(block)
     record = recorder.finish()
-    bias = GyroBias(mode="learned", latitude_deg=None if latitude_deg is None else -latitude_deg)
-    return SmoothedEstimates(record, backward(record, TemperatureRate(), RestDetector(), bias))
+    south = None if latitude_deg is None else -latitude_deg
+    bias = RestAndBias(mode="learned", latitude_deg=south)
+    return SmoothedEstimates(record, backward(record, TemperatureRate(), bias))
 
 
 def true_bias(truth: SampleBlock, vertical: float) -> FloatArray:
@@ -150,7 +150,7 @@ def test_a_slow_turn_that_is_taken_for_rest_is_doubted_in_both_directions() -> N
     still = noise(780.0, 10.0, gyro_sd=0.0)[1] + wandering(gyro, 10.0, 20.0 * DEG_PER_H, 2)
     gyro[:, 2] += 180.0 * DEG_PER_H * np.clip(np.minimum(t - 150.0, 640.0 - t) / 10.0, 0.0, 1.0)
     samples = noisy(t, gyro, accel)
-    for stage in (TemperatureRate(), RestDetector(), GyroBias()):
+    for stage in (TemperatureRate(), RestAndBias()):
         samples = samples.with_columns(stage.process(samples))
     found = smooth(samples).process(samples)
     z = (found["gyro_bias_smoothed_z"] - still[:, 2]) / found["gyro_bias_smoothed_sd_z"]
@@ -172,9 +172,7 @@ def test_the_result_does_not_depend_on_the_blocks() -> None:
     record = recorder.finish()
     assert record.run[0] == 1
     assert record.run[-1] == 2
-    pieces = SmoothedEstimates(
-        record, backward(record, TemperatureRate(), RestDetector(), GyroBias(mode="learned"))
-    )
+    pieces = SmoothedEstimates(record, backward(record, TemperatureRate(), RestAndBias(mode="learned")))
     expected = whole.process(block)
     got = join([SampleBlock(dict(pieces.process(part))) for part in parts])
     assert {column.name for column in whole.columns} == set(expected)
