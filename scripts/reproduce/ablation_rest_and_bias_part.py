@@ -17,9 +17,9 @@ from rest_detector_scenes import SENSORS, measure_with_bias, steady_turn
 from rest_detector_table import TURN_RATE_HZ
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
-from imumon.estimation.gyro_bias import bank, hypotheses, modes
+from imumon.estimation.gyro_bias import bank, estimator, hypotheses, modes
 from imumon.estimation.gyro_bias.stage import RestAndBias
-from imumon.estimation.rest import detector, odds, quiet
+from imumon.estimation.rest import odds, quiet
 from imumon.geodesy import DEG_PER_H
 
 TITLE = "Rest and gyro bias: error of the bias in hands and in steady turns, °/h."
@@ -43,12 +43,12 @@ VARIANTS: dict[str, list[Change]] = {
     "a mean fits by 5.5 sigma, not 4.5": [(hypotheses, "FIT_SIGMAS", 5.5)],
     "a mean fits by 3.5 sigma, not 4.5": [(hypotheses, "FIT_SIGMAS", 3.5)],
     "no tight return": [(hypotheses, "RETURN_SIGMAS", hypotheses.FIT_SIGMAS)],
-    "a wide law is rest against gravity": [(detector, "TURN_LOG_RATIO", 50.0)],
+    "a wide law is rest against gravity": [(estimator, "TURN_LOG_RATIO", 50.0)],
     "no test by gravity": [(odds, "OBLIQUE", 1e9)],
-    "gravity decides from 4, not 12": [(detector, "CHANGE_LOG_RATIO", 4.0)],
+    "gravity decides from 4, not 12": [(estimator, "CHANGE_LOG_RATIO", 4.0)],
     "a contradiction outlives the motion it began with": [(hypotheses, "ONSET_S", 0.0)],
-    "a vague law does not explain a rate": [(detector, "as_predicted", lambda *_: 0.0)],
-    "the first mean was no turn": [(detector, "first_was_turn", lambda *_: 0.0)],
+    "a vague law does not explain a rate": [(estimator, "as_predicted", lambda *_: 0.0)],
+    "the first mean was no turn": [(estimator, "first_was_turn", lambda *_: 0.0)],
     "an oblique change excludes no turn about the vertical": [(odds, "MOSTLY_LEVEL", 1e9)],
     "no floor of a suspicious mean": [(quiet, "QUIET", quiet.QUIET * 1e-3)],
 }
@@ -59,8 +59,6 @@ def outcomes(change: list[Change] | None, seeds: range, data: Path) -> Iterator[
     with ExitStack() as patches:
         for where, name, value in change or []:
             patches.enter_context(patch.object(where, name, value))
-        made = modes.unknown_modes((0.0, modes.SLOPE_PER_SIGMA))
-        patches.enter_context(patch.object(detector, "MODES", made))
         for name in HANDS:
             yield _outcome(name, [_in_a_hand(name, seed) for seed in seeds])
         for name, turn in {**TURNS, **TILTED}.items():

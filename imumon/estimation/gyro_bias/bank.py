@@ -104,6 +104,13 @@ def rescale(bank: Bank, white: FloatArray) -> None:
     bank.law = law_of(bank)
 
 
+def take_noise(bank: Bank, other: Bank) -> None:
+    """Take what another bank of the same gyros has learned of their noise: σ² and the weights of the modes."""
+    ratio = bank.scale / bank.shape * other.shape / other.scale
+    bank.covariance *= ratio[..., np.newaxis, np.newaxis]
+    bank.shape, bank.scale, bank.log_weight = other.shape, other.scale.copy(), other.log_weight.copy()
+
+
 def predict(bank: Bank, time_s: float, degc: FloatArray) -> None:
     """Bring the filters to a time and temperatures, (3,); NaN is no change."""
     warming = degc - bank.degc

@@ -135,6 +135,9 @@ class State:
     at_rest: bool = False
     turn_rate: FloatArray = field(default_factory=lambda: np.zeros(3))
     """What is shown: whether it is at rest, and the turn that may be a change of the bias, rad/s, (3,)."""
+    ambiguity: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """By the other hypothesis of the bias, after the last second, rad/s, (3,): the larger of two is shown, for
+    a single second may fit by chance."""
     shown_s: float = -math.inf
     """Time of the law that is shown; minus infinity once it is another."""
 
@@ -373,6 +376,8 @@ def shown(state: State, params: Params, now_s: float) -> tuple[Law | None, Float
     if state.began_turning:
         state.turn_rate = bias.recent[-1].rate
     elif bias.contradicted or not bias.moved:
+        before, state.ambiguity = state.ambiguity, ambiguity
+        ambiguity = np.where(np.abs(before) > np.abs(ambiguity), before, ambiguity)
         rounding = state.quiet.rounding_error[GYRO]
         state.turn_rate = np.copysign(np.hypot(ambiguity, rounding), ambiguity)
     added = state.added + state.attitude.uncertain_earth(params.place)

@@ -38,18 +38,24 @@ GAP_S = 2.5
 """A rest goes on over a pause as long as this; it holds as long where readings are missing."""
 SHOWN_S = 1.0 - 1e-6
 """In motion the law of the bias is evaluated as often."""
-AT_REST = Column("at_rest", "1", "int64", "1 while the unit is at rest, 0 while it moves or nothing is known")
-TURN = tuple(
-    Column(f"turn_hypothesis_{axis}", "rad/s", description=f"turn that may be a change of bias, {axis}")
-    for axis in "xyz"
+REST = (
+    Column("at_rest", "1", "int64", "1 while the unit is at rest, 0 while it moves or nothing is known"),
+    *(
+        Column(f"turn_hypothesis_{axis}", "rad/s", description=f"turn that may be a change of bias, {axis}")
+        for axis in "xyz"
+    ),
 )
-_COLUMNS = (
-    ("gyro_bias", "rad/s", "bias of the raw rate"),
-    ("gyro_bias_sd", "rad/s", "standard deviation of the bias"),
-    ("gyro_corrected", "rad/s", "angular rate less bias"),
-    ("zupt_innovation", "1", "zero-velocity innovation over its standard deviation; NaN between slots"),
-    ("gyro_random_error", "rad/s", "bias less the model's curve; the bias where there is no model"),
-    ("gyro_random_error_sd", "rad/s", "its standard deviation"),
+BIAS = tuple(
+    Column(f"{name}_{axis}", unit, description=f"{meaning}, {axis}")
+    for name, unit, meaning in (
+        ("gyro_bias", "rad/s", "bias of the raw rate"),
+        ("gyro_bias_sd", "rad/s", "standard deviation of the bias"),
+        ("gyro_corrected", "rad/s", "angular rate less bias"),
+        ("zupt_innovation", "1", "zero-velocity innovation over its standard deviation; NaN between slots"),
+        ("gyro_random_error", "rad/s", "bias less the model's curve; the bias where there is no model"),
+        ("gyro_random_error_sd", "rad/s", "its standard deviation"),
+    )
+    for axis in "xyz"
 )
 
 
@@ -130,14 +136,7 @@ class RestAndBias:
     @property
     def columns(self) -> Sequence[Column]:
         """The columns that `process` adds."""
-        return [
-            *([AT_REST, *TURN] if self._detects else []),
-            *(
-                Column(f"{name}_{axis}", unit, description=f"{meaning}, {axis}")
-                for name, unit, meaning in _COLUMNS
-                for axis in "xyz"
-            ),
-        ]
+        return [*REST, *BIAS]
 
     def snapshot(self) -> dict[str, object]:
         """Return a copy of all that is carried from block to block."""
@@ -155,21 +154,21 @@ class RestAndBias:
         in °C.
         """
         n = len(block)
-        dated = block["device_time_ns"] != NO_INT
+        dated = np.asarray(block["device_time_ns"] != NO_INT)
         readings = readings_of(block, dated)
         usable = np.isfinite(readings).any(1)
         first = 0
         if not self._breaks.begun:
             first = int(np.argmax(usable)) if usable.any() else n
         rest, turn = np.zeros(n, np.int64), np.zeros((n, 3))
-        result = np.full((len(_COLUMNS), 3, n), np.nan)
+        result = np.full((len(BIAS) // 3, 3, n), np.nan)
         if first < n:
             later = block.rows(first, n) if first else block
             parts = result[:, :, first:].swapaxes(1, 2)
             self._follow(later, readings[first:], usable[first:], rest[first:], turn[first:], parts)
-        names = [column.name for column in self.columns]
-        values = [rest, *turn.T] if self._detects else []
-        return dict(zip(names, [*values, *result.reshape(3 * len(_COLUMNS), n)], strict=True))
+        values = [rest, *turn.T, *result.reshape(len(BIAS), n)]
+        added = dict(zip((column.name for column in (*REST, *BIAS)), values, strict=True))
+        return {column.name: added[column.name] for column in self.columns}
 
     def _follow(
         self,
@@ -338,9 +337,14 @@ class GyroBias(RestAndBias):
 
     _detects = False
 
+    @property
+    def columns(self) -> Sequence[Column]:
+        """The columns that `process` adds."""
+        return BIAS
 
-class RestDetector:
-    """Rest and motion alone: the columns ``at_rest`` and ``turn_hypothesis_{x,y,z}`` of `RestAndBias`.
+
+class RestDetector(RestAndBias):
+    """Rest and motion alone: the columns ``at_rest`` and ``turn_hypothesis_{x,y,z}``.
 
     Parameters
     ----------
@@ -349,31 +353,22 @@ class RestDetector:
     """
 
     def __init__(self, parameters: RestParameters | None = None) -> None:
-        self._both = RestAndBias(mode="learned", rest=parameters)
+        super().__init__(mode="learned", rest=parameters)
         self._pending = _retired(parameters)
 
     @property
     def columns(self) -> Sequence[Column]:
         """The columns that `process` adds."""
-        return [AT_REST, *TURN]
-
-    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
-        """Return the new columns of a block; it needs and takes what that of `RestAndBias` does."""
-        found = self._both.process(block)
-        return {column.name: found[column.name] for column in self.columns}
+        return REST
 
     def notices(self) -> list[str]:
         """Return, once, which parameters are not used any more."""
         texts, self._pending = self._pending, []
         return texts
 
-    def snapshot(self) -> dict[str, object]:
-        """Return a copy of the state."""
-        return self._both.snapshot()
-
-    def restore(self, saved: Mapping[str, object]) -> None:
-        """Go on from a state that `snapshot` returned."""
-        self._both.restore(saved)
+    def charts(self) -> Sequence[Chart]:
+        """Return none."""
+        return []
 
 
 def _retired(rest: RestParameters | None) -> list[str]:
