@@ -105,7 +105,7 @@ def rescale(bank: Bank, white: FloatArray) -> None:
 
 
 def take_noise(bank: Bank, other: Bank) -> None:
-    """Take what another bank of the same gyros has learned of their noise: σ² and the weights of the modes."""
+    """Take what another bank has learned of the noise of the same gyros: σ², and the weights of the modes."""
     ratio = bank.scale / bank.shape * other.shape / other.scale
     bank.covariance *= ratio[..., np.newaxis, np.newaxis]
     bank.shape, bank.scale, bank.log_weight = other.shape, other.scale.copy(), other.log_weight.copy()

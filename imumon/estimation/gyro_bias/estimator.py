@@ -47,6 +47,8 @@ TURN_LOG_RATIO = 2.0
 """The same of a turn over a changed bias, from which on a mean that fits a wide law is no rest."""
 BEGAN_LOG_RATIO = 8.0
 """Log likelihood ratio by the compass from which on the recording began in a turn."""
+SLOWEST_BEGUN = 2.5e-3
+"""rad/s: a slower turn, by 0.04 rad in 16 s, cannot reach that ratio beside the error of a heading."""
 LEAST_SECONDS = 3
 """Seconds over which gravity is compared; in the first ones of a rest its slots are, and where the rate has
 just changed also the seconds before."""
@@ -136,8 +138,8 @@ class State:
     turn_rate: FloatArray = field(default_factory=lambda: np.zeros(3))
     """What is shown: whether it is at rest, and the turn that may be a change of the bias, rad/s, (3,)."""
     ambiguity: FloatArray = field(default_factory=lambda: np.zeros(3))
-    """By the other hypothesis of the bias, after the last second, rad/s, (3,): the larger of two is shown, for
-    a single second may fit by chance."""
+    """By the other hypothesis of the bias, after the last second, rad/s, (3,): the larger of two is shown,
+    for a single second may fit by chance."""
     shown_s: float = -math.inf
     """Time of the law that is shown; minus infinity once it is another."""
 
@@ -315,7 +317,8 @@ def _decide(state: State, params: Params) -> FloatArray | None:
 
     hypotheses.decide(bias, now, state.added, test)
     state.added, state.decided, state.shown_s = np.zeros(3), True, -math.inf
-    if bias.first is not None and not bias.contradicted and not given:
+    may_have_begun = bias.first is not None and not bias.contradicted and not given
+    if may_have_begun and float(now.rate @ now.rate) > SLOWEST_BEGUN**2:
         state.began_turning |= by_compass(bias.recent, np.zeros(3)) < -BEGAN_LOG_RATIO
     if state.began_turning and bias.contradicted:
         quiet.begin(state.quiet)

@@ -60,6 +60,8 @@ class ThermalVariance:
 
     def step(self, degc: FloatArray, sd: FloatArray) -> FloatArray:
         """Return the variance at these temperatures, with this sd of the state, (3,); NaN changes nothing."""
+        if not self.high_degc.any():
+            return self.walk  # there is no model
         self.mark_degc = np.where(np.isfinite(self.mark_degc), self.mark_degc, degc)
         moved = np.abs(degc - self.mark_degc)
         far = moved >= MOVED_DEGC
