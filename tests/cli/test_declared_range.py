@@ -11,7 +11,7 @@ import pytest
 from imumon.allan.recording import read_channels
 from imumon.calibration.record import read_session
 from imumon.diagnosis.runs import read_runs
-from imumon.estimation.gyro_bias.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestAndBias, RestDetector
 from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.ranges import Ranges
@@ -77,7 +77,7 @@ def test_the_range_of_another_setup_comes_before_that_of_the_recording(
     found = {}
     for range_g in (None, 0.95, 1.2):
         source = open_source(sessions[declared_by])
-        pipeline = pipeline_of(source, Setup(range=Ranges(accel_g=range_g)), only=(RestDetector,))
+        pipeline = pipeline_of(source, Setup(range=Ranges(accel_g=range_g)), only=(RestAndBias,))
         for _ in run_over(source.items, pipeline):
             pass
         found[range_g] = pipeline.counters.left_out

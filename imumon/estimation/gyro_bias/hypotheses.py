@@ -119,7 +119,7 @@ Action = Callable[[State, Second, Bank], None]
 def _learn(state: State, now: Second, _: Bank) -> None:
     """H0 holds, or holds again: nominal learns."""
     state.before = _nominal(state)
-    state.nominal = nominal = _updated(state.before, now, state.changed)
+    state.nominal = nominal = _updated(state.before, now)
     state.changed, state.since_s, state.changes, state.probability = None, math.nan, 0, 0.0
     if state.moved or not state.older:
         state.older = (nominal,) * 2
@@ -252,11 +252,9 @@ def _widen(state: State, variance: FloatArray) -> None:
         state.earlier = tuple(law.wider(variance) for law in state.earlier)
 
 
-def _updated(bank: Bank, now: Second, other: Bank | None = None) -> Bank:
-    """Return the filters after a second at rest; the noise is what the other hypothesis has learned."""
+def _updated(bank: Bank, now: Second) -> Bank:
+    """Return the filters after a second at rest."""
     bank = bank.copy()
-    if other is not None:
-        filters.take_noise(bank, other)
     if np.isnan(bank.force[0]):
         bank.force = now.force  # accelerometers that come late
     filters.predict(bank, now.end_s, now.degc)

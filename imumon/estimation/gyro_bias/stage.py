@@ -156,7 +156,7 @@ class RestAndBias:
         n = len(block)
         dated = np.asarray(block["device_time_ns"] != NO_INT)
         readings = readings_of(block, dated)
-        usable: BoolArray = np.isfinite(readings).any(axis=1)
+        usable = np.asarray(np.isfinite(readings).any(1))
         first = 0
         if not self._breaks.begun:
             first = int(np.argmax(usable)) if usable.any() else n
