@@ -132,7 +132,7 @@ def _stage_of(pipeline: Pipeline) -> Alignment:
 def _recorded(path: Path, device: str | None, make: Callable[..., Setup]) -> Pipeline:
     """Go through a recording to its end."""
     from imumon.estimation.alignment.stage import Alignment
-    from imumon.estimation.gyro_bias.stage import RestDetector
+    from imumon.estimation.gyro_bias.stage import RestAndBias
     from imumon.recordings.source import open_source, run_over
     from imumon.run.stages import pipeline_of
 
@@ -140,7 +140,7 @@ def _recorded(path: Path, device: str | None, make: Callable[..., Setup]) -> Pip
     recorded = None if source.session is None else source.session.metadata.pipeline_yaml
     setup = make(recorded, f"{path} (pipeline_yaml)")
     # Only what the heading needs: the other estimators do not change it.
-    pipeline = pipeline_of(source, setup, only=(RestDetector, Alignment))
+    pipeline = pipeline_of(source, setup, only=(RestAndBias, Alignment))
     stage = _stage_of(pipeline)
     with _Shown(stage) as shown:
         for _ in run_over(source.items, pipeline):
