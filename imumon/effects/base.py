@@ -19,7 +19,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from pydantic import Field, FiniteFloat
+from pydantic import Field, FiniteFloat, model_validator
 
 from imumon.blocks import BoolArray, FloatArray
 from imumon.config import StrictModel
@@ -169,6 +169,14 @@ class Effect(StrictModel):
     """For another effect, what to record to tell the two apart; either of them may say."""
 
     coefficients: list[FiniteFloat] = Field(default_factory=list)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _as_of_temperature(cls, given: Any) -> Any:
+        """Take the keys of the first format, when temperature was all that drove an effect."""
+        if not isinstance(given, dict):
+            return given
+        return {str(key).removesuffix("_degc"): value for key, value in given.items()}
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:

@@ -157,6 +157,12 @@ def test_without_its_driver_the_bias_is_not_known() -> None:
     assert np.isnan(bias).all()
 
 
+def test_keys_of_the_first_format_are_read_and_the_driver_is_then_the_temperature() -> None:
+    old = {"time_constant_s": 60.0, "middle_degc": 25.0, "half_span_degc": 10.0, "start_sd_degc": 2.0}
+    effect = ThermalLag.model_validate(old)
+    assert (effect.driver, effect.middle, effect.start_sd) == ("temperature", 25.0, 2.0)
+
+
 def test_the_vibration_of_a_second_is_the_variance_of_its_samples() -> None:
     random = np.random.default_rng(1)
     accel = random.normal(0, 0.3, (1000, 3))
