@@ -12,6 +12,7 @@ from imumon.diagnosis.blocks import RunBlocks
 from imumon.effects.base import Effect, Survey
 from imumon.effects.follower import may_sum
 from imumon.effects.library import EFFECTS
+from imumon.effects.temperature_curve import TemperatureCurve
 
 SHARED = -1
 """Scope: one coefficient for all runs; a number from 0 on is the one run that has it."""
@@ -34,15 +35,13 @@ class Candidate:
     """One or more parts of the same family, and whether the state at power-on of each run is free.
 
     The family is the label of its effects.  `choice` is the price in BIC for having been chosen among what
-    other drivers there are (extended BIC, gamma = 1: Chen & Chen 2008, doi:10.1093/biomet/asn034).  `whole`
-    says that the curve itself is over what follows the temperature, in place of the declared one.
+    other drivers there are (extended BIC, gamma = 1: Chen & Chen 2008, doi:10.1093/biomet/asn034).
     """
 
     family: str
     parts: tuple[Part, ...]
     free_start: bool = False
     choice: float = 0.0
-    whole: bool = False
 
     @property
     def nonlinear(self) -> int:
@@ -54,13 +53,16 @@ class Candidate:
         """Whose its coefficients are by nature, see `imumon.effects.base.Scope`."""
         return self.parts[0].effect.scope
 
-    def contains(self, family: str) -> bool:
-        """Tell whether what another family adds is in the main a special case of this one."""
-        return (self.whole and family == "temperature_curve") or self.parts[0].effect.contains(family)
+    @property
+    def carries(self) -> bool:
+        """Whether its coefficients are shared by all runs."""
+        return not any(part.runs for part in self.parts)
 
     def neighbours(self, survey: Survey, level: int) -> list[Candidate]:
         """Return candidates with one parameter of one part changed, closer at each level."""
-        return [
+        start = self.parts[0].effect.free_start and level == 0 and len(self.parts) == 1
+        other = [replace(self, free_start=not self.free_start)] if start else []
+        return other + [
             replace(self, parts=(*self.parts[:at], Part(effect, part.runs), *self.parts[at + 1 :]))
             for at, part in enumerate(self.parts)
             for effect in part.effect.refined(survey, level)
@@ -87,14 +89,11 @@ def candidates(survey: Survey, families: Iterable[str] = tuple(EFFECTS)) -> list
             single = [(Part(effect),) for effect in grid]
             found += [Candidate(part[0].effect.label, part) for part in single]
             found += _driven(family, survey)
-            found += [Candidate(name, (Part(one),), whole=True) for one in family.of_curve(survey)]
-            if family.free_start != "never":
+            found += [Candidate(name, _late_curve(one, survey)) for one in family.of_curve(survey)]
+            if family.free_start:
                 found += [Candidate(name, part, free_start=True) for part in single]
-            if family.scope == "either" and survey.runs > 1:
-                found += [Candidate(name, (Part(effect, every),)) for effect in grid]
-            starts = (False, True) if family.free_start == "in sums" else (False,)
             groups = family.sums(grid) if may_sum(survey, 2) else []
-            found += [Candidate(name, tuple(map(Part, group)), start) for group in groups for start in starts]
+            found += [Candidate(name, tuple(map(Part, group))) for group in groups]
     return found
 
 
@@ -106,6 +105,17 @@ def _driven(family: type[Effect], survey: Survey) -> list[Candidate]:
         for driver in survey.others
         for effect in family.driven(survey, driver)
     ]
+
+
+def _late_curve(late: Effect, survey: Survey) -> tuple[Part, ...]:
+    """Return a curve that is itself late: its powers less those of the late temperature, and the powers that
+    the declared curve has not."""
+    more = late.width - survey.degree
+    if more <= 0:
+        return (Part(late),)
+    middle, half_span = survey.middle_degc, survey.half_span_degc
+    powers = TemperatureCurve(middle=middle, half_span=half_span, first_power=survey.degree + 1, powers=more)
+    return Part(late), Part(powers)
 
 
 @dataclass(slots=True)
@@ -125,7 +135,7 @@ class Pool:
             (column, scope)
             for part in candidate.parts
             for scope in part.runs or (SHARED,)
-            for column in self._index(part.effect, "followed" if candidate.whole else "columns")
+            for column in self._index(part.effect, "columns")
         ]
         start = [
             (column, run)

@@ -127,21 +127,9 @@ class Channel:
         """Columns of the declared model over all training runs, (n, p)."""
         return self.declared.training(self.train, self.temperature)
 
-    def design(self, found: Sequence[Candidate], *, whole: bool = False) -> FloatArray:
-        """Return the columns of the declared model and of what was found, (n, k).
-
-        The powers of the declared curve are zero where the curve is among what was found, or is to be
-        (`whole`).
-        """
-        base = self.base
-        if whole or any(one.whole for one in found):
-            base = base.copy()
-            base[:, 1 : self.declared.degree + 1] = 0.0
-        return np.column_stack([base, self.pool.design(found)])
-
-    def freed(self, found: Sequence[Candidate]) -> int:
-        """Return how many coefficients of the declared curve what was found does without."""
-        return self.declared.degree if any(one.whole for one in found) else 0
+    def design(self, found: Sequence[Candidate]) -> FloatArray:
+        """Return the columns of the declared model and of what was found, (n, k)."""
+        return np.column_stack([self.base, self.pool.design(found)])
 
     def as_given(self) -> Channel:
         """Return it with the model that was given as it is, but for a constant."""

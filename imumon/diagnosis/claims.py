@@ -30,7 +30,7 @@ from imumon.diagnosis.fit import (
 )
 from imumon.diagnosis.looking import ranking, runs_left
 from imumon.diagnosis.questions import questions
-from imumon.diagnosis.selection import MOST_NAMES, Finding, Search, Step
+from imumon.diagnosis.search import MOST_NAMES, Finding, Search, Step
 from imumon.diagnosis.verdict import ChannelVerdict, Claim, SlowNoise
 
 UNKNOWN = float("nan")
@@ -51,36 +51,6 @@ class _Kept:
         return any(not one.known for one in self.findings)
 
 
-def settle(channel: Channel, found: Search) -> ChannelVerdict:
-    """Return the verdict on a channel after the runners-up of what the test refutes have had their turn.
-
-    A runner-up comes after the test has refuted another, so it has to explain in the test what it claims.
-    """
-    verdict = _verdict(channel, found, [])
-    while verdict.left_out and not found.many_events:
-        refuted = [item["name"] for item in verdict.left_out]
-        kept = [finding for finding in found.findings if finding.known or finding.name not in refuted]
-        if not found.resume(kept, refuted):
-            break
-        further = _verdict(channel, found, verdict.left_out)
-        if not _better(further, verdict):
-            verdict.turns = further.turns
-            break
-        verdict, before = further, verdict
-        if len(verdict.left_out) == len(before.left_out):
-            break
-    return verdict
-
-
-def _better(one: ChannelVerdict, other: ChannelVerdict) -> bool:
-    """Tell whether a verdict explains the test, and leaves less of it than another."""
-    before, after, left = one.test_before, one.test_after, other.test_after
-    if before is None or after is None or left is None:
-        return False
-    less = after.rms < left.rms or after.estimated_rms < left.estimated_rms
-    return less and _shows(before, after, one.channel.floor.sd)
-
-
 def _shows(before: TestScore, after: TestScore, floor: float) -> bool:
     """Tell whether a test, too, is explained; one that cannot be scored is not.
 
@@ -90,8 +60,8 @@ def _shows(before: TestScore, after: TestScore, floor: float) -> bool:
     return np.isfinite(after.rms) and (after.left < CLEAN * floor or explains(before.rms, after.rms, floor))
 
 
-def _verdict(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]) -> ChannelVerdict:
-    """Return what is claimed of a channel by what the search found in it, beside what was left out before."""
+def settle(channel: Channel, found: Search) -> ChannelVerdict:
+    """Return the verdict on a channel: what is claimed of it by what the search found in it."""
     shape = replace(channel.declared, degree=found.channel.declared.degree)
     channel = replace(channel, declared=shape, kept=found.channel.kept)
     given, floor = fit_given(channel), channel.limit  # what digits make of a smooth bias is no structure
@@ -118,7 +88,7 @@ def _verdict(channel: Channel, found: Search, left_out: Sequence[dict[str, Any]]
         unexplained=unexplained,
         explained=explained_share(given.train_rms, after.train_rms, floor) if kept.claims else 0.0,
         noise=found.null()[1],
-        left_out=[*left_out, *kept.refuted],
+        left_out=kept.refuted,
         remark=kept.remark,
         predicts=predicts,
         slow=SlowNoise.of(found),
@@ -141,23 +111,25 @@ def _kept(channel: Channel, found: Search, given: Fit, floor: float) -> _Kept:
     before = _fit(channel, refit) if found.refit else given
     stay, refuted = _not_worse(channel, findings)
     kept = _Kept(stay, _fit(channel, stay), "", refuted)
-    why = "there is more than one jump in a run" if found.many_events else ""
-    if not why and kept.claims:
-        why = _too_little(given, kept.after, _scores(channel, given, kept.after), floor)
-    if why:
-        best = max(found.findings, key=lambda finding: finding.gain)
-        why = f"the best of the known effects is {best.name}, but {why}"
-    if why or not kept.claims:
-        kept = _Kept(refit, before, why, refuted)
-        if not found.many_events and before.train_rms >= CLEAN * floor:
-            one = _proven_by_test(channel, found, before, refit)
-            if one is not None:
-                kept = _Kept([*refit, one], _fit(channel, [*refit, one]), "", refuted)
+    if found.many_events:
+        kept = replace(kept, remark="there is more than one jump in a run")
     both = _scores(channel, given, kept.after)
-    if both is not None and kept.claims and not np.isfinite(both[1].rms):
+    if kept.claims and both is not None and not np.isfinite(both[1].rms):
         nothing = {"test_rms_with": UNKNOWN, "test_rms_without": UNKNOWN}
         refuted += [{"name": one.name, **nothing} for one in kept.findings if not one.known]
         kept = _Kept(refit, before, kept.remark, refuted)
+    elif kept.claims and (why := _too_little(given, kept.after, both, floor)):
+        best = max(found.findings, key=lambda finding: finding.gain)
+        kept = _Kept(refit, before, f"the best of the known effects is {best.name}, but {why}", refuted)
+    both = _scores(channel, given, kept.after)
+    left = both[1].rms if kept.claims and both is not None else np.inf
+    if before.train_rms >= CLEAN * floor and left >= CLEAN * floor:
+        one = _proven_by_test(channel, found, before, refit)
+        if one is not None:
+            by_test = _Kept([*refit, one], _fit(channel, [*refit, one]), "", refuted)
+            # What training proves goes first unless it leaves twice as much of the test.
+            if 2.0 * score(channel, by_test.after).rms < left:
+                return by_test
     return kept
 
 
@@ -165,7 +137,7 @@ def _too_little(given: Fit, after: Fit, both: tuple[TestScore, TestScore] | None
     """Return what is too little of training, or of the test, to claim anything; empty where it is enough."""
     what, before, left = "the training", given.train_rms, after.train_rms
     if explains(before, left, floor):
-        if both is None or not np.isfinite(both[1].rms) or _shows(*both, floor):
+        if both is None or _shows(*both, floor):
             return ""
         what, before, left = "the test", both[0].rms, both[1].rms
     share = max(0.0, explained_share(before, left, floor))
@@ -215,24 +187,24 @@ def _proven_by_test(
     likelier, by more than their coefficients cost, and only a test that is not woven into the training.
     The test chooses here, so effects of other names that explain it as well are not told apart.
     """
-    if found.last is None or not channel.test or any(_woven(channel, run) for run in channel.test):
+    if not channel.test or any(_woven(channel, run) for run in channel.test):
         return None
     also = [finding.candidate for finding in beside]
     hits: list[tuple[float, Finding]] = []
-    for name, leader in found.last.leaders.items():
-        if leader.scored.fit <= 0.0 or leader.scored.candidate.scope in ("run", "event"):
+    for name, leader in [item for table in found.tables for item in table.items()]:
+        if leader.fit <= 0.0 or leader.candidate.scope in ("run", "event"):
             continue
         # The likelihood looks at what is fast; of a slow course least squares see more.
         fits = [(one, fit(channel, [*also, one])) for one in found.of_family(name)]
         slow = min(fits, key=lambda one: one[1].train_rms, default=None)
-        for candidate in (leader.scored.candidate, *([slow[0]] if slow is not None else [])):
+        for candidate in (leader.candidate, *([slow[0]] if slow is not None else [])):
             after = fit(channel, [*also, candidate])
             without, left = score(channel, before, like=after).rms, score(channel, after).rms
             if explained_share(without, left, channel.floor.sd) >= EXPLAINED and all(
                 part.carries for part in after.parts
             ):
                 size = float(np.sqrt(max(before.train_rms**2 - after.train_rms**2, 0.0)))
-                gain = leader.scored.gain
+                gain = leader.gain
                 hits.append((left, Finding(candidate, gain, gain, {name: gain}, [], size, by_test=True)))
     return chosen_by_test(hits)
 

@@ -16,7 +16,7 @@ import numpy as np
 from imumon.blocks import FloatArray, IntArray
 from imumon.diagnosis.blocks import RunBlocks, specific_force
 from imumon.diagnosis.channel import INDEPENDENT, Declared, estimated
-from imumon.diagnosis.gains import PROVEN
+from imumon.diagnosis.search import PROVEN
 from imumon.effects.base import Effect
 from imumon.effects.drift import Drift
 from imumon.effects.step import EDGE_BLOCKS

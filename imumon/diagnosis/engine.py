@@ -35,7 +35,7 @@ from imumon.diagnosis.known import (
     without_curve,
 )
 from imumon.diagnosis.runs import SENSORS, STRETCHES, Run, channels_of, divided, in_order, unit_of
-from imumon.diagnosis.selection import search
+from imumon.diagnosis.search import search
 from imumon.diagnosis.usable import (
     Names,
     blocks_of_test,
@@ -243,7 +243,7 @@ def _sensor(
         [channel.in_blocks(pools[channel.temperature], block_s / search_s) for channel in channels],
         with_drivers(survey(searched, temperature, asked.degree, search_s), searched, temperature),
         effects_for(group[0]),
-        progress,
+        progress=progress,
     )
     return [settle(channel, one) for channel, one in zip(channels, found, strict=True)]
 

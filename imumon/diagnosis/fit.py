@@ -93,13 +93,8 @@ def fit(channel: Channel, found: Sequence[Candidate]) -> Fit:
     parts = [FittedPart(one, (), np.array([one.coefficients]), none, carries=True) for one in channel.kept]
     lifted = 0.0
     for candidate, where, starts in _layout(channel, found):
-        # Of a curve that is late: the curve less how late it is.
-        own = -coefficients[where] if candidate.whole else coefficients[where]
+        own = coefficients[where]
         fitted = _parts(candidate, own, coefficients[starts], len(channel.train))
-        if candidate.whole:
-            curve = channel.declared.powers(fitted[0].effect.curve())
-            model = np.pad(model, (0, max(0, fitted[0].effect.width + 1 - len(model))))
-            model[: len(curve)] += curve
         if not any(part.carries for part in fitted):
             mean = float((design[:, where] @ own).mean())
             model[0] += mean
@@ -375,7 +370,7 @@ def sigmas(
         ]
         for one, where, _ in _layout(channel, model)
     ]
-    declared = _of_curve(channel, model, linear)
+    declared = linear[: channel.declared.degree + 1]
     return declared @ declared.T, parts
 
 
@@ -399,16 +394,3 @@ def _slopes(
                 slopes.append(((ends[0] - ends[1]) / (2.0 * CHANGE))[:, np.newaxis])
                 names.append((part, name))
     return np.column_stack(slopes), names
-
-
-def _of_curve(channel: Channel, model: Sequence[Candidate], linear: FloatArray) -> FloatArray:
-    """Return the errors of the curve's coefficients, as weights, of those of all columns, (degree + 1, n)."""
-    curve = linear[: channel.declared.degree + 1]
-    for one, where, _ in _layout(channel, model):
-        if one.whole:
-            effect = one.parts[0].effect
-            curve = np.pad(curve, ((0, max(0, effect.width + 1 - len(curve))), (0, 0)))
-            for row, error in zip(np.eye(effect.width), linear[where], strict=True):
-                powers = channel.declared.powers(effect.with_coefficients(-row).curve())
-                curve[: len(powers)] += np.outer(powers, error)
-    return curve

@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from imumon.diagnosis.gains import CLOSE, CLOSE_SHARE, PROVEN
+from imumon.diagnosis.search import CLOSE, CLOSE_SHARE, PROVEN
 
 Gains = Mapping[str, float]
 """Gain in BIC of each effect on one axis."""

@@ -11,7 +11,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.diagnosis.channel import Channel
 from imumon.diagnosis.fit import Fit, TestScore, fit, score
-from imumon.diagnosis.selection import Search
+from imumon.diagnosis.search import Search
 
 MOST_RANKED = 6
 
@@ -50,7 +50,7 @@ class RunLeft:
 
 def ranking(channel: Channel, found: Search) -> list[Ranked]:
     """Return the effects that gain most, by what each does alone, whether or not any is named."""
-    leaders = [] if found.first is None else [one.scored for one in found.first.leaders.values()]
+    leaders = list(found.tables[0].values()) if found.tables else []
     ranked = []
     for one in sorted(leaders, key=lambda one: -one.gain)[:MOST_RANKED]:
         fitted = fit(channel, [one.candidate])

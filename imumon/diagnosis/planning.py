@@ -22,12 +22,11 @@ from imumon.diagnosis.candidates import Pool
 from imumon.diagnosis.channel import Channel, Declared
 from imumon.diagnosis.earth import earth_rate, turned, without
 from imumon.diagnosis.engine import search_block
-from imumon.diagnosis.gains import CLOSE, CLOSE_SHARE, PROVEN
 from imumon.diagnosis.likelihood import TAUS_S
 from imumon.diagnosis.profiles import Profile, profiles
 from imumon.diagnosis.questions import NOTHING
 from imumon.diagnosis.runs import Run, collect, unit_of
-from imumon.diagnosis.selection import Search, search
+from imumon.diagnosis.search import CLOSE, CLOSE_SHARE, PROVEN, Search, search
 from imumon.effects.base import ACCEL
 from imumon.effects.library import EFFECTS, AnyEffect, effects_for
 from imumon.files import write_text
@@ -228,7 +227,7 @@ def _difference(searched: Search, truth: str, rival: str) -> tuple[float, float]
             gains = finding.rivals
             break
     else:
-        gains = {} if searched.last is None else {k: v.gain for k, v in searched.last.leaders.items()}
+        gains = {name: one.gain for name, one in searched.tables[-1].items()} if searched.tables else {}
     own = gains.get(truth, 0.0)
     if rival == NOTHING:
         return own, PROVEN

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from imumon.diagnosis.candidates import Candidate
 from imumon.diagnosis.channel import Channel
 from imumon.diagnosis.fit import Fit, fit
-from imumon.diagnosis.selection import Finding, Search
+from imumon.diagnosis.search import Finding, Search
 from imumon.effects.base import ACCEL
 
 NOTHING = "nothing"
@@ -43,9 +43,9 @@ def questions(channel: Channel, found: Search, kept: Sequence[Finding], unexplai
             beside = [other for other in claimed if other is not finding.candidate]
             either = [finding.candidate, *finding.others.values()]
             opened.append([_answer(channel, beside, one) for one in either])
-    if unexplained and found.last is not None:
-        leaders = sorted(found.last.leaders.values(), key=lambda one: -one.scored.gain)
-        tried = [one.scored.candidate for one in leaders if one.scored.fit > 0.0]
+    if unexplained and found.tables:
+        leaders = sorted(found.tables[-1].values(), key=lambda one: -one.gain)
+        tried = [one.candidate for one in leaders if one.fit > 0.0]
         further = [one for one in tried if one not in claimed and _may_be_tried(one)][:MOST_ANSWERS]
         nothing = Answer(NOTHING, fit(channel, claimed))
         opened.append([nothing, *(_answer(channel, claimed, one) for one in further)])

@@ -27,7 +27,7 @@ from imumon.diagnosis.known import CUBIC, effects_of, temperature_of
 from imumon.diagnosis.lacks import lacks, proof
 from imumon.diagnosis.likelihood import Likelihood
 from imumon.diagnosis.runs import SECOND_NS, Run, unit_of
-from imumon.diagnosis.selection import MOST_NAMES, Search
+from imumon.diagnosis.search import MOST_NAMES, Search
 from imumon.effects.base import Survey
 from imumon.effects.library import EFFECTS
 from imumon.geodesy import EARTH_RATE
@@ -154,7 +154,7 @@ def _lacking(
     tried = candidates(seen, LASTING)
     searches = {one.name: Search(one, seen, likelihood, tried) for one in channels}
     tables = {
-        name: {family: one.scored for family, one in search.table().leaders.items() if not one.partner}
+        name: {family: one for family, one in search.table().items() if not one.partner}
         for name, search in searches.items()
     }
     gains = {name: {family: one.gain for family, one in table.items()} for name, table in tables.items()}

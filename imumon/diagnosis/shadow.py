@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imumon.diagnosis.blocks import common_block_s
-from imumon.diagnosis.gains import PROVEN
 from imumon.diagnosis.known import temperature_of
 from imumon.diagnosis.likelihood import Likelihood
 from imumon.diagnosis.residual import Better, residual
 from imumon.diagnosis.runs import Run
+from imumon.diagnosis.search import PROVEN
 from imumon.models.model import BiasModel
 
 LEAST_BLOCKS = 10

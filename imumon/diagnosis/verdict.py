@@ -11,11 +11,10 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.diagnosis.channel import Channel
 from imumon.diagnosis.fit import MATERIAL, Fit, FittedPart, PartSigma, TestScore, goes_on
-from imumon.diagnosis.gains import PROVEN
 from imumon.diagnosis.likelihood import WALK_S
 from imumon.diagnosis.looking import Ranked, RunLeft
 from imumon.diagnosis.questions import Question
-from imumon.diagnosis.selection import Finding, Search, Step
+from imumon.diagnosis.search import PROVEN, Finding, Search, Step
 from imumon.effects.library import separated_by
 
 State = Literal["named", "unexplained", "nothing missing", "too few digits", "not proven", "faulty"]

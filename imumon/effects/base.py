@@ -157,7 +157,7 @@ class Effect(StrictModel):
     scope: ClassVar[Scope] = "shared"
     nonlinear: ClassVar[tuple[str, ...]] = ()
     """Parameters that are searched and refined."""
-    free_start: ClassVar[Literal["never", "alone", "in sums"]] = "never"
+    free_start: ClassVar[bool] = False
     """Whether an unknown state at power-on may be fitted as well."""
     start_share: ClassVar[float] = 1.0
     """Standard deviation of the state at power-on; 1 is half the way between those of `starts`."""

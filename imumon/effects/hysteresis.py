@@ -31,7 +31,6 @@ class Hysteresis(Follower):
     kind: Literal["hysteresis"] = "hysteresis"
     operator = "loop"
     nonlinear = ("half_width",)
-    free_start = "alone"
     start_share = 3.0**-0.5  # equally likely anywhere between its ends
     suspected_by = ("temperature", "temperature rate")
     separated_by: ClassVar[Mapping[str, str]] = {

@@ -29,7 +29,7 @@ class ThermalLag(Follower):
     kind: Literal["thermal_lag"] = "thermal_lag"
     operator = "lag"
     nonlinear = ("time_constant_s",)
-    free_start = "in sums"
+    free_start = True
     suspected_by = ("temperature rate",)
     separated_by: ClassVar[Mapping[str, str]] = {
         "temperature_rate": "a fast ramp into a soak: the lag goes on for its time constant",

@@ -6,7 +6,7 @@ import numpy as np
 
 from imumon.diagnosis.blocks import make_blocks
 from imumon.diagnosis.candidates import Candidate, Part, Pool
-from imumon.diagnosis.likelihood import GRID, TAUS_S, Likelihood, coarse_grid, fine_grid
+from imumon.diagnosis.likelihood import GRID, TAUS_S, Likelihood, no_larger
 from imumon.effects.base import Drive
 from imumon.effects.drift import Drift
 from imumon.effects.stress_relaxation import StressRelaxation
@@ -17,11 +17,10 @@ SECONDS = 7200
 
 def test_noise_beside_a_better_model_is_no_larger_but_may_be_of_another_kind() -> None:
     for start in GRID:
-        for grid in (fine_grid(start), coarse_grid(start)):
-            assert start in grid
-            assert max(map(sum, grid)) == sum(start)
-    assert (3.0, 0.0) in fine_grid((0.0, 10.0))
-    assert (0.3, 0.0) in coarse_grid((0.0, 10.0))
+        grid = no_larger(start)
+        assert start in grid
+        assert max(map(sum, grid)) == sum(start)
+    assert (3.0, 0.0) in no_larger((0.0, 10.0))
 
 
 def test_what_is_a_walk_without_a_drift_is_flicker_with_it() -> None:
@@ -39,7 +38,7 @@ def test_what_is_a_walk_without_a_drift_is_flicker_with_it() -> None:
     walk = likelihood.best(blocks.mean["gyro_x"] / DPH, curve)[1]
     assert walk[1] > walk[0]
     terms = [pool.terms(Candidate("drift", (Part(Drift()),)))[0]]
-    _, (noise,) = likelihood.scan(blocks.mean["gyro_x"] / DPH, curve, pool, terms, fine_grid(walk))
+    _, (noise,) = likelihood.scan(blocks.mean["gyro_x"] / DPH, curve, pool, terms, no_larger(walk))
     assert noise[0] > walk[0]
     assert noise[1] < walk[1]
 

@@ -5,17 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imumon.diagnosis.blocks import make_blocks
 from imumon.diagnosis.candidates import Candidate
 from imumon.diagnosis.claims import chosen_by_test
 from imumon.diagnosis.engine import diagnose
-from imumon.diagnosis.likelihood import Likelihood
 from imumon.diagnosis.report import report
 from imumon.diagnosis.runs import Run
-from imumon.diagnosis.selection import Finding
+from imumon.diagnosis.search import Finding
 from imumon.effects.base import Drive
 from imumon.effects.hysteresis import Hysteresis
-from imumon.effects.step import EDGE_BLOCKS
 from tests.diagnosis.units import ramps, run
 
 SECONDS = 5400
@@ -64,16 +61,3 @@ def test_effects_of_several_names_that_explain_the_test_are_not_told_apart() -> 
     assert best is not None
     assert best.alike == []
     assert chosen_by_test([]) is None
-
-
-def test_a_step_of_noise_that_jumps_by_itself_proves_less() -> None:
-    made = wandering(3, 0.3, 0.0, tails=True)
-    blocks = make_blocks(made, ["gyro_x"], ["temperature"])
-    likelihood, values = Likelihood([blocks]), blocks.mean["gyro_x"]
-    base, noise = np.ones((len(values), 1)), (0.0, 1000.0)
-    at = EDGE_BLOCKS + int(np.argmax(np.abs(np.diff(values))[EDGE_BLOCKS:-EDGE_BLOCKS])) + 1
-    jump = (np.arange(len(values)) >= at).astype(np.float64)[:, np.newaxis]
-    normal = 2 * (likelihood.at(values, np.hstack([base, jump]), noise) - likelihood.at(values, base, noise))
-    heavy = likelihood.beyond_tails(values, base, jump, [noise])
-    assert heavy < 0.8 * normal
-    assert likelihood.beyond_tails(values, base, base, [noise]) == pytest.approx(0.0, abs=1e-6)
