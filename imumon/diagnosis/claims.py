@@ -122,8 +122,9 @@ def _kept(channel: Channel, found: Search, given: Fit, floor: float) -> _Kept:
         best = max(found.findings, key=lambda finding: finding.gain)
         kept = _Kept(refit, before, f"the best of the known effects is {best.name}, but {why}", refuted)
     both = _scores(channel, given, kept.after)
-    left = both[1].rms if kept.claims and both is not None else np.inf
-    if before.train_rms >= CLEAN * floor and left >= CLEAN * floor:
+    left = both[1].left if kept.claims and both is not None else np.inf
+    wanting = not kept.claims or (kept.after.carries and left >= CLEAN * floor)
+    if wanting and before.train_rms >= CLEAN * floor:
         one = _proven_by_test(channel, found, before, refit)
         if one is not None:
             by_test = _Kept([*refit, one], _fit(channel, [*refit, one]), "", refuted)

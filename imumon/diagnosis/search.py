@@ -285,6 +285,7 @@ class Search:
         does not carry over, else what gains less alone.
         """
         few = [one for one in scored if not (one.candidate.free_start or one.candidate.choice)]
+        few = [one for one in few if len(one.candidate.parts) == 1]
         members = [one for group in _families(few).values() for one in group]
         members += [self.refined(one) for one in best.values() if one.candidate.scope == "event"]
         pairs = [two for two in combinations(members, 2) if two[0].family != two[1].family]

