@@ -26,8 +26,6 @@ WALK_S = 7200.0
 FLICKER = (0.0, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0)
 WALK = (0.0, 1.0, 10.0, 100.0, 1000.0)
 GRID = [(r, q) for r in FLICKER for q in WALK]
-COARSE_FLICKER = (0.3, 3.0, 100.0, 1000.0)
-COARSE_WALK = (0.0, 10.0, 1000.0)
 COLLINEAR = 1e-5
 """A column of which less is left beside the base is not used."""
 RIDGE = 1e-9
@@ -71,11 +69,6 @@ class Likelihood:
         found = [self.at(values, base, point) for point in self._grid]
         at = int(np.argmax(found))
         return found[at], self._grid[at]
-
-    def neighbours(self, noise: Noise) -> list[Noise]:
-        """Return the points of the grid beside this one, and it."""
-        near = [(r, q) for r in _beside(FLICKER, noise[0]) for q in _beside(WALK, noise[1])]
-        return [point for point in near if point in self._grid]
 
     def of_later(self, values: FloatArray, early: BoolArray) -> float:
         """Return the log-likelihood of later values given the early ones, with the noise that those show."""
@@ -191,21 +184,6 @@ def no_larger(start: Noise) -> list[Noise]:
     What a walk explained may have been flicker and an effect, or the other way round: both together are less.
     """
     return [point for point in GRID if sum(point) <= sum(start)]
-
-
-fine_grid = no_larger
-
-
-def coarse_grid(*starts: Noise) -> list[Noise]:
-    """Return a coarser grid of those that are no larger than the largest of these, and these."""
-    top = max(sum(start) for start in starts)
-    points = [(r, q) for r in COARSE_FLICKER for q in COARSE_WALK if r + q <= top]
-    return list(dict.fromkeys([*points, *starts]))
-
-
-def _beside(values: tuple[float, ...], value: float) -> tuple[float, ...]:
-    at = int(np.argmin(np.abs(np.subtract(values, value))))
-    return values[max(0, at - 1) : at + 2]
 
 
 def _by_size(groups: Sequence[Sequence[int]], spectra: IntArray) -> list[_Group]:

@@ -39,7 +39,7 @@ from imumon.simulation.unit.thermal import chamber_knots
 RATE_HZ = 4.0
 """Enough for the scatter inside a second to tell the white noise."""
 LATITUDE_DEG = 45.0
-MARGIN = 1.5
+MARGIN = 1.4
 """The evidence that is planned for over what is needed: what is reached scatters."""
 TRIALS, PROOFS = 2, 3
 """Units on which a profile is tried, and others on which the evidence of the chosen one is told."""

@@ -38,6 +38,8 @@ LEAST_SIZE = 0.3
 """White floors (rms) that an effect takes away, at least."""
 SECOND_SHARE = 0.2
 """And this share of what the largest effect before it takes away."""
+JUMP_SHARE = 0.5
+"""A further jump counts from this share on: the jumps of a telegraph noise are of one size."""
 MOST_NAMES = 3
 """Effects that are named in a set of those not told apart."""
 PAIR_LIST = 4
@@ -141,6 +143,7 @@ def search(
             progress(f"effect {stage + 1} of {', '.join(one.channel.name for one in active)}")
         for one in active:
             one.tables.append(one.table())
+            one.too_small.clear()
         _add(active, PROVEN + price)
     for one in searches:
         one.tidy()
@@ -169,9 +172,8 @@ def _add(active: Sequence[Search], proof: float) -> None:
             and together[name] > proof
             and _near(together[name], together[chosen])
         ]
-        for one in on[chosen]:
-            one.add(chosen, alike, total[chosen])
-        left = [one for one in left if one not in on[chosen]]
+        done = [one for one in on[chosen] if one.add(chosen, alike, total[chosen])]
+        left = [one for one in left if one not in done]
     for one in left:
         one.finished = True
 
@@ -204,6 +206,7 @@ class Search:
         self.findings: list[Finding] = []
         self.tables: list[Table] = []
         self.turns: list[Step] = []
+        self.too_small = set[str]()
         self.many_events = self.finished = self.refit = False
         self._known: dict[tuple[int, ...], tuple[list[Candidate], float, Noise]] = {}
         if channel.known is not None:
@@ -300,44 +303,52 @@ class Search:
             for two, own in zip(pairs, terms, strict=True)
         ]
         gains = (ratio - np.array(number) * price).tolist()
-        alone = max(PROVEN, *(one.gain for one in best.values()))
+        alone = max(PROVEN, *(one.gain for one in members))
         at = int(np.argmax(gains))
-        if gains[at] <= alone + max(PROVEN, CLOSE_SHARE * alone):
+        if gains[at] <= max(alone + max(PROVEN, CLOSE_SHARE * alone), *(one.gain for one in best.values())):
             return best
         partner = min(pairs[at], key=lambda one: (one.candidate.scope not in ("run", "event"), one.gain))
+        found = dict[str, Scored]()
         for two, gain in zip(pairs, gains, strict=True):
             for one, other in (two, two[::-1]):
                 beside = gain - max(0.0, other.gain)
-                if other.family == partner.family and beside > best[one.family].gain:
-                    best[one.family] = replace(one, gain=beside, partner=partner.family)
+                if other.family == partner.family and beside > _gain_in(found, one.family):
+                    found[one.family] = replace(one, gain=beside, partner=partner.family)
+        best |= found
         return best
 
     def gain_of(self, name: str) -> float:
         """Return what a family gains at this stage."""
-        return self.tables[-1][name].gain if name in self.tables[-1] else -np.inf
+        return _gain_in(self.tables[-1], name)
 
     def shows(self, name: str, proof: float) -> bool:
         """Tell whether the channel shows an effect, and does not prove another in its place.
 
         An event has a time of its own in each channel, so that each has to prove its own.
         """
-        if name not in self.tables[-1]:
+        table = {other: one for other, one in self.tables[-1].items() if other not in self.too_small}
+        if name not in table:
             return False
-        best = max(one.gain for one in self.tables[-1].values())
+        best = max(one.gain for one in table.values())
         least = PROVEN if self.tables[-1][name].candidate.scope == "event" else 0.0
         return self.gain_of(name) > max(least, best - max(proof, CLOSE_SHARE * best))
 
-    def add(self, name: str, alike: Sequence[str], total: float) -> None:
-        """Add the best of a family with its parameters refined, unless it is too small, or a second event in
-        a run; then the channel is finished."""
+    def add(self, name: str, alike: Sequence[str], total: float) -> bool:
+        """Add the best of a family with its parameters refined, and tell whether this stage is done: not when
+        that is too small.  With a second event in a run the channel is finished."""
         table = self.tables[-1]
         best = self.refined(table[name])
         size = float(np.sqrt(max(self._left() ** 2 - self._left(best.candidate) ** 2, 0.0)))
         least = max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind)
-        self.finished = size < max(least, SECOND_SHARE * self._largest_beside(best.candidate))
-        if self.finished or self._second_event(best.candidate):
+        again = best.candidate.scope == "event" and name in (finding.name for finding in self.findings)
+        share = JUMP_SHARE if again else SECOND_SHARE
+        if size < max(least, share * self._largest_beside(best.candidate)):
+            self.too_small.add(name)
+            self.finished = best.candidate.scope == "event"  # beside small jumps nothing else is proven
+            return self.finished
+        if self._second_event(best.candidate):
             self.finished = True
-            return
+            return True
         there = {finding.name for finding in self.findings}
         others = [other for other in alike if other in table and other not in there][: MOST_NAMES - 1]
         gain = max(best.gain, table[name].gain)
@@ -352,7 +363,10 @@ class Search:
                 others={other: table[other].candidate for other in others},
             )
         )
+        if len(self.findings) > 1:
+            self._refine()
         self.turns.append(Step(name, self.found, gain))
+        return True
 
     def _largest_beside(self, candidate: Candidate) -> float:
         """Return the largest rms that one of the findings takes away beside a candidate; of one of the same
@@ -361,7 +375,8 @@ class Search:
         for finding in everything:
             self.findings = [other for other in everything if other is not finding]
             beside = float(np.sqrt(max(self._left(candidate) ** 2 - left**2, 0.0)))
-            sizes.append(finding.size if finding.name == candidate.family else beside)
+            same = finding.name == candidate.family and candidate.scope != "event"
+            sizes.append(finding.size if same else beside)
         self.findings = everything
         return max(sizes)
 
@@ -458,6 +473,10 @@ class Search:
 
 def _best(scored: Sequence[Scored]) -> dict[str, Scored]:
     return {one.family: one for one in sorted(scored, key=_gain)}
+
+
+def _gain_in(table: Table, name: str) -> float:
+    return table[name].gain if name in table else -np.inf
 
 
 def _gain(one: Scored) -> float:
