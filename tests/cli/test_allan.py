@@ -43,7 +43,7 @@ def write(path: Path, columns: dict[str, Any]) -> Path:
     return path
 
 
-def columns() -> dict[str, Any]:
+def columns(walk: float = 0.1) -> dict[str, Any]:
     made: dict[str, Any] = {
         "device_time_ns": np.arange(N) * round(INTERVAL_S * 1e9),
         "segment": np.zeros(N, np.int64),
@@ -51,7 +51,7 @@ def columns() -> dict[str, Any]:
     }
     for seed, name in enumerate(CHANNELS):
         size = WHITE * (1 + seed)
-        made[name] = noise(seed, N, INTERVAL_S, white=size, walk=0.1 * size) + (
+        made[name] = noise(seed, N, INTERVAL_S, white=size, walk=walk * size) + (
             9.81 if name == "accel_z" else 0
         )
     return made
@@ -151,7 +151,7 @@ def test_people_read_degrees_and_hours(table: Path) -> None:
 
 @pytest.mark.parametrize("said", ["at_rest", "nothing"])
 def test_motion_is_told_with_its_share(tmp_path: Path, said: str) -> None:
-    made = columns()
+    made = columns(walk=0.03)  # with more, a bias may leave its law while it moves, and look like a turn
     moving = slice(10_000, 14_000)
     made["gyro_x"][moving] += 0.3 * np.sin(np.arange(4000) * INTERVAL_S)
     if said == "at_rest":

@@ -14,7 +14,7 @@ import imumon
 from imumon.blocks import NO_INT
 from imumon.columns import KNOWN
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.gyro_bias.stage import RestDetector
+from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.protocols.device import device_text, load_device, parse_device
 from imumon.simulation.recording import record_session
 from imumon.simulation.unit import SimulatedUnit, load_scenario
@@ -173,7 +173,7 @@ def test_only_columns_that_are_wanted_are_computed(tmp_path: Path, monkeypatch: 
     capture.write_bytes(
         b"".join(load_device("ax1").encoder().encode(SimulatedUnit(load_scenario("bench")).samples(50)))
     )
-    monkeypatch.setattr(RestDetector, "process", None)
+    monkeypatch.setattr(RestAndBias, "process", None)
     assert len(imumon.read(capture, "ax1", columns=["gyro_x", "device_time_ns"])) == 50
     with pytest.raises(TypeError):
         imumon.read(capture, "ax1", columns=["at_rest"])
