@@ -22,8 +22,8 @@ WHEN = {
     "faulty": "faults of the samples hide any effect",
     "claimed": "training proves effects, the test does not refute them, and of both 60 % is explained or less"
     " than 1.8 floors are left; or the test alone proves one",
-    "by_test": "an effect that makes training likelier explains 60 % of the test, where training proves nothing"
-    " or leaves more than twice as much of it",
+    "by_test": "an effect that makes training likelier explains 60 % of the test, where training proves"
+    " nothing or leaves more than twice as much of it",
     "not_told_apart": "effects of other names fit as well",
     "unexplained": "more than 1.8 floors are left in training or, beside what is claimed, in the test",
     "hidden": "steps of the samples may make as much as is left",
