@@ -24,10 +24,9 @@ from imumon.diagnosis.earth import ALLOWANCE, turned
 from imumon.diagnosis.extended import refitted
 from imumon.diagnosis.fit import MATERIAL, fit
 from imumon.diagnosis.known import CUBIC, effects_of, temperature_of
-from imumon.diagnosis.lacks import lacks, proof
 from imumon.diagnosis.likelihood import Likelihood
 from imumon.diagnosis.runs import SECOND_NS, Run, unit_of
-from imumon.diagnosis.search import MOST_NAMES, Search
+from imumon.diagnosis.search import MOST_NAMES, Search, lacks, proof
 from imumon.effects.base import Survey
 from imumon.effects.library import EFFECTS
 from imumon.geodesy import EARTH_RATE
@@ -157,14 +156,13 @@ def _lacking(
         name: {family: one for family, one in search.table().items() if not one.partner}
         for name, search in searches.items()
     }
-    gains = {name: {family: one.gain for family, one in table.items()} for name, table in tables.items()}
     return {
         name: _Found(
             searches[name].channel,
             lack.names[:MOST_NAMES],
             searches[name].refined(tables[name][lack.names[0]]).candidate,
         )
-        for lack in lacks(gains, least)
+        for lack in lacks(tables, least)
         for name in lack.channels
     }
 

@@ -134,7 +134,7 @@ def search(
     likelihood, tried = Likelihood(channels[0].train), candidates(survey, names)
     searches = [Search(channel, survey, likelihood, tried) for channel in channels]
     usual = len({one.family for one in tried if not one.choice})
-    price = 2.0 * float(np.log(max(usual, 1) * (2 ** len(channels) - 1))) if len(channels) > 1 else 0.0
+    least = proof(usual, len(channels))
     for stage in range(stages):
         active = [one for one in searches if not one.finished]
         if not active:
@@ -144,45 +144,90 @@ def search(
         for one in active:
             one.tables.append(one.table())
             one.too_small.clear()
-        _add(active, PROVEN + price)
+        _add(active, least)
     for one in searches:
         one.tidy()
     return searches
 
 
-def _add(active: Sequence[Search], proof: float) -> None:
+def _add(active: Sequence[Search], least: float) -> None:
     """Add to each channel the effect that gains most on all the channels that show it; finish the others."""
-    left = list(active)
+    left = {one.channel.name: one for one in active}
     while left:
-        on = {
-            name: [one for one in left if one.shows(name, proof)] for one in left for name in one.tables[-1]
-        }
-        total = {name: sum(one.gain_of(name) for one in those) for name, those in on.items()}
-        top = max(total.values(), default=0.0)
-        if top <= proof:
+        tables = {name: one.open_table() for name, one in left.items()}
+        there = {name: [finding.name for finding in one.findings] for name, one in left.items()}
+        lack = _first_lack(tables, least, there)
+        if lack is None:
             break
-        close = [name for name in total if total[name] > proof and _near(total[name], top)]
-        chosen = max(close, key=lambda name: (_priority(on[name], name), total[name]))
-        together = {name: sum(one.gain_of(name) for one in on[chosen]) for name in total}
-        partners = {one.tables[-1][chosen].partner for one in on[chosen]}
-        alike = [
-            name
-            for name in sorted(together, key=lambda name: -together[name])
-            if name not in {chosen, *partners}
-            and together[name] > proof
-            and _near(together[name], together[chosen])
-        ]
-        done = [one for one in on[chosen] if one.add(chosen, alike, total[chosen])]
-        left = [one for one in left if one not in done]
-    for one in left:
+        done = [name for name in lack.channels if left[name].add(lack)]
+        left = {name: one for name, one in left.items() if name not in done}
+    for one in left.values():
         one.finished = True
 
 
-def _priority(searches: Sequence[Search], name: str) -> tuple[bool, bool]:
-    """Return what decides between effects that gain alike: what carries over before an event, what is there
-    already before what is new."""
-    event = searches[0].tables[-1][name].candidate.scope == "event"
-    return not event, any(name == finding.name for one in searches for finding in one.findings)
+@dataclass(frozen=True, slots=True)
+class Lack:
+    """Effects of which channels lack one, the one that is chosen first; these data do not tell them apart.
+    `gain` is what it gains on all of these channels."""
+
+    names: list[str]
+    channels: list[str]
+    gain: float
+
+
+def proof(effects: int, channels: int) -> float:
+    """Return the gain that proves one of so many effects on any set of channels."""
+    choices = max(1, effects) * (2**channels - 1)
+    return PROVEN + (2.0 * float(np.log(choices)) if channels > 1 else 0.0)
+
+
+def lacks(tables: Mapping[str, Table], least: float) -> list[Lack]:
+    """Return what channels lack whose gains add up to more than `least`; each lacks one effect."""
+    found, left = list[Lack](), dict(tables)
+    while (lack := _first_lack(left, least, {})) is not None:
+        found.append(lack)
+        left = {name: table for name, table in left.items() if name not in lack.channels}
+    return found
+
+
+def _first_lack(tables: Mapping[str, Table], least: float, there: Mapping[str, Sequence[str]]) -> Lack | None:
+    """Return the effect that gains most on all the channels that show it, if that is more than `least`.
+
+    Of effects that gain alike, what carries over goes before an event, and what is `there` already before
+    what is new.
+    """
+    names = dict.fromkeys(name for table in tables.values() for name in table)
+    on = {name: [channel for channel in tables if _shows(tables[channel], name, least)] for name in names}
+    total = {name: sum(tables[channel][name].gain for channel in on[name]) for name in names}
+    proven = [name for name in names if total[name] > least]
+    if not proven:
+        return None
+    close = [name for name in proven if _near(total[name], max(total.values()))]
+
+    def order(name: str) -> tuple[bool, bool, float]:
+        event = tables[on[name][0]][name].candidate.scope == "event"
+        known = any(name in there.get(channel, ()) for channel in on[name])
+        return not event, known, total[name]
+
+    chosen = max(close, key=order)
+    channels = on[chosen]
+    together = {name: sum(_gain_in(tables[channel], name) for channel in channels) for name in names}
+    apart = {chosen, *(tables[channel][chosen].partner for channel in channels)}
+    alike = [name for name in names if name not in apart and _near(together[name], total[chosen])]
+    alike = [name for name in alike if together[name] > least]
+    return Lack([chosen, *sorted(alike, key=lambda name: -together[name])], channels, total[chosen])
+
+
+def _shows(table: Table, name: str, least: float) -> bool:
+    """Tell whether a channel shows an effect, and does not prove another in its place.
+
+    An event has a time of its own in each channel, so that each has to prove its own.
+    """
+    if name not in table:
+        return False
+    best = max(one.gain for one in table.values())
+    own = PROVEN if table[name].candidate.scope == "event" else 0.0
+    return table[name].gain > max(own, best - max(least, CLOSE_SHARE * best))
 
 
 def _near(gain: float, best: float) -> bool:
@@ -317,26 +362,14 @@ class Search:
         best |= found
         return best
 
-    def gain_of(self, name: str) -> float:
-        """Return what a family gains at this stage."""
-        return _gain_in(self.tables[-1], name)
+    def open_table(self) -> Table:
+        """Return the table of this stage without what is too small to be added."""
+        return {name: one for name, one in self.tables[-1].items() if name not in self.too_small}
 
-    def shows(self, name: str, proof: float) -> bool:
-        """Tell whether the channel shows an effect, and does not prove another in its place.
-
-        An event has a time of its own in each channel, so that each has to prove its own.
-        """
-        table = {other: one for other, one in self.tables[-1].items() if other not in self.too_small}
-        if name not in table:
-            return False
-        best = max(one.gain for one in table.values())
-        least = PROVEN if self.tables[-1][name].candidate.scope == "event" else 0.0
-        return self.gain_of(name) > max(least, best - max(proof, CLOSE_SHARE * best))
-
-    def add(self, name: str, alike: Sequence[str], total: float) -> bool:
+    def add(self, lack: Lack) -> bool:
         """Add the best of a family with its parameters refined, and tell whether this stage is done: not when
         that is too small.  With a second event in a run the channel is finished."""
-        table = self.tables[-1]
+        table, name = self.tables[-1], lack.names[0]
         best = self.refined(table[name])
         size = float(np.sqrt(max(self._left() ** 2 - self._left(best.candidate) ** 2, 0.0)))
         least = max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind)
@@ -350,13 +383,15 @@ class Search:
             self.finished = True
             return True
         there = {finding.name for finding in self.findings}
-        others = [other for other in alike if other in table and other not in there][: MOST_NAMES - 1]
+        others = [other for other in lack.names[1:] if other in table and other not in there][
+            : MOST_NAMES - 1
+        ]
         gain = max(best.gain, table[name].gain)
         self.findings.append(
             Finding(
                 best.candidate,
                 gain,
-                total,
+                lack.gain,
                 {**{other: one.gain for other, one in table.items()}, name: gain},
                 [name, *others] if others else [],
                 size,

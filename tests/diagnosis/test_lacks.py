@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from imumon.diagnosis.lacks import Gains, lacks, proof
+from imumon.diagnosis.candidates import Candidate, Part
+from imumon.diagnosis.search import Scored, Table, lacks, proof
+from imumon.effects.drift import Drift
+from imumon.effects.warm_up import WarmUp
 
 LEAST = proof(2, 3)
 
 
-def axes(drift: tuple[float, ...], warm_up: tuple[float, ...] = (-9.0, -9.0, -9.0)) -> dict[str, Gains]:
+def axes(drift: tuple[float, ...], warm_up: tuple[float, ...] = (-9.0, -9.0, -9.0)) -> dict[str, Table]:
     """Return what these gain on the axes."""
+    made = {"drift": Part(Drift()), "warm_up": Part(WarmUp(time_constant_s=200.0))}
     return {
-        axis: {"drift": one, "warm_up": other} for axis, one, other in zip("xyz", drift, warm_up, strict=True)
+        axis: {
+            name: Scored(Candidate(name, (made[name],)), gain, gain)
+            for name, gain in (("drift", one), ("warm_up", other))
+        }
+        for axis, one, other in zip("xyz", drift, warm_up, strict=True)
     }
 
 
