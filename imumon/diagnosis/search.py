@@ -134,7 +134,7 @@ def search(
     likelihood, tried = Likelihood(channels[0].train), candidates(survey, names)
     searches = [Search(channel, survey, likelihood, tried) for channel in channels]
     usual = len({one.family for one in tried if not one.choice})
-    least = proof(usual, len(channels))
+    least = proof(usual, len(channels)) if len(channels) > 1 else PROVEN
     for stage in range(stages):
         active = [one for one in searches if not one.finished]
         if not active:
@@ -177,8 +177,7 @@ class Lack:
 
 def proof(effects: int, channels: int) -> float:
     """Return the gain that proves one of so many effects on any set of channels."""
-    choices = max(1, effects) * (2**channels - 1)
-    return PROVEN + (2.0 * float(np.log(choices)) if channels > 1 else 0.0)
+    return PROVEN + 2.0 * float(np.log(max(1, effects) * (2**channels - 1)))
 
 
 def lacks(tables: Mapping[str, Table], least: float) -> list[Lack]:
