@@ -92,6 +92,8 @@ def candidates(survey: Survey, families: Iterable[str] = tuple(EFFECTS)) -> list
             found += [Candidate(name, _late_curve(one, survey)) for one in family.of_curve(survey)]
             if family.free_start:
                 found += [Candidate(name, part, free_start=True) for part in single]
+            if family.scope == "either" and survey.runs > 1:
+                found += [Candidate(name, (Part(effect, every),)) for effect in grid]
             groups = family.sums(grid) if may_sum(survey, 2) else []
             found += [Candidate(name, tuple(map(Part, group))) for group in groups]
     return found
