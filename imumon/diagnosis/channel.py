@@ -16,8 +16,6 @@ from imumon.diagnosis.candidates import Candidate, Part, Pool
 from imumon.diagnosis.quality import Fault
 from imumon.effects.base import Effect
 
-INDEPENDENT = 10.0
-"""Blocks that count as one, for noise that is slow and for what the model lacks."""
 Own = Literal["", "run", "pose"]
 
 
@@ -154,19 +152,3 @@ def residual_rms(columns: FloatArray, values: FloatArray) -> float:
     """Return the rms of the residual of ordinary least squares."""
     left = values - columns @ ordinary(columns, values)
     return float(np.sqrt(np.mean(left**2)))
-
-
-def estimated(columns: FloatArray, values: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the last coefficients of ordinary least squares and their standard deviations, (count,)."""
-    norm = np.linalg.norm(columns, axis=0)
-    norm = np.where(norm > 0, norm, 1.0)
-    left, singular, right = np.linalg.svd(columns / norm, full_matrices=False)
-    kept = singular > 1e-6 * singular[0]
-    coefficients = right[kept].T @ ((left[:, kept].T @ values) / singular[kept])
-    residual = values - columns / norm @ coefficients
-    variance = ((right[kept] / singular[kept, np.newaxis]) ** 2).sum(axis=0)
-    # What no column of its own tells is not known.
-    variance = np.where((right[~kept] ** 2).sum(axis=0) > 1e-3, np.inf, variance)
-    freedom = max(len(values) - int(kept.sum()), 1)
-    sd = np.sqrt(variance * float(residual @ residual) / freedom * INDEPENDENT) / norm
-    return (coefficients / norm)[-count:], sd[-count:]

@@ -15,13 +15,14 @@ import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.diagnosis.blocks import RunBlocks, specific_force
-from imumon.diagnosis.channel import INDEPENDENT, Declared, estimated
+from imumon.diagnosis.channel import Declared
 from imumon.diagnosis.search import PROVEN
 from imumon.effects.base import Effect
 from imumon.effects.drift import Drift
 from imumon.effects.step import EDGE_BLOCKS
 from imumon.effects.thermal_lag import ThermalLag
 from imumon.effects.warm_up import WarmUp
+from imumon.filters.least_squares import INDEPENDENT, least_squares
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 
 ALLOWANCE = 1.05
@@ -124,9 +125,9 @@ def _common(
         own, across = declared.training(runs, temperatures[name]), np.delete(force, axis, axis=1)
         columns = np.column_stack([own, beside, across, seen[:, axis]])
         columns = np.column_stack([_jumps(columns, values, runs), columns])
-        estimate, sd = estimated(columns, values, seen.shape[2])
-        each.append(estimate)
-        sigma.append(sd)
+        estimate, sd = least_squares(columns, values)
+        each.append(estimate[-seen.shape[2] :])
+        sigma.append(sd[-seen.shape[2] :])
     found, sd = np.array(each), np.array(sigma)
     weight = 1.0 / sd**2
     mean = (weight * found).sum(axis=0) / weight.sum(axis=0)

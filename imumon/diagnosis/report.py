@@ -191,7 +191,7 @@ def _parameters(parts: Sequence[FittedPart]) -> dict[str, Any]:
             found["runs"] = list(part.runs)
         if len(part.start):
             found["start"] = part.start.tolist()
-        each.append(found | part.effect.described(part.own))
+        each.append(found)
     if len(each) == 1:
         return dict(each[0])
     return {key: [found.get(key) for found in each] for key in each[0]}

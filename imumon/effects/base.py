@@ -198,14 +198,6 @@ class Effect(StrictModel):
         """What drives it besides time and temperature."""
         return ()
 
-    def contains(self, label: str) -> bool:  # noqa: ARG002 - for those that may
-        """Return whether the effect of a label is in the main a special case of this one."""
-        return False
-
-    def passes_for(self, label: str) -> bool:  # noqa: ARG002 - for those that may
-        """Return whether, with these parameters, it is hardly told from the simpler effect of a label."""
-        return False
-
     def scale_of(self, driver: str) -> Scale | None:  # noqa: ARG002 - for those that have one
         """Return where a driver went in training; None where its place does not matter."""
         return None
@@ -307,18 +299,6 @@ class Effect(StrictModel):
     def polynomial(self) -> Polynomial | None:
         """Return it as a polynomial of the temperature for a curve to take in; None when it is not one."""
         return None
-
-    def curve(self) -> Polynomial:
-        """Return the curve over temperature that it makes late, less its constant, for those that can."""
-        raise NotImplementedError
-
-    def followed(self, drive: Drive) -> FloatArray:
-        """Return the powers of what the curve is over, of a whole run, (n, k), for those that can."""
-        raise NotImplementedError
-
-    def described(self, coefficients: FloatArray) -> dict[str, Any]:  # noqa: ARG002 - for those with more to say
-        """Return what else is worth reporting of fitted coefficients (runs, k)."""
-        return {}
 
 
 class DrivenEffect(Effect):

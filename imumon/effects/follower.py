@@ -8,7 +8,6 @@ from itertools import combinations
 from typing import Annotated, Any, Self
 
 import numpy as np
-from numpy.polynomial import Polynomial
 from pydantic import Field
 
 from imumon.blocks import FloatArray
@@ -63,19 +62,6 @@ class Follower(ScaledEffect):
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return what follows the driver, (n,), and carry the memory along."""
         raise NotImplementedError
-
-    def contains(self, label: str) -> bool:
-        """Return whether it is a curve over the same driver, or its rate, of which nothing is declared."""
-        return label in (f"curve({self.driver})", f"rate({self.driver})")
-
-    def followed(self, drive: Drive) -> FloatArray:
-        """Return the powers of what follows, over a whole run, (n, order)."""
-        return self._powers(self.follow(Memory(), drive))
-
-    def curve(self) -> Polynomial:
-        """Return the curve over the driver, less its constant, of which this is how late it is."""
-        ends = self.middle - self.half_span, self.middle + self.half_span
-        return Polynomial([0.0, *(-one for one in self.coefficients)], domain=ends)
 
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return the differences of powers, ahead less following."""

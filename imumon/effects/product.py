@@ -76,10 +76,6 @@ class Product(Effect):
             )
         ]
 
-    def contains(self, label: str) -> bool:
-        """Return whether it is a curve over the second driver."""
-        return label == f"curve({self.drivers[1]})"
-
     def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - it has no memory
         """Return the products."""
         first, second = (

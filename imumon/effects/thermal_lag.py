@@ -62,10 +62,6 @@ class ThermalLag(Follower):
             [lag for lag in grid if lag.order == 1 and lag.time_constant_s >= 2 * UNTOLD_S], (2,)
         )
 
-    def passes_for(self, label: str) -> bool:
-        """Return whether it is fast enough to be a rate."""
-        return self.of_temperature and label == "temperature_rate" and self.time_constant_s < 2 * UNTOLD_S
-
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return the lagged driver."""
         from imumon.effects.operators import first_order
