@@ -252,7 +252,7 @@ def _calibrate(path: Path, job: Job) -> Iterator[Row]:
 
 
 def _diagnose(path: Path, job: Job) -> Iterator[Row]:
-    from imumon.diagnosis.engine import diagnose
+    from imumon.diagnosis.diagnose import diagnose
     from imumon.diagnosis.report import report
     from imumon.diagnosis.runs import read_runs
     from imumon.estimation.gyro_bias.stage import RestDetector

@@ -95,7 +95,7 @@ def command(
     tell most.
     """
     from imumon.diagnosis.conclusion import conclusion, next_step
-    from imumon.diagnosis.engine import diagnose, parse_declared
+    from imumon.diagnosis.diagnose import diagnose, parse_declared
     from imumon.diagnosis.extended import extended_model, with_model
     from imumon.diagnosis.page import write_page
     from imumon.diagnosis.report import report, write_report

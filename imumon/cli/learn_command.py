@@ -40,7 +40,7 @@ def command(
     What moves or is too short is left out.  Where nothing better is found, nothing is written, and the exit
     code is 1.
     """
-    from imumon.diagnosis.engine import diagnose
+    from imumon.diagnosis.diagnose import diagnose
     from imumon.diagnosis.extended import extended_model, with_model
     from imumon.diagnosis.report import report
     from imumon.diagnosis.runs import latest

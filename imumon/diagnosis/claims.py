@@ -28,8 +28,8 @@ from imumon.diagnosis.fit import (
     score,
     sigmas,
 )
-from imumon.diagnosis.looking import ranking, runs_left
 from imumon.diagnosis.questions import questions
+from imumon.diagnosis.ranking import ranking, runs_left
 from imumon.diagnosis.search import MOST_NAMES, Finding, Search, Step
 from imumon.diagnosis.verdict import ChannelVerdict, Claim, SlowNoise
 

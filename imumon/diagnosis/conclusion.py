@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from imumon.diagnosis.engine import Diagnosis
+from imumon.diagnosis.diagnose import Diagnosis
 from imumon.diagnosis.extended import with_model
 from imumon.diagnosis.verdict import ChannelVerdict
 from imumon.effects.library import separated_by

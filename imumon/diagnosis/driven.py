@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from imumon.diagnosis.engine import diagnose
+from imumon.diagnosis.diagnose import diagnose
 from imumon.diagnosis.extended import extended_model
 from imumon.diagnosis.runs import Run, latest
 from imumon.diagnosis.verdict import ChannelVerdict
@@ -32,7 +32,7 @@ def with_drivers(
 ) -> Driven:
     """Return a calibrated model with what is proven of recorded drivers; None: of all that vary.
 
-    The search is that of `imumon.diagnosis.engine.diagnose`, the latest recording is its test.  A channel in
+    The search is that of `diagnose.diagnose`, the latest recording is its test.  A channel in
     which a driver is found gets all that was found in it, for the rest was fitted beside the driver; the
     others stay as they are.
 

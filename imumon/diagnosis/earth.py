@@ -1,7 +1,7 @@
-"""The earth rate in a unit that is laid in several poses: one vector, seen by three gyros.
+"""The earth rate in a unit that is laid in several poses: one vector, measured by three gyros.
 
 A gyro along whose axis the specific force is a sees the earth rate's vertical part, rate x sin(latitude) x
-a/g, up or down; with a magnetometer its horizontal part is seen as well.  A sensitivity to g of its own has
+a/g, up or down; with a magnetometer its horizontal part is measured too.  A sensitivity to g of its own has
 another value for each gyro, or acts across axes.
 """
 
@@ -30,7 +30,7 @@ SIGMAS = 3.0
 SPREAD = 0.15
 LAGS_S = (60.0, 250.0, 1000.0)
 LEAST_FREE = 1e-3
-"""Share of a jump, or of one beside another, that is left beside the rest, below which it is not told."""
+"""Share of a jump, or of one beside another, that is left beside the rest, below which it is not resolved."""
 LEAST_TURN = 0.5
 """Change of a direction's component, about 30°, from which on its part of the earth rate is looked for."""
 LEAST_LEVEL = 0.1
@@ -39,7 +39,7 @@ LEAST_LEVEL = 0.1
 
 @dataclass(frozen=True, slots=True)
 class EarthRate:
-    """The earth rate in rad/s along the specific force at rest, magnetic north, and east; 0 where not seen.
+    """The earth rate in rad/s along the specific force at rest, magnetic north, and east; 0 where unknown.
 
     `upright` and `level` say whether the poses show the part along the vertical, and the horizontal one.
     """
@@ -74,14 +74,14 @@ def earth_rate(
     runs: Sequence[RunBlocks], channels: Sequence[str], temperatures: dict[str, str], declared: Declared
 ) -> EarthRate | None:
     """Return what the three gyros have in common, or None when it is not the earth rate."""
-    seen = _directions(runs) if len(channels) == 3 else None
-    if seen is None:
+    directions = _directions(runs) if len(channels) == 3 else None
+    if directions is None:
         return None
-    varies = np.ptp(seen, axis=0).max(axis=0) >= LEAST_TURN  # by axis, up, north, east
+    varies = np.ptp(directions, axis=0).max(axis=0) >= LEAST_TURN  # by axis, up, north, east
     varies[1:] = varies[1:].any()
     for chosen in (varies, varies & [True, False, False]):
         if chosen.any():
-            found = _common(runs, channels, temperatures, declared, seen[:, :, chosen])
+            found = _common(runs, channels, temperatures, declared, directions[:, :, chosen])
             if found is not None:
                 vector = np.zeros(3)
                 vector[chosen] = found
@@ -92,19 +92,19 @@ def earth_rate(
 
 def turned(runs: Sequence[RunBlocks]) -> bool:
     """Tell whether these runs show any part of the earth rate by turns of the unit."""
-    seen = [part for run in runs if (part := _directions([run])) is not None]
-    return any(float(np.ptp(part, axis=0).max()) >= LEAST_TURN for part in seen)
+    directions = [part for run in runs if (part := _directions([run])) is not None]
+    return any(float(np.ptp(part, axis=0).max()) >= LEAST_TURN for part in directions)
 
 
 def without(runs: Sequence[RunBlocks], channels: Sequence[str], rate: EarthRate) -> list[RunBlocks]:
     """Return the runs with the earth rate taken from the gyros."""
     found = []
     for run in runs:
-        seen = _directions([run])
-        if seen is None:
+        directions = _directions([run])
+        if directions is None:
             found.append(run)
             continue
-        changed = {name: run.mean[name] - seen[:, at] @ rate.vector for at, name in enumerate(channels)}
+        changed = {name: run.mean[name] - directions[:, at] @ rate.vector for at, name in enumerate(channels)}
         found.append(replace(run, mean={**run.mean, **changed}))
     return found
 
@@ -114,7 +114,7 @@ def _common(
     channels: Sequence[str],
     temperatures: dict[str, str],
     declared: Declared,
-    seen: FloatArray,
+    directions: FloatArray,
 ) -> FloatArray | None:
     """Return the earth rate along directions (n, 3 axes, k), (k,), if the gyros agree on it."""
     force = np.concatenate([part for run in runs if (part := specific_force(run)) is not None])
@@ -123,11 +123,11 @@ def _common(
         values = np.concatenate([run.mean[name] for run in runs])
         beside = np.concatenate([_beside(run, temperatures[name], declared) for run in runs])
         own, across = declared.training(runs, temperatures[name]), np.delete(force, axis, axis=1)
-        columns = np.column_stack([own, beside, across, seen[:, axis]])
+        columns = np.column_stack([own, beside, across, directions[:, axis]])
         columns = np.column_stack([_jumps(columns, values, runs), columns])
         estimate, sd = least_squares(columns, values)
-        each.append(estimate[-seen.shape[2] :])
-        sigma.append(sd[-seen.shape[2] :])
+        each.append(estimate[-directions.shape[2] :])
+        sigma.append(sd[-directions.shape[2] :])
     found, sd = np.array(each), np.array(sigma)
     weight = 1.0 / sd**2
     mean = (weight * found).sum(axis=0) / weight.sum(axis=0)
@@ -152,11 +152,13 @@ def _jumps(columns: FloatArray, values: FloatArray, runs: Sequence[RunBlocks]) -
     left, free = values - basis @ (basis.T @ values), steps - basis @ (basis.T @ steps)
     slope, gram = free.T @ left, free.T @ free
     size = np.diag(gram)
-    told = size > LEAST_FREE * n
-    single = np.where(told, slope**2 / np.where(told, size, 1.0), 0.0)
+    resolved = size > LEAST_FREE * n
+    single = np.where(resolved, slope**2 / np.where(resolved, size, 1.0), 0.0)
     determinant = np.outer(size, size) - gram**2
     usable = (
-        (run[:, np.newaxis] < run) & (determinant > LEAST_FREE * np.outer(size, size)) & np.outer(told, told)
+        (run[:, np.newaxis] < run)
+        & (determinant > LEAST_FREE * np.outer(size, size))
+        & np.outer(resolved, resolved)
     )
     cross = np.outer(slope**2, size) - 2.0 * np.outer(slope, slope) * gram + np.outer(size, slope**2)
     double = np.where(usable, cross / np.where(usable, determinant, 1.0), 0.0)

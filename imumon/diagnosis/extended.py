@@ -17,7 +17,7 @@ from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
 from imumon.version import __version__
 
 if TYPE_CHECKING:
-    from imumon.diagnosis.engine import Diagnosis
+    from imumon.diagnosis.diagnose import Diagnosis
     from imumon.diagnosis.verdict import ChannelVerdict
 
 MARGIN = 0.005
@@ -32,9 +32,9 @@ def extended_model(diagnosis: Diagnosis) -> BiasModel:
     known = diagnosis.model
     origins = [run.origin for run in diagnosis.train if run.origin is not None]
     kept: dict[str, Any] = {
-        name: said.pop()
+        name: distinct.pop()
         for name in ("device", "serial")
-        if len(said := {getattr(origin, name) for origin in origins}) == 1
+        if len(distinct := {getattr(origin, name) for origin in origins}) == 1
     }
     if known is not None:
         names = ("device", "serial", "axes", "earth_rate", "latitude_deg", "heading_deg", "levels_degc")

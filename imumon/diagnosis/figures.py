@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import RunBlocks
-from imumon.diagnosis.engine import Diagnosis
+from imumon.diagnosis.diagnose import Diagnosis
 from imumon.diagnosis.verdict import ChannelVerdict
 from imumon.geodesy import DEG_PER_H, MICRO_G
 from imumon.harmless import for_plot

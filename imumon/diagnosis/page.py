@@ -9,9 +9,9 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
 from imumon.diagnosis.conclusion import keep_in_mind
-from imumon.diagnosis.engine import Diagnosis, Progress
+from imumon.diagnosis.diagnose import Diagnosis, Progress
 from imumon.diagnosis.figures import figures, proof, shown
-from imumon.diagnosis.looking import most_different
+from imumon.diagnosis.ranking import most_different
 from imumon.diagnosis.report import report
 from imumon.diagnosis.verdict import ChannelVerdict, Claim
 from imumon.files import write_text

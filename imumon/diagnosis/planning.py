@@ -20,8 +20,8 @@ from imumon.config import StrictModel, load_yaml
 from imumon.diagnosis.blocks import BLOCK_S, at_poses, make_blocks, survey, white_floor
 from imumon.diagnosis.candidates import Pool
 from imumon.diagnosis.channel import Channel, Declared
+from imumon.diagnosis.diagnose import search_block
 from imumon.diagnosis.earth import earth_rate, turned, without
-from imumon.diagnosis.engine import search_block
 from imumon.diagnosis.likelihood import TAUS_S
 from imumon.diagnosis.profiles import Profile, profiles
 from imumon.diagnosis.questions import NOTHING
@@ -305,9 +305,9 @@ def _searched(run: Run, channel: str, degree: int, kinds: Sequence[str]) -> Sear
     blocks = [make_blocks(run, group, [temperature], magnetic)]
     search_s = search_block(blocks)
     parts = [make_blocks(run, group, [temperature], magnetic, search_s)]
-    seen = survey(parts, temperature, degree, search_s)
+    shown = survey(parts, temperature, degree, search_s)
     declared = Declared.over(
-        blocks, temperature, degree if seen.thermal else 0, "pose" if sensor == "accel" else ""
+        blocks, temperature, degree if shown.thermal else 0, "pose" if sensor == "accel" else ""
     )
     if sensor == "accel":
         parts = at_poses(parts)
@@ -315,7 +315,7 @@ def _searched(run: Run, channel: str, degree: int, kinds: Sequence[str]) -> Sear
         parts = without(parts, group, earth)
     floor = white_floor([run], channel, search_s).of_blocks(parts)
     one = Channel(channel, unit_of(channel), floor, declared, Pool(parts, temperature), [])
-    return search([one], seen, kinds)[0]
+    return search([one], shown, kinds)[0]
 
 
 def write_plan(report: Report, number: int, made: Plan, folder: Path) -> list[Path]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from imumon.calibration.gravity import Length
 from imumon.diagnosis.conclusion import conclusion, next_step
-from imumon.diagnosis.engine import Diagnosis
+from imumon.diagnosis.diagnose import Diagnosis
 from imumon.diagnosis.fit import FittedPart
 from imumon.diagnosis.questions import Answer
 from imumon.diagnosis.verdict import ChannelVerdict, Claim
@@ -124,7 +124,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
             for claim in verdict.claims
             for other in claim.finding.alike[1:]
         ],
-        "questions": [[_answer(one) for one in asked] for asked in verdict.questions],
+        "questions": [[_answer(one) for one in group] for group in verdict.questions],
         "turns": [
             {
                 "done": step.done,

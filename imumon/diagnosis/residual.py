@@ -117,14 +117,14 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     material = [one.name for one in present if before[one.name] >= MATERIAL * one.floor.sd]
     if not material:
         return []
-    seen = with_drivers(survey([blocks], used[0], 0, block_s), [blocks], used[0])
-    bases = {0: present} | ({CUBIC: _channels(run, blocks, temperatures, CUBIC)} if seen.thermal else {})
+    shown = with_drivers(survey([blocks], used[0], 0, block_s), [blocks], used[0])
+    bases = {0: present} | ({CUBIC: _channels(run, blocks, temperatures, CUBIC)} if shown.thermal else {})
     likelihood = Likelihood([blocks])
     nothing = {one.name: _score(one, [], likelihood) for one in present}
     least = proof(len(bases) * len(LASTING), len(channels))
     best, gain = dict[str, _Found](), least
     for degree, base in bases.items():
-        found = _lacking(base, replace(seen, degree=degree), likelihood, least)
+        found = _lacking(base, replace(shown, degree=degree), likelihood, least)
         total = sum(
             _score(one.channel, [one.candidate], likelihood) - nothing[name] for name, one in found.items()
         )
@@ -147,11 +147,11 @@ class _Found:
 
 
 def _lacking(
-    channels: Sequence[Channel], seen: Survey, likelihood: Likelihood, least: float
+    channels: Sequence[Channel], shown: Survey, likelihood: Likelihood, least: float
 ) -> dict[str, _Found]:
     """Return what the first stage of the search, over all channels at once, finds in each."""
-    tried = candidates(seen, LASTING)
-    searches = {one.name: Search(one, seen, likelihood, tried) for one in channels}
+    tried = candidates(shown, LASTING)
+    searches = {one.name: Search(one, shown, likelihood, tried) for one in channels}
     tables = {
         name: {family: one for family, one in search.table().items() if not one.partner}
         for name, search in searches.items()

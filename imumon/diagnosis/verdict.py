@@ -12,8 +12,8 @@ from imumon.blocks import FloatArray
 from imumon.diagnosis.channel import Channel
 from imumon.diagnosis.fit import MATERIAL, Fit, FittedPart, PartSigma, TestScore, goes_on
 from imumon.diagnosis.likelihood import WALK_S
-from imumon.diagnosis.looking import Ranked, RunLeft
 from imumon.diagnosis.questions import Question
+from imumon.diagnosis.ranking import Ranked, RunLeft
 from imumon.diagnosis.search import PROVEN, Finding, Search, Step
 from imumon.effects.library import separated_by
 

@@ -8,7 +8,7 @@ import numpy as np
 from alignment_runs import ACCEL_BIAS_UG
 
 from imumon.blocks import SampleBlock
-from imumon.diagnosis.engine import diagnose
+from imumon.diagnosis.diagnose import diagnose
 from imumon.diagnosis.extended import extended_model
 from imumon.diagnosis.runs import Run, collect
 from imumon.estimation.alignment.parameters import AlignmentParameters, KnownWarmUp, known_warm_up

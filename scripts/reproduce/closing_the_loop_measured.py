@@ -15,7 +15,7 @@ from thermal_calibration_data import TWO_LEVELS_MAP
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import BLOCK_S
 from imumon.diagnosis.candidates import candidates
-from imumon.diagnosis.engine import Diagnosis, diagnose
+from imumon.diagnosis.diagnose import Diagnosis, diagnose
 from imumon.diagnosis.fit import Fit, TestScore, fit, score
 from imumon.diagnosis.report import report
 from imumon.diagnosis.runs import SECOND_NS, Run, read_runs

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from closing_the_loop_cases import Setting, make_case
 
-from imumon.diagnosis.engine import diagnose
+from imumon.diagnosis.diagnose import diagnose
 from imumon.diagnosis.planning import MARGIN, Plan, Report, open_questions, plan, recorded, scenario
 from imumon.diagnosis.questions import NOTHING
 from imumon.diagnosis.report import report

@@ -14,7 +14,7 @@ import matplotlib as mpl
 
 from imumon.blocks import SampleBlock
 from imumon.diagnosis.conclusion import conclusion
-from imumon.diagnosis.engine import diagnose
+from imumon.diagnosis.diagnose import diagnose
 from imumon.diagnosis.runs import Run, collect
 from imumon.diagnosis.verdict import ChannelVerdict
 from imumon.estimation.gyro_bias.stage import RestDetector

@@ -17,7 +17,7 @@ DOCS = ROOT / "docs"
 def main() -> int:
     """Run one part."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parts = ("steps", "simulated", "live", "limits", "told", "plans", "measured", "heading")
+    parts = ("steps", "simulated", "live", "limits", "paired", "plans", "measured", "heading")
     parser.add_argument("--part", choices=parts, default="simulated")
     parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
     parser.add_argument("data", nargs="?", type=Path, default=DATA, help="folder of the measured recordings")
@@ -25,12 +25,12 @@ def main() -> int:
         "--repeat",
         type=int,
         default=4,
-        help="simulated, live, limits, told, plans: cases of each kind",
+        help="simulated, live, limits, paired, plans: cases of each kind",
     )
     parser.add_argument(
         "--first",
         type=int,
-        help="first seed: simulated 0, live 2500, limits 71000, told 500000, plans 900",
+        help="first seed: simulated 0, live 2500, limits 71000, paired 500000, plans 900",
     )
     parser.add_argument("--minutes", type=float, default=math.inf, help="simulated: begin no case after")
     parser.add_argument("--jobs", type=int, default=2, help="simulated, live, plans: processes")
@@ -63,11 +63,11 @@ def main() -> int:
 
         first = 71000 if given.first is None else given.first
         return limits(["--repeat", str(1 if given.quick else given.repeat), "--first", str(first)])
-    if given.part == "told":
-        from closing_the_loop_told import told
+    if given.part == "paired":
+        from closing_the_loop_paired import paired
 
         first = 500000 if given.first is None else given.first
-        return told(1 if given.quick else given.repeat, first, quick=given.quick)
+        return paired(1 if given.quick else given.repeat, first, quick=given.quick)
     first = 900 if given.first is None else given.first
     if given.part == "plans":
         from closing_the_loop_plans import plans

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.clock.channel import CLOCK, with_delay
 from imumon.diagnosis.blocks import make_blocks, white_floor
-from imumon.diagnosis.engine import diagnose
+from imumon.diagnosis.diagnose import diagnose
 from imumon.diagnosis.runs import Run, collect
 from tests.diagnosis.units import ramps
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imumon.diagnosis.engine import diagnose
+from imumon.diagnosis.diagnose import diagnose
 from imumon.diagnosis.runs import Run, channels_of
 from imumon.errors import ImumonError
 from imumon.geodesy import DEG_PER_H

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from imumon.diagnosis.conclusion import conclusion, next_step
-from imumon.diagnosis.engine import Diagnosis, diagnose
+from imumon.diagnosis.diagnose import Diagnosis, diagnose
 from imumon.diagnosis.page import write_page
 from imumon.diagnosis.report import report
 from imumon.diagnosis.verdict import VERDICTS, WHEN

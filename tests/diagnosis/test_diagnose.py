@@ -10,7 +10,7 @@ import pytest
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.columns import KNOWN
-from imumon.diagnosis.engine import Diagnosis, diagnose
+from imumon.diagnosis.diagnose import Diagnosis, diagnose
 from imumon.diagnosis.extended import extended_model
 from imumon.diagnosis.report import report
 from imumon.diagnosis.runs import Origin, Run, read_runs

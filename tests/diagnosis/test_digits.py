@@ -9,7 +9,7 @@ import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.diagnosis.conclusion import conclusion, next_step
-from imumon.diagnosis.engine import Diagnosis, diagnose
+from imumon.diagnosis.diagnose import Diagnosis, diagnose
 from imumon.diagnosis.quality import Watcher
 from imumon.diagnosis.report import report
 from imumon.diagnosis.runs import Run

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imumon.diagnosis.engine import diagnose
+from imumon.diagnosis.diagnose import diagnose
 from imumon.diagnosis.extended import extended_model
 from imumon.diagnosis.runs import read_runs
 from imumon.estimation.gyro_bias.stage import RestDetector

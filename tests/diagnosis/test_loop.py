@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.diagnosis.engine import diagnose
+from imumon.diagnosis.diagnose import diagnose
 from imumon.diagnosis.extended import extended_model
 from imumon.diagnosis.runs import Run, collect
 from imumon.estimation.gyro_bias.stage import GyroBias

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from imumon.cli import run as command
-from imumon.diagnosis.engine import diagnose
+from imumon.diagnosis.diagnose import diagnose
 from imumon.diagnosis.report import write_report
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.thermal import chamber_temperature

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray
 from imumon.diagnosis.blocks import in_one_pose, poses
-from imumon.diagnosis.engine import Diagnosis, diagnose
+from imumon.diagnosis.diagnose import Diagnosis, diagnose
 from imumon.diagnosis.runs import Run
 from imumon.geodesy import EARTH_RATE, MICRO_G, STANDARD_GRAVITY
 from tests.diagnosis.units import DPH, SAMPLES, WHITE_DPH, cubic, lagged, ramps

@@ -7,7 +7,7 @@ import pytest
 
 from imumon.diagnosis.candidates import Candidate
 from imumon.diagnosis.claims import chosen_by_test
-from imumon.diagnosis.engine import diagnose
+from imumon.diagnosis.diagnose import diagnose
 from imumon.diagnosis.report import report
 from imumon.diagnosis.runs import Run
 from imumon.diagnosis.search import Finding

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from imumon.diagnosis.blocks import common_block_s
-from imumon.diagnosis.engine import diagnose
+from imumon.diagnosis.diagnose import diagnose
 from imumon.diagnosis.runs import SENSORS, Run
 from imumon.diagnosis.usable import Names, blocks_of_test, blocks_of_training, resting, usable_channels
 from tests.diagnosis.units import three

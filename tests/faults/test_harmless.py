@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imumon.blocks import SampleBlock
-from imumon.diagnosis.engine import diagnose
+from imumon.diagnosis.diagnose import diagnose
 from imumon.diagnosis.page import write_page
 from imumon.harmless import LONGEST_LINE, for_csv, for_log, for_markdown, for_plot, for_terminal
 from imumon.pipeline import Pipeline

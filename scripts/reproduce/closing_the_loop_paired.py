@@ -1,7 +1,7 @@
 """What is told apart where it is hard: weak loops of relays, a lag from a dead time, and what a model had
 inside when it was calibrated.
 
-Usage: closing_the_loop --part told [--repeat N] [--first SEED]
+Usage: closing_the_loop --part paired [--repeat N] [--first SEED]
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from closing_the_loop_live import blocks_of, plain_model
 from closing_the_loop_statistics import IN_LIBRARY
 
 from imumon.blocks import FloatArray
-from imumon.diagnosis.engine import diagnose
+from imumon.diagnosis.diagnose import diagnose
 from imumon.diagnosis.live import LiveDiagnosis
 from imumon.diagnosis.runs import Run
 from imumon.diagnosis.verdict import ChannelVerdict
@@ -68,7 +68,7 @@ KINDS: dict[str, tuple[str, Physics]] = {
 }
 
 
-def told(repeat: int, first: int, *, quick: bool) -> int:
+def paired(repeat: int, first: int, *, quick: bool) -> int:
     """Print the tables."""
     print("| effect | floors | alone | in a set | wrong alone | wrong otherwise | nothing |")
     print("|---|---|---|---|---|---|---|")

@@ -63,7 +63,7 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class Assumed:
     """The declared model: the temperature of each channel, the degree, and what has an offset of its own."""
 
     temperatures: dict[str, str]
@@ -144,20 +144,20 @@ def diagnose(
     block_s = common_block_s([*train, *test])
     blocks = blocks_of_training(train, names, block_s, caveats)
     tested = blocks_of_test(test, names, block_s, caveats)
-    seen = survey(blocks, used[0], degree, block_s)
-    if model is not None and seen.thermal:  # else no curve is fitted, and that of the model stays as it is
+    shown = survey(blocks, used[0], degree, block_s)
+    if model is not None and shown.thermal:  # else no curve is fitted, and that of the model stays as it is
         check_range(model, temperatures, blocks)
-    _remark(blocks, tested, seen, caveats)
-    asked = Asked(temperatures, degree if seen.thermal else 0, "run" if offsets else "")
-    if names.drivers and seen.thermal and (said := shadows(blocks, used[0], seen.scale, asked.degree)):
+    _remark(blocks, tested, shown, caveats)
+    assumed = Assumed(temperatures, degree if shown.thermal else 0, "run" if offsets else "")
+    if names.drivers and shown.thermal and (alike := shadows(blocks, used[0], shown.scale, assumed.degree)):
         caveats.append(
-            f"{', '.join(said)} went with temperature or time in training: what depends on one of them looks"
+            f"{', '.join(alike)} went with temperature or time in training: what depends on one of them looks"
             " as if it depended on the other"
         )
-    diagnosis = Diagnosis(declared, block_s, [], blocks, tested, seen, caveats, model, held)
+    diagnosis = Diagnosis(declared, block_s, [], blocks, tested, shown, caveats, model, held)
     for sensor in sensors:
         if group := channels_of([sensor], channels):
-            diagnosis.verdicts += _sensor(train, group, asked, diagnosis, progress)
+            diagnosis.verdicts += _sensor(train, group, assumed, diagnosis, progress)
     return diagnosis
 
 
@@ -179,11 +179,11 @@ def _divided(
     return [first], [other], True
 
 
-def _remark(train: Sequence[RunBlocks], test: Sequence[RunBlocks], seen: Survey, caveats: list[str]) -> None:
+def _remark(train: Sequence[RunBlocks], test: Sequence[RunBlocks], shown: Survey, caveats: list[str]) -> None:
     """Say what this data cannot show, whatever it is."""
-    if not seen.thermal:
+    if not shown.thermal:
         caveats.append(
-            f"the temperature moves by {seen.span_degc:.1f} °C only ({LEAST_SPAN_DEGC:.0f} °C are needed):"
+            f"the temperature moves by {shown.span_degc:.1f} °C only ({LEAST_SPAN_DEGC:.0f} °C are needed):"
             " no curve over temperature is fitted, and no effect of temperature can be found"
         )
     if not test:
@@ -197,24 +197,24 @@ def _remark(train: Sequence[RunBlocks], test: Sequence[RunBlocks], seen: Survey,
 def _sensor(
     train: Sequence[Run],
     group: Sequence[str],
-    asked: Asked,
+    assumed: Assumed,
     diagnosis: Diagnosis,
     progress: Progress | None,
 ) -> list[ChannelVerdict]:
     """Return the verdicts on the axes of one sensor."""
     blocks, tested, block_s = diagnosis.train, diagnosis.test, diagnosis.block_s
-    temperatures, own = asked.temperatures, asked.own
+    temperatures, own = assumed.temperatures, assumed.own
     if not group[0].startswith(("gyro", CLOCK)):
         # In each pose, and each day, another part of gravity, field or weather is seen, which nobody knows.
         own = "pose"
         if group[0].startswith("accel") and len(group) == 3:
-            _add_length(temperatures[group[0]], asked.degree, diagnosis)
+            _add_length(temperatures[group[0]], assumed.degree, diagnosis)
         blocks, tested = at_poses(blocks), at_poses(tested)
-    models = {name: Declared.over(blocks, temperatures[name], asked.degree, own) for name in group}
+    models = {name: Declared.over(blocks, temperatures[name], assumed.degree, own) for name in group}
     earth = None
     if group[0].startswith("gyro") and turned(blocks):
         earth = earth_rate(blocks, group, temperatures, models[group[0]])
-        diagnosis.caveats.append(_said_of_earth(earth))
+        diagnosis.caveats.append(_earth_caveat(earth))
     if earth is not None:
         blocks, tested = without(blocks, group, earth), without(tested, group, earth)
     pools = _pools(blocks, group, temperatures)
@@ -234,14 +234,14 @@ def _sensor(
     ]
     searched, search_s = blocks, search_block(blocks)
     if search_s != block_s:
-        searched = _blocks_again(train, blocks, asked, search_s)
+        searched = _blocks_again(train, blocks, assumed, search_s)
         searched = searched if earth is None else without(searched, group, earth)
         searched = at_poses(searched) if own == "pose" else searched
         pools = _pools(searched, group, temperatures)
     temperature = temperatures[group[0]]
     found = search(
         [channel.in_blocks(pools[channel.temperature], block_s / search_s) for channel in channels],
-        with_drivers(survey(searched, temperature, asked.degree, search_s), searched, temperature),
+        with_drivers(survey(searched, temperature, assumed.degree, search_s), searched, temperature),
         effects_for(group[0]),
         progress=progress,
     )
@@ -258,14 +258,14 @@ def _pools(
 
 
 def _blocks_again(
-    train: Sequence[Run], blocks: Sequence[RunBlocks], asked: Asked, block_s: float
+    train: Sequence[Run], blocks: Sequence[RunBlocks], assumed: Assumed, block_s: float
 ) -> list[RunBlocks]:
     """Return the runs that were used, of all channels, in blocks of another length."""
     used = {run.name for run in blocks}
-    every = list(dict.fromkeys(asked.temperatures.values()))
+    every = list(dict.fromkeys(assumed.temperatures.values()))
     others = list(blocks[0].drives[every[0]].others)
     return [
-        make_blocks(run, list(asked.temperatures), every, others, block_s)
+        make_blocks(run, list(assumed.temperatures), every, others, block_s)
         for run in train
         if run.name in used
     ]
@@ -285,7 +285,7 @@ def _add_length(temperature: str, degree: int, diagnosis: Diagnosis) -> None:
         diagnosis.caveats.append(diagnosis.length.described(poses))
 
 
-def _said_of_earth(earth: EarthRate | None) -> str:
+def _earth_caveat(earth: EarthRate | None) -> str:
     if earth is None:
         return (
             "several poses: what is named g_sensitivity holds the vertical earth rate as well, up to"
