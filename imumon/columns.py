@@ -13,7 +13,7 @@ NAME = "^[a-z][a-z0-9_]*$"
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column: its name, unit (as pint writes it; "1" when dimensionless), type and meaning."""
+    """A column: its name, unit ("1" when dimensionless), type and meaning."""
 
     name: str
     unit: str

@@ -12,7 +12,7 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, SampleBlock, missing, nan_for_missing
 from imumon.charts import Chart
-from imumon.columns import KNOWN, NAME, Column, ColumnType
+from imumon.columns import NAME, Column, ColumnType
 from imumon.errors import ImumonError, Reason
 from imumon.plugins import Plugin, described
 from imumon.units import parse_own_unit
@@ -21,8 +21,6 @@ STAGE = "callable that returns a stage"
 """What a plug-in offers in the group `imumon.plugins.STAGES`, in words."""
 STRICT = "IMUMON_STRICT"
 """Environment variable, set in tests: a defect of a stage of imumon is raised in a live run as well."""
-_USUAL_UNITS = {column.unit for column in KNOWN.values()}
-"""Known without pint, which takes half a second to load."""
 
 T = TypeVar("T")
 
@@ -245,11 +243,10 @@ def name_of(stage: object) -> str:
 def _check_unit(named: str, unit: object) -> None:
     if not isinstance(unit, str) or not unit.strip():
         raise _wrong(f"{named} has unit {unit!r}", 'give its unit; "1" where it has none')
-    if unit not in _USUAL_UNITS:
-        try:
-            parse_own_unit(unit)
-        except ValueError as error:
-            raise _wrong(f"{named}: {error}", "write the unit as pint does") from error
+    try:
+        parse_own_unit(unit)
+    except ValueError as error:
+        raise _wrong(f"{named}: {error}", 'write it like rad/s, or "1" where there is no unit') from error
 
 
 def _check_column(name: str, values: object, dtype: np.dtype[Any], n: int) -> None:

@@ -284,7 +284,7 @@ def test_a_defect_of_imumon_is_raised_but_in_a_live_run(monkeypatch: pytest.Monk
 
 
 RETURNED = "stage _Returned of tests.test_pipeline"
-USUAL = "usual here: V, A, rpm, degC, 1"
+USUAL = "usual here: V, A, rpm, degC; or 1"
 
 
 @pytest.mark.parametrize(
@@ -294,7 +294,7 @@ USUAL = "usual here: V, A, rpm, degC, 1"
         (Column("My column", "1"), f"{RETURNED}: My column is no name of a column"),
         (
             Column("mine", "furlongs/s^"),
-            f"{RETURNED}: mine: unit 'furlongs/s^' is not known; usual here: V, A, rpm, degC, 1",
+            f"{RETURNED}: mine: unit 'furlongs/s^' is not known; usual here: V, A, rpm, degC; or 1",
         ),
         (Column("mine", ""), f"{RETURNED}: mine has unit ''"),
         ("mine", f"{RETURNED}: 'mine' is no column"),

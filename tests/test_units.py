@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from imumon.errors import ImumonError
-from imumon.units import _COMMON, _by_pint, exact_conversion, parse_unit
+from imumon.units import exact_conversion, parse_own_unit, parse_unit
 
 DEG = math.pi / 180
 
@@ -58,9 +58,19 @@ def test_a_wrong_unit_is_refused(unit: str, words: str) -> None:
         exact_conversion(unit, "rad/s")
 
 
-def test_the_common_factors_are_those_of_pint() -> None:
-    for (unit, target), factor in _COMMON.items():
-        assert _by_pint(unit, target) == (factor, Fraction(0)), unit
+@pytest.mark.parametrize(
+    "text", ["V", "mA", "rpm", "degC/s", "°C/min", "%", "kohm", "N*m", "hPa", "V/1024", "mg/s"]
+)
+def test_a_unit_of_one_s_own_is_kept(text: str) -> None:
+    unit = parse_own_unit(text)
+    assert unit.offset == 0
+    assert unit.factor == (Fraction(1, 1024) if "1024" in text else 1)
+
+
+@pytest.mark.parametrize("text", ["wibbles", "", "V/0", "2*V", "m^12"])
+def test_what_is_no_unit_at_all_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=r"is not (known|a unit)"):
+        parse_own_unit(text)
 
 
 @pytest.mark.parametrize(
@@ -105,9 +115,9 @@ def test_values_in_the_right_unit_are_not_touched(text: str, target: str) -> Non
     ("text", "target", "message"),
     [
         (
-            "furlong/s",
+            "inch/s",
             "rad/s",
-            "'furlong/s' does not measure what 'rad/s' measures; usual here: rad/s, deg/s",
+            "'inch/s' does not measure what 'rad/s' measures; usual here: rad/s, deg/s",
         ),
         ("xyzzy", "rad/s", "'xyzzy' is not known"),
         ("kg", "m/s^2", "does not measure what"),
@@ -123,7 +133,8 @@ def test_values_in_the_right_unit_are_not_touched(text: str, target: str) -> Non
         ("rad m/s^2", "m/s^2", "does not measure what"),
         ("Hz m", "m/s^2", "does not measure what"),
         ("rad uT", "uT", "does not measure what"),
-        ("delta_degC", "degC", "does not measure what"),
+        ("kg", "g", "does not measure what"),
+        ("degC/s", "degC", "does not measure what"),
         ("V", "degC", "does not measure what 'degC' measures; usual here: degC, degF, K"),
         ("rad/s/", "rad/s", "is not known"),
         ("1/0", "rad/s", "is not a unit"),

@@ -140,7 +140,7 @@ class Group(StrictModel):
     def unit_of(cls, target: str, given: str) -> Unit:
         """Return the unit as one of a canonical column; arbitrary units of a field stay arbitrary."""
         unit = "1" if given == "1" and target.startswith("mag_") else KNOWN[target].unit
-        if unit == "1" != given:  # to pint an angle is a plain number, too
+        if unit == "1" != given:
             raise ValueError(f"a quaternion has unit 1, got {given!r}")
         return parse_unit(given, unit)
 

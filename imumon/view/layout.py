@@ -188,7 +188,7 @@ FACTORS |= {"1/s": 1.0, "%": 100.0}
 READ_AS = {"rad": ("°", DEG), "rad/s": ("°/s", DEG), "rad/s^2": ("°/s²", DEG), "deg": ("°", 1.0)}
 READ_AS |= {"m/s^2": ("m/s²", 1.0), "uT": ("µT", 1.0), "degC": ("°C", 1.0), "arbitrary": ("a.u.", 1.0)}
 READ_AS |= {"1": ("", 1.0)}
-"""As what a person reads a unit that pint reads, and how many of it one is; others as they are."""
+"""The unit that a person reads for one of a column, and how many of it one is; others as they are."""
 
 
 def read_as(setup: ViewSetup, column: str) -> tuple[str, float]:

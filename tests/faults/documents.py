@@ -21,7 +21,7 @@ from imumon.simulation.unit import load_scenario
 from tests.faults.rows import Row
 
 LONGEST_S = 2.0
-"""With pint imported, which takes half a second, on a busy machine."""
+"""On a busy machine."""
 
 
 def _bomb() -> str:
