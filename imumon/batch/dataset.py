@@ -15,6 +15,7 @@ from imumon.batch.options import BatchOptions
 from imumon.config import dump_yaml, load_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.files import replacing, write_text
+from imumon.recordings.source import RECORDING
 
 ROWS, SETTINGS_NAME, LOCK_NAME = "rows", "batch.yaml", ".lock"
 FIRST_WRITE_S = 20.0
@@ -142,6 +143,14 @@ class Dataset:
             for row in pq.read_table(part, filters=[("session", "in", sessions)]).to_pylist():
                 found.setdefault(row["session"], []).append(row)
         return found
+
+    def lacking(self, sessions: Sequence[str]) -> dict[str, list[str]]:
+        """Return what recordings lack, by session; those that lack nothing are not among them."""
+        found = {
+            session: [text for text in rows[0].get("warnings") or () if RECORDING in text]
+            for session, rows in self.rows(sessions).items()
+        }
+        return {session: texts for session, texts in found.items() if texts}
 
     def forget_failures(self) -> None:
         """Take out what failed, so that it is done again."""

@@ -69,8 +69,11 @@ def write_unit(unit: Unit, unusual: Sequence[Outlier], path: Path) -> None:
     _write(path, f"Calibration record of {unit.name}", facts, caveats, sections)
 
 
-def write_session(session: Session, path: Path) -> None:
-    """Replay a session and write its record; raises `ImumonError` and OSError when that fails."""
+def write_session(session: Session, path: Path) -> list[str]:
+    """Replay a session and write its record; return what the recording lacks, and what the stages say.
+
+    Raises `ImumonError` and OSError when that fails.
+    """
     setup, metadata = recorded_setup(session), session.metadata
     recording = open_recording(session.path, lambda device: estimators(device, setup))
     names = [*GYRO, *TEMPERATURES, *itertools.chain(*BIASES)]
@@ -92,7 +95,9 @@ def write_session(session: Session, path: Path) -> None:
     model = setup.bias_model
     sections = [_course(means), *([] if model is None else [_model(model)])]
     title = f"Record of {session.path.name}"
-    _write(path, title, facts, recording.warnings(), sections)
+    warnings = recording.warnings()
+    _write(path, title, facts, warnings, sections)
+    return warnings
 
 
 def _write(

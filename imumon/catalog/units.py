@@ -17,6 +17,7 @@ from imumon.errors import ImumonError
 from imumon.models.model import BiasModel, load_model
 from imumon.recordings.folder import METADATA_NAME, Session, open_session
 from imumon.recordings.reduced import GYRO, TEMPERATURES
+from imumon.recordings.source import RECORDING
 from imumon.run.setup import recorded_setup
 
 SIGMAS = tuple(name.replace("gyro_", "gyro_bias_sd_") for name in GYRO)
@@ -37,6 +38,8 @@ class Entry:
     """What a replay says of each channel: mean, sd, least, greatest."""
     failure: str = ""
     """Why there are none; empty when there are."""
+    lacking: tuple[str, ...] = ()
+    """What the recording lacks, one sentence each."""
 
     @property
     def hours(self) -> float:
@@ -137,12 +140,14 @@ def read_sessions(
 
 def _entry(session: Session, rows: Sequence[Mapping[str, Any]]) -> Entry:
     channels = {row["channel"]: row for row in rows if row["channel"]}
+    said = (rows[0].get("warnings") if rows else None) or ()
+    lacking = tuple(text for text in said if RECORDING in text)
     failure = next((row["error"] for row in rows if row["reason"]), "")
     try:
         model = recorded_setup(session).bias_model
     except ImumonError as error:
-        return Entry(session, None, channels, failure or error.line)
-    return Entry(session, model, channels, failure)
+        return Entry(session, None, channels, failure or error.line, lacking)
+    return Entry(session, model, channels, failure, lacking)
 
 
 def read_models(folder: Path) -> dict[str, BiasModel]:

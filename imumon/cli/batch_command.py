@@ -145,15 +145,19 @@ def _run(
         results.close()
     failures = {place: why for place, why in results.failures().items() if place in set(every)}
     _show_failures(failures, out / FAILED_NAME)
+    lacking = results.lacking(every)
+    _show_lacking(lacking)
     reasons = Counter(why.partition(":")[0] for why in failures.values())
     if as_json:
         print_json(
-            {"out": out, "sessions": len(every), "done_before": len(every) - len(left), "failed": failures}
+            {"out": out, "sessions": len(every), "done_before": len(every) - len(left), "failed": failures,
+             "lacking": lacking}
         )  # fmt: skip
     print_rows(
         {
             "sessions": f"{len(every):,}, {len(every) - len(left):,} of them done before",
             "failed": ", ".join(f"{n:,} {reason}" for reason, n in reasons.most_common()) or "none",
+            "lacking": f"{len(lacking):,} with parts of the recording missing" if lacking else "none",
             "table": str(out / ROWS / "*.parquet"),
         }
     )
@@ -168,6 +172,14 @@ def _show_failures(failures: dict[str, str], path: Path) -> None:
     if len(lines) > SHOWN_FAILURES:
         write_text(path, "".join(f"{for_log(line)}\n" for line in lines))
         warn([f"{len(lines) - SHOWN_FAILURES:,} more failed; all {len(lines):,} are in {path}"])
+
+
+def _show_lacking(lacking: dict[str, list[str]]) -> None:
+    """Name the sessions of which parts of the recording are missing; the table has all of their warnings."""
+    lines = [f"{place}: {text}" for place, texts in sorted(lacking.items()) for text in texts]
+    warn(lines[:SHOWN_FAILURES])
+    if len(lines) > SHOWN_FAILURES:
+        warn([f"{len(lines) - SHOWN_FAILURES:,} more lines on missing parts, in the column warnings"])
 
 
 def _work(

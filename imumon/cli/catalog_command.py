@@ -78,7 +78,7 @@ def command(folder: Path, results: Path | None, out: Path | None, rrd: Path | No
 def read(folder: Path, results: Path | None = None) -> tuple[list[Unit], list[Outlier], dict[str, str]]:
     """Return the units of the sessions in a folder, what is unusual of them, and what was left out and why.
 
-    The latter is warned of.
+    The latter is warned of, and of what recordings lack.
     """
     from imumon.catalog.drift import outliers
     from imumon.catalog.units import read_models, read_sessions, units_of
@@ -89,6 +89,7 @@ def read(folder: Path, results: Path | None = None) -> tuple[list[Unit], list[Ou
         entries, left_out = read_sessions(folder, results or folder / RESULTS, status.update)
     units = units_of(entries, read_models(folder))
     warn(f"{place} is left out: {why}" for place, why in left_out.items())
+    warn(f"{entry.session.path}: {text}" for entry in entries for text in entry.lacking)
     return units, outliers(units), left_out
 
 

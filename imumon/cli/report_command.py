@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from imumon.cli.common import PATH, print_rows
+from imumon.cli.common import PATH, print_rows, warn
 from imumon.errors import ImumonError, Reason
 from imumon.files import check_output
 
@@ -31,7 +31,7 @@ def command(what: str, out: Path, sessions: Path) -> None:
     from imumon.recordings.folder import is_session, open_session
 
     if is_session(Path(what)):
-        write_session(open_session(Path(what)), out)
+        warn(write_session(open_session(Path(what)), out))
     else:
         if not sessions.is_dir():
             raise ImumonError(

@@ -16,8 +16,8 @@ from imumon.recordings.metadata import PortUsed, SessionMetadata, begun_of
 from imumon.recordings.source import wire_device
 from imumon.recordings.wire import WireWriter
 from imumon.recordings.wire_reader import WireReader
-from imumon.recordings.wire_scan import WireSummary
-from imumon.transport.reader import Bytes, Event
+from imumon.recordings.wire_summary import WireSummary
+from imumon.transport.reader import Bytes, Event, Reads
 
 ORIGINAL = "original"
 FLUSH_BYTES = 1 << 20
@@ -30,14 +30,6 @@ def refuse_recording(path: Path) -> None:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise ImumonError(Reason.BUSY, f"{path} is being recorded", "stop the recording first") from error
-
-
-def read_summary(path: Path) -> WireSummary:
-    """Read a wire file to its end, and return what it holds."""
-    reader = WireReader(path)
-    for _ in reader.batches():
-        pass
-    return reader.summary
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,14 +90,16 @@ def metadata_anew(path: Path, device_name: str | None) -> Anew:
 def is_sound(summary: WireSummary) -> bool:
     """Tell whether a wire file is whole and as it was written."""
     damage = summary.damage
-    return summary.complete and summary.checksum_ok is not False and not (damage.places or damage.events)
+    is_whole = damage.places == summary.recovered.places and not damage.events
+    return summary.complete and summary.checksum_ok is not False and is_whole
 
 
-def rewrite(path: Path) -> Path:
+def rewrite(path: Path, bytes_missing: int = 0, ended_ns: int = 0) -> Path:
     """Write a wire file anew with all that can be read of it, and return where the original is now.
 
-    What is missing is said in the new file at its place.  Until the new file is on the medium under the name
-    of the old one, the old one is there.
+    What is missing is noted in the new file at its place.  How many bytes of the device are missing in all,
+    and when the recording ended, is noted at its end, where the session knows it.  Until the new file is on
+    the medium under the name of the old one, the old one is there.
 
     Raises OSError when the disk is full or fails; the file is then as it was.
     """
@@ -114,7 +108,7 @@ def rewrite(path: Path) -> Path:
     try:
         with closing(WireWriter(partial, WireReader(path).said())) as writer:
             flushed = 0
-            for item in _items(path, writer):
+            for item in _items(path, writer, bytes_missing, ended_ns):
                 writer.write(item)
                 flushed += len(item.data) if isinstance(item, Bytes) else 0
                 if flushed > FLUSH_BYTES:
@@ -141,21 +135,30 @@ def keep_original(path: Path) -> Path:
             return original
 
 
-def _items(path: Path, writer: WireWriter) -> Iterator[Bytes | Event]:
+def _items(path: Path, writer: WireWriter, bytes_missing: int, ended_ns: int) -> Iterator[Bytes | Event]:
     """Yield what can be read; say where messages are missing before those behind the place."""
     reader = WireReader(path)
-    said_messages = said_bytes = 0
+    written = last_ns = 0
     for batch in reader.batches():
-        damage = reader.damage
-        if damage.messages + damage.events > said_messages:
-            time_ns = batch.time_ns if isinstance(batch, Event) else int(batch.arrivals_ns[0])
-            missing = damage.messages + damage.events - said_messages
-            writer.missing(time_ns, missing, damage.bytes - said_bytes)
-        said_messages, said_bytes = damage.messages + damage.events, damage.bytes
+        first_ns, after_ns = _times(batch)
+        missing = reader.damage.messages + reader.damage.events - written
+        if missing:
+            writer.missing(last_ns, first_ns, missing)
+        written, last_ns = written + missing, after_ns
         if isinstance(batch, Event):
             yield batch
         else:
             yield from batch
+    missing = reader.damage.messages + reader.damage.events - written
+    if missing or bytes_missing:
+        writer.missing(last_ns, max(last_ns, ended_ns), missing, bytes_missing)
+
+
+def _times(batch: Reads | Event) -> tuple[int, int]:
+    """Return when the first and the last of what belongs together came."""
+    if isinstance(batch, Event):
+        return batch.time_ns, batch.time_ns
+    return int(batch.arrivals_ns[0]), int(batch.arrivals_ns[-1])
 
 
 def _sync_folder(folder: Path) -> None:

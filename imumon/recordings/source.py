@@ -19,10 +19,12 @@ from imumon.recordings.folder import METADATA_NAME, Session, is_session, open_se
 from imumon.recordings.metadata import begun_of, iso_utc
 from imumon.recordings.table import SUFFIXES, iterate_samples, read_columns
 from imumon.recordings.wire_reader import WireReader, is_wire
-from imumon.recordings.wire_scan import Damage, Place
+from imumon.recordings.wire_summary import Place, WireSummary
 from imumon.transport.reader import Bytes, EventKind, Item, Reads
 
 READ_SIZE = 1 << 16
+RECORDING = "recording: "
+"""What a warning begins with that says what a recording lacks."""
 SHOWN_PLACES = 5
 """Damaged places that are said one by one."""
 BATCH_BYTES = 1 << 19
@@ -82,26 +84,31 @@ class Source:
         """Return what is missing from the recording, as it is known after the run."""
         if not isinstance(self.items, WireReader):
             return self.caveats()
-        said, summary = [], self.items.summary
+        return [f"{RECORDING}{text}" for text in self._lacks(self.items.summary, self.items.path.name)]
+
+    def _lacks(self, summary: WireSummary, name: str) -> list[str]:
+        """Return what a wire file and its session lack, one sentence each."""
+        said = []
         if self.session is not None and self.session.state == "interrupted":
             said.append("the session was not closed: it is still being recorded, or was interrupted")
-        if self.session is not None and self.session.state == "closed" and not summary.complete:
-            sent = self.session.metadata.counters.get("bytes_received", 0)
+        missing = 0 if self.session is None else bytes_missing(self.session, summary)
+        if missing:
+            sent = summary.bytes + summary.bytes_unrecorded + missing
             said.append(
-                f"the end of {self.items.path.name} is missing, though the session was closed: {sent:,} bytes"
-                " had come from the device"
+                f"{missing:,} bytes are not in {name}, of the {sent:,} that had come from the device as"
+                f" {METADATA_NAME} says"
             )
+        elif self.session is not None and self.session.state == "closed" and not summary.complete:
+            said.append(f"the end of {name} is missing, though the session was closed")
         if summary.tail_bytes:
-            said.append(
-                f"{summary.tail_bytes} bytes at the end of {self.items.path.name} are not a whole record"
-            )
+            said.append(f"{summary.tail_bytes:,} bytes at the end of {name} are not a whole record")
         if summary.bytes_unrecorded:
             said.append(
                 f"{summary.bytes_unrecorded:,} bytes could not be recorded at the time, or were lost since"
             )
-        said += _damage(summary.damage, self.items.path.name, self._began_ns())
+        said += _damage(summary, name, self._began_ns())
         if summary.checksum_ok is False:
-            said.append(f"{self.items.path.name} was changed after it was recorded: its checksum differs")
+            said.append(f"{name} was changed after it was recorded: its checksum differs")
         return said
 
     def losses(self) -> dict[str, Any]:
@@ -119,7 +126,7 @@ class Source:
                 "after_ns": place.after_ns or None,
                 "before_ns": place.before_ns or None,
                 "messages": place.messages,
-                "altered": place.altered,
+                "altered": False,  # blocks that are not as they were written are left out
             }
             for place in summary.damage.where
         ]
@@ -129,12 +136,21 @@ class Source:
                 "checksum_ok": summary.checksum_ok,
                 "bytes_unrecorded": summary.bytes_unrecorded,
                 "tail_bytes": summary.tail_bytes,
-                "damage": {**damage, "where": where},
+                "bytes_missing": 0 if self.session is None else bytes_missing(self.session, summary),
+                "damage": {**damage, "bytes_altered": 0, "where": where},
             }
         }
 
     def _began_ns(self) -> int | None:
         return None if self.session is None else self.session.metadata.created_ns
+
+
+def bytes_missing(session: Session, summary: WireSummary) -> int:
+    """Return how many bytes less its wire file has than a closed session says had come from the device."""
+    if session.state != "closed":
+        return 0
+    received = session.metadata.counters.get("bytes_received", 0)
+    return max(0, received - summary.bytes - summary.bytes_unrecorded)
 
 
 def no_samples(source: Source, pipeline: Pipeline) -> ImumonError:
@@ -158,17 +174,17 @@ def _since(began_ns: int | None, place: Place) -> float | None:
     return (place.after_ns - began_ns) * 1e-9 if place.after_ns and began_ns is not None else None
 
 
-def _damage(damage: Damage, name: str, began_ns: int | None) -> list[str]:
+def _damage(summary: WireSummary, name: str, began_ns: int | None) -> list[str]:
     """Return what there is to say of damage: the sum, and the first places."""
-    said = []
+    said, damage = [], summary.damage
     if damage.places:
-        parts = [f"{damage.bytes:,} bytes of no use"] if damage.bytes else []
-        parts += (
-            [f"{damage.bytes_altered:,} bytes in blocks that were altered"] if damage.bytes_altered else []
-        )
-        parts += [f"{damage.messages:,} reads or events missing"] if damage.messages else []
+        is_damaged = damage.places > summary.recovered.places
+        verb = "is damaged" if is_damaged else "was damaged, before it was recovered,"
         count = f"{damage.places:,} place{'s' if damage.places > 1 else ''}"
-        said.append(f"{name} is damaged in {count}, {damage.seconds:.3f} s in all: {', '.join(parts)}")
+        said.append(
+            f"{name} {verb} in {count}, {damage.seconds:.3f} s in all: {damage.messages:,} reads or events"
+            f" missing, {damage.bytes:,} bytes of no use"
+        )
         said += [f"damaged: {_place(place, began_ns)}" for place in damage.where[:SHOWN_PLACES]]
         if damage.places > SHOWN_PLACES:
             said.append(f"damaged: {damage.places - SHOWN_PLACES:,} more places, the first with --json")
@@ -178,14 +194,14 @@ def _damage(damage: Damage, name: str, began_ns: int | None) -> list[str]:
 
 
 def _place(place: Place, began_ns: int | None) -> str:
-    what = "altered" if place.altered else f"{place.messages:,} missing"
-    where = f"{place.size:,} bytes at byte {place.offset:,}"
+    where = f"{place.size:,} bytes at byte {place.offset:,}" if place.size else "cut out"
+    missing = f"{place.messages:,} missing" if place.messages or place.size else "how many is not known"
     if not place.after_ns:
-        return f"{where}, before the first message ({what})"
+        return f"{where}, before the first message ({missing})"
     since = _since(began_ns, place)
     when = f"{place.seconds:.3f} s from {iso_utc(place.after_ns)}"
     when += "" if since is None else f", {since:.3f} s after the start"
-    return f"{where}, {when} ({what})"
+    return f"{where}, {when} ({missing})"
 
 
 def open_source(path: Path, device_name: str | None = None, rate_hz: float | None = None) -> Source:

@@ -54,8 +54,8 @@ from imumon.version import __version__
 
 PENDING_LIMIT = 8 << 20
 """Bytes that are kept for a disk that is full or stuck; what comes on top is counted, not kept."""
-BLOCK_BYTES = 1 << 16
-"""A block is sealed when it has so many bytes, or when it is flushed: so much is in doubt after damage."""
+BLOCK_BYTES = 1 << 13
+"""A block is sealed when it has so many bytes, or when it is flushed: so much is lost by one wrong bit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,9 +170,13 @@ class WireWriter:
         if self._spool.tell() - self._block_start > BLOCK_BYTES:
             self._seal()
 
-    def missing(self, time_ns: int, reads: int, size: int) -> None:
-        """Say that reads with so many bytes are missing here, for another reason than this disk."""
-        self._add_event(UNRECORDED, time_ns, {"reads": reads, "bytes": size, "events": 0})
+    def missing(self, after_ns: int, before_ns: int, reads: int, size: int = 0) -> None:
+        """Say that reads are missing here, between two times, for another reason than this disk.
+
+        `size` says how many bytes they had, where that is known.
+        """
+        lost = {"reads": reads, "bytes": size, "events": 0, "after_ns": after_ns}
+        self._add_event(UNRECORDED, before_ns, lost)
 
     def flush(self) -> None:
         """Hand everything to the operating system.

@@ -30,10 +30,13 @@ RECORD = struct.Struct("<BQ")
 """Opcode, and bytes that follow."""
 MESSAGE = struct.Struct("<BQHIQQ")
 """Opcode, bytes that follow, channel, sequence, log time, publish time; then the payload."""
-SEQUENCE_AT = 11
 MESSAGE_FIELDS = MESSAGE.size - RECORD.size
 HEADER_OP, FOOTER_OP, SCHEMA_OP, CHANNEL_OP, MESSAGE_OP, CHUNK_OP = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06
-MESSAGE_INDEX_OP, ATTACHMENT_OP, METADATA_OP, DATA_END_OP = 0x07, 0x09, 0x0C, 0x0F
+MESSAGE_INDEX_OP, ATTACHMENT_OP, STATISTICS_OP = 0x07, 0x09, 0x0B
+METADATA_OP, DATA_END_OP = 0x0C, 0x0F
+STATISTICS_COUNTS = struct.Struct("<Q")
+"""What the statistics begin with: the number of messages."""
+SEQUENCE_MASK = (1 << 32) - 1
 
 CHECK_OP = 0x91
 """MCAP leaves 0x80 and above to the application; other readers pass such a record over."""
@@ -42,8 +45,6 @@ MARKER = bytes.fromhex("a3d1f08b5ce749268e7f13b0c96d42f5")
 _CHECK = struct.Struct("<BQ16sQQIIq")
 CHECK_SIZE = _CHECK.size + 4
 CHECK_LENGTH = CHECK_SIZE - RECORD.size
-CHECK_SEQUENCE_AT = RECORD.size + 16 + 8 + 8
-"""Where the number of the next message stands, as `SEQUENCE_AT` in a message."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,13 +19,12 @@ from imumon.recordings.recovery import (
     is_sound,
     keep_original,
     metadata_anew,
-    read_summary,
     refuse_recording,
     rewrite,
 )
-from imumon.recordings.source import Source, source_of
+from imumon.recordings.source import Source, bytes_missing, source_of
 from imumon.recordings.wire_reader import WireReader
-from imumon.recordings.wire_scan import WireSummary
+from imumon.recordings.wire_summary import WireSummary
 from imumon.run.live import flat_counters, stream_summaries
 from imumon.run.narration import Narrator, view_setup
 from imumon.run.replay import replay
@@ -79,18 +78,20 @@ def recover(path: Path, device_name: str | None = None) -> Recovered:
         hint = "it follows from its table: imumon import makes it anew"
         raise ImumonError(Reason.BAD_DATA, f"{path} is an imported session, which has no bytes", hint)
     refuse_recording(session.wire_path)
-    result = Recovered(session.path, read_summary(session.wire_path))
     source = source_of(session)
-    sound = is_sound(result.before)
+    result = Recovered(session.path, summary_of(source))
+    sound = is_sound(result.before) and not bytes_missing(session, result.before)
     if (
         sound
         and anew is None
         and session.state == "closed"
         and all((session.path / n).exists() for n in session.metadata.views)
     ):
+        result.warnings = source.warnings()
         return result
     if not sound:
-        result.originals.append(rewrite(session.wire_path))
+        missing, ended_ns = bytes_missing(session, result.before), session.metadata.ended_ns or 0
+        result.originals.append(rewrite(session.wire_path, missing, ended_ns))
         result.done.append(f"{session.wire_path.name}: {result.before.reads:,} reads written anew, finished")
         source = source_of(session)
     metadata, warnings = _run_again(session, source, result)
@@ -103,6 +104,14 @@ def recover(path: Path, device_name: str | None = None) -> Recovered:
     unknown = [] if anew is None else anew.unknown
     result.warnings = [*unknown, *source.warnings(), *warnings]
     return result
+
+
+def summary_of(source: Source) -> WireSummary:
+    """Read a wire file to its end, and return what it holds."""
+    assert isinstance(source.items, WireReader)
+    for _ in source.items.batches():
+        pass
+    return source.items.summary
 
 
 def _run_again(session: Session, source: Source, result: Recovered) -> tuple[SessionMetadata, list[str]]:

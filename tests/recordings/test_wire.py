@@ -18,7 +18,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.recordings import wire, wire_format, wire_reader
 from imumon.recordings.wire import WireWriter
 from imumon.recordings.wire_reader import WireReader
-from imumon.recordings.wire_scan import WireSummary
+from imumon.recordings.wire_summary import WireSummary
 from imumon.transport.reader import Bytes, Event, EventKind, Item
 
 ITEMS: list[Item] = [
@@ -104,34 +104,20 @@ def test_a_tail_of_zeros_as_a_power_failure_leaves_it_is_reported(tmp_path: Path
     writer.close()
 
 
-def test_a_flipped_bit_is_seen_by_the_checksum(tmp_path: Path) -> None:
+def test_a_flipped_bit_costs_the_block_that_it_is_in(tmp_path: Path) -> None:
     path = tmp_path / "w.mcap"
-    record(path, ITEMS).close()
+    writer = WireWriter(path, {"device": "test"})
+    for item in ITEMS:
+        writer.write(item)
+        writer.flush()
+    writer.close()
     content = bytearray(path.read_bytes())
     content[content.index(b"\xfa\xff\x36")] ^= 1
     path.write_bytes(content)
     reader = WireReader(path)
-    assert len(list(reader)) == len(ITEMS)
+    assert list(reader) == [ITEMS[0], *ITEMS[2:]]
+    assert reader.summary.damage.messages == 1
     assert reader.summary.checksum_ok is False
-
-
-def test_any_flipped_bit_is_told_and_costs_no_other_record(tmp_path: Path) -> None:
-    path = tmp_path / "w.mcap"
-    record(path, ITEMS).close()
-    whole = path.read_bytes()
-    data_end = whole.rindex(wire_format.MARKER) + wire_format.CHECK_SIZE - wire_format.RECORD.size
-    for bit in range(0, 8 * len(whole), 5):
-        damaged = bytearray(whole)
-        damaged[bit // 8] ^= 1 << bit % 8
-        path.write_bytes(damaged)
-        reader = WireReader(path)
-        items = list(reader)
-        same = sum(item in ITEMS for item in items)
-        assert same >= len(ITEMS) - 1, bit
-        if bit // 8 < data_end:
-            summary = reader.summary
-            assert summary.damage.places or summary.damage.events, bit
-            assert items == ITEMS or summary.damage.bytes_altered or summary.damage.messages == 1, bit
 
 
 def test_the_file_is_mcap_for_other_readers(tmp_path: Path) -> None:
