@@ -53,7 +53,7 @@ def test_the_good_file_is_good() -> None:
         ("column: packet_counter", "columns: []", 12, "packet.fields[0].columns"),
         ("type: u16, column", "type: u12, column", 12, "packet.fields[0].type"),
         ("type: u16, column: packet_counter", "type: u16", 12, "give either column"),
-        ("unit: deg/s", "unit: furlong", 13, "unit 'furlong' does not measure what 'rad/s' measures"),
+        ("unit: deg/s", "unit: inch", 13, "unit 'inch' does not measure what 'rad/s' measures"),
         ("unit: deg/s", "unit: quux", 13, "unit 'quux' is not known"),
         (", unit: deg/s", "", 13, "gyro_x"),
         ("at: 3, type: i16", "at: 8, type: i16", 6, "outside the packet"),
