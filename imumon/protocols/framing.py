@@ -53,6 +53,8 @@ class Frame:
     """See `Check`."""
     tail: bytes = b""
     """What may or may not follow a packet, and belongs to it."""
+    fits: Check | None = None
+    """Tells of packets that came whole whether they can be of this kind by what is in them."""
 
     def places(self, held: ByteArray) -> IntArray:
         """Return where the sync pattern is, also where its first bytes are at the very end."""
@@ -75,7 +77,11 @@ class Frame:
         """Return for each whole packet its length with its tail, or what is wrong, (n,)."""
         right = self.check(held, at, length)
         whole = self._with_tail(held, at, length, final) if self.tail else length
-        return np.where(right, whole, BAD_SUM)
+        verdict = np.where(right, whole, BAD_SUM)
+        if self.fits is not None:
+            which = np.flatnonzero(right)
+            verdict[which[~self.fits(held, at[which], length[which])]] = IMPOSSIBLE
+        return verdict
 
     def _with_tail(self, held: ByteArray, at: IntArray, length: IntArray, final: bool) -> IntArray:
         """Return the lengths with that of the tail where it follows; `INCOMPLETE` where it may come yet."""

@@ -32,7 +32,7 @@ from imumon.protocols.mip_filter import (
     valid,
 )
 from imumon.protocols.numbers import NO_GROUP, Columns, Derived, Value
-from imumon.protocols.tagged import Field, FieldTable, TaggedDecoder
+from imumon.protocols.tagged import COUNTED, LIST, MIP, Field, FieldTable, TaggedDecoder
 from imumon.protocols.tagged_columns import (
     MATRIX,
     QUATERNION,
@@ -43,7 +43,6 @@ from imumon.protocols.tagged_columns import (
     vector,
 )
 from imumon.protocols.tagged_encoder import TaggedEncoder
-from imumon.protocols.tagged_kernel import COUNTED, LIST, MIP
 
 WEEK_NS = 7 * 86_400 * 10**9
 

@@ -114,6 +114,8 @@ class Placed(NamedTuple):
         assert value.column is not None
         if kind.size == 3:
             raw = _of_three_bytes(raw, self.big, kind.signed)
+        elif value.type == "fp1632":
+            raw = _of_fp1632(raw)
         if value.mask:
             picked = (raw.astype(np.uint64) & np.uint64(value.mask)) >> np.uint64(value.lowest_bit)
             raw = picked
@@ -133,12 +135,13 @@ class Placed(NamedTuple):
 
 
 def record_type(numbers: Sequence[Placed], size: int) -> np.dtype[np.void]:
-    """Return packets of a size as a structured type; numbers of three bytes, which NumPy lacks, as bytes."""
+    """Return packets of a size as a structured type; those that NumPy lacks as bytes."""
     formats: list[tuple[str, int] | str] = []
     for item in numbers:
         kind = NUMBER_TYPES[item.value.type]
         letter = "f" if not kind.integer else "i" if kind.signed else "u"
-        formats.append(("u1", 3) if kind.size == 3 else f"{'>' if item.big else '<'}{letter}{kind.size}")
+        order = ">" if item.big else "<"
+        formats.append(("u1", kind.size) if kind.size in (3, 6) else f"{order}{letter}{kind.size}")
     names, offsets = [item.name for item in numbers], [item.at for item in numbers]
     return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
 
@@ -148,6 +151,15 @@ def _of_three_bytes(three: ColumnArray, big: bool, signed: bool) -> IntArray:
     high, middle, low = three.astype(np.int64).T[:: 1 if big else -1]
     whole: IntArray = high << 16 | middle << 8 | low
     return whole - ((whole >> 23) << 24) if signed else whole
+
+
+def _of_fp1632(six: ColumnArray) -> FloatArray:
+    """Return numbers of which the fraction is sent first, (n, 6)."""
+    bytes_of = six.astype(np.int64).T
+    whole = bytes_of[4] << 40 | bytes_of[5] << 32
+    for k in range(4):
+        whole |= bytes_of[k] << 8 * (3 - k)
+    return np.asarray((whole - ((whole >> 47) << 48)) / 2.0**32)
 
 
 def is_missing(values: ColumnArray) -> BoolArray:

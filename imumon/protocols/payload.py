@@ -13,7 +13,7 @@ from imumon.columns import KNOWN, Column
 from imumon.protocols.base import MAIN, ONLY_CORRECTED, Groups, Packets, Timing
 from imumon.protocols.epochs import GENERATION
 from imumon.protocols.framing import Found, Frame, FramedDecoder
-from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING, Derived, Placed, record_type
+from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING, Derived, Placed, is_missing, record_type
 from imumon.protocols.stream import ByteArray
 
 
@@ -93,7 +93,9 @@ class Record:
             if np.any(columns[name] == NO_INT):
                 self.beyond.add(name)
         for made in self._derived:
-            columns |= zip((c.name for c in made.results), made.decode(columns), strict=True)
+            for column, values in zip(made.results, made.decode(columns), strict=True):
+                sent = columns.get(column.name)
+                columns[column.name] = values if sent is None else np.where(is_missing(sent), values, sent)
         return columns
 
 
@@ -149,10 +151,14 @@ class LayoutDecoder(FramedDecoder):
         return tuple(self._columns[name] for name in sorted(self._columns, key=_place))
 
     def take_packets(self) -> Packets:
-        """Return the packets decoded since the last call; chunks do not change the order of columns."""
+        """Return the packets decoded since the last call, with all columns that have come so far."""
         packets = super().take_packets()
-        names = sorted(packets.block.columns, key=_place)
-        return Packets(SampleBlock({name: packets.block[name] for name in names}), packets.groups)
+        block = packets.block
+        columns = {
+            name: block[name] if name in block else missing(len(block), self._columns[name].dtype)
+            for name in sorted(self._columns, key=_place)
+        }
+        return Packets(SampleBlock(columns), packets.groups)
 
     def warnings(self) -> list[str]:
         """Return, once each, why numbers are not fit for an estimate; see `Decoder.warnings`."""
@@ -177,11 +183,21 @@ class LayoutDecoder(FramedDecoder):
         names = self.groups.names if self.groups else ()
         for name, group in layout.of_column.items():
             self._of_column.setdefault(name, names.index(group))
+        bits = sum(1 << names.index(group) for group in {*layout.of_column.values()})
+        return self._add_layout(layout, bits or 1)
+
+    def _add_layout(self, layout: Layout, group_bits: int) -> int:
+        """Add a layout whose packets have something of these groups; return its number."""
         for column in layout.columns:
             self._columns.setdefault(column.name, column)
         self._layouts.append(layout)
-        self._group_bits.append(sum(1 << names.index(group) for group in {*layout.of_column.values()}) or 1)
+        self._group_bits.append(group_bits)
         return len(self._layouts) - 1
+
+    def _forget_layouts(self) -> None:
+        """Begin to number layouts anew; the columns stay."""
+        self._layouts.clear()
+        self._group_bits.clear()
 
     def _read(self, found: Found, arrival_ns: IntArray) -> Packets:
         found = self._plain(found)

@@ -10,14 +10,9 @@ import numpy.typing as npt
 from imumon.blocks import BoolArray, ColumnArray, SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.base import Encoder
-from imumon.protocols.frame_checks import Fletcher, Sum
 from imumon.protocols.numbers import Derived, is_missing, packed
 from imumon.protocols.stream import ByteArray
-from imumon.protocols.tagged import Field
-from imumon.protocols.tagged_kernel import FIXED, LONGEST_XBUS_PAYLOAD, MIP, XBUS
-
-CHECKS = {XBUS: Sum(first=1, negated=True), MIP: Fletcher()}
-"""How the kernel checks each framing."""
+from imumon.protocols.tagged import FIXED, XBUS, Field, Form
 
 
 class TaggedEncoder(Encoder):
@@ -31,7 +26,7 @@ class TaggedEncoder(Encoder):
         What a packet carries, in this order.  In a list, a field of which a row has no value is left out.
     derived : sequence of Derived
         How columns that are not sent are turned into those that are.
-    framing : int
+    form : Form
         XBUS or MIP.
     kind : int
         Packet type.
@@ -40,18 +35,18 @@ class TaggedEncoder(Encoder):
     """
 
     def __init__(
-        self, fields: Sequence[Field], derived: Sequence[Derived], framing: int, kind: int, role: int
+        self, fields: Sequence[Field], derived: Sequence[Derived], form: Form, kind: int, role: int
     ) -> None:
         empty = [field.name for field in fields if not field.values]
         if empty:
             raise ImumonError(Reason.BAD_CONFIG, f"{', '.join(empty)}: carries nothing that can be encoded")
-        header = 0 if role == FIXED else 3 if framing == XBUS else 2
+        header = 0 if role == FIXED else form.header
         longest = sum(header + field.size for field in fields)
-        if longest > (LONGEST_XBUS_PAYLOAD if framing == XBUS else 255):
+        if longest > form.longest:
             raise ImumonError(Reason.BAD_CONFIG, f"a packet with these fields has {longest} bytes, too many")
         self._fields = tuple(fields)
         self._derived = tuple(derived)
-        self._framing, self._kind, self._role = framing, kind, role
+        self._form, self._kind, self._role = form, kind, role
 
     def encode(self, block: SampleBlock) -> list[bytes]:
         """Return a packet for each row, of fields that have a value; see `imumon.protocols.base.Encoder`."""
@@ -96,7 +91,7 @@ class TaggedEncoder(Encoder):
         parts = [packed(field.name, value, columns, rows) for value in field.values]
         if self._role == FIXED:
             header: list[int] = []
-        elif self._framing == XBUS:
+        elif self._form is XBUS:
             header = [field.key >> 8, field.key & 0xFF, field.size]
         else:
             header = [field.size + 2, field.key & 0xFF]
@@ -106,9 +101,7 @@ class TaggedEncoder(Encoder):
     def _wrap(self, payload: ByteArray) -> ByteArray:
         """Put header and checksum around each row."""
         n, size = payload.shape
-        if self._framing == MIP:
-            header = [0x75, 0x65, self._kind, size]
-        else:
-            header = [0xFA, 0xFF, self._kind, *([size] if size < 255 else [255, size >> 8, size & 0xFF])]
+        extended = self._form is XBUS and size >= 255
+        header = [*self._form.start, self._kind, *([255, size >> 8, size & 0xFF] if extended else [size])]
         headers = np.tile(np.array(header, np.uint8), (n, 1))
-        return CHECKS[self._framing].sealed_rows(np.concatenate([headers, payload], axis=1))
+        return self._form.check.sealed_rows(np.concatenate([headers, payload], axis=1))

@@ -10,11 +10,10 @@ import numpy as np
 
 from imumon.blocks import NO_INT, SampleBlock
 from imumon.protocols.numbers import NUMBER_TYPES
-from imumon.protocols.tagged import Field
-from imumon.protocols.tagged_kernel import ANY_SIZE, FIXED, LIST, MIP, XBUS
+from imumon.protocols.tagged import ANY_SIZE, FIXED, LIST, MIP, XBUS, Field, Form
 
 
-def candidate(data: bytes, at: int, framing: int) -> int | str:
+def candidate(data: bytes, at: int, framing: Form) -> int | str:
     """Length of the packet whose header stands at `at`, or "none", "cut" or "impossible"."""
     head = data[at : at + 6]
     if head[:1] != (b"\xfa" if framing == XBUS else b"\x75"):
@@ -37,7 +36,7 @@ def candidate(data: bytes, at: int, framing: int) -> int | str:
     return length + 7 if length <= 2048 else "impossible"
 
 
-def checksum_right(packet: bytes, framing: int) -> bool:
+def checksum_right(packet: bytes, framing: Form) -> bool:
     if framing == XBUS:
         return sum(packet[1:]) % 256 == 0
     first = second = 0
@@ -47,13 +46,13 @@ def checksum_right(packet: bytes, framing: int) -> bool:
     return packet[-2:] == bytes([first, second])
 
 
-def payload_of(packet: bytes, framing: int) -> bytes:
+def payload_of(packet: bytes, framing: Form) -> bytes:
     if framing == MIP:
         return packet[4:-2]
     return packet[6:-1] if packet[3] == 255 else packet[4:-1]
 
 
-def split_fields(kind: int, payload: bytes, framing: int) -> list[tuple[int, bytes]] | None:
+def split_fields(kind: int, payload: bytes, framing: Form) -> list[tuple[int, bytes]] | None:
     """Identifier and data of each field; None when they do not fill the payload."""
     found = []
     while payload:
@@ -106,7 +105,7 @@ class Twin:
 
 
 def decode_plainly(
-    data: bytes, arrival: Sequence[int], framing: int, roles: Mapping[int, int], fields: Sequence[Field]
+    data: bytes, arrival: Sequence[int], framing: Form, roles: Mapping[int, int], fields: Sequence[Field]
 ) -> Twin:
     """Decode a whole stream as feed and finish do; `arrival` has the time of each byte."""
     twin = Twin()

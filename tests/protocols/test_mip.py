@@ -20,7 +20,7 @@ from imumon.protocols.mip import (
     mip_fields,
 )
 from imumon.protocols.mip_filter import Attitude
-from imumon.protocols.tagged_kernel import MIP
+from imumon.protocols.tagged import MIP
 from tests.data_folder import measured
 from tests.protocols.streams import chunkings, damage, feed_in_chunks
 from tests.protocols.tagged_twin import assert_same, decode_plainly

@@ -8,11 +8,19 @@ import pytest
 from imumon.blocks import NO_INT, SampleBlock
 from imumon.columns import KNOWN, Column
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.base import CAPACITY, MOST_NOTICES, Timing
+from imumon.protocols.base import MOST_NOTICES, Timing
 from imumon.protocols.numbers import Derived, Value
-from imumon.protocols.tagged import Field, FieldTable, TaggedDecoder
+from imumon.protocols.tagged import (
+    COUNTED,
+    FIXED,
+    LIST,
+    MESSAGE,
+    XBUS,
+    Field,
+    FieldTable,
+    TaggedDecoder,
+)
 from imumon.protocols.tagged_encoder import TaggedEncoder
-from imumon.protocols.tagged_kernel import COUNTED, FIXED, LIST, LOG_SIZE, MESSAGE, XBUS
 from tests.protocols.streams import feed_in_chunks, xbus_message
 
 WIDE, LEVEL = Column("wide", "1", "int64"), Column("level", "m")
@@ -82,10 +90,9 @@ def test_missing_values_are_missing() -> None:
 
 
 @pytest.mark.parametrize("lengths", [[1 << 16], [1000], [7]])
-def test_more_messages_than_the_log_holds_are_all_said(lengths: list[int]) -> None:
+def test_all_of_many_messages_are_told(lengths: list[int]) -> None:
     messages = [xbus_message(0x10, number.to_bytes(2, "big") * 100) for number in range(200)]
     stream = b"".join(message + data((0x0101, b"\x00\x01")) for message in messages)
-    assert sum(map(len, messages)) > 2 * LOG_SIZE
     decoder = Talker()
     block = feed_in_chunks(decoder, stream, lengths)
     assert len(block) == 200
@@ -107,22 +114,31 @@ def test_counted_types_say_nothing() -> None:
     assert decoder.counters().packets_by_type == {"0x40": 1}
 
 
-def test_full_rows_and_a_full_log_at_once_lose_nothing() -> None:
+def test_many_rows_and_messages_at_once_lose_nothing() -> None:
     piece = data((0x0101, b"\x00\x01")) + xbus_message(0x10, bytes(30))
     decoder = Talker()
-    block = feed_in_chunks(decoder, piece * (CAPACITY + 10), [1 << 16, 5])
-    assert len(block) == CAPACITY + 10
-    assert decoder.counters().bytes_in_packets == len(piece) * (CAPACITY + 10)
+    block = feed_in_chunks(decoder, piece * 5000, [1 << 16, 5])
+    assert len(block) == 5000
+    assert decoder.counters().bytes_in_packets == len(piece) * 5000
 
 
-def test_arrival_is_that_of_the_last_byte_even_when_rows_overflow() -> None:
+def test_arrival_is_that_of_the_last_byte() -> None:
     packet = data((0x0101, b"\x00\x01"))
     decoder = Talker()
     decoder.feed(packet[:5], 1)
-    decoder.feed(packet[5:] + packet * CAPACITY + packet[:3], 2)
+    decoder.feed(packet[5:] + packet * 5000 + packet[:3], 2)
     decoder.feed(packet[3:], 3)
-    arrival = decoder.take()["arrival_time_ns"]
-    assert arrival.tolist() == [2] * (CAPACITY + 1) + [3]
+    assert decoder.take()["arrival_time_ns"].tolist() == [2] * 5001 + [3]
+
+
+def test_packets_of_a_thousand_layouts_are_read_in_bounded_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("imumon.protocols.tagged.MOST_LAYOUTS", 50)
+    decoder = Talker()
+    for number in range(1000):
+        unknown = (0x0900 + number, b"")
+        decoder.feed(data(unknown, (0x0101, number.to_bytes(2, "big"))), number)
+        assert decoder.take()["wide"].tolist() == [number]
+    assert len(decoder._layouts) <= 51
 
 
 def test_a_fixed_payload_is_the_first_field_of_the_table() -> None:

@@ -32,13 +32,12 @@ from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Frame, counted_length
 from imumon.protocols.mip import ERRORS, FILTER, SENSOR, SET_NAMES, Clock, MipDevice, mip_fields
 from imumon.protocols.mip_filter import Attitude
-from imumon.protocols.tagged_encoder import CHECKS
-from imumon.protocols.tagged_kernel import MIP
+from imumon.protocols.tagged import MIP
 
 SYNC = b"\x75\x65"
 AROUND, LONGEST = 6, 261
 """Bytes of a packet besides its payload, and of the longest."""
-CHECK = CHECKS[MIP]
+CHECK = MIP.check
 BASE, THREE_DM = 0x01, 0x0C
 PING, IDLE, DEVICE_INFO, RESUME, COMM_SPEED = 0x01, 0x02, 0x03, 0x06, 0x09
 IMU_BASE_RATE, IMU_FORMAT, FILTER_FORMAT, FILTER_BASE_RATE = 0x06, 0x08, 0x0A, 0x0B

@@ -11,9 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-import numpy as np
-
-from imumon.blocks import IntArray
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.commands.core import (
     BAUD,
@@ -28,15 +25,13 @@ from imumon.protocols.commands.core import (
     Wish,
     no_rate,
 )
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Frame
-from imumon.protocols.stream import ByteArray
-from imumon.protocols.tagged_encoder import CHECKS
-from imumon.protocols.tagged_kernel import LONGEST_XBUS_PAYLOAD, XBUS
+from imumon.protocols.framing import Frame
+from imumon.protocols.tagged import XBUS, xbus_lengths
 from imumon.protocols.xsens.fields import MTDATA2_FIELDS
 from imumon.protocols.xsens.messages import ERROR, ERRORS, NAMES, identifier_name
 
 SYNC = b"\xfa\xff"
-CHECK = CHECKS[XBUS]
+CHECK = XBUS.check
 GO_TO_MEASUREMENT, SET_BAUDRATE, REQ_PRODUCT_CODE, GO_TO_CONFIG = 0x10, 0x18, 0x1C, 0x30
 REQ_FIRMWARE, RESET, SET_OUTPUT_CONFIGURATION = 0x12, 0x40, 0xC0
 OUTPUT = "output configuration"
@@ -70,17 +65,6 @@ def frame(kind: int, payload: bytes = b"") -> bytes:
     return CHECK.sealed(SYNC + bytes([kind]) + size + payload)
 
 
-def _lengths(held: ByteArray, at: IntArray) -> IntArray:
-    """Return the length of the message at each place; see `imumon.protocols.framing.Lengths`."""
-    header = np.pad(held, (0, 4)).astype(np.int64)
-    short, long = header[at + 3], header[at + 4] << 8 | header[at + 5]
-    extended = short == 0xFF
-    length = np.where(extended, long + 7, short + 5)
-    length[extended & (long > LONGEST_XBUS_PAYLOAD)] = IMPOSSIBLE
-    length[at + np.where(extended, 6, 4) > len(held)] = INCOMPLETE
-    return length
-
-
 def request(kind: int, payload: bytes = b"", meaning: str = "", timeout_s: float = SAVE_S) -> Request:
     """Return a request; its answer has the next number, an Error message says no."""
 
@@ -111,7 +95,7 @@ class Xsens(Family):
     """Commands of an MTi."""
 
     identity: tuple[str, ...] = ()
-    answer_frame: ClassVar[Frame] = Frame("Xbus", SYNC, _lengths, CHECK)
+    answer_frame: ClassVar[Frame] = Frame("Xbus", SYNC, xbus_lengths, CHECK)
     title: ClassVar[str] = "Xsens MTi"
     verified: ClassVar[str] = "frames of other programs, and the virtual device; never a real unit"
     stores_at_once: ClassVar[bool] = True

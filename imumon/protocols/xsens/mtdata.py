@@ -10,9 +10,8 @@ from imumon.columns import KNOWN
 from imumon.protocols.base import Timing
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.numbers import Derived
-from imumon.protocols.tagged import FieldTable, TaggedDecoder
+from imumon.protocols.tagged import FIXED, XBUS, FieldTable, TaggedDecoder
 from imumon.protocols.tagged_encoder import TaggedEncoder
-from imumon.protocols.tagged_kernel import FIXED, XBUS
 from imumon.protocols.xsens.fields import DERIVED, DEVICE_TICKS_OF_UTC
 from imumon.protocols.xsens.messages import (
     CONFIGURATION,
@@ -53,7 +52,8 @@ class MTDataDecoder(TaggedDecoder):
 
     def notices(self) -> list[str]:
         """Return, once each, what the device said that is not data, and a length that does not fit."""
-        seen = int(self._state.wrong_length)
+        self._settle()
+        seen = self.wrong_length
         if seen:
             fitting = profiles_of_length(seen)
             hint = f"; {seen} bytes fit {' or '.join(fitting)}" if fitting else ""

@@ -9,9 +9,8 @@ from typing import Literal
 
 from imumon.protocols.base import Timing, chosen
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.tagged import Field, FieldTable, TaggedDecoder
+from imumon.protocols.tagged import LIST, XBUS, Field, FieldTable, TaggedDecoder
 from imumon.protocols.tagged_encoder import TaggedEncoder
-from imumon.protocols.tagged_kernel import LIST, XBUS
 from imumon.protocols.xsens.fields import DERIVED, FRAMES, IDENTIFIERS, MTDATA2_FIELDS, PRECISIONS
 from imumon.protocols.xsens.messages import MTDATA, MTDATA2, NAMES, describe, identifier_name
 

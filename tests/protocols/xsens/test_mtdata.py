@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from imumon.blocks import SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import device_text, load_device, parse_device
-from imumon.protocols.tagged_kernel import FIXED, XBUS
+from imumon.protocols.tagged import FIXED, XBUS
 from imumon.protocols.xsens.messages import MTDATA
 from imumon.protocols.xsens.mtdata import MTDataDecoder, MTDataDevice, MTDataEncoder
 from imumon.protocols.xsens.profile import (

@@ -14,7 +14,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.protocols.base import CAPACITY
 from imumon.protocols.device import load_device
 from imumon.protocols.stream import ByteArray
-from imumon.protocols.tagged_kernel import LIST, XBUS
+from imumon.protocols.tagged import LIST, XBUS
 from imumon.protocols.xsens.fields import DEGREE, IDENTIFIERS, MTDATA2_FIELDS, PRECISIONS, Identifier
 from imumon.protocols.xsens.messages import MTDATA, MTDATA2
 from imumon.protocols.xsens.mtdata2 import (
