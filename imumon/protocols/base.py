@@ -12,9 +12,8 @@ import numpy as np
 
 from imumon.blocks import IntArray, SampleBlock, join, missing
 from imumon.columns import Column
-from imumon.compiled import alone
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.stream import CHUNK, ByteArray, append, new_stream
+from imumon.protocols.stream import ByteArray
 from imumon.transport.statistics import Counters
 
 T = TypeVar("T")
@@ -32,9 +31,6 @@ ONLY_CORRECTED = (
     "(gyro_compensated_*): what imumon finds is the rest of it"
 )
 """Warning of a device that sends no rate as it was calibrated in the factory."""
-
-CAPACITY = 4096 + 8
-"""Rows of the preallocated columns.  Not a power of two, so that columns do not share cache sets."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,70 +161,6 @@ def _once(said: dict[str, bool]) -> list[str]:
     new = [text for text, given in said.items() if not given]
     said.update(dict.fromkeys(new, True))
     return new
-
-
-class CompiledDecoder(Decoder):
-    """A decoder whose subclass supplies `_scan`, one compiled pass that writes rows into its columns."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._stream = new_stream()
-        self._streams = alone(self._stream)
-
-    @abstractmethod
-    def _scan(self, final: bool) -> bool:
-        """Decode packets of the held bytes until these or the rows run out; tell whether the rows did."""
-
-    @abstractmethod
-    def _rows(self, n: int) -> SampleBlock:
-        """Return a copy of the first n rows in the preallocated columns."""
-
-    @abstractmethod
-    def _packets_by_type(self) -> dict[str, int]:
-        """Return how many packets of each type there were."""
-
-    def counters(self) -> Counters:
-        """Return what became of the bytes so far."""
-        stream = self._stream
-        return Counters(
-            bytes_received=int(stream.received),
-            bytes_in_packets=int(stream.in_packets),
-            bytes_skipped=int(stream.skipped),
-            packets=int(stream.packets),
-            checksum_errors=int(stream.checksum_errors),
-            length_errors=int(stream.length_errors),
-            packets_by_type=self._packets_by_type(),
-        )
-
-    def feed_reads(self, data: bytes | memoryview | ByteArray, ends: IntArray, arrivals_ns: IntArray) -> None:
-        """Decode the bytes of several reads: of each where it ends in the data, and when it arrived."""
-        chunk = data if isinstance(data, np.ndarray) else np.frombuffer(data, np.uint8)
-        for start in range(0, len(chunk), CHUNK):
-            # `append` passes over the reads that have no byte in this piece.
-            piece = chunk[start : start + CHUNK]
-            append(piece, ends - start if start else ends, arrivals_ns, self._streams)
-            self._decode(final=False)
-
-    def finish(self) -> None:
-        """Decode what is held; see `Decoder.finish`."""
-        self._decode(final=True)
-
-    def _settle(self) -> None:
-        if self._stream.rows:
-            self._flush()
-
-    def _decode(self, final: bool) -> None:
-        while self._scan(final):
-            self._flush()
-
-    def _flush(self) -> None:
-        n = int(self._stream.rows)
-        self._done.append(Packets(self._rows(n), self._packet_groups(n)))
-        self._stream.rows = 0
-
-    def _packet_groups(self, n: int) -> IntArray:
-        """Return the bits of the groups of each row; a protocol without groups has the main one only."""
-        return np.ones(n, np.int64)
 
 
 class Encoder(ABC):

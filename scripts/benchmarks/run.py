@@ -19,7 +19,6 @@ SECTIONS = {
     "compile": "benchmarks.compilation",
     "start": "benchmarks.start",
     "decoders": "benchmarks.decoders",
-    "checksums": "benchmarks.sums",
     "growth": "benchmarks.growth",
     "devices": "benchmarks.tagged",
     "clocks": "benchmarks.clocks",

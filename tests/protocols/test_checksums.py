@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imumon.protocols.checksums import CHECKSUM_NAMES, CRCS, checksum, make_checksum
+from imumon.protocols.checksums import CHECKSUM_NAMES, CRCS
+from imumon.protocols.frame_checks import trailing
 
 # Check values of the CRC catalogue (over the ASCII digits 1 to 9), and sums worked out by hand.
 CHECK = {
@@ -21,9 +22,8 @@ CHECK = {
 
 
 def compute(name: str, data: bytes) -> int:
-    check = make_checksum(name)
     buf = np.frombuffer(b"xx" + data + b"yy", np.uint8)
-    return int(checksum(check, buf, 2, 2 + len(data)))
+    return int(trailing(name).values(buf, np.array([2]), np.array([2 + len(data)]))[0])
 
 
 def bitwise_crc(name: str, data: bytes) -> int:

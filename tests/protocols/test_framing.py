@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from imumon.blocks import ColumnArray, SampleBlock
 from imumon.pipeline import Pipeline
-from imumon.protocols.checksums import checksum, make_checksum
 from imumon.protocols.device import device_names, load_device
 from imumon.protocols.frame_checks import trailing
 from tests.protocols.streams import chunkings, damage, feed_in_chunks
@@ -35,7 +34,7 @@ def packets_of(family: str, n: int = 60, seed: int = 0) -> list[bytes]:
 @pytest.mark.parametrize("name", CHECK)
 @pytest.mark.parametrize("big", [False, True])
 def test_checks_of_many_packets_agree_with_the_catalogue(name: str, big: bool) -> None:
-    size = int(make_checksum(name).width)
+    size = trailing(name).size
     value = CHECK[name].to_bytes(size, "big" if big else "little")
     packets = [b"x123456789" + value, b"x12345678" + value, b"y123456789" + value]
     held = np.frombuffer(b"".join(packets), np.uint8)
@@ -47,7 +46,7 @@ def test_checks_of_many_packets_agree_with_the_catalogue(name: str, big: bool) -
 def test_zeros_that_are_not_sent_count() -> None:
     data = b"\x01\x02\x03"
     padded = np.frombuffer(data + bytes(5), np.uint8)
-    crc = int(checksum(make_checksum("crc32-mpeg2"), padded, 0, 8)).to_bytes(4, "big")
+    crc = int(trailing("crc32-mpeg2").values(padded, np.array([0]), np.array([8]))[0]).to_bytes(4, "big")
     held = np.frombuffer(data + crc, np.uint8)
     one, size = np.array([0]), np.array([7])
     assert trailing("crc32-mpeg2", big=True, zeros=5)(held, one, size).tolist() == [True]

@@ -221,11 +221,6 @@ class Packet(StrictModel):
                 raise ValueError(f"fields[{number}]: when: there is no column {field.when.column}")
         return self
 
-    @property
-    def plain(self) -> bool:
-        """Whether the compiled search can find and read it; else the frames do."""
-        return not (self.tail or self.checksum.zeros or any(field.when for field in self.fields))
-
     def placed(self) -> list[Placed]:
         """Return all numbers of the packet in the order of the file."""
         return [
@@ -247,11 +242,11 @@ class Packet(StrictModel):
         size = NUMBER_TYPES[field.type].size
         return [*enumerate(field.value.to_bytes(size, field.byte_order or self.byte_order), field.at)]
 
-    def check(self) -> Trailing | None:
-        """Return the checksum, if there is one."""
+    def check(self, first: int = 0) -> Trailing | None:
+        """Return the checksum of what begins at a place, if there is one."""
         field = self.checksum
         big = (field.byte_order or self.byte_order) == "big"
-        return None if field.type == "none" else trailing(field.type, big=big, zeros=field.zeros)
+        return None if field.type == "none" else trailing(field.type, first, big, field.zeros)
 
     def turns(self) -> dict[str, When]:
         """Return in which packets the columns are there that are not in all."""

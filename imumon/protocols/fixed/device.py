@@ -18,14 +18,10 @@ class FixedDevice(DeviceFile):
     packet: Packet
 
     def decoder(self) -> Decoder:
-        """Make a decoder for this packet: the compiled one wherever it will do, as it is faster."""
-        if self.packet.plain:
-            from imumon.protocols.fixed.decoder import FixedDecoder
+        """Make a decoder for this packet."""
+        from imumon.protocols.fixed.decoder import FixedDecoder
 
-            return FixedDecoder(self.name, self.packet, self.rate_hz)
-        from imumon.protocols.fixed.framed import FramedFixedDecoder
-
-        return FramedFixedDecoder(self.name, [self.packet], self.rate_hz)
+        return FixedDecoder(self.name, [self.packet], self.rate_hz)
 
     def encoder(self) -> Encoder:
         """Make an encoder for this packet."""
@@ -53,9 +49,9 @@ class SeveralDevice(DeviceFile):
 
     def decoder(self) -> Decoder:
         """Make a decoder for these packets."""
-        from imumon.protocols.fixed.framed import FramedFixedDecoder
+        from imumon.protocols.fixed.decoder import FixedDecoder
 
-        return FramedFixedDecoder(self.name, self.packets, self.rate_hz)
+        return FixedDecoder(self.name, self.packets, self.rate_hz)
 
     def encoder(self) -> Encoder:
         """Make an encoder for those that are sent."""

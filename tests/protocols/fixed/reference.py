@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from imumon.protocols.checksums import checksum, make_checksum
 from imumon.protocols.fixed.device import FixedDevice
+from imumon.protocols.frame_checks import trailing
 
 CODES = {"u8": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "i32": "i", "u64": "Q", "i64": "q",
          "f32": "f", "f64": "d"}  # fmt: skip
@@ -62,13 +62,15 @@ def _judge(device: FixedDevice, piece: bytes, sync: bytes) -> str:
             return "length"
     if len(piece) < packet.length:
         return "incomplete"
-    check = make_checksum(packet.checksum.type)
+    if packet.checksum.type == "none":
+        return "good"
+    check = trailing(packet.checksum.type)
     buf = np.frombuffer(piece, np.uint8)
-    first, stop = packet.checksum.first, packet.checksum.last + 1
-    computed = int(checksum(check, buf, first, stop))
+    first, stop = np.array([packet.checksum.first]), np.array([packet.checksum.last + 1])
+    computed = int(check.values(buf, first, stop)[0])
     at = packet.checksum.at
     order = packet.checksum.byte_order or packet.byte_order
-    return "good" if computed == int.from_bytes(piece[at : at + check.width], order) else "checksum"
+    return "good" if computed == int.from_bytes(piece[at : at + check.size], order) else "checksum"
 
 
 def _fields(device: FixedDevice, piece: bytes) -> dict[str, float | int]:

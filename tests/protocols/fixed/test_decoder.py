@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from imumon.blocks import NO_INT, SampleBlock
 from imumon.errors import ImumonError
-from imumon.protocols.base import CAPACITY, Decoder
+from imumon.protocols.base import Decoder
 from imumon.protocols.device import load_device, parse_device
 from imumon.protocols.fixed.device import FixedDevice
 from tests.data_folder import measured
@@ -224,7 +224,7 @@ def test_more_rows_than_the_columns_hold_are_all_there() -> None:
         "  fields: [{at: 1, type: u16, column: packet_counter}]\n",
         "tiny.yaml",
     )
-    n = 3 * CAPACITY
+    n = 12_000
     data = b"".join(device.encoder().encode(SampleBlock({"packet_counter": np.arange(n)})))
     decoder = device.decoder()
     decoder.feed(data[:70_001], 1)

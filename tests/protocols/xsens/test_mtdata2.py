@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from imumon.blocks import NO_INT, SampleBlock
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.base import CAPACITY
 from imumon.protocols.device import load_device
 from imumon.protocols.stream import ByteArray
 from imumon.protocols.tagged import LIST, XBUS
@@ -377,7 +376,7 @@ def test_columns_appear_when_the_device_begins_to_send_more() -> None:
 
 
 def test_more_rows_than_the_preallocated_columns_hold() -> None:
-    n = 2 * CAPACITY + 3
+    n = 8211
     decoder = MTData2Decoder()
     decoder.feed(stream(n, names=["PacketCounter"]), 1)
     assert decoder.take()["packet_counter"].tolist() == list(range(n))
