@@ -143,6 +143,8 @@ class LayoutDecoder(FramedDecoder):
         self._layouts: list[Layout] = []
         self._group_bits: list[int] = []
         self._columns: dict[str, Column] = {"arrival_time_ns": KNOWN["arrival_time_ns"]}
+        self._sent: dict[str, Column] = {}
+        """Columns of the packets that came so far."""
 
     @property
     def columns(self) -> tuple[Column, ...]:
@@ -154,9 +156,10 @@ class LayoutDecoder(FramedDecoder):
         """Return the packets decoded since the last call, with all columns that have come so far."""
         packets = super().take_packets()
         block = packets.block
+        self._sent |= {name: self._columns[name] for name in block.columns}
         columns = {
-            name: block[name] if name in block else missing(len(block), self._columns[name].dtype)
-            for name in sorted(self._columns, key=_place)
+            name: block[name] if name in block else missing(len(block), self._sent[name].dtype)
+            for name in sorted(self._sent, key=_place)
         }
         return Packets(SampleBlock(columns), packets.groups)
 

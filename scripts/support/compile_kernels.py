@@ -102,25 +102,15 @@ def packets(device_name: str) -> None:
         EpochAssembler(decoder.groups).process(decoder.take_packets(), end=True)
 
 
-def fixed() -> None:
-    """Decode and date packets of the demo's device: one process, as numba takes half a second to begin."""
-    packets("ax1")
-    clocks()
-
-
-def tagged() -> None:
-    for name in ("xsens", "microstrain"):
-        packets(name)
-
-
 def clocks() -> None:
-    """Date samples by the clocks of device and host."""
+    """Put packets of one time together, and date samples by the clocks of device and host."""
     import numpy as np
 
     from imumon.clock.device import DeviceClock
     from imumon.clock.host import HostClock
     from imumon.protocols.device import load_device
 
+    packets("xsens")
     numbers = np.arange(3)
     time_ns, segment = DeviceClock(load_device("ax1").decoder().timing).process(numbers, numbers, numbers, 3)
     HostClock().process(time_ns, segment, numbers)
@@ -166,8 +156,7 @@ def recordings() -> None:
 
 
 FIRST: dict[str, Callable[[], None]] = {
-    "fixed packets and clocks": fixed,
-    "tagged packets": tagged,
+    "epochs and clocks": clocks,
     "temperature rate": temperature,
     "rest": rest,
 }
