@@ -12,6 +12,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -21,6 +22,8 @@ from click.shell_completion import shell_complete
 
 from imumon.cli.common import INTERRUPTED, note, say
 from imumon.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_USAGE, ImumonError
+from imumon.wing import GROUPS, Command
+from imumon.wings import built_in, wings
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
@@ -33,54 +36,89 @@ NEW_OBJECTS = 10_000
 """So many new objects between two searches for garbage, not Python's 700: what is loaded stays, and to search
 through it again and again took a tenth of the time that a recording needs to begin."""
 
-COMMANDS = {
-    "monitor": "Record a device and watch it live.",
-    "rack": "Record and watch many devices at once.",
-    "replay": "Run a recording again: same code, same numbers.",
-    "view": "Show several sessions on one time axis.",
-    "mark": "Put a word into a recording that goes on.",
-    "recover": "Finish a session that was interrupted or damaged.",
-    "decode": "Turn a raw capture or a session into a table.",
-    "import": "Make a session from a CSV or Parquet table.",
-    "export": "Write the samples of a session as a table.",
-    "align": "Find the heading of a resting unit by the earth rate.",
-    "calibrate": "Find the bias over temperature from recordings at rest.",
-    "magnetometer": "Find hard and soft iron from a figure-eight.",
-    "doctor": "Look what this computer lacks, and say what to do.",
-    "ports": "List serial ports.",
-    "detect": "Find baud rate and protocol of a device by trying.",
-    "allan": "Tell noise, bias instability and drift of a recording at rest.",
-    "diagnose": "Name the effect that a bias model lacks.",
-    "plan": "Find the experiment that tells what a diagnosis leaves open.",
-    "learn": "Make a better bias model from all sessions of a unit.",
-    "configure": "Set rate, outputs and baud rate of a device.",
-    "batch": "Run a command over many sessions, here or on a cluster.",
-    "catalog": "List the units of a folder of sessions, with what changed.",
-    "report": "Write the calibration record of a session or a unit as a page.",
-    "devices": "List the devices that imumon knows.",
-    "plugins": "List what other packages add, and whether it loads.",
-    "virtual": "Be a device: a simulated AHRS on a pseudo-terminal.",
-    "simulate": "Make a session or a table of a scenario, with the truth.",
+OWN = {
+    "Watch and record": {
+        "monitor": "Record a device and watch it live.",
+        "replay": "Run a recording again: same code, same numbers.",
+        "view": "Show several sessions on one time axis.",
+        "mark": "Put a word into a recording that goes on.",
+        "recover": "Finish a session that was interrupted or damaged.",
+    },
+    "Data in and out": {
+        "decode": "Turn a raw capture or a session into a table.",
+        "import": "Make a session from a CSV or Parquet table, or from a log.",
+        "export": "Write the samples of a session as a table.",
+    },
+    "Understand a unit": {
+        "calibrate": "Find the bias over temperature from recordings at rest.",
+        "magnetometer": "Find hard and soft iron from a figure-eight.",
+        "allan": "Find noise, bias instability and drift of a recording at rest.",
+        "align": "Find the heading of a resting unit by the earth rate.",
+        "diagnose": "Name the effect that a bias model lacks.",
+        "learn": "Make a better bias model from all sessions of a unit.",
+        "plan": "Find the experiment that settles what a diagnosis leaves open.",
+    },
+    "Devices": {
+        "doctor": "Look what this computer lacks, and say what to do.",
+        "ports": "List serial ports.",
+        "detect": "Find baud rate and protocol of a device by trying.",
+        "devices": "List the devices that imumon knows.",
+        "plugins": "List what other packages add, and whether it loads.",
+    },
+    "Without hardware": {
+        "virtual": "Be a device: a simulated AHRS on a pseudo-terminal.",
+        "simulate": "Make a session or a table of a scenario, with the truth.",
+    },
 }
-"""Commands in the order of the help, with the line that it shows; NAME is in imumon.cli.NAME_command."""
+"""Commands of the core by group, with the line that the help shows; NAME is in imumon.cli.NAME_command."""
+
+
+@cache
+def commands(of_plugins: bool = False) -> dict[str, Command]:
+    """Return the commands by their names, in the order of the help; of each group first those of the core.
+
+    Raises BAD_CONFIG when a wing of another package does not load; those are looked for only where asked.
+    """
+    found = {
+        name: Command(group, text, f"imumon.cli.{name}_command")
+        for group, lines in OWN.items()
+        for name, text in lines.items()
+    }
+    for wing in wings() if of_plugins else built_in():
+        found |= {name: command for name, command in wing.commands.items() if name not in found}
+    return dict(sorted(found.items(), key=lambda item: GROUPS.index(item[1].group)))
 
 
 class _LazyGroup(click.Group):
     """Knows the names of its commands without importing them: the help must not wait for numpy."""
 
-    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
-        return list(COMMANDS)
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(_listed(ctx))
 
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
-        if cmd_name not in COMMANDS:
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if ctx.params.get("without_plugins"):
+            ctx.with_resource(_without_plugins())  # before the command is imported, which may ask the wings
+        found = commands().get(cmd_name) or commands(of_plugins=True).get(cmd_name)
+        if found is None:
             return None
-        command = import_module(f"imumon.cli.{cmd_name}_command").command
+        command = import_module(found.module).command
         assert isinstance(command, click.Command)
         return command
 
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
-        with formatter.section("Commands"):
-            formatter.write_dl(list(COMMANDS.items()))
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        for group in GROUPS:
+            lines = [(name, one.help) for name, one in _listed(ctx).items() if one.group == group]
+            if lines:
+                with formatter.section(group):
+                    formatter.write_dl(lines)
+
+
+def _listed(ctx: click.Context) -> dict[str, Command]:
+    """Return what the help lists; a wing that does not load is left out, `imumon plugins` says why."""
+    try:
+        return commands(of_plugins=not ctx.params.get("without_plugins"))
+    except ImumonError:
+        return commands()
 
 
 @click.group(
@@ -90,11 +128,8 @@ class _LazyGroup(click.Group):
 )
 @click.version_option(package_name="imumon")
 @click.option("--without-plugins", is_flag=True, help="Load nothing that other packages add.")
-@click.pass_context
-def cli(context: click.Context, without_plugins: bool) -> None:
+def cli(without_plugins: bool) -> None:
     """Watch, record and understand an IMU or AHRS on the bench."""
-    if without_plugins:
-        context.with_resource(_without_plugins())
 
 
 @contextmanager

@@ -37,9 +37,7 @@ def command(
             raise ImumonError(Reason.BAD_CONFIG, "--sensor is for logs, --map for tables", "give one of them")
         report = import_table(table, map_path, out)
     else:
-        from imumon.recordings.logs.importing import import_log
-
-        found = import_log(table, sensor, out)
+        found = _import_log(table, sensor, out)
         report = found.rows
         damage = found.damage
         if damage.places:
@@ -72,6 +70,16 @@ def command(
         rows["sensor"] = chosen["sensor"] + (f" (--sensor: {others})" if others else "")
         rows["scaling"] = chosen["scaling"]
     print_rows(rows)
+
+
+def _import_log(path: Path, sensor: str | None, out: Path) -> Any:
+    """Make a session of a log that needs no map; raises BAD_CONFIG when no wing reads logs."""
+    from imumon.wings import offers
+
+    readers = offers("import_log")
+    if not readers:
+        raise ImumonError(Reason.BAD_CONFIG, f"{path}: a table needs a map", "add --map MAP.yaml")
+    return readers[0](path, sensor, out)
 
 
 def _why(map_path: Path | None) -> str:

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
@@ -33,18 +33,25 @@ from imumon.cli.common import (
 )
 from imumon.cli.keys import Keys, single_keys
 from imumon.cli.live_run import PortRun
-from imumon.cli.publish_options import Published, publish_option, read_targets
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
+from imumon.wings import offers
 
 if TYPE_CHECKING:
-    from imumon.publishing.target import Target
+    from imumon.live_output import Running
     from imumon.run.live import LiveRun, LiveSummary
     from imumon.run.narration import Progress
     from imumon.run.setup import Setup
     from imumon.view.items import ViewItem, ViewSetup
     from imumon.view.publisher import ViewPublisher
     from imumon.view.terminal import TerminalView
+
+
+def _live_outputs(function: Callable[..., int]) -> Callable[..., int]:
+    """Add the options that the wings bring."""
+    for output in offers("live_output"):
+        function = output.option(function)
+    return function
 
 
 @click.command("monitor")
@@ -66,7 +73,7 @@ if TYPE_CHECKING:
     " wins.",
 )
 @setup_options
-@publish_option
+@_live_outputs
 @window_option
 @bind_option
 @json_option
@@ -78,12 +85,11 @@ def command(
     out: Path | None,
     serial: str | None,
     seconds: float | None,
-    publish: tuple[str, ...],
     window: float,
     bind: str,
     learn: bool,
     as_json: bool,
-    **options: Unpack[SetupOptions],
+    **options: Any,
 ) -> int:
     """Record the device on PORT and watch it live, until Ctrl-C or --seconds.
 
@@ -93,15 +99,16 @@ def command(
     from imumon.run.learning import compared, keep_learned
     from imumon.run.narration import view_setup
 
-    mode, targets = chosen_view(view, bind), read_targets(publish)
-    setup = _learning(make_setup(options), learn)
+    mode = chosen_view(view, bind)
+    outputs = [(one, one.parse(options.pop(one.name))) for one in offers("live_output")]
+    setup = _learning(make_setup(cast(SetupOptions, options)), learn)
     live = PortRun(port, device, baud, setup, out, seconds, serial)
     run = live.run
     views: _Views | None = None
     try:
         # The view's process starts while this one gets ready.
         shown = view_setup(run.session, run.pipeline.units, window)
-        views = _Views(shown, run, mode, bind, targets)
+        views = _Views(shown, run, mode, bind, [one.start(given, shown) for one, given in outputs])
         live.begin(views.publish)
         _watch(live, views)
     finally:
@@ -111,8 +118,8 @@ def command(
         live.lines.write()
     learned = keep_learned(run.pipeline, run.session) if setup.bias_model is not None else None
     if as_json:
-        also = {"view_dropped": views.dropped, "published": views.published.as_data}
-        print_json({**summary.as_dict(), **also, "learned_model": learned})
+        also = {name: said for one in views.outputs for name, said in one.as_data.items()}
+        print_json({**summary.as_dict(), "view_dropped": views.dropped, **also, "learned_model": learned})
     _report(summary, run.progress, views)
     if learned is not None:
         print_rows({"learned": f"{learned}; before and after: {compared(run.session, learned)}"})
@@ -137,7 +144,7 @@ class _Views:
     """The live view, if any, the recording of the view, and what other programs get."""
 
     def __init__(
-        self, setup: ViewSetup, run: LiveRun, mode: View, bind: str, targets: Sequence[Target]
+        self, setup: ViewSetup, run: LiveRun, mode: View, bind: str, outputs: Sequence[Running]
     ) -> None:
         from imumon.view.recorder import ViewRecorder
 
@@ -152,8 +159,10 @@ class _Views:
 
             self._live = ViewPublisher(mode, setup, bind=bind).start()
         self._recorder = ViewRecorder(run.session.view_path, setup, on_error=run.report_view_error)
-        self.published = Published(targets, setup)
-        self.publish: list[Callable[[ViewItem], None]] = [self._recorder.publish, *self.published.publish]
+        self.outputs = outputs
+        self.publish: list[Callable[[ViewItem], None]] = [self._recorder.publish]
+        for output in outputs:
+            self.publish += output.publish
         if self._live is not None:
             self.publish.append(self._live.publish)
         if self.terminal is not None:
@@ -171,18 +180,20 @@ class _Views:
     @property
     def state(self) -> str:
         """What the status line says of them."""
-        return (f"  view: {self._live.state}" if self._live else "") + self.published.text
+        return (f"  view: {self._live.state}" if self._live else "") + "".join(o.text for o in self.outputs)
 
     def announce(self, tell: Callable[[str, str], None]) -> None:
         """Say where the view is, as soon as it is known and when it changes."""
         if self._live is not None and self._live.url and self._live.url != self._announced:
             self._announced = self._live.url
             tell("INFO", f"live view: {self._live.url}")
-        self.published.announce(tell)
+        for output in self.outputs:
+            output.announce(tell)
 
     def close(self) -> None:
         self._recorder.end()
-        self.published.close()
+        for output in self.outputs:
+            output.close()
         if self._live is not None:
             self._live.close()
         self._recorder.close()
@@ -293,7 +304,8 @@ def _report(summary: LiveSummary, progress: Progress, views: _Views) -> None:
     rows["on disk"] = describe_disk(summary.session)
     if summary.wire.bytes_unrecorded:
         rows["NOT RECORDED"] = f"{summary.wire.bytes_unrecorded:,} bytes: {summary.recording_problem}"
-    rows |= views.published.rows
+    for output in views.outputs:
+        rows |= output.rows
     if views.dropped:
         rows["view"] = f"{views.dropped:,} items were not shown; the recording has them"
     rows["session"] = str(summary.session)

@@ -8,7 +8,7 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 
 from imumon.errors import ImumonError
-from imumon.plugins import DEVICES, EFFECTS, STAGES, entries, load, package_of
+from imumon.plugins import DEVICES, EFFECTS, STAGES, WINGS, entries, load, package_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +57,12 @@ def _sensors(entry: EntryPoint) -> list[str]:
     return [*guarded(load(entry, EFFECT, is_effect)).sensors]
 
 
+def _wing(entry: EntryPoint) -> list[str]:
+    from imumon.wings import NEEDED, is_wing
+
+    return [*load(entry, NEEDED, is_wing).offered.commands]
+
+
 _BRINGS: dict[str, Callable[[EntryPoint], list[str]]] = {
-    STAGES: _columns, DEVICES: _devices, EFFECTS: _sensors,
+    STAGES: _columns, DEVICES: _devices, EFFECTS: _sensors, WINGS: _wing,
 }  # fmt: skip

@@ -9,14 +9,14 @@ import threading
 import time
 from collections import deque
 from pathlib import Path
+from typing import Any
 
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
-from imumon.simulation.firmware.core import Sending
-from imumon.simulation.firmware.families import firmware_of
 from imumon.simulation.unit import Scenario, SimulatedUnit, load_scenario
 from imumon.simulation.unit.unit import MICROSECOND
 from imumon.simulation.virtual_port import BITS_PER_BYTE, VirtualPort
+from imumon.wings import firmware_of
 
 DEFAULT_RATE_HZ = 100.0
 TICK_S = 0.005
@@ -76,9 +76,10 @@ class VirtualDevice:
         refuse_overload(len(packet), self._rate_hz, device.serial.baudrates[0])
         self._switch_on(seed)
         self._rebooted = False
-        self.firmware = firmware_of(device, self._rate_hz)
-        """What answers commands; None for a kind of device that is not configured by imumon."""
-        self._sending: Sending | None = None
+        make = firmware_of(device.protocol)
+        self.firmware: Any = None if make is None else make(device, self._rate_hz)
+        """What answers commands, of the wing that has some for it; None for a device that does not listen."""
+        self._sending: Any = None
         self._closing = threading.Event()
         self.packets_sent = 0
         self.failure: ImumonError | None = None

@@ -13,24 +13,24 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from benchmarks.measure import Bar, Table
-from imumon.batch.dataset import RESULTS, ROWS, schema_of
+from imumon.fleet.batch.dataset import RESULTS, ROWS, schema_of
 
 SESSIONS, PARTS = 1_000_000, 270
-"""Files: a batch of a day writes so many (`imumon.batch.dataset.WRITE_SHARE`)."""
+"""Files: a batch of a day writes so many (`imumon.fleet.batch.dataset.WRITE_SHARE`)."""
 CHANNELS = [f"{kind}_{axis}" for kind in ("gyro", "accel", "mag") for axis in "xyz"]
 COMMAND = "allan"
 TASKS = {
-    "to find out what is done already": "from imumon.batch.dataset import Dataset\n"
-    "from imumon.batch.options import BatchOptions\nimport sys\nfrom pathlib import Path\n"
+    "to find out what is done already": "from imumon.fleet.batch.dataset import Dataset\n"
+    "from imumon.fleet.batch.options import BatchOptions\nimport sys\nfrom pathlib import Path\n"
     "assert len(Dataset(Path(sys.argv[1]), BatchOptions(command='allan')).done()) == int(sys.argv[2])",
-    "to find what failed": "from imumon.batch.dataset import Dataset\n"
-    "from imumon.batch.options import BatchOptions\nimport sys\nfrom pathlib import Path\n"
+    "to find what failed": "from imumon.fleet.batch.dataset import Dataset\n"
+    "from imumon.fleet.batch.options import BatchOptions\nimport sys\nfrom pathlib import Path\n"
     "assert not Dataset(Path(sys.argv[1]), BatchOptions(command='allan')).failures()",
     "a median per channel of all rows in DuckDB": "import duckdb, sys\n"
     "rows = duckdb.sql(f\"select channel, median(angle_random_walk) from '{sys.argv[1]}/rows/*.parquet'\"\n"
     "                  ' group by channel').fetchall()\nassert len(rows) == 9",
     "nothing but the imports": "import duckdb, sys\nfrom pathlib import Path\n"
-    "from imumon.batch.dataset import Dataset\nfrom imumon.batch.options import BatchOptions",
+    "from imumon.fleet.batch.dataset import Dataset\nfrom imumon.fleet.batch.options import BatchOptions",
 }
 MEMORY = "\nimport resource\nprint(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
 

@@ -16,10 +16,10 @@ from typing import Any
 import psutil
 
 from benchmarks.measure import Bar, Table
-from imumon.batch.dataset import Dataset, Row
-from imumon.batch.options import BatchOptions
-from imumon.batch.running import run_jobs, workers
-from imumon.batch.tasks import Job, work
+from imumon.fleet.batch.dataset import Dataset, Row
+from imumon.fleet.batch.options import BatchOptions
+from imumon.fleet.batch.running import run_jobs, workers
+from imumon.fleet.batch.tasks import Job, work
 from imumon.protocols.device import device_text, parse_device
 from imumon.simulation.recording import record_session
 from imumon.simulation.unit import load_scenario

@@ -10,7 +10,7 @@ from resource import RUSAGE_CHILDREN, getrusage
 
 from benchmarks.measure import Bar, Table
 from benchmarks.streams import samples
-from imumon.cli import COMMANDS
+from imumon.cli import commands as all_commands
 from imumon.protocols.device import load_device
 
 ROUNDS = 5
@@ -28,7 +28,7 @@ def run() -> tuple[list[Table], list[Bar]]:
             "python": ["-c", "pass"],
             "import numpy": ["-c", "import numpy"],
             "imumon --help": ["-c", IMUMON, "--help"],
-            **{f"imumon {name} --help": ["-c", IMUMON, name, "--help"] for name in COMMANDS},
+            **{f"imumon {name} --help": ["-c", IMUMON, name, "--help"] for name in all_commands()},
             f"imumon decode, {PACKETS} packets": ["-c", IMUMON, *decode],
         }
         best = dict.fromkeys(commands, float("inf"))

@@ -14,7 +14,7 @@ from imumon.cli import run
 from imumon.view.viewer import free_port, viewer_binary
 from support.browser import browser, browser_binary
 from support.screenshots import COLORS, PICTURES, SETTLE_S
-from tests.catalog.fleet import RUNAWAY, fleet
+from tests.fleet.catalog.fleet import RUNAWAY, fleet
 
 
 def main() -> int:

@@ -13,9 +13,9 @@ from pathlib import Path
 import rerun as rr
 from PIL import Image
 
+from imumon.fleet.rack.description import load_rack
+from imumon.fleet.rack.rack import Rack
 from imumon.protocols.device import device_text, load_device
-from imumon.rack.description import load_rack
-from imumon.rack.rack import Rack
 from imumon.view.items import Shown, ViewSetup
 from imumon.view.rrd import APPLICATION
 from imumon.view.units import UnitsLogger

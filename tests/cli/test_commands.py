@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from imumon import cli
-from imumon.cli import COMMANDS
+from imumon.cli import commands
 from imumon.cli.live_run import Ending, ending_signals
 from imumon.errors import EXIT_INTERRUPTED
 from imumon.protocols.device import load_device
@@ -97,7 +97,7 @@ def test_a_view_that_cannot_be_written_is_reported_once(
 def test_help_lists_every_command_and_imports_nothing_heavy() -> None:
     done = imumon("--help")
     assert done.returncode == 0
-    for name in COMMANDS:
+    for name in commands():
         assert f"  {name} " in done.stdout
 
 
@@ -105,13 +105,13 @@ def test_the_help_of_a_command_imports_nothing_heavy() -> None:
     code = (
         "import sys, imumon.cli\n"
         "heavy = 'numba numpy rerun pyarrow scipy matplotlib pint pydantic rich serial'.split()\n"
-        "for name in imumon.cli.COMMANDS:\n"
+        "for name, command in imumon.cli.commands().items():\n"
         "    assert imumon.cli.run([name, '--help']) == 0\n"
         "    assert not sys.modules.keys() & set(heavy), name\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.count("Usage: ") == len(COMMANDS)
+    assert done.stdout.count("Usage: ") == len(commands())
 
 
 def test_a_shell_is_told_what_may_come_next() -> None:

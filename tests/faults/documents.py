@@ -11,9 +11,9 @@ import numpy as np
 from imumon.allan.parameters import Noise
 from imumon.config import load_yaml
 from imumon.errors import ImumonError, Reason
+from imumon.fleet.rack.description import load_rack
 from imumon.models.model import load_model
 from imumon.protocols.device import device_text, load_device, parse_device
-from imumon.rack.description import load_rack
 from imumon.recordings.importing import TableImport
 from imumon.recordings.metadata import read_metadata
 from imumon.run.setup import load_setup

@@ -15,9 +15,9 @@ from scipy.io import loadmat
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.columns import KNOWN, Column
 from imumon.errors import ImumonError, Reason
+from imumon.logs.importing import import_log
 from imumon.pipeline import Pipeline
 from imumon.recordings.conversions import convert
-from imumon.recordings.logs.importing import import_log
 from imumon.recordings.ros2 import SECOND_NS, write_ros2
 from imumon.recordings.side_tables import export_run
 from imumon.recordings.source import open_source, run_over

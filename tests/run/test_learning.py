@@ -22,8 +22,8 @@ from imumon.simulation.recording import record_session
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.scenario import Scenario
 from imumon.simulation.unit.unit import MICROSECOND
-from tests.batch.sessions import tiny
 from tests.cli.command import IMUMON, answer, imumon
+from tests.fleet.batch.sessions import tiny
 from tests.waiting import unread, wait_until
 
 RATE_HZ, SECONDS, LAG_S = 5.0, 1950, 90.0

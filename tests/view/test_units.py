@@ -7,7 +7,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
-from imumon.rack.feed import picture
+from imumon.fleet.rack.feed import picture
 from imumon.view import units
 from imumon.view.blueprint import arranged
 from imumon.view.items import (

@@ -1,0 +1,196 @@
+"""The line to a device that is asked: sends a request, finds the answer among the data, asks again."""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+
+from imumon.configure.commands.core import CommandError, Family, Refusal, Request
+from imumon.errors import ImumonError, Reason
+from imumon.protocols.device import DeviceFile
+from imumon.transport.detect import GLANCE_S, Evidence, Verdict, detect
+from imumon.transport.errors import wrong_baud_error
+from imumon.transport.port import Port, open_port
+from imumon.transport.settings import PortSettings
+
+TRIES = 3
+"""A request and two repetitions: a byte may be lost on the line, and one that is lost thrice is no chance."""
+LATE_S = 0.2
+"""How long an answer to the first try may still come when a later one has been answered."""
+POLL_S = 0.05
+HEAR_S = 1.2
+"""How long a port is listened to before it counts as silent: one packet a second would come."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """A request that went over the line, and whether it was answered; None where devices do not answer."""
+
+    request: Request
+    answered: bool | None
+
+
+class CommandLink:
+    """A device at the end of an open port.
+
+    Parameters
+    ----------
+    port : Port
+        Owned from now on.
+    family : Family
+        Tells answers from data.
+    streaming : bool
+        Whether the device sent data when it was found.
+    """
+
+    def __init__(self, port: Port, family: Family, streaming: bool) -> None:
+        self.port, self.streaming = port, streaming
+        self._family = family
+        self.sent: list[Sent] = []
+
+    def ask(self, request: Request, tries: int = TRIES) -> bytes:
+        """Send a request and return its answer; empty for one that devices do not answer.
+
+        Raises CommandError the device said no, or nothing; LOST when the port failed.
+        """
+        for number in range(tries):
+            self.discard()
+            self.port.write(request.frame)
+            if request.answer is None:
+                self.sent.append(Sent(request, None))
+                self.discard(request.timeout_s)
+                return b""
+            answer = self._answer(request)
+            self.sent.append(Sent(request, answer is not None))
+            if answer is not None and number:
+                self.discard(LATE_S)
+            if isinstance(answer, Refusal):
+                raise CommandError(request, answer.why, refused=True)
+            if answer is not None:
+                return answer
+        times = f", asked {tries} times" if tries > 1 else ""
+        raise CommandError(request, f"no answer within {request.timeout_s:g} s{times}", refused=False)
+
+    def _answer(self, request: Request) -> bytes | Refusal | None:
+        assert request.answer is not None
+        held, end = bytearray(), time.monotonic() + request.timeout_s
+        while True:
+            left = end - time.monotonic()
+            data = self.port.read(max(min(left, POLL_S), 0.0))
+            held += data
+            messages, done = self._family.messages(bytes(held))
+            for message in messages:
+                answer = request.answer(message)
+                if answer is not None:
+                    return answer
+            del held[:done]
+            if left <= 0.0 and (not data or left < -POLL_S):  # what came while the host stalled is read, too
+                return None
+
+    def discard(self, seconds: float = 0.0) -> int:
+        """Take what has come, and what comes within so many seconds; return how many bytes that was."""
+        end, count = time.monotonic() + seconds, 0
+        while True:
+            left = end - time.monotonic()
+            data = self.port.read(max(min(left, POLL_S), 0.0))
+            count += len(data)
+            if left <= 0.0 and (not data or left < -POLL_S):
+                return count
+
+    def answers_at(self, baudrate: int | None, seconds: float) -> bool:
+        """Tell whether the device answers at a rate, asking for so many seconds."""
+        if baudrate is not None and self.port.settings.baudrate != baudrate:
+            self.port.set_baudrate(baudrate)
+        end = time.monotonic() + seconds
+        while True:
+            try:
+                self.ask(self._family.hello(), tries=1)
+            except CommandError as error:
+                if error.refused:
+                    return True
+                if time.monotonic() >= end:
+                    return False
+            else:
+                return True
+
+    def close(self) -> None:
+        """Close the port."""
+        self.port.close()
+
+
+def connect(url: str, device: DeviceFile, family: Family, baudrate: int | None) -> CommandLink:
+    """Open a port at the rate of the device, found by listening, and ask whether it is one of the family.
+
+    Raises ImumonError what opening a port raises; WRONG_BAUD when something else is there; SILENT when
+    nothing answers.
+
+    Parameters
+    ----------
+    url : str
+        The port.
+    device : DeviceFile
+        Its decoder and its rates; what its packets are known by.
+    baudrate : int or None
+        Rate at which the device talks; found when None.
+    """
+    device.decoder().feed(b"\0", 0)  # compiled kernels are loaded before bytes pile up
+    evidence = _heard(url, device) if baudrate is None else []
+    rates = [baudrate] if baudrate is not None else _rates_heard(url, device, evidence)
+    line = device.serial
+    settings = PortSettings(url, rates[0], line.bytesize, line.parity, line.stopbits)
+    link = CommandLink(open_port(settings), family, streaming=False)
+    try:
+        link.streaming = link.discard(HEAR_S if not any(item.packets for item in evidence) else 0.1) > 0
+        link.streaming |= any(item.packets for item in evidence)
+        for rate in rates:
+            if link.answers_at(rate, 1.0 if len(rates) == 1 else 0.0):
+                return link
+        raise _mute(link, device, rates)
+    except BaseException:
+        with suppress(ImumonError):
+            for request in family.resume() if family.hello_quiets and link.streaming else ():
+                link.port.write(request.frame)  # it may have heard the question and be quiet since
+        link.close()
+        raise
+
+
+def _heard(url: str, device: DeviceFile) -> list[Evidence]:
+    """Listen at the rates of a device at a glance, and for longer where bytes came that are no packet yet."""
+    evidence: list[Evidence] = []
+    for seconds in (GLANCE_S, HEAR_S):
+        evidence = detect(url, {device.name: device.decoder}, device.serial.baudrates, seconds)
+        if evidence[0].verdict is not Verdict.NOTHING:
+            break
+    return evidence
+
+
+def _rates_heard(url: str, device: DeviceFile, evidence: list[Evidence]) -> list[int]:
+    """Return the rate at which packets of the device came; when nothing came, all of its rates."""
+    best = evidence[0]
+    if best.verdict not in (Verdict.NOTHING, Verdict.SILENT):
+        return [best.baudrate or device.serial.baudrates[0]]
+    if not any(item.bytes_received for item in evidence):
+        return list(device.serial.baudrates) if PortSettings(url).has_line else [device.serial.baudrates[0]]
+    settings = PortSettings(url, baudrate=best.baudrate or device.serial.baudrates[0])
+    seen = wrong_baud_error(settings, best.bytes_per_s, best.share_framed, best.odd_share).seen
+    raise ImumonError(
+        Reason.WRONG_BAUD,
+        f"{seen}: this is no {device.name} device, or it talks at none of its usual rates",
+        f"nothing was sent.  imumon detect {url} tells what it is; --at sets the rate",
+    )
+
+
+def _mute(link: CommandLink, device: DeviceFile, rates: list[int]) -> ImumonError:
+    tried = ", ".join(map(str, rates))
+    if link.streaming:
+        return ImumonError(
+            Reason.SILENT,
+            f"{link.port.settings} sends, but no {device.name} device answers (asked at {tried} baud)",
+            "is the line to the device (TX of the adapter) connected?  Does it take commands on this port?",
+        )
+    return ImumonError(
+        Reason.SILENT,
+        f"{link.port.settings.url}: no data, and no {device.name} device answers (asked at {tried} baud)",
+        "check power, wiring (RX and TX swapped?) and the rate (--at)",
+    )

@@ -1,0 +1,319 @@
+"""What talking to a device takes, whatever the family: requests, answers among data, settings by name.
+
+A device has settings, each a few bytes under a name; a family knows which requests read, write and save them,
+which values make a rate and outputs, and how answers are told from the data that come between them.  Nothing
+here opens a port: `imumon.configure.configuration` sends.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from imumon.errors import ImumonError, Reason
+from imumon.protocols.device import DeviceFile
+from imumon.protocols.framing import INCOMPLETE, Frame
+
+OUTPUTS = {
+    "inertial": "angular rate and specific force, corrected as little as the device has them",
+    "increments": "rotation and velocity over the sample",
+    "magnetometer": "magnetic field",
+    "temperature": "temperature of the sensors",
+    "pressure": "air pressure",
+    "attitude": "attitude of the device's own filter",
+    "status": "status word of the device",
+}
+"""What can be asked for, whatever the family; the time or counter of the sample comes with it."""
+
+USUAL_COLUMNS: dict[str, tuple[str, ...]] = {
+    "inertial": ("gyro_x",),
+    "increments": ("delta_velocity_x",),
+    "magnetometer": ("mag_x",),
+    "temperature": ("temperature",),
+    "pressure": ("pressure",),
+    "attitude": ("q_w",),
+    "status": ("status",),
+}
+"""For each output the columns of which one must come, in most families."""
+
+BAUD = "baud rate"
+"""Name of the setting that changes the line itself."""
+ANSWER_S = 0.5
+"""Time for an answer: at 9600 baud a packet of 200 bytes before it takes 0.2 s."""
+SAVE_S = 3.0
+"""Time for an answer to a write into flash, which takes devices up to a second."""
+CLOSE_ENOUGH = 1e-3
+"""A rate is the device's own when it differs by less: 266.67 Hz is 800 / 3."""
+MOST_DIVISOR = 65_535
+"""Sixteen bits."""
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """An answer, or what may be one: which kind, and what it carries."""
+
+    kind: int | str
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """The device says no, and why."""
+
+    why: str
+
+
+Reader = Callable[[Message], bytes | Refusal | None]
+"""Tells what a message answers to a request; None when it is not the answer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """Something to send."""
+
+    meaning: str
+    """In words."""
+    frame: bytes
+    """As it goes over the line."""
+    answer: Reader | None
+    """Finds the answer; None when the device does not answer to it."""
+    timeout_s: float = ANSWER_S
+    """How long to wait for the answer."""
+
+    @property
+    def shown(self) -> str:
+        """The frame as people read it: text as text, anything else as hexadecimal bytes."""
+        text = self.frame.rstrip(b"\r\n")
+        return (
+            text.decode() if text.isascii() and text.decode().isprintable() else self.frame.hex(" ").upper()
+        )
+
+
+class CommandError(Exception):
+    """A request came to nothing.
+
+    Parameters
+    ----------
+    refused : bool
+        Whether the device said no; else it did not answer.
+    """
+
+    def __init__(self, request: Request, why: str, refused: bool) -> None:
+        super().__init__(f"{request.meaning}: {why}")
+        self.request, self.why, self.refused = request, why, refused
+
+
+Ask = Callable[[Request], bytes]
+"""Sends a request and returns the answer; raises CommandError."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What a user asked for; None: as it is."""
+
+    rate_hz: float | None = None
+    outputs: tuple[str, ...] | None = None
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing is to be changed."""
+        return self.rate_hz is None and self.outputs is None
+
+
+def packets_among(data: bytes, frame: Frame) -> tuple[list[bytes], int]:
+    """Return the packets among bytes, and how many bytes are done with.
+
+    A packet that is cut off hides none behind it, as it may be none: an answer would come too late.
+    """
+    held = np.frombuffer(data, np.uint8)
+    places = frame.places(held)
+    sizes = frame.measured(held, places)
+    whole = sizes > 0
+    sizes[whole] = frame.judged(held, places[whole], sizes[whole], final=True)
+    found: list[bytes] = []
+    end, cut = 0, len(data)
+    for at, size in zip(places.tolist(), sizes.tolist(), strict=True):
+        if size > 0 and at >= end:
+            found.append(data[at : at + size])
+            end = at + size
+        elif size == INCOMPLETE and at >= end:
+            cut = min(cut, at)
+    return found, cut
+
+
+class Family(ABC):
+    """How devices of a family are configured: pure functions of settings, which are bytes under names."""
+
+    title: ClassVar[str]
+    columns: ClassVar[Mapping[str, tuple[str, ...]]]
+    """For each output the columns of which one must come when it is on."""
+    baudrates: ClassVar[Sequence[int]]
+    verified: ClassVar[str]
+    """Against what the commands were checked."""
+    stores_at_once: ClassVar[bool] = False
+    """Whether the device writes into flash whatever it is told."""
+    save_confirmed: ClassVar[bool] = True
+    """Whether the device says that it has written into flash."""
+    hello_quiets: ClassVar[bool] = False
+    """Whether the first question stops the data."""
+    reset_s: ClassVar[float] = 0.0
+    """How long the device is deaf after it has changed its baud rate."""
+    silent_hint: ClassVar[str] = ""
+    """What else may be wrong when the device takes its settings and no data come."""
+    identity: tuple[str, ...] = ()
+    """What the device says of itself, after `learn`."""
+
+    answer_frame: ClassVar[Frame]
+    """How what may be an answer is told from other bytes."""
+
+    @classmethod
+    def of(cls, device: DeviceFile) -> Self:
+        """Return the family as a device file has it."""
+        del device
+        return cls()
+
+    @staticmethod
+    @abstractmethod
+    def message(packet: bytes) -> Message:
+        """Return what a packet carries."""
+
+    def messages(self, held: bytes) -> tuple[list[Message], int]:
+        """Return what in these bytes may be an answer, and how many of them are done with."""
+        packets, done = packets_among(held, self.answer_frame)
+        return [self.message(packet) for packet in packets], done
+
+    @abstractmethod
+    def hello(self) -> Request:
+        """Return a request that changes no setting and that every device of the family answers."""
+
+    def quiet(self) -> tuple[Request, ...]:
+        """Return what stops the data while the settings change."""
+        return ()
+
+    def resume(self) -> tuple[Request, ...]:
+        """Return what lets the data come again."""
+        return ()
+
+    def questions(self) -> tuple[Request, ...]:
+        """Return what `learn` asks of a device of the newest kind."""
+        return ()
+
+    def learn(self, ask: Ask) -> Self:
+        """Return the family as this device has it: its commands, its base rate."""
+        del ask
+        return self
+
+    def assumed(self) -> tuple[str, ...]:
+        """Return what is taken for granted where no device is asked."""
+        return ()
+
+    @abstractmethod
+    def settings(self) -> tuple[str, ...]:
+        """Return the names of the settings that are read, the baud rate last."""
+
+    @abstractmethod
+    def read(self, name: str) -> Request:
+        """Return the request that reads a setting."""
+
+    @abstractmethod
+    def write(self, name: str, value: bytes) -> tuple[Request, ...]:
+        """Return what sets a setting."""
+
+    @abstractmethod
+    def save(self, names: Sequence[str]) -> tuple[Request, ...]:
+        """Return what writes these settings, or all where a device cannot choose, into flash."""
+
+    @abstractmethod
+    def wanted(self, present: Mapping[str, bytes], wish: Wish) -> dict[str, bytes]:
+        """Return the settings that make the wish true.
+
+        Raises BAD_CONFIG when the device has no such rate.
+        """
+
+    def wanted_hz(self, present: Mapping[str, bytes], wish: Wish) -> float:
+        """Return the rate that is wished for, else that which is there.
+
+        Raises BAD_CONFIG when there is neither.
+        """
+        rate_hz = wish.rate_hz or (self.rate_hz(present) if present else None)
+        if rate_hz is None:
+            raise nothing_to_keep("rate", "give --rate")
+        return rate_hz
+
+    def settled(self, name: str, wanted: bytes, found: bytes) -> bool:
+        """Tell whether what reads back is what was wanted."""
+        del name
+        return wanted == found
+
+    @abstractmethod
+    def bytes_per_s(self, values: Mapping[str, bytes]) -> float:
+        """Return what these settings send."""
+
+    @abstractmethod
+    def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
+        """Return the rate of the inertial data, or None when none come."""
+
+    @abstractmethod
+    def describe(self, name: str, value: bytes) -> str:
+        """Say in words what a value of a setting means."""
+
+    @abstractmethod
+    def baud_value(self, baudrate: int) -> bytes:
+        """Return the value of the baud setting."""
+
+    @abstractmethod
+    def baud_of(self, value: bytes) -> int | None:
+        """Return the baud rate of a value; None when it is not known."""
+
+    def check(self, wish: Wish, baudrate: int | None) -> None:
+        """Refuse what no device of the family has, before anything is sent.
+
+        Raises BAD_CONFIG, naming what there is.
+        """
+        for name in wish.outputs or ():
+            if name not in OUTPUTS:
+                raise _lacking(f"no output {name!r}", self.columns)
+            if name not in self.columns:
+                raise _lacking(f"{self.title} devices have no {name} ({OUTPUTS[name]})", self.columns)
+        if baudrate is not None and baudrate not in self.baudrates:
+            there = ", ".join(map(str, self.baudrates))
+            raise ImumonError(
+                Reason.BAD_CONFIG, f"no baud rate {baudrate}", f"{self.title} devices have {there}"
+            )
+
+
+def _lacking(seen: str, there: Mapping[str, object]) -> ImumonError:
+    return ImumonError(Reason.BAD_CONFIG, seen, f"there are: {', '.join(there)}")
+
+
+def no_rate(rate_hz: float, there: Sequence[float], why: str) -> ImumonError:
+    """Return the error that a device has no such rate, with the nearest ones below and above."""
+    below = max((rate for rate in there if rate <= rate_hz), default=None)
+    above = min((rate for rate in there if rate >= rate_hz), default=None)
+    near = " and ".join(f"{rate:.6g}" for rate in (below, above) if rate is not None)
+    return ImumonError(Reason.BAD_CONFIG, f"no rate of {rate_hz:g} Hz ({why})", f"nearest: {near} Hz")
+
+
+def nothing_to_keep(what: str, option: str) -> ImumonError:
+    """Return the error that something is to stay as it is, and there is nothing."""
+    return ImumonError(
+        Reason.BAD_CONFIG, f"the device sends nothing now, so there is no {what} to keep", option
+    )
+
+
+def divisor(base_hz: float, rate_hz: float) -> int:
+    """Return the whole number by which a base rate is divided to give this one.
+
+    Raises BAD_CONFIG when there is none, with the nearest rates.
+    """
+    exact = base_hz / rate_hz
+    by = min(max(round(exact), 1), MOST_DIVISOR)
+    if abs(base_hz / by / rate_hz - 1) <= CLOSE_ENOUGH:
+        return by
+    low = min(max(int(exact), 1), MOST_DIVISOR)
+    there = [base_hz / low, base_hz / min(low + 1, MOST_DIVISOR)]
+    raise no_rate(rate_hz, there, f"the device divides {base_hz:g} Hz by a whole number")

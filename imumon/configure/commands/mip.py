@@ -1,0 +1,338 @@
+"""Configuring a MicroStrain device that speaks MIP.
+
+From the data communications protocols and the public definitions of the vendor's SDK.  A command is a packet
+of a command set; the answer is a packet of the same set with an acknowledgement (field 0xF1: command, code)
+and perhaps a field with data.  Settings are applied (1), read (2) and saved (3) by a function selector, so
+nothing is in flash unless it is saved.  Newer devices have one command for the format of any data set (0x0F),
+older ones one for each (0x08, 0x0A): the device is asked which it knows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+from imumon.configure.commands.core import (
+    BAUD,
+    SAVE_S,
+    USUAL_COLUMNS,
+    Ask,
+    CommandError,
+    Family,
+    Message,
+    Refusal,
+    Request,
+    Wish,
+    divisor,
+    nothing_to_keep,
+)
+from imumon.errors import ImumonError, Reason
+from imumon.protocols.device import DeviceFile
+from imumon.protocols.framing import Frame, counted_length
+from imumon.protocols.mip import ERRORS, FILTER, SENSOR, SET_NAMES, Clock, MipDevice, mip_fields
+from imumon.protocols.mip_filter import Attitude
+from imumon.protocols.tagged import MIP
+
+SYNC = b"\x75\x65"
+AROUND, LONGEST = 6, 261
+"""Bytes of a packet besides its payload, and of the longest."""
+CHECK = MIP.check
+BASE, THREE_DM = 0x01, 0x0C
+PING, IDLE, DEVICE_INFO, RESUME, COMM_SPEED = 0x01, 0x02, 0x03, 0x06, 0x09
+IMU_BASE_RATE, IMU_FORMAT, FILTER_FORMAT, FILTER_BASE_RATE = 0x06, 0x08, 0x0A, 0x0B
+BASE_RATE, FORMAT, STREAM, UART_BAUD = 0x0E, 0x0F, 0x11, 0x40
+ACK = 0xF1
+APPLY, READ, SAVE = b"\x01", b"\x02", b"\x03"
+ANSWERS = {(BASE, DEVICE_INFO): 0x81, (BASE, COMM_SPEED): 0x89, (THREE_DM, IMU_BASE_RATE): 0x83,
+           (THREE_DM, FILTER_BASE_RATE): 0x8A, (THREE_DM, IMU_FORMAT): 0x80, (THREE_DM, FILTER_FORMAT): 0x82,
+           (THREE_DM, BASE_RATE): 0x8E, (THREE_DM, FORMAT): 0x8F, (THREE_DM, STREAM): 0x85,
+           (THREE_DM, UART_BAUD): 0x87}  # fmt: skip
+"""Descriptor of the data in the answer to each command."""
+ASKING = {(BASE, DEVICE_INFO), (THREE_DM, IMU_BASE_RATE), (THREE_DM, FILTER_BASE_RATE), (THREE_DM, BASE_RATE)}
+"""Commands without a function selector whose answer has data."""
+MAIN_PORT = b"\x01"
+OLD_SELECTOR = {SENSOR: 0x01, FILTER: 0x03}
+"""How older devices name the streams of the data sets."""
+SENSOR_FORMAT, FILTER_FORMAT_NAME = "sensor format", "filter format"
+SENSOR_STREAM, FILTER_STREAM = "sensor stream", "filter stream"
+OF_SET = {SENSOR_FORMAT: SENSOR, FILTER_FORMAT_NAME: FILTER, SENSOR_STREAM: SENSOR, FILTER_STREAM: FILTER}
+ON, OFF = b"\x01", b"\x00"
+USUAL_BASE_HZ = 500
+
+SENSOR_FIELDS: Mapping[str, tuple[int, ...]] = {
+    "inertial": (0x04, 0x05),
+    "increments": (0x07, 0x08),
+    "magnetometer": (0x06,),
+    "temperature": (0x14,),
+    "pressure": (0x17,),
+    "status": (0x18,),
+}
+TIME = {"reference": (0xD5, 0xD5), "gps": (0x12, 0x11)}
+"""Field that dates a packet of the sensors, and one of the filter."""
+
+
+def frame(descriptor_set: int, *fields: tuple[int, bytes]) -> bytes:
+    """Return a packet of fields."""
+    payload = b"".join(bytes([len(data) + 2, code]) + data for code, data in fields)
+    return CHECK.sealed(SYNC + bytes([descriptor_set, len(payload)]) + payload)
+
+
+def fields(payload: bytes) -> list[tuple[int, bytes]]:
+    """Return descriptor and data of the fields of a packet, as far as they make sense."""
+    found = []
+    while len(payload) >= 2 and 2 <= payload[0] <= len(payload):
+        found.append((payload[1], payload[2 : payload[0]]))
+        payload = payload[payload[0] :]
+    return found
+
+
+def request(
+    command_set: int, command: int, data: bytes, meaning: str, strip: int = 0, timeout_s: float = 0.5
+) -> Request:
+    """Return a command; its answer is the data behind the first `strip` bytes, which repeat the question."""
+    asking = (command_set, command) in ASKING
+    repeated = data[:strip] if asking else data[1 : 1 + strip]
+
+    def answer(message: Message) -> bytes | Refusal | None:
+        there = fields(message.payload) if message.kind == command_set else []
+        acks = [ack for code, ack in there if code == ACK and len(ack) == 2 and ack[0] == command]
+        if not acks:
+            return None
+        if acks[0][1]:
+            code = acks[0][1]
+            return Refusal(ERRORS.get(code, f"code {code}"))
+        wanted = ANSWERS.get((command_set, command))
+        found = [value for code, value in there if code == wanted]
+        if not found:
+            return None if asking or data[:1] == READ else b""
+        return found[0][strip:] if found[0][:strip] == repeated else None
+
+    return Request(meaning, frame(command_set, (command, data)), answer, timeout_s)
+
+
+def formatted(value: bytes) -> list[tuple[int, int]]:
+    """Return descriptor and decimation of each field in a message format."""
+    count = value[0] if value else 0
+    items = [(value[at], int.from_bytes(value[at + 1 : at + 3], "big")) for at in range(1, len(value) - 2, 3)]
+    return items[:count]
+
+
+def message_format(items: Sequence[tuple[int, int]]) -> bytes:
+    """Return a message format: how many fields, and each with its decimation."""
+    return bytes([len(items)]) + b"".join(bytes([code]) + by.to_bytes(2, "big") for code, by in items)
+
+
+@dataclass(frozen=True)
+class Mip(Family):
+    """Commands of a MicroStrain device."""
+
+    attitude: Attitude = "filter"
+    clock: Clock = "reference"
+    """As in the device file."""
+    modern: bool = True
+    """Whether one command has the format of any data set."""
+    base_hz: Mapping[int, int] = field(default_factory=lambda: {SENSOR: USUAL_BASE_HZ, FILTER: USUAL_BASE_HZ})
+    """Base rate of each data set that the device has, of those that are configured."""
+    speed_in_base: bool = False
+    """Whether the baud rate is set by a base command."""
+    identity: tuple[str, ...] = ()
+    answer_frame: ClassVar[Frame] = Frame("MIP", SYNC, counted_length(3, 1, AROUND, LONGEST), CHECK)
+    title: ClassVar[str] = "MicroStrain"
+    verified: ClassVar[str] = (
+        "frames of other programs (0x08, 0x0A), and the virtual device; never a real unit"
+    )
+    baudrates: ClassVar[Sequence[int]] = (115_200, 230_400, 460_800, 921_600)
+    columns: ClassVar[Mapping[str, tuple[str, ...]]] = USUAL_COLUMNS | {"status": ("overrange",)}
+
+    @classmethod
+    def of(cls, device: DeviceFile) -> Mip:
+        """Return the family with what the device file calls attitude and clock."""
+        assert isinstance(device, MipDevice)
+        return cls(device.attitude, device.clock)
+
+    @staticmethod
+    def message(packet: bytes) -> Message:
+        """Return descriptor set and fields."""
+        return Message(packet[2], packet[4:-2])
+
+    def hello(self) -> Request:
+        """Return a ping."""
+        return request(BASE, PING, b"", "Ping")
+
+    def quiet(self) -> tuple[Request, ...]:
+        """Return SetToIdle."""
+        return (request(BASE, IDLE, b"", "SetToIdle: no data while settings change"),)
+
+    def resume(self) -> tuple[Request, ...]:
+        """Return Resume."""
+        return (request(BASE, RESUME, b"", "Resume: data again"),)
+
+    def questions(self) -> tuple[Request, ...]:
+        """Return requests for the name, the base rates, and by which command the baud rate is set."""
+        return (
+            request(BASE, DEVICE_INFO, b"", "GetDeviceInfo", timeout_s=SAVE_S),
+            _base_rate(True, SENSOR),
+            _base_rate(True, FILTER),
+            request(THREE_DM, UART_BAUD, READ, "read baud rate (UARTBaudRate)"),
+        )
+
+    def learn(self, ask: Ask) -> Mip:
+        """Ask what it is, which commands it knows and its base rates."""
+        about, sensors, _, uart = self.questions()
+        info = ask(about)
+        said = tuple(
+            filter(None, (info[at : at + 16].decode("ascii", "replace").strip(" \0") for at in (2, 18, 34)))
+        )
+        rate = _known(ask, sensors)
+        modern = rate is not None
+        answers = {
+            SENSOR: rate if modern else _known(ask, _base_rate(False, SENSOR)),
+            FILTER: _known(ask, _base_rate(modern, FILTER)),
+        }
+        rates = {of: int.from_bytes(answer[:2], "big") for of, answer in answers.items() if answer}
+        rates = {of: base for of, base in rates.items() if base}
+        if SENSOR not in rates:
+            raise ImumonError(Reason.BAD_DATA, "the device tells no base rate of its sensors")
+        there = replace(self, identity=said, modern=modern, base_hz=rates)
+        return replace(there, speed_in_base=_known(ask, uart) is None)
+
+    def assumed(self) -> tuple[str, ...]:
+        """Return the base rate."""
+        return (
+            f"base rate {USUAL_BASE_HZ} Hz for sensors and filter; it is asked of the device first",
+            "message format by command 0x0F; older devices are told by 0x08 and 0x0A",
+        )
+
+    def settings(self) -> tuple[str, ...]:
+        """Return formats and streams of the data sets that there are, and the baud rate."""
+        return (*(name for name, of in OF_SET.items() if of in self.base_hz), BAUD)
+
+    def _command(self, name: str) -> tuple[int, int, bytes]:
+        """Return command set, command, and what follows the function selector."""
+        if name == BAUD:
+            return (BASE, COMM_SPEED, MAIN_PORT) if self.speed_in_base else (THREE_DM, UART_BAUD, b"")
+        of = OF_SET[name]
+        if name in (SENSOR_STREAM, FILTER_STREAM):
+            return THREE_DM, STREAM, bytes([of if self.modern else OLD_SELECTOR[of]])
+        if self.modern:
+            return THREE_DM, FORMAT, bytes([of])
+        return THREE_DM, IMU_FORMAT if of == SENSOR else FILTER_FORMAT, b""
+
+    def read(self, name: str) -> Request:
+        """Return the command with the function selector READ."""
+        command_set, command, of = self._command(name)
+        return request(command_set, command, READ + of, f"read {name}", len(of))
+
+    def write(self, name: str, value: bytes) -> tuple[Request, ...]:
+        """Return the command with the function selector WRITE."""
+        command_set, command, of = self._command(name)
+        return (request(command_set, command, APPLY + of + value, f"{name}: {self.describe(name, value)}"),)
+
+    def save(self, names: Sequence[str]) -> tuple[Request, ...]:
+        """Return the commands with the function selector SAVE: these settings only."""
+        found = []
+        for name in names:
+            command_set, command, of = self._command(name)
+            found.append(request(command_set, command, SAVE + of, f"save {name}", timeout_s=SAVE_S))
+        return tuple(found)
+
+    def _fields(self, outputs: Sequence[str], of: int) -> list[int]:
+        """Return the descriptors of outputs in a data set, the time first."""
+        own = FILTER if self.attitude == "filter" else SENSOR
+        found = [code for name in outputs for code in SENSOR_FIELDS.get(name, ())] if of == SENSOR else []
+        if "attitude" in outputs and of == own:
+            found.append(0x03 if of == FILTER else 0x0A)
+        return [TIME[self.clock][of == FILTER], *found] if found else []
+
+    def wanted(self, present: Mapping[str, bytes], wish: Wish) -> dict[str, bytes]:
+        """Return formats and streams; see `Family.wanted`."""
+        if wish.empty:
+            return {}
+        if (
+            wish.outputs
+            and "attitude" in wish.outputs
+            and self.attitude == "filter"
+            and FILTER not in self.base_hz
+        ):
+            raise ImumonError(
+                Reason.BAD_CONFIG, "this device has no filter to take an attitude from",
+                "use a device file with attitude: imu (imumon devices microstrain)",
+            )  # fmt: skip
+        rate, result = self.wanted_hz(present, wish), {}
+        for name in (SENSOR_FORMAT, FILTER_FORMAT_NAME):
+            of = OF_SET[name]
+            if of not in self.base_hz:
+                continue
+            codes = (
+                [code for code, _ in formatted(present[name])]
+                if wish.outputs is None
+                else self._fields(wish.outputs, of)
+            )
+            by = divisor(self.base_hz[of], rate) if codes else 1
+            result[name] = message_format([(code, by) for code in codes])
+            if codes:
+                result[name.replace("format", "stream")] = ON
+        if not any(formatted(value) for name, value in result.items() if "format" in name):
+            raise nothing_to_keep("output", "give --outputs")
+        return result
+
+    def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
+        """Return the rate of the fastest field of the sensors, else of the filter."""
+        for name in (SENSOR_FORMAT, FILTER_FORMAT_NAME):
+            items = [by for _, by in formatted(values.get(name, b"")) if by]
+            if items:
+                return self.base_hz[OF_SET[name]] / min(items)
+        return None
+
+    def bytes_per_s(self, values: Mapping[str, bytes]) -> float:
+        """Return packets of both data sets, as long as they do not exceed 255 bytes of fields."""
+        sizes = {field.key: field.size for field in mip_fields(self.attitude, self.clock)}
+        total = 0.0
+        for name in (SENSOR_FORMAT, FILTER_FORMAT_NAME):
+            of, items = OF_SET[name], [(code, by) for code, by in formatted(values.get(name, b"")) if by]
+            if items and values.get(name.replace("format", "stream")) != OFF:
+                base = self.base_hz[of]
+                total += 6 * base / min(by for _, by in items)
+                total += sum((2 + max(sizes.get(of << 8 | code, 0), 0)) * base / by for code, by in items)
+        return total
+
+    def describe(self, name: str, value: bytes) -> str:
+        """Say what a value means."""
+        if name == BAUD:
+            return str(self.baud_of(value) or value.hex())
+        if name in (SENSOR_STREAM, FILTER_STREAM):
+            return "off" if value == OFF else "on"
+        of = OF_SET[name]
+        names = {item.key: item.name for item in mip_fields(self.attitude, self.clock)}
+        base = self.base_hz.get(of, USUAL_BASE_HZ)
+        shown = [
+            f"{names.get(of << 8 | code, f'0x{code:02X}')} {f'{base / by:.6g} Hz' if by else 'never'}"
+            for code, by in formatted(value)
+        ]
+        return ", ".join(shown) or "nothing"
+
+    def baud_value(self, baudrate: int) -> bytes:
+        """Return the baud rate as a number of 32 bits."""
+        return baudrate.to_bytes(4, "big")
+
+    def baud_of(self, value: bytes) -> int | None:
+        """Return the baud rate of a value."""
+        return int.from_bytes(value, "big") if len(value) == 4 else None
+
+
+def _base_rate(modern: bool, of: int) -> Request:
+    what = f"base rate of {SET_NAMES[of]}"
+    if modern:
+        return request(THREE_DM, BASE_RATE, bytes([of]), f"GetBaseRate: {what}", 1)
+    return request(THREE_DM, IMU_BASE_RATE if of == SENSOR else FILTER_BASE_RATE, b"", f"Get{what}")
+
+
+def _known(ask: Callable[[Request], bytes], question: Request) -> bytes | None:
+    """Return the answer, or None when the device says no."""
+    try:
+        return ask(question)
+    except CommandError as error:
+        if not error.refused:
+            raise
+        return None

@@ -1,0 +1,321 @@
+"""Configuring a VectorNav by its ASCII commands.
+
+From the VN-100 manual and the vendor's SDK.  Registers 75 to 77 are the binary outputs (port, divisor of the
+base rate, groups, a word of fields for each group), 6 the ASCII output, 5 the baud rate; $VNWRG writes into
+volatile memory and $VNWNV saves **all** registers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from imumon.configure.commands.core import (
+    BAUD,
+    SAVE_S,
+    USUAL_COLUMNS,
+    Ask,
+    Family,
+    Message,
+    Refusal,
+    Request,
+    Wish,
+    divisor,
+    nothing_to_keep,
+)
+from imumon.protocols.framing import Frame
+from imumon.protocols.text import line_lengths, lines_right, sentence, sentence_body
+from imumon.protocols.vectornav import XMODEM, Header, read_header
+from imumon.protocols.vectornav_fields import ATTITUDE, COMMON, GROUP_NAMES, IMU
+
+SYNC = b"$VN"
+ERRORS = {1: "hard fault", 2: "serial buffer overflow", 3: "invalid checksum", 4: "invalid command",
+          5: "not enough parameters", 6: "too many parameters", 7: "invalid parameter", 8: "invalid register",
+          9: "unauthorized access", 10: "watchdog reset", 11: "output buffer overflow",
+          12: "insufficient baud rate", 255: "error buffer overflow"}  # fmt: skip
+OUTPUT, SECOND, THIRD, ASCII = "binary output 1", "binary output 2", "binary output 3", "ASCII output"
+REGISTERS = {OUTPUT: 75, SECOND: 76, THIRD: 77, ASCII: 6, BAUD: 5}
+TIME_STARTUP = (COMMON, 0)
+FIELDS: Mapping[str, tuple[tuple[int, int], ...]] = {
+    "inertial": ((IMU, 2), (IMU, 3)),
+    "increments": ((IMU, 6), (IMU, 7)),
+    "magnetometer": ((IMU, 1),),
+    "temperature": ((IMU, 4),),
+    "pressure": ((IMU, 5),),
+    "attitude": ((ATTITUDE, 2),),
+    "status": ((ATTITUDE, 0),),
+}
+"""Group and bit of the fields: UncompAccel, UncompGyro, DeltaTheta, DeltaVel, UncompMag, Temp, Pres,
+Quaternion, VpeStatus.  AngRate and Accel have the filter's bias taken off and are never asked for."""
+FAST_HZ, SLOW_HZ = 800, 400
+"""Base rate of the binary outputs of a VN-100 (and 110), and of the others."""
+
+
+def frame(text: str) -> bytes:
+    """Return a command: $, text, checksum, line end."""
+    return sentence(f"${text}") + b"\r\n"
+
+
+def _body(line: str) -> str | None:
+    """Return what a line has before its checksum, of eight bits or a CRC, or None when that is wrong."""
+    body = sentence_body(line.rstrip("\r\n"), XMODEM)
+    return body if body is not None and body.isascii() else None
+
+
+def request(command: str, meaning: str, echo: str = "", timeout_s: float = 0.5) -> Request:
+    """Return a command; its answer begins with `echo`, or else with the letters of the command."""
+    kind, register = command[2:5], echo
+
+    def answer(message: Message) -> bytes | Refusal | None:
+        text = message.payload.decode("ascii", "replace")
+        if message.kind == "ERR":
+            code = _whole(text.split(",")[0])
+            return Refusal(f"error {text}: {ERRORS.get(-1 if code is None else code, 'not a known code')}")
+        if message.kind != kind:
+            return None
+        if not register:
+            return message.payload
+        first, _, rest = text.partition(",")
+        return rest.encode() if _whole(first) == int(register) else None
+
+    return Request(meaning, frame(command), answer, timeout_s)
+
+
+def _whole(text: str, base: int = 10) -> int | None:
+    try:
+        return int(text, base) if text.isalnum() else None
+    except ValueError:
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """What a binary output register holds: port, divisor, and the words of each group in order."""
+
+    port: int
+    by: int
+    groups: int
+    words: tuple[int, ...]
+
+    @classmethod
+    def read(cls, value: bytes) -> Output:
+        """Read a register; what makes no sense is an output that is off."""
+        first, *texts = value.decode("ascii", "replace").split(",")
+        numbers = [_whole(text, 16) for text in texts[1:]]
+        port, by = _whole(first), _whole(texts[0]) if texts else None
+        if port is None or by is None or not numbers or None in numbers:
+            return cls(0, 0, 0, ())
+        groups, *words = (number for number in numbers if number is not None)
+        return cls(port, by, groups, tuple(words))
+
+    @classmethod
+    def of(cls, port: int, by: int, places: Sequence[tuple[int, int]]) -> Output:
+        """Return the output of fields, each a group and a bit."""
+        words: dict[int, int] = {}
+        for group, bit in sorted(places):
+            words[group] = words.get(group, 0) | 1 << bit
+        return cls(port, by, sum(1 << group - 1 for group in words), tuple(words.values()))
+
+    @property
+    def on(self) -> bool:
+        """Whether anything is sent."""
+        return self.port > 0 and self.by > 0 and self.groups > 0
+
+    @property
+    def header(self) -> bytes:
+        """How the packets begin."""
+        return (
+            b"\xfa"
+            + bytes([self.groups & 0xFF])
+            + b"".join(word.to_bytes(2, "little") for word in self.words)
+        )
+
+    @property
+    def value(self) -> bytes:
+        """The register."""
+        words = "".join(f",{word:04X}" for word in self.words)
+        return f"{self.port},{self.by},{self.groups:02X}{words}".encode()
+
+    @property
+    def _announced(self) -> Header | None:
+        """What its packets hold; None when that is not known."""
+        header = read_header(self.header + bytes(64)) if self.groups <= 0x7F else None
+        return header if isinstance(header, Header) else None
+
+    def fields(self) -> list[str]:
+        """Return the names of the fields, with their groups."""
+        header = self._announced
+        if header is None:
+            return ["fields that imumon does not know"]
+        names = [item.name for item in header.items]
+        return [f"{' '.join(_groups(self.groups))}: {', '.join(names)}"]
+
+    def packet_bytes(self) -> int:
+        """Return the size of a packet; 0 when it is not known."""
+        header = self._announced
+        if header is None:
+            return 0
+        offsets = header.offsets(np.zeros(512, np.uint8))
+        return 0 if isinstance(offsets, int) else offsets[-1] + 2
+
+
+def _groups(mask: int) -> list[str]:
+    return [GROUP_NAMES.get(bit + 1, f"group {bit + 1}") for bit in range(7) if mask >> bit & 1]
+
+
+@dataclass(frozen=True)
+class VectorNav(Family):
+    """Commands of a VectorNav."""
+
+    base_hz: int = FAST_HZ
+    """What the divisors of the outputs divide."""
+    identity: tuple[str, ...] = ()
+    answer_frame: ClassVar[Frame] = Frame("ascii", SYNC, line_lengths(after_end=False), lines_right(_body))
+    title: ClassVar[str] = "VectorNav"
+    verified: ClassVar[str] = (
+        "lines of other programs and of the vendor's, and the virtual device; never a real unit"
+    )
+    baudrates: ClassVar[Sequence[int]] = (
+        9600,
+        19_200,
+        38_400,
+        57_600,
+        115_200,
+        128_000,
+        230_400,
+        460_800,
+        921_600,
+    )
+    silent_hint: ClassVar[str] = "the binary output may go to the other serial port of the device"
+    columns: ClassVar[Mapping[str, tuple[str, ...]]] = USUAL_COLUMNS
+
+    @staticmethod
+    def message(packet: bytes) -> Message:
+        """Return the letters of the command, and what follows them."""
+        body = _body(packet.decode("ascii", "replace"))
+        assert body is not None
+        return Message(body[3:6], body[7:].encode())
+
+    def hello(self) -> Request:
+        """Return a request for the model."""
+        return request("VNRRG,01", "read the model", "1")
+
+    def quiet(self) -> tuple[Request, ...]:
+        """Return $VNASY,0."""
+        return (request("VNASY,0", "no data while settings change"),)
+
+    def resume(self) -> tuple[Request, ...]:
+        """Return $VNASY,1."""
+        return (request("VNASY,1", "data again"),)
+
+    def questions(self) -> tuple[Request, ...]:
+        """Return reads of model and firmware."""
+        return self.hello(), request("VNRRG,04", "read the firmware", "4")
+
+    def learn(self, ask: Ask) -> VectorNav:
+        """Ask the model, of which the base rate depends, and the firmware."""
+        model, firmware = (ask(question).decode("ascii", "replace") for question in self.questions())
+        return replace(self, base_hz=_base_hz(model), identity=(model, f"firmware {firmware}"))
+
+    def assumed(self) -> tuple[str, ...]:
+        """Return the base rate and the port."""
+        return (
+            f"base rate {FAST_HZ} Hz (VN-100, 110); {SLOW_HZ} Hz for the others: the model is asked first",
+            "binary output 1 goes to serial port 1, or where it goes now",
+            "binary outputs 2 and 3 are off; where they are not, they are switched off",
+        )
+
+    def settings(self) -> tuple[str, ...]:
+        """Return all outputs and the baud rate."""
+        return tuple(REGISTERS)
+
+    def read(self, name: str) -> Request:
+        """Return $VNRRG."""
+        register, alone = REGISTERS[name], name in (ASCII, BAUD)
+        found = request(f"VNRRG,{register:02d}", f"read {name}", str(register))
+        reader = found.answer
+        assert reader is not None
+
+        def first(message: Message) -> bytes | Refusal | None:
+            """Leave the number of the port out, which newer firmware adds."""
+            value = reader(message)
+            return value.split(b",")[0].lstrip(b"0") or b"0" if isinstance(value, bytes) else value
+
+        def canonical(message: Message) -> bytes | Refusal | None:
+            value = reader(message)
+            return Output.read(value).value if isinstance(value, bytes) else value
+
+        return replace(found, answer=first if alone else canonical)
+
+    def write(self, name: str, value: bytes) -> tuple[Request, ...]:
+        """Return $VNWRG."""
+        register = REGISTERS[name]
+        command = f"VNWRG,{register:02d},{value.decode('ascii')}"
+        return (request(command, f"{name}: {self.describe(name, value)}", str(register)),)
+
+    def save(self, names: Sequence[str]) -> tuple[Request, ...]:
+        """Return $VNWNV, which saves every register."""
+        del names
+        return (request("VNWNV", "save all registers", timeout_s=SAVE_S),)
+
+    def wanted(self, present: Mapping[str, bytes], wish: Wish) -> dict[str, bytes]:
+        """Return the first binary output; the others and the ASCII output off.  See `Family.wanted`."""
+        if wish.empty:
+            return {}
+        now = {name: Output.read(present[name]) for name in (OUTPUT, SECOND, THIRD) if name in present}
+        old = now.get(OUTPUT, Output(0, 0, 0, ()))
+        by, port = divisor(self.base_hz, self.wanted_hz(present, wish)), old.port or 1
+        if wish.outputs is not None:
+            places = [place for name in wish.outputs for place in FIELDS[name]]
+            new = Output.of(port, by, [TIME_STARTUP, *places])
+        elif old.on:
+            new = Output(port, by, old.groups, old.words)
+        else:
+            raise nothing_to_keep("binary output", "give --outputs")
+        off = {
+            name: replace(now[name], port=0).value for name in (SECOND, THIRD) if name in now and now[name].on
+        }
+        return {ASCII: b"0", **off, OUTPUT: new.value}
+
+    def settled(self, name: str, wanted: bytes, found: bytes) -> bool:
+        """Tell whether it reads back; of an output that is off the rest does not matter."""
+        off = name in (OUTPUT, SECOND, THIRD) and not (Output.read(wanted).on or Output.read(found).on)
+        return off or wanted == found
+
+    def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
+        """Return the rate of the first binary output."""
+        output = Output.read(values[OUTPUT])
+        return self.base_hz / output.by if output.on else None
+
+    def bytes_per_s(self, values: Mapping[str, bytes]) -> float:
+        """Return the packets of the binary outputs."""
+        outputs = [Output.read(values[name]) for name in (OUTPUT, SECOND, THIRD) if name in values]
+        return sum(output.packet_bytes() * self.base_hz / output.by for output in outputs if output.on)
+
+    def describe(self, name: str, value: bytes) -> str:
+        """Say what a value means."""
+        text = value.decode("ascii", "replace")
+        if name == BAUD:
+            return text
+        if name == ASCII:
+            return "off" if value == b"0" else f"type {text}"
+        output = Output.read(value)
+        if not output.on:
+            return "off"
+        rate = f"{self.base_hz / output.by:.6g} Hz ({self.base_hz}/{output.by})"
+        return f"{rate} on serial port {output.port}, {', '.join(output.fields())}"
+
+    def baud_value(self, baudrate: int) -> bytes:
+        """Return the baud rate as text."""
+        return str(baudrate).encode()
+
+    def baud_of(self, value: bytes) -> int | None:
+        """Return the baud rate of a value."""
+        return _whole(value.decode("ascii", "replace"))
+
+
+def _base_hz(model: str) -> int:
+    return FAST_HZ if model.upper().startswith("VN-1") else SLOW_HZ

@@ -1,0 +1,160 @@
+"""Configuring a WitMotion module by its registers.
+
+From the vendor's sample code.  A write is unlocked first, has **no answer**, and counts at once; a read is
+answered by a frame 0x5F with four registers that does not say which they are.  So every write is proved by
+reading back, and one question waits for its answer before the next.  Saving stores **all** registers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from operator import or_
+from typing import ClassVar
+
+from imumon.configure.commands.core import (
+    BAUD,
+    CLOSE_ENOUGH,
+    Family,
+    Message,
+    Refusal,
+    Request,
+    Wish,
+    no_rate,
+    nothing_to_keep,
+)
+from imumon.protocols.frame_checks import Sum
+from imumon.protocols.framing import Frame, fixed_length
+from imumon.protocols.witmotion import SIZE
+
+REGISTER_ANSWER = 0x5F
+CONTENT, RATE = "output content", "output rate"
+SAVE, RSW, RRATE, BAUD_REGISTER, READ_ADDRESS = 0x00, 0x02, 0x03, 0x04, 0x27
+REGISTERS = {CONTENT: RSW, RATE: RRATE, BAUD: BAUD_REGISTER}
+UNLOCK = b"\xff\xaa\x69\x88\xb5"
+PAUSE_S = 0.1
+"""Between writes: the vendor's code leaves 1 to 200 ms."""
+OPENING = Request("unlock", UNLOCK, None, PAUSE_S)
+RATES = {1: 0.2, 2: 0.5, 3: 1.0, 4: 2.0, 5: 5.0, 6: 10.0, 7: 20.0, 8: 50.0, 9: 100.0, 11: 200.0}
+BAUD_CODES = {
+    1: 4800,
+    2: 9600,
+    3: 19_200,
+    4: 38_400,
+    5: 57_600,
+    6: 115_200,
+    7: 230_400,
+    8: 460_800,
+    9: 921_600,
+}
+BITS = ("time", "accel with temperature", "gyro", "angle", "mag", "ports", "pressure", "position", "speed",
+        "quaternion", "satellites")  # fmt: skip
+"""Frames by the bits of the content register, the first is 0x50."""
+FRAMES: Mapping[str, int] = {
+    "inertial": 0x02 | 0x04,
+    "magnetometer": 0x10,
+    "temperature": 0x02,
+    "pressure": 0x40,
+    "attitude": 0x08,
+}
+
+
+def frame(register: int, value: bytes) -> bytes:
+    """Return a write of a register."""
+    return b"\xff\xaa" + bytes([register]) + value
+
+
+def _registers(message: Message) -> bytes | Refusal | None:
+    """Return the first of the four registers of an answer."""
+    return message.payload[:2] if message.kind == REGISTER_ANSWER else None
+
+
+@dataclass(frozen=True)
+class WitMotion(Family):
+    """Commands of a WitMotion module."""
+
+    answer_frame: ClassVar[Frame] = Frame("register", b"\x55", fixed_length(SIZE), Sum())
+    title: ClassVar[str] = "WitMotion"
+    verified: ClassVar[str] = "codes of the vendor's sample code, and the virtual device; never a real unit"
+    save_confirmed: ClassVar[bool] = False
+    baudrates: ClassVar[Sequence[int]] = tuple(BAUD_CODES.values())
+    columns: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "inertial": ("gyro_x",),
+        "magnetometer": ("mag_x",),
+        "temperature": ("temperature",),
+        "pressure": ("pressure",),
+        "attitude": ("roll",),
+    }
+
+    @staticmethod
+    def message(packet: bytes) -> Message:
+        """Return type and data."""
+        return Message(packet[1], packet[2:10])
+
+    def hello(self) -> Request:
+        """Return a read of the output rate."""
+        return self.read(RATE)
+
+    def settings(self) -> tuple[str, ...]:
+        """Return content, rate and baud rate."""
+        return tuple(REGISTERS)
+
+    def read(self, name: str) -> Request:
+        """Return a read; its answer has four registers, of which the first is meant."""
+        register = REGISTERS[name]
+        return Request(f"read {name}", frame(READ_ADDRESS, bytes([register, 0])), _registers)
+
+    def write(self, name: str, value: bytes) -> tuple[Request, ...]:
+        """Return the unlocking and the write, which nothing answers."""
+        meaning = f"{name}: {self.describe(name, value)}"
+        return OPENING, Request(meaning, frame(REGISTERS[name], value), None, PAUSE_S)
+
+    def save(self, names: Sequence[str]) -> tuple[Request, ...]:
+        """Return the unlocking and the save of all registers."""
+        del names
+        return OPENING, Request("save all registers", frame(SAVE, b"\0\0"), None, 0.5)
+
+    def wanted(self, present: Mapping[str, bytes], wish: Wish) -> dict[str, bytes]:
+        """Return content and rate; see `Family.wanted`."""
+        result: dict[str, bytes] = {}
+        if wish.outputs is not None:
+            content = reduce(or_, (FRAMES[name] for name in wish.outputs), 0)
+            result[CONTENT] = content.to_bytes(2, "little")
+        elif not wish.empty and present and not any(present[CONTENT]):
+            raise nothing_to_keep("output", "give --outputs")
+        if wish.rate_hz is not None:
+            near = [code for code, rate in RATES.items() if abs(rate / wish.rate_hz - 1) <= CLOSE_ENOUGH]
+            if not near:
+                raise no_rate(wish.rate_hz, tuple(RATES.values()), "the device has a list of rates")
+            result[RATE] = bytes([near[0], 0])
+        elif not wish.empty and present and self.rate_hz(present) is None:
+            raise nothing_to_keep("rate", "give --rate")
+        return result
+
+    def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
+        """Return the rate of all frames."""
+        return RATES.get(values[RATE][0])
+
+    def bytes_per_s(self, values: Mapping[str, bytes]) -> float:
+        """Return 11 bytes for each frame of a sample."""
+        frames = int.from_bytes(values[CONTENT], "little").bit_count()
+        return SIZE * frames * (self.rate_hz(values) or 0.0)
+
+    def describe(self, name: str, value: bytes) -> str:
+        """Say what a value means."""
+        code = int.from_bytes(value, "little")
+        if name == BAUD:
+            return str(self.baud_of(value) or f"code {code}")
+        if name == RATE:
+            return f"{RATES[code]:g} Hz" if code in RATES else f"code {code}"
+        there = [frame for bit, frame in enumerate(BITS) if code >> bit & 1]
+        return ", ".join(there) or "nothing"
+
+    def baud_value(self, baudrate: int) -> bytes:
+        """Return the code of a baud rate."""
+        return bytes([next(code for code, rate in BAUD_CODES.items() if rate == baudrate), 0])
+
+    def baud_of(self, value: bytes) -> int | None:
+        """Return the baud rate of a code."""
+        return BAUD_CODES.get(value[0]) if len(value) == 2 else None

@@ -1,0 +1,233 @@
+"""Configuring an Xsens MTi that sends MTData2.
+
+From the MT Low Level Communication Protocol Documentation.  An MTi takes settings in its config state only,
+and **writes what it is told into its non-volatile memory at once**: there is no trying out.  A new baud rate
+counts after a reset.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from imumon.configure.commands.core import (
+    BAUD,
+    SAVE_S,
+    USUAL_COLUMNS,
+    Ask,
+    CommandError,
+    Family,
+    Message,
+    Refusal,
+    Request,
+    Wish,
+    no_rate,
+)
+from imumon.errors import ImumonError, Reason
+from imumon.protocols.framing import Frame
+from imumon.protocols.tagged import XBUS, xbus_lengths
+from imumon.protocols.xsens.fields import MTDATA2_FIELDS
+from imumon.protocols.xsens.messages import ERROR, ERRORS, NAMES, identifier_name
+
+SYNC = b"\xfa\xff"
+CHECK = XBUS.check
+GO_TO_MEASUREMENT, SET_BAUDRATE, REQ_PRODUCT_CODE, GO_TO_CONFIG = 0x10, 0x18, 0x1C, 0x30
+REQ_FIRMWARE, RESET, SET_OUTPUT_CONFIGURATION = 0x12, 0x40, 0xC0
+OUTPUT = "output configuration"
+WITH_EVERY_PACKET = 0xFFFF
+BAUD_CODES = {0x02: 115_200, 0x0A: 921_600, 0x00: 460_800, 0x01: 230_400, 0x04: 57_600, 0x05: 38_400,
+              0x07: 19_200, 0x09: 9600, 0x0C: 2_000_000}  # fmt: skip
+OLD_921600 = 0x80
+"""Another code for 921600 baud, of older units."""
+
+ALWAYS = ((0x1020, WITH_EVERY_PACKET), (0x1060, WITH_EVERY_PACKET))
+"""PacketCounter and SampleTimeFine."""
+IDENTIFIERS: Mapping[str, tuple[int, ...]] = {
+    "inertial": (0x4020, 0x8020),
+    "increments": (0x4010, 0x8030),
+    "magnetometer": (0xC020,),
+    "temperature": (0x0810,),
+    "pressure": (0x3010,),
+    "attitude": (0x2010,),
+    "status": (0xE020,),
+}
+MOST_HZ = {0x0810: 1, 0x3010: 50, 0xC020: 100}
+"""Rates above which the documents have no temperature, pressure, field; the others go up to `FASTEST_HZ`."""
+FASTEST_HZ = 400
+RATES = tuple(rate for rate in range(1, FASTEST_HZ + 1) if FASTEST_HZ % rate == 0)
+MAIN_CODES = (0x4020, 0x8020, 0x4010, 0x8030)
+
+
+def frame(kind: int, payload: bytes = b"") -> bytes:
+    """Return a message with its checksum: all bytes behind the preamble add up to zero."""
+    size = bytes([len(payload)]) if len(payload) < 255 else b"\xff" + len(payload).to_bytes(2, "big")
+    return CHECK.sealed(SYNC + bytes([kind]) + size + payload)
+
+
+def request(kind: int, payload: bytes = b"", meaning: str = "", timeout_s: float = SAVE_S) -> Request:
+    """Return a request; its answer has the next number, an Error message says no."""
+
+    def answer(message: Message) -> bytes | Refusal | None:
+        if message.kind == ERROR:
+            code = message.payload[0] if message.payload else 0
+            return Refusal(f"error {code}: {ERRORS.get(code, 'not a known code')}")
+        return message.payload if message.kind == kind + 1 else None
+
+    return Request(meaning or NAMES[kind], frame(kind, payload), answer, timeout_s)
+
+
+def entries(value: bytes) -> list[tuple[int, int]]:
+    """Return identifier and rate of each output in an output configuration."""
+    return [
+        (int.from_bytes(value[at : at + 2], "big"), int.from_bytes(value[at + 2 : at + 4], "big"))
+        for at in range(0, len(value) - 3, 4)
+    ]
+
+
+def packed(outputs: Sequence[tuple[int, int]]) -> bytes:
+    """Return the output configuration of identifiers and rates."""
+    return b"".join(code.to_bytes(2, "big") + rate.to_bytes(2, "big") for code, rate in outputs)
+
+
+@dataclass(frozen=True)
+class Xsens(Family):
+    """Commands of an MTi."""
+
+    identity: tuple[str, ...] = ()
+    answer_frame: ClassVar[Frame] = Frame("Xbus", SYNC, xbus_lengths, CHECK)
+    title: ClassVar[str] = "Xsens MTi"
+    verified: ClassVar[str] = "frames of other programs, and the virtual device; never a real unit"
+    stores_at_once: ClassVar[bool] = True
+    hello_quiets: ClassVar[bool] = True
+    reset_s: ClassVar[float] = 5.0
+    baudrates: ClassVar[Sequence[int]] = tuple(BAUD_CODES.values())
+    columns: ClassVar[Mapping[str, tuple[str, ...]]] = USUAL_COLUMNS
+
+    @staticmethod
+    def message(packet: bytes) -> Message:
+        """Return identifier and data."""
+        return Message(packet[2], packet[6 if packet[3] == 0xFF else 4 : -1])
+
+    def hello(self) -> Request:
+        """Return GoToConfig: in the state of measurement an MTi answers nothing else."""
+        return request(GO_TO_CONFIG, timeout_s=0.5)
+
+    def quiet(self) -> tuple[Request, ...]:
+        """Return GoToConfig."""
+        return (request(GO_TO_CONFIG),)
+
+    def resume(self) -> tuple[Request, ...]:
+        """Return GoToMeasurement."""
+        return (request(GO_TO_MEASUREMENT),)
+
+    def questions(self) -> tuple[Request, ...]:
+        """Return requests for product code and firmware."""
+        return request(REQ_PRODUCT_CODE), request(REQ_FIRMWARE)
+
+    def learn(self, ask: Ask) -> Xsens:
+        """Ask what it is."""
+        said = []
+        for question, say in zip(self.questions(), (_text, _version), strict=True):
+            try:
+                said.append(say(ask(question)))
+            except (
+                CommandError
+            ) as error:  # a unit that does not say what it is can be configured all the same
+                if not error.refused:
+                    raise
+        return replace(self, identity=tuple(said))
+
+    def settings(self) -> tuple[str, ...]:
+        """Return output configuration and baud rate."""
+        return OUTPUT, BAUD
+
+    def read(self, name: str) -> Request:
+        """Return a request without data, which reads."""
+        kind = SET_OUTPUT_CONFIGURATION if name == OUTPUT else SET_BAUDRATE
+        return request(kind, meaning=f"read {name} ({NAMES[kind]} without data)")
+
+    def write(self, name: str, value: bytes) -> tuple[Request, ...]:
+        """Return the request with data; a baud rate needs a reset."""
+        kind = SET_OUTPUT_CONFIGURATION if name == OUTPUT else SET_BAUDRATE
+        write = request(kind, value, f"{NAMES[kind]}: {self.describe(name, value)}")
+        return (write,) if name == OUTPUT else (write, request(RESET))
+
+    def save(self, names: Sequence[str]) -> tuple[Request, ...]:
+        """Return nothing: what was written is in flash already."""
+        del names
+        return ()
+
+    def wanted(self, present: Mapping[str, bytes], wish: Wish) -> dict[str, bytes]:
+        """Return the output configuration; see `Family.wanted`."""
+        if wish.empty:
+            return {}
+        rate = self.wanted_hz(present, wish)
+        if rate not in RATES:
+            raise no_rate(rate, RATES, f"the device divides {FASTEST_HZ} Hz by a whole number")
+        if wish.outputs is None:
+            now, fastest = entries(present[OUTPUT]), self.rate_hz(present)
+            timed = [(code, rate if hz == fastest else hz) for code, hz in now if hz != WITH_EVERY_PACKET]
+            kept = [item for item in now if item[1] == WITH_EVERY_PACKET]
+        else:
+            timed = [(code, rate) for name in wish.outputs for code in IDENTIFIERS[name] if name != "status"]
+            kept = [(0xE020, WITH_EVERY_PACKET)] if "status" in wish.outputs else []
+        if not timed:
+            raise ImumonError(
+                Reason.BAD_CONFIG, "a status alone has no rate" if kept else "nothing to send", "add inertial"
+            )
+        often = [(code, round(min(hz, rate, MOST_HZ.get(code & 0xFFF0, FASTEST_HZ)))) for code, hz in timed]
+        if max(rates := [hz for _, hz in often]) < rate:
+            raise no_rate(rate, rates, "these outputs are slower")
+        return {OUTPUT: packed((*kept, *often) if wish.outputs is None else (*ALWAYS, *often, *kept))}
+
+    def settled(self, name: str, wanted: bytes, found: bytes) -> bool:
+        """Tell whether it reads back; a unit may send what is not inertial more slowly than it was told."""
+        if name != OUTPUT:
+            return self.baud_of(wanted) == self.baud_of(found)
+        pairs, there = entries(wanted), entries(found)
+        return [code for code, _ in pairs] == [code for code, _ in there] and all(
+            a == b or (code & 0xFFF0 not in MAIN_CODES and 0 < b < a)
+            for (code, a), (_, b) in zip(pairs, there, strict=True)
+        )
+
+    def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
+        """Return the highest rate of an output."""
+        rates = [rate for _, rate in entries(values[OUTPUT]) if rate not in (0, WITH_EVERY_PACKET)]
+        return max(rates, default=None)
+
+    def bytes_per_s(self, values: Mapping[str, bytes]) -> float:
+        """Return headers and checksums of all messages, and each output at its rate."""
+        fastest = self.rate_hz(values) or 0.0
+        sizes = {field.key: field.size for field in MTDATA2_FIELDS}
+        return 5 * fastest + sum(
+            (3 + max(sizes.get(code, 0), 0)) * min(rate, fastest) for code, rate in entries(values[OUTPUT])
+        )
+
+    def describe(self, name: str, value: bytes) -> str:
+        """Say what a value means."""
+        if name == BAUD:
+            return f"{self.baud_of(value) or f'code {value.hex()}'}"
+        outputs = [
+            f"{identifier_name(code)} {'always' if rate == WITH_EVERY_PACKET else f'{rate} Hz'}"
+            for code, rate in entries(value)
+        ]
+        return ", ".join(outputs) or "nothing"
+
+    def baud_value(self, baudrate: int) -> bytes:
+        """Return the code of a baud rate."""
+        return bytes([next(code for code, rate in BAUD_CODES.items() if rate == baudrate)])
+
+    def baud_of(self, value: bytes) -> int | None:
+        """Return the baud rate of a code."""
+        if len(value) != 1:
+            return None
+        return 921_600 if value[0] == OLD_921600 else BAUD_CODES.get(value[0])
+
+
+def _text(payload: bytes) -> str:
+    return payload.decode("ascii", "replace").strip(" \0")
+
+
+def _version(payload: bytes) -> str:
+    return "firmware " + ".".join(map(str, payload[:3]))

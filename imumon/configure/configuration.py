@@ -1,0 +1,388 @@
+"""Configuring a device: read, plan, write, read back, listen, save; and back as it was if anything fails."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+from imumon.configure.command_link import HEAR_S, CommandLink
+from imumon.configure.commands.core import BAUD, CommandError, Family, Request, Wish
+from imumon.configure.measured_stream import Stream, measure
+from imumon.errors import ImumonError, Reason
+from imumon.protocols.device import DeviceFile
+from imumon.transport.settings import PortSettings
+
+WAKE_S = 2.0
+"""How long a device is asked at a new baud rate; the slowest to change that is known waits 0.25 s."""
+LISTENINGS = 3
+"""How often a stream may be listened to before it is wrong: a host that stalls sees any rate once."""
+NEARLY_FULL = 0.8
+"""Share of the line from which packets may have to wait."""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A setting that is to change."""
+
+    name: str
+    before: bytes
+    after: bytes
+
+
+@dataclass
+class Report:
+    """What was found, planned, sent and achieved; it grows as the work goes on."""
+
+    device: str
+    port: str
+    identity: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()
+    verified: str = ""
+    before: dict[str, str] = field(default_factory=dict)
+    after: dict[str, str] = field(default_factory=dict)
+    plan: list[Request] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    stream: Stream | None = None
+    result: str = "failed"
+    """planned, read, unchanged, done, or failed."""
+    saved: bool = False
+    flash_begun: bool = False
+    """Whether anything was sent that writes into flash."""
+    restored: list[str] = field(default_factory=list)
+    not_restored: list[str] = field(default_factory=list)
+
+    def as_dict(self, link: CommandLink | None) -> dict[str, Any]:
+        """Return the report as JSON has it."""
+        stream = self.stream
+        return {
+            "port": self.port,
+            "device": self.device,
+            "identity": self.identity,
+            "assumed": self.assumed,
+            "verified": self.verified,
+            "before": self.before,
+            "after": self.after,
+            "plan": [_as_dict(request) for request in self.plan],
+            "sent": [
+                {**_as_dict(item.request), "answered": item.answered} for item in (link.sent if link else ())
+            ],
+            "warnings": self.warnings,
+            "result": self.result,
+            "saved": self.saved,
+            "flash_begun": self.flash_begun,
+            "restored": self.restored,
+            "not_restored": self.not_restored,
+            "stream": None
+            if stream is None
+            else {"seconds": stream.seconds, "rate_hz": stream.rate_hz, "columns": stream.columns},
+        }
+
+
+def _as_dict(request: Request) -> dict[str, str]:
+    return {"meaning": request.meaning, "bytes": request.frame.hex(" ").upper(), "text": request.shown}
+
+
+def planned(family: Family, wish: Wish, baudrate: int | None, save: bool, now: int) -> list[Request]:
+    """Return all that would be sent to a device of which only its baud rate `now` is known, in order.
+
+    Raises BAD_CONFIG when that depends on what the device sends now.
+    """
+    if not wish.empty and (wish.rate_hz is None or wish.outputs is None):
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            "a dry run sends nothing, so it does not know what the device sends now",
+            "give both --rate and --outputs, or leave --dry-run out and --save too: flash stays as it is",
+        )
+    values = _with_baud(family, family.wanted({}, wish), baudrate)
+    values = {name: values[name] for name in _in_order(values, baudrate, now)}
+    found = [family.hello(), *family.quiet(), *family.questions(), *map(family.read, family.settings())]
+    found += [request for name, value in values.items() for request in family.write(name, value)]
+    found += [family.read(name) for name in values]
+    found += family.resume()
+    return [*found, *(family.save(tuple(values)) if save and values else ())]
+
+
+def _with_baud(family: Family, values: dict[str, bytes], baudrate: int | None) -> dict[str, bytes]:
+    return values if baudrate is None else {**values, BAUD: family.baud_value(baudrate)}
+
+
+def _in_order(names: Iterable[str], baudrate: int | None, now: int) -> list[str]:
+    """Return settings in the order of changing: a faster line before more data, a slower one after less."""
+    faster = baudrate is not None and baudrate > now
+    return sorted(names, key=lambda name: name != BAUD) if faster else list(names)
+
+
+def check_load(family: Family, values: Mapping[str, bytes], line: PortSettings) -> str:
+    """Return a warning when the line is nearly full; else nothing.
+
+    Raises BAD_CONFIG when the settings send more than the line carries, with the numbers.
+    """
+    needed, there = family.bytes_per_s(values), line.capacity_bytes_per_s
+    if there is None or needed <= NEARLY_FULL * there:
+        return ""
+    seen = f"{needed:.0f} bytes/s are {needed / there:.0%} of the {there:.0f} bytes/s of {line.baudrate} baud"
+    if needed <= there:
+        return seen
+    enough = min(
+        (r for r in family.baudrates if r / line.bits_per_byte * NEARLY_FULL >= needed), default=None
+    )
+    hint = "ask for fewer outputs or a lower rate"
+    raise ImumonError(Reason.BAD_CONFIG, seen, f"{hint}, or --baud {enough}" if enough else hint)
+
+
+class Configuration:
+    """One device that is being configured.
+
+    Parameters
+    ----------
+    link : CommandLink
+        An open line to the device.
+    family : Family
+        Commands of the device.
+    device : DeviceFile
+        Its decoder.
+    report : Report
+        Written as the work goes on.
+    tell : callable
+        Told what is going on, a line each.
+    """
+
+    def __init__(
+        self,
+        link: CommandLink,
+        family: Family,
+        device: DeviceFile,
+        report: Report,
+        tell: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._link, self._family, self._device = link, family, device
+        self._report, self._tell = report, tell
+        self._present: dict[str, bytes] = {}
+        self._begun: list[Change] = []
+        self._saving: tuple[str, ...] = ()
+
+    def run(self, wish: Wish, baudrate: int | None, save: bool) -> None:
+        """Make the wish true, or leave the device as it was.
+
+        Raises BAD_CONFIG when the device has no such rate, or it does not fit through the line; REFUSED when
+        the device says no or does something else; SILENT when it stops answering; LOST.  What was changed has
+        been put back, and the report says what could not be.
+        """
+        try:
+            changes = self._prepare(wish, baudrate, save)
+            self._carry_out(changes, wish, baudrate)
+            if save:
+                self._save(wish, baudrate)
+        except BaseException as error:
+            with _uninterrupted():
+                self._restore()
+            if isinstance(error, CommandError):
+                raise _explained(error) from error
+            raise
+
+    def _prepare(self, wish: Wish, baudrate: int | None, save: bool) -> list[Change]:
+        """Read the device and return what is to change, in order; nothing is written yet."""
+        if self._link.port.shared_with:
+            others = ", ".join(self._link.port.shared_with)
+            self._report.warnings.append(f"{others} reads this port, too: answers may go there")
+        self._quiet()
+        self._family = self._family.learn(self._link.ask)
+        self._present = {name: self._link.ask(self._family.read(name)) for name in self._family.settings()}
+        report, family = self._report, self._family
+        report.identity = family.identity
+        report.before = {name: family.describe(name, value) for name, value in self._present.items()}
+        wanted = _with_baud(family, family.wanted(self._present, wish), baudrate)
+        after = {**self._present, **wanted}
+        report.after = {name: family.describe(name, value) for name, value in after.items()}
+        line = self._link.port.settings
+        if wanted:
+            full = PortSettings(
+                line.url, baudrate or line.baudrate, line.bytesize, line.parity, line.stopbits
+            )
+            warning = check_load(family, after, full)
+            report.warnings += [warning] if warning else []
+        changes = [
+            Change(name, self._present[name], wanted[name])
+            for name in _in_order(wanted, baudrate, line.baudrate)
+            if not family.settled(name, wanted[name], self._present[name])
+        ]
+        report.plan = [request for change in changes for request in family.write(change.name, change.after)]
+        if any(change.name == BAUD and family.baud_of(change.before) is None for change in changes):
+            raise ImumonError(
+                Reason.BAD_DATA,
+                f"the device tells a baud rate that imumon could not put back: {report.before[BAUD]}",
+                "leave --baud out",
+            )
+        if changes and family.stores_at_once and not save:
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"{family.title} devices write what they are told into flash at once, so nothing was changed",
+                "say --save if the settings may stay for good (--dry-run shows them)",
+            )
+        return changes
+
+    def _carry_out(self, changes: Sequence[Change], wish: Wish, baudrate: int | None) -> None:
+        """Write what changes, read it back, and listen to what comes."""
+        for request in self._report.plan:
+            self._tell(f"  {request.shown}\n      {request.meaning}")
+        for change in changes:
+            self._begun.append(change)
+            self._report.flash_begun |= self._family.stores_at_once
+            self._apply(change.name, change.after)
+        self._resume()
+        self._report.result = (
+            "done" if changes else "read" if wish.empty and baudrate is None else "unchanged"
+        )
+        if not changes:
+            return
+        values = {**self._present, **{change.name: change.after for change in changes}}
+        rate = self._family.rate_hz(values)
+        wanted = [self._family.columns[name] for name in wish.outputs or ()]
+        for _ in range(LISTENINGS):
+            self._report.stream = stream = measure(self._link, self._device, rate)
+            problem = stream.problem(wanted, rate)
+            if not problem:
+                break
+        self._report.warnings += stream.warnings
+        if problem:
+            self._report.result = "failed"
+            raise ImumonError(
+                Reason.REFUSED,
+                f"the device takes the settings and reads them back, but {problem}",
+                self._family.silent_hint if not stream.columns else "",
+            )
+
+    def _apply(self, name: str, value: bytes) -> None:
+        """Write a setting and prove that it reads back."""
+        if name == BAUD:
+            self._change_speed(value)
+        else:
+            for request in self._family.write(name, value):
+                self._link.ask(request)
+        read = self._family.read(name)
+        found = self._link.ask(read)
+        if not self._family.settled(name, value, found):
+            what = self._family.describe
+            raise CommandError(read, f"it is {what(name, found)}, not {what(name, value)}", refused=True)
+
+    def _change_speed(self, value: bytes) -> None:
+        """Change the baud rate of the device and follow it; go back when it does not answer there."""
+        line, new = self._link.port, self._family.baud_of(value)
+        old = line.settings.baudrate
+        assert new is not None
+        line.set_baudrate(new)  # refused now, not when the device has gone there
+        line.set_baudrate(old)
+        requests = self._family.write(BAUD, value)
+        for request in requests:
+            self._link.ask(request)
+        if not self._link.answers_at(new, WAKE_S + self._family.reset_s):
+            line.set_baudrate(old)
+            raise CommandError(requests[0], f"no answer at {new} baud", refused=False)
+        self._quiet()
+
+    def _save(self, wish: Wish, baudrate: int | None) -> None:
+        """Write into flash what was asked for, also where it was so already."""
+        wanted = _with_baud(self._family, self._family.wanted(self._present, wish), baudrate)
+        self._saving = tuple(wanted)
+        requests = self._family.save(self._saving) if wanted else ()
+        for request in requests:
+            self._report.flash_begun = True
+            self._tell(f"  {request.shown}\n      {request.meaning}")
+            self._link.ask(request)
+        self._report.saved = bool(wanted)
+
+    def _restore(self) -> None:
+        """Put back what was begun, the last first, and let the data come again if they came before."""
+        self._report.result = "failed"
+        left, silent = self._begun[::-1], self._link.streaming and bool(self._family.resume())
+        try:
+            if left:
+                self._tell("putting the device back as it was")
+                self._find()
+            while left:
+                self._put_back(left[0])
+                left.pop(0)
+            for request in self._family.save(self._saving) if self._saving else ():
+                self._link.ask(request)
+            if silent:
+                self._resume()
+                silent = False
+        except (CommandError, ImumonError) as error:
+            self._report.not_restored += [self._shown(change) for change in left]
+            self._report.not_restored += ["sending of data: on"] if silent and self._hears_nothing() else []
+            self._report.warnings.append(f"putting back stopped: {error}".splitlines()[0])
+
+    def _hears_nothing(self) -> bool:
+        with suppress(ImumonError):
+            return not self._link.discard(HEAR_S)
+        return True
+
+    def _put_back(self, change: Change) -> None:
+        """Put a setting back; one that the device refuses does not keep the others from it."""
+        try:
+            self._apply(change.name, change.before)
+        except CommandError as error:
+            if not error.refused:
+                raise
+            self._report.not_restored.append(f"{self._shown(change)} ({error.why})")
+        else:
+            self._report.restored.append(self._shown(change))
+
+    def _shown(self, change: Change) -> str:
+        return f"{change.name}: {self._family.describe(change.name, change.before)}"
+
+    def _find(self) -> None:
+        """Find the rate at which the device answers now, and let it be quiet."""
+        rates, patience = [self._link.port.settings.baudrate], WAKE_S
+        for change in self._begun:
+            if change.name == BAUD:
+                patience += self._family.reset_s
+                rates += [
+                    rate for value in (change.before, change.after) if (rate := self._family.baud_of(value))
+                ]
+        if not any(self._link.answers_at(rate, patience) for rate in dict.fromkeys(rates)):
+            raise ImumonError(Reason.SILENT, "the device does not answer any more")
+        self._quiet()
+
+    def _quiet(self) -> None:
+        self._try_each(self._family.quiet())
+
+    def _resume(self) -> None:
+        self._try_each(self._family.resume())
+
+    def _try_each(self, requests: Sequence[Request]) -> None:
+        """Ask; a device that does not know how to be quiet is configured between its data."""
+        for request in requests:
+            try:
+                self._link.ask(request)
+            except CommandError as error:
+                if not error.refused or self._family.hello_quiets:
+                    raise
+
+
+def _explained(error: CommandError) -> ImumonError:
+    if error.refused:
+        return ImumonError(Reason.REFUSED, f"{error.request.meaning}: {error.why}")
+    return ImumonError(Reason.SILENT, f"{error.request.meaning}: {error.why}")
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Hold off Ctrl-C while a device is put back as it was."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {
+        number: signal.signal(number, signal.SIG_IGN) for number in map(signal.Signals.__getitem__, names)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            with suppress(TypeError):  # a handler that was not set from Python
+                signal.signal(number, handler)

@@ -1,0 +1,159 @@
+"""``imumon configure``: rate, outputs and baud rate of a device, only because a user asks for it."""
+
+from __future__ import annotations
+
+import signal
+from typing import TYPE_CHECKING
+
+import click
+
+from imumon.cli.common import Number, device_help, json_option, note, print_json, print_rows, say, warn
+from imumon.cli.live_run import ending_signals
+from imumon.errors import ImumonError, Reason
+
+if TYPE_CHECKING:
+    from imumon.configure.commands.core import Family, Wish
+    from imumon.configure.configuration import Report
+
+
+@click.command("configure")
+@click.argument("port")
+@click.option("--device", required=True, help=device_help)
+@click.option("--rate", type=Number(min=0.1, max=1e5), help="Samples per second.")
+@click.option(
+    "--outputs",
+    help="Outputs, separated by commas: inertial, increments, magnetometer, temperature, pressure, attitude, "
+    "status.  Time and counter come with them; what is not named is switched off.",
+)
+@click.option("--baud", type=click.IntRange(min=1), help="Baud rate that the device shall have.")
+@click.option(
+    "--at", type=click.IntRange(min=1), help="Baud rate that it has; found by listening by default."
+)
+@click.option("--save", is_flag=True, help="Write into flash; else the settings are lost at power-off.")
+@click.option("--dry-run", is_flag=True, help="Show what would be sent; the port is not even opened.")
+@json_option
+def command(
+    port: str,
+    device: str,
+    rate: float | None,
+    outputs: str | None,
+    baud: int | None,
+    at: int | None,
+    save: bool,
+    dry_run: bool,
+    as_json: bool,
+) -> None:
+    """Set rate, outputs and baud rate of the device on PORT; without these, show what it has.
+
+    Everything is read first, read back, and listened to.  What fails, or is ended by Ctrl-C, leaves the
+    device as it was.  For xsens, microstrain, vectornav and witmotion.
+    """
+    from imumon.configure.commands.core import Wish
+    from imumon.configure.commands.families import family_of
+    from imumon.configure.configuration import Report
+    from imumon.protocols.device import load_device
+
+    described = load_device(device)
+    family = family_of(described)
+    wish = Wish(rate, None if outputs is None else tuple(dict.fromkeys(_names(outputs))))
+    family.check(wish, baud)
+    if save and wish.empty and baud is None:
+        raise ImumonError(
+            Reason.BAD_CONFIG, "--save, but nothing to save", "give --rate, --outputs or --baud"
+        )
+    report = Report(described.name, port, verified=family.verified)
+    if dry_run:
+        _plan(family, wish, baud, at or described.serial.baudrates[0], save, report)
+        print_json(report.as_dict(None)) if as_json else _show_plan(report)
+        return
+    from imumon.configure.command_link import connect
+    from imumon.configure.configuration import Configuration
+    from imumon.transport.settings import PortSettings
+
+    if baud is not None and not PortSettings(port).has_line:
+        raise ImumonError(Reason.BAD_CONFIG, f"{port} has no line with a baud rate", "leave --baud out")
+    for number in ending_signals():
+        signal.signal(number, signal.default_int_handler)
+    link = connect(port, described, family, at)
+    say("INFO", f"{family.title} answers on {link.port.settings}")
+    try:
+        Configuration(link, family, described, report, note).run(wish, baud, save)
+    finally:
+        link.close()
+        if as_json:
+            print_json(report.as_dict(link))
+        _tell(report, family, str(link.port.settings))
+    now = link.port.settings.baudrate
+    again = f" --baud {now}" if now != described.serial.baudrates[0] and link.port.settings.has_line else ""
+    note(f"to watch it: imumon monitor {port} --device {device}{again}")
+
+
+def _names(outputs: str) -> list[str]:
+    names = [name.strip() for name in outputs.split(",")]
+    if not all(names):
+        raise ImumonError(Reason.BAD_CONFIG, f"--outputs {outputs!r}: a name is empty")
+    return names
+
+
+def _plan(family: Family, wish: Wish, baud: int | None, now: int, save: bool, report: Report) -> None:
+    """Work out what would be sent."""
+    from imumon.configure.configuration import check_load, planned
+    from imumon.transport.settings import PortSettings
+
+    report.plan = planned(family, wish, baud, save, now)
+    report.assumed, report.result = family.assumed(), "planned"
+    if not wish.empty:
+        warning = check_load(family, family.wanted({}, wish), PortSettings(report.port, baud or now))
+        report.warnings += [warning] if warning else []
+
+
+def _show_plan(report: Report) -> None:
+    width = min(max(len(request.shown) for request in report.plan), 60)
+    for request in report.plan:
+        click.echo(f"{request.shown:<{width}}  {request.meaning}")
+    for text in report.assumed:
+        click.echo(f"assumed: {text}")
+    click.echo(f"commands checked against: {report.verified}")
+    warn(report.warnings)
+    note("dry run: nothing was sent, and the port was not opened")
+
+
+def _tell(report: Report, family: Family, line: str) -> None:
+    """Say what was found and what became of it."""
+    rows = {"device": " ".join((family.title, *report.identity)), "line": line}
+    for name, text in report.before.items():
+        new = report.after.get(name, text)
+        changed = report.result == "done" and new != text
+        rows[name] = new if changed else text
+        if changed:
+            rows[f"{name} was"] = text
+    if report.stream is not None:
+        rate = f"{report.stream.rate_hz:.4g} Hz" if report.stream.rate_hz else "too slow to tell the rate"
+        rows["measured"] = f"{rate}: {', '.join(report.stream.columns)}"
+    print_rows(rows)
+    warn(report.warnings)
+    if report.result == "failed":
+        for text in report.restored:
+            say("INFO", f"put back: {text}")
+        for text in report.not_restored:
+            say("ERROR", f"NOT put back: {text}")
+        if report.not_restored:
+            say("ERROR", _after_power_off(report))
+        elif not report.restored:
+            say("INFO", "no setting was changed")
+        elif report.flash_begun:
+            say("INFO", "flash holds the settings that were put back")
+        return
+    if report.result == "unchanged":
+        say("INFO", "the device is set like this already")
+    if report.saved:
+        sure = "" if family.save_confirmed else ", if the device did it: its kind does not confirm it"
+        say("INFO", f"saved: the settings survive power-off{sure}")
+    elif report.result == "done":
+        say("INFO", "not saved: the settings are lost at power-off (--save writes flash)")
+
+
+def _after_power_off(report: Report) -> str:
+    if report.flash_begun:
+        return "flash may hold the new settings: run imumon configure again when the device answers"
+    return "flash was not written: switch the device off and on, and it has its settings of before"

@@ -1,0 +1,90 @@
+"""Firmware of a virtual WitMotion module: registers behind a lock, and no answers to writes."""
+
+from __future__ import annotations
+
+from imumon.configure.commands.core import Message, packets_among
+from imumon.configure.commands.witmotion import (
+    BAUD_CODES,
+    BAUD_REGISTER,
+    BITS,
+    CONTENT,
+    RATE,
+    RATES,
+    READ_ADDRESS,
+    REGISTER_ANSWER,
+    REGISTERS,
+    RRATE,
+    RSW,
+    SAVE,
+    UNLOCK,
+    WitMotion,
+)
+from imumon.configure.firmware.core import Firmware, Output
+from imumon.protocols.device import DeviceFile
+from imumon.protocols.frame_checks import unchecked
+from imumon.protocols.framing import Frame, fixed_length
+from imumon.protocols.witmotion import SIZE, TYPES, WitMotionDevice
+
+WRITE = Frame("write", b"\xff\xaa", fixed_length(5), unchecked)
+"""A command; it has no checksum."""
+FASTEST_HZ = 200.0
+FIRST_FRAME = 0x50
+NOT_ENCODED = ("time", "position")
+
+
+class WitMotionFirmware(Firmware):
+    """A WitMotion module."""
+
+    family = WitMotion()
+
+    def __init__(self, device: DeviceFile, rate_hz: float) -> None:
+        assert isinstance(device, WitMotionDevice)
+        bits = {message.name: 1 << kind - FIRST_FRAME for kind, message in TYPES.items()}
+        content = sum(bits[name] for name in device.sends)
+        rate = min(RATES, key=lambda code: abs(RATES[code] - rate_hz))
+        super().__init__(device, {CONTENT: content.to_bytes(2, "little"), RATE: bytes([rate, 0])})
+        self._locked = True
+
+    def found(self, held: bytes) -> tuple[list[Message], int]:
+        """Find writes, which are unlike answers."""
+        packets, done = packets_among(held, WRITE)
+        return [Message(packet[2], packet[3:]) for packet in packets], done
+
+    def refusal(self, command: Message) -> bytes:
+        """Do nothing, and say nothing."""
+        del command
+        return b""
+
+    def answer(self, command: Message) -> bytes:
+        """Carry a command out; only a read is answered."""
+        register, data = int(command.kind), command.payload
+        if register == UNLOCK[2]:
+            self._locked = data != UNLOCK[3:]
+            return b""
+        if register == READ_ADDRESS:
+            return self._four(data[0])
+        if self._locked:
+            return b""
+        if register == SAVE:
+            self.save()
+            return b""
+        possible = {RSW: data != b"\0\0", RRATE: data[0] in RATES, BAUD_REGISTER: data[0] in BAUD_CODES}
+        if possible.get(register):
+            self.obey(next(name for name, number in REGISTERS.items() if number == register), data)
+            self.baudrate = self.baud()
+        return b""
+
+    def _four(self, first: int) -> bytes:
+        there = {number: self.settings.volatile[name] for name, number in REGISTERS.items()}
+        data = b"".join(there.get(first + k, b"\0\0") for k in range(4))
+        packet = bytes([0x55, REGISTER_ANSWER]) + data
+        assert len(packet) == SIZE - 1
+        return packet + bytes([sum(packet) & 0xFF])
+
+    def outputs(self) -> tuple[float, list[Output]]:
+        """Return the frames of a sample; what the encoder lacks is left out."""
+        content = int.from_bytes(self.settings.volatile[CONTENT], "little")
+        names = [TYPES[FIRST_FRAME + bit].name for bit in range(len(BITS)) if content >> bit & 1]
+        rate = RATES[self.settings.volatile[RATE][0]]
+        every = {name: round(FASTEST_HZ / rate) for name in names if name not in NOT_ENCODED}
+        return FASTEST_HZ, [Output(WitMotionDevice.family.encoder, every)]

@@ -1,0 +1,102 @@
+"""Firmware of a virtual MTi: it answers in the config state, and stores at once what it is told."""
+
+from __future__ import annotations
+
+from imumon.configure.commands.core import BAUD, Message
+from imumon.configure.commands.xsens import (
+    BAUD_CODES,
+    FASTEST_HZ,
+    GO_TO_CONFIG,
+    GO_TO_MEASUREMENT,
+    OUTPUT,
+    REQ_FIRMWARE,
+    REQ_PRODUCT_CODE,
+    RESET,
+    SET_BAUDRATE,
+    SET_OUTPUT_CONFIGURATION,
+    WITH_EVERY_PACKET,
+    Xsens,
+    entries,
+    frame,
+    packed,
+)
+from imumon.configure.firmware.core import Firmware, Output, nearest
+from imumon.protocols.device import DeviceFile
+from imumon.protocols.xsens.fields import MTDATA2_FIELDS
+from imumon.protocols.xsens.messages import ERROR
+from imumon.protocols.xsens.mtdata2 import MTData2Device, MTData2Encoder, find_fields
+
+INVALID_PARAMETER, INVALID_MESSAGE, NO_SUCH_BAUDRATE = 33, 4, 32
+TIMELESS = {0x10, 0xE0}
+"""Groups of identifiers that go with every packet: times and status."""
+
+
+class XsensFirmware(Firmware):
+    """An MTi that sends MTData2."""
+
+    family = Xsens()
+
+    def __init__(self, device: DeviceFile, rate_hz: float) -> None:
+        assert isinstance(device, MTData2Device)
+        keys = [field.key for field in find_fields(device.sends, device.precision)]
+        output = [(key, WITH_EVERY_PACKET if key >> 8 in TIMELESS else round(rate_hz)) for key in keys]
+        super().__init__(device, {OUTPUT: packed(output)})
+
+    def refusal(self, command: Message) -> bytes:
+        """Return an Error message."""
+        del command
+        return frame(ERROR, bytes([INVALID_PARAMETER]))
+
+    def answer(self, command: Message) -> bytes:
+        """Carry a command out; in the state of measurement only that which ends it."""
+        kind, data = int(command.kind), command.payload
+        if kind == GO_TO_CONFIG:
+            self.streaming = False
+            return frame(kind + 1)
+        if self.streaming:
+            return b""
+        if kind == GO_TO_MEASUREMENT:
+            self.streaming = True
+            return frame(kind + 1)
+        if kind == RESET:
+            self.power_on()
+            return frame(kind + 1)
+        if kind == SET_OUTPUT_CONFIGURATION:
+            return self._output(data)
+        if kind == SET_BAUDRATE:
+            return self._baudrate(data)
+        said = {REQ_PRODUCT_CODE: b"MTi-VIRTUAL", REQ_FIRMWARE: bytes([1, 2, 3])}
+        return frame(kind + 1, said[kind]) if kind in said else frame(ERROR, bytes([INVALID_MESSAGE]))
+
+    def _output(self, data: bytes) -> bytes:
+        if data:
+            if len(data) % 4 or not all(_sendable(code, rate) for code, rate in entries(data)):
+                return frame(ERROR, bytes([INVALID_PARAMETER]))
+            self.obey(OUTPUT, data)
+            self.save(OUTPUT)
+        return frame(SET_OUTPUT_CONFIGURATION + 1, self.settings.volatile[OUTPUT])
+
+    def _baudrate(self, data: bytes) -> bytes:
+        if data:
+            if data[0] not in BAUD_CODES:
+                return frame(ERROR, bytes([NO_SUCH_BAUDRATE]))
+            self.obey(BAUD, data)
+            self.save(BAUD)
+        return frame(SET_BAUDRATE + 1, b"" if data else self.settings.volatile[BAUD])
+
+    def outputs(self) -> tuple[float, list[Output]]:
+        """Return MTData2 messages; each holds what is due."""
+        pairs = entries(self.settings.volatile[OUTPUT])
+        fastest = max((rate for _, rate in pairs if rate != WITH_EVERY_PACKET), default=0)
+        names = {field.key: field.name for field in MTDATA2_FIELDS}
+        every = {
+            names[code]: nearest(FASTEST_HZ, fastest if rate == WITH_EVERY_PACKET else rate)
+            for code, rate in pairs
+            if fastest and rate
+        }
+        return FASTEST_HZ, [Output(MTData2Encoder, every)]
+
+
+def _sendable(code: int, rate: int) -> bool:
+    there = any(field.key == code and field.values for field in MTDATA2_FIELDS)
+    return there and (rate == WITH_EVERY_PACKET or rate <= FASTEST_HZ)

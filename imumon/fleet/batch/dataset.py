@@ -1,0 +1,199 @@
+"""The results of a batch: Parquet files in a folder, which together have each session once."""
+
+from __future__ import annotations
+
+import fcntl
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from imumon.config import dump_yaml, load_yaml
+from imumon.errors import ImumonError, Reason
+from imumon.files import replacing, write_text
+from imumon.fleet.batch.options import BatchOptions
+from imumon.recordings.source import RECORDING
+
+ROWS, SETTINGS_NAME, LOCK_NAME = "rows", "batch.yaml", ".lock"
+FIRST_WRITE_S = 20.0
+WRITE_SHARE = 0.02
+"""What has been computed is written when it took so much of the time since the beginning: whoever kills a
+batch loses at most that, and there are some fifty files for every factor of e in its length."""
+
+Row = Mapping[str, Any]
+_NUMBER, _TEXT = pa.float64(), pa.string()
+_WHAT = [
+    ("session", _TEXT),
+    ("device", _TEXT),
+    ("serial", _TEXT),
+    ("begun", pa.timestamp("ns", "UTC")),
+    ("channel", _TEXT),
+    ("unit", _TEXT),
+]
+_SAID = [("warnings", pa.list_(_TEXT)), ("reason", _TEXT), ("error", _TEXT)]
+_SAMPLES = [
+    ("samples", pa.int64()),
+    *((name, _NUMBER) for name in ("mean", "sd", "least", "greatest")),
+    ("duration_s", _NUMBER),
+    ("lost", pa.int64()),
+    ("file", _TEXT),
+]
+_NOISE = ("angle_random_walk", "bias_instability", "rate_random_walk", "quantization", "rate_ramp",
+    "correlated_noise", "correlation_time")  # fmt: skip
+RESULTS: dict[str, list[tuple[str, pa.DataType]]] = {
+    "decode": _SAMPLES,
+    "replay": [*_SAMPLES, ("identical_to_live", pa.bool_())],
+    "allan": [
+        *((name, _NUMBER) for term in _NOISE for name in (term, f"{term}_sd")),
+        *((name, _NUMBER) for name in ("lowest", "lowest_tau_s", "longest_tau_s", "rate_hz", "duration_s")),
+    ],
+    "calibrate": [
+        ("curve", _TEXT),
+        *((name, _NUMBER) for name in ("residual_sd", "held_out_rms", "fit_rms", "lag_rms", "rest_s")),
+        *((name, _NUMBER) for name in ("lowest_degc", "highest_degc")),
+        ("file", _TEXT),
+    ],
+    "diagnose": [
+        ("effects", pa.list_(_TEXT)),
+        ("unexplained", pa.bool_()),
+        *((name, _NUMBER) for name in ("explained_share", "noise_floor_rms")),
+        *((name, _NUMBER) for name in ("train_rms_before", "train_rms_after")),
+        *((name, _NUMBER) for name in ("test_rms_before", "test_rms_after")),
+        ("summary", _TEXT),
+        ("file", _TEXT),
+    ],
+}
+"""What each command says of a channel, in SI units."""
+
+
+def schema_of(command: str) -> pa.Schema:
+    """Return the columns of the table of a command."""
+    return pa.schema([*_WHAT, *RESULTS[command], *_SAID])
+
+
+class Dataset:
+    """The results so far, to which one program at a time adds.
+
+    A file appears under its name when it is complete and on the medium, and never changes; it has all rows
+    of its sessions.
+
+    Raises EXISTS when it was begun with others; BUSY when another program adds to it; BAD_CONFIG when it
+    cannot be made.
+
+    Parameters
+    ----------
+    folder : Path
+        Made where there is none.
+    options : BatchOptions
+        Must be those with which the folder was begun.
+    """
+
+    def __init__(self, folder: Path, options: BatchOptions) -> None:
+        self.folder = folder
+        self._schema = schema_of(options.command)
+        self._waiting: list[Row] = []
+        self._began = self._written = time.monotonic()
+        try:
+            (folder / ROWS).mkdir(parents=True, exist_ok=True)
+            self._lock = (folder / LOCK_NAME).open("w")
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            self._lock.close()
+            raise ImumonError(
+                Reason.BUSY, f"another batch adds to {folder} now", "wait for its end"
+            ) from error
+        except OSError as error:
+            raise ImumonError(Reason.BAD_CONFIG, f"{folder}: cannot be made: {error.strerror}") from error
+        try:
+            self._check(options)
+        except (ImumonError, OSError):
+            self._lock.close()
+            raise
+        for partial in (folder / ROWS).glob("*.partial"):
+            partial.unlink()
+
+    @property
+    def parts(self) -> list[Path]:
+        """The files, in the order in which they were written."""
+        return sorted((self.folder / ROWS).glob("*.parquet"))
+
+    def done(self) -> set[str]:
+        """Return the sessions that need not be done again."""
+        found: set[str] = set()
+        for part in self.parts:
+            found.update(pq.read_table(part, columns=["session"])["session"].unique().to_pylist())
+        return found
+
+    def failures(self) -> dict[str, str]:
+        """Return what failed, and why."""
+        found: dict[str, str] = {}
+        for part in self.parts:
+            rows = pq.read_table(part, columns=["session", "reason", "error"])
+            failed = rows.filter(rows["reason"].is_valid()).to_pylist()
+            found |= {row["session"]: f"{row['reason']}: {row['error']}" for row in failed}
+        return found
+
+    def rows(self, sessions: Sequence[str]) -> dict[str, list[Row]]:
+        """Return all rows of these sessions, by session."""
+        found: dict[str, list[Row]] = {}
+        for part in self.parts:
+            for row in pq.read_table(part, filters=[("session", "in", sessions)]).to_pylist():
+                found.setdefault(row["session"], []).append(row)
+        return found
+
+    def lacking(self, sessions: Sequence[str]) -> dict[str, list[str]]:
+        """Return what recordings lack, by session; those that lack nothing are not among them."""
+        found = {
+            session: [text for text in rows[0].get("warnings") or () if RECORDING in text]
+            for session, rows in self.rows(sessions).items()
+        }
+        return {session: texts for session, texts in found.items() if texts}
+
+    def forget_failures(self) -> None:
+        """Take out what failed, so that it is done again."""
+        for part in self.parts:
+            table = pq.read_table(part)
+            good = table.filter(table["reason"].is_null())
+            if len(good) < len(table):
+                self._put(part, good)
+
+    def add(self, rows: Sequence[Row]) -> None:
+        """Add all rows of a session; they are on the medium after some time, or after `write`."""
+        self._waiting += rows
+        now = time.monotonic()
+        if now - self._written >= max(FIRST_WRITE_S, WRITE_SHARE * (now - self._began)):
+            self.write()
+
+    def write(self) -> None:
+        """Write what was added."""
+        self._written = time.monotonic()
+        if self._waiting:
+            last = int(self.parts[-1].stem.rpartition("-")[2]) if self.parts else 0
+            table = pa.Table.from_pylist(self._waiting, self._schema)
+            self._put(self.folder / ROWS / f"part-{last + 1:06}.parquet", table)
+            self._waiting = []
+
+    def close(self) -> None:
+        """Write what was added, and let others add."""
+        try:
+            self.write()
+        finally:
+            self._lock.close()
+
+    def _check(self, options: BatchOptions) -> None:
+        path = self.folder / SETTINGS_NAME
+        if not path.exists():
+            write_text(path, dump_yaml(options.model_dump()))
+        elif load_yaml(path, BatchOptions) != options:
+            raise ImumonError(
+                Reason.EXISTS,
+                f"{self.folder} holds a batch with other settings ({path.name})",
+                "nothing was overwritten; give another folder, or the same command and options",
+            )
+
+    def _put(self, path: Path, table: pa.Table) -> None:
+        with replacing(path) as partial:
+            pq.write_table(table, partial, compression="zstd")

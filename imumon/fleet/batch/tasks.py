@@ -1,0 +1,282 @@
+"""One session through one command: what a worker does, and what it sends back."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imumon.blocks import NO_INT, ColumnArray, SampleBlock
+from imumon.errors import ImumonError, Reason
+from imumon.fleet.batch.dataset import Row
+from imumon.fleet.batch.limit import limited
+from imumon.fleet.batch.options import BatchOptions
+from imumon.fleet.batch.places import fetched
+from imumon.pipeline import Digest, Pipeline, Seen
+from imumon.recordings.folder import is_session, open_session
+from imumon.recordings.side_tables import export_run
+from imumon.recordings.source import Source, open_source, run_over
+from imumon.run.replay import compare_with_live, digested
+from imumon.run.setup import parse_setup, recorded_setup
+from imumon.run.stages import pipeline_of
+from imumon.version import __version__
+
+GAP_S, GAP_STEPS = 1.0, 10.0
+"""A step of time longer than both, of which the latter is in usual steps, is a gap in what was recorded."""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """A session, what is to be done with it, and where files of it go."""
+
+    place: str
+    """Path or URL of the session."""
+    options: BatchOptions
+    out: str
+    """Folder of the batch, which every worker sees under the same path."""
+    version: str = __version__
+    """Of the imumon that asks."""
+    limit_s: float | None = None
+    """How long a worker may take."""
+
+    def file(self, folder: str, suffix: str) -> Path:
+        """Return where a file of this session goes; two sessions of one name have two."""
+        name = self.place.partition("?")[0].rstrip("/").rpartition("/")[2]
+        path = (
+            Path(self.out) / folder / f"{name}-{hashlib.sha256(self.place.encode()).hexdigest()[:8]}{suffix}"
+        )
+        path.parent.mkdir(exist_ok=True)
+        return path
+
+
+def work(job: Job) -> list[Row]:
+    """Do a job; return the rows of its session, or one that says why there are none.
+
+    Any other error is a defect, and goes to whoever asked.
+    """
+    what: dict[str, Any] = {"session": job.place}
+    try:
+        if job.version != __version__:
+            raise ImumonError(
+                Reason.BAD_CONFIG, f"the worker has imumon {__version__}, the batch is of {job.version}"
+            )
+        folder = _folder()
+        limit: AbstractContextManager[None] = nullcontext()
+        if job.limit_s is not None and folder is not None:  # where a worker may end
+            limit = limited(job.file("late", ".txt"), job.limit_s)
+        with limit, fetched(job.place, folder) as path:
+            what |= _described(path)
+            rows: list[Row] = [{**what, **row} for row in _COMMANDS[job.options.command](path, job)]
+        if not rows:
+            raise ImumonError(
+                Reason.BAD_DATA, f"{job.place}: has no channel that {job.options.command} knows"
+            )
+    except ImumonError as error:
+        return [failure(job.place, error.reason.value, error.line, what)]
+    except OSError as error:
+        return [
+            failure(job.place, "system", f"{error.filename or job.place}: {error.strerror or error}", what)
+        ]
+    return rows
+
+
+def failure(place: str, reason: str, error: str, what: Row | None = None) -> Row:
+    """Return the row of a session that failed."""
+    return {"session": place, **(what or {}), "reason": reason, "error": error}
+
+
+def _folder() -> Path | None:
+    """Return the folder that goes with the worker, also when it is killed; None without a worker."""
+    if "distributed" not in sys.modules:
+        return None
+    from distributed import get_worker
+
+    try:
+        return Path(get_worker().local_directory)
+    except ValueError:
+        return None
+
+
+def _described(path: Path) -> dict[str, Any]:
+    if not is_session(path):
+        return {}
+    metadata = open_session(path).metadata
+    return {"device": metadata.device, "serial": metadata.serial, "begun": metadata.created_ns}
+
+
+@dataclass(slots=True)
+class Moments:
+    """Number, mean and scatter of values that come in parts, by Chan, Golub and LeVeque (1983), eq. 1.5."""
+
+    count: int = 0
+    mean: float = 0.0
+    squares: float = 0.0
+    least: float = field(default=np.inf)
+    greatest: float = field(default=-np.inf)
+
+    def add(self, values: ColumnArray) -> None:
+        """Add values; those that are not finite are none."""
+        known = values[np.isfinite(values)]
+        if not (n := len(known)):
+            return
+        mean, total = float(known.mean()), self.count + n
+        apart = mean - self.mean
+        self.squares += float(((known - mean) ** 2).sum()) + apart**2 * self.count * n / total
+        self.mean += apart * n / total
+        self.count = total
+        self.least, self.greatest = min(self.least, known.min()), max(self.greatest, known.max())
+
+    @property
+    def sd(self) -> float | None:
+        """Standard deviation; None of fewer than two."""
+        return float(np.sqrt(self.squares / (self.count - 1))) if self.count > 1 else None
+
+
+class _Channels:
+    """What was seen of each channel of a recording, as the stages see it."""
+
+    def __init__(self) -> None:
+        self.moments: dict[str, Moments] = {}
+        self.duration_s = 0.0
+        """Of the samples; gaps and what is between segments are left out."""
+        self._last = np.zeros(0, np.int64), np.zeros(0, np.int64)
+        """Time and segment of the latest row."""
+
+    def add(self, block: SampleBlock) -> None:
+        """Add the samples of a block."""
+        there = np.flatnonzero(block["device_time_ns"] != NO_INT)
+        time_ns, segment = (
+            np.append(last, block[name][there])
+            for last, name in zip(self._last, ("device_time_ns", "segment"), strict=True)
+        )
+        steps = np.diff(time_ns)[np.diff(segment) == 0] * 1e-9
+        if len(steps):
+            gap_s = max(GAP_S, GAP_STEPS * float(np.median(steps)))
+            self.duration_s += float(steps[(steps > 0) & (steps < gap_s)].sum())
+        self._last = time_ns[-1:], segment[-1:]
+        for name, values in block.columns.items():
+            if values.dtype == np.float64:
+                self.moments.setdefault(name, Moments()).add(values)
+
+
+def _decode(path: Path, job: Job) -> Iterator[Row]:
+    source, seen = open_source(path), _Channels()
+    pipeline = Pipeline(source.device, [Seen(seen.add)], source.range)
+    yield from _samples(source, job, pipeline, run_over(source.items, pipeline), seen)
+
+
+def _replay(path: Path, job: Job) -> Iterator[Row]:
+    session = open_session(path)
+    text = job.options.pipeline_yaml
+    setup = recorded_setup(session) if text is None else parse_setup(text, "--pipeline")
+    source, digest, seen = open_source(path), Digest(), _Channels()
+    pipeline = pipeline_of(source, setup, [Seen(seen.add)])
+    blocks = digested(run_over(source.items, pipeline), pipeline, digest)
+    rows = [*_samples(source, job, pipeline, blocks, seen)]
+    identical = compare_with_live(session, setup, digest, pipeline).identical
+    yield from ({**row, "identical_to_live": identical} for row in rows)
+
+
+def _samples(
+    source: Source, job: Job, pipeline: Pipeline, blocks: Iterable[SampleBlock], seen: _Channels
+) -> Iterator[Row]:
+    """Go through the blocks of a recording, into a table where one is asked for; yield what was seen."""
+    file: Path | None = None
+    if job.options.tables:
+        file = job.file("tables", ".parquet")
+        export_run(blocks, pipeline, source, file, None)
+    else:
+        for _ in blocks:
+            pass
+    lost, said = pipeline.counters.lost, [*source.warnings(), *pipeline.warnings()]
+    units = {column.name: column.unit for column in source.columns(pipeline)}
+    for name, found in seen.moments.items():
+        if found.count:
+            yield {
+                "channel": name, "unit": units.get(name), "samples": found.count, "mean": found.mean,
+                "sd": found.sd, "least": found.least, "greatest": found.greatest,
+                "duration_s": seen.duration_s, "lost": lost,
+                "file": None if file is None else str(file), "warnings": said,
+            }  # fmt: skip
+
+
+def _allan(path: Path, _: Job) -> Iterator[Row]:
+    from imumon.allan.analysis import analyse
+    from imumon.allan.output import TERMS_OF
+    from imumon.allan.recording import UNITS, group_of, rate_hz, read_channels
+    from imumon.estimation.gyro_bias.stage import RestDetector
+
+    opened = read_channels(path, lambda _: [RestDetector()])
+    for name, result in analyse(opened.series).items():
+        terms = {} if result.fit is None else result.fit.terms
+        known = {term: found for term in TERMS_OF[group_of(name)] if (found := terms.get(term)) is not None}
+        yield {
+            "channel": name, "unit": UNITS[group_of(name)],
+            **{term: estimate.value for term, estimate in known.items()},
+            **{f"{term}_sd": estimate.sd for term, estimate in known.items()},
+            "lowest": float(result.allan.values[result.lowest]),
+            "lowest_tau_s": float(result.tau_s[result.lowest]),
+            "longest_tau_s": result.longest_tau_s,
+            "rate_hz": rate_hz(result.series), "duration_s": result.series.duration_s,
+            "warnings": [*opened.warnings],
+        }  # fmt: skip
+
+
+def _calibrate(path: Path, job: Job) -> Iterator[Row]:
+    from imumon.calibration.calibration import calibrate, check_place, read_sessions
+
+    options = job.options
+    serial = open_session(path).metadata.serial
+    check_place(options.latitude_deg, options.heading_deg)  # before minutes of reading
+    records, said = read_sessions([path])
+    found = calibrate(records, options.latitude_deg, options.heading_deg, serial)
+    file = job.file("models", ".yaml")
+    found.model.write(file)
+    for name, finding in found.findings.items():
+        low, high = found.model.channels[name].temperature_range_degc
+        choice = finding.choice
+        yield {
+            "channel": name, "unit": found.model.channels[name].unit, "curve": choice.name,
+            "residual_sd": choice.residual_sd, "held_out_rms": choice.held_out_rms[choice.name],
+            "fit_rms": choice.fit_rms, "lag_rms": finding.lag_rms, "rest_s": found.rest_s,
+            "lowest_degc": low, "highest_degc": high, "file": str(file),
+            "warnings": [*said, *found.warnings],
+        }  # fmt: skip
+
+
+def _diagnose(path: Path, job: Job) -> Iterator[Row]:
+    from imumon.diagnosis.diagnose import diagnose
+    from imumon.diagnosis.report import report
+    from imumon.diagnosis.runs import read_runs
+    from imumon.estimation.gyro_bias.stage import RestDetector
+    from imumon.files import write_text
+
+    runs = read_runs(path, None, lambda _: [RestDetector()])
+    content = report(diagnose(runs, [], job.options.declared))
+    file = job.file("reports", ".json")
+    write_text(file, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
+    for name, channel in content["channels"].items():
+        yield {
+            "channel": name, "unit": channel["unit"],
+            "effects": [effect["name"] for effect in channel["effects"]],
+            **{key: channel[key] for key in ("unexplained", "explained_share", "noise_floor_rms", "summary")},
+            **{f"{of}_rms_{when}": channel[when][f"{of}_rms"]
+               for of in ("train", "test") for when in ("before", "after")},
+            "file": str(file), "warnings": content["caveats"],
+        }  # fmt: skip
+
+
+_COMMANDS: dict[str, Callable[[Path, Job], Iterator[Row]]] = {
+    "decode": _decode,
+    "replay": _replay,
+    "allan": _allan,
+    "calibrate": _calibrate,
+    "diagnose": _diagnose,
+}

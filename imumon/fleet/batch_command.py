@@ -1,0 +1,206 @@
+"""``imumon batch``: a command over many sessions."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from imumon.cli.common import PATH, SECONDS, Number, console, json_option, note, print_json, print_rows, warn
+from imumon.cli.progress import progress_lines
+from imumon.errors import EXIT_NEGATIVE, EXIT_OK
+from imumon.files import write_text
+from imumon.harmless import for_log
+
+if TYPE_CHECKING:
+    from imumon.fleet.batch.tasks import Job
+
+SHOWN_FAILURES = 20
+FAILED_NAME = "failed.txt"
+"""Lists all that failed, where that is more than is shown."""
+
+
+@click.group("batch")
+def command() -> None:
+    """Run a command over many SESSIONS, each a task of Dask, into one Parquet table.
+
+    SESSIONS are sessions, folders with sessions somewhere below, or URLs of either (s3://bucket/folder).
+    The table, a row for each session and channel, is DIR/rows/*.parquet.  What is in it is not done again: a
+    batch that was stopped goes on with the same command.
+    """
+
+
+def _subcommand(name: str, *options: Callable[[Any], Any]) -> Callable[[Any], click.Command]:
+    """Make a subcommand with the options that all have, and its own."""
+
+    def decorated(function: Any) -> click.Command:
+        shared = (
+            click.argument("sessions", nargs=-1, required=True),
+            click.option("--out", required=True, type=PATH, help="Folder of the results."),
+            click.option("--scheduler", help="Address of a Dask scheduler; default: workers here."),
+            click.option(
+                "--workers",
+                type=click.IntRange(min=1),
+                default=os.cpu_count(),
+                show_default=True,
+                help="Processes here.",
+            ),
+            click.option(
+                "--timeout",
+                type=SECONDS,
+                help="How long a session may take; one that takes longer has failed.",
+            ),
+            click.option("--retry", is_flag=True, help="Do again what failed."),
+        )
+        for option in reversed((*shared, *options, json_option)):
+            function = option(function)
+        made: click.Command = command.command(name)(function)
+        return made
+
+    return decorated
+
+
+@_subcommand("decode", click.option("--tables", is_flag=True, help="Also write DIR/tables/SESSION.parquet."))
+def decode(tables: bool, **given: Any) -> int:
+    """Decode: number, mean and scatter of every channel as it was sent."""
+    return _run({"command": "decode", "tables": tables}, **given)
+
+
+@_subcommand(
+    "replay",
+    click.option("--tables", is_flag=True, help="Also write DIR/tables/SESSION.parquet."),
+    click.option("--pipeline", type=PATH, help="Pipeline file; default: as each session was recorded."),
+)
+def replay(tables: bool, pipeline: Path | None, **given: Any) -> int:
+    """Replay: the same of the estimates as well."""
+    from imumon.run.setup import load_setup
+
+    text = None if pipeline is None else load_setup(pipeline).text()
+    return _run({"command": "replay", "tables": tables, "pipeline_yaml": text}, **given)
+
+
+@_subcommand("allan")
+def allan(**given: Any) -> int:
+    """Noise of every channel: the terms of its Allan curve, with standard deviations."""
+    return _run({"command": "allan"}, **given)
+
+
+@_subcommand(
+    "calibrate",
+    click.option("--latitude", type=Number(min=-90, max=90), help="Degrees, to remove the earth rate."),
+    click.option("--heading", type=Number(min=-360, max=360), help="Degrees of the x axis, with it."),
+)
+def calibrate(latitude: float | None, heading: float | None, **given: Any) -> int:
+    """Bias over temperature of each session by itself: DIR/models/SESSION.yaml."""
+    return _run({"command": "calibrate", "latitude_deg": latitude, "heading_deg": heading}, **given)
+
+
+@_subcommand("diagnose", click.option("--declared", help="Bias model that is assumed; see imumon diagnose."))
+def diagnose(declared: str | None, **given: Any) -> int:
+    """What a bias model lacks in each session by itself: DIR/reports/SESSION.json."""
+    from imumon.diagnosis.diagnose import parse_declared
+
+    if declared is not None:
+        parse_declared(declared)
+    return _run({"command": "diagnose"} | ({} if declared is None else {"declared": declared}), **given)
+
+
+def _run(
+    settings: dict[str, Any],
+    sessions: tuple[str, ...],
+    out: Path,
+    scheduler: str | None,
+    workers: int,
+    timeout: float | None,
+    retry: bool,
+    as_json: bool,
+) -> int:
+    from imumon.fleet.batch.dataset import ROWS, Dataset
+    from imumon.fleet.batch.options import BatchOptions
+    from imumon.fleet.batch.places import find
+    from imumon.fleet.batch.tasks import Job
+
+    options = BatchOptions.model_validate(settings)
+    every = [*dict.fromkeys(place for given in sessions for place in find(given))]
+    results = Dataset(out.absolute(), options)
+    try:
+        if retry:
+            results.forget_failures()
+        done = results.done()
+        left = [place for place in every if place not in done]
+        if left:
+            jobs = (Job(place, options, str(results.folder), limit_s=timeout) for place in left)
+            _work(jobs, len(left), results, scheduler, workers, quiet=as_json)
+    except KeyboardInterrupt:
+        results.write()
+        kept = f"{len(results.done().intersection(every)):,} of {len(every):,} sessions are done"
+        note(f"imumon: interrupted: {kept}; the same command does the rest")
+        raise
+    finally:
+        results.close()
+    failures = {place: why for place, why in results.failures().items() if place in set(every)}
+    _show_failures(failures, out / FAILED_NAME)
+    lacking = results.lacking(every)
+    _show_lacking(lacking)
+    reasons = Counter(why.partition(":")[0] for why in failures.values())
+    if as_json:
+        print_json(
+            {"out": out, "sessions": len(every), "done_before": len(every) - len(left), "failed": failures,
+             "lacking": lacking}
+        )  # fmt: skip
+    print_rows(
+        {
+            "sessions": f"{len(every):,}, {len(every) - len(left):,} of them done before",
+            "failed": ", ".join(f"{n:,} {reason}" for reason, n in reasons.most_common()) or "none",
+            "lacking": f"{len(lacking):,} with parts of the recording missing" if lacking else "none",
+            "table": str(out / ROWS / "*.parquet"),
+        }
+    )
+    return EXIT_NEGATIVE if len(failures) == len(every) else EXIT_OK
+
+
+def _show_failures(failures: dict[str, str], path: Path) -> None:
+    """Name what failed; all of it in a file where that is too much for a screen."""
+    lines = [f"{place}: {why}" for place, why in sorted(failures.items())]
+    path.unlink(missing_ok=True)
+    warn(lines[:SHOWN_FAILURES])
+    if len(lines) > SHOWN_FAILURES:
+        write_text(path, "".join(f"{for_log(line)}\n" for line in lines))
+        warn([f"{len(lines) - SHOWN_FAILURES:,} more failed; all {len(lines):,} are in {path}"])
+
+
+def _show_lacking(lacking: dict[str, list[str]]) -> None:
+    """Name the sessions of which parts of the recording are missing; the table has all of their warnings."""
+    lines = [f"{place}: {text}" for place, texts in sorted(lacking.items()) for text in texts]
+    warn(lines[:SHOWN_FAILURES])
+    if len(lines) > SHOWN_FAILURES:
+        warn([f"{len(lines) - SHOWN_FAILURES:,} more lines on missing parts, in the column warnings"])
+
+
+def _work(
+    jobs: Iterator[Job], count: int, results: Any, scheduler: str | None, number: int, quiet: bool
+) -> None:
+    """Do the sessions that are left; Ctrl-C ends it, and what is done is kept."""
+    from rich.progress import Progress
+
+    from imumon.fleet.batch.running import run_jobs, workers
+
+    with (
+        workers(scheduler, min(number, count)) as client,
+        Progress(
+            console=console(error=True), transient=True, disable=quiet or not sys.stderr.isatty()
+        ) as bar,
+        progress_lines(lambda: f"{bar.tasks[0].completed:,.0f} of {count:,} sessions", quiet=quiet),
+    ):
+        task = bar.add_task("sessions", total=count)
+
+        def take(rows: Any) -> None:
+            results.add(rows)
+            bar.advance(task)
+
+        run_jobs(client, jobs, take)

@@ -1,0 +1,254 @@
+"""The record of a session or of a unit, for the file: one page that needs no network."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from imumon.blocks import FloatArray
+from imumon.diagnosis.figures import COLOURS, HOUR_S, shown, svg
+from imumon.diagnosis.page import environment
+from imumon.files import write_text
+from imumon.fleet.catalog.drift import Drift, Outlier, drifts
+from imumon.fleet.catalog.tables import day
+from imumon.fleet.catalog.units import Entry, Unit
+from imumon.harmless import for_plot
+from imumon.models.model import BiasModel
+from imumon.recordings.folder import Session, fingerprint
+from imumon.recordings.reader import open_recording
+from imumon.recordings.reduced import GYRO, TEMPERATURES, Reduced, reduce
+from imumon.run.setup import recorded_setup
+from imumon.run.stages import estimators
+from imumon.version import __version__
+
+TEMPLATE = "record.html.j2"
+POINTS = 400
+"""Of a curve over time: more than a figure has pixels for is not seen."""
+BIASES = tuple((f"gyro_bias_{axis}", f"gyro_bias_sd_{axis}") for axis in "xyz")
+PER_HOUR, HOURLY = shown("rad/s")
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A part of the page: a table, and figures by their captions."""
+
+    title: str
+    words: str = ""
+    heads: Sequence[str] = ()
+    rows: Sequence[Sequence[str | float]] = ()
+    figures: Mapping[str, str] = field(default_factory=dict)
+
+
+def write_unit(unit: Unit, unusual: Sequence[Outlier], path: Path) -> None:
+    """Write the record of a unit; raises OSError when that fails."""
+    begun = [entry.session.metadata.created_ns for entry in unit.entries]
+    (low, high), (best, worst) = unit.temperatures, unit.sigmas
+    facts = {
+        "serial number": unit.name,
+        "device": unit.device,
+        "sessions": f"{len(unit.entries)}, {unit.hours:.2f} h, "
+        f"{day(min(begun, default=None))} to {day(max(begun, default=None))}",
+        "temperature": f"{low:.2f} to {high:.2f} °C",
+        "smallest σ of the gyro bias": f"{best * PER_HOUR:.3g} to {worst * PER_HOUR:.3g} {HOURLY}",
+        "made by": f"imumon {__version__}",
+    }
+    caveats = [str(outlier) for outlier in unusual if outlier.unit == unit.name]
+    if any(dated.model.earth_rate == "included" for dated in unit.models):
+        caveats.append(
+            "the models hold the earth rate of the place and the pose of their test (up to 15.04 °/h): what"
+            " is called drift is one only if both stayed the same"
+        )
+    drifted = drifts(unit)
+    sections = [_sessions(unit.entries), _drift(drifted), *map(_model, [d.model for d in unit.models[-1:]])]
+    _write(path, f"Calibration record of {unit.name}", facts, caveats, sections)
+
+
+def write_session(session: Session, path: Path) -> list[str]:
+    """Replay a session and write its record; return what the recording lacks, and what the stages say.
+
+    Raises `ImumonError` and OSError when that fails.
+    """
+    setup, metadata = recorded_setup(session), session.metadata
+    recording = open_recording(session.path, lambda device: estimators(device, setup))
+    names = [*GYRO, *TEMPERATURES, *itertools.chain(*BIASES)]
+    slot_s = max(1.0, np.nan_to_num(metadata.duration_s) / POINTS)
+    means = reduce(recording.blocks(), names, slot_s)
+    counters = recording.pipeline.counters
+    port = metadata.port
+    facts = {
+        "serial number": metadata.serial or "not said",
+        "device": metadata.device,
+        "recorded": f"{metadata.created} to {metadata.ended or 'it was interrupted'}",
+        "port": "-" if port is None else port.url,
+        "samples": f"{counters.samples:,}; {counters.packets_missing:,} packets missing, "
+        f"{counters.checksum_errors + counters.length_errors:,} damaged",
+        "SHA-256 of the data": fingerprint(session.truth_path),
+        "versions": ", ".join(f"{name} {version}" for name, version in metadata.versions.items()),
+        "made by": f"imumon {__version__}",
+    }
+    model = setup.bias_model
+    sections = [_course(means), *([] if model is None else [_model(model)])]
+    title = f"Record of {session.path.name}"
+    warnings = recording.warnings()
+    _write(path, title, facts, warnings, sections)
+    return warnings
+
+
+def _write(
+    path: Path, title: str, facts: Mapping[str, str], caveats: Sequence[str], sections: Sequence[Section]
+) -> None:
+    content = {"title": title, "facts": facts, "caveats": caveats, "sections": sections}
+    text = environment("imumon.fleet.catalog").get_template(TEMPLATE).render(**content)
+    write_text(path, text)
+
+
+def _sessions(entries: Sequence[Entry]) -> Section:
+    rows: list[Sequence[str | float]] = [
+        [
+            entry.session.path.name, day(entry.session.metadata.created_ns), entry.hours, *entry.temperatures,
+            *(PER_HOUR * sigma for sigma in entry.sigmas),
+            np.nan if entry.lost is None else float(entry.lost), entry.failure,
+        ]
+        for entry in entries
+    ]  # fmt: skip
+    heads = ["session", "day", "h", "from °C", "to °C", f"best σ, {HOURLY}", "worst", "packets lost", ""]
+    words = "best, worst: the smallest σ that the gyro bias reached, on the best axis and on the worst."
+    return Section("Sessions", words, heads, rows)
+
+
+def _drift(drifted: Sequence[Drift]) -> Section:
+    if not drifted:
+        return Section("Drift", "There is no bias model of this unit.")
+    rows: list[Sequence[str | float]] = [
+        [one.channel, one.at_degc, float(len(one.bias)), *(PER_HOUR * value for value in of)]
+        for one in drifted
+        for of in [(one.bias[-1], one.sd[-1], one.per_month, one.per_month_sd)]
+    ]
+    heads = ["channel", "at °C", "models", f"latest bias, {HOURLY}", "σ", f"per month, {HOURLY}", "σ"]
+    words = (
+        "The bias of each model at the middle of the temperatures that all of them know. σ is of the curve"
+        " and of the turn-on offset; that of the drift is larger where the models scatter more than they say."
+    )
+    return Section(
+        "Drift", words, heads, rows, {"Bias by each model, less the first": svg(_over_months(drifted))}
+    )
+
+
+def _over_months(drifted: Sequence[Drift]) -> Callable[[Axes], None]:
+    def draw(axes: Axes) -> None:
+        for one, colour in zip(drifted, COLOURS, strict=False):
+            when = one.time_ns.astype("datetime64[ns]").astype("datetime64[s]")
+            apart = PER_HOUR * (one.bias - one.bias[0])
+            axes.errorbar(
+                when, apart, PER_HOUR * one.sd, fmt="o-", ms=3, lw=1, capsize=2, color=colour,
+                label=one.channel,
+            )  # fmt: skip
+        axes.set(ylabel=f"bias less the first model's, {HOURLY}")
+        axes.tick_params(axis="x", rotation=30)
+        axes.legend(fontsize=6)
+
+    return draw
+
+
+def _model(model: BiasModel) -> Section:
+    """Return what is to be said of a model: its channels, its data, its curves."""
+    rows: list[Sequence[str | float]] = []
+    for name, channel in model.channels.items():
+        factor, unit = shown(channel.unit)
+        middle = 0.5 * sum(channel.temperature_range_degc)
+        effects = ", ".join(effect.name for effect in channel.effects)
+        numbers = (channel.value(middle), channel.slope(middle), channel.residual_sd)
+        rows.append(
+            [name, *channel.temperature_range_degc, *(factor * float(x) for x in numbers), unit, effects]
+        )
+    data = "; ".join(f"{run.session} (SHA-256 {run.sha256[:16]}…)" for run in model.trained_on)
+    words = (
+        f"Made {model.created} by {model.made_by}; earth rate {model.earth_rate}. Of: {data or 'unknown'}."
+    )
+    heads = [
+        "channel",
+        "from °C",
+        "to °C",
+        "bias in the middle",
+        "slope per °C",
+        "residual σ",
+        "unit",
+        "effects",
+    ]
+    kinds = {"gyro": "Bias of the gyros", "accel": "Change of the accelerometers' bias"}
+    figures = {
+        f"{caption} over temperature": svg(_curves(model, kind))
+        for kind, caption in kinds.items()
+        if any(name.startswith(kind) for name in model.channels)
+    }
+    return Section("Bias model", words, heads, rows, figures)
+
+
+def _curves(model: BiasModel, kind: str) -> Callable[[Axes], None]:
+    def draw(axes: Axes) -> None:
+        unit = ""
+        channels = {name: channel for name, channel in model.channels.items() if name.startswith(kind)}
+        for (name, channel), colour in zip(channels.items(), COLOURS, strict=False):
+            factor, unit = shown(channel.unit)
+            low, high = channel.temperature_range_degc
+            t = np.linspace(low, high, 200)
+            value, sd = factor * channel.value(t), factor * channel.residual_sd
+            axes.plot(t, value, lw=1, color=colour, label=name)
+            axes.fill_between(t, value - 2 * sd, value + 2 * sd, color=colour, alpha=0.2, lw=0)
+        axes.set(xlabel="temperature, °C", ylabel=f"bias ± 2σ, {unit}")
+        axes.legend(fontsize=6)
+
+    return draw
+
+
+def _course(means: Reduced) -> Section:
+    """Return temperature and gyro bias over time, and the bias at the end."""
+    hours = (means.start_ns - means.start_ns[:1]).astype(np.float64) * 1e-9 / HOUR_S
+    figures: dict[str, str] = {}
+    rows: list[Sequence[str | float]] = []
+    there = [name for name in TEMPERATURES if means.has(name)]
+    if there:
+        figures["Temperature"] = svg(
+            _lines(hours, {name: means.of(name) for name in there}, "temperature, °C")
+        )
+    biases = [(bias, sd) for bias, sd in BIASES if means.has(bias) and means.has(sd)]
+    if biases:
+        figures["Gyro bias, with 2σ"] = svg(_bands(hours, means, biases))
+    for bias, sd in biases:
+        known = np.flatnonzero(np.isfinite(means.of(bias)) & np.isfinite(means.of(sd)))
+        if len(known):
+            at = known[-1]
+            smallest = np.nanmin(means.of(sd))
+            rows.append([bias, *(PER_HOUR * x for x in (means.of(bias)[at], means.of(sd)[at], smallest))])
+    heads = ["", f"at the end, {HOURLY}", "σ", "smallest σ"]
+    return Section("Course", f"Means of {means.slot_s:.0f} s.", heads, rows, figures)
+
+
+def _lines(hours: FloatArray, values: Mapping[str, FloatArray], label: str) -> Callable[[Axes], None]:
+    def draw(axes: Axes) -> None:
+        for (name, series), colour in zip(values.items(), COLOURS, strict=False):
+            axes.plot(hours, series, lw=1, color=colour, label=for_plot(name))
+        axes.set(xlabel="time, h", ylabel=label)
+        axes.legend(fontsize=6)
+
+    return draw
+
+
+def _bands(hours: FloatArray, means: Reduced, biases: Sequence[tuple[str, str]]) -> Callable[[Axes], None]:
+    def draw(axes: Axes) -> None:
+        widest: Any = 0.0
+        for (bias, sd), colour in zip(biases, COLOURS, strict=False):
+            value, band = PER_HOUR * means.of(bias), 2 * PER_HOUR * means.of(sd)
+            axes.plot(hours, value, lw=1, color=colour, label=bias)
+            axes.fill_between(hours, value - band, value + band, color=colour, alpha=0.2, lw=0)
+            widest = max(widest, np.nanmedian(np.abs(value) + band))
+        axes.set(xlabel="time, h", ylabel=HOURLY, ylim=(-2 * widest, 2 * widest))
+        axes.legend(fontsize=6)
+
+    return draw

@@ -1,0 +1,139 @@
+"""``imumon catalog``: the sessions of a folder, and the units that they are of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from imumon.cli.common import PATH, console, json_option, print_json, print_rows, results_folder, warn
+from imumon.errors import ImumonError, Reason
+from imumon.files import check_output
+from imumon.harmless import for_log
+
+if TYPE_CHECKING:
+    from imumon.fleet.catalog.drift import Outlier
+    from imumon.fleet.catalog.units import Unit
+
+RESULTS = "catalog"
+WIDEST = 10_000
+"""Characters in which any table has room."""
+HEADS = (
+    "unit",
+    "device",
+    "sessions",
+    "h",
+    "first",
+    "last",
+    "°C",
+    "σ, °/h",
+    "models",
+    "drift, °/h/month",
+    "outliers",
+)
+
+
+@click.command("catalog")
+@click.argument("folder", metavar="DIR", type=PATH)
+@click.option(
+    "--results", type=PATH, help="Folder of imumon batch replay, which new sessions are added to; default:"
+    " DIR/catalog."
+)  # fmt: skip
+@click.option("--out", type=PATH, help="Folder for sessions.parquet, units.parquet and models.parquet.")
+@click.option("--rrd", type=PATH, help="Recording for the viewer: units, and their drift over months.")
+@json_option
+def command(folder: Path, results: Path | None, out: Path | None, rrd: Path | None, as_json: bool) -> None:
+    """List the units of the sessions in DIR: temperatures, σ, losses, models, their drift, and outliers.
+
+    A session that is new is replayed once.  Serial numbers are those given when recording (--serial) or in
+    the models made of the sessions.
+    """
+    from imumon.fleet.catalog.tables import tables, write_tables
+
+    if rrd is not None:
+        if rrd.suffix != ".rrd":
+            raise ImumonError(Reason.BAD_CONFIG, f"{rrd}: a recording of the viewer is a .rrd", "name it so")
+        check_output(rrd, replace=True)
+    with nullcontext() if out is None else results_folder(out):
+        units, unusual, left_out = read(folder, results)
+        rows = tables(units, unusual)
+        written = [] if out is None else write_tables(rows, out)
+    warn(f"{row['session']}: {row['error']}" for row in rows["sessions"] if row["error"])
+    shown = [_row(unit, unusual) for unit in units]
+    if rrd is not None:
+        from imumon.fleet.catalog.viewing import write_recording
+
+        write_recording(units, HEADS, shown, rrd)
+        written.append(rrd)
+    if as_json:
+        print_json(rows | {"left_out": [{"session": place, "error": why} for place, why in left_out.items()]})
+    else:
+        _show(shown)
+    print_rows({path.name: str(path) for path in written})
+
+
+def read(folder: Path, results: Path | None = None) -> tuple[list[Unit], list[Outlier], dict[str, str]]:
+    """Return the units of the sessions in a folder, what is unusual of them, and what was left out and why.
+
+    The latter is warned of, and of what recordings lack.
+    """
+    from imumon.fleet.catalog.drift import outliers
+    from imumon.fleet.catalog.units import read_models, read_sessions, units_of
+
+    if not folder.is_dir():
+        raise ImumonError(Reason.BAD_DATA, f"{folder} is no folder", "give the folder of the sessions")
+    with console(error=True).status("reading") as status:
+        entries, left_out = read_sessions(folder, results or folder / RESULTS, status.update)
+    units = units_of(entries, read_models(folder))
+    warn(f"{place} is left out: {why}" for place, why in left_out.items())
+    warn(f"{entry.session.path}: {text}" for entry in entries for text in entry.lacking)
+    return units, outliers(units), left_out
+
+
+def _row(unit: Unit, unusual: Sequence[Outlier]) -> list[str]:
+    from imumon.diagnosis.figures import shown
+    from imumon.fleet.catalog.drift import drifts
+    from imumon.fleet.catalog.tables import day
+
+    factor, _ = shown("rad/s")
+    begun = [entry.session.metadata.created_ns for entry in unit.entries]
+    known = [drift for drift in drifts(unit) if drift.per_month == drift.per_month]
+    drift = max(known, key=lambda one: abs(one.per_month), default=None)
+    return [
+        unit.name, unit.device, str(len(unit.entries)), f"{unit.hours:.2f}",
+        day(min(begun, default=None)), day(max(begun, default=None)),
+        _from_to(unit.temperatures, 1.0), _from_to(unit.sigmas, factor), str(len(unit.models)),
+        "-" if drift is None
+        else f"{drift.channel} {factor * drift.per_month:+.2g} ± {factor * drift.per_month_sd:.1g}",
+        str(sum(outlier.unit == unit.name for outlier in unusual)),
+    ]  # fmt: skip
+
+
+def _from_to(of: tuple[float, float], factor: float) -> str:
+    low, high = of
+    return f"{factor * low:.3g} to {factor * high:.3g}" if low == low else "-"
+
+
+def _show(rows: Sequence[Sequence[str]]) -> None:
+    """Print a table, or where that is wider than the terminal a line for each value."""
+    from rich.box import SIMPLE
+    from rich.measure import Measurement
+    from rich.table import Table
+
+    table = Table(box=SIMPLE, padding=(0, 1, 0, 0))
+    for head in HEADS:
+        table.add_column(head, no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    out = console()
+    if Measurement.get(out, out.options.update(width=WIDEST), table).maximum <= out.width:
+        out.print(table)
+        return
+    width = max(map(len, HEADS))
+    for row in rows:
+        for head, cell in zip(HEADS, map(for_log, row), strict=True):
+            out.print(f"  {head:<{width}}  {cell}", soft_wrap=True)
+        out.print()

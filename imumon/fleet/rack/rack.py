@@ -1,0 +1,403 @@
+"""The rack: keeps a process for each unit, hears how each is, and begins it anew when it dies or hangs."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+from imumon.fleet.rack.description import Plan
+from imumon.fleet.rack.feed import Vitals
+from imumon.fleet.rack.table import Row, markdown
+from imumon.fleet.rack.unit import Ended, Task, Update, run_unit
+from imumon.recordings.lines import waiting
+from imumon.recordings.session_log import SessionLog
+from imumon.view.items import Instant, Log, OfUnit, Overview, Shown, State, ViewSetup
+
+LOG_NAME = "rack.jsonl"
+BACKOFF_S = (0.5, 1.0, 2.0, 5.0, 10.0)
+"""A unit that dies again and again is begun anew after so long."""
+STEADY_S = 30.0
+"""One that lived this long is begun anew after the first of these."""
+OVERVIEW_S = 1.0
+END_S = 30.0
+"""A unit that is asked to end has written everything after this time, or its disk does not answer."""
+STOPPING_S = 0.05
+"""How often it is looked whether it has."""
+
+Say = Callable[[str, str], None]
+Message = Update | Ended
+
+
+@dataclass(frozen=True, slots=True)
+class Patience:
+    """How long a unit may say nothing before it is said to hang, s, and how much longer before it is ended.
+
+    Its first word may come later: after an installation it compiles what its device needs, as all others do.
+    """
+
+    first: float = 120.0
+    said: float = 5.0
+    ended: float = 30.0
+
+
+class Process:
+    """One life of a unit: its process, and what it has said.
+
+    A thread takes what it says, as a process that stops in the middle of a word would stop who listens.
+
+    Parameters
+    ----------
+    task : Task
+        What it is told.
+    """
+
+    def __init__(self, task: Task) -> None:
+        context = get_context("forkserver")
+        context.set_forkserver_preload(["imumon.fleet.rack.preload"])
+        self._ours, theirs = context.Pipe()
+        self.began_s = self.heard_s = time.monotonic()
+        self.has_spoken = False
+        self._said: SimpleQueue[Message] = SimpleQueue()
+        self._process = context.Process(target=run_unit, args=(task, theirs), name=task.plan.name)
+        self._process.start()
+        theirs.close()
+        self._listener = threading.Thread(target=self._listen, args=[self._ours], daemon=True)
+        self._listener.start()
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid or 0
+
+    def hear(self) -> list[Message]:
+        """Return what it has said since the last time."""
+        said = list(waiting(self._said))
+        if said:
+            self.heard_s, self.has_spoken = time.monotonic(), True
+        return said
+
+    def ask_to_end(self) -> None:
+        """Ask it to close its session; returns at once."""
+        with contextlib.suppress(OSError):  # it is gone
+            self._ours.send(None)
+
+    def kill(self) -> None:
+        """End it, whatever it does."""
+        self._process.kill()
+
+    @property
+    def exit_code(self) -> int | None:
+        """How it ended, minus the number of the signal where it was one; None while it lives."""
+        return None if self._process.is_alive() else self._process.exitcode
+
+    def close(self) -> None:
+        """Give back what a process that has ended holds; what it said last can be heard after it."""
+        self._process.join()
+        self._listener.join()
+        self._ours.close()
+
+    def _listen(self, channel: Connection) -> None:
+        with contextlib.suppress(EOFError, OSError):
+            while True:
+                self._said.put(channel.recv())
+
+
+@dataclass(slots=True)
+class Unit:
+    """A unit as the rack sees it, over all lives of its process."""
+
+    plan: Plan
+    process: Process | None = None
+    vitals: Vitals = field(default_factory=Vitals)
+    setup: ViewSetup | None = None
+    first: Vitals = field(default_factory=Vitals)
+    """What its process said first: from there on its cost counts, not that of its start."""
+    cpu: float = 0.0
+    """Share of a core, since it was last heard."""
+    silent: bool = False
+    """Whether its process does not say how it is."""
+    ending: bool = False
+    """Whether it was asked to end, and is not begun anew."""
+    end_by_s: float = math.inf
+    """When it is killed if it has not ended."""
+    deaths: list[int] = field(default_factory=list)
+    """Exit codes of the processes that ended without being asked."""
+    interrupted: list[str] = field(default_factory=list)
+    """Their sessions."""
+    failures: int = 0
+    """Of these, those of short lives in a row."""
+    begin_s: float = 0.0
+    """When its process is to be begun."""
+    summaries: list[dict[str, object]] = field(default_factory=list)
+    problem: str = ""
+    """Why the last session has no samples."""
+
+    @property
+    def state(self) -> str:
+        """How it is, in a word or two: the worst first."""
+        lanes = self.vitals.lanes
+        if self.process is None:
+            return f"DEAD ({self.deaths[-1]})" if self.deaths and not self.ending else "ended"
+        if self.silent:
+            return "HANGS"
+        port, data = lanes.get("port", "starting"), lanes.get("data", "")
+        if port != "open":
+            return port
+        if data.startswith("bad"):
+            return "no packets"
+        return "losses" if data.startswith("warning") else lanes.get("motion", "open")
+
+    @property
+    def cpu_of_life(self) -> float:
+        """Share of a core that its process has taken."""
+        return share(self.first, self.vitals) or 0.0
+
+    @property
+    def row(self) -> Row:
+        """What the table shows: of a unit that has ended, the cost of its life."""
+        cpu = self.cpu if self.process is not None else self.cpu_of_life
+        return Row(self.plan.name, self.state, self.vitals, cpu, len(self.deaths))
+
+    def heard(self, vitals: Vitals) -> None:
+        """Take how it is."""
+        if not self.first.at_s:
+            self.first = vitals
+        self.cpu = share(self.vitals, vitals) or self.cpu
+        self.vitals = vitals
+
+    def interrupt(self) -> None:
+        """Take note that its process ended without closing the session, if it had one."""
+        if self.vitals.session:
+            self.interrupted.append(self.vitals.session)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what ``--json`` says of it."""
+        return {
+            "state": self.state,
+            "sessions": self.summaries,
+            "problem": self.problem,
+            "deaths": self.deaths,
+            "interrupted": self.interrupted,
+            "cpu": self.cpu_of_life,
+            "memory_mb": self.vitals.memory_mb,
+        }
+
+
+class Rack:
+    """Many units, each in a process; nothing that one does delays another.
+
+    Used by one thread; `look` is to be called several times a second.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the sessions go, and the rack's own log.
+    say : callable
+        Where log lines go.
+    publish : callable or None
+        The view that all share.
+    window_s : float
+        Seconds that its strips show.
+    patience : Patience
+        With a process that says nothing.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        say: Say,
+        publish: Callable[[Shown], None] | None = None,
+        window_s: float = 30.0,
+        patience: Patience = Patience(),
+    ) -> None:
+        self._folder, self._window_s, self._patience = folder, window_s, patience
+        self._publish = publish
+        folder.mkdir(parents=True, exist_ok=True)
+        self._log = SessionLog(folder / LOG_NAME, say)
+        self._present: dict[str, Unit] = {}
+        self._leaving: list[Unit] = []
+        self._left: list[Unit] = []
+        self._overview_s = 0.0
+
+    @property
+    def units(self) -> list[Unit]:
+        """Those that are here, in order, then those that are being ended."""
+        return [*self._present.values(), *self._leaving]
+
+    @property
+    def rows(self) -> list[Row]:
+        """The table."""
+        return [unit.row for unit in self.units]
+
+    def change(self, plans: Mapping[str, Plan]) -> None:
+        """Begin the units that are new, end those that are gone, and both where the plan is another one."""
+        for name, unit in list(self._present.items()):
+            if plans.get(name) != unit.plan:
+                why = "begins anew: other settings" if name in plans else "leaves the rack"
+                self._say(unit, "INFO", why)
+                self._end(unit)
+                del self._present[name]
+                self._leaving.append(unit)
+        known = self._present
+        self._present = {name: known.get(name) or Unit(plan) for name, plan in plans.items()}
+        for name in plans.keys() - known.keys():
+            self._say(self._present[name], "INFO", f"joins the rack, on {plans[name].settings}")
+
+    def look(self) -> None:
+        """Hear all units, and do what is due; waits for none."""
+        for unit in self.units:
+            self._hear(unit)
+            self._watch(unit)
+        leaving = {unit.plan.name for unit in self._leaving}
+        for unit in self._present.values():
+            due = unit.process is None and not unit.ending and time.monotonic() >= unit.begin_s
+            if due and unit.plan.name not in leaving:  # its port may be the same
+                self._begin(unit)
+        self._left += [unit for unit in self._leaving if unit.process is None]
+        self._leaving = [unit for unit in self._leaving if unit.process is not None]
+        if time.monotonic() - self._overview_s >= OVERVIEW_S:
+            self._overview_s = time.monotonic()
+            self._show(Overview(_now(), markdown(self.rows), tuple(self._present)))
+            with contextlib.suppress(OSError):  # a disk that is full stops no recording
+                self._log.write()
+
+    def stop(self) -> None:
+        """End all units in order, and kill those that take longer than `END_S`."""
+        for unit in self.units:
+            self._end(unit)
+        while any(unit.process is not None for unit in self.units):
+            self.look()
+            time.sleep(STOPPING_S)
+        self._overview_s = 0.0
+        self.look()
+
+    def as_dict(self) -> dict[str, dict[str, Any]]:
+        """Return what ``--json`` says of all units that were there; one that came back is there once."""
+        found: dict[str, dict[str, Any]] = {}
+        for unit in [*self._left, *self.units]:
+            said, before = unit.as_dict(), found.get(unit.plan.name)
+            if before is not None:
+                said |= {name: [*before[name], *said[name]] for name in ("sessions", "deaths", "interrupted")}
+            found[unit.plan.name] = said
+        return found
+
+    def _begin(self, unit: Unit) -> None:
+        task = Task(unit.plan, self._folder, self._window_s, self._publish is not None)
+        try:
+            unit.process = Process(task)
+        except (OSError, EOFError) as error:  # no memory, or no processes, for one more
+            pause_s = self._pause(unit)
+            self._say(unit, "ERROR", f"its process cannot be begun ({error}); again in {pause_s:g} s")
+            return
+        unit.silent = False
+        unit.vitals = unit.first = Vitals()
+
+    def _end(self, unit: Unit) -> None:
+        unit.ending, unit.end_by_s = True, time.monotonic() + END_S
+        if unit.process is not None:
+            unit.process.ask_to_end()
+
+    def _hear(self, unit: Unit) -> None:
+        process = unit.process
+        for message in process.hear() if process is not None else ():
+            for level, text in message.lines:
+                self._log.put(level, f"{unit.plan.name}: {text}")
+            if isinstance(message, Ended):
+                unit.problem = message.problem
+                if message.summary is not None:
+                    unit.summaries.append(message.summary)
+                continue
+            back = unit.deaths and not unit.first.at_s
+            unit.heard(message.vitals)
+            unit.setup = message.setup or unit.setup
+            if back:
+                self._lane(unit, "recording")
+            if message.setup is not None:
+                for item in message.items:
+                    self._show(OfUnit(message.setup, item))
+
+    def _watch(self, unit: Unit) -> None:
+        """Find out whether the process of a unit lives and speaks."""
+        process = unit.process
+        if process is None:
+            return
+        code = process.exit_code
+        if code is not None:
+            process.close()
+            self._hear(unit)
+            unit.process = None
+            if not unit.ending:
+                self._mourn(unit, code, time.monotonic() - process.began_s)
+            elif code:
+                unit.interrupt()
+            return
+        if unit.ending:
+            if time.monotonic() > unit.end_by_s:
+                unit.end_by_s = math.inf
+                self._say(unit, "ERROR", "did not end, and was killed: what had arrived is on disk")
+                process.kill()
+            return
+        quiet_s = time.monotonic() - process.heard_s
+        patience_s = self._patience.said if process.has_spoken else self._patience.first
+        if quiet_s > patience_s and not unit.silent:
+            unit.silent = True
+            self._say(unit, "ERROR", f"its process (pid {process.pid}) hangs: no word for {quiet_s:.1f} s")
+            self._lane(unit, "HANGS")
+        elif unit.silent and quiet_s < patience_s:
+            unit.silent = False
+            self._say(unit, "INFO", "its process goes on")
+            self._lane(unit, "recording")
+        elif quiet_s > patience_s + self._patience.ended:
+            self._say(unit, "ERROR", f"its process was ended after {quiet_s:.0f} s without a word")
+            process.kill()
+            process.heard_s = time.monotonic()
+
+    def _mourn(self, unit: Unit, code: int, lived_s: float) -> None:
+        unit.deaths.append(code)
+        unit.interrupt()
+        unit.failures = 0 if lived_s > STEADY_S else unit.failures
+        pause_s = self._pause(unit)
+        how = f"signal {-code}" if code < 0 else f"exit code {code}"
+        kept = f"; {unit.vitals.session} has what had arrived" if unit.vitals.session else ""
+        self._say(unit, "ERROR", f"its process died ({how}){kept}; a new one in {pause_s:g} s")
+        self._lane(unit, f"DEAD: {how}")
+
+    def _pause(self, unit: Unit) -> float:
+        """Let a unit wait for its next process, longer each time; return how long, s."""
+        pause_s = BACKOFF_S[min(unit.failures, len(BACKOFF_S) - 1)]
+        unit.failures += 1
+        unit.begin_s = time.monotonic() + pause_s
+        return pause_s
+
+    def _say(self, unit: Unit, level: str, text: str) -> None:
+        self._log.put(level, f"{unit.plan.name}: {text}")
+        if unit.setup is not None:
+            self._show(OfUnit(unit.setup, Log(_now(), text, level)))
+
+    def _lane(self, unit: Unit, state: str) -> None:
+        if unit.setup is not None:
+            self._show(OfUnit(unit.setup, State(_now(), "unit", state)))
+
+    def _show(self, item: Shown) -> None:
+        if self._publish is not None:
+            self._publish(item)
+
+
+def share(before: Vitals, now: Vitals) -> float | None:
+    """Return the share of a core that was taken between two times; None where the first was none."""
+    if not 0.0 < before.at_s < now.at_s:
+        return None
+    return (now.cpu_s - before.cpu_s) / (now.at_s - before.at_s)
+
+
+def _now() -> Instant:
+    return Instant(None, None, time.time_ns())

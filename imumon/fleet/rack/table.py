@@ -1,0 +1,89 @@
+"""The overview of a rack: a row for each unit, the same cells for a terminal, the viewer and the summary."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from imumon.fleet.rack.feed import Vitals
+from imumon.geodesy import DEG_PER_H
+from imumon.harmless import for_markdown
+from imumon.view.cards import DIGITS, measured
+
+HEADINGS = (
+    "unit", "state", "°C", "gyro bias x y z ± σ, °/h", "model", "Hz", "lost", "received", "CPU", "MB",
+    "deaths",
+)  # fmt: skip
+LEFT = 2
+"""Columns of words; the others are numbers and stand on the right."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A unit: name, state, how it is, the share of a core that it takes, how often its process died."""
+
+    name: str
+    state: str
+    vitals: Vitals
+    cpu: float
+    deaths: int
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """What stands below `HEADINGS`."""
+        vitals = self.vitals
+        return (
+            self.name,
+            self.state,
+            measured(vitals.temperature_deg, decimals=DIGITS["°C"]),
+            bias(vitals),
+            vitals.lanes.get("model", "–"),
+            f"{vitals.packets_per_s:.0f}",
+            f"{vitals.packets_lost:,}",
+            amount(vitals.bytes_received),
+            f"{self.cpu:.0%}",
+            measured(vitals.memory_mb, decimals=0),
+            str(self.deaths),
+        )
+
+
+def bias(vitals: Vitals) -> str:
+    """Return the bias of the three axes with the largest of their sigmas, to its second digit."""
+    if not vitals.bias:
+        return "–"
+    sd = max(vitals.bias_sd) / DEG_PER_H
+    axes = [measured(value / DEG_PER_H, sd).split(" ± ")[0] for value in vitals.bias]
+    return f"{' '.join(axes)} ± {measured(0.0, sd).split(' ± ')[-1]}"
+
+
+def amount(count: int) -> str:
+    """Return bytes as a person reads them."""
+    return f"{count / 1e6:,.1f} MB" if count < 1e9 else f"{count / 1e9:,.2f} GB"
+
+
+def text_lines(rows: Sequence[Row]) -> list[str]:
+    """Return the table as text, a line for each row, its headings first."""
+    cells = [HEADINGS, *(row.cells for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    return [
+        "  ".join(
+            cell.ljust(width) if place < LEFT else cell.rjust(width)
+            for place, (cell, width) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in cells
+    ]
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """Return the table as Markdown."""
+    marks = [":--" if place < LEFT else "--:" for place in range(len(HEADINGS))]
+    body = [[for_markdown(cell) for cell in row.cells] for row in rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in [HEADINGS, marks, *body])
+
+
+def in_short(rows: Sequence[Row]) -> str:
+    """Return how many units are in each state, in one line."""
+    counts: dict[str, int] = {}
+    for row in rows:
+        counts[row.state] = counts.get(row.state, 0) + 1
+    return f"{len(rows)} units: " + ", ".join(f"{count} {state}" for state, count in counts.items())

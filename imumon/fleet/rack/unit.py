@@ -1,0 +1,152 @@
+"""The process of one unit: its own reader, recorder, pipeline and session, whatever becomes of the others.
+
+It is forked from a process that has everything loaded (`imumon.fleet.rack.preload`), so that the memory of
+what is loaded is there once.  Signals are for the rack, which ends its units in order; where the rack itself
+is gone, the unit closes its session and ends.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+from imumon.errors import ImumonError
+from imumon.fleet.rack.description import Plan
+from imumon.fleet.rack.feed import Feed, Vitals
+from imumon.heap import prepare_heap
+from imumon.protocols.device import DeviceFile, parse_device
+from imumon.recordings.lines import Line, Lines
+from imumon.run.live import LiveRun, nothing_decoded, warm_up
+from imumon.run.narration import view_setup
+from imumon.run.setup import Setup, parse_setup
+from imumon.view.items import ViewItem, ViewSetup
+
+PERIOD_S = 1.0
+"""How often a unit says how it is; most of what the shared view costs does not depend on how much that is."""
+BEFORE = -5
+"""Where the system lets it (root, or a limit for niceness), a unit that records comes before all else."""
+RETRY_S = 2.0
+"""How often a port that cannot be opened is tried again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What the process of a unit is told."""
+
+    plan: Plan
+    sessions: Path
+    """Folder of the sessions."""
+    window_s: float
+    """Seconds that the strips of the view show."""
+    pictures: bool
+    """Whether there is a view that shows more than numbers."""
+
+
+@dataclass(frozen=True, slots=True)
+class Update:
+    """What a unit says once a second; `setup` is what the view must know of it, None before it records."""
+
+    vitals: Vitals
+    setup: ViewSetup | None
+    items: Sequence[ViewItem]
+    lines: Sequence[Line]
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """What a unit says last; `summary` is that of `imumon monitor --json`, None when no port was opened."""
+
+    summary: dict[str, object] | None
+    problem: str
+    lines: Sequence[Line]
+
+
+def run_unit(task: Task, rack: Connection) -> None:
+    """Record a unit until the rack says so or is gone."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    prepare_heap()
+    with suppress(PermissionError):
+        os.nice(BEFORE)
+    with suppress(BrokenPipeError):  # the rack was killed; the session is closed by then
+        _run(task, rack)
+
+
+def _run(task: Task, rack: Connection) -> None:
+    plan, lines = task.plan, Lines()
+    setup = Setup() if plan.pipeline_yaml is None else parse_setup(plan.pipeline_yaml, plan.name)
+    device = parse_device(plan.device_yaml, plan.source)
+    # All is loaded before the port is open: a reader that waits for that comes too late for what is sent.
+    warm_up(device, setup)
+    from imumon.view.recorder import (
+        ViewRecorder,  # here, as Rerun starts threads: see imumon.fleet.rack.preload
+    )
+
+    gc.freeze()
+    run = _opened(task, device, setup, lines, rack)
+    if run is None:
+        rack.send(Ended(None, "its port was never opened", lines.take()))
+        return
+    whole = view_setup(run.session, run.pipeline.units, task.window_s)
+    # Of the unit, not of its session: a tab that is there goes on when a process was begun anew.
+    own = ViewSetup(plan.name, plan.name, whole.units, whole.z_down, whole.window_s)
+    recorder = ViewRecorder(run.session.view_path, whole, on_error=run.report_view_error)
+    feed = Feed(str(run.session.path), pictures=task.pictures)
+    run.begin([recorder.publish, feed.publish])
+    said = False
+    try:
+        while not _asked_to_end(rack, PERIOD_S):
+            if not run.processing and not said:
+                said = True
+                lines.put("ERROR", "decoding stopped; reading and recording go on")
+            vitals, items = feed.take(run.progress)
+            rack.send(Update(vitals, own, items, lines.take()))
+    finally:
+        recorder.end()
+        summary = run.stop([path.name for path in recorder.files if path.exists()])
+        recorder.close()
+    problem = run.failure or nothing_decoded(plan.settings, device, summary.counters)
+    rack.send(Ended(summary.as_dict(), "" if problem is None else problem.seen, lines.take()))
+
+
+def _opened(task: Task, device: DeviceFile, setup: Setup, lines: Lines, rack: Connection) -> LiveRun | None:
+    """Return a run whose port is open; wait until it can be opened, or return None when asked to end."""
+    plan, said = task.plan, ""
+    while True:
+        try:
+            folder = new_folder(task.sessions, plan.name, time.time_ns())
+            run = LiveRun(
+                device, plan.device_yaml, plan.settings, setup, folder, lines.put, serial=plan.serial
+            )
+            run.open()
+            return run
+        except ImumonError as error:
+            if error.seen != said:
+                said = error.seen
+                lines.put("WARN", f"waits for its port: {error.seen}")
+        rack.send(Update(Vitals(lanes={"port": "waiting"}), None, (), lines.take()))
+        if _asked_to_end(rack, RETRY_S):
+            return None
+
+
+def new_folder(sessions: Path, name: str, now_ns: int) -> Path:
+    """Return SESSIONS/<UTC stamp>-<name>, to the millisecond: a unit may die twice in a second."""
+    stamp = datetime.fromtimestamp(now_ns * 1e-9, UTC)
+    return sessions / f"{stamp:%Y%m%dT%H%M%S}{now_ns // 1_000_000 % 1000:03d}Z-{name}"
+
+
+def _asked_to_end(rack: Connection, wait_s: float) -> bool:
+    """Wait; return whether the rack has asked for the end, or is gone."""
+    with suppress(EOFError, OSError):
+        if not rack.poll(wait_s):
+            return False
+        rack.recv()
+    return True

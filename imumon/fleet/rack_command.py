@@ -1,0 +1,193 @@
+"""``imumon rack``: many units on one bench, each recorded by a process of its own, watched together."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+import time
+from collections import deque
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from imumon.cli.common import (
+    CLEAR_LINE,
+    PATH,
+    SECONDS,
+    View,
+    bind_option,
+    chosen_view,
+    is_terminal,
+    json_option,
+    note,
+    print_json,
+    print_rows,
+    window_option,
+)
+from imumon.cli.live_run import Ending, Lines
+from imumon.cli.monitor_command import SCREEN_S
+from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError
+
+if TYPE_CHECKING:
+    from imumon.fleet.rack.description import Watched
+    from imumon.fleet.rack.rack import Rack
+    from imumon.view.publisher import ViewPublisher
+
+LOG_LINES = 100
+"""Log lines that a terminal may show below the table."""
+
+
+@click.command("rack")
+@click.argument("file", type=PATH, metavar="RACK.YAML")
+@click.option(
+    "--view",
+    type=click.Choice(["native", "web", "terminal", "none"]),
+    help="Default: native with a display, else web; terminal shows the table where the command runs.",
+)
+@click.option("--out", type=PATH, default=Path("sessions"), show_default=True, help="Folder of the sessions.")
+@click.option("--seconds", type=SECONDS, help="Stop after this time.")
+@window_option
+@bind_option
+@json_option
+def command(
+    file: Path,
+    view: View | None,
+    out: Path,
+    seconds: float | None,
+    window: float,
+    bind: str,
+    as_json: bool,
+) -> int:
+    """Record all units that RACK.YAML names, each in a process and a session of its own, until Ctrl-C.
+
+    \b
+        format: imumon-rack/1
+        default: {device: xsens, baud: 921600}
+        units:
+          left: {port: /dev/ttyUSB0, serial: "0380123", model: left.yaml}
+          right: {port: /dev/ttyUSB1}
+
+    A unit whose port is not there is waited for; one that dies or hangs is begun anew, and harms no other.
+    The file is read again when it changes: new units begin, those that are gone end.
+    """
+    from imumon.fleet.rack.description import Watched, load_rack
+    from imumon.fleet.rack.rack import Rack
+    from imumon.fleet.rack.table import text_lines
+
+    mode = chosen_view(view, bind)
+    watched, plans = Watched(file), load_rack(file)
+    ending, lines = Ending(seconds), Lines()
+    publisher = _publisher(file, out, mode, window, bind)
+    rack = Rack(out, lines.put, None if publisher is None else publisher.publish, window)
+    bench = _Bench(rack, watched, ending, lines)
+    try:
+        rack.change(plans)
+        ending.begin()
+        if mode == "terminal":
+            bench.run_on_screen(file.stem)
+        else:
+            bench.run(publisher)
+    finally:
+        rack.stop()
+        if publisher is not None:
+            publisher.close()
+        lines.write()
+    told = rack.as_dict()
+    if as_json:
+        print_json({"units": told, "view_dropped": 0 if publisher is None else publisher.state.dropped})
+    for line in text_lines(rack.rows):
+        note(line)
+    troubles = {name: text for name, unit in told.items() if (text := trouble(unit))}
+    print_rows({"sessions": str(out), **troubles})
+    return EXIT_NEGATIVE if troubles else EXIT_OK
+
+
+def _publisher(file: Path, out: Path, mode: View, window: float, bind: str) -> ViewPublisher | None:
+    """Return the view that all units share, where there is one."""
+    if mode == "terminal" or mode == "none":
+        return None
+    from imumon.view.items import ViewSetup
+    from imumon.view.publisher import ViewPublisher
+
+    setup = ViewSetup(
+        title=f"rack {file.stem}",
+        recording_id=f"rack-{file.stem}-{time.time_ns()}",
+        window_s=window,
+        properties={"file": str(file), "sessions": str(out)},
+        several=True,
+    )
+    return ViewPublisher(mode, setup, bind=bind).start()
+
+
+def trouble(unit: dict[str, Any]) -> str:
+    """Return what went wrong with a unit, by what ``--json`` says of it; empty when nothing did."""
+    unrecorded = sum(session["bytes_unrecorded"] for session in unit["sessions"])
+    found = [unit["problem"]] if unit["problem"] else []
+    if unit["deaths"]:
+        found.append(f"its process died {len(unit['deaths'])} times")
+    if unrecorded:
+        found.append(f"NOT RECORDED: {unrecorded:,} bytes")
+    return "; ".join(found)
+
+
+@dataclass(slots=True)
+class _Bench:
+    """A rack that is kept as its file says, until the end is asked for."""
+
+    rack: Rack
+    watched: Watched
+    ending: Ending
+    lines: Lines
+
+    def run(self, publisher: ViewPublisher | None) -> None:
+        """Write log lines, and a status line on a terminal that can show one."""
+        from imumon.fleet.rack.table import in_short
+
+        interactive, announced = is_terminal(), ""
+        clear = CLEAR_LINE if interactive else ""
+        while self.ending.wait():
+            self._step()
+            if publisher is not None and publisher.url not in ("", announced):
+                announced = publisher.url
+                self.lines.put("INFO", f"live view: {announced}")
+            self.lines.write(clear)
+            if interactive:
+                view = "" if publisher is None else f"  view: {publisher.state}"
+                note(in_short(self.rack.rows) + view, newline=False, control=clear)
+        note("", newline=False, control=clear)
+
+    def run_on_screen(self, title: str) -> None:
+        """Draw the table once a second, the log below it."""
+        from imumon.fleet.rack.table import in_short, text_lines
+        from imumon.view.terminal import Screen
+
+        screen, drawn_s = Screen(lambda text: note("", newline=False, control=text)), -math.inf
+        log: deque[str] = deque(maxlen=LOG_LINES)
+        with closing(screen):
+            while self.ending.wait():
+                self._step()
+                log.extend(f"{level} {text}" for level, text in self.lines.take())
+                if time.monotonic() - drawn_s < SCREEN_S:
+                    continue
+                drawn_s = time.monotonic()
+                columns, rows = os.get_terminal_size(sys.stderr.fileno())
+                shown = [f"rack {title}: {in_short(self.rack.rows)}", "", *text_lines(self.rack.rows), ""]
+                room = max(rows - len(shown), 0)
+                found = [*shown, *list(log)[len(log) - min(room, len(log)) :]]
+                screen.show([line[:columns] for line in found[:rows]], columns, rows)
+
+    def _step(self) -> None:
+        """Look after the units, and read the file where it has changed; a bad one changes nothing."""
+        from imumon.fleet.rack.description import load_rack
+
+        self.rack.look()
+        if not self.watched.has_changed():
+            return
+        try:
+            self.rack.change(load_rack(self.watched.path))
+        except ImumonError as error:
+            self.lines.put("ERROR", f"{error.line}; the rack goes on as it is")

@@ -1,0 +1,52 @@
+"""``imumon report``: the calibration record of a session or a unit, as one page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from imumon.cli.common import PATH, print_rows, warn
+from imumon.errors import ImumonError, Reason
+from imumon.files import check_output
+
+
+@click.command("report")
+@click.argument("what", metavar="SESSION|UNIT")
+@click.option("--out", required=True, type=PATH, help="Page to write: NAME.html.")
+@click.option(
+    "--sessions",
+    type=PATH,
+    default=Path("sessions"),
+    show_default=True,
+    help="Where the sessions of a UNIT are.",
+)
+def command(what: str, out: Path, sessions: Path) -> None:
+    """Write the record of a SESSION, or of the UNIT with this serial number, for the file: one HTML page."""
+    if out.suffix != ".html":
+        raise ImumonError(Reason.BAD_CONFIG, f"{out}: the record is a page", "name it NAME.html")
+    check_output(out, replace=True)
+    from imumon.fleet.catalog.page import write_session, write_unit
+    from imumon.fleet.catalog_command import read
+    from imumon.recordings.folder import is_session, open_session
+
+    if is_session(Path(what)):
+        warn(write_session(open_session(Path(what)), out))
+    else:
+        if not sessions.is_dir():
+            raise ImumonError(
+                Reason.BAD_DATA,
+                f"{what} is no session, and there is no folder {sessions} with sessions of a unit {what}",
+                "give the folder of a session, or --sessions DIR",
+            )
+        units, unusual, _ = read(sessions)
+        unit = next((unit for unit in units if unit.name == what), None)
+        if unit is None:
+            names = ", ".join(unit.name for unit in units)
+            raise ImumonError(
+                Reason.BAD_DATA,
+                f"{what} is neither a session nor a unit of which there are sessions in {sessions}",
+                f"there are: {names}",
+            )
+        write_unit(unit, unusual, out)
+    print_rows({"record": str(out)})

@@ -1,0 +1,82 @@
+"""A log becomes a session, through the table and the map that are made of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from imumon.errors import ImumonError, Reason
+from imumon.files import readable, write_text
+from imumon.logs import ardupilot, betaflight, px4, ros
+from imumon.logs.log import Damage, Log
+from imumon.recordings.importing import ImportReport, Origin, import_table
+
+Reader = Callable[[Path, str | None], Log]
+FORMATS: tuple[tuple[Callable[[Path, bytes], bool], Reader], ...] = (
+    (ardupilot.is_one, ardupilot.read),
+    (px4.is_one, px4.read),
+    (ros.is_one, ros.read),
+    (betaflight.is_one, betaflight.read),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class LogReport:
+    """What became of a log: its rows, the sensor that they are of, those not taken, scaling and damage."""
+
+    rows: ImportReport
+    sensor: str
+    others: list[str]
+    scaling: str
+    damage: Damage
+
+
+def import_log(path: Path, sensor: str | None, out: Path) -> LogReport:
+    """Make a session of one inertial sensor of a log; rows whose time does not increase are counted only.
+
+    Raises ImumonError as `reader_of`, the reader of the log, and `imumon.recordings.importing.import_table`.
+    """
+    log = reader_of(path)(path, sensor)
+    with TemporaryDirectory(prefix="imumon-log-") as folder:
+        table = Path(folder) / "log.parquet"
+        text, dropped = log.write(table)
+        if dropped == len(log.gyro.time_ns):
+            raise ImumonError(
+                Reason.BAD_DATA,
+                f"{path}: none of the {dropped:,} samples of {log.sensor} has a time",
+                "make a table of it (mavlogdump.py --format csv), and give --map MAP.yaml",
+            )
+        write_text(table.with_suffix(".yaml"), text)
+        rows = import_table(table, table.with_suffix(".yaml"), out, Origin(_file_of(path), dropped))
+    rows = replace(rows, warnings=(*log.warnings, *rows.warnings))
+    return LogReport(rows, log.sensor, log.others, log.scaling, log.damage)
+
+
+def reader_of(path: Path) -> Reader:
+    """Return what reads a log, as its content says, not its name.
+
+    Raises BAD_DATA when it cannot be read; BAD_CONFIG when it is none of these logs, and needs a map.
+    """
+    head = b""
+    if not path.is_dir():
+        with readable(path), path.open("rb") as file:
+            head = file.read(64)
+        if not head:
+            raise ImumonError(Reason.BAD_DATA, f"{path}: is empty")
+    for is_one, read in FORMATS:
+        if is_one(path, head):
+            return read
+    raise ImumonError(
+        Reason.BAD_CONFIG,
+        f"{path}: is no log of ArduPilot (.BIN), PX4 (.ulg) or Betaflight (blackbox_decode), and no ROS bag",
+        "a table needs --map MAP.yaml, which says what is in which column",
+    )
+
+
+def _file_of(path: Path) -> Path:
+    """Return the file that a fingerprint is taken of: of a bag that is a folder the largest."""
+    if not path.is_dir():
+        return path
+    return max((one for one in path.iterdir() if one.is_file()), key=lambda one: one.stat().st_size)

@@ -1,0 +1,131 @@
+"""Logs of PX4 (.ulg), read with pyulog.
+
+sensor_gyro has x, y, z in rad/s, sensor_accel in m/s², both with a temperature in °C; sensor_mag in gauss,
+sensor_baro a pressure in Pa, before v1.14 in millibar.  timestamp_sample, in µs, is the time of validity.
+Axes are forward-right-down.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imumon.blocks import IntArray
+from imumon.errors import ImumonError, Reason, missing_package
+from imumon.files import readable
+from imumon.logs.log import (
+    GAUSS_TO_TESLA,
+    Damage,
+    Log,
+    Series,
+    Wanted,
+    beside,
+    named,
+    nanoseconds,
+    pick,
+    triple,
+)
+
+SCALING = "the units that uORB defines for sensor_gyro and sensor_accel"
+HEAD = b"ULog\x01\x12\x35"
+TOPICS = ["sensor_gyro", "sensor_accel", "sensor_mag", "sensor_baro"]
+FILE_HEAD = 16
+MESSAGE = struct.Struct("<HB")
+"""What a message begins with: bytes of its content, and its kind."""
+FLAGS, SUBSCRIPTION, DATA = b"BAD"
+KINDS = frozenset(b"BFIMPQARDLCSO")
+LARGEST = 10_000
+"""A message is smaller; pyulog has the same limit."""
+OFFSETS = slice(16, 40)
+"""Where FLAGS says that data was appended after a crash; they are messages as all others."""
+SURE = 2
+"""So many messages must follow one behind a damaged place; behind a good one it is one."""
+MILLIBAR_TO_PASCAL = 100.0
+LEAST_PASCAL = 1200.0
+"""Below, a pressure is in millibar: 1200 Pa are 30 km up, and no weather on the ground has 1200 millibar."""
+
+
+def is_one(_: Path, head: bytes) -> bool:
+    """Tell whether a file is such a log."""
+    return head.startswith(HEAD)
+
+
+def read(path: Path, sensor: str | None = None) -> Log:
+    """Return a gyro of a log and the accelerometer of the same number, sensor_gyro.0 the first.
+
+    Raises BAD_DATA when it has no sensor_gyro; BAD_CONFIG when not this one.
+    """
+    try:
+        from pyulog import ULog
+    except ModuleNotFoundError as error:
+        raise missing_package("this log", "pyulog", "autopilot") from error
+    with readable(path):
+        recorded = path.read_bytes()
+    try:
+        data, damage = _mended(recorded)
+        with redirect_stdout(io.StringIO()):  # where it says what it makes of damage
+            log = ULog(io.BytesIO(data), TOPICS)
+    except Exception as error:  # pyulog raises whatever damaged bytes lead to
+        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read as a ULog: {error}") from error
+    found = {f"{one.name}.{one.multi_id}": one.data for one in log.data_list}
+    gyros = sorted(name for name in found if name.startswith("sensor_gyro."))
+    name, others = pick(path, gyros, sensor, damage)
+    gyro = named(found[name], [*"xyz", "temperature"], [*triple("gyro"), "temperature"])
+    accel = Wanted(f"sensor_accel.{name.rpartition('.')[2]}", [*"xyz"], triple("accel"))
+    mag = Wanted("sensor_mag.0", [*"xyz"], triple("mag"), GAUSS_TO_TESLA)
+    joined = beside(found, (accel, mag, _baro(found)), _time)
+    return Log(name, others, Series(_time(found[name]), gyro), joined, "FRD", SCALING, damage)
+
+
+def _baro(found: dict[str, Any]) -> Wanted:
+    """Return the barometer with the unit that it has: the log does not say it, and firmwares differ."""
+    pressure = np.asarray(found.get("sensor_baro.0", {}).get("pressure", ()), np.float64)
+    pressure = pressure[np.isfinite(pressure)]
+    old = len(pressure) > 0 and np.median(pressure) < LEAST_PASCAL
+    return Wanted("sensor_baro.0", ["pressure"], ["pressure"], MILLIBAR_TO_PASCAL if old else 1.0)
+
+
+def _mended(data: bytes) -> tuple[bytes, Damage]:
+    """Return a log without its damaged places: a size that is wrong there would end pyulog's reading."""
+    subscribed, parts, damage, good = set[bytes](), [data[:FILE_HEAD]], Damage(), FILE_HEAD
+
+    def is_message(at: int, more: int) -> bool:
+        if at == len(data):
+            return True
+        if at + MESSAGE.size > len(data):
+            return False
+        size, kind = MESSAGE.unpack_from(data, at)
+        begin, end = at + MESSAGE.size, at + MESSAGE.size + size
+        if kind not in KINDS or size > LARGEST or end > len(data):
+            return False
+        if kind == SUBSCRIPTION:
+            subscribed.add(data[begin + 1 : begin + 3])
+        elif kind == DATA and data[begin : begin + 2] not in subscribed:
+            return False
+        return more == 0 or is_message(end, more - 1)
+
+    at = good
+    while at < len(data):
+        if not is_message(at, 1 if at == good else SURE):
+            at += 1
+            continue
+        damage = damage.and_at(good, at)
+        size, kind = MESSAGE.unpack_from(data, at)
+        good = at + MESSAGE.size + size
+        content = bytearray(data[at + MESSAGE.size : good])
+        if kind == FLAGS:
+            content[OFFSETS] = bytes(len(content[OFFSETS]))
+        parts += [data[at : at + MESSAGE.size], bytes(content)]
+        at = good
+    return b"".join(parts), damage.and_at(good, len(data))
+
+
+def _time(fields: Any) -> IntArray:
+    """Return the times of validity in ns, else of logging."""
+    sampled = fields.get("timestamp_sample")
+    return nanoseconds(sampled if sampled is not None and sampled.any() else fields["timestamp"])

@@ -1,0 +1,112 @@
+"""The option --publish: live samples for other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import click
+
+from imumon.cli.common import warn
+from imumon.live_output import LiveOutput
+
+if TYPE_CHECKING:
+    from imumon.publishing.publisher import Publisher
+    from imumon.publishing.target import Target
+    from imumon.view.items import Shown, ViewSetup
+
+
+class _Publish:
+    """The option `--publish` of `imumon monitor`."""
+
+    name = "publish"
+    option = staticmethod(
+        click.option(
+            "--publish",
+            multiple=True,
+            metavar="KIND[=HOST:PORT]",
+            help="Send the samples, too: udp-json, foxglove or ros2; without an address to this computer"
+            " alone.",
+        )
+    )
+
+    def parse(self, given: Sequence[str]) -> list[Target]:
+        """Return the targets; see `LiveOutput`."""
+        return read_targets(given)
+
+    def start(self, parsed: Sequence[Target], setup: ViewSetup) -> Published:
+        """Begin to send to them; see `LiveOutput`."""
+        return Published(parsed, setup)
+
+
+PUBLISH: LiveOutput = _Publish()
+
+
+def read_targets(given: Sequence[str]) -> list[Target]:
+    """Return the targets of --publish; say of those beyond this computer that they are."""
+    if not given:
+        return []
+    from imumon.publishing.target import parse_target
+
+    targets = [parse_target(text) for text in given]
+    warn(target.warning for target in targets if target.warning is not None)
+    return targets
+
+
+class Published:
+    """Everything that --publish asks for, while a command runs."""
+
+    def __init__(self, targets: Sequence[Target], setup: ViewSetup) -> None:
+        self._publishers: list[Publisher] = []
+        if targets:
+            from imumon.publishing.publisher import Publisher
+
+            self._publishers = [Publisher(target, setup).start() for target in targets]
+        self._said: dict[Publisher, str] = {}
+
+    @property
+    def publish(self) -> list[Callable[[Shown], None]]:
+        """Where view items go."""
+        return [one.publish for one in self._publishers]
+
+    @property
+    def text(self) -> str:
+        """What a status line says: where it goes, and what of it was dropped."""
+        return "".join(f"  {_described(one)}" for one in self._publishers)
+
+    @property
+    def as_data(self) -> dict[str, object]:
+        """What the command says with --json."""
+        return {"published": [*self._sent()]}
+
+    def _sent(self) -> Iterator[dict[str, object]]:
+        for one in self._publishers:
+            yield {"to": str(one.target), "sent": one.state.sent, "dropped": one.state.dropped}
+
+    @property
+    def rows(self) -> dict[str, str]:
+        """What the summary says."""
+        texts = [f"{one['to']}: {one['sent']:,} sent, {one['dropped']:,} dropped" for one in self._sent()]
+        return {"published": "; ".join(texts)} if texts else {}
+
+    def announce(self, tell: Callable[[str, str], None]) -> None:
+        """Say how it goes, when that changes, and when the first is dropped."""
+        for one in self._publishers:
+            state = one.state
+            said = f"{one.target}: {state.text}" + (", some are dropped" if state.dropped else "")
+            if said != self._said.get(one, ""):
+                self._said[one] = said
+                tell("INFO" if state.ready and not state.dropped else "WARN", f"published to {said}")
+
+    def close(self) -> None:
+        """Send what is left, and end."""
+        for one in self._publishers:
+            one.close()
+
+
+def _described(publisher: Publisher) -> str:
+    state = publisher.state
+    if not state.ready:
+        return f"{publisher.target.kind}: {state.text}"
+    dropped = f", {state.dropped:,} dropped" if state.dropped else ""
+    return f"{publisher.target.kind}: {state.sent:,} sent{dropped}"

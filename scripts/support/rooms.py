@@ -1,0 +1,93 @@
+"""The drawing of core and wings in docs/index.md, made from the imports, and the lines of each room.
+
+python scripts/support/rooms.py [--write]   (--write: into the page)
+"""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "imumon"
+PAGE = ROOT / "docs" / "index.md"
+BEGIN, END = "<!-- rooms -->\n", "<!-- end rooms -->"
+FEW = 60
+"""Rooms with fewer lines are not in the table; they are counted together."""
+
+
+def wings() -> list[str]:
+    """Return the names of the wings of imumon, as imumon/wings.py lists them."""
+    tree = ast.parse((PACKAGE / "wings.py").read_text(encoding="utf-8"))
+    listed = next(
+        node.value
+        for node in tree.body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "BUILT_IN"
+    )
+    return [name.rpartition(".")[2] for name in ast.literal_eval(listed)]
+
+
+def room_of(path: Path) -> str:
+    """Return the room of a file: its folder in the package, or the file itself."""
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imported(path: Path) -> Iterator[str]:
+    """Yield the rooms that a file imports."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("imumon."):
+            yield str(node.module).split(".")[1]
+
+
+def lines_of_rooms() -> dict[str, int]:
+    """Return how many lines each room has."""
+    lines: dict[str, int] = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        lines[room_of(path)] = lines.get(room_of(path), 0) + len(
+            path.read_text(encoding="utf-8").splitlines()
+        )
+    return lines
+
+
+def needs() -> dict[str, list[str]]:
+    """Return the rooms of the core that each wing imports, in order of name."""
+    found: dict[str, set[str]] = {wing: set() for wing in wings()}
+    for path in PACKAGE.rglob("*.py"):
+        if (room := room_of(path)) in found:
+            found[room] |= {name for name in imported(path) if (PACKAGE / name).is_dir() and name != room}
+    return {wing: sorted(rooms) for wing, rooms in found.items()}
+
+
+def drawing() -> str:
+    """Return the drawing and the table as Markdown."""
+    lines, made = lines_of_rooms(), wings()
+    core = {room: n for room, n in lines.items() if room not in made}
+    text = ["    core" + f"{sum(core.values()):>36,} lines; imports no wing"]
+    for wing, rooms in needs().items():
+        text.append("      ^")
+        text.append(f"      +-- {wing:<12}{lines[wing]:>22,} lines; of the core: {', '.join(rooms)}")
+    table = ["| room | lines | |", "|---|---:|---|"]
+    named = [room for room, n in lines.items() if n >= FEW]
+    for room in sorted(named, key=lambda room: -lines[room]):
+        table.append(f"| `{room}` | {lines[room]:,} | {'wing' if room in made else ''} |")
+    rest = [n for room, n in lines.items() if room not in named]
+    table.append(f"| {len(rest)} files of fewer than {FEW} lines | {sum(rest):,} | |")
+    table.append(f"| all | {sum(lines.values()):,} | |")
+    return "\n".join([*text, "", *table, ""])
+
+
+def main(arguments: list[str]) -> int:
+    """Print the drawing, or write it into the page."""
+    if arguments != ["--write"]:
+        print(drawing())
+        return 0
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
+    _, _, after = rest.partition(END)
+    PAGE.write_text(f"{before}{BEGIN}{drawing()}{END}{after}", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,158 @@
+"""A device on the other end of a line without a port and without waiting: time passes as it is read."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from types import SimpleNamespace
+from typing import cast
+
+import pytest
+
+from imumon.blocks import SampleBlock, join
+from imumon.configure import command_link, measured_stream
+from imumon.configure.command_link import CommandLink
+from imumon.configure.commands.families import family_of
+from imumon.configure.configuration import Configuration, Report
+from imumon.configure.firmware.core import Firmware, Sending
+from imumon.errors import ImumonError
+from imumon.protocols.device import DeviceFile, load_device
+from imumon.simulation.unit import SimulatedUnit, load_scenario
+from imumon.simulation.unit.unit import CHUNK
+from imumon.transport.errors import lost_error
+from imumon.transport.port import Port
+from imumon.transport.settings import PortSettings
+from imumon.wings import firmware_of
+
+
+@cache
+def device_of(name: str) -> DeviceFile:
+    """Return a device, read once for all tests."""
+    return load_device(name)
+
+
+class Played:
+    """What a unit sends, simulated once for all ports."""
+
+    def __init__(self, unit: SimulatedUnit) -> None:
+        self._unit = unit
+        self._made = unit.samples(CHUNK)
+
+    def rows(self, start: int, stop: int) -> SampleBlock:
+        """Return samples by their number since power-on."""
+        while stop > len(self._made):
+            self._made = join([self._made, self._unit.samples(CHUNK)])
+        return self._made.rows(start, stop)
+
+
+@cache
+def played(name: str, rate_hz: float) -> Played:
+    """Return what a unit sends at a rate in the axes of a device."""
+    return Played(SimulatedUnit(load_scenario("bench").played(rate_hz, device_of(name).axes)))
+
+
+class LoopedPort:
+    """What `CommandLink` asks of a port, with the firmware of a virtual device behind it."""
+
+    def __init__(self, name: str, rate_hz: float) -> None:
+        self.device = device_of(name)
+        made = firmware_of(self.device.protocol)(self.device, rate_hz)
+        assert made is not None
+        self.firmware: Firmware = made
+        self.settings = PortSettings("/dev/looped", self.device.serial.baudrates[0])
+        self.shared_with: tuple[str, ...] = ()
+        self.now_s = 1000.0
+        self.on_write: Callable[[int], None] = lambda _: None
+        self.writes = 0
+        self._name, self._rate_hz = name, rate_hz
+        self._answers = b""
+        self._samples = 0.0
+        self._sending: Sending | None = None
+        self._sent_by = dict(self.firmware.settings.volatile)
+        self._sent: Counter[float] = Counter()
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def time_ns(self) -> int:
+        return round(self.now_s * 1e9)
+
+    def set_baudrate(self, baudrate: int) -> None:
+        self.settings = replace(self.settings, baudrate=baudrate)
+
+    def write(self, data: bytes) -> None:
+        self._look()
+        self.writes += 1
+        self.on_write(self.writes)
+        if self.settings.baudrate == self.firmware.baudrate:
+            self._answers += self.firmware.hear(data)
+        self._look()
+
+    def read(self, timeout_s: float) -> bytes:
+        self._look()
+        self.now_s += 1e-4
+        if self._answers:
+            data, self._answers = self._answers, b""
+            return data
+        self.now_s += max(timeout_s, 0.0)
+        return self._data(timeout_s) if timeout_s > 0 else b""
+
+    def close(self) -> None:
+        pass
+
+    def _look(self) -> None:
+        if self.firmware.unplugged:
+            raise lost_error(self.settings, "the device hung up")
+
+    def _data(self, seconds: float) -> bytes:
+        firmware = self.firmware
+        if firmware.dead or not firmware.streaming or self.settings.baudrate != firmware.baudrate:
+            return b""
+        if firmware.settings.volatile != self._sent_by:
+            self._sent_by, self._sending = dict(firmware.settings.volatile), firmware.sending()
+        sending = self._sending
+        rate = self._rate_hz if sending is None else sending.rate_hz
+        self._samples += seconds * rate
+        n, self._samples = int(self._samples), self._samples % 1.0
+        first = self._sent[rate]
+        self._sent[rate] += n
+        block = played(self._name, rate).rows(first, first + n)
+        return b"".join(self.device.encoder().encode(block)) if sending is None else sending.encode(block)
+
+
+@dataclass
+class Looped:
+    """A device on a line, and what becomes of it."""
+
+    port: LoopedPort
+    configuration: Configuration
+    report: Report
+
+    @property
+    def as_found(self) -> bool:
+        """Whether volatile settings, flash and line are those that the device was delivered with."""
+        firmware, settings = self.port.firmware, self.port.firmware.settings
+        same = settings.volatile == settings.flash == settings.delivered
+        return same and firmware.streaming and firmware.baudrate == self.port.device.serial.baudrates[0]
+
+
+def looped(monkeypatch: pytest.MonkeyPatch, name: str, rate_hz: float | None = None) -> Looped:
+    """Return a device that streams, and what configures it; clocks go as the port is read."""
+    port = LoopedPort(name, rate_hz or device_of(name).rate_hz or 100.0)
+    clock = SimpleNamespace(monotonic=port.monotonic, time_ns=port.time_ns)
+    monkeypatch.setattr(command_link, "time", clock)
+    monkeypatch.setattr(measured_stream, "time", clock)
+    family = family_of(port.device)
+    link = CommandLink(cast(Port, port), family, streaming=True)
+    report = Report(port.device.name, port.settings.url)
+    return Looped(port, Configuration(link, family, port.device, report), report)
+
+
+def failed(one: Looped, *arguments: object) -> ImumonError:
+    """Return the error of a configuration that must fail."""
+    with pytest.raises(ImumonError) as caught:
+        one.configuration.run(*arguments)  # type: ignore[arg-type]
+    assert one.report.result == "failed"
+    return caught.value
