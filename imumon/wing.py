@@ -41,5 +41,14 @@ class Wing(NamedTuple):
     """
     live_output: str = ""
     """Option of `imumon monitor` that sends what is recorded elsewhere, too: a `LiveOutput`."""
+    stages: str = ""
+    """Returns more stages behind those of the core.
+
+    It takes the `Setup`, the parameters of the temperature rate and the stages before.
+    """
+    temperature_methods: Mapping[str, str] = {}
+    """By the `method` of a device file, what estimates the temperature rate; takes its parameters."""
+    compare_models: str = ""
+    """Writes the page of what two models leave of a session; see `imumon.lab.hooks.compare_models`."""
     import_log: str = ""
     """Makes a session of a log that needs no map; see `imumon.logs.importing.import_log`."""

@@ -9,8 +9,15 @@ from typing import Any
 
 from imumon.wing import Wing
 
-BUILT_IN = ("imumon.configure", "imumon.fleet", "imumon.logs", "imumon.publishing")
-"""Packages that have `WING`."""
+BUILT_IN = (
+    "imumon.papers",
+    "imumon.lab",
+    "imumon.logs",
+    "imumon.publishing",
+    "imumon.configure",
+    "imumon.fleet",
+)
+"""Packages that have `WING`; their stages run in this order."""
 NEEDED = "wing (imumon.wing.Wing)"
 """What a plug-in offers in the group `imumon.plugins.WINGS`, in words."""
 
@@ -41,7 +48,12 @@ def offers(hook: str) -> list[Any]:
     return [resolve_name(place) for wing in wings() if (place := getattr(wing, hook))]
 
 
+def named(hook: str, name: str) -> Any:
+    """Return what a wing brings under a name, in a field of `Wing` that has places by name; None without."""
+    place = next((places[name] for wing in wings() if name in (places := getattr(wing, hook))), None)
+    return None if place is None else resolve_name(place)
+
+
 def firmware_of(protocol: str) -> Any:
     """Return what makes a virtual device of this protocol answer commands; None when nothing does."""
-    place = next((wing.firmware[protocol] for wing in wings() if protocol in wing.firmware), None)
-    return None if place is None else resolve_name(place)
+    return named("firmware", protocol)

@@ -50,13 +50,8 @@ OWN = {
         "export": "Write the samples of a session as a table.",
     },
     "Understand a unit": {
-        "calibrate": "Find the bias over temperature from recordings at rest.",
-        "magnetometer": "Find hard and soft iron from a figure-eight.",
         "allan": "Find noise, bias instability and drift of a recording at rest.",
         "align": "Find the heading of a resting unit by the earth rate.",
-        "diagnose": "Name the effect that a bias model lacks.",
-        "learn": "Make a better bias model from all sessions of a unit.",
-        "plan": "Find the experiment that settles what a diagnosis leaves open.",
     },
     "Devices": {
         "doctor": "Look what this computer lacks, and say what to do.",

@@ -29,6 +29,7 @@ from imumon.cli.progress import reading_bar
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
 from imumon.files import check_output
+from imumon.wings import offers
 
 if TYPE_CHECKING:
     from imumon.pipeline import Estimator, Pipeline
@@ -145,10 +146,6 @@ def command(
 
 def _compare(session: Path, given: tuple[Path, Path], out: Path | None, as_json: bool) -> int:
     """Write the page of what two models leave of a session."""
-    from imumon.cli.diagnose_command import model_of, read
-    from imumon.diagnosis.comparing import compare, write_comparison
-    from imumon.models.model import UNITS
-
     if out is None or out.suffix != ".html":
         raise ImumonError(
             Reason.BAD_CONFIG,
@@ -156,17 +153,11 @@ def _compare(session: Path, given: tuple[Path, Path], out: Path | None, as_json:
             "add --out PAGE.html",
         )
     check_output(out)
-    first, second = (model_of(path) for path in given)
-    compared = compare(read(session, None, at_rest=False), (first, second))
-    write_comparison(compared, (str(given[0]), str(given[1])), str(session), out)
-    rows = {f"{one.run} {one.channel}": one.rms for one in compared}
+    compare = next(iter(offers("compare_models")))
+    data, rows = compare(session, given, out)
     if as_json:
-        print_json({"out": out, "rms": {name: list(rms) for name, rms in rows.items()}})
-    said = {
-        f"{one.run} {one.channel}": f"{one.rms[0]:.3g} become {one.rms[1]:.3g} {UNITS[one.channel]}"
-        for one in compared
-    }
-    print_rows(said | {"page": str(out)})
+        print_json(data)
+    print_rows({**rows, "page": str(out)})
     return EXIT_OK
 
 

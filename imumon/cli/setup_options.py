@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 import click
 
 from imumon.cli.common import PATH, Number
-from imumon.published.names import PUBLISHED
+from imumon.run.paper_names import PUBLISHED
 
 if TYPE_CHECKING:
     from imumon.run.setup import Setup

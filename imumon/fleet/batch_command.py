@@ -103,7 +103,7 @@ def calibrate(latitude: float | None, heading: float | None, **given: Any) -> in
 @_subcommand("diagnose", click.option("--declared", help="Bias model that is assumed; see imumon diagnose."))
 def diagnose(declared: str | None, **given: Any) -> int:
     """What a bias model lacks in each session by itself: DIR/reports/SESSION.json."""
-    from imumon.diagnosis.diagnose import parse_declared
+    from imumon.lab.diagnosis.diagnose import parse_declared
 
     if declared is not None:
         parse_declared(declared)

@@ -94,9 +94,9 @@ def read(folder: Path, results: Path | None = None) -> tuple[list[Unit], list[Ou
 
 
 def _row(unit: Unit, unusual: Sequence[Outlier]) -> list[str]:
-    from imumon.diagnosis.figures import shown
     from imumon.fleet.catalog.drift import drifts
     from imumon.fleet.catalog.tables import day
+    from imumon.lab.diagnosis.figures import shown
 
     factor, _ = shown("rad/s")
     begun = [entry.session.metadata.created_ns for entry in unit.entries]

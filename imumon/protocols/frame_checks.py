@@ -42,12 +42,6 @@ def sent(held: ByteArray, end: IntArray, size: int, big: bool) -> IntArray:
     return value
 
 
-def unchecked(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-    """Believe every packet."""
-    del held, length
-    return np.ones(len(at), np.bool_)
-
-
 class Trailing(ABC):
     """A checksum of all bytes from `first` on, in the last `size` bytes of a packet."""
 

@@ -10,7 +10,7 @@ read of a few bytes costs next to nothing, and what is found does not depend on 
 How damage is survived: after a bad checksum or an impossible length the search goes on at the next byte.  A
 damaged packet that lost bytes and passes its check all the same (one in 256 with a sum of eight bits) ends
 inside the next.  So where no sync pattern follows an accepted packet, a valid one that begins inside it and
-ends behind it is accepted, too; bytes count once.
+ends behind it is accepted, too; bytes count once.  Not so inside a packet that has no checksum.
 """
 
 from __future__ import annotations
@@ -37,6 +37,12 @@ Lengths = Callable[[ByteArray, IntArray], IntArray]
 """Takes the bytes and places of sync patterns, (n,); returns the whole length or one of the codes, (n,)."""
 Check = Callable[[ByteArray, IntArray, IntArray], BoolArray]
 """Takes the bytes, places and lengths of whole packets, (n,) each; tells which are right."""
+
+
+def unchecked(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+    """Believe every packet."""
+    del held, length
+    return np.ones(len(at), np.bool_)
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,15 +325,17 @@ class _Candidates:
         stops = np.append(np.flatnonzero(~joined), len(at) - 1)
         run_end = stops[np.searchsorted(stops, np.arange(len(at)))] + 1
         runs: list[IntArray] = [of_interest[:0]]
-        k, rest, pending = 0, len(self._held), -1
+        k, rest, pending, is_checked = 0, len(self._held), -1, True
         while k < len(at):
             start, length = int(at[k]), int(verdict[k])
-            if start < done and (0 < length <= done - start or self._begins[done]):
+            overlaps = start < done
+            if overlaps and (0 < length <= done - start or self._begins[done] or not is_checked):
                 k += 1
             elif length > 0:
                 stop = int(run_end[k])
                 runs.append(of_interest[k:stop])
                 done, pending, k = int(at[stop - 1] + verdict[stop - 1]), -1, stop
+                is_checked = self._frames[self.frame[of_interest[stop - 1]]].check is not unchecked
             elif not self._final:
                 rest = start
                 break

@@ -19,8 +19,8 @@ import numpy as np
 from imumon.blocks import ColumnArray, IntArray
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, Timing
-from imumon.protocols.frame_checks import Sum, unchecked
-from imumon.protocols.framing import INCOMPLETE, NO_PACKET, Found, Frame, fixed_length, windows
+from imumon.protocols.frame_checks import Sum
+from imumon.protocols.framing import INCOMPLETE, NO_PACKET, Found, Frame, fixed_length, unchecked, windows
 from imumon.protocols.messages import Message, Part, TableDecoder, TableDevice, TableFamily, part
 from imumon.protocols.numbers import NO_GROUP, Columns, Derived
 from imumon.protocols.stream import ByteArray

@@ -5,8 +5,9 @@ from __future__ import annotations
 import shlex
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
-from imumon.models.model import BiasModel
+from imumon.models.model import BiasModel, TrainedOn
 from imumon.pipeline import Pipeline
 from imumon.recordings.folder import Session, fingerprint
 from imumon.version import __version__
@@ -14,14 +15,32 @@ from imumon.version import __version__
 LEARNED_NAME = "learned-model.yaml"
 
 
+class Offered(Protocol):
+    """A better model."""
+
+    @property
+    def model(self) -> BiasModel:
+        """The model."""
+
+
+@runtime_checkable
+class Learning(Protocol):
+    """A stage that looks for a better model than the present one."""
+
+    @property
+    def offered(self) -> Offered | None:
+        """The better model, once it has won."""
+
+    def evidence(self, session: str, sha256: str) -> TrainedOn:
+        """Return what the model was learned from, a session of this name and fingerprint."""
+
+
 def keep_learned(pipeline: Pipeline, session: Session) -> Path | None:
     """Write the better model that has won in a session into its folder; return its path, or None.
 
     The model that the session ran with stays where it is: who wants the new one names it.
     """
-    from imumon.diagnosis.live import LiveDiagnosis
-
-    stage = next((one for one in pipeline.estimators if isinstance(one, LiveDiagnosis)), None)
+    stage = next((one for one in pipeline.estimators if isinstance(one, Learning)), None)
     if stage is None or stage.offered is None:
         return None
     path = session.path / LEARNED_NAME

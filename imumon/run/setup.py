@@ -19,9 +19,9 @@ from imumon.files import as_path, read_text
 from imumon.models.magnetometer import MagnetometerModel
 from imumon.models.model import BiasModel, load_model
 from imumon.protocols.ranges import Ranges
-from imumon.published.names import PublishedMethod
-from imumon.published.parameters import Channel, GyroNoise, RandomErrorParameters
 from imumon.recordings.folder import Session
+from imumon.run.paper_names import PublishedMethod
+from imumon.run.paper_parameters import Channel, GyroNoise, RandomErrorParameters
 
 FORMAT: Final = "imumon-pipeline/1"
 

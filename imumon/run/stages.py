@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 from imumon.allan.stage import AllanStage
 from imumon.estimation.attitude.stage import AttitudeEstimate
@@ -19,6 +18,7 @@ from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.source import Source
 from imumon.run.setup import Setup
 from imumon.stage import STAGE, is_callable, made_by
+from imumon.wings import named, offers
 
 
 def pipeline_of(
@@ -68,11 +68,8 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
 
         sent = () if device is None else [column.name for column in device.decoder().possible_columns]
         stages.append(Alignment(setup.alignment_with_warm_up, setup.latitude_deg, axes, sent))
-    if setup.asks_for_published:
-        from imumon.run.published import published_stages
-
-        stages += published_stages(setup, temperature)
-    stages += _better_model(setup, stages)
+    for more in offers("stages"):
+        stages += more(setup, temperature, stages)
     return [*stages, *_of_plugins()]
 
 
@@ -84,24 +81,9 @@ def _of_plugins() -> list[Estimator]:
     return [made_by(plugin) for plugin in plugins(STAGES, STAGE, is_callable)]
 
 
-def _better_model(setup: Setup, others: Sequence[Estimator]) -> list[Estimator]:
-    """Return the stage that looks for a better model than the present one, where there is one."""
-    if setup.bias_model is None:
-        return []
-    from imumon.diagnosis.live import LiveDiagnosis  # what the diagnosis needs takes time to load
-
-    return [LiveDiagnosis(setup.bias_model, setup.watch.learn, partial(_made_by, tuple(others)))]
-
-
-def _made_by(stages: Sequence[Estimator]) -> set[str]:
-    """Return the columns that stages add, as far as they know by now what is sent."""
-    return {column.name for stage in stages for column in stage.columns}
-
-
 def temperature_rate(given: TemperatureRateParameters) -> TemperatureRate:
     """Return the stage of the temperature rate with the method that the device file says."""
-    if given.method == "fir_exponential":
-        from imumon.run.published import fir_method
-
-        return TemperatureRate(parameters=given, new_method=fir_method(given))
+    method = named("temperature_methods", given.method)
+    if method is not None:
+        return TemperatureRate(parameters=given, new_method=method(given))
     return TemperatureRate(parameters=given)

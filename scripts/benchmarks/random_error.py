@@ -9,10 +9,10 @@ import numpy as np
 
 from benchmarks.measure import Bar, Table, measure
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.published.linear import LinearFilter, ModelL
-from imumon.published.parameters import RandomErrorParameters
-from imumon.published.random_error import RandomErrorMethods
-from imumon.published.sigma_points import ModelNL, SigmaPointFilter
+from imumon.papers.linear import LinearFilter, ModelL
+from imumon.papers.random_error import RandomErrorMethods
+from imumon.papers.sigma_points import ModelNL, SigmaPointFilter
+from imumon.run.paper_parameters import RandomErrorParameters
 
 SAMPLES = 10_000
 RATE_HZ, BLOCK_S = 100, 1

@@ -12,7 +12,7 @@ from benchmarks.measure import Bar, Table, measure
 from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.temperature_rate.stage import MultipleModelRate
 from imumon.filters.rates import RateMethod
-from imumon.published.fir import FirRate, Params
+from imumon.papers.fir import FirRate, Params
 
 QUIET = "multiple models, level unchanged"
 RATES_HZ = (10, 100, 1000)

@@ -12,7 +12,7 @@ from benchmarks.measure import Bar, Table, measure
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.stage import GyroBias, Mode
-from imumon.published.dense_zupt import DenseSettings
+from imumon.papers.dense_zupt import DenseSettings
 
 SECONDS, BLOCK_S = 300, 10
 RATES_HZ = (100, 1000)

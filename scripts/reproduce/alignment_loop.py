@@ -11,8 +11,8 @@ from scipy.signal import TransferFunction, impulse
 from imumon.blocks import FloatArray
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G
 from imumon.geodesy import STANDARD_GRAVITY as G
-from imumon.published.self_alignment import Loop as State
-from imumon.published.self_alignment import gains, step
+from imumon.papers.self_alignment import Loop as State
+from imumon.papers.self_alignment import gains, step
 
 
 @dataclass(frozen=True)

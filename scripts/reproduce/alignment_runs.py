@@ -13,7 +13,7 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.report import Status
 from imumon.estimation.alignment.stage import Alignment
-from imumon.published.self_alignment import Params, SelfAlignment
+from imumon.papers.self_alignment import Params, SelfAlignment
 from imumon.simulation.unit import SimulatedUnit
 from imumon.simulation.unit.scenario import Scenario
 

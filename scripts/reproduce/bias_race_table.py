@@ -22,8 +22,8 @@ from bias_race_runners import (
 )
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.calibration.calibration import calibrate
-from imumon.calibration.record import record_of
+from imumon.lab.calibration.calibration import calibrate
+from imumon.lab.calibration.record import record_of
 from imumon.models.model import BiasModel
 from imumon.simulation.unit.scenario import Chamber, Scenario, Step, load_scenario
 from imumon.simulation.unit.unit import SimulatedUnit

@@ -3,7 +3,7 @@ regressors.
 
 A lag comes from a two-node thermal network, a loop from Bouc and Wen's equation or from relays (Preisach),
 a warm-up from two exponentials, a period from a triangle wave whose frequency wanders, a jump takes
-seconds.  Everything is in means of one second, as `imumon.diagnosis.runs` makes them, and fixed by the
+seconds.  Everything is in means of one second, as `imumon.lab.diagnosis.runs` makes them, and fixed by the
 seed.
 """
 
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.diagnosis.runs import Run
+from imumon.lab.diagnosis.runs import Run
 
 DPH = np.pi / 180 / 3600
 SECONDS = 7200

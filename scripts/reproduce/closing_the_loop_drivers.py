@@ -13,7 +13,7 @@ import numpy as np
 from closing_the_loop_cases import Case, Setting, bouc_wen, make_case
 
 from imumon.blocks import FloatArray
-from imumon.diagnosis.runs import Run
+from imumon.lab.diagnosis.runs import Run
 
 Generator = np.random.Generator
 Column = Callable[[Generator, Run], FloatArray]

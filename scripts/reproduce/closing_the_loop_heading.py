@@ -8,11 +8,11 @@ import numpy as np
 from alignment_runs import ACCEL_BIAS_UG
 
 from imumon.blocks import SampleBlock
-from imumon.diagnosis.diagnose import diagnose
-from imumon.diagnosis.extended import extended_model
-from imumon.diagnosis.runs import Run, collect
 from imumon.estimation.alignment.parameters import AlignmentParameters, KnownWarmUp, known_warm_up
 from imumon.estimation.alignment.stage import Alignment
+from imumon.lab.diagnosis.diagnose import diagnose
+from imumon.lab.diagnosis.extended import extended_model
+from imumon.lab.diagnosis.runs import Run, collect
 from imumon.simulation.unit import SimulatedUnit
 from imumon.simulation.unit.scenario import Scenario
 

@@ -22,10 +22,10 @@ from closing_the_loop_live import AXES, level_earth_rate, plain_model, settings
 from scipy.optimize import least_squares
 
 from imumon.blocks import FloatArray
-from imumon.diagnosis.blocks import RunBlocks, make_blocks
-from imumon.diagnosis.likelihood import Likelihood
-from imumon.diagnosis.residual import residual
-from imumon.diagnosis.runs import Run
+from imumon.lab.diagnosis.blocks import RunBlocks, make_blocks
+from imumon.lab.diagnosis.likelihood import Likelihood
+from imumon.lab.diagnosis.residual import residual
+from imumon.lab.diagnosis.runs import Run
 
 NAMES = [f"gyro_{axis}" for axis in AXES]
 KNOWN = (0.3, 0.0)

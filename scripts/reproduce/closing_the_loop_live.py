@@ -31,10 +31,10 @@ from closing_the_loop_statistics import share  # noqa: E402
 from numpy.polynomial.chebyshev import chebvander  # noqa: E402
 
 from imumon.blocks import ColumnArray, SampleBlock  # noqa: E402
-from imumon.diagnosis.blocks import make_blocks  # noqa: E402
-from imumon.diagnosis.channel import ordinary  # noqa: E402
-from imumon.diagnosis.live import LiveDiagnosis  # noqa: E402
-from imumon.diagnosis.runs import Run  # noqa: E402
+from imumon.lab.diagnosis.blocks import make_blocks  # noqa: E402
+from imumon.lab.diagnosis.channel import ordinary  # noqa: E402
+from imumon.lab.diagnosis.live import LiveDiagnosis  # noqa: E402
+from imumon.lab.diagnosis.runs import Run  # noqa: E402
 from imumon.models.curves.polynomial import PolynomialCurve  # noqa: E402
 from imumon.models.model import BiasModel, ChannelModel  # noqa: E402
 

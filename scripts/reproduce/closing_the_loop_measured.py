@@ -13,15 +13,15 @@ from matplotlib.figure import Figure
 from thermal_calibration_data import TWO_LEVELS_MAP
 
 from imumon.blocks import FloatArray
-from imumon.diagnosis.blocks import BLOCK_S
-from imumon.diagnosis.candidates import candidates
-from imumon.diagnosis.diagnose import Diagnosis, diagnose
-from imumon.diagnosis.fit import Fit, TestScore, fit, score
-from imumon.diagnosis.report import report
-from imumon.diagnosis.runs import SECOND_NS, Run, read_runs
-from imumon.diagnosis.verdict import ChannelVerdict
 from imumon.errors import ImumonError
 from imumon.estimation.gyro_bias.stage import RestDetector
+from imumon.lab.diagnosis.blocks import BLOCK_S
+from imumon.lab.diagnosis.candidates import candidates
+from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
+from imumon.lab.diagnosis.fit import Fit, TestScore, fit, score
+from imumon.lab.diagnosis.report import report
+from imumon.lab.diagnosis.runs import SECOND_NS, Run, read_runs
+from imumon.lab.diagnosis.verdict import ChannelVerdict
 from imumon.recordings.reduced import AXES
 
 SHARES = (0.5, 0.6, 0.65, 0.7)

@@ -17,10 +17,10 @@ from closing_the_loop_live import blocks_of, plain_model
 from closing_the_loop_statistics import IN_LIBRARY
 
 from imumon.blocks import FloatArray
-from imumon.diagnosis.diagnose import diagnose
-from imumon.diagnosis.live import LiveDiagnosis
-from imumon.diagnosis.runs import Run
-from imumon.diagnosis.verdict import ChannelVerdict
+from imumon.lab.diagnosis.diagnose import diagnose
+from imumon.lab.diagnosis.live import LiveDiagnosis
+from imumon.lab.diagnosis.runs import Run
+from imumon.lab.diagnosis.verdict import ChannelVerdict
 from imumon.models.model import BiasModel
 
 SIZES = (1.0, 2.0, 5.0)

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 from closing_the_loop_cases import Setting, make_case
 
-from imumon.diagnosis.diagnose import diagnose
-from imumon.diagnosis.planning import MARGIN, Plan, Report, open_questions, plan, recorded, scenario
-from imumon.diagnosis.questions import NOTHING
-from imumon.diagnosis.report import report
+from imumon.lab.diagnosis.diagnose import diagnose
+from imumon.lab.diagnosis.planning import MARGIN, Plan, Report, open_questions, plan, recorded, scenario
+from imumon.lab.diagnosis.questions import NOTHING
+from imumon.lab.diagnosis.report import report
 
 KINDS = (
     "thermal_lag",

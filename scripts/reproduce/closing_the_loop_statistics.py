@@ -23,7 +23,7 @@ import closing_the_loop_drivers as drivers  # noqa: E402
 import numpy as np  # noqa: E402 - the number of threads is read when it is imported
 from closing_the_loop_cases import OUTSIDE, Setting, make_case  # noqa: E402
 
-from imumon.diagnosis.diagnose import diagnose  # noqa: E402
+from imumon.lab.diagnosis.diagnose import diagnose  # noqa: E402
 
 IN_LIBRARY = (
     "temperature_curve",

@@ -13,12 +13,12 @@ from pathlib import Path
 import matplotlib as mpl
 
 from imumon.blocks import SampleBlock
-from imumon.diagnosis.conclusion import conclusion
-from imumon.diagnosis.diagnose import diagnose
-from imumon.diagnosis.runs import Run, collect
-from imumon.diagnosis.verdict import ChannelVerdict
 from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.geodesy import DEG_PER_H
+from imumon.lab.diagnosis.conclusion import conclusion
+from imumon.lab.diagnosis.diagnose import diagnose
+from imumon.lab.diagnosis.runs import Run, collect
+from imumon.lab.diagnosis.verdict import ChannelVerdict
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 
 mpl.use("Agg")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.published.dense_zupt import DenseSettings, begin, step
+from imumon.papers.dense_zupt import DenseSettings, begin, step
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,7 @@ from random_error_methods import FITTED, PUBLISHED, fit_record, published, slow
 from random_error_records import RATE_HZ, VARIANCE, Record, simulate, without_temperature
 
 from imumon.blocks import FloatArray
-from imumon.published.sigma_points import ModelNL, SigmaPointFilter
+from imumon.papers.sigma_points import ModelNL, SigmaPointFilter
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

@@ -13,10 +13,10 @@ from scipy.signal import lfilter
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.filters.noise import NoiseTerms
-from imumon.published.linear import LinearFilter, ModelL
-from imumon.published.local_level import fit_local_level, means_of
-from imumon.published.rest_means import ExponentialMean, RestMean, hold
-from imumon.published.sigma_points import ModelNL, SigmaPointFilter
+from imumon.papers.linear import LinearFilter, ModelL
+from imumon.papers.local_level import fit_local_level, means_of
+from imumon.papers.rest_means import ExponentialMean, RestMean, hold
+from imumon.papers.sigma_points import ModelNL, SigmaPointFilter
 
 FITTED, DELTAS = 3.9e-5, (3.9e-5, 1e-3, 1e-2)
 """δ¹ in deg/s: the first is that of a local level fitted to hours, the others are pretended."""

@@ -37,9 +37,9 @@ from random_error_records import (
 )
 
 from imumon.blocks import FloatArray
-from imumon.published.linear import LinearFilter, ModelL
-from imumon.published.local_level import fit_local_level, means_of
-from imumon.published.sigma_points import PHI, ModelNL, SigmaPointFilter
+from imumon.papers.linear import LinearFilter, ModelL
+from imumon.papers.local_level import fit_local_level, means_of
+from imumon.papers.sigma_points import PHI, ModelNL, SigmaPointFilter
 
 ROOT = Path(__file__).resolve().parents[2]
 HOUR = 3600.0

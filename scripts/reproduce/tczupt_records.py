@@ -14,8 +14,8 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.geodesy import EARTH_RATE, body_to_ned
 from imumon.models.curves.spline import SplineCurve
 from imumon.models.model import BiasModel, ChannelModel
-from imumon.published.dense_zupt import DenseSettings
-from imumon.published.fir import FirRate, Params
+from imumon.papers.dense_zupt import DenseSettings
+from imumon.papers.fir import FirRate, Params
 from imumon.simulation.unit.curves import curve_value
 from imumon.simulation.unit.scenario import load_scenario
 from imumon.simulation.unit.unit import SimulatedUnit
@@ -25,7 +25,7 @@ DPH = math.radians(1.0) / 3600.0
 RATE_HZ = 100
 ZEROING = 60 * RATE_HZ
 STEP = 10
-"""Samples to a step of the filter: as good as one, see tests/published/test_dense_zupt.py."""
+"""Samples to a step of the filter: as good as one, see tests/papers/test_dense_zupt.py."""
 THRESHOLD = 1.00e-5 / DPH
 """Convergence of the paper, deg/h."""
 RESIDUAL = 15.0

@@ -32,7 +32,7 @@ from thermal_calibration_study import RESTARTS
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias.stage import GyroBias, Mode
-from imumon.published.dense_zupt import DenseSettings
+from imumon.papers.dense_zupt import DenseSettings
 
 FIGURES = Path(__file__).resolve().parents[2] / "docs" / "figures" / "tczupt"
 ZUPT, TCZUPT = Filter("calibrated"), Filter("rate", k=0.5)

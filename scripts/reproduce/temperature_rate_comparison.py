@@ -11,7 +11,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.filters.rates import RateEstimate
-from imumon.published.fir import model_row
+from imumon.papers.fir import model_row
 
 
 class DifferenceRate:

@@ -13,7 +13,7 @@ from temperature_rate_records import PER_HOUR, Record, heating, simulate
 from imumon.blocks import FloatArray
 from imumon.estimation.temperature_rate.stage import MultipleModelRate
 from imumon.filters.rates import RateEstimate
-from imumon.published.fir import FirRate, Params
+from imumon.papers.fir import FirRate, Params
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

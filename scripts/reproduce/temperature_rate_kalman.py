@@ -10,7 +10,7 @@ from temperature_rate_comparison import RENEWAL_S
 from temperature_rate_records import PER_HOUR, Record, simulate
 
 from imumon.blocks import FloatArray
-from imumon.published.fir import FirRate, Params, model_row
+from imumon.papers.fir import FirRate, Params, model_row
 
 STEP, BUFFER = 0.05, 1000
 WALKS = np.append(0.0, 10.0 ** np.arange(-6.0, -0.4, 0.5))

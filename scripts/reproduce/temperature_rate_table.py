@@ -18,7 +18,7 @@ from temperature_rate_records import PER_HOUR, Record, measured, simulate
 from imumon.blocks import FloatArray, IntArray
 from imumon.estimation.temperature_rate.stage import MultipleModelRate
 from imumon.filters.rates import RateEstimate
-from imumon.published.fir import FirRate, Params
+from imumon.papers.fir import FirRate, Params
 
 ROOT = Path(__file__).resolve().parents[2]
 BUFFER = 1000

@@ -11,8 +11,8 @@ import numpy.typing as npt
 from curve_slopes import curve_slope
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.calibration.cells import Channel, channel_of, group, levels
-from imumon.calibration.record import Record, read_session, record_of
+from imumon.lab.calibration.cells import Channel, channel_of, group, levels
+from imumon.lab.calibration.record import Record, read_session, record_of
 from imumon.models.curves.points import Points
 from imumon.recordings.importing import import_table
 from imumon.recordings.reduced import GYRO

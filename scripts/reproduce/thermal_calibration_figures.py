@@ -10,8 +10,8 @@ import numpy as np
 from thermal_calibration_data import AXES, DEG_H, INSIDE, Function, Soak, during
 from thermal_calibration_study import SizeRow
 
-from imumon.calibration.calibration import calibrate
-from imumon.calibration.record import Record
+from imumon.lab.calibration.calibration import calibrate
+from imumon.lab.calibration.record import Record
 from imumon.recordings.reduced import GYRO
 
 mpl.use("Agg")

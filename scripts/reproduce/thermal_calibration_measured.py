@@ -9,11 +9,11 @@ import numpy as np
 from thermal_calibration_data import AXES, during
 
 from imumon.blocks import FloatArray
-from imumon.calibration.calibration import calibrate, knots_of
-from imumon.calibration.cells import channel_of, group, levels
-from imumon.calibration.record import Record
-from imumon.calibration.selection import slow_variance
 from imumon.errors import ImumonError
+from imumon.lab.calibration.calibration import calibrate, knots_of
+from imumon.lab.calibration.cells import channel_of, group, levels
+from imumon.lab.calibration.record import Record
+from imumon.lab.calibration.selection import slow_variance
 from imumon.models.curves.polynomial import fit_polynomial
 from imumon.models.curves.smoothing import fit_spline
 from imumon.models.curves.training import fit_network

@@ -9,8 +9,8 @@ from scipy.interpolate import CubicSpline
 from thermal_calibration_data import DEG_H, DWELLING_DEGC, INSIDE, Function, Soak
 
 from imumon.blocks import FloatArray
-from imumon.calibration.calibration import knots_of
-from imumon.calibration.selection import choose, held_out, slow_variance
+from imumon.lab.calibration.calibration import knots_of
+from imumon.lab.calibration.selection import choose, held_out, slow_variance
 from imumon.models.curves.network import NetworkCurve
 from imumon.models.curves.points import Points
 from imumon.models.curves.polynomial import fit_polynomial

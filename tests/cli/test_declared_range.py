@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from imumon.allan.recording import read_channels
-from imumon.calibration.record import read_session
-from imumon.diagnosis.runs import read_runs
 from imumon.estimation.gyro_bias.stage import RestAndBias, RestDetector
+from imumon.lab.calibration.record import read_session
+from imumon.lab.diagnosis.runs import read_runs
 from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.ranges import Ranges

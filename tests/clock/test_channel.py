@@ -10,10 +10,10 @@ from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.clock.channel import CLOCK, with_delay
-from imumon.diagnosis.blocks import make_blocks, white_floor
-from imumon.diagnosis.diagnose import diagnose
-from imumon.diagnosis.runs import Run, collect
-from tests.diagnosis.units import ramps
+from imumon.lab.diagnosis.blocks import make_blocks, white_floor
+from imumon.lab.diagnosis.diagnose import diagnose
+from imumon.lab.diagnosis.runs import Run, collect
+from tests.lab.diagnosis.units import ramps
 
 RATE_HZ = 20
 SECONDS = 5000

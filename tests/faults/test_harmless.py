@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imumon.blocks import SampleBlock
-from imumon.diagnosis.diagnose import diagnose
-from imumon.diagnosis.page import write_page
 from imumon.harmless import LONGEST_LINE, for_csv, for_log, for_markdown, for_plot, for_terminal
+from imumon.lab.diagnosis.diagnose import diagnose
+from imumon.lab.diagnosis.page import write_page
 from imumon.pipeline import Pipeline
 from imumon.recordings.folder import create_session
 from imumon.recordings.metadata import SessionMetadata
@@ -21,8 +21,8 @@ from imumon.transport.reader import Bytes, Event, EventKind
 from imumon.view.items import Log, Status, Timebase, ViewItem
 from imumon.view.logger import status_card
 from tests.cli.command import imumon
-from tests.diagnosis.units import three
 from tests.faults.documents import device_with
+from tests.lab.diagnosis.units import three
 
 CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202e]")
 EVIL = "\x1b]0;owned\x07\x1b[2J\u202e\x9b31m"

@@ -15,15 +15,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imumon.allan.recording import read_channels
-from imumon.calibration.calibration import calibrate
-from imumon.calibration.record import read_session
-from imumon.diagnosis.runs import read_runs
 from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.fleet.batch.options import BatchOptions
 from imumon.fleet.batch.tasks import Job, work
-from tests.calibration.records import few_steps, samples, soak
+from imumon.lab.calibration.calibration import calibrate
+from imumon.lab.calibration.record import read_session
+from imumon.lab.diagnosis.runs import read_runs
 from tests.cli.command import answer, imumon
 from tests.faults.readings import FAULTS, Columns, Fault, write_session
+from tests.lab.calibration.records import few_steps, samples, soak
 
 LENGTH_S = 310
 """A diagnosis needs five minutes."""

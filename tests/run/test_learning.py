@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imumon.diagnosis.runs import Run, collect
 from imumon.geodesy import DEG_PER_H
+from imumon.lab.diagnosis.runs import Run, collect
 from imumon.models.curves.points import Points
 from imumon.models.curves.polynomial import fit_polynomial
 from imumon.models.model import BiasModel, ChannelModel, load_model

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from imumon.blocks import SampleBlock, join
 from imumon.errors import ImumonError
 from imumon.estimation.temperature_rate.stage import TemperatureRate
+from imumon.papers.fir import FirRate
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_text, parse_device
-from imumon.published.fir import FirRate
-from imumon.published.names import PUBLISHED
+from imumon.run.paper_names import PUBLISHED
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators
 

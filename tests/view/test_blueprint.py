@@ -9,10 +9,10 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 from imumon.estimation.gyro_bias.stage import GyroBias
+from imumon.papers.stages import published_stages
 from imumon.protocols.device import load_device
-from imumon.published.names import PUBLISHED, PublishedMethod
-from imumon.published.parameters import RandomErrorParameters
-from imumon.run.published import published_stages
+from imumon.run.paper_names import PUBLISHED, PublishedMethod
+from imumon.run.paper_parameters import RandomErrorParameters
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators
 from imumon.view.blueprint import Contents, blueprint

@@ -21,8 +21,7 @@ from imumon.configure.commands.witmotion import (
 )
 from imumon.configure.firmware.core import Firmware, Output
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.frame_checks import unchecked
-from imumon.protocols.framing import Frame, fixed_length
+from imumon.protocols.framing import Frame, fixed_length, unchecked
 from imumon.protocols.witmotion import SIZE, TYPES, WitMotionDevice
 
 WRITE = Frame("write", b"\xff\xaa", fixed_length(5), unchecked)

@@ -54,7 +54,7 @@ class AlignmentParameters(StrictModel):
     Parameters
     ----------
     coarse_s, corner_hz, damping : float
-        Of the fixed-gain loop as it is printed (`imumon.published`): s of averaging before it, and its poles,
+        Of the fixed-gain loop as it is printed (`imumon.papers`): s of averaging before it, and its poles,
         s² + 2 damping w s + w².  The joint fit does not use them.
     settled_deg : float
         The heading is settled when its sigma is at most this.

@@ -230,7 +230,7 @@ def _allan(path: Path, _: Job) -> Iterator[Row]:
 
 
 def _calibrate(path: Path, job: Job) -> Iterator[Row]:
-    from imumon.calibration.calibration import calibrate, check_place, read_sessions
+    from imumon.lab.calibration.calibration import calibrate, check_place, read_sessions
 
     options = job.options
     serial = open_session(path).metadata.serial
@@ -252,11 +252,11 @@ def _calibrate(path: Path, job: Job) -> Iterator[Row]:
 
 
 def _diagnose(path: Path, job: Job) -> Iterator[Row]:
-    from imumon.diagnosis.diagnose import diagnose
-    from imumon.diagnosis.report import report
-    from imumon.diagnosis.runs import read_runs
     from imumon.estimation.gyro_bias.stage import RestDetector
     from imumon.files import write_text
+    from imumon.lab.diagnosis.diagnose import diagnose
+    from imumon.lab.diagnosis.report import report
+    from imumon.lab.diagnosis.runs import read_runs
 
     runs = read_runs(path, None, lambda _: [RestDetector()])
     content = report(diagnose(runs, [], job.options.declared))

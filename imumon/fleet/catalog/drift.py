@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.diagnosis.figures import shown
 from imumon.fleet.catalog.units import Dated, Unit
+from imumon.lab.diagnosis.figures import shown
 from imumon.models.model import ChannelModel
 from imumon.recordings.reduced import GYRO
 

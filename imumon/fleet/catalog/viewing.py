@@ -9,10 +9,10 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from imumon.diagnosis.figures import shown
 from imumon.fleet.catalog.drift import Drift, drifts
 from imumon.fleet.catalog.units import Unit
 from imumon.harmless import for_html
+from imumon.lab.diagnosis.figures import shown
 
 DAY_NS = 86_400_000_000_000
 TIMELINE = "data_of_model"

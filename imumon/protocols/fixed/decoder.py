@@ -10,8 +10,8 @@ import numpy as np
 
 from imumon.blocks import NO_INT, ColumnArray, IntArray
 from imumon.protocols.fixed.description import Packet
-from imumon.protocols.frame_checks import rearranged, unchecked
-from imumon.protocols.framing import IMPOSSIBLE, Check, Found, Frame
+from imumon.protocols.frame_checks import rearranged
+from imumon.protocols.framing import IMPOSSIBLE, Check, Found, Frame, unchecked
 from imumon.protocols.payload import LayoutDecoder, Record
 from imumon.protocols.stream import ByteArray
 

@@ -10,9 +10,9 @@ from imumon.config import parse_yaml
 from imumon.errors import ImumonError
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.temperature_rate.thermometer import COARSEST_DEGC
+from imumon.papers.fir import FirRate, Params
 from imumon.pipeline import Estimator
 from imumon.protocols.thermometer import TemperatureRateParameters
-from imumon.published.fir import FirRate, Params
 from imumon.run.stages import temperature_rate
 from tests.estimation.temperature_rate.records import clock, quantized, self_heating
 

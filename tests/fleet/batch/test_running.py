@@ -24,9 +24,9 @@ from imumon.fleet.batch.limit import limited
 from imumon.fleet.batch.options import BatchOptions
 from imumon.fleet.batch.running import run_jobs, workers
 from imumon.fleet.batch.tasks import Job, work
-from tests.calibration.records import few_steps
 from tests.cli.command import IMUMON, answer, imumon
 from tests.fleet.batch.sessions import tiny
+from tests.lab.calibration.records import few_steps
 from tests.waiting import LIMIT_S, wait_until
 
 DECODE = BatchOptions(command="decode")

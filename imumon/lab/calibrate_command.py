@@ -1,0 +1,187 @@
+"""``imumon calibrate``: the bias of a unit over temperature, from recordings at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Unpack
+
+import click
+
+from imumon.cli.common import PATH, Number, json_option, print_json, print_rows, show, warn, with_warnings
+from imumon.cli.progress import reading_bar
+from imumon.files import check_output
+from imumon.lab.autopilot_options import (
+    AutopilotOptions,
+    autopilot_options,
+    check_parameters,
+    write_parameters,
+)
+from imumon.lab.diagnose_command import chosen_drivers, read
+
+if TYPE_CHECKING:
+    from imumon.lab.calibration.calibration import Calibration, Finding
+    from imumon.lab.diagnosis.driven import Driven
+
+NO_DRIVER = {"drivers": "none of those recorded is proven"}
+
+
+@click.command("calibrate")
+@click.argument("sessions", nargs=-1, required=True, metavar="SESSION...", type=PATH)
+@click.option("--out", required=True, type=PATH, help="Model file to write.")
+@click.option("--plot", type=PATH, help="Draw curves, points and residuals to this PNG.")
+@click.option(
+    "--latitude", type=Number(min=-90, max=90), help="Degrees; with --heading the earth rate is removed."
+)
+@click.option(
+    "--heading", type=Number(min=-360, max=360), help="Degrees of the x axis, clockwise from north."
+)
+@click.option(
+    "--drivers",
+    default="none",
+    help="What else that was recorded may drive the bias: none (the default), all that varies, or NAME,...",
+)
+@click.option("--serial", help="Serial number of the unit, for the model file.")
+@autopilot_options
+@json_option
+def command(
+    sessions: tuple[Path, ...],
+    out: Path,
+    plot: Path | None,
+    latitude: float | None,
+    heading: float | None,
+    drivers: str,
+    serial: str | None,
+    as_json: bool,
+    **autopilot: Unpack[AutopilotOptions],
+) -> None:
+    """Find the bias of a unit over temperature from SESSIONs in which it stands still while that changes.
+
+    Several kinds of curve are tried on temperature levels left out; the one that errs least there is fitted
+    to all data.  What cannot give a good model is refused, with the reason.  A driver is kept that the last
+    SESSION proves.
+    """
+    for path in filter(None, (out, plot)):
+        check_output(path)
+    parameters = check_parameters(out, autopilot)
+    from imumon.lab.calibration.calibration import calibrate, check_place, read_sessions
+
+    chosen, driven = chosen_drivers(drivers), None
+    said: list[str] = []
+    with with_warnings(lambda: said), reading_bar(sessions, quiet=as_json) as tell:
+        check_place(latitude, heading)
+        records, found = read_sessions(sessions)
+        said += found
+        result = calibrate(records, latitude, heading, serial, tell)
+        result.warnings[:0] = said
+        if chosen != []:
+            from imumon.lab.diagnosis.driven import with_drivers
+
+            runs = [read(path, None, at_rest=False) for path in sessions]
+            driven = with_drivers(result.model, runs, chosen, tell)
+    model = result.model if driven is None else driven.model
+    if parameters is not None:
+        from imumon.lab.calibration.refuted import check_last
+
+        result.warnings.extend(check_last(records, latitude, heading))
+    written = write_parameters(model, parameters, autopilot)
+    model.write(out)
+    if plot is not None:
+        from imumon.lab.calibration.plot import write_calibration_plot
+
+        write_calibration_plot(plot, result, ", ".join(path.name for path in sessions))
+    warn([*result.warnings, *(driven.caveats if driven is not None else [])])
+    if as_json:
+        print_json(_report(result, out) | _driven_report(driven) | written)
+    else:
+        _show(result)
+    if driven is not None:
+        print_rows({verdict.name: verdict.summary for verdict in driven.verdicts} or NO_DRIVER)
+    written |= {} if plot is None else {"picture": plot}
+    print_rows(_summary(result, out) | {name: str(path) for name, path in written.items()})
+
+
+def _report(result: Calibration, out: Path) -> dict[str, Any]:
+    model = result.model
+    return {
+        "out": out,
+        "rest_s": result.rest_s,
+        "temperature_range_degc": list(result.temperature_range),
+        "temperature_rate_rms_degc_per_s": result.rate_rms,
+        "levels_degc": model.levels_degc,
+        "earth_rate": model.earth_rate,
+        "runs": [run.model_dump() for run in model.trained_on],
+        "warnings": result.warnings,
+        "channels": {
+            name: {
+                "unit": model.channels[name].unit,
+                "temperature_column": model.channels[name].temperature_column,
+                "curve": finding.choice.name,
+                "held_out_rms": finding.choice.held_out_rms,
+                "fit_rms": finding.choice.fit_rms,
+                "residual_sd": finding.choice.residual_sd,
+                "lag_rms": finding.lag_rms,
+                "turn_on_sd": finding.repeatability,
+            }
+            for name, finding in result.findings.items()
+        },
+    }
+
+
+def _driven_report(driven: Driven | None) -> dict[str, Any]:
+    """Return what each channel has beside its curve, where drivers were asked for."""
+    if driven is None:
+        return {}
+    named = {verdict.name: [claim.finding.name for claim in verdict.claims] for verdict in driven.verdicts}
+    return {"effects": {name: named.get(name, []) for name in driven.model.channels}}
+
+
+def _show(result: Calibration) -> None:
+    """Print the error of every candidate at levels left out, a line per channel."""
+    from imumon.lab.calibration.plot import SHOWN
+
+    names = list(dict.fromkeys(name for f in result.findings.values() for name in f.choice.held_out_rms))
+    heads = [name.replace("polynomial", "poly").replace("network", "net") for name in names]
+    show("rms error at temperature levels left out; * is chosen")
+    show(f"{'':14}" + "".join(f"{head:>9}" for head in heads))
+    for channel, finding in result.findings.items():
+        unit, factor = SHOWN[result.model.channels[channel].unit]
+        cells = []
+        for name in names:
+            value = finding.choice.held_out_rms.get(name)
+            mark = "*" if name == finding.choice.name else " "
+            cells.append(f"{'-':>8} " if value is None else f"{value * factor:8.3g}{mark}")
+        show(f"{channel:8}{unit:>6}" + "".join(cells))
+
+
+def _summary(result: Calibration, out: Path) -> dict[str, str]:
+    low, high = result.temperature_range
+    model = result.model
+    rows = {
+        "at rest": f"{result.rest_s / 3600:.2f} h, {len(model.levels_degc)} temperature levels",
+        "temperature": f"{low:.2f} to {high:.2f} °C, {result.rate_rms * 60:.2f} °C/min rms",
+        "residual": _per_channel(result, lambda finding: finding.choice.residual_sd),
+        "30 s of lag": _per_channel(result, lambda finding: finding.lag_rms) + ", if the gyro has it",
+    }
+    if any(finding.repeatability is not None for finding in result.findings.values()):
+        what = "by pose" if result.turned else "turn-on"
+        rows[what] = _per_channel(result, lambda finding: finding.repeatability)
+    rows["earth rate"] = (
+        "removed"
+        if model.earth_rate == "removed"
+        else "in the constant of the gyro curves (--latitude, --heading)"
+    )
+    rows["model"] = str(out)
+    return rows
+
+
+def _per_channel(result: Calibration, of: Callable[[Finding], float | None]) -> str:
+    """Return a number of each channel, those of one unit together."""
+    from imumon.lab.calibration.plot import SHOWN
+
+    parts: dict[str, list[str]] = {}
+    for name, finding in result.findings.items():
+        unit, factor = SHOWN[result.model.channels[name].unit]
+        value = of(finding)
+        parts.setdefault(unit, []).append("-" if value is None else f"{value * factor:.3g}")
+    return "; ".join(f"{' '.join(values)} {unit}" for unit, values in parts.items())

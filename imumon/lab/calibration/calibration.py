@@ -1,0 +1,282 @@
+"""From recordings to a bias model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from imumon.blocks import FloatArray, IntArray
+from imumon.effects.thermal_lag import UNTOLD_S
+from imumon.errors import ImumonError, Reason
+from imumon.geodesy import DEG_PER_H
+from imumon.lab.calibration.cells import Cells, Channel, channel_of, group, levels
+from imumon.lab.calibration.offsets import turn_on_offsets
+from imumon.lab.calibration.record import BLOCK_S, Record, read_session
+from imumon.lab.calibration.refusal import check_columns, check_coverage
+from imumon.lab.calibration.selection import Choice, choose, slow_variance
+from imumon.models.curves.points import Points
+from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
+from imumon.recordings.reduced import ACCEL, GYRO
+from imumon.version import __version__
+
+Tell = Callable[[str], None]
+"""Takes what is being done now."""
+MANY_LEVELS = 6
+MARGIN = 0.005
+"""Share of the span that the range is widened by, so that a level at its end is not now in and now out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What was found of one channel."""
+
+    choice: Choice
+    points: Points
+    """What the curve was fitted to, each run less its turn-on offset."""
+    white: FloatArray
+    """Variance that the samples' own noise leaves in each of the points, if it is white, (n,)."""
+    offset: FloatArray
+    """Turn-on offset of each run from the mean of all, in the channel's unit, (runs,); NaN where it cannot
+    be told."""
+    lag_rms: float
+    """What a gyro `imumon.effects.thermal_lag.UNTOLD_S` behind its thermometer would err by in this data."""
+    comparable: bool = True
+    """Whether the offsets are the sensor's own; those of an accelerometer in several poses are gravity's."""
+
+    @property
+    def repeatability(self) -> float | None:
+        """Standard deviation of the turn-on offsets; None with fewer than two, or with those of gravity."""
+        known = self.offset[np.isfinite(self.offset)]
+        return float(known.std(ddof=1)) if self.comparable and len(known) > 1 else None
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """A model, what it rests on, and what the user should know."""
+
+    model: BiasModel
+    findings: dict[str, Finding]
+    rest_s: float
+    temperature_range: tuple[float, float]
+    rate_rms: float
+    warnings: list[str] = field(default_factory=list)
+    turned: bool = False
+    """Whether its runs are in several poses: their offsets then hold what gravity and the earth rate do."""
+
+
+def read_sessions(paths: Sequence[Path]) -> tuple[list[Record], list[str]]:
+    """Return the records of sessions, and what is to be said of them.
+
+    Raises BAD_DATA when one cannot be read.
+    """
+    found = [read_session(path) for path in paths]
+    return [record for record, _ in found], [text for _, said in found for text in said]
+
+
+def calibrate(
+    records: Sequence[Record],
+    latitude_deg: float | None = None,
+    heading_deg: float | None = None,
+    serial: str | None = None,
+    tell: Tell = lambda _: None,
+) -> Calibration:
+    """Make a bias model of recordings of one unit.
+
+    With latitude and heading, the earth rate is taken from the gyros (levelled by the accelerometers);
+    otherwise it stays in the constant of their curves.
+
+    Raises BAD_DATA, with the numbers seen, when the data does not allow a model; BAD_CONFIG when only one of
+    latitude and heading is given, or the heading cannot be used.
+    """
+    check_place(latitude_deg, heading_deg)
+    check_columns(records)
+    cells = group(records, latitude_deg, heading_deg)
+    check_coverage(records, cells)
+    if latitude_deg is not None and any(run.earth_rate is None for run in cells.runs):
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            "the earth rate cannot be removed: the unit has no accelerometers",
+            "leave --latitude and --heading away",
+        )
+    findings, channels, warnings = _all_channels(records, cells, tell)
+    warnings += _remarks(records, cells)
+    warnings += _by_pose(cells, findings)
+    known = cells.temperature
+    return Calibration(
+        model=BiasModel(
+            made_by=f"imumon {__version__}",
+            created=f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+            device=_common([record.device for record in records]),
+            serial=serial or _common([record.serial for record in records]),
+            axes=_axes([record.axes for record in records]),
+            earth_rate="included" if latitude_deg is None else "removed",
+            latitude_deg=latitude_deg,
+            heading_deg=heading_deg,
+            block_s=BLOCK_S,
+            levels_degc=[round(level, 3) for level in levels(cells).tolist()],
+            trained_on=_trained_on(records, cells, findings),
+            channels=channels,
+        ),
+        findings=findings,
+        rest_s=float(cells.seconds.sum()),
+        temperature_range=(float(known.min()), float(known.max())),
+        rate_rms=float(np.sqrt(np.average(cells.rate**2, weights=cells.seconds))),
+        warnings=warnings,
+        turned=cells.turned,
+    )
+
+
+def check_place(latitude_deg: float | None, heading_deg: float | None) -> None:
+    """Raise BAD_CONFIG where only one of them is given."""
+    if (latitude_deg is None) != (heading_deg is None):
+        missing = "latitude" if latitude_deg is None else "heading"
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"the earth rate needs latitude and heading; there is no {missing}",
+            "give both, or neither: then the earth rate stays in the constant of the curves",
+        )
+
+
+def _all_channels(
+    records: Sequence[Record], cells: Cells, tell: Tell
+) -> tuple[dict[str, Finding], dict[str, ChannelModel], list[str]]:
+    findings, channels, warnings = {}, {}, []
+    centers = levels(cells)
+    for name in (*GYRO, *ACCEL):
+        tell(f"trying curves for {name}")
+        channel = channel_of(records, cells, name, centers)
+        if channel is None:
+            continue
+        knots = knots_of(channel, centers)
+        points = channel.points()
+        points = channel.points(slow_variance(points, channel.white, knots))
+        offset = turn_on_offsets(channel, points, knots)
+        apart = np.isnan(offset[channel.run])
+        if apart.any():
+            warnings.append(_apart_text(name, np.flatnonzero(np.isnan(offset))))
+        keep = ~apart if name in ACCEL else np.ones(len(points), np.bool_)
+        shifted = points.shifted(np.nan_to_num(offset)[channel.run]).only(keep)
+        channel = channel.only(keep)
+        choice = choose(channel, shifted, knots)
+        own = not (cells.turned and name in ACCEL)
+        findings[name] = Finding(choice, shifted, channel.white, offset, _lag_rms(choice, cells), own)
+        channels[name] = _channel_model(name, channel, choice, shifted)
+    return findings, channels, warnings
+
+
+def knots_of(channel: Channel, centers: FloatArray) -> FloatArray:
+    """Return the knots of a channel's spline: its ends and its levels, but for the levels next to the ends.
+
+    There a knot would only make the slope at the end uncertain, as in an interpolating spline ("not a knot").
+    """
+    low, high = float(channel.temperature.min()), float(channel.temperature.max())
+    inner = centers[2:-2] if len(centers) > MANY_LEVELS else centers[1:-1]
+    least = (high - low) / (4 * len(centers))
+    return np.concatenate([[low], inner[(inner > low + least) & (inner < high - least)], [high]])
+
+
+def _channel_model(name: str, channel: Channel, choice: Choice, points: Points) -> ChannelModel:
+    low, high = float(points.temperature.min()), float(points.temperature.max())
+    margin = MARGIN * (high - low)
+    constant = float(choice.curve.value(0.5 * (low + high))) if name in ACCEL else 0.0
+    return ChannelModel.model_validate(
+        {
+            "unit": UNITS[name],
+            "temperature_column": channel.temperature_column,
+            "temperature_range_degc": [low - margin, high + margin],
+            "residual_sd": choice.residual_sd,
+            "held_out_rms": choice.held_out_rms,
+            "curve": choice.curve.minus(constant),
+        }
+    )
+
+
+def _lag_rms(choice: Choice, cells: Cells) -> float:
+    missed = UNTOLD_S * cells.rate * choice.curve.slope(cells.temperature)
+    return float(np.sqrt(np.average(missed**2, weights=cells.seconds)))
+
+
+def _trained_on(records: Sequence[Record], cells: Cells, findings: dict[str, Finding]) -> list[TrainedOn]:
+    return [
+        TrainedOn(
+            session=records[run.record].name,
+            run=run.index,
+            sha256=records[run.record].sha256,
+            rest_s=run.rest_s,
+            blocks=run.blocks,
+            temperature_range_degc=list(run.temperature_range),
+            offset={
+                name: float(finding.offset[number])
+                for name, finding in findings.items()
+                if finding.repeatability is not None and np.isfinite(finding.offset[number])
+            },
+        )
+        for number, run in enumerate(cells.runs)
+    ]
+
+
+def _apart_text(name: str, runs: IntArray) -> str:
+    numbers = ", ".join(str(run + 1) for run in runs)
+    what = "left out" if name in ACCEL else "taken as they are, without a turn-on offset"
+    return f"{name}: runs {numbers} have no temperature in common with the others: {what}"
+
+
+def _remarks(records: Sequence[Record], cells: Cells) -> list[str]:
+    said = []
+    devices = sorted({record.device for record in records if record.device is not None})
+    if len(devices) > 1:
+        said.append(f"the sessions are of different devices: {', '.join(devices)}")
+    if len({record.sha256 for record in records}) < len(records):
+        said.append("a session is there twice: it counts twice, and its repeatability means nothing")
+    if _one_way(cells):
+        said.append(
+            "the temperature goes one way only: what lag, hysteresis or warm-up do is then part of the curve"
+        )
+    return said
+
+
+def _by_pose(cells: Cells, findings: dict[str, Finding]) -> list[str]:
+    """Say which gyros' bias is another in each pose, by more than the curve errs in one."""
+    if not cells.turned:
+        return []
+    far = {
+        name: f"{spread / DEG_PER_H:.3g}"
+        for name in GYRO
+        if name in findings
+        and (spread := findings[name].repeatability) is not None
+        and spread > findings[name].choice.residual_sd
+    }
+    if not far:
+        return []
+    return [
+        f"{', '.join(far)}: the bias differs by {', '.join(far.values())} °/h between the poses, by g or by "
+        "the earth rate, which no curve over temperature has: the residual is that of one pose; imumon "
+        "diagnose tells by what"
+    ]
+
+
+def _one_way(cells: Cells) -> bool:
+    """Tell whether no run both rises and falls by a fifth of the span."""
+    enough = 0.2 * float(np.ptp(cells.temperature))
+    for run in range(len(cells.runs)):
+        t = cells.temperature[cells.run == run]
+        rise = float(np.max(t - np.minimum.accumulate(t)))
+        fall = float(np.max(np.maximum.accumulate(t) - t))
+        if min(rise, fall) > enough:
+            return False
+    return True
+
+
+def _common(names: Sequence[str | None]) -> str | None:
+    known = {name for name in names if name is not None}
+    return known.pop() if len(known) == 1 else None
+
+
+def _axes(given: Sequence[str | None]) -> Literal["FLU", "FRD"] | None:
+    known = _common(given)
+    return "FLU" if known == "FLU" else "FRD" if known == "FRD" else None

@@ -1,0 +1,256 @@
+"""From blocks to cells, levels and runs: what curves are fitted to, weighed and left out by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imumon.blocks import BoolArray, FloatArray, IntArray
+from imumon.geodesy import earth_rate_in_body
+from imumon.lab.calibration.record import Record
+from imumon.models.curves.points import Points
+from imumon.recordings.reduced import ACCEL, GYRO
+
+CELL_S = 300.0
+"""Longest cell."""
+CELLS_PER_SPAN = 100
+"""Within a cell the temperature stays within this part of the span."""
+BANDS = 12
+"""Levels of data in which the temperature dwells nowhere: bands of equal width."""
+TURNED = np.cos(np.deg2rad(5.0))
+"""A unit whose specific force turned by more is in another pose, and that begins a new run."""
+SHORTEST_RUN_S = 60.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Channel:
+    """A channel's means over cells of nearly constant temperature, from all records."""
+
+    name: str
+    temperature_column: str
+    temperature: FloatArray
+    value: FloatArray
+    """°C, and rad/s or m/s², (n,)."""
+    white: FloatArray
+    """Variance that the samples' own noise leaves in the value, if it is white, (n,)."""
+    seconds: FloatArray
+    """Time at rest in the cell, (n,)."""
+    run: IntArray
+    level: IntArray
+    """From power-on to the next, or to another pose, (n,); temperature level, upwards."""
+
+    def only(self, chosen: BoolArray) -> Channel:
+        """Return the cells that are chosen."""
+        names = ("temperature", "value", "white", "seconds", "run", "level")
+        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
+
+    def points(self, slow: float = 0.0) -> Points:
+        """Return what to fit; `slow` is the variance of what varies slowly, which a cell does not average."""
+        variance = self.white + slow
+        least = float(variance[variance > 0].min(initial=np.inf))
+        weight = 1.0 / np.maximum(variance, least if np.isfinite(least) else 1.0)
+        return Points(self.temperature, self.value, weight / weight.mean(), self.level)
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A stretch in one pose without a restart: (record, index within it), time at rest, temperature range.
+
+    `up` is the direction of its specific force in body axes, NaN without accelerometers.
+    """
+
+    record: int
+    index: int
+    rest_s: float
+    blocks: int
+    temperature_range: tuple[float, float]
+    up: tuple[float, float, float]
+    earth_rate: tuple[float, float, float] | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cells:
+    """Blocks at rest of all records, grouped into runs and cells.
+
+    `block`, `run`, `cell` are (n,) for the n blocks at rest, `temperature` their °C, `rate` °C/s.
+    """
+
+    runs: tuple[Run, ...]
+    block: tuple[tuple[int, IntArray], ...]
+    run: IntArray
+    cell: IntArray
+    seconds: FloatArray
+    temperature: FloatArray
+    rate: FloatArray
+
+    @property
+    def turned(self) -> bool:
+        """Whether not all runs are in one pose."""
+        return any(float(np.dot(run.up, self.runs[0].up)) < TURNED for run in self.runs)
+
+
+def main_temperature(record: Record) -> FloatArray:
+    """Return the mean of the temperatures that the channels use, (n,) °C."""
+    columns = {name for channel in GYRO if (name := record.temperature_column(channel)) is not None}
+    parts = [record.of(name) for name in sorted(columns)]
+    return np.mean(parts, axis=0) if parts else np.full(len(record.means), np.nan)
+
+
+def group(records: Sequence[Record], latitude_deg: float | None, heading_deg: float | None) -> Cells:
+    """Group the blocks at rest; runs shorter than `SHORTEST_RUN_S` are left out."""
+    chosen = [_usable(record) for record in records]
+    temperatures = [main_temperature(record) for record in records]
+    known = np.concatenate([t[i] for t, i in zip(temperatures, chosen, strict=True)])
+    width = float(np.ptp(known)) / CELLS_PER_SPAN if len(known) else 0.0
+    runs: list[Run] = []
+    blocks: list[tuple[int, IntArray]] = []
+    none, empty = np.empty(0, np.int64), np.empty(0)
+    parts: list[tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray]] = []
+    parts.append((none, none, empty, empty, empty))
+    cells = 0
+    for number, (record, chosen_rows, all_t) in enumerate(zip(records, chosen, temperatures, strict=True)):
+        for index, rows in enumerate(_runs(record, chosen_rows)):
+            seconds, t = _seconds(record, rows), all_t[rows]
+            if seconds.sum() < SHORTEST_RUN_S:
+                continue
+            start_s = np.asarray(record.means.start_ns[rows] * 1e-9, np.float64)
+            cell = _cells(start_s, seconds, t, width) + cells
+            cells = int(cell[-1]) + 1
+            rate = np.gradient(t, start_s) if len(rows) > 1 else np.zeros(1)
+            parts.append((np.full(len(rows), len(runs)), cell, seconds, t, rate))
+            blocks.append((number, rows))
+            ends = (float(t.min()), float(t.max()))
+            up = _up(record, rows)
+            earth = _earth_rate(up, latitude_deg, heading_deg)
+            runs.append(Run(number, index, float(seconds.sum()), len(rows), ends, up, earth))
+    return Cells(tuple(runs), tuple(blocks), *(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def channel_of(
+    records: Sequence[Record], cells: Cells, name: str, level_centers: FloatArray
+) -> Channel | None:
+    """Return a channel's means over the cells, or None when it has no values, or none that vary."""
+    column = next((found for record in records if (found := record.temperature_column(name))), None)
+    if column is None or not all(record.has(name) for record in records):
+        return None
+    values, whites, temperatures = [], [], []
+    for run, (number, rows) in zip(cells.runs, cells.block, strict=True):
+        record = records[number]
+        earth = run.earth_rate if name in GYRO else None
+        shift = earth["xyz".index(name[-1])] if earth is not None else 0.0
+        values.append(record.of(name)[rows] - shift)
+        whites.append(record.means.mean_variance(name)[rows])
+        temperatures.append(record.of(column)[rows])
+    value, white = np.concatenate(values), np.concatenate(whites)
+    temperature = np.concatenate(temperatures)
+    good = np.isfinite(value) & np.isfinite(white) & np.isfinite(temperature)
+    if not good.any() or np.ptp(value[good]) == 0.0:
+        return None
+    _, first, cell = np.unique(cells.cell[good], return_index=True, return_inverse=True)
+    seconds = _sum(cell, cells.seconds[good])
+    share = cells.seconds[good] / seconds[cell]
+    mean_temperature = _sum(cell, share * temperature[good])
+    return Channel(
+        name=name,
+        temperature_column=column,
+        temperature=mean_temperature,
+        value=_sum(cell, share * value[good]),
+        white=_sum(cell, share**2 * white[good]),
+        seconds=seconds,
+        run=cells.run[good][first],
+        level=nearest(mean_temperature, level_centers),
+    )
+
+
+def levels(cells: Cells) -> FloatArray:
+    """Return the temperature levels, °C upwards: where the temperature dwelt, else the middles of bands."""
+    if not len(cells.cell):
+        return np.empty(0)
+    seconds = np.bincount(cells.cell, cells.seconds)
+    temperature = np.bincount(cells.cell, cells.seconds * cells.temperature) / seconds
+    low, high = float(temperature.min()), float(temperature.max())
+    width = (high - low) / BANDS
+    dwelt = seconds > 0.7 * CELL_S
+    order = np.argsort(temperature[dwelt])
+    t, s = temperature[dwelt][order], seconds[dwelt][order]
+    if len(t):
+        cluster = np.concatenate([[0], np.cumsum(np.diff(t) > 0.25 * width)])
+        center = np.bincount(cluster, s * t) / np.bincount(cluster, s)
+        tight = max(np.ptp(t[cluster == c]) for c in range(len(center))) < width
+        if len(center) >= 4 and tight and s.sum() > 0.6 * seconds.sum():
+            return center
+    band = np.minimum(((temperature - low) / (width or 1.0)).astype(np.int64), BANDS - 1)
+    occupied = np.unique(band)
+    return np.array([np.average(temperature[band == b], weights=seconds[band == b]) for b in occupied])
+
+
+def nearest(temperature: FloatArray, centers: FloatArray) -> IntArray:
+    """Return the number of the level nearest to each temperature."""
+    return np.searchsorted(0.5 * (centers[1:] + centers[:-1]), temperature).astype(np.int64)
+
+
+def _sum(cell: IntArray, parts: FloatArray) -> FloatArray:
+    return np.bincount(cell, parts).astype(np.float64)
+
+
+def _usable(record: Record) -> IntArray:
+    """Return the blocks at rest that have a rate and a temperature."""
+    rate = np.all([np.isfinite(record.of(name)) for name in GYRO], axis=0)
+    return np.flatnonzero(record.rest & rate & np.isfinite(main_temperature(record)))
+
+
+def _runs(record: Record, rows: IntArray) -> list[IntArray]:
+    """Divide blocks where the device restarted or was turned."""
+    if not len(rows):
+        return []
+    segment = record.means.segment[rows]
+    accel = np.column_stack([record.of(name)[rows] for name in ACCEL])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        direction = accel / np.linalg.norm(accel, axis=1, keepdims=True)
+    begins, origin = [0], direction[0]
+    for i in range(1, len(rows)):
+        turned = bool(direction[i] @ origin < TURNED)  # without accelerometers NaN, which is not less
+        if segment[i] != segment[i - 1] or turned:
+            begins.append(i)
+            origin = direction[i]
+        elif np.isnan(origin).any():
+            origin = direction[i]
+    return [rows[a:b] for a, b in zip(begins, [*begins[1:], len(rows)], strict=True)]
+
+
+def _seconds(record: Record, rows: IntArray) -> FloatArray:
+    """Return the time that each block stands for: n samples span n - 1 periods."""
+    samples = np.maximum(record.means.count[rows].max(axis=1), 2)
+    return np.asarray(record.means.span_s[rows] * samples / (samples - 1), np.float64)
+
+
+def _cells(time_s: FloatArray, seconds: FloatArray, temperature: FloatArray, width: float) -> IntArray:
+    """Number cells of blocks in order: not longer than `CELL_S`, not wider than `width` °C."""
+    cell = np.zeros(len(time_s), np.int64)
+    first = 0
+    for i in range(1, len(time_s)):
+        over = time_s[i] + seconds[i] - time_s[first] > CELL_S + 1e-6
+        if over or abs(temperature[i] - temperature[first]) > width:
+            cell[i:] += 1
+            first = i
+    return cell
+
+
+def _up(record: Record, rows: IntArray) -> tuple[float, float, float]:
+    """Return the direction of the mean specific force in body axes; NaN without accelerometers."""
+    parts = [part[np.isfinite(part)] for part in (record.of(name)[rows] for name in ACCEL)]
+    accel = np.array([part.mean() if len(part) else np.nan for part in parts])
+    x, y, z = (accel / np.linalg.norm(accel)).tolist()
+    return x, y, z
+
+
+def _earth_rate(
+    up: tuple[float, float, float], latitude_deg: float | None, heading_deg: float | None
+) -> tuple[float, float, float] | None:
+    """Return the earth rate in body axes, rad/s; None without place, heading or accelerometers."""
+    if latitude_deg is None or heading_deg is None or not np.isfinite(up).all():
+        return None
+    x, y, z = earth_rate_in_body(np.array(up), np.deg2rad(heading_deg), np.deg2rad(latitude_deg)).tolist()
+    return x, y, z

@@ -1,0 +1,75 @@
+"""The picture of a calibration: the curve of each channel, what it was fitted to, and what it leaves over."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from imumon.files import write_png
+from imumon.harmless import for_plot
+from imumon.lab.calibration.calibration import Calibration
+from imumon.recordings.reduced import ACCEL
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SHOWN = {"rad/s": ("°/h", 206264.80624709636), "m/s^2": ("mg", 1e3 / 9.80665)}
+"""What a person reads, and how many of it one of the model's units is."""
+
+
+COLUMNS = 3
+"""Channels beside each other: those of one sensor."""
+
+
+def write_calibration_plot(path: Path, result: Calibration, title: str) -> None:
+    """Draw each channel to a PNG: above curve and points, below the residuals.
+
+    A residual has a bar of one standard deviation, the white noise of its samples; the band is the model's
+    `residual_sd`, of the bias about the curve without that noise: far narrower where the noise is all.
+
+    Raises OSError when the file cannot be written; one that was there before is untouched.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # takes 0.3 s, and few want a picture
+    from matplotlib.figure import Figure
+
+    names = list(result.findings)
+    columns, rows = min(COLUMNS, len(names)), -(-len(names) // COLUMNS)
+    figure = Figure(figsize=(4.8 * columns, 6.4 * rows), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=(2, 1) * rows)
+    for number, name in enumerate(names):
+        row, column = divmod(number, columns)
+        _draw(grid[2 * row, column], grid[2 * row + 1, column], name, result)
+    for row, column in (divmod(number, columns) for number in range(len(names), rows * columns)):
+        grid[2 * row, column].remove()
+        grid[2 * row + 1, column].remove()
+    figure.suptitle(f"{for_plot(title)}: bias over temperature", fontsize=11)
+    write_png(path, figure, 110)
+
+
+def _draw(above: Axes, below: Axes, name: str, result: Calibration) -> None:
+    """Draw a channel; an accelerometer less its middle, as its constant is gravity's."""
+    finding, model = result.findings[name], result.model.channels[name]
+    unit, factor = SHOWN[model.unit]
+    points, curve = finding.points, finding.choice.curve
+    at = np.linspace(points.temperature.min(), points.temperature.max(), 400)
+    middle = float(curve.value(0.5 * (at[0] + at[-1]))) if name in ACCEL else 0.0
+    above.plot(points.temperature, factor * (points.value - middle), ".", ms=2, color="0.6", label="at rest")
+    drawn = factor * (curve.value(at) - middle)
+    above.plot(at, drawn, color="#d03c3c", lw=1.2, label=finding.choice.name)
+    above.set_title(name, loc="right")
+    above.set(ylabel=f"less its middle [{unit}]" if name in ACCEL else f"[{unit}]")
+    noise, sd = factor * np.sqrt(finding.white), factor * model.residual_sd
+    below.errorbar(
+        points.temperature, factor * (points.value - curve.value(points.temperature)), noise,
+        fmt=".", ms=3, color="#3b78d8", ecolor="#b9cdf0", elinewidth=0.7,
+        label="at rest, 1σ of the noise of its samples",
+    )  # fmt: skip
+    label = f"bias about the curve, 1σ {sd:.2g} {unit}"
+    below.axhspan(-sd, sd, color="#d03c3c", alpha=0.35, lw=0, label=label, zorder=3)
+    below.set(xlabel="temperature [°C]", ylabel=f"less the curve [{unit}]")
+    for axes in (above, below):
+        axes.grid(color="0.9", lw=0.5)
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=8, frameon=False, borderpad=0.1)

@@ -1,0 +1,121 @@
+"""What cannot give a good model is refused, with the numbers seen and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from imumon.effects.thermal_lag import UNTOLD_S
+from imumon.errors import ImumonError, Reason
+from imumon.intake import RANGES
+from imumon.lab.calibration.cells import Cells
+from imumon.lab.calibration.record import BLOCK_S, LEAST_COVERED, Record
+from imumon.recordings.reduced import GYRO
+
+LEAST_SPAN_DEGC = 5.0
+LEAST_REST_S = 600.0
+BANDS = 10
+"""The span is divided into so many bands to see where there is data."""
+LEAST_BANDS = 4
+LEAST_IN_BAND_S = 30.0
+WIDEST_HOLE = 0.4
+"""Share of the span without data that a curve cannot bridge."""
+MOST_LAG = 0.1
+"""Share of the span that the temperature may be wrong by for that reason."""
+
+
+def check_columns(records: Sequence[Record]) -> None:
+    """Raise BAD_DATA when a record has no gyro, a constant gyro, or no temperature."""
+    for record in records:
+        if lacking := [name for name in GYRO if not record.has(name)]:
+            raise ImumonError(
+                Reason.BAD_DATA,
+                f"{record.name}: no values of {', '.join(lacking)}",
+                "a bias model is made of angular rates; let the device send them, or name them in the map",
+            )
+        if any(record.temperature_column(name) is None for name in GYRO):
+            coldest, hottest, unit = RANGES["temperature"]
+            raise ImumonError(
+                Reason.BAD_DATA,
+                f"{record.name}: there is no temperature",
+                "let the device send its temperature, or name the column in the map with its unit; "
+                f"readings beyond {coldest:g} to {hottest:g} {unit}, and zero alone, are left out",
+            )
+        values = [record.of(name) for name in GYRO]
+        stuck = [
+            name for name, v in zip(GYRO, values, strict=True) if len(v) > 1 and np.nanmax(v) == np.nanmin(v)
+        ]
+        if stuck:
+            raise ImumonError(
+                Reason.BAD_DATA,
+                f"{record.name}: {', '.join(stuck)} never changes from {record.of(stuck[0])[0]:g} rad/s",
+                "a sensor that measures is never so quiet: is it switched off, or the column a constant?",
+            )
+
+
+def check_coverage(records: Sequence[Record], cells: Cells) -> None:
+    """Raise BAD_DATA when time at rest, span, levels or rate do not allow a model."""
+    _check_rest(records, cells)
+    low, high = float(cells.temperature.min()), float(cells.temperature.max())
+    if high - low < LEAST_SPAN_DEGC:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"the temperature at rest spans {high - low:.2f} °C ({low:.2f} to {high:.2f}); "
+            f"a model needs {LEAST_SPAN_DEGC:g}",
+            "record while the unit warms up or cools down over the range in which it will be used",
+        )
+    _check_levels(cells, low, high)
+    _check_rate(cells, high - low)
+
+
+def _check_rest(records: Sequence[Record], cells: Cells) -> None:
+    rest_s = float(cells.seconds.sum())
+    if rest_s >= LEAST_REST_S:
+        return
+    judged_s = sum(float(record.means.span_s.sum()) for record in records)
+    raise ImumonError(
+        Reason.BAD_DATA,
+        f"{rest_s:.0f} s at rest, of {judged_s:.0f} s with several samples in {BLOCK_S:g} s; "
+        f"a model needs {LEAST_REST_S:.0f}",
+        "let the unit stand still on a firm base for longer"
+        if judged_s > 0.0
+        else f"record faster than a sample in {LEAST_COVERED * BLOCK_S:g} s, or mend the unit of its time",
+    )
+
+
+def _check_levels(cells: Cells, low: float, high: float) -> None:
+    band = np.minimum(((cells.temperature - low) / (high - low) * BANDS).astype(np.int64), BANDS - 1)
+    seconds = np.bincount(band, cells.seconds, minlength=BANDS)
+    levels = int(np.sum(seconds >= LEAST_IN_BAND_S))
+    if levels < LEAST_BANDS:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{levels} distinct temperatures between {low:.2f} and {high:.2f} °C "
+            f"(bands of {(high - low) / BANDS:.2f} °C with {LEAST_IN_BAND_S:g} s at rest); "
+            f"a curve needs {LEAST_BANDS}",
+            "record more levels, or the way from one to the other",
+        )
+    known = np.sort(cells.temperature)
+    at = int(np.argmax(np.diff(known)))
+    hole = float(known[at + 1] - known[at])
+    if hole > WIDEST_HOLE * (high - low):
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"nothing at rest from {known[at]:.2f} to {known[at + 1]:.2f} °C, {hole / (high - low):.0%} of "
+            f"the span; a curve bridges {WIDEST_HOLE:.0%}",
+            "record levels in between",
+        )
+
+
+def _check_rate(cells: Cells, span: float) -> None:
+    rate = float(np.sqrt(np.average(cells.rate**2, weights=cells.seconds)))
+    wrong = UNTOLD_S * rate
+    if wrong > MOST_LAG * span:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"the temperature moves at {60 * rate:.2f} °C/min (rms): a gyro {UNTOLD_S:g} s behind its "
+            f"thermometer would be wrong by {wrong:.2f} °C, {wrong / span:.0%} of the {span:.2f} °C span; "
+            f"a model allows {MOST_LAG:.0%}",
+            "heat and cool more slowly, hold levels, or cover a wider range",
+        )

@@ -1,0 +1,320 @@
+"""Block means at rest, the white floor below them, and a survey of what the runs can show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from imumon.blocks import BoolArray, FloatArray, IntArray
+from imumon.clock.channel import CLOCK, block_noise
+from imumon.effects.base import Drive, Survey
+from imumon.lab.diagnosis.runs import Origin, Run
+
+BLOCK_S = 30.0
+LEAST_BLOCKS = 40
+"""Of a training: ten for each coefficient of a cubic."""
+LEAST_SLOTS = 6
+"""Slots in a block: halves and thirds of it are blocks, too, and differences inside show the white floor."""
+PLATEAU = 0.1
+"""Two estimates of the white variance that differ by less, as a share of it, agree."""
+STEPS = (1, 2, 4, 8)
+"""Slots in the means whose differences are compared."""
+TURN_SHARE = 0.2
+"""A turn of the temperature counts when it goes back by this share of the span."""
+BESIDE = 4
+"""Slots on either side of a turn of the unit that are compared."""
+TURNED, SIGMAS = 0.1, 8.0
+"""m/s², a tilt of 0.6°: accelerometers repeat better than that from one power-on to the next; and so many
+times the median change."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunBlocks:
+    """One run as block means at rest."""
+
+    name: str
+    """Where it comes from."""
+    block_s: float
+    """Nominal length of a block."""
+    time_s: FloatArray
+    """Mean time of the samples of each block since power-on, (n,)."""
+    white: FloatArray
+    """Variance of the white noise of each block over that of a full block, (n,)."""
+    mean: dict[str, FloatArray]
+    """Channels, in SI units, (n,) each."""
+    temperature: dict[str, FloatArray]
+    """Temperatures in °C, (n,) each."""
+    drives: dict[str, Drive]
+    """What drives the effects, each slot, for each temperature; gaps are bridged."""
+    weight: FloatArray
+    """Of each slot in the means, (slots,): samples, over those of a whole slot.  A block is a gap where it is
+    less than half a block's."""
+    slots: int
+    duration_s: float
+    pose: IntArray
+    """Number of the pose of each block, from 0; the same number is the same pose, (n,)."""
+    origin: Origin | None = None
+    begun_in: str = ""
+
+    def __len__(self) -> int:
+        """Return the number of blocks."""
+        return len(self.time_s)
+
+    def average(self, columns: FloatArray) -> FloatArray:
+        """Return block means (n, k) of columns (slots, k)."""
+        means, share = _block_means(columns, self.weight, self.slots)
+        return means[share >= 0.5]
+
+
+def make_blocks(
+    run: Run,
+    channels: Sequence[str],
+    temperatures: Sequence[str],
+    drivers: Sequence[str] = (),
+    block_s: float = BLOCK_S,
+) -> RunBlocks:
+    """Return the block means of a run over the slots at rest in which every channel has samples.
+
+    `drivers` are what may drive effects besides the temperatures.
+    """
+    valid = run.at_rest
+    for name in channels:
+        valid = valid & np.isfinite(run.mean[name])
+    accel = _filled([run.mean.get(f"accel_{axis}") for axis in "xyz"], run.time_s)
+    others = {
+        name: filled for name in drivers if (filled := _bridged(run.mean.get(name), run.time_s)) is not None
+    }
+    drives = {
+        name: Drive(run.time_s, filled, accel, others)
+        for name in temperatures
+        if (filled := _bridged(run.mean[name], run.time_s)) is not None
+    }
+    slots = max(1, round(block_s / run.slot_s))
+    pose = np.zeros(len(valid), np.int64) if accel is None else poses(accel, valid)
+    valid = in_one_pose(valid, pose, slots)
+    wanted = [run.time_s, *(np.where(valid, run.mean[name], 0.0) for name in channels)]
+    parts = np.column_stack([*wanted, pose, *(drive.temperature_degc for drive in drives.values())])
+    count = run.count[channels[0]]
+    weight = np.zeros(len(count))
+    weight[valid] = count[valid] / run.samples_per_slot(channels[0])
+    means, share = _block_means(parts, weight, slots)
+    keep = share >= 0.5
+    means = means[keep]
+    first = 2 + len(channels)
+    return RunBlocks(
+        name=run.name,
+        block_s=block_s,
+        time_s=means[:, 0],
+        white=1.0 / share[keep],
+        mean={name: means[:, 1 + i] for i, name in enumerate(channels)},
+        temperature={name: means[:, first + i] for i, name in enumerate(drives)},
+        drives=drives,
+        weight=weight,
+        slots=slots,
+        duration_s=run.duration_s,
+        pose=np.rint(means[:, first - 1]).astype(np.int64),
+        origin=run.origin,
+        begun_in=run.begun_in,
+    )
+
+
+def poses(force: FloatArray, resting: BoolArray) -> IntArray:
+    """Return the number of the pose in each slot, (n,): one more after each turn of the unit.
+
+    Parameters
+    ----------
+    force : array of shape (n, 3)
+        Specific force in m/s².
+    resting : array of shape (n,)
+        Slots that count; the others have the pose before them.
+    """
+    at = np.flatnonzero(resting)
+    turns = np.zeros(len(force), np.int64)
+    if len(at) > 2 * BESIDE:
+        total = np.cumsum(np.vstack([np.zeros(3), force[at]]), axis=0)
+        means = (total[BESIDE:] - total[:-BESIDE]) / BESIDE
+        change = np.abs(means[BESIDE:] - means[:-BESIDE]).max(axis=1)
+        turned = change > max(TURNED, SIGMAS * float(np.median(change)))
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], turned, [False]])))
+        for start, stop in edges.reshape(-1, 2).tolist():
+            turns[at[start + int(np.argmax(change[start:stop])) + BESIDE]] = 1
+    return np.cumsum(turns)
+
+
+def in_one_pose(valid: BoolArray, pose: IntArray, slots: int) -> BoolArray:
+    """Return the valid slots without those of a block that are of another pose than most of it, (n,)."""
+    kept = valid.copy()
+    for turn in np.flatnonzero(np.diff(pose)) + 1:
+        block = slice(turn // slots * slots, (turn // slots + 1) * slots)
+        counts = np.bincount(pose[block][valid[block]], minlength=1)
+        kept[block] &= pose[block] == np.argmax(counts)
+    return kept
+
+
+def specific_force(run: RunBlocks) -> FloatArray | None:
+    """Return the specific force in each block, (n, 3); None where it is not recorded."""
+    accel = next((drive.accel for drive in run.drives.values()), None)
+    return None if accel is None else run.average(accel)
+
+
+def at_poses(runs: Sequence[RunBlocks]) -> list[RunBlocks]:
+    """Return runs in which the specific force that drives effects is the mean of its pose.
+
+    A reading that is to be explained must not explain its own noise.
+    """
+    found = []
+    for run in runs:
+        force = specific_force(run)
+        if force is None:
+            found.append(run)
+            continue
+        known, which = np.unique(run.pose, return_inverse=True)
+        level = np.array([force[run.pose == pose].mean(axis=0) for pose in known])
+        middle = 0.5 * (run.time_s[1:] + run.time_s[:-1])
+        drives = {
+            name: replace(drive, accel=level[which[np.searchsorted(middle, drive.time_s)]])
+            for name, drive in run.drives.items()
+        }
+        found.append(replace(run, drives=drives))
+    return found
+
+
+def common_block_s(runs: Sequence[Run]) -> float:
+    """Return the length of a block: 30 s, or more where a log has few samples in that."""
+    slot_s = max(run.slot_s for run in runs)
+    return LEAST_SLOTS * slot_s * -(-BLOCK_S // (LEAST_SLOTS * slot_s))
+
+
+def _block_means(columns: FloatArray, weight: FloatArray, width: int) -> tuple[FloatArray, FloatArray]:
+    """Return weighted means over blocks of so many slots, and the sum of weights over that of a full one."""
+    starts = np.arange(0, len(weight), width)
+    count = np.add.reduceat(weight, starts)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        means = np.add.reduceat(columns * weight[:, np.newaxis], starts, axis=0) / count[:, np.newaxis]
+    return means, count / width
+
+
+def _bridged(values: FloatArray | None, time_s: FloatArray) -> FloatArray | None:
+    """Return values with the missing ones interpolated, or None when there is hardly any."""
+    if values is None:
+        return None
+    known = np.isfinite(values)
+    if known.sum() < 2:
+        return None
+    return np.interp(time_s, time_s[known], values[known])
+
+
+def _filled(parts: list[FloatArray | None], time_s: FloatArray) -> FloatArray | None:
+    bridged = [_bridged(part, time_s) for part in parts]
+    found = [part for part in bridged if part is not None]
+    return np.column_stack(found) if len(found) == 3 else None
+
+
+@dataclass(frozen=True, slots=True)
+class WhiteFloor:
+    """Standard deviation of the white noise of a full block, and what it was taken from."""
+
+    sd: float
+    source: str
+
+    def of_blocks(self, runs: Sequence[RunBlocks]) -> WhiteFloor:
+        """Return that of the blocks that there are, some of which are not full."""
+        white = np.concatenate([run.white for run in runs])
+        return replace(self, sd=self.sd * float(np.sqrt(white.mean())))
+
+
+def white_floor(runs: Sequence[Run], channel: str, block_s: float = BLOCK_S) -> WhiteFloor:
+    """Return the white floor of a channel from the scatter inside blocks.
+
+    It is half the mean square difference of neighbouring means of 1, 2, 4 and 8 slots (an Allan variance): an
+    output filter makes the short ones too small, rounding makes them too large.  The first that agrees with
+    the next is taken.  The clock's is that of the delays at both ends of a block.
+    """
+    blocks = [_slots_of_blocks(run, channel, block_s) for run in runs]
+    if channel == CLOCK:  # no step leads from one run to the next
+        rates = [part for each in blocks for part in (each.mean(axis=1), [np.nan])]
+        return WhiteFloor(block_noise(np.concatenate(rates)), "delays at the ends of blocks")
+    variances = {step: _difference_variance(blocks, step) for step in STEPS}
+    found = [
+        (f"means of {step * runs[0].slot_s:.0f} s inside blocks", value)
+        for step, value in variances.items()
+        if np.isfinite(value)
+    ]
+    for (source, value), (_, following) in pairwise(found):
+        if value > 0 and abs(following / value - 1.0) < PLATEAU:
+            return WhiteFloor(float(np.sqrt(value)), source)
+    if not found:
+        return WhiteFloor(0.0, "nothing")
+    source, value = min(found, key=lambda item: item[1])
+    return WhiteFloor(float(np.sqrt(value)), f"{source} (no white region was found)")
+
+
+def _slots_of_blocks(run: Run, channel: str, block_s: float) -> FloatArray:
+    """Return the slots of each whole block, (blocks, slots), NaN where the unit is not at rest."""
+    width = max(1, round(block_s / run.slot_s))
+    values = np.where(run.at_rest, run.mean[channel], np.nan)
+    return values[: len(values) // width * width].reshape(-1, width)
+
+
+def _difference_variance(runs: Sequence[FloatArray], step: int) -> float:
+    """Return the variance of a block mean from differences of neighbouring means of `step` slots.
+
+    The differences are taken within blocks (blocks, slots) and less the mean of their block, so that no ramp
+    gets in.
+    """
+    total, count, share = 0.0, 0.0, 1.0
+    for blocks in runs:
+        share = step / blocks.shape[1]
+        number = blocks.shape[1] // step
+        if number < 3:
+            continue
+        means = blocks[:, : number * step].reshape(-1, number, step).mean(axis=2)
+        differences = np.diff(means[np.isfinite(means).all(axis=1)], axis=1)
+        spread = differences - differences.mean(axis=1, keepdims=True)
+        # Half the mean square of the differences is the variance, for white noise; the mean of k of them is
+        # (last - first)/k, which holds 2/k² of it.
+        k = number - 1
+        total += float((spread**2).sum()) / (2.0 * (1.0 - 1.0 / k**2))
+        count += float(differences.size)
+    return total / count * share if count > 0 else float("nan")
+
+
+def survey(runs: Sequence[RunBlocks], temperature: str | None, degree: int, block_s: float) -> Survey:
+    """Return what the training runs can show."""
+    found = [run.temperature[temperature] for run in runs if temperature in run.temperature and len(run)]
+    low, high = (
+        (min(float(t.min()) for t in found), max(float(t.max()) for t in found)) if found else (0.0, 0.0)
+    )
+    ranges = [0.0]
+    for run in runs:
+        accel = next((drive.accel for drive in run.drives.values()), None)
+        if accel is not None and len(run):
+            ranges.append(float(np.ptp(run.average(accel), axis=0).max()))
+    return Survey(
+        durations_s=[float(run.time_s[-1]) + run.block_s / 2 for run in runs],
+        span_degc=high - low,
+        reversals=sum(_turns(t, TURN_SHARE * (high - low)) for t in found),
+        accel_range=max(ranges),
+        block_s=block_s,
+        degree=degree,
+        middle_degc=0.5 * (low + high),
+        half_span_degc=max(0.5 * (high - low), 1e-3),
+    )
+
+
+def _turns(temperature: FloatArray, size: float) -> int:
+    """Count the turns after which the temperature goes back by more than `size`."""
+    if not size > 0:
+        return 0
+    turns, direction = 0, 0
+    low = high = float(temperature[0])
+    for value in temperature.tolist():
+        low, high = min(low, value), max(high, value)
+        if direction >= 0 and value < high - size:
+            turns, direction, low = turns + (direction > 0), -1, value
+        elif direction <= 0 and value > low + size:
+            turns, direction, high = turns + (direction < 0), 1, value
+    return turns

@@ -1,0 +1,154 @@
+"""A channel over the recordings, and the declared model of its bias."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, Self
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from imumon.blocks import FloatArray, IntArray
+from imumon.effects.base import Effect
+from imumon.lab.diagnosis.blocks import RunBlocks, WhiteFloor
+from imumon.lab.diagnosis.candidates import Candidate, Part, Pool
+from imumon.lab.diagnosis.quality import Fault
+
+Own = Literal["", "run", "pose"]
+
+
+@dataclass(frozen=True, slots=True)
+class Declared:
+    """The declared model: a polynomial of u = (T - middle) / half span.
+
+    `own` says whether each run, or each pose of each run, has a constant of its own.
+    """
+
+    degree: int
+    middle_degc: float
+    half_span_degc: float
+    own: Own = ""
+
+    @classmethod
+    def over(cls, runs: Sequence[RunBlocks], temperature: str, degree: int, own: Own) -> Self:
+        """Return the model with the scale of the temperatures of these runs."""
+        found = np.concatenate([run.temperature[temperature] for run in runs])
+        low, high = float(found.min()), float(found.max())
+        return cls(degree, 0.5 * (low + high), max(0.5 * (high - low), 1e-3), own)
+
+    def columns(self, temperature: FloatArray, powers: int | None = None) -> FloatArray:
+        """Return 1, u, ... u^degree, (n, degree + 1), or so many of these."""
+        u = (temperature - self.middle_degc) / self.half_span_degc
+        return np.asarray(u[:, np.newaxis] ** np.arange(powers or self.degree + 1))
+
+    def powers(self, curve: Polynomial) -> FloatArray:
+        """Return the coefficients of 1, u, u^2, ... of a curve over temperature."""
+        ends = self.middle_degc - self.half_span_degc, self.middle_degc + self.half_span_degc
+        return np.asarray(curve.convert(domain=ends).coef)
+
+    def training(self, runs: Sequence[RunBlocks], temperature: str) -> FloatArray:
+        """Return the columns over all training runs, with a constant for each further run or pose where it
+        has one of its own."""
+        columns = self.columns(np.concatenate([run.temperature[temperature] for run in runs]))
+        which: list[IntArray] = []
+        for run in runs:
+            first = int(which[-1].max()) + 1 if which else 0
+            which.append(first + self.levels(run))
+        own = np.concatenate(which)[:, np.newaxis] == np.unique(np.concatenate(which))[1:]
+        return np.column_stack([columns, own.astype(np.float64)]) if self.own else columns
+
+    def levels(self, run: RunBlocks) -> IntArray:
+        """Return which of the constants of a run each block has, (n,), from 0."""
+        return run.pose if self.own == "pose" else np.zeros(len(run), np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """A channel over the runs that it is searched and fitted in, and those that prove what was found."""
+
+    name: str
+    unit: str
+    floor: WhiteFloor
+    """Of a block."""
+    declared: Declared
+    pool: Pool
+    """Training runs, which temperature drives the channel, and the columns of effects over them."""
+    test: Sequence[RunBlocks]
+    faults: Sequence[Fault] = ()
+    """What is wrong with its data."""
+    known: tuple[Effect, ...] | None = None
+    """Of the model that was given, whose curve is off the means already; None when none was given."""
+    kept: tuple[Effect, ...] = ()
+    """Those of them that stay as they are: these runs do not show them."""
+
+    @property
+    def blind(self) -> float:
+        """rms below which an effect is not told from a fault of the data."""
+        return max((fault.blind for fault in self.faults), default=0.0)
+
+    @property
+    def limit(self) -> float:
+        """rms that white noise and faults of the data together make of a block: no structure is below it."""
+        return float(np.hypot(self.floor.sd, self.blind))
+
+    @property
+    def coarse(self) -> bool:
+        """Whether faults of the data may make what matters of a smooth bias.
+
+        A course that errs by a floor at the most has 0.7 of rms: beside the white one that is too small.
+        """
+        return self.blind >= self.floor.sd
+
+    @property
+    def train(self) -> Sequence[RunBlocks]:
+        """Training runs."""
+        return self.pool.runs
+
+    @property
+    def temperature(self) -> str:
+        """Which temperature drives it."""
+        return self.pool.temperature
+
+    @cached_property
+    def values(self) -> FloatArray:
+        """Block means over all training runs less the effects that stay as they are, (n,)."""
+        means = np.concatenate([run.mean[self.name] for run in self.train])
+        for effect in self.kept:
+            columns = self.pool.design([Candidate(effect.label, (Part(effect),))])
+            means = means - columns @ np.asarray(effect.coefficients)
+        return means
+
+    @cached_property
+    def base(self) -> FloatArray:
+        """Columns of the declared model over all training runs, (n, p)."""
+        return self.declared.training(self.train, self.temperature)
+
+    def design(self, found: Sequence[Candidate]) -> FloatArray:
+        """Return the columns of the declared model and of what was found, (n, k)."""
+        return np.column_stack([self.base, self.pool.design(found)])
+
+    def as_given(self) -> Channel:
+        """Return it with the model that was given as it is, but for a constant."""
+        if self.known is None:
+            return self
+        return replace(self, declared=replace(self.declared, degree=0), kept=self.known)
+
+    def in_blocks(self, pool: Pool, share: float) -> Channel:
+        """Return it over training runs in longer blocks, which have this share of the white variance."""
+        floor = replace(self.floor, sd=self.floor.sd * float(np.sqrt(share)))
+        return replace(self, pool=pool, floor=floor)
+
+
+def ordinary(columns: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the coefficients of ordinary least squares, the smallest where columns are collinear."""
+    norm = np.linalg.norm(columns, axis=0)
+    norm = np.where(norm > 0, norm, 1.0)
+    return np.asarray(np.linalg.lstsq(columns / norm, values, rcond=1e-10)[0] / norm)
+
+
+def residual_rms(columns: FloatArray, values: FloatArray) -> float:
+    """Return the rms of the residual of ordinary least squares."""
+    left = values - columns @ ordinary(columns, values)
+    return float(np.sqrt(np.mean(left**2)))

@@ -1,0 +1,277 @@
+"""What is claimed of a channel: what training proves and the test does not refute, or the test alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Any
+
+import numpy as np
+
+from imumon.lab.diagnosis.blocks import RunBlocks
+from imumon.lab.diagnosis.channel import Channel
+from imumon.lab.diagnosis.fit import (
+    CLEAN,
+    EXPLAINED,
+    MATERIAL,
+    Fit,
+    PartSigma,
+    TestScore,
+    begun,
+    explained_share,
+    explains,
+    fit,
+    fit_given,
+    goes_on,
+    mean_rms,
+    score,
+    sigmas,
+)
+from imumon.lab.diagnosis.questions import questions
+from imumon.lab.diagnosis.ranking import ranking, runs_left
+from imumon.lab.diagnosis.search import MOST_NAMES, Finding, Search, Step
+from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim, SlowNoise
+
+UNKNOWN = float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """The findings that stay, the model with them, why no others do, and those that the test refutes."""
+
+    findings: list[Finding]
+    after: Fit
+    remark: str
+    refuted: list[dict[str, Any]]
+
+    @property
+    def claims(self) -> bool:
+        """Whether any of them is not of a model that was given."""
+        return any(not one.known for one in self.findings)
+
+
+def _shows(before: TestScore, after: TestScore, floor: float) -> bool:
+    """Tell whether a test, too, is explained; one that cannot be scored is not.
+
+    What is estimated in the test counts only where nothing is left: a level and a jump take away some of
+    whatever is slow.
+    """
+    return np.isfinite(after.rms) and (after.left < CLEAN * floor or explains(before.rms, after.rms, floor))
+
+
+def settle(channel: Channel, found: Search) -> ChannelVerdict:
+    """Return the verdict on a channel: what is claimed of it by what the search found in it."""
+    shape = replace(channel.declared, degree=found.channel.declared.degree)
+    channel = replace(channel, declared=shape, kept=found.channel.kept)
+    given, floor = fit_given(channel), channel.limit  # what digits make of a smooth bias is no structure
+    kept = _kept(channel, found, given, floor)
+    after = kept.after
+    both = _scores(channel, given, after)
+    predicts = not after.parts or after.carries
+    if both is not None:
+        # Jumps of the test itself may make the prediction worse, whatever else was found.
+        predicts &= not both[1].rms > both[0].rms
+        if not predicts and not (goes_on(channel, after) and both[1].rms < both[0].rms):
+            # The declared model then predicts as it did, and is what the model file has.
+            both[1].rms = both[0].rms
+    left = after.train_rms if both is None or not kept.claims else max(after.train_rms, both[1].left)
+    unexplained = found.many_events or left >= CLEAN * floor
+    covariance, spread = sigmas(found.channel, found.likelihood, [one.candidate for one in kept.findings])
+    return ChannelVerdict(
+        channel=channel,
+        before=given,
+        after=after,
+        test_before=None if both is None else both[0],
+        test_after=None if both is None else both[1],
+        claims=_claims(channel, given, after, kept.findings, spread),
+        unexplained=unexplained,
+        explained=explained_share(given.train_rms, after.train_rms, floor) if kept.claims else 0.0,
+        noise=found.null()[1],
+        left_out=kept.refuted,
+        remark=kept.remark,
+        predicts=predicts,
+        slow=SlowNoise.of(found),
+        questions=questions(channel, found, kept.findings, unexplained),
+        refit=_refit(channel, found, kept.findings) if after is not given and predicts else [],
+        turns=_turns(channel, found, given),
+        ranking=ranking(channel, found),
+        runs=runs_left(channel, given, after, both),
+        declared_covariance=covariance,
+    )
+
+
+def _kept(channel: Channel, found: Search, given: Fit, floor: float) -> _Kept:
+    """Return what of the findings stays: what training or the test proves, and the test does not refute."""
+    # A jump that is too small to matter beside the rest is not told from the steps of a walk.
+    lasting = [one for one in found.findings if one.candidate.scope != "event"]
+    small = found.many_events or _fit(channel, lasting).train_rms < MATERIAL * channel.floor.sd
+    findings = lasting if small else list(found.findings)
+    refit = [one for one in findings if one.known]
+    before = _fit(channel, refit) if found.refit else given
+    stay, refuted = _not_worse(channel, findings)
+    kept = _Kept(stay, _fit(channel, stay), "", refuted)
+    if found.many_events:
+        kept = replace(kept, remark="there is more than one jump in a run")
+    both = _scores(channel, given, kept.after)
+    if kept.claims and both is not None and not np.isfinite(both[1].rms):
+        nothing = {"test_rms_with": UNKNOWN, "test_rms_without": UNKNOWN}
+        refuted += [{"name": one.name, **nothing} for one in kept.findings if not one.known]
+        kept = _Kept(refit, before, kept.remark, refuted)
+    elif kept.claims and (why := _too_little(given, kept.after, both, floor)):
+        best = max(found.findings, key=lambda finding: finding.gain)
+        kept = _Kept(refit, before, f"the best of the known effects is {best.name}, but {why}", refuted)
+    both = _scores(channel, given, kept.after)
+    left = both[1].left if kept.claims and both is not None else np.inf
+    wanting = not kept.claims or (kept.after.carries and left >= CLEAN * floor)
+    if wanting and before.train_rms >= CLEAN * floor:
+        one = _proven_by_test(channel, found, before, refit)
+        if one is not None:
+            by_test = _Kept([*refit, one], _fit(channel, [*refit, one]), "", refuted)
+            # What training proves goes first unless it leaves twice as much of the test.
+            if 2.0 * score(channel, by_test.after).rms < left:
+                return by_test
+    return kept
+
+
+def _too_little(given: Fit, after: Fit, both: tuple[TestScore, TestScore] | None, floor: float) -> str:
+    """Return what is too little of training, or of the test, to claim anything; empty where it is enough."""
+    what, before, left = "the training", given.train_rms, after.train_rms
+    if explains(before, left, floor):
+        if both is None or _shows(*both, floor):
+            return ""
+        what, before, left = "the test", both[0].rms, both[1].rms
+    share = max(0.0, explained_share(before, left, floor))
+    floors = f"{before / floor:.1f} white floors become {left / floor:.1f}"
+    return f"it explains only {share:.0%} of {what}: {floors}"
+
+
+def _not_worse(channel: Channel, findings: Sequence[Finding]) -> tuple[list[Finding], list[dict[str, Any]]]:
+    """Return the findings without those that the test refutes, being worse with them, and what those did."""
+    kept = list(findings)
+    left_out: list[dict[str, Any]] = []
+    while kept and channel.test:
+        everything = _fit(channel, kept)
+        trials = [_trial(channel, kept, finding, everything) for finding in kept]
+        worst = min(range(len(kept)), key=lambda at: trials[at][0])
+        if not trials[worst][0] < 0:
+            break
+        left_out.append(trials[worst][1])
+        kept.pop(worst)
+    return kept, left_out
+
+
+def _trial(
+    channel: Channel, kept: Sequence[Finding], finding: Finding, everything: Fit
+) -> tuple[float, dict[str, Any]]:
+    """Return by how much the test confirms a finding (negative when it refutes it), and the numbers.
+
+    What does not carry over is estimated in the test with both, and predicts nothing that could be refuted.
+    """
+    carries = any(part.carries for part in everything.parts if part.effect.label == finding.name)
+    with_it = score(channel, everything)
+    without = score(channel, _fit(channel, [one for one in kept if one is not finding]), like=everything)
+    count = [a & b for a, b in zip(with_it.counted, without.counted, strict=True)]
+    rms = mean_rms(with_it.estimated, count), mean_rms(without.estimated, count)
+    record = {"name": finding.name, "test_rms_with": rms[0], "test_rms_without": rms[1]}
+    return (rms[1] ** 2 - rms[0] ** 2 if carries and np.isfinite(rms).all() else 0.0), record
+
+
+def _proven_by_test(
+    channel: Channel, found: Search, before: Fit, beside: Sequence[Finding]
+) -> Finding | None:
+    """Return the effect that predicts the test best, if it explains it, where training proves nothing.
+
+    Noise that wanders as fast as it does within minutes may go anywhere within the hour, so that no
+    likelihood tells a loop that was gone through once from a wander.  But no wander goes the same way again.
+    `beside` is what is fitted anew of a model that was given.  Only effects count that make the training
+    likelier, by more than their coefficients cost, and only a test that is not woven into the training.
+    The test chooses here, so effects of other names that explain it as well are not told apart.
+    """
+    if not channel.test or any(_woven(channel, run) for run in channel.test):
+        return None
+    also = [finding.candidate for finding in beside]
+    hits: list[tuple[float, Finding]] = []
+    for name, leader in [item for table in found.tables for item in table.items()]:
+        if leader.fit <= 0.0 or leader.candidate.scope in ("run", "event"):
+            continue
+        # The likelihood looks at what is fast; of a slow course least squares see more.
+        fits = [(one, fit(channel, [*also, one])) for one in found.of_family(name)]
+        slow = min(fits, key=lambda one: one[1].train_rms, default=None)
+        for candidate in (leader.candidate, *([slow[0]] if slow is not None else [])):
+            after = fit(channel, [*also, candidate])
+            without, left = score(channel, before, like=after).rms, score(channel, after).rms
+            if explained_share(without, left, channel.floor.sd) >= EXPLAINED and all(
+                part.carries for part in after.parts
+            ):
+                size = float(np.sqrt(max(before.train_rms**2 - after.train_rms**2, 0.0)))
+                gain = leader.gain
+                hits.append((left, Finding(candidate, gain, gain, {name: gain}, [], size, by_test=True)))
+    return chosen_by_test(hits)
+
+
+def chosen_by_test(hits: Sequence[tuple[float, Finding]]) -> Finding | None:
+    """Return, of effects with what they leave of the test, the one that leaves least; effects of other names
+    are not told apart from it."""
+    if not hits:
+        return None
+    findings = [finding for _, finding in sorted(hits, key=lambda hit: hit[0])]
+    by_name: dict[str, Finding] = {}
+    for finding in findings:
+        by_name.setdefault(finding.name, finding)
+    names = list(by_name)[:MOST_NAMES]
+    best = findings[0]
+    best.rivals = {name: finding.gain for name, finding in by_name.items()}
+    best.alike = names if len(names) > 1 else []
+    best.others = {name: by_name[name].candidate for name in names[1:]}
+    return best
+
+
+def _woven(channel: Channel, run: RunBlocks) -> bool:
+    """Tell whether a test lies between parts of the training: any smooth course joins their ends."""
+    at = begun(channel, run)
+    return at is not None and bool(run.time_s[0] < channel.train[at].time_s[-1])
+
+
+def _fit(channel: Channel, findings: Sequence[Finding]) -> Fit:
+    return fit(channel, [finding.candidate for finding in findings])
+
+
+def _scores(channel: Channel, before: Fit, after: Fit) -> tuple[TestScore, TestScore] | None:
+    """Return the scores of two models over the blocks that count for the second; None without a test."""
+    if not channel.test:
+        return None
+    return score(channel, before, like=after), score(channel, after)
+
+
+def _claims(
+    channel: Channel, before: Fit, after: Fit, kept: Sequence[Finding], spread: Sequence[list[PartSigma]]
+) -> list[Claim]:
+    claims, parts = [], iter(after.parts[len(channel.kept) :])
+    for finding, sigma in zip(kept, spread, strict=True):
+        own = list(islice(parts, len(finding.candidate.parts)))
+        if not finding.known:
+            alone = _fit(channel, [finding])
+            share = explained_share(before.train_rms, alone.train_rms, channel.floor.sd)
+            test_alone = score(channel, alone).rms if channel.test else UNKNOWN
+            claims.append(Claim(finding, own, share, test_alone, sigma))
+    return claims
+
+
+def _refit(channel: Channel, found: Search, kept: Sequence[Finding]) -> list[str]:
+    """Return what is fitted anew of a model that was given."""
+    if channel.known is None:
+        return []
+    curve = ["curve"] if found.channel.declared.degree else []
+    return [*curve, *(one.name for one in kept if one.known)]
+
+
+def _turns(channel: Channel, found: Search, given: Fit) -> list[Step]:
+    """Return the turns of the loop with what is left after each, in training and test."""
+    steps = [Step("what was assumed", ()), *found.turns]
+    models = [given, *(fit(channel, step.model) for step in found.turns)]
+    tests = [score(channel, model).rms if channel.test else UNKNOWN for model in models]
+    return [
+        replace(step, train_rms=model.train_rms, test_rms=test)
+        for step, model, test in zip(steps, models, tests, strict=True)
+    ]

@@ -1,0 +1,312 @@
+"""The whole diagnosis: runs in, verdicts out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from imumon.clock.channel import CLOCK
+from imumon.effects.base import LEAST_SPAN_DEGC, Survey
+from imumon.effects.library import effects_for
+from imumon.errors import ImumonError, Reason
+from imumon.geodesy import DEG_PER_H
+from imumon.lab.calibration.gravity import Length
+from imumon.lab.diagnosis.blocks import (
+    LEAST_BLOCKS,
+    RunBlocks,
+    at_poses,
+    common_block_s,
+    make_blocks,
+    specific_force,
+    survey,
+    white_floor,
+)
+from imumon.lab.diagnosis.candidates import Pool
+from imumon.lab.diagnosis.channel import Channel, Declared, Own
+from imumon.lab.diagnosis.claims import settle
+from imumon.lab.diagnosis.drivers import recorded, shadows, with_drivers
+from imumon.lab.diagnosis.earth import EarthRate, earth_rate, turned, without
+from imumon.lab.diagnosis.known import (
+    check_range,
+    effects_of,
+    modelled,
+    order_of,
+    temperature_of,
+    with_needed,
+    without_curve,
+)
+from imumon.lab.diagnosis.runs import SENSORS, STRETCHES, Run, channels_of, divided, in_order, unit_of
+from imumon.lab.diagnosis.search import search
+from imumon.lab.diagnosis.usable import (
+    Names,
+    blocks_of_test,
+    blocks_of_training,
+    faults,
+    sound,
+    temperature_of_axis,
+    usable_channels,
+)
+from imumon.lab.diagnosis.verdict import ChannelVerdict
+from imumon.models.curves.polynomial import CUBIC
+from imumon.models.model import BiasModel
+
+MOST_SEARCH_BLOCKS = 700
+"""Longer runs are searched in longer blocks; they are scored in blocks of 30 s all the same."""
+SHORTER, LEAST_SEARCH_BLOCKS = (1, 2, 3), 200
+"""Shorter runs in blocks of a half or a third: of few blocks the one with a jump in it decides."""
+HIGHEST_DEGREE = 8
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Assumed:
+    """The declared model: the temperature of each channel, the degree, and what has an offset of its own."""
+
+    temperatures: dict[str, str]
+    degree: int
+    own: Own
+
+
+@dataclass(slots=True)
+class Diagnosis:
+    """Verdicts on all channels, and what has to be said of the data.
+
+    `model` is the one that was given to begin with, or None.  `held_out` says that the test is part of the
+    one run that there is.  `length` is what follows from |f| = g in several poses.
+    """
+
+    declared: str
+    block_s: float
+    verdicts: list[ChannelVerdict]
+    train: Sequence[RunBlocks]
+    test: Sequence[RunBlocks]
+    survey: Survey
+    caveats: list[str] = field(default_factory=list)
+    model: BiasModel | None = None
+    held_out: bool = False
+    length: Length | None = None
+
+
+def parse_declared(text: str) -> tuple[int, bool]:
+    """Return degree and whether each run has an offset of its own, from ``polynomial 3`` or ``polynomial 3
+    + offset``.
+
+    Raises BAD_CONFIG for anything else.
+    """
+    match = re.fullmatch(r"\s*polynomial\s+(\d+)(\s*\+\s*offset)?\s*", text)
+    if match is None or int(match[1]) > HIGHEST_DEGREE:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"--declared {text!r} is not understood",
+            f"use 'polynomial N', N from 0 to {HIGHEST_DEGREE}; '+ offset' for a constant of each run",
+        )
+    return int(match[1]), match[2] is not None
+
+
+def diagnose(
+    train: Sequence[Run],
+    test: Sequence[Run],
+    declared: str = CUBIC,
+    progress: Progress | None = None,
+    sensors: Sequence[str] = SENSORS,
+    model: BiasModel | None = None,
+    drivers: Sequence[str] | None = None,
+) -> Diagnosis:
+    """Find what the declared model leaves over in the training runs, name it, and prove it on the test runs.
+
+    `sensors` are those to be diagnosed: gyro, accel, mag, or any recorded column; what is diagnosed drives
+    nothing.  With a `model` that is known, its curve is taken from every run; curve and effects of it are
+    fitted anew beside what is found, where the runs show them, and `declared` does not count.
+    `drivers` are what may drive an effect beside temperature, time and specific force; None: all that was
+    recorded and varies.
+
+    Raises BAD_DATA when the data cannot show anything, saying why; BAD_CONFIG for a wrong declared model,
+    or a known one that holds at no temperature of the training.
+    """
+    degree, offsets = parse_declared(declared)
+    caveats = [*dict.fromkeys(text for run in (*train, *test) for text in run.warnings)]
+    channels = usable_channels(train, test, sensors, caveats)
+    train, test, held = _divided(train, test, channels, caveats)
+    if model is None:
+        temperatures = {name: temperature_of_axis(name, train) for name in channels}
+    else:
+        channels = modelled(channels, model)
+        temperatures = {name: temperature_of(name, model, train) for name in channels}
+        train, test = ([without_curve(run, model, temperatures) for run in runs] for runs in (train, test))
+        degree = max(order_of(model.channels[name]) for name in channels)
+        drivers = with_needed(drivers, model, temperatures)
+    used = list(dict.fromkeys(temperatures.values()))
+    names = Names(channels, used, recorded(train, test, [*used, *channels], drivers, caveats))
+    block_s = common_block_s([*train, *test])
+    blocks = blocks_of_training(train, names, block_s, caveats)
+    tested = blocks_of_test(test, names, block_s, caveats)
+    shown = survey(blocks, used[0], degree, block_s)
+    if model is not None and shown.thermal:  # else no curve is fitted, and that of the model stays as it is
+        check_range(model, temperatures, blocks)
+    _remark(blocks, tested, shown, caveats)
+    assumed = Assumed(temperatures, degree if shown.thermal else 0, "run" if offsets else "")
+    if names.drivers and shown.thermal and (alike := shadows(blocks, used[0], shown.scale, assumed.degree)):
+        caveats.append(
+            f"{', '.join(alike)} went with temperature or time in training: what depends on one of them looks"
+            " as if it depended on the other"
+        )
+    diagnosis = Diagnosis(declared, block_s, [], blocks, tested, shown, caveats, model, held)
+    for sensor in sensors:
+        if group := channels_of([sensor], channels):
+            diagnosis.verdicts += _sensor(train, group, assumed, diagnosis, progress)
+    return diagnosis
+
+
+def _divided(
+    train: Sequence[Run], test: Sequence[Run], channels: Sequence[str], caveats: list[str]
+) -> tuple[list[Run], list[Run], bool]:
+    """Return sound runs of training and test, and whether parts of the only one are held out as a test."""
+    train, test = (sound(runs, channels, caveats) for runs in (train, test))
+    test = in_order(train, test, caveats)
+    long = len(train) == 1 and train[0].duration_s >= 2 * LEAST_BLOCKS * common_block_s(train)
+    if test or not long:
+        return train, test, False
+    caveats.append(
+        f"no test data: every other {train[0].duration_s / STRETCHES / 60:.0f} min of the one run are"
+        " held out as a test.  That is weaker than another power-on: what is particular to this run, and"
+        " any noise that is slower, is in both"
+    )
+    first, other = divided(train[0], channels)
+    return [first], [other], True
+
+
+def _remark(train: Sequence[RunBlocks], test: Sequence[RunBlocks], shown: Survey, caveats: list[str]) -> None:
+    """Say what this data cannot show, whatever it is."""
+    if not shown.thermal:
+        caveats.append(
+            f"the temperature moves by {shown.span_degc:.1f} °C only ({LEAST_SPAN_DEGC:.0f} °C are needed):"
+            " no curve over temperature is fitted, and no effect of temperature can be found"
+        )
+    if not test:
+        caveats.append("no test data: nothing proves what is claimed but the data that it was fitted to")
+    if len(train) < 2:
+        caveats.append(
+            "one training run: what depends on time and what depends on temperature may look alike"
+        )
+
+
+def _sensor(
+    train: Sequence[Run],
+    group: Sequence[str],
+    assumed: Assumed,
+    diagnosis: Diagnosis,
+    progress: Progress | None,
+) -> list[ChannelVerdict]:
+    """Return the verdicts on the axes of one sensor."""
+    blocks, tested, block_s = diagnosis.train, diagnosis.test, diagnosis.block_s
+    temperatures, own = assumed.temperatures, assumed.own
+    if not group[0].startswith(("gyro", CLOCK)):
+        # In each pose, and each day, another part of gravity, field or weather is seen, which nobody knows.
+        own = "pose"
+        if group[0].startswith("accel") and len(group) == 3:
+            _add_length(temperatures[group[0]], assumed.degree, diagnosis)
+        blocks, tested = at_poses(blocks), at_poses(tested)
+    models = {name: Declared.over(blocks, temperatures[name], assumed.degree, own) for name in group}
+    earth = None
+    if group[0].startswith("gyro") and turned(blocks):
+        earth = earth_rate(blocks, group, temperatures, models[group[0]])
+        diagnosis.caveats.append(_earth_caveat(earth))
+    if earth is not None:
+        blocks, tested = without(blocks, group, earth), without(tested, group, earth)
+    pools = _pools(blocks, group, temperatures)
+    channels = [
+        Channel(
+            name,
+            unit_of(name),
+            floor,
+            models[name],
+            pools[temperatures[name]],
+            tested,
+            faults(train, name, temperatures[name], floor.sd),
+            known=None if diagnosis.model is None else effects_of(diagnosis.model.channels[name]),
+        )
+        for name in group
+        for floor in [white_floor(train, name, block_s).of_blocks(blocks)]
+    ]
+    searched, search_s = blocks, search_block(blocks)
+    if search_s != block_s:
+        searched = _blocks_again(train, blocks, assumed, search_s)
+        searched = searched if earth is None else without(searched, group, earth)
+        searched = at_poses(searched) if own == "pose" else searched
+        pools = _pools(searched, group, temperatures)
+    temperature = temperatures[group[0]]
+    found = search(
+        [channel.in_blocks(pools[channel.temperature], block_s / search_s) for channel in channels],
+        with_drivers(survey(searched, temperature, assumed.degree, search_s), searched, temperature),
+        effects_for(group[0]),
+        progress=progress,
+    )
+    return [settle(channel, one) for channel, one in zip(channels, found, strict=True)]
+
+
+def _pools(
+    blocks: Sequence[RunBlocks], group: Sequence[str], temperatures: Mapping[str, str]
+) -> dict[str, Pool]:
+    """Return the pool of each temperature that a channel of the group is over."""
+    return {
+        temperature: Pool(blocks, temperature) for temperature in {temperatures[name]: 0 for name in group}
+    }
+
+
+def _blocks_again(
+    train: Sequence[Run], blocks: Sequence[RunBlocks], assumed: Assumed, block_s: float
+) -> list[RunBlocks]:
+    """Return the runs that were used, of all channels, in blocks of another length."""
+    used = {run.name for run in blocks}
+    every = list(dict.fromkeys(assumed.temperatures.values()))
+    others = list(blocks[0].drives[every[0]].others)
+    return [
+        make_blocks(run, list(assumed.temperatures), every, others, block_s)
+        for run in train
+        if run.name in used
+    ]
+
+
+def _add_length(temperature: str, degree: int, diagnosis: Diagnosis) -> None:
+    """Add to a diagnosis what follows from the length of gravity, where there are poses enough."""
+    runs = diagnosis.train
+    forces = [force for run in runs if (force := specific_force(run)) is not None]
+    if len(forces) < len(runs):
+        return
+    declared = Declared.over(runs, temperature, degree, "pose")
+    warmth = np.concatenate([declared.columns(run.temperature[temperature])[:, 1:] for run in runs])
+    found = Length.from_poses(np.concatenate(forces), warmth)
+    if found is not None:
+        poses, diagnosis.length = found
+        diagnosis.caveats.append(diagnosis.length.described(poses))
+
+
+def _earth_caveat(earth: EarthRate | None) -> str:
+    if earth is None:
+        return (
+            "several poses: what is named g_sensitivity holds the vertical earth rate as well, up to"
+            " 15.04 °/h per g on the diagonal; the horizontal earth rate of each pose is not told from"
+            " an offset"
+        )
+    parts = [f"{earth.up / DEG_PER_H:+.2f} °/h up"] if earth.upright else []
+    parts += [f"{earth.across / DEG_PER_H:.2f} °/h level"] if earth.level else []
+    rest = (
+        ""
+        if earth.level
+        else "; its horizontal part is another offset in each pose, which a magnetometer would tell"
+    )
+    return (
+        f"several poses: the gyros have {' and '.join(parts)} in common; it is taken for the earth rate"
+        f" (latitude {earth.latitude_deg:+.0f}°) and subtracted{rest}"
+    )
+
+
+def search_block(blocks: Sequence[RunBlocks]) -> float:
+    """Return the length in seconds of the blocks that these, of the usual length, are searched in."""
+    longest = max(map(len, blocks))
+    shorter = next((part for part in SHORTER if part * longest >= LEAST_SEARCH_BLOCKS), SHORTER[-1])
+    return blocks[0].block_s * max(1, -(-longest // MOST_SEARCH_BLOCKS)) / shorter

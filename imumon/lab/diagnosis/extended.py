@@ -1,0 +1,154 @@
+"""The extended model: what was declared, with the effects that are claimed, as a model file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.polynomial import Chebyshev, Polynomial
+
+from imumon.effects.base import Effect
+from imumon.effects.temperature_curve import TemperatureCurve
+from imumon.lab.diagnosis.blocks import RunBlocks
+from imumon.models.curves.polynomial import HIGHEST_ORDER, PolynomialCurve
+from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
+from imumon.version import __version__
+
+if TYPE_CHECKING:
+    from imumon.lab.diagnosis.diagnose import Diagnosis
+    from imumon.lab.diagnosis.verdict import ChannelVerdict
+
+MARGIN = 0.005
+"""Share of the span that the range is widened by, so that an end is not in and out by turns."""
+
+
+def extended_model(diagnosis: Diagnosis) -> BiasModel:
+    """Return the declared model with what carries over of the claims, for every channel.
+
+    A jump, a turn-on offset and an amplitude that is another in each run are in the report alone.
+    """
+    known = diagnosis.model
+    origins = [run.origin for run in diagnosis.train if run.origin is not None]
+    kept: dict[str, Any] = {
+        name: distinct.pop()
+        for name in ("device", "serial")
+        if len(distinct := {getattr(origin, name) for origin in origins}) == 1
+    }
+    if known is not None:
+        names = ("device", "serial", "axes", "earth_rate", "latitude_deg", "heading_deg", "levels_degc")
+        kept = {name: getattr(known, name) for name in names}
+    return BiasModel(
+        made_by=f"imumon {__version__}",
+        created=f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+        block_s=diagnosis.block_s,
+        trained_on=[_trained_on(run) for run in diagnosis.train if run.origin is not None],
+        channels={
+            verdict.name: _channel(verdict, known.channels[verdict.name] if known is not None else None)
+            for verdict in with_model(diagnosis)
+        },
+        **kept,
+    )
+
+
+def with_model(diagnosis: Diagnosis) -> list[ChannelVerdict]:
+    """Return the verdicts on channels that a model file may have: gyros and accelerometers."""
+    return [verdict for verdict in diagnosis.verdicts if verdict.name in UNITS]
+
+
+def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelModel:
+    fitted = verdict.after if verdict.predicts else verdict.before
+    effects = [part.effect.with_start(part.start) for part in fitted.parts if part.carries]
+    scored = verdict.test_after
+    rms = fitted.train_rms if scored is None or not np.isfinite(scored.rms) else scored.rms
+    residual = float(np.sqrt(max(rms**2 - verdict.channel.floor.sd**2, 0.0)))
+    declared = verdict.channel.declared
+    half = declared.half_span_degc
+    low, high = declared.middle_degc - half, declared.middle_degc + half
+    fitted_curve = Polynomial(fitted.declared, domain=[low, high])
+    if known is not None:
+        if verdict.name.startswith("accel"):
+            fitted_curve = fitted_curve - fitted_curve(declared.middle_degc)
+        return refitted(known, fitted_curve, effects, residual)
+    curve, effects = _curve(fitted_curve, effects)
+    if verdict.name.startswith("accel"):
+        curve = curve.minus(float(curve.value(declared.middle_degc)))
+    return ChannelModel.model_validate(
+        {
+            "unit": verdict.channel.unit,
+            "temperature_column": verdict.channel.temperature,
+            "temperature_range_degc": [low - 2 * half * MARGIN, high + 2 * half * MARGIN],
+            "residual_sd": residual,
+            "curve": curve,
+            "effects": effects,
+        }
+    )
+
+
+def refitted(
+    known: ChannelModel, more: Polynomial, effects: list[Effect], residual_sd: float
+) -> ChannelModel:
+    """Return a known model with a polynomial more in its curve, and these effects beside it.
+
+    To what is no polynomial itself it is added as an effect.  The curve holds where it was fitted, which is
+    the domain of the polynomial.
+    """
+    curve = known.curve
+    added = [part for effect in known.effects if (part := effect.polynomial()) is not None]
+    own = [part for effect in effects if (part := effect.polynomial()) is not None]
+    low, high = more.domain.tolist()
+    known_low, known_high = known.temperature_range_degc
+    update: dict[str, Any] = {"residual_sd": residual_sd, "held_out_rms": {}}
+    if more.degree() > 0 or own:
+        update["temperature_range_degc"] = [max(low, known_low), min(high, known_high)]
+    if isinstance(curve, PolynomialCurve):
+        ends = curve.center_degc - curve.half_width_degc, curve.center_degc + curve.half_width_degc
+        added.append(Chebyshev(curve.coefficients, domain=ends).convert(kind=Polynomial))
+        update["curve"], update["effects"] = _curve(_sum(more, added), effects)
+        return known.model_copy(update=update)
+    others = [effect for effect in effects if effect.polynomial() is None]
+    constant, *powers = _sum(more, [*added, *own]).coef.tolist()
+    if any(powers):
+        shape = TemperatureCurve(
+            middle=0.5 * (low + high), half_span=0.5 * (high - low), first_power=1, powers=len(powers)
+        )
+        others.append(shape.with_coefficients(powers))
+    return known.model_copy(update={**update, "curve": curve.minus(-constant), "effects": others})
+
+
+def _sum(first: Polynomial, others: Sequence[Polynomial]) -> Polynomial:
+    """Return the sum, on the domain of the first."""
+    for other in others:
+        first = first + other.convert(domain=first.domain, window=first.window)
+    return first
+
+
+def _curve(declared: Polynomial, effects: list[Effect]) -> tuple[PolynomialCurve, list[Effect]]:
+    """Return the curve with those effects that are a polynomial of it, and the other effects."""
+    total, others = declared, []
+    for effect in effects:
+        more = effect.polynomial()
+        if more is None or more.degree() > HIGHEST_ORDER:
+            others.append(effect)
+        else:
+            total = total + more.convert(domain=declared.domain, window=declared.window)
+    low, high = declared.domain.tolist()
+    series = total.convert(domain=declared.domain, kind=Chebyshev)
+    curve = PolynomialCurve(
+        center_degc=0.5 * (low + high), half_width_degc=0.5 * (high - low), coefficients=series.coef.tolist()
+    )
+    return curve, others
+
+
+def _trained_on(run: RunBlocks) -> TrainedOn:
+    assert run.origin is not None
+    temperature = np.concatenate(list(run.temperature.values()))
+    return TrainedOn(
+        session=run.origin.session,
+        run=run.origin.index,
+        sha256=run.origin.sha256,
+        rest_s=float(run.weight.sum()) * run.block_s / run.slots,
+        blocks=len(run),
+        temperature_range_degc=[float(temperature.min()), float(temperature.max())],
+    )

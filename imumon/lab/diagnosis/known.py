@@ -1,0 +1,96 @@
+"""A model that is known: its curve is taken from the runs, its effects are fitted beside what it lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from imumon.effects.base import Effect
+from imumon.errors import ImumonError, Reason
+from imumon.lab.diagnosis.blocks import RunBlocks
+from imumon.lab.diagnosis.runs import Run, common_temperature
+from imumon.models.curves.polynomial import PolynomialCurve
+from imumon.models.model import BiasModel, ChannelModel
+from imumon.models.predictor import BiasPredictor
+
+CUBIC = 3
+"""As what is assumed without a model: other curves keep their shape, and have a cubic added."""
+
+
+def modelled(channels: Sequence[str], model: BiasModel) -> list[str]:
+    """Return the channels that the model has.
+
+    Raises BAD_CONFIG when there is none.
+    """
+    found = [name for name in channels if name in model.channels]
+    if not found:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"the model has {', '.join(model.channels)}; the data has {', '.join(channels)}",
+            "give the model of this unit, or --declared",
+        )
+    return found
+
+
+def temperature_of(channel: str, model: BiasModel, runs: Sequence[Run]) -> str:
+    """Return the temperature in the runs that the model's curve of a channel is over.
+
+    Raises BAD_DATA when a run lacks it.
+    """
+    name = model.channels[channel].temperature_column.replace("_estimate", "")
+    return common_temperature(name, runs, f"the bias model needs {name}, which not every run has")
+
+
+def check_range(model: BiasModel, temperatures: Mapping[str, str], runs: Sequence[RunBlocks]) -> None:
+    """Refuse a model whose curves hold at no temperature of the runs: nothing of them could be fitted anew.
+
+    Raises BAD_CONFIG, naming both ranges.
+    """
+    for name, temperature in temperatures.items():
+        found = np.concatenate([run.temperature[temperature] for run in runs])
+        low, high = model.channels[name].temperature_range_degc
+        if max(low, float(found.min())) >= min(high, float(found.max())):
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"the bias model of {name} holds from {low:.2f} to {high:.2f} °C, the training data has"
+                f" {found.min():.2f} to {found.max():.2f} °C: they do not overlap",
+                "give a model that was calibrated at these temperatures, or none: leave --model out",
+            )
+
+
+def order_of(channel: ChannelModel) -> int:
+    """Return the degree of the polynomial by which a curve is fitted anew: its own, or a cubic's."""
+    curve = channel.curve
+    return len(curve.coefficients) - 1 if isinstance(curve, PolynomialCurve) else CUBIC
+
+
+def effects_of(channel: ChannelModel) -> tuple[Effect, ...]:
+    """Return the effects of a model beside its curve, and what is part of that."""
+    return tuple(effect for effect in channel.effects if effect.polynomial() is None)
+
+
+def with_needed(
+    drivers: Sequence[str] | None, model: BiasModel, temperatures: Mapping[str, str]
+) -> Sequence[str] | None:
+    """Return drivers (None: all there are) with those that the model's channels need, but temperatures."""
+    if drivers is None:
+        return None
+    needed = BiasPredictor(model, list(temperatures)).drivers
+    return list(dict.fromkeys([*drivers, *(name for name in needed if name not in temperatures.values())]))
+
+
+def without_curve(run: Run, model: BiasModel, temperatures: dict[str, str]) -> Run:
+    """Return a run with the model's curve over temperature taken from its channels."""
+    changed = {}
+    for name in temperatures:
+        if name in run.mean:
+            t, channel = run.mean[temperatures[name]], model.channels[name]
+            known = np.isfinite(t)
+            curve = np.interp(run.time_s, run.time_s[known], channel.value(t[known]))
+            for effect in channel.effects:
+                if (more := effect.polynomial()) is not None:
+                    curve = curve + more(np.interp(run.time_s, run.time_s[known], t[known]))
+            changed[name] = run.mean[name] - curve
+    return replace(run, mean={**run.mean, **changed})

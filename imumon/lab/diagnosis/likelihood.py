@@ -1,0 +1,240 @@
+"""The likelihood of every candidate at once: generalised least squares for a grid of noise parameters.
+
+The covariance of a run is s² [W + r F + q R], as `imumon.filters.noise` has it: W of the white noise of each
+block, F the mean of exp(-|lag|/tau) over `TAUS_S`, which is close to flicker, R = min(ti, tj) over 2 h.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import lgamma
+
+import numpy as np
+import numpy.typing as npt
+
+from imumon.blocks import BoolArray, FloatArray, IntArray
+from imumon.filters.noise import BiasNoise, Whitener, whitener
+from imumon.lab.diagnosis.blocks import RunBlocks
+from imumon.lab.diagnosis.candidates import Pool, Term
+
+Noise = tuple[float, float]
+"""Flicker r and random walk q, variances over that of the white noise of a full block."""
+
+TAUS_S = np.array([30.0, 100.0, 300.0, 1000.0, 3000.0, 10000.0])
+WALK_S = 7200.0
+FLICKER = (0.0, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0)
+WALK = (0.0, 1.0, 10.0, 100.0, 1000.0)
+GRID = [(r, q) for r in FLICKER for q in WALK]
+COLLINEAR = 1e-5
+"""A column of which less is left beside the base is not used."""
+RIDGE = 1e-9
+TAILS = (4.0, 8.0, 16.0, 64.0, np.inf)
+"""Degrees of freedom of Student's t that innovations may have; infinite: normal."""
+REWEIGHTED = 20
+
+
+@dataclass(frozen=True, slots=True)
+class _Group:
+    """Candidates of so many terms each: which they are (count,), their terms (count, size), and whether a
+    term and the next are of one sign (count, size - 1)."""
+
+    which: IntArray
+    places: IntArray
+    alike: BoolArray
+
+
+class Likelihood:
+    """Log-likelihoods of block means over the runs, for a base (n, p) that the model so far has.
+
+    Parameters
+    ----------
+    runs : sequence of RunBlocks
+        Training runs, in blocks; n in all.
+    grid : sequence of Noise
+        Of noise parameters, of which others may take a part.
+    """
+
+    def __init__(self, runs: Sequence[RunBlocks], grid: Sequence[Noise] = GRID) -> None:
+        self._grid = list(grid)
+        self.n = sum(map(len, runs))
+        self.price = float(np.log(self.n))
+        """What a parameter costs in BIC."""
+        self._bounds = np.cumsum([0, *map(len, runs)]).tolist()
+        self._filters = [_filters(run, self._grid) for run in runs]
+        self._whitened: dict[tuple[int, Noise], dict[Term, FloatArray]] = {}
+
+    def best(self, values: FloatArray, base: FloatArray) -> tuple[float, Noise]:
+        """Return the best log-likelihood of values (n,), and its noise on the whole grid."""
+        found = [self.at(values, base, point) for point in self._grid]
+        at = int(np.argmax(found))
+        return found[at], self._grid[at]
+
+    def of_later(self, values: FloatArray, early: BoolArray) -> float:
+        """Return the log-likelihood of later values given the early ones, with the noise that those show."""
+        white = [self.white(values[:, np.newaxis], point)[:, 0] for point in self._grid]
+        sds = [np.concatenate([item.sd[:, at] for item in self._filters]) for at in range(len(self._grid))]
+        variance = [float(np.mean(one[early] ** 2)) for one in white]
+        fit = [
+            -0.5 * early.sum() * np.log(v) - np.log(sd[early]).sum()
+            for v, sd in zip(variance, sds, strict=True)
+        ]
+        at = int(np.argmax(fit))
+        later, sd = white[at][~early], sds[at][~early] * np.sqrt(variance[at])
+        return float(-0.5 * np.sum(later**2) / variance[at] - np.log(sd).sum())
+
+    def at(self, values: FloatArray, base: FloatArray, noise: Noise) -> float:
+        """Return the log-likelihood of values (n,) with a noise."""
+        left = self._left(values, base, noise)[0]
+        return float(self._of(left @ left, noise))
+
+    def scale(self, values: FloatArray, base: FloatArray, noise: Noise) -> float:
+        """Return s, the standard deviation of the white noise of a full block that is most likely."""
+        left = self._left(values, base, noise)[0]
+        return float(np.sqrt(left @ left / self.n))
+
+    def scan(
+        self,
+        values: FloatArray,
+        base: FloatArray,
+        pool: Pool,
+        terms: Sequence[Sequence[Term]],
+        grid: Sequence[Noise],
+    ) -> tuple[FloatArray, list[Noise]]:
+        """Return the best log-likelihood of the base with each candidate, given as terms, and its noise.
+
+        A candidate whose spectrum would have both signs explains nothing.
+        """
+        used = list(dict.fromkeys(term for group in terms for term in group))
+        place = {term: at for at, term in enumerate(used)}
+        groups = _by_size([[place[term] for term in group] for group in terms], pool.spectra(used))
+        best, noise = np.full(len(terms), -np.inf), np.zeros(len(terms), np.int64)
+        for index, point in enumerate(grid):
+            residual, basis = self._left(values, base, point)
+            explained = _explained(residual, basis, self._terms(pool, used, point), groups, len(terms))
+            found = self._of(residual @ residual - explained, point)
+            better = found > best
+            best[better], noise[better] = found[better], index
+        return best, [grid[index] for index in noise.tolist()]
+
+    def _terms(self, pool: Pool, terms: Sequence[Term], noise: Noise) -> FloatArray:
+        """Return the whitened columns of terms, a row each; each is whitened once for each noise."""
+        known = self._whitened.setdefault((id(pool), noise), {})
+        new = [term for term in terms if term not in known]
+        known.update(zip(new, self.white(pool.matrix(new), noise).T, strict=True))
+        return np.array([known[term] for term in terms])
+
+    def tails(self, values: FloatArray, base: FloatArray, noise: Noise) -> float:
+        """Return the gain in BIC of innovations with the tails of Student's t over normal ones.
+
+        Flicker and random walk are Gaussian: what jumps or comes in bursts is neither, however slow it is.
+        """
+        each = [self._heavy(values, base, noise, tails) for tails in TAILS]
+        return 2.0 * (max(each) - each[TAILS.index(np.inf)]) - self.price
+
+    def _heavy(self, values: FloatArray, base: FloatArray, noise: Noise, tails: float) -> float:
+        """Return the log-likelihood of a base with innovations of Student's t, by reweighting."""
+        both = self.white(np.column_stack([base, values]), noise)
+        weight = np.ones(self.n)
+        for _ in range(REWEIGHTED if np.isfinite(tails) else 1):
+            root = np.sqrt(weight)[:, np.newaxis]
+            basis = _orthonormal(both[:, :-1] * root)
+            target = both[:, -1] * root[:, 0]
+            left = (target - basis @ (basis.T @ target)) / root[:, 0]
+            variance = float(np.mean(weight * left**2))
+            if np.isfinite(tails):
+                weight = (tails + 1.0) / (tails + left**2 / variance)
+        spread = self._of(self.n * variance, noise) - 0.5 * self.n * np.log(2.0 * np.pi)
+        if not np.isfinite(tails):
+            return float(spread - 0.5 * self.n)
+        constant = lgamma(0.5 * (tails + 1.0)) - lgamma(0.5 * tails) - 0.5 * np.log(0.5 * tails)
+        peaked = 0.5 * (tails + 1.0) * np.log1p(left**2 / (tails * variance)).sum()
+        return float(spread + self.n * constant - peaked)
+
+    def _of(self, squares: npt.ArrayLike, noise: Noise) -> FloatArray:
+        """Return log-likelihoods from sums of squares of whitened residuals, s² profiled."""
+        determinant = sum(np.log(item.sd[:, self._grid.index(noise)]).sum() for item in self._filters)
+        return np.asarray(-0.5 * self.n * np.log(np.maximum(squares, 1e-300) / self.n) - determinant)
+
+    def _left(self, values: FloatArray, base: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
+        """Return what the base leaves of the values, whitened, and an orthonormal basis of the base."""
+        both = self.white(np.column_stack([base, values]), noise)
+        basis = _orthonormal(both[:, :-1])
+        return both[:, -1] - basis @ (basis.T @ both[:, -1]), basis
+
+    def white(self, columns: FloatArray, noise: Noise) -> FloatArray:
+        """Return columns (n, k) whitened: behind the inverse Cholesky factor of the covariance over s²."""
+        parts = [columns[a:b] for a, b in zip(self._bounds, self._bounds[1:], strict=False)]
+        at = self._grid.index(noise)
+        return np.concatenate([item(part, at) for item, part in zip(self._filters, parts, strict=True)])
+
+
+def _filters(run: RunBlocks, grid: Sequence[Noise]) -> Whitener:
+    """Return the filters of a run for a grid; the walk begins at power-on."""
+    flicker, walk = np.array(grid).T
+    markov = np.sqrt(flicker / len(TAUS_S))[:, np.newaxis] * np.ones(len(TAUS_S))
+    noise = BiasNoise(TAUS_S, markov, np.sqrt(walk / WALK_S))
+    elapsed = np.diff(run.time_s, prepend=-np.inf)
+    return whitener(noise, elapsed, run.white, walk / WALK_S * run.time_s[0])
+
+
+def no_larger(start: Noise) -> list[Noise]:
+    """Return every noise that is no larger: a better model leaves less for the noise to explain.
+
+    What a walk explained may have been flicker and an effect, or the other way round: both together are less.
+    """
+    return [point for point in GRID if sum(point) <= sum(start)]
+
+
+def _by_size(groups: Sequence[Sequence[int]], spectra: IntArray) -> list[_Group]:
+    """Return, for each number of terms, the candidates that have it."""
+    found = []
+    for size in sorted({len(group) for group in groups} - {0}):
+        which = [at for at, group in enumerate(groups) if len(group) == size]
+        places = np.array([groups[at] for at in which])
+        this, following = spectra[places[:, :-1]], spectra[places[:, 1:]]
+        found.append(_Group(np.array(which), places, (this == following) & (this >= 0)))
+    return found
+
+
+def _explained(
+    residual: FloatArray,
+    basis: FloatArray,
+    matrix: FloatArray,
+    groups: Sequence[_Group],
+    count: int,
+) -> FloatArray:
+    """Return by how much each candidate lowers the sum of squares of the whitened residual.
+
+    What the base leaves of a term is never written out: the residual is orthogonal to it already.
+    """
+    within = matrix @ basis
+    before = np.einsum("ij,ij->i", matrix, matrix)
+    after = before - np.einsum("ij,ij->i", within, within)
+    usable = after > COLLINEAR**2 * before
+    scale = np.where(usable, 1.0 / np.sqrt(np.where(usable, after, 1.0)), 0.0)
+    slope = scale * (matrix @ residual)
+    out = np.zeros(count)
+    for group in groups:
+        which, places = group.which, group.places
+        part = slope[places]
+        if places.shape[1] == 1:
+            out[which] = part[:, 0] ** 2
+            continue
+        x, y = matrix[places], within[places]
+        # A term that the base explains has a zero row: one on the diagonal makes its coefficient zero.
+        diagonal = RIDGE + (~usable[places])
+        gram = x @ x.transpose(0, 2, 1) - y @ y.transpose(0, 2, 1)
+        gram *= scale[places][:, :, np.newaxis] * scale[places][:, np.newaxis]
+        gram += diagonal[:, :, np.newaxis] * np.eye(places.shape[1])
+        solution = np.linalg.solve(gram, part[:, :, np.newaxis])[:, :, 0]
+        against = group.alike & (solution[:, :-1] * solution[:, 1:] < 0)
+        out[which] = np.where(against.any(axis=1), 0.0, np.einsum("ij,ij->i", solution, part))
+    return out
+
+
+def _orthonormal(columns: FloatArray) -> FloatArray:
+    """Return an orthonormal basis of the columns, without those that add nothing."""
+    norm = np.linalg.norm(columns, axis=0)
+    left, values, _ = np.linalg.svd(columns / np.where(norm > 0, norm, 1.0), full_matrices=False)
+    return np.asarray(left[:, values > 1e-10 * values[0]]) if len(values) else left

@@ -1,0 +1,249 @@
+"""The diagnosis of the session that is running, as a stage behind the bias filter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from imumon.blocks import ColumnArray, SampleBlock
+from imumon.charts import AXIS_COLORS, Axis, Chart, Curve
+from imumon.columns import Column
+from imumon.geodesy import DEG_PER_H
+from imumon.lab.diagnosis.aged import AgedRun
+from imumon.lab.diagnosis.blocks import BLOCK_S, common_block_s
+from imumon.lab.diagnosis.known import temperature_of
+from imumon.lab.diagnosis.residual import Better, better_models, known_to, residual
+from imumon.lab.diagnosis.runs import DRIVERS, LONGEST_GAP_S, SECOND_NS, Run, further_columns
+from imumon.lab.diagnosis.shadow import Shadow
+from imumon.models.model import BiasModel, TrainedOn
+from imumon.models.predictor import BiasPredictor
+from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES, KeptSlots, gatherer_of, kept_slots
+
+LANE, RESIDUAL = "model", "Residual"
+FIRST_LOOK_S, LOOK_S = 1200.0, 600.0
+"""The first search has forty means of 30 s, the least that a diagnosis needs; the next ones follow at even
+distances, so that nothing stays unnoticed for longer."""
+HAD = 2.0
+"""A shadow has as much time to win as it was found in; then the last model that was found takes its place."""
+HELD_NS = 10 * SECOND_NS
+"""Samples wait so long until they are reduced to seconds: short blocks then cost no more than long ones."""
+DIAGNOSE = "imumon diagnose --train SESSION --model SESSION --out DIR"
+INK = (150, 155, 165)
+"""Colour of the effect in a chart: it reads on both themes, and is no axis' colour."""
+
+
+class LiveDiagnosis:
+    """Reports when a better model than the present one exists: MODEL CAN BE BETTER, with effect and error.
+
+    A run from power-on is searched after 20 min, and every 10 min from then on.
+
+    Parameters
+    ----------
+    model : BiasModel
+        The present one; its gyros are searched.
+    learn : bool
+        Whether a better model then runs beside it, and is offered after it has won on what came later.
+    made : callable
+        Returns the columns that other stages make: they drive nothing.
+    """
+
+    def __init__(
+        self, model: BiasModel, learn: bool = False, made: Callable[[], Collection[str]] = tuple
+    ) -> None:
+        self._model, self._learn, self._made = model, learn, made
+        self._gyros = [name for name in GYRO if name in model.channels]
+        wanted = BiasPredictor(model, self._gyros)
+        self._needed = wanted.drivers
+        self._temperatures = [name.replace("_estimate", "") for name in wanted.temperature_columns]
+        self._temperatures = list(dict.fromkeys([*self._temperatures, "temperature"]))
+        self._names: list[str] = []
+        self._gatherer = gatherer_of(self._names, 1.0)
+        self._waiting: list[SampleBlock] = []
+        self._pending: list[str] = []
+        self._reported: set[str] = set()
+        self._last_ns = 0
+        self.offered: Shadow | None = None
+        """The better model that has won, to be kept when the session ends."""
+        self._begin()
+
+    def _begin(self) -> None:
+        """Begin with a run from power-on; a shadow that has not won yet is of another."""
+        self._aged = AgedRun(self._names)
+        self._next_look_s = FIRST_LOOK_S
+        self._shadow: Shadow | None = None
+        self._lacking: list[Chart] = []
+        self.state = ""
+
+    @property
+    def columns(self) -> Sequence[Column]:
+        """None: what it finds is reported."""
+        return []
+
+    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+        """Take samples; needs ``device_time_ns``, ``segment``, gyros and temperature, takes ``at_rest``."""
+        if len(block) and all(name in block for name in self._gyros):
+            self._waiting.append(block)
+            since = int(self._waiting[0]["device_time_ns"][0])
+            if not 0 <= int(block["device_time_ns"][-1]) - since < HELD_NS:
+                self._reduce()
+        return {}
+
+    def _reduce(self) -> None:
+        if not self._names:
+            known = [name for name in (*ACCEL, *DRIVERS) if any(name in block for block in self._waiting)]
+            made = self._made()
+            more = [name for block in self._waiting for name in further_columns(block, made)]
+            self._names = [*dict.fromkeys([*self._gyros, *self._temperatures, *self._needed, *known, *more])]
+            self._gatherer = gatherer_of(self._names, 1.0)
+            self._begin()
+        for block in self._waiting:
+            for slots in kept_slots(self._gatherer, block, self._names):
+                self._take(slots)
+        self._waiting = []
+
+    def _take(self, slots: KeptSlots) -> None:
+        """Take the seconds that have ended; a new segment is a new run, and what comes after a long gap."""
+        if not len(slots):
+            return
+        gap_ns = np.diff(slots.start_ns, prepend=self._last_ns)
+        self._last_ns = int(slots.end_ns[-1])
+        begins = slots.begins | (gap_ns > LONGEST_GAP_S * SECOND_NS)
+        for start, stop in pairwise([0, *np.flatnonzero(begins).tolist(), len(slots)]):
+            if stop > start:
+                if begins[start]:
+                    self._begin()
+                self._follow(slots[start:stop])
+
+    def _follow(self, part: KeptSlots) -> None:
+        """Take seconds of one run, and stop wherever a search is due."""
+        while len(part):
+            elapsed = self._aged.elapsed_s(part)
+            count = min(int(np.searchsorted(elapsed, self._next_look_s)) + 1, len(part))
+            self._aged.take(part[:count])
+            now_s, part = float(elapsed[count - 1]), part[count:]
+            if now_s >= self._next_look_s:
+                self._next_look_s = (now_s // LOOK_S + 1.0) * LOOK_S
+                self._score()
+                self._look(now_s)
+
+    def _score(self) -> None:
+        """Compare the model that runs beside the present one with it, on what came since it was found."""
+        score = None if self._shadow is None or self.offered else self._shadow.score(self._run())
+        if score is None:
+            return
+        change = f"{score.before / DEG_PER_H:.3g} become {score.after / DEG_PER_H:.3g} °/h"
+        if score.lost:
+            self._shadow = None
+            self._report(f"the better model did worse on what came later: {change}")
+        elif score.won:
+            self.offered = self._shadow
+            self._report(
+                f"a better model has won on what came later: {change} (likelihood ratio e^{score.ratio:.0f});"
+                " it is kept with the session when that ends"
+            )
+
+    def _look(self, elapsed_s: float) -> None:
+        """Search the run so far for what the model lacks, and report that."""
+        if self.offered is not None:
+            return
+        if not self._aged.has_any({*self._temperatures, *TEMPERATURES}):
+            wanted = " or ".join(self._temperatures)
+            self._report(f"the model is not searched: the device has not sent any {wanted} so far")
+            return
+        run = self._run()
+        found = better_models(run, self._model, self._gyros)
+        if not found:
+            self.state, self._lacking = "", []
+            return
+        best = max(found, key=lambda one: one.gain)
+        before, after = (max(getattr(one, key) for one in found) / DEG_PER_H for key in ("before", "after"))
+        what = "; ".join(_effects_by_axes(found))
+        self.state = f"MODEL CAN BE BETTER: {what}: {before:.3g} become {after:.3g} °/h"
+        length = common_block_s([run])
+        self._report(f"{self.state} (rms of {length:.0f} s, gain {best.gain:.0f}): {DIAGNOSE}", what)
+        shadow = Shadow(self._model, found, elapsed_s)
+        self._lacking = _charts(run, self._model, shadow.model, best)
+        if self._learn and (self._shadow is None or elapsed_s >= HAD * self._shadow.since_s):
+            self._shadow = shadow
+
+    def _run(self) -> Run:
+        """Return the run so far, at rest only where the present model knows the temperature."""
+        return known_to(self._model, self._aged.run(), self._gyros)
+
+    def evidence(self, session: str, sha256: str) -> TrainedOn:
+        """Return what a learned model states of this session."""
+        run = self._run()
+        at_rest = run.at_rest
+        known = [run.mean[name] for name in self._temperatures if name in run.mean]
+        temperature = np.concatenate([values[at_rest & np.isfinite(values)] for values in known])
+        gyro = self._gyros[0]
+        rest_s = float(run.count[gyro][at_rest].sum()) / run.samples_per_slot(gyro) * run.slot_s
+        return TrainedOn(
+            session=session,
+            sha256=sha256,
+            rest_s=rest_s,
+            blocks=int(rest_s // BLOCK_S),
+            temperature_range_degc=[float(temperature.min()), float(temperature.max())],
+        )
+
+    def _report(self, text: str, what: str = "") -> None:
+        """Add a text to the log, unless it, or what it is about, is in there already."""
+        if (what or text) not in self._reported:
+            self._reported.add(what or text)
+            self._pending.append(text)
+
+    def lanes(self) -> Mapping[str, str]:
+        """Return the lane ``model`` while there is a better one, in the place of what the watch reports."""
+        return {LANE: self.state} if self.state else {}
+
+    def notices(self) -> list[str]:
+        """Return, once for each set of effects, what would be better, and what became of it; for the log."""
+        texts, self._pending = self._pending, []
+        return texts
+
+    def charts(self) -> Sequence[Chart]:
+        """Return what the model leaves of the worst axis, with the effect that it lacks."""
+        return self._lacking
+
+
+def _effects_by_axes(found: Sequence[Better]) -> list[str]:
+    """Return which effects may be missing on which axes."""
+    axes: dict[str, list[str]] = {}
+    for one in sorted(found, key=lambda one: -one.gain):
+        axes.setdefault(" or ".join(one.names), []).append(one.channel[-1])
+    return [f"{text} on {', '.join(sorted(letters))}" for text, letters in axes.items()]
+
+
+def _charts(run: Run, present: BiasModel, better: BiasModel, one: Better) -> list[Chart]:
+    """Return what is left of a channel over time and temperature, and what the better model would take away.
+
+    Block means at rest, °/h, less their mean, which is the turn-on bias.  The line through them is the
+    difference of the two models.
+    """
+    block_s, name = common_block_s([run]), one.channel
+    left, after = (residual(run, model, [name], block_s=block_s) for model in (present, better))
+    both = left.mean[name], left.mean[name] - after.mean[name]
+    points, line = ((part - part.mean()) / DEG_PER_H for part in both)
+    axis, what = name[-1], one.names[0]
+    over = {
+        "time": (left.time_s / 60.0, "time since power-on [min]"),
+        "temperature": (left.temperature[temperature_of(name, present, [run])], "temperature [°C]"),
+    }
+    return [
+        Chart(
+            f"model_lacks_over_{key}",
+            RESIDUAL,
+            f"Gyro {axis} less the model, means of {block_s:.0f} s, and {what} through it",
+            Axis(label),
+            Axis("[°/h]"),
+            (
+                Curve(f"left, {axis}", x, points, AXIS_COLORS[axis], points=True, width=4.0),
+                Curve(what, x, line, INK),
+            ),
+            headline=f"{one.before / DEG_PER_H:.3g} → {one.after / DEG_PER_H:.3g} °/h",
+            notes=(f"{' or '.join(one.names)}, gain {one.gain:.0f}",),
+        )
+        for key, (x, label) in over.items()
+    ]

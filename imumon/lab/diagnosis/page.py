@@ -1,0 +1,154 @@
+"""report.html: the diagnosis for people, one file that needs no network."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+
+from imumon.files import write_text
+from imumon.harmless import for_html
+from imumon.lab.diagnosis.conclusion import keep_in_mind
+from imumon.lab.diagnosis.diagnose import Diagnosis, Progress
+from imumon.lab.diagnosis.figures import figures, proof, shown
+from imumon.lab.diagnosis.ranking import most_different
+from imumon.lab.diagnosis.report import report
+from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim
+
+TEMPLATE = "report.html.j2"
+COLOURS = {"named": "found", "nothing missing": "ok"}
+
+
+def write_page(diagnosis: Diagnosis, path: Path, progress: Progress | None = None) -> None:
+    """Write report.html; raises OSError when that fails."""
+    channels = []
+    for verdict in diagnosis.verdicts:
+        if progress is not None:
+            progress(f"drawing {verdict.name}")
+        channels.append(_channel(diagnosis, verdict))
+    first = max(diagnosis.verdicts, key=_weight)
+    text = (
+        environment()
+        .get_template(TEMPLATE)
+        .render(
+            report=report(diagnosis, path.parent),
+            picture=proof(diagnosis, first),
+            sure=how_sure(first),
+            channels=channels,
+            caveats=keep_in_mind(diagnosis),
+        )
+    )
+    write_text(path, text)
+
+
+def environment(package: str = "imumon.lab.diagnosis") -> Environment:
+    """Return what fills in the pages of a package: whatever comes from outside is text, not markup."""
+    return Environment(
+        loader=PackageLoader(package, "."),
+        autoescape=select_autoescape(default=True, default_for_string=True),
+        undefined=StrictUndefined,
+        finalize=for_html,
+    )
+
+
+def how_sure(verdict: ChannelVerdict) -> str:
+    """Return in a sentence what supports a verdict: the error in the test, and the white noise beside it."""
+    scale, unit = shown(verdict.channel.unit)
+    before, after = _errors(verdict)
+    floor = f"white noise alone would leave {_number(verdict.channel.floor.sd * scale)} {unit}"
+    if not np.isfinite(before):
+        return f"There is no test that can be scored, so nothing proves it: {floor}."
+    name, was = verdict.name, f"{_number(before * scale)} {unit}"
+    if not verdict.claims:
+        return f"On recordings that the fit has not used, {name} errs by {was}; {floor}."
+    return (
+        f"On recordings that the fit has not used, the error of {name} goes from {was} to"
+        f" {_number(after * scale)} {unit}; {floor}."
+    )
+
+
+def _errors(verdict: ChannelVerdict) -> tuple[float, float]:
+    """Return the rms of the test before and after; NaN without one."""
+    before, after = verdict.test_before, verdict.test_after
+    if before is None or after is None:
+        return np.nan, np.nan
+    return before.rms, after.left if verdict.claims else after.rms
+
+
+def _weight(verdict: ChannelVerdict) -> tuple[bool, float]:
+    """Return what puts a channel on top of the page: that something is named, and the floors of its error."""
+    before = _errors(verdict)[0]
+    error = before if np.isfinite(before) else verdict.before.train_rms
+    return bool(verdict.claims), error / verdict.channel.floor.sd if verdict.channel.floor.sd > 0 else 0.0
+
+
+def _number(value: float) -> str:
+    if not np.isfinite(value):
+        return ""
+    return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
+
+
+def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, Any]:
+    scale, unit = shown(verdict.channel.unit)
+    before, after = (_number(value * scale) for value in _errors(verdict))
+    score, most = verdict.test_after, most_different(verdict.runs)
+    return {
+        "name": verdict.name,
+        "unit": unit,
+        "state": COLOURS.get(verdict.row.state, "open"),
+        "verdict": verdict.in_short,
+        "before": before,
+        "after": after if verdict.claims else "",
+        "estimated": score is not None and _errors(verdict)[1] < score.rms,
+        "floor": _number(verdict.channel.floor.sd * scale),
+        "covered": "" if score is None else f"{score.coverage:.0%}",
+        "summary": verdict.summary,
+        "left_out": [_left_out(item, scale, unit) for item in verdict.left_out],
+        "effects": [_effect(claim, scale, unit) for claim in verdict.claims],
+        "ranking": [
+            [one.name, *map(_number, (one.gain, one.train_rms * scale, one.test_rms * scale))]
+            for one in verdict.ranking
+        ],
+        "runs": [
+            {
+                "name": f"{one.name}{', test' if one.test else ''}",
+                "most": one is most,
+                "numbers": [one.blocks, *(_number(x * scale) for x in (one.before, one.after, one.mean))],
+            }
+            for one in verdict.runs
+        ],
+        "curve": [
+            [f"{at:.1f} °C", _number(value * scale), _number(sd * scale)] for at, value, sd in verdict.curve()
+        ],
+        "figures": list(figures(diagnosis, verdict).items()),
+    }
+
+
+def _left_out(item: dict[str, Any], scale: float, unit: str) -> str:
+    """Return why an effect that training shows is not claimed."""
+    text = f"{item['name']} was found in training and left out:"
+    with_it, without = (_number(item[f"test_rms_{key}"] * scale) for key in ("with", "without"))
+    if not with_it:
+        return f"{text} the test has nothing that can be scored"
+    return f"{text} with it the test has {with_it} {unit}, without it {without} {unit}"
+
+
+def _effect(claim: Claim, scale: float, unit: str) -> list[str]:
+    """Return name, parameters, gain in training, and share explained of an effect."""
+    finding = claim.finding
+    parameters = _parameters(claim, scale, unit)
+    return [finding.name, parameters, f"{finding.gain:.0f}", f"{claim.explained:.0%}"]
+
+
+def _parameters(claim: Claim, scale: float, unit: str) -> str:
+    """Return the searched parameters and the coefficients of an effect, each with its sigma."""
+    texts, sizes = [], []
+    for part, sigma in zip(claim.parts, claim.sigmas, strict=True):
+        texts += [
+            f"{name} {getattr(part.effect, name):.3g} ± {sd:.2g}" for name, sd in sigma.searched.items()
+        ]
+        own, spread = part.own.ravel().tolist(), sigma.coefficients.ravel().tolist()
+        sizes += [f"{x * scale:.3g} ± {sd * scale:.2g}" for x, sd in zip(own, spread, strict=True)]
+    return ", ".join([*texts, f"coefficients {' / '.join(sizes)} {unit}".strip()])

@@ -1,0 +1,347 @@
+"""The next experiment: the shortest that answers what a diagnosis leaves open, tried on the fitted unit.
+
+For each question every answer is simulated, with the noise that was found, and searched as a recording is.
+The evidence is the difference of the gains, in BIC, between the effect that the unit has and each rival.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import yaml
+from pydantic import Field
+
+from imumon.blocks import SampleBlock
+from imumon.config import StrictModel, load_yaml
+from imumon.effects.base import ACCEL
+from imumon.effects.library import EFFECTS, AnyEffect, effects_for
+from imumon.files import write_text
+from imumon.geodesy import DEG_PER_H, MICRO_G
+from imumon.lab.diagnosis.blocks import BLOCK_S, at_poses, make_blocks, survey, white_floor
+from imumon.lab.diagnosis.candidates import Pool
+from imumon.lab.diagnosis.channel import Channel, Declared
+from imumon.lab.diagnosis.diagnose import search_block
+from imumon.lab.diagnosis.earth import earth_rate, turned, without
+from imumon.lab.diagnosis.likelihood import TAUS_S
+from imumon.lab.diagnosis.profiles import Profile, profiles
+from imumon.lab.diagnosis.questions import NOTHING
+from imumon.lab.diagnosis.runs import Run, collect, unit_of
+from imumon.lab.diagnosis.search import CLOSE, CLOSE_SHARE, PROVEN, Search, search
+from imumon.models.model import UNITS
+from imumon.simulation.unit import Scenario, SimulatedUnit
+from imumon.simulation.unit.scenario import Unit
+from imumon.simulation.unit.thermal import chamber_knots
+
+RATE_HZ = 4.0
+"""Enough for the scatter inside a second to tell the white noise."""
+LATITUDE_DEG = 45.0
+MARGIN = 1.4
+"""The evidence that is planned for over what is needed: what is reached scatters."""
+TRIALS, PROOFS = 2, 3
+"""Units on which a profile is tried, and others on which the evidence of the chosen one is told."""
+EVERY_SHAPE = 16
+"""So many profiles are tried whatever they tell: by then each shape has been."""
+DRIVEN = "something that the temperature drives"
+LONG_S = 1e5
+"""Correlation time of a process that stands for a random walk of an accelerometer."""
+
+Progress = Callable[[str], None]
+
+
+class _Slow(StrictModel, extra="ignore"):
+    flicker_rms: float = 0.0
+    random_walk_per_sqrt_s: float = 0.0
+
+
+class _Rms(StrictModel, extra="ignore"):
+    train_rms: float
+
+
+class Model(StrictModel, extra="ignore"):
+    """An answer: its name, whether it carries over, the declared polynomial of u, and effects."""
+
+    name: str
+    carries: bool
+    declared: list[float]
+    effects: list[AnyEffect]
+
+    @property
+    def times_s(self) -> list[float]:
+        """Time constants and delays of its effects."""
+        found = [getattr(one, key) for one in self.effects for key in one.nonlinear if key.endswith("_s")]
+        return [float(value) for value in found]
+
+
+class _Channel(StrictModel, extra="ignore"):
+    noise_floor_rms: float
+    slow_noise: _Slow
+    before: _Rms
+    questions: list[list[Model]]
+
+
+class Report(StrictModel, extra="ignore"):
+    """What is needed of a report.json."""
+
+    format: Literal["imumon-diagnosis/1"]
+    temperature_range_degc: Annotated[list[float], Field(min_length=2, max_length=2)]
+    fastest_degc_per_min: float
+    channels: dict[str, _Channel]
+
+
+@dataclass(frozen=True, slots=True)
+class Open:
+    """A question, and the channel of those that have it in which the residual is the largest."""
+
+    channel: str
+    also: tuple[str, ...]
+    answers: tuple[Model, ...]
+
+    @property
+    def name(self) -> str:
+        """For people: which of these."""
+        names = [answer.name for answer in self.answers]
+        return " or ".join(names if len(names) > 1 else [*names, DRIVEN])
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What a profile shows of the pair of answers that it tells apart worst, `truth` and its `rival`.
+
+    `value` is the mean difference of their gains in BIC over simulated units, `least` the smallest, `needed`
+    what tells them apart.
+    """
+
+    value: float
+    least: float
+    needed: float
+    truth: str
+    rival: str
+
+    @property
+    def ratio(self) -> float:
+        """Of what is needed."""
+        return self.value / self.needed
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """The next experiment for a question; `profile` and `expected` are None where nothing that was tried
+    tells, and `why_not` says why."""
+
+    question: Open
+    profile: Profile | None = None
+    expected: Evidence | None = None
+    why_not: str = ""
+
+
+def load_report(path: Path) -> Report:
+    """Read a report.json, or that of a folder; raises BAD_CONFIG with file and line when it is none."""
+    return load_yaml(path / "report.json" if path.is_dir() else path, Report)
+
+
+def open_questions(report: Report) -> list[Open]:
+    """Return the questions of a report, each once for the channels of a sensor that share it."""
+    found: dict[tuple[str, ...], list[tuple[float, str, list[Model]]]] = {}
+    for name, channel in report.channels.items():
+        # A unit is simulated, which has gyros and accelerometers.
+        for answers in channel.questions if name in UNITS else ():
+            key = (name[:-2], *sorted(answer.name for answer in answers))
+            size = channel.before.train_rms / channel.noise_floor_rms
+            found.setdefault(key, []).append((size, name, answers))
+    opened = []
+    for group in found.values():
+        _, name, answers = max(group, key=lambda one: one[0])
+        opened.append(Open(name, tuple(one for _, one, _ in group if one != name), tuple(answers)))
+    return opened
+
+
+def plan(report: Report, question: Open, most_s: float, progress: Progress | None = None) -> Plan:
+    """Return the shortest experiment that answers a question, with the evidence to expect of it."""
+    inputs = {name for answer in question.answers for effect in answer.effects for name in effect.inputs}
+    if others := sorted(inputs - {ACCEL}):
+        why_not = f"{', '.join(others)} must vary apart from the rest: no chamber does that"
+        return Plan(question, why_not=why_not)
+    if not all(answer.carries for answer in question.answers):
+        return Plan(question, why_not="what is another in each run is told by more sessions")
+    in_question = {effect.name for answer in question.answers for effect in answer.effects}
+    few, every = [name for name in EFFECTS if name in in_question], effects_for(question.channel)
+    low, high = report.temperature_range_degc
+    slowest_s = max((time for answer in question.answers for time in answer.times_s), default=0.0)
+    best: tuple[Evidence, Profile] | None = None
+    possible = profiles(low, high, report.fastest_degc_per_min, slowest_s, most_s, ACCEL in inputs)
+    for at, profile in enumerate(possible):
+        if best is not None and at >= EVERY_SHAPE and best[0].ratio * most_s < best[1].duration_s:
+            break  # evidence grows no faster than time
+        if progress is not None:
+            progress(f"{question.name}: {profile.duration_s / 3600:.1f} h, {profile.title}")
+        found = evidence(report, question, profile, range(TRIALS), few)
+        if best is None or found.ratio > best[0].ratio:
+            best = found, profile
+        if found.ratio >= MARGIN:
+            # What was chosen for its evidence has had luck as well: other units have to show it again.
+            proof = evidence(report, question, profile, range(TRIALS, TRIALS + PROOFS), every)
+            if proof.least >= proof.needed:
+                return Plan(question, profile, proof)
+    return Plan(question, why_not=_why_not(*best) if best else "no profile is so short")
+
+
+def _why_not(found: Evidence, profile: Profile) -> str:
+    return (
+        f"nothing that was tried tells; the best, {profile.duration_s / 3600:.1f} h {profile.title}, gives"
+        f" {found.value:.0f} of the {found.needed:.0f} in BIC that are needed for {found.truth} against"
+        f" {found.rival}"
+    )
+
+
+def evidence(
+    report: Report, question: Open, profile: Profile, seeds: Sequence[int], kinds: Sequence[str]
+) -> Evidence:
+    """Return what the search finds on simulated units with each of the answers, among these effects."""
+    pairs: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    for truth in question.answers:
+        rivals = [one.name for one in question.answers if one is not truth] or [DRIVEN]
+        if truth.name == NOTHING and rivals != [DRIVEN]:
+            continue
+        for seed in seeds:
+            run = recorded(scenario(report, question.channel, profile, truth), seed)
+            searched = _searched(run, question.channel, len(truth.declared) - 1, kinds)
+            for rival in rivals:
+                pairs.setdefault((truth.name, rival), []).append(_difference(searched, truth.name, rival))
+    found = []
+    for pair, each in pairs.items():
+        values, needed = zip(*each, strict=True)
+        found.append(Evidence(float(np.mean(values)), min(values), float(np.mean(needed)), *pair))
+    return min(found, key=lambda one: one.ratio)
+
+
+def _difference(searched: Search, truth: str, rival: str) -> tuple[float, float]:
+    """Return by how much the gain of one effect exceeds another's, or nothing's, and what is needed of it."""
+    if rival == DRIVEN:
+        return searched.noise_gain(), PROVEN
+    for finding in searched.findings:
+        if finding.name in (truth, rival):
+            gains = finding.rivals
+            break
+    else:
+        gains = {name: one.gain for name, one in searched.tables[-1].items()} if searched.tables else {}
+    own = gains.get(truth, 0.0)
+    if rival == NOTHING:
+        return own, PROVEN
+    return own - max(gains.get(rival, 0.0), 0.0), max(CLOSE, CLOSE_SHARE * max(gains.values(), default=0.0))
+
+
+def scenario(report: Report, channel: str, profile: Profile, answer: Model) -> Scenario:
+    """Return a scenario of an experiment on a unit whose one channel has an answer's curve and effects."""
+    low, high = report.temperature_range_degc
+    sensor, axis = channel.split("_")
+    # What an accelerometer has in its constant is gravity.
+    constant = answer.declared[0] if sensor == "gyro" else 0.0
+    curve = np.array([constant, *answer.declared[1:]]) / _UNITS[sensor]["bias"]
+    line = {
+        "kind": "polynomial",
+        "coefficients": curve.tolist(),
+        "at_degc": 0.5 * (low + high),
+        "width_degc": max(0.5 * (high - low), 1e-3),
+    }
+    effects = [
+        effect.with_coefficients(np.array(effect.coefficients) / _UNITS[sensor]["effect"]).model_dump()
+        for effect in answer.effects
+    ]
+    unit = {
+        f"{sensor}_noise": _noise(report.channels[channel], sensor),
+        "gyro_bias_deg_per_s" if sensor == "gyro" else "accel_bias_mg": {axis: [line]},
+        "gyro_effects_deg_per_h" if sensor == "gyro" else "accel_effects_ug": {axis: effects},
+    }
+    return Scenario(
+        format="imumon-scenario/1",
+        title=f"{profile.title}; {channel} has {answer.name}",
+        unit=Unit.model_validate(unit),
+        rate_hz=RATE_HZ,
+        duration_s=profile.duration_s,
+        latitude_deg=LATITUDE_DEG,
+        chamber=profile.chamber,
+        motion=list(profile.turns),
+    )
+
+
+_UNITS = {
+    "gyro": {"bias": np.pi / 180.0, "effect": DEG_PER_H},
+    "accel": {"bias": 1e3 * MICRO_G, "effect": MICRO_G},
+}
+"""SI units in those of a unit file."""
+
+
+def _noise(channel: _Channel, sensor: str) -> dict[str, Any]:
+    """Return white noise, flicker and walk of a channel, for all three axes, as a unit file has them."""
+    slow = channel.slow_noise
+    density = channel.noise_floor_rms * float(np.sqrt(BLOCK_S))
+    each, walk = slow.flicker_rms / float(np.sqrt(len(TAUS_S))), slow.random_walk_per_sqrt_s
+    if sensor == "gyro":
+        return {
+            "arw_deg_per_sqrt_h": np.degrees(density) * 60.0,
+            "flicker": [{"sd_deg_per_h": each / DEG_PER_H, "tau_s": tau} for tau in TAUS_S.tolist()],
+            "random_walk_deg_per_h_per_sqrt_s": walk / DEG_PER_H,
+        }
+    flicker = [{"sd_ug": each / MICRO_G, "tau_s": tau} for tau in TAUS_S.tolist()]
+    slowest = {"sd_ug": walk * float(np.sqrt(0.5 * LONG_S)) / MICRO_G, "tau_s": LONG_S}
+    return {"vrw_m_per_s_per_sqrt_s": density, "flicker": [*flicker, slowest]}
+
+
+def recorded(plan: Scenario, seed: int) -> Run:
+    """Return what a diagnosis reads of a simulated session."""
+    unit = SimulatedUnit(plan, seed)
+    sent, truth = unit.run(plan.samples)
+    return collect([SampleBlock({**sent.columns, "at_rest": truth["at_rest"]})], plan.title)[0]
+
+
+def _searched(run: Run, channel: str, degree: int, kinds: Sequence[str]) -> Search:
+    """Return the search in one channel of a run, the earth rate and gravity taken care of."""
+    sensor, temperature = channel[:-2], "temperature"
+    group, magnetic = [f"{sensor}_{axis}" for axis in "xyz"], [f"mag_{axis}" for axis in "xyz"]
+    blocks = [make_blocks(run, group, [temperature], magnetic)]
+    search_s = search_block(blocks)
+    parts = [make_blocks(run, group, [temperature], magnetic, search_s)]
+    shown = survey(parts, temperature, degree, search_s)
+    declared = Declared.over(
+        blocks, temperature, degree if shown.thermal else 0, "pose" if sensor == "accel" else ""
+    )
+    if sensor == "accel":
+        parts = at_poses(parts)
+    elif turned(blocks) and (earth := earth_rate(blocks, group, dict.fromkeys(group, temperature), declared)):
+        parts = without(parts, group, earth)
+    floor = white_floor([run], channel, search_s).of_blocks(parts)
+    one = Channel(channel, unit_of(channel), floor, declared, Pool(parts, temperature), [])
+    return search([one], shown, kinds)[0]
+
+
+def write_plan(report: Report, number: int, made: Plan, folder: Path) -> list[Path]:
+    """Write an experiment: the chamber's course, and a scenario of it for each answer.
+
+    Raises OSError when a file cannot be written.
+    """
+    if made.profile is None:
+        return []
+    rows = ["time_s,temperature_degc", *(f"{t:.0f},{c:.2f}" for t, c in _course(made.profile))]
+    course = folder / f"{number}-chamber.csv"
+    write_text(course, "\n".join(rows) + "\n")
+    written = [course]
+    for answer in made.question.answers:
+        content = scenario(report, made.question.channel, made.profile, answer)
+        name = "".join(letter if letter.isalnum() else "-" for letter in answer.name).strip("-")
+        path = folder / f"{number}-{name}.yaml"
+        data = content.model_dump(mode="json", exclude_unset=True)
+        write_text(path, yaml.safe_dump(data, sort_keys=False, allow_unicode=True))
+        written.append(path)
+    return written
+
+
+def _course(profile: Profile) -> list[tuple[float, float]]:
+    """Return the corners of a profile, s and °C, to its end."""
+    times, degrees = (values.tolist() for values in chamber_knots(profile.chamber))
+    if times[-1] < profile.duration_s:
+        times, degrees = [*times, profile.duration_s], [*degrees, degrees[-1]]
+    return list(zip(times, degrees, strict=True))

@@ -1,0 +1,197 @@
+"""report.json: what was found, in numbers, for programs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from imumon.effects.library import separated_by
+from imumon.files import plain, write_text
+from imumon.lab.calibration.gravity import Length
+from imumon.lab.diagnosis.conclusion import conclusion, next_step
+from imumon.lab.diagnosis.diagnose import Diagnosis
+from imumon.lab.diagnosis.fit import FittedPart
+from imumon.lab.diagnosis.questions import Answer
+from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim
+from imumon.version import __version__
+
+FORMAT: Final = "imumon-diagnosis/1"
+
+
+def report(diagnosis: Diagnosis, folder: Path | None = None) -> dict[str, Any]:
+    """Return the report as it is written into a folder; absent numbers are None."""
+    content = {
+        "format": FORMAT,
+        "imumon": __version__,
+        "conclusion": conclusion(diagnosis),
+        "next": [asdict(next_step(diagnosis, folder))],
+        "declared_model": _declared(diagnosis),
+        "block_s": diagnosis.block_s,
+        "train": [_run(run.name, len(run), run.duration_s) for run in diagnosis.train],
+        "test": [_run(run.name, len(run), run.duration_s) for run in diagnosis.test],
+        "independent_test": bool(diagnosis.test) and not diagnosis.held_out,
+        "held_out": diagnosis.held_out,
+        "temperature_range_degc": [
+            diagnosis.survey.middle_degc - diagnosis.survey.half_span_degc,
+            diagnosis.survey.middle_degc + diagnosis.survey.half_span_degc,
+        ],
+        "fastest_degc_per_min": _fastest(diagnosis),
+        "caveats": diagnosis.caveats,
+        "length_of_gravity": _length(diagnosis.length),
+        "channels": {verdict.name: _channel(verdict) for verdict in diagnosis.verdicts},
+    }
+    found: dict[str, Any] = plain(content)
+    return found
+
+
+def write_report(diagnosis: Diagnosis, path: Path) -> None:
+    """Write report.json; raises OSError when that fails."""
+    write_text(path, json.dumps(report(diagnosis, path.parent), indent=2, ensure_ascii=False) + "\n")
+
+
+def _declared(diagnosis: Diagnosis) -> str:
+    if diagnosis.model is None:
+        return diagnosis.declared
+    return f"model of {diagnosis.model.created}"
+
+
+def _fastest(diagnosis: Diagnosis) -> float:
+    """Return the rate of the temperature that all but a twentieth of the training stays below."""
+    rates = [
+        np.abs(np.diff(t) / np.diff(run.time_s))
+        for run in diagnosis.train
+        for t in run.temperature.values()
+        if len(run) > 1
+    ]
+    return 60.0 * float(np.quantile(np.concatenate(rates), 0.95))
+
+
+def _length(found: Length | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {name: np.asarray(value).tolist() for name, value in asdict(found).items()}
+
+
+def _run(name: str, blocks: int, duration_s: float) -> dict[str, Any]:
+    return {"name": name, "blocks": blocks, "duration_s": duration_s}
+
+
+def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
+    before, after = verdict.test_before, verdict.test_after
+    nothing = float("nan")
+    declared = verdict.channel.declared
+    return {
+        "verdict": verdict.row.state,
+        "unit": verdict.channel.unit,
+        "noise_floor_rms": verdict.channel.floor.sd,
+        "noise_floor_from": verdict.channel.floor.source,
+        "slow_noise": {
+            "flicker": verdict.noise[0],
+            "random_walk": verdict.noise[1],
+            "flicker_rms": verdict.slow.flicker,
+            "random_walk_per_sqrt_s": verdict.slow.walk,
+            "heavy_tails": verdict.slow.tails,
+        },
+        "before": {
+            "train_rms": verdict.before.train_rms,
+            "test_rms": nothing if before is None else before.rms,
+        },
+        "after": {
+            "train_rms": verdict.after.train_rms,
+            "test_rms": nothing if after is None else after.rms,
+            "test_rms_tracked": nothing if after is None else after.estimated_rms,
+        },
+        "coverage": nothing if after is None else after.coverage,
+        "scored": nothing if after is None else after.scored,
+        "explained_share": verdict.explained,
+        "curve": {
+            "coefficients": verdict.after.declared.tolist(),
+            "sigma": np.sqrt(np.diag(verdict.declared_covariance)).tolist(),
+            "middle_degc": declared.middle_degc,
+            "half_span_degc": declared.half_span_degc,
+        },
+        "effects": [_effect(claim) for claim in verdict.claims],
+        "ranking": [asdict(one) for one in verdict.ranking],
+        "runs": [asdict(one) for one in verdict.runs],
+        "indistinguishable": [claim.finding.alike for claim in verdict.claims if claim.finding.alike],
+        "to_separate": [
+            {"effects": [claim.finding.alike[0], other], "by": separated_by(claim.finding.alike[0], other)}
+            for claim in verdict.claims
+            for other in claim.finding.alike[1:]
+        ],
+        "questions": [[_answer(one) for one in group] for group in verdict.questions],
+        "turns": [
+            {
+                "done": step.done,
+                "gain_bic": step.gain,
+                "train_rms": step.train_rms,
+                "test_rms": step.test_rms,
+            }
+            for step in verdict.turns
+        ],
+        "fitted_anew": verdict.refit,
+        "left_out": verdict.left_out,
+        "in_model_file": verdict.predicts,
+        "faults": [fault.text for fault in verdict.channel.faults],
+        "unexplained": verdict.unexplained,
+        "formula": None,
+        "remark": verdict.remark,
+        "summary": verdict.summary,
+    }
+
+
+def _answer(answer: Answer) -> dict[str, Any]:
+    """Return a model that may be the unit's, with effects as in a model file."""
+    effects = [part.effect for part in answer.fit.parts if part.carries]
+    return {
+        "name": answer.name,
+        "carries": answer.carries,
+        "declared": answer.fit.declared.tolist(),
+        "effects": [effect.model_dump() for effect in effects],
+    }
+
+
+def _effect(claim: Claim) -> dict[str, Any]:
+    finding = claim.finding
+    return {
+        "name": finding.name,
+        "parameters": _parameters(claim.parts),
+        "sigma": [
+            {**part.searched, "coefficients": part.coefficients.squeeze(0).tolist()}
+            if len(part.coefficients) == 1
+            else {**part.searched, "coefficients": part.coefficients.tolist()}
+            for part in claim.sigmas
+        ],
+        "carried_over": any(part.carries for part in claim.parts),
+        "evidence": {
+            "proven_by": "test" if finding.by_test else "training",
+            "gain_bic": finding.gain,
+            "test_gain": None,
+            "pooled_gain_bic": finding.pooled_gain,
+            "rms_explained": finding.size,
+            "explained_share_alone": claim.explained,
+            "rivals_gain_bic": {name: value for name, value in finding.rivals.items() if value > 0},
+        },
+        "test_rms_alone": claim.test_alone,
+    }
+
+
+def _parameters(parts: Sequence[FittedPart]) -> dict[str, Any]:
+    """Return the parameters of one part as they are, of several as lists."""
+    each = []
+    for part in parts:
+        found = part.effect.model_dump(exclude={"kind", "coefficients"})
+        found["coefficients"] = part.own[0].tolist() if not part.runs else part.own.tolist()
+        if part.runs:
+            found["runs"] = list(part.runs)
+        if len(part.start):
+            found["start"] = part.start.tolist()
+        each.append(found)
+    if len(each) == 1:
+        return dict(each[0])
+    return {key: [found.get(key) for found in each] for key in each[0]}

@@ -1,0 +1,337 @@
+"""Recordings as runs from power-on, in means of slots: what is read, what is training, and what is test."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from imumon.blocks import BoolArray, FloatArray, IntArray, SampleBlock
+from imumon.clock.channel import CLOCK, UNIT, rate_ppm, with_delay
+from imumon.columns import KNOWN
+from imumon.effects.vibration import VIBRATION
+from imumon.errors import ImumonError, Reason
+from imumon.lab.diagnosis.quality import Samples, Watcher
+from imumon.recordings.reader import Stages, no_stages, open_recording
+from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES, Reduced, reduce
+
+CHANNELS = (*GYRO, *ACCEL)
+SENSORS = ("gyro", "accel", CLOCK)
+"""What is diagnosed by default; the clock of the device only where all recordings have it."""
+DRIVERS = ("pressure", *(f"mag_{axis}" for axis in "xyz"))
+"""Known columns that may drive a bias besides temperature and specific force."""
+READ = (*CHANNELS, *TEMPERATURES, *DRIVERS)
+SECOND_NS = 1_000_000_000
+FIRST_ROWS = 1000
+"""Rows from which the rate of a log is estimated."""
+LONGEST_GAP_S = 6 * 3600
+"""A longer gap begins another run: the state of the unit after it is unknown."""
+SHORTEST_RUN_S = 300.0
+"""A run that is shorter, or not as long at rest, is not used: it has fewer than ten means of 30 s."""
+STRETCHES = 12
+"""Alternating stretches of a single run for training and test; of two halves one may lack an end of the
+temperatures, of single blocks both have the same flicker."""
+LONGEST_PAUSE_S = 60.0
+"""A recording that begins later than this after another, by the device's clock, begins at power-on."""
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where a run comes from: session or table, its number in it, fingerprint of its bytes, and unit."""
+
+    session: str
+    index: int
+    sha256: str
+    device: str | None = None
+    serial: str | None = None
+
+
+@dataclass(slots=True)
+class Run:
+    """One run from power-on in means of slots, of a second in most cases; a slot without samples is NaN."""
+
+    name: str
+    """Where it comes from."""
+    time_s: FloatArray
+    """Middle of each slot since the first sample, (n,)."""
+    count: dict[str, FloatArray]
+    """Samples in each slot, (n,) each."""
+    mean: dict[str, FloatArray]
+    """Mean of channels in SI units and of temperatures in °C, (n,) each."""
+    variance: dict[str, FloatArray]
+    """Variance of the samples within each slot, (n,) each; NaN with fewer than two."""
+    rest: FloatArray
+    """Share of the samples at which the unit was at rest, (n,)."""
+    origin: Origin | None = None
+    """None when it is not from a file."""
+    start_ns: int | None = None
+    """Device time of the first sample; None when it is not known."""
+    earlier: int = 0
+    """Number of slots at the beginning that belong to the run which this one continues."""
+    begun_in: str = ""
+    """Name of the run that began at this power-on, where that is another: its jumps persist in this one."""
+    warnings: tuple[str, ...] = ()
+    """Why its numbers may not be fit for an estimate; the device has corrected its rates itself, say."""
+    slot_s: float = 1.0
+    """Whole seconds; more than one where a log is slower than a sample a second."""
+    share: float = 1.0
+    """Share of the slots that is used; the rest is held out for a test, or was."""
+    samples: Mapping[str, Samples] = field(default_factory=dict)
+    """Statistics of the single samples of channels, in the whole recording."""
+
+    @property
+    def duration_s(self) -> float:
+        """Length in seconds."""
+        return len(self.time_s) * self.slot_s
+
+    @property
+    def at_rest(self) -> BoolArray:
+        """Slots in which the unit was at rest all the time, (n,)."""
+        return np.asarray(self.rest == 1.0)
+
+    def samples_per_slot(self, channel: str) -> float:
+        """Return the mean number of samples in a slot that no gap cuts: its neighbours have samples, too."""
+        some = self.count[channel] > 0
+        whole = some & np.append(some[1:], False) & np.append(False, some[:-1])
+        chosen = whole if whole.any() else some
+        return float(self.count[channel][chosen].mean()) if chosen.any() else 0.0
+
+
+def read_runs(
+    path: Path,
+    map_path: Path | None,
+    stages: Stages = no_stages,
+    at_rest: bool = False,
+    sensors: Sequence[str] = SENSORS,
+) -> list[Run]:
+    """Read a session, or a table with its map (one that imumon wrote needs none), as runs from power-on.
+
+    `sensors` are those that are to be diagnosed, see `channels_of`; `at_rest` declares the unit at rest all
+    the time.
+
+    Raises BAD_DATA when there is nothing to read, no run of five minutes, or a table that needs a map.
+    """
+    recording = open_recording(path, stages, map_path)
+    blocks = recording.blocks()
+    first: list[SampleBlock] = []
+    while sum(map(len, first)) < FIRST_ROWS and (more := next(blocks, None)) is not None:
+        first.append(more)
+    # A table that imumon wrote may have columns beside the known ones that are made of the gyros themselves.
+    own = recording.source.session is None and map_path is None
+    made = {column.name for stage in stages(None) for column in stage.columns}
+    further = [] if own or not first else further_columns(first[0], made)
+    wanted = channels_of(sensors, first[0].columns) if first else []
+    further += [name for name in wanted if name not in (*READ, *further)]
+    watcher = Watcher(wanted)
+    samples: Iterable[SampleBlock] = watcher.through(chain(first, blocks))
+    if CLOCK in sensors and CLOCK not in wanted:
+        samples, further = with_delay(samples), [*further, CLOCK]
+    every = collect(samples, recording.name, further, _slot_s(first, wanted))
+    runs = [run for run in every if run.duration_s >= SHORTEST_RUN_S]
+    if not runs:
+        longest = max((run.duration_s for run in every), default=0.0)
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{path}: too short: its longest run is {longest:.0f} s; {SHORTEST_RUN_S:.0f} s are needed",
+            "record the unit at rest for an hour or more while its temperature changes",
+        )
+    warnings = tuple(f"{path}: {text}" for text in recording.warnings())
+    sha256, found = recording.sha256(), watcher.samples()
+    return [
+        replace(
+            run,
+            rest=np.ones_like(run.rest) if at_rest else run.rest,
+            origin=Origin(recording.name, at, sha256, recording.device, recording.serial),
+            warnings=warnings,
+            samples=found,
+        )
+        for at, run in enumerate(runs)
+    ]
+
+
+def further_columns(block: SampleBlock, made: Container[str]) -> list[str]:
+    """Return the measured columns beyond the known ones: no counters, and none that stages made."""
+    return [
+        name
+        for name, values in block.columns.items()
+        if name not in KNOWN and name not in made and values.dtype == np.float64
+    ]
+
+
+def _slot_s(blocks: Sequence[SampleBlock], channels: Sequence[str]) -> float:
+    """Return the length of a slot in which a log has a sample: a second, or more for a slower one."""
+    steps = [np.diff(block["device_time_ns"][_measured(block, channels)]) for block in blocks]
+    forward = np.concatenate([*(step[step > 0] for step in steps), np.empty(0)])
+    period_s = float(np.median(forward)) / SECOND_NS if len(forward) else 0.0
+    # A clock that is off by a percent still puts a sample into each slot.
+    return float(max(1, np.ceil(period_s / 1.01)))
+
+
+def _measured(block: SampleBlock, channels: Sequence[str]) -> BoolArray:
+    """Return the rows that have any of the channels, (n,)."""
+    found = np.zeros(len(block), np.bool_)
+    for name in channels:
+        found |= np.isfinite(block[name]) if name in block else False
+    return found
+
+
+def collect(
+    blocks: Iterable[SampleBlock], name: str, further: Sequence[str] = (), slot_s: float = 1.0
+) -> list[Run]:
+    """Return the runs in a stream of samples with times; without ``at_rest`` it is taken as at rest.
+
+    `further` are columns beside the known ones.  A log slower than a sample a second is too slow for a rest
+    detector: a slot is then at rest when it is like its neighbours.
+    """
+    means = reduce(blocks, (*READ, *further), slot_s)
+    gap = np.diff(means.number, prepend=0) > LONGEST_GAP_S / slot_s
+    another = np.diff(means.run, prepend=-1) != 0
+    parts = np.split(np.arange(len(means)), np.flatnonzero(another | gap)[1:])
+    names = [name] if len(parts) == 1 else [f"{name}, run {index + 1}" for index in range(len(parts))]
+    slow = means.quiet().astype(np.float64)
+    rest = slow if slot_s > 1.0 else np.nan_to_num(means.share_in_hindsight(), nan=1.0)
+    return [_run(means, rest, rows, text) for rows, text in zip(parts, names, strict=True) if len(rows)]
+
+
+def _run(means: Reduced, rest: FloatArray, rows: IntArray, name: str) -> Run:
+    """Return these slots on a grid of all slots from the first of them."""
+    slot = means.number[rows] - means.number[rows[0]]
+    n = int(slot[-1]) + 1
+
+    def on_grid(values: FloatArray | IntArray, missing: float = np.nan) -> FloatArray:
+        grid = np.full(n, missing)
+        grid[slot] = values[rows]
+        return grid
+
+    columns = {key: at for at, key in enumerate(means.names) if means.count[rows, at].any()}
+    mean = {key: on_grid(means.mean[:, at]) for key, at in columns.items()}
+    variance = {key: on_grid(means.variance[:, at]) for key, at in columns.items()}
+    if CLOCK in columns:
+        mean[CLOCK] = rate_ppm(on_grid(means.smallest[:, columns[CLOCK]]), means.slot_s)
+        variance[CLOCK] = np.full(n, np.nan)  # the samples of a slot are delays, no rates
+    add_vibration(mean, variance)
+    return Run(
+        name=name,
+        time_s=(np.arange(n, dtype=np.float64) + 0.5) * means.slot_s,
+        count={key: on_grid(means.count[:, at], 0.0) for key, at in columns.items()},
+        mean=mean,
+        variance=variance,
+        rest=on_grid(rest, 0.0),
+        start_ns=int(means.start_ns[rows[0]]),
+        slot_s=means.slot_s,
+    )
+
+
+def add_vibration(mean: dict[str, FloatArray], variance: Mapping[str, FloatArray]) -> None:
+    """Add the vibration to the means of a run, where the samples in its slots show it."""
+    if variance.keys() >= set(ACCEL):
+        scatter = np.sum([variance[key] for key in ACCEL], axis=0)
+        if np.isfinite(scatter).mean() > 0.5:
+            mean[VIBRATION] = scatter
+
+
+def channels_of(sensors: Iterable[str], there: Container[str]) -> list[str]:
+    """Return the columns of sensors, of those that there are: of gyro gyro_x, gyro_y and gyro_z, of pressure
+    itself."""
+    every = [name for sensor in sensors for name in (sensor, *(f"{sensor}_{axis}" for axis in "xyz"))]
+    return [name for name in dict.fromkeys(every) if name in there]
+
+
+def common_temperature(wanted: str, runs: Sequence[Run], lacking: str, but: str = "") -> str:
+    """Return the temperature wanted, or another (not `but`) that every run has.
+
+    Raises BAD_DATA without one, with the message `lacking`.
+    """
+    for name in (wanted, *TEMPERATURES):
+        if name != but and all(name in run.mean and np.isfinite(run.mean[name]).sum() > 1 for run in runs):
+            return name
+    hint = "record with the temperature switched on, or name its column in the map"
+    raise ImumonError(Reason.BAD_DATA, lacking, hint)
+
+
+def unit_of(channel: str) -> str:
+    """Return the unit of a channel; empty for a column of the log's own."""
+    if channel == CLOCK:
+        return UNIT
+    return KNOWN[channel].unit if channel in KNOWN else ""
+
+
+def latest(recordings: Sequence[Sequence[Run]]) -> tuple[list[Run], list[Run]]:
+    """Return the runs of all recordings but the last, and those of the last: the test, unless it is the only
+    one."""
+    *earlier, last = recordings
+    return [run for runs in earlier or [last] for run in runs], list(last) if earlier else []
+
+
+def divided(run: Run, channels: Sequence[str]) -> tuple[Run, Run]:
+    """Return the run with every other stretch of the channels, and with the others: the test.
+
+    Both have the whole course of everything else, and of time.
+    """
+    n = len(run.time_s)
+    tested = (np.arange(n) * STRETCHES // n) % 2 == 1
+
+    def only(kept: BoolArray) -> dict[str, FloatArray]:
+        return run.mean | {name: np.where(kept, run.mean[name], np.nan) for name in channels}
+
+    first = replace(run, mean=only(~tested), share=0.5)
+    return first, replace(first, mean=only(tested), name=f"{run.name}, held out", begun_in=run.name)
+
+
+def in_order(train: Sequence[Run], test: Sequence[Run], caveats: list[str]) -> list[Run]:
+    """Return the test runs that the training does not have, by their bytes.
+
+    Those that continue another run have its time and temperatures.
+    """
+    known = {(run.origin.sha256, run.origin.index, run.start_ns) for run in train if run.origin is not None}
+    found: list[Run] = []
+    for run in test:
+        if run.origin is not None and (run.origin.sha256, run.origin.index, run.start_ns) in known:
+            caveats.append(f"{run.name}: not used as a test, the training has the same recording")
+            continue
+        before = next((other for other in (*found, *train) if _continues(other, run)), None)
+        if before is not None:
+            caveats.append(
+                f"{run.name} goes on where {before.name} ended, by the device's clock: time since power-on,"
+                " lag and loop go on as well"
+            )
+        found.append(run if before is None else _continued(before, run))
+    return found
+
+
+def _continues(before: Run, after: Run) -> bool:
+    """Return whether a run continues another one, by the device's clock."""
+    if before.start_ns is None or after.start_ns is None or before.slot_s != after.slot_s:
+        return False
+    pause_s = (after.start_ns - before.start_ns) / SECOND_NS - before.duration_s
+    return -1.0 <= pause_s <= LONGEST_PAUSE_S
+
+
+def _continued(before: Run, after: Run) -> Run:
+    """Return a run with the time and the drivers of the one that it continues; only its own samples count."""
+    assert before.start_ns is not None
+    assert after.start_ns is not None
+    slots = round((after.start_ns - before.start_ns) / SECOND_NS / after.slot_s)
+    first = max(slots, len(before.time_s))
+
+    def shifted(values: FloatArray, missing: float, earlier: FloatArray | None = None) -> FloatArray:
+        whole = np.concatenate([np.full(first, missing), values])
+        if earlier is not None:
+            whole[: len(earlier)] = earlier
+        return whole
+
+    known = {name: values for name, values in before.mean.items() if name not in CHANNELS}
+    return replace(
+        after,
+        time_s=(np.arange(first + len(after.time_s), dtype=np.float64) + 0.5) * after.slot_s,
+        count={name: shifted(values, 0.0) for name, values in after.count.items()},
+        mean={name: shifted(values, np.nan, known.get(name)) for name, values in after.mean.items()},
+        variance={name: shifted(values, np.nan) for name, values in after.variance.items()},
+        rest=shifted(after.rest, 0.0),
+        start_ns=before.start_ns,
+        earlier=before.earlier + first,
+        begun_in=before.begun_in or before.name,
+    )

@@ -1,0 +1,539 @@
+"""Search: which effects does the bias model of each axis lack?  Forward over all axes at once, then backward.
+
+The model of an axis over R runs is y = X b + Z(theta) c + n, n ~ N(0, s² (W + r F + q R)): X the declared
+curve, Z the columns of the effects with nonlinear parameters theta, W, F and R see `likelihood`.
+
+    S(model)    = 2 ln L - (linear + nonlinear parameters) ln n - price of the choice     (BIC)
+    gain(e | M) = S(M + e) - S(M)
+
+with r, q, s, b and c at the maximum of L, the noise no larger than it is without the effect.  A gain is twice
+the logarithm of a Bayes factor: while nothing is missing it ever exceeds g with a probability of exp(-g / 2)
+at most, however often one looks (Ville 1939; Shafer et al. 2011, doi:10.1214/10-STS347).  One package has
+one physics, so what an effect gains on several axes adds up; the choice of one of e effects on any of the
+sets of m axes costs 2 ln(e (2^m - 1)) (extended BIC: Chen & Chen 2008, doi:10.1093/biomet/asn034).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+import numpy as np
+
+from imumon.effects.base import Effect, Survey
+from imumon.lab.diagnosis.candidates import Candidate, Part, candidates
+from imumon.lab.diagnosis.channel import Channel, residual_rms
+from imumon.lab.diagnosis.likelihood import Likelihood, Noise, no_larger
+
+PROVEN = 8.0
+"""Gain above which an effect is proven: e^-4 by chance."""
+CLOSE = 10.0
+"""Families whose gains differ by less are not told apart."""
+CLOSE_SHARE = 0.15
+"""Nor those that differ by less than this share of the best gain: no regressor has exactly the shape of the
+physics, and with a large effect the shape decides."""
+STAGES = 5
+LEAST_SIZE = 0.3
+"""White floors (rms) that an effect takes away, at least."""
+SECOND_SHARE = 0.2
+"""And this share of what the largest effect before it takes away."""
+JUMP_SHARE = 0.5
+"""A further jump counts from this share on: the jumps of a telegraph noise are of one size."""
+MOST_NAMES = 3
+"""Effects that are named in a set of those not told apart."""
+PAIR_LIST = 4
+"""Best candidates of each family that are tried in pairs."""
+REFINEMENTS = 4
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """A candidate with its gain over the model so far.
+
+    `fit` is the gain without the price of the nonlinear parameters and of the choice.  `partner` names the
+    effect beside which it gains so much, where neither gains it alone.
+    """
+
+    candidate: Candidate
+    gain: float
+    fit: float
+    partner: str = ""
+
+    @property
+    def family(self) -> str:
+        """Name of its effect."""
+        return self.candidate.family
+
+
+Table = Mapping[str, Scored]
+"""The best candidate of each family."""
+
+
+@dataclass(slots=True)
+class Finding:
+    """An effect that was found in a channel."""
+
+    candidate: Candidate
+    """With refined parameters; coefficients come with the fit."""
+    gain: float
+    """Over the model so far."""
+    pooled_gain: float
+    """The same, summed over the channels that show it."""
+    rivals: dict[str, float]
+    """Gain of every family at that stage."""
+    alike: list[str]
+    """Families that cannot be told apart from it, it among them; empty when there is no other."""
+    size: float
+    """rms of what it takes away from the residual."""
+    by_test: bool = False
+    """Whether the test alone proves it."""
+    others: dict[str, Candidate] = field(default_factory=dict)
+    """The best of each other family that is not told apart from it."""
+    known: bool = False
+    """Whether it is of the model that was given, and fitted anew."""
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.candidate.family
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A stage of the search: what was done, the model that it led to, its gain where there was one, and the
+    rms that the model leaves once it is fitted."""
+
+    done: str
+    model: Sequence[Candidate]
+    gain: float = float("nan")
+    train_rms: float = float("nan")
+    test_rms: float = float("nan")
+
+
+def search(
+    channels: Sequence[Channel],
+    survey: Survey,
+    names: Sequence[str],
+    stages: int = STAGES,
+    progress: Progress | None = None,
+) -> list[Search]:
+    """Find what the channels of one sensor lack, of the effects of these names.
+
+    Parameters
+    ----------
+    channels : sequence of Channel
+        Three axes of a sensor, or fewer, over the same training runs.
+    survey : Survey
+        What the runs can show.
+    stages : int
+        Effects that are added to a channel, at most.
+    """
+    likelihood, tried = Likelihood(channels[0].train), candidates(survey, names)
+    searches = [Search(channel, survey, likelihood, tried) for channel in channels]
+    usual = len({one.family for one in tried if not one.choice})
+    least = proof(usual, len(channels)) if len(channels) > 1 else PROVEN
+    for stage in range(stages):
+        active = [one for one in searches if not one.finished]
+        if not active:
+            break
+        if progress is not None:
+            progress(f"effect {stage + 1} of {', '.join(one.channel.name for one in active)}")
+        for one in active:
+            one.tables.append(one.table())
+            one.too_small.clear()
+        _add(active, least)
+    for one in searches:
+        one.tidy()
+    return searches
+
+
+def _add(active: Sequence[Search], least: float) -> None:
+    """Add to each channel the effect that gains most on all the channels that show it; finish the others."""
+    left = {one.channel.name: one for one in active}
+    while left:
+        tables = {name: one.open_table() for name, one in left.items()}
+        there = {name: [finding.name for finding in one.findings] for name, one in left.items()}
+        lack = _first_lack(tables, least, there)
+        if lack is None:
+            break
+        done = [name for name in lack.channels if left[name].add(lack)]
+        left = {name: one for name, one in left.items() if name not in done}
+    for one in left.values():
+        one.finished = True
+
+
+@dataclass(frozen=True, slots=True)
+class Lack:
+    """Effects of which channels lack one, the one that is chosen first; these data do not tell them apart.
+    `gain` is what it gains on all of these channels."""
+
+    names: list[str]
+    channels: list[str]
+    gain: float
+
+
+def proof(effects: int, channels: int) -> float:
+    """Return the gain that proves one of so many effects on any set of channels."""
+    return PROVEN + 2.0 * float(np.log(max(1, effects) * (2**channels - 1)))
+
+
+def lacks(tables: Mapping[str, Table], least: float) -> list[Lack]:
+    """Return what channels lack whose gains add up to more than `least`; each lacks one effect."""
+    found, left = list[Lack](), dict(tables)
+    while (lack := _first_lack(left, least, {})) is not None:
+        found.append(lack)
+        left = {name: table for name, table in left.items() if name not in lack.channels}
+    return found
+
+
+def _first_lack(tables: Mapping[str, Table], least: float, there: Mapping[str, Sequence[str]]) -> Lack | None:
+    """Return the effect that gains most on all the channels that show it, if that is more than `least`.
+
+    Of effects that gain alike, what carries over goes before an event, and what is `there` already before
+    what is new.
+    """
+    names = dict.fromkeys(name for table in tables.values() for name in table)
+    on = {name: [channel for channel in tables if _shows(tables[channel], name, least)] for name in names}
+    total = {name: sum(tables[channel][name].gain for channel in on[name]) for name in names}
+    proven = [name for name in names if total[name] > least]
+    if not proven:
+        return None
+    close = [name for name in proven if _near(total[name], max(total.values()))]
+
+    def order(name: str) -> tuple[bool, bool, float]:
+        event = tables[on[name][0]][name].candidate.scope == "event"
+        known = any(name in there.get(channel, ()) for channel in on[name])
+        return not event, known, total[name]
+
+    chosen = max(close, key=order)
+    channels = on[chosen]
+    together = {name: sum(_gain_in(tables[channel], name) for channel in channels) for name in names}
+    apart = {chosen, *(tables[channel][chosen].partner for channel in channels)}
+    alike = [name for name in names if name not in apart and _near(together[name], total[chosen])]
+    alike = [name for name in alike if together[name] > least]
+    return Lack([chosen, *sorted(alike, key=lambda name: -together[name])], channels, total[chosen])
+
+
+def _shows(table: Table, name: str, least: float) -> bool:
+    """Tell whether a channel shows an effect, and does not prove another in its place.
+
+    An event has a time of its own in each channel, so that each has to prove its own.
+    """
+    if name not in table:
+        return False
+    best = max(one.gain for one in table.values())
+    own = PROVEN if table[name].candidate.scope == "event" else 0.0
+    return table[name].gain > max(own, best - max(least, CLOSE_SHARE * best))
+
+
+def _near(gain: float, best: float) -> bool:
+    """Tell whether a gain is too near to the best for a proof."""
+    return best - gain < max(CLOSE, CLOSE_SHARE * best)
+
+
+class Search:
+    """The search in one channel, and what it found.
+
+    `findings` are the effects in the order in which they were found, those of a model that was given first;
+    `many_events` says that a run has more than one event, such as two jumps, which no effect explains.
+    `tables` has the best candidates of each stage, `turns` what was done; `refit` says whether the curve that
+    was given pays for being fitted anew; `survey` is what the runs can show, `tried` what may be added.
+    """
+
+    def __init__(
+        self, channel: Channel, survey: Survey, likelihood: Likelihood, tried: Sequence[Candidate]
+    ) -> None:
+        self.channel, self.survey, self.likelihood, self.tried = channel, survey, likelihood, tried
+        self.findings: list[Finding] = []
+        self.tables: list[Table] = []
+        self.turns: list[Step] = []
+        self.too_small = set[str]()
+        self.many_events = self.finished = self.refit = False
+        self._known: dict[tuple[int, ...], tuple[list[Candidate], float, Noise]] = {}
+        if channel.known is not None:
+            self._begin_with(channel.known)
+
+    @property
+    def found(self) -> list[Candidate]:
+        """The candidates of the findings."""
+        return [finding.candidate for finding in self.findings]
+
+    def of_family(self, name: str) -> list[Candidate]:
+        """Return what was tried of a family, of one part each and with no free start."""
+        return [
+            one for one in self.tried if one.family == name and len(one.parts) == 1 and not one.free_start
+        ]
+
+    def null(self) -> tuple[float, Noise]:
+        """Return the log-likelihood of the model so far, and its noise."""
+        found = self.found
+        key = tuple(map(id, found))  # the candidates are kept, so that no other has their id
+        if key not in self._known:
+            best = self.likelihood.best(self.channel.values, self.channel.design(found))
+            self._known[key] = found, *best
+        return self._known[key][1:]
+
+    def noise_sd(self) -> float:
+        """Return the white noise of a block that the likelihood of the model so far is largest with."""
+        return self.likelihood.scale(self.channel.values, self.channel.design(self.found), self.null()[1])
+
+    def noise_gain(self) -> float:
+        """Return by how much slow noise is likelier than white noise alone, in BIC."""
+        values, base = self.channel.values, self.channel.design(self.found)
+        white = self.likelihood.at(values, base, (0.0, 0.0))
+        return 2.0 * (self.null()[0] - white) - 2.0 * self.likelihood.price
+
+    # One stage
+
+    def table(self) -> Table:
+        """Return the best of each family beside the model so far; jumps in several runs are one effect."""
+        scored = self.scored(self.tried)
+        best = _best(scored + self.scored(_joined_events(scored)))
+        return best if self.findings else self._beside_partner(scored, best)
+
+    def scored(self, tried: Sequence[Candidate]) -> list[Scored]:
+        """Return candidates with their gains over the model so far.
+
+        A state at power-on that is free must not be the effect: with it a candidate gains no more than it
+        does beside that state alone.
+        """
+        if not tried:
+            return []
+        price, pool = self.likelihood.price, self.channel.pool
+        terms = [pool.terms(candidate) for candidate in tried]
+        starts = list(dict.fromkeys(tuple(start) for _, start in terms if start))
+        null, noise = self.null()
+        ratio = 2.0 * (
+            self._scan([*([*own, *start] for own, start in terms), *map(list, starts)], noise) - null
+        )
+        alone = dict(zip(starts, ratio[len(tried) :].tolist(), strict=True))
+        found = []
+        for candidate, (own, start), value in zip(tried, terms, ratio.tolist(), strict=False):
+            fit = value - (len(own) + len(start)) * price
+            gain = fit - candidate.nonlinear * price - candidate.choice
+            if start:
+                gain = min(gain, value - max(0.0, alone[tuple(start)]) - len(own) * price)
+            found.append(Scored(candidate, gain, fit))
+        return found
+
+    def _scan(self, terms: Sequence[Sequence[tuple[int, int]]], noise: Noise) -> np.ndarray:
+        channel = self.channel
+        base = channel.design(self.found)
+        return self.likelihood.scan(channel.values, base, channel.pool, terms, no_larger(noise))[0]
+
+    def _beside_partner(self, scored: Sequence[Scored], best: dict[str, Scored]) -> Table:
+        """Return the table with what effects gain beside the partner in the best pair, where both are needed.
+
+        Two effects at once hide one another: the one that replaces both best may be neither.  A pair counts
+        that gains more than any effect alone by more than the shape of that may be off.  Its partner is what
+        does not carry over, else what gains less alone.
+        """
+        few = [one for one in scored if not (one.candidate.free_start or one.candidate.choice)]
+        few = [one for one in few if len(one.candidate.parts) == 1]
+        members = [one for group in _families(few).values() for one in group]
+        members += [self.refined(one) for one in best.values() if one.candidate.scope == "event"]
+        pairs = [two for two in combinations(members, 2) if two[0].family != two[1].family]
+        if not pairs:
+            return best
+        pool, price = self.channel.pool, self.likelihood.price
+        terms = [[term for one in two for term in pool.terms(one.candidate)[0]] for two in pairs]
+        null, noise = self.null()
+        ratio = 2.0 * (self._scan(terms, noise) - null)
+        number = [
+            len(own) + sum(one.candidate.nonlinear for one in two)
+            for two, own in zip(pairs, terms, strict=True)
+        ]
+        gains = (ratio - np.array(number) * price).tolist()
+        alone = max(PROVEN, *(one.gain for one in members))
+        at = int(np.argmax(gains))
+        if gains[at] <= max(alone + max(PROVEN, CLOSE_SHARE * alone), *(one.gain for one in best.values())):
+            return best
+        partner = min(pairs[at], key=lambda one: (one.candidate.scope not in ("run", "event"), one.gain))
+        found = dict[str, Scored]()
+        for two, gain in zip(pairs, gains, strict=True):
+            for one, other in (two, two[::-1]):
+                beside = gain - max(0.0, other.gain)
+                if other.family == partner.family and beside > _gain_in(found, one.family):
+                    found[one.family] = replace(one, gain=beside, partner=partner.family)
+        best |= found
+        return best
+
+    def open_table(self) -> Table:
+        """Return the table of this stage without what is too small to be added."""
+        return {name: one for name, one in self.tables[-1].items() if name not in self.too_small}
+
+    def add(self, lack: Lack) -> bool:
+        """Add the best of a family with its parameters refined, and tell whether this stage is done: not when
+        that is too small.  With a second event in a run the channel is finished."""
+        table, name = self.tables[-1], lack.names[0]
+        best = self.refined(table[name])
+        size = float(np.sqrt(max(self._left() ** 2 - self._left(best.candidate) ** 2, 0.0)))
+        least = max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind)
+        again = best.candidate.scope == "event" and name in (finding.name for finding in self.findings)
+        share = JUMP_SHARE if again else SECOND_SHARE
+        if size < max(least, share * self._largest_beside(best.candidate)):
+            self.too_small.add(name)
+            self.finished = best.candidate.scope == "event"  # beside small jumps nothing else is proven
+            return self.finished
+        if self._second_event(best.candidate):
+            self.finished = True
+            return True
+        there = {finding.name for finding in self.findings}
+        others = [other for other in lack.names[1:] if other in table and other not in there][
+            : MOST_NAMES - 1
+        ]
+        gain = max(best.gain, table[name].gain)
+        self.findings.append(
+            Finding(
+                best.candidate,
+                gain,
+                lack.gain,
+                {**{other: one.gain for other, one in table.items()}, name: gain},
+                [name, *others] if others else [],
+                size,
+                others={other: table[other].candidate for other in others},
+            )
+        )
+        if len(self.findings) > 1:
+            self._refine()
+        self.turns.append(Step(name, self.found, gain))
+        return True
+
+    def _largest_beside(self, candidate: Candidate) -> float:
+        """Return the largest rms that one of the findings takes away beside a candidate; of one of the same
+        family, what that took away alone, for two of a kind share it."""
+        left, everything, sizes = self._left(candidate), self.findings, [0.0]
+        for finding in everything:
+            self.findings = [other for other in everything if other is not finding]
+            beside = float(np.sqrt(max(self._left(candidate) ** 2 - left**2, 0.0)))
+            same = finding.name == candidate.family and candidate.scope != "event"
+            sizes.append(finding.size if same else beside)
+        self.findings = everything
+        return max(sizes)
+
+    def _second_event(self, candidate: Candidate) -> bool:
+        """Tell, and remember, whether a run has a second jump."""
+        same = [one for one in self.found if one.family == candidate.family]
+        taken = {run for one in same for part in one.parts for run in part.runs}
+        if candidate.scope == "event":
+            self.many_events |= any(run in taken for part in candidate.parts for run in part.runs)
+        return self.many_events
+
+    def refined(self, best: Scored) -> Scored:
+        """Return a candidate with its nonlinear parameters refined: a pattern search around the grid."""
+        best = self.scored([best.candidate])[0]
+        for level in range(REFINEMENTS):
+            tried = best.candidate.neighbours(self.survey, level)
+            best = max([best, *self.scored(tried)], key=_gain)
+        return best
+
+    def _left(self, *more: Candidate) -> float:
+        """Return the rms that ordinary least squares leaves with what was found and more."""
+        return residual_rms(self.channel.design([*self.found, *more]), self.channel.values)
+
+    # At the end
+
+    def tidy(self) -> None:
+        """Drop what later findings made needless, and refine what is left, each beside the others."""
+        if len(self.findings) > 1:
+            self._drop_needless()
+            self._refine()
+        if self.channel.known is not None:
+            self._keep_curve()
+
+    def _drop_needless(self) -> None:
+        for finding in list(self.findings):
+            if len(self.findings) > 1 and self._worth(finding) <= PROVEN:
+                self.findings = [other for other in self.findings if other is not finding]
+
+    def _refine(self) -> None:
+        everything = list(self.findings)
+        for finding in everything:
+            self.findings = [other for other in everything if other is not finding]
+            family = [one for one in self.tried if one.family == finding.name and one.carries]
+            best = max(self.scored([finding.candidate, *family]), key=_gain)
+            finding.candidate = self.refined(best).candidate
+        self.findings = everything
+
+    def _worth(self, finding: Finding) -> float:
+        """Return by how much the score falls without a finding."""
+        everything, before = self.findings, self._score()
+        self.findings = [other for other in everything if other is not finding]
+        worth = before - self._score()
+        self.findings = everything
+        return worth
+
+    def _score(self) -> float:
+        """Return S of the model so far."""
+        terms = (len(group) for one in self.found for group in self.channel.pool.terms(one))
+        number = sum(terms) + sum(one.nonlinear for one in self.found)
+        return 2 * self.null()[0] - number * self.likelihood.price - sum(one.choice for one in self.found)
+
+    # A model that was given
+
+    def _begin_with(self, known: Sequence[Effect]) -> None:
+        """Fit anew what the runs show of a model that was given; the rest of it stays as it is."""
+        given = self.channel.as_given()
+        before = 2 * self.likelihood.best(given.values, given.base)[0]
+        for effect in known:
+            candidate = Candidate(effect.label, (Part(effect),))
+            self.findings.append(Finding(candidate, 0.0, 0.0, {}, [], 0.0, known=True))
+        for finding in list(self.findings):
+            if self._worth(finding) <= PROVEN:
+                self.findings = [other for other in self.findings if other is not finding]
+                effect = finding.candidate.parts[0].effect
+                self.channel = replace(self.channel, kept=(*self.channel.kept, effect))
+                self._known.clear()
+        self._refine()
+        gain = self._score() - before - (self.channel.declared.degree) * self.likelihood.price
+        self.refit = gain > PROVEN
+        if self.refit:
+            self.turns.append(Step("what was given is fitted anew", self.found, gain))
+
+    def _keep_curve(self) -> None:
+        """Leave the curve that was given as it is, but for a constant, unless fitting it anew pays."""
+        fitted, price = self.channel, self.channel.declared.degree * self.likelihood.price
+        before = self._score() - price
+        self._known.clear()
+        self.channel = replace(fitted, declared=replace(fitted.declared, degree=0))
+        curve = any(finding.candidate.parts[0].effect.is_curve for finding in self.findings)
+        if curve or before - self._score() > PROVEN:
+            self._known.clear()
+            self.channel = fitted
+
+
+def _best(scored: Sequence[Scored]) -> dict[str, Scored]:
+    return {one.family: one for one in sorted(scored, key=_gain)}
+
+
+def _gain_in(table: Table, name: str) -> float:
+    return table[name].gain if name in table else -np.inf
+
+
+def _gain(one: Scored) -> float:
+    return one.gain
+
+
+def _families(scored: Sequence[Scored]) -> dict[str, list[Scored]]:
+    """Return the best few candidates of each family."""
+    found: dict[str, list[Scored]] = {}
+    for one in sorted(scored, key=_gain, reverse=True):
+        if len(found.setdefault(one.family, [])) < PAIR_LIST:
+            found[one.family].append(one)
+    return found
+
+
+def _joined_events(scored: Sequence[Scored]) -> list[Candidate]:
+    """Return events in several runs at once, made of the best of each run."""
+    best: dict[str, dict[int, Scored]] = {}
+    for one in sorted(scored, key=_gain):
+        if one.candidate.scope == "event":
+            best.setdefault(one.family, {})[one.candidate.parts[0].runs[0]] = one
+    found = []
+    for name, runs in best.items():
+        parts: list[Part] = [one.candidate.parts[0] for one in sorted(runs.values(), key=_gain, reverse=True)]
+        found += [Candidate(name, tuple(parts[:count])) for count in range(2, len(parts) + 1)]
+    return found

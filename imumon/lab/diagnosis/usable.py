@@ -1,0 +1,202 @@
+"""The channels and runs that a diagnosis can use; what is left out is reported as a caveat."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imumon.blocks import FloatArray
+from imumon.clock.channel import CLOCK
+from imumon.errors import ImumonError, Reason
+from imumon.lab.diagnosis.blocks import BLOCK_S, LEAST_BLOCKS, LEAST_SLOTS, RunBlocks, make_blocks
+from imumon.lab.diagnosis.quality import Fault, noise_over_temperature, sample_faults, standing
+from imumon.lab.diagnosis.runs import CHANNELS, SHORTEST_RUN_S, Run, channels_of, common_temperature, unit_of
+
+LEAST_THERE = 0.1
+"""Share of its time in which a channel that is used has samples."""
+MANY_GAPS = 0.2
+"""Share of a run left out that is reported."""
+RESOLUTION = 1e-12
+"""Share of its value below which the changes of a channel are rounding in the computation of its means."""
+
+
+@dataclass(frozen=True, slots=True)
+class Names:
+    """Channels, the temperatures that their curves are over, and other drivers."""
+
+    channels: Sequence[str]
+    temperatures: Sequence[str]
+    drivers: Sequence[str]
+
+
+def usable_channels(
+    train: Sequence[Run], test: Sequence[Run], sensors: Sequence[str], caveats: list[str]
+) -> list[str]:
+    """Return the channels that every training run has at a tenth of its time or more, and that vary at all.
+
+    The clock of the device beside others only where all runs have it.
+
+    Raises BAD_DATA when there is none.
+    """
+    found = []
+    for name in channels_of(sensors, {name for run in train for name in run.variance}):
+        lacking = [run.name for run in train if not _has(run, name)]
+        if len(lacking) == len(train):
+            continue
+        if lacking:
+            caveats.append(f"{name} is left out: {', '.join(lacking)} hardly has it")
+        elif not any(_varies(run.mean[name], run.variance[name]) for run in train):
+            value = float(np.nanmean(train[0].mean[name]))
+            caveats.append(f"{name} is left out: it has one value throughout, {value:g} {unit_of(name)}")
+        else:
+            found.append(name)
+    if not found:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"no channel of {', '.join(sensors)} has data in every training run",
+            "give sessions that have them, or a map that says which columns they are",
+        )
+    if len(found) > 1 and not all(CLOCK in run.mean for run in (*train, *test)):
+        return [name for name in found if name != CLOCK]
+    return found
+
+
+def _has(run: Run, channel: str) -> bool:
+    return channel in run.mean and bool(np.isfinite(run.mean[channel]).mean() > LEAST_THERE)
+
+
+def _varies(mean: FloatArray, variance: FloatArray) -> bool:
+    """Return whether a channel changes by more than the rounding of its means, in or between its slots."""
+    known, scatter = mean[np.isfinite(mean)], variance[np.isfinite(variance)]
+    resolution = RESOLUTION * float(np.abs(known).max())
+    return bool(np.ptp(known) > resolution or (scatter > resolution**2).any())
+
+
+def temperature_of_axis(channel: str, runs: Sequence[Run]) -> str:
+    """Return the temperature that a channel's bias is over: that of its axis where there is one.
+
+    Raises BAD_DATA when there is no temperature.
+    """
+    lacking = "there is no temperature in the training data, so there is no bias over temperature to diagnose"
+    return common_temperature(f"temperature_{channel[-1]}", runs, lacking, but=channel)
+
+
+def sound(runs: Sequence[Run], channels: Sequence[str], caveats: list[str]) -> list[Run]:
+    """Return runs without the slots in which a channel stands still, which are reported.
+
+    Noise never gives the same value for as long as a block, but a stuck sensor does, one at its limit, and
+    one whose digits are coarser than its noise.  The last is reported and kept.
+    """
+    found = []
+    for run in runs:
+        mean, variance, samples = dict(run.mean), dict(run.variance), dict(run.samples)
+        for name in channels:
+            if name not in mean:
+                continue
+            still = standing(mean[name], variance[name], max(LEAST_SLOTS, BLOCK_S / run.slot_s))
+            if not still.any():
+                continue
+            share = float(still.sum() / np.isfinite(mean[name]).sum())
+            one = samples.get(name)
+            # What stands still most of the time is not stuck.
+            if share > 0.5 or (one is not None and one.step > one.noise * np.sqrt(1.0 - one.repeated)):
+                caveats.append(
+                    f"{run.name}: {name} does not change in {share:.0%} of its time: too few digits"
+                )
+                continue
+            values, limits = mean[name][still], (np.nanmin(mean[name]), np.nanmax(mean[name]))
+            if one is not None and np.isclose(values, one.atom, rtol=1e-9, atol=0.0).any():
+                samples[name] = one.without(share)
+            seconds = still.sum() * run.slot_s
+            what = "saturated" if np.isin(values, limits).all() else "stuck"
+            caveats.append(f"{run.name}: {name} is {what} for {seconds:.0f} s; they are left out")
+            mean[name] = np.where(still, np.nan, mean[name])
+            variance[name] = np.where(still, np.nan, variance[name])
+        found.append(replace(run, mean=mean, variance=variance, samples=samples))
+    return found
+
+
+def faults(runs: Sequence[Run], channel: str, temperature: str, floor: float) -> list[Fault]:
+    """Return what is wrong with the values of a channel; `floor` is the white noise of a block."""
+    samples = [run.samples[channel] for run in runs if channel in run.samples]
+    there = [run for run in runs if temperature in run.mean]
+    return sample_faults(samples, unit_of(channel), floor) or noise_over_temperature(
+        np.concatenate([run.variance[channel] for run in there]),
+        np.concatenate([run.mean[temperature] for run in there]),
+    )
+
+
+def resting(run: Run) -> bool:
+    """Return whether the unit was at rest for most of a run."""
+    return any(_rest_share(run, name) >= 0.5 for name in CHANNELS if name in run.mean)
+
+
+def _rest_share(run: Run, channel: str) -> float:
+    there = np.isfinite(run.mean[channel])[run.earlier :]
+    return float(run.at_rest[run.earlier :][there].mean()) if there.any() else 0.0
+
+
+def blocks_of_training(
+    runs: Sequence[Run], names: Names, block_s: float, caveats: list[str]
+) -> list[RunBlocks]:
+    """Return the training as blocks, without runs that cannot be used, which are reported.
+
+    Raises BAD_DATA when the unit was hardly at rest, or the runs are too short.
+    """
+    found, moving = _in_blocks(runs, names, block_s, caveats)
+    if moving and not found:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            "the unit moves: " + "; ".join(moving),
+            "what the bias model lacks can be found only in a unit at rest; if it was, add --at-rest",
+        )
+    total = sum(map(len, found))
+    if total < LEAST_BLOCKS:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"too short: the training data has {total} means of {block_s:.0f} s at rest;"
+            f" {LEAST_BLOCKS} are needed, {LEAST_BLOCKS * block_s / 60:.0f} min",
+            "record the unit at rest for an hour or more while its temperature changes;"
+            " if it was at rest and is not detected to be, add --at-rest",
+        )
+    return found
+
+
+def blocks_of_test(runs: Sequence[Run], names: Names, block_s: float, caveats: list[str]) -> list[RunBlocks]:
+    """Return the test as blocks, without runs that cannot be used, which are reported."""
+    found, _ = _in_blocks(runs, names, block_s, caveats)
+    if runs and not found:
+        caveats.append("no run of the test can be used: there is no independent proof")
+    return found
+
+
+def _in_blocks(
+    runs: Sequence[Run], names: Names, block_s: float, caveats: list[str]
+) -> tuple[list[RunBlocks], list[str]]:
+    """Return the runs at rest as blocks, and what moves."""
+    found, moving = [], []
+    for run in runs:
+        lacking = [name for name in (*names.channels, *names.temperatures) if name not in run.mean]
+        if lacking:
+            caveats.append(f"{run.name}: not used, it lacks {', '.join(lacking)}")
+            continue
+        there = float(np.isfinite(run.mean[names.channels[0]])[run.earlier :].mean())
+        rest_share = _rest_share(run, names.channels[0])
+        if rest_share < 0.5:
+            moving.append(f"{run.name}: at rest for {rest_share:.0%} of its {run.duration_s / 60:.0f} min")
+            continue
+        blocks = make_blocks(run, names.channels, names.temperatures, names.drivers, block_s)
+        if len(blocks) * block_s < SHORTEST_RUN_S:
+            caveats.append(
+                f"{run.name}: not used, {len(blocks)} blocks of {block_s:.0f} s at rest are too few"
+            )
+            continue
+        if there < run.share * (1.0 - MANY_GAPS):
+            caveats.append(f"{run.name}: samples in {there:.0%} of its time only; gaps are left out")
+        if rest_share < 1.0 - MANY_GAPS:
+            caveats.append(f"{run.name}: at rest for {rest_share:.0%} of its time; the rest is left out")
+        found.append(blocks)
+    caveats += [f"{text}: not used, it moves" for text in moving]
+    return found, moving

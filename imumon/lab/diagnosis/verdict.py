@@ -1,0 +1,272 @@
+"""The verdict on a channel: one table of named predicates, evaluated top down, and its words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple, Self
+
+import numpy as np
+
+from imumon.blocks import FloatArray
+from imumon.effects.library import separated_by
+from imumon.lab.diagnosis.channel import Channel
+from imumon.lab.diagnosis.fit import MATERIAL, Fit, FittedPart, PartSigma, TestScore, goes_on
+from imumon.lab.diagnosis.likelihood import WALK_S
+from imumon.lab.diagnosis.questions import Question
+from imumon.lab.diagnosis.ranking import Ranked, RunLeft
+from imumon.lab.diagnosis.search import PROVEN, Finding, Search, Step
+
+State = Literal["named", "unexplained", "nothing missing", "too few digits", "not proven", "faulty"]
+WHEN = {
+    "faulty": "faults of the samples hide any effect",
+    "claimed": "training proves effects, the test does not refute them, and of both 60 % is explained or less"
+    " than 1.8 floors are left; or the test alone proves one",
+    "by_test": "an effect that makes training likelier explains 60 % of the test, where training proves"
+    " nothing or leaves more than twice as much of it",
+    "not_told_apart": "effects of other names fit as well",
+    "unexplained": "more than 1.8 floors are left in training or, beside what is claimed, in the test",
+    "hidden": "steps of the samples may make as much as is left",
+    "clean": "less than 1.3 floors are left in the test",
+}
+"""Predicates of a verdict."""
+
+
+class Row(NamedTuple):
+    """A verdict: given where all of its predicates hold and those of no row above do."""
+
+    name: str
+    state: State
+    """Which kind of verdict it is, in `report.json`."""
+    predicates: tuple[str, ...]
+    sentence: str
+    """With the names of what is claimed."""
+
+
+VERDICTS = (
+    Row("faulty", "faulty", ("faulty",), "the data is at fault, and no effect is looked for"),
+    Row(
+        "proven by the test alone, not told apart",
+        "named",
+        ("by_test", "not_told_apart"),
+        "{names}, not told apart, proven by the test alone, so the error there is no longer unseen",
+    ),
+    Row(
+        "proven by the test alone",
+        "named",
+        ("by_test",),
+        "{names}, proven by the test alone, so the error there is no longer unseen",
+    ),
+    Row(
+        "not told apart, and more",
+        "named",
+        ("claimed", "not_told_apart", "unexplained"),
+        "{names}, not told apart, and more that is unexplained",
+    ),
+    Row("claimed, and more", "named", ("claimed", "unexplained"), "{names}, and more that is unexplained"),
+    Row(
+        "claimed, few digits",
+        "named",
+        ("claimed", "hidden"),
+        "{names}; too few digits to tell whether there is more",
+    ),
+    Row("not told apart", "named", ("claimed", "not_told_apart"), "{names}, not told apart"),
+    Row("claimed", "named", ("claimed",), "{names}"),
+    Row("unexplained", "unexplained", ("unexplained",), "unexplained"),
+    Row("too few digits", "too few digits", ("hidden",), "too few digits to tell"),
+    Row("nothing missing", "nothing missing", ("clean",), "nothing is missing"),
+    Row("not proven", "not proven", (), "nothing is proven"),
+)
+
+
+@dataclass(slots=True)
+class Claim:
+    """An effect that is claimed, with its evidence; `parts` and `sigmas` are those of the whole model."""
+
+    finding: Finding
+    parts: list[FittedPart]
+    explained: float
+    test_alone: float
+    sigmas: list[PartSigma] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class SlowNoise:
+    """Flicker, rms over the correlation times of the likelihood, and random walk per root of a second.
+
+    `tails` is the gain in BIC of innovations with heavy tails: where that is large it is no such noise.
+    """
+
+    flicker: float = 0.0
+    walk: float = 0.0
+    tails: float = 0.0
+
+    @classmethod
+    def of(cls, found: Search) -> Self:
+        """Return that of the model that was found."""
+        noise, channel, sd = found.null()[1], found.channel, found.noise_sd()
+        flicker, walk = np.sqrt(noise)
+        tails = found.likelihood.tails(channel.values, channel.design(found.found), noise)
+        return cls(float(flicker * sd), float(walk * sd / np.sqrt(WALK_S)), tails)
+
+    @property
+    def jumps(self) -> bool:
+        """Whether it jumps or comes in bursts, as no Gaussian noise does."""
+        return self.tails > PROVEN
+
+
+@dataclass(slots=True)
+class ChannelVerdict:
+    """What is claimed of a channel, and how well it does."""
+
+    channel: Channel
+    before: Fit
+    after: Fit
+    """Declared and extended model."""
+    test_before: TestScore | None
+    test_after: TestScore | None
+    """None without a test."""
+    claims: list[Claim]
+    unexplained: bool
+    explained: float
+    noise: tuple[float, float]
+    left_out: list[dict[str, Any]]
+    """What was found but made the test worse."""
+    remark: str
+    predicts: bool
+    """Whether the extended model goes into the model file; else the declared one does: nothing of what is
+    claimed carries over, or the levels of the test make the prediction worse with it."""
+    slow: SlowNoise
+    """In the unit of the channel."""
+    questions: list[Question]
+    """What is open."""
+    refit: list[str]
+    """What was fitted anew of a model that was given, its curve first; empty when that stays as it is."""
+    turns: list[Step]
+    """The turns of the loop."""
+    ranking: list[Ranked]
+    """The effects that gain most at first, each alone."""
+    runs: list[RunLeft]
+    """What each run is left with."""
+    declared_covariance: FloatArray
+    """Of the coefficients of the declared model, (degree + 1, degree + 1)."""
+
+    @property
+    def name(self) -> str:
+        """That of the channel."""
+        return self.channel.name
+
+    @property
+    def claimed(self) -> bool:
+        """Whether any effect is claimed."""
+        return bool(self.claims)
+
+    @property
+    def faulty(self) -> bool:
+        """Whether faults of the samples hide any effect."""
+        return bool(np.isinf(self.channel.blind))
+
+    @property
+    def by_test(self) -> bool:
+        """Whether the test alone proves what is claimed."""
+        return any(claim.finding.by_test for claim in self.claims)
+
+    @property
+    def not_told_apart(self) -> bool:
+        """Whether effects of several names fit alike."""
+        return any(claim.finding.alike for claim in self.claims)
+
+    @property
+    def hidden(self) -> bool:
+        """Whether the digits hide what is as large as matters: nothing that is detected is beyond them.
+
+        What is left may be theirs alone then, or something that is missing; nobody could tell, not even
+        where nothing is left, as a bias that stays within a step is not read at all.
+        """
+        channel, test = self.channel, self.test_after
+        if self.unexplained or not channel.coarse or self.faulty:
+            return False
+        left = np.nan if test is None else test.left if self.claims else test.rms
+        return not left >= MATERIAL * channel.limit
+
+    @property
+    def clean(self) -> bool:
+        """Whether the test, too, is left with too little to matter."""
+        return self.test_after is not None and self.test_after.rms < MATERIAL * self.channel.floor.sd
+
+    @property
+    def row(self) -> Row:
+        """The verdict: the first row of the table whose predicates hold."""
+        return next(row for row in VERDICTS if all(getattr(self, name) for name in row.predicates))
+
+    @property
+    def in_short(self) -> str:
+        """The verdict in a few words."""
+        each = [" or ".join(claim.finding.alike) or claim.finding.name for claim in self.claims]
+        names = [f"({name})" if " or " in name and len(each) > 1 else name for name in dict.fromkeys(each)]
+        return self.row.sentence.format(names=" and ".join(names))
+
+    @property
+    def summary(self) -> str:
+        """The verdict with its numbers and reasons."""
+        text = self.in_short if self.faulty else f"{self.in_short}: {'; '.join(_details(self))}"
+        return "; ".join([*(fault.text for fault in self.channel.faults), text])
+
+    def curve(self) -> list[tuple[float, float, float]]:
+        """Return temperature, bias and its sigma at both ends and the middle of what training covered."""
+        declared = self.channel.declared
+        at = declared.middle_degc + declared.half_span_degc * np.array([-1.0, 0.0, 1.0])
+        columns = declared.columns(at, len(self.after.declared))
+        values = columns @ self.after.declared
+        spread = np.sqrt(np.einsum("ij,jk,ik->i", columns, self.declared_covariance, columns))
+        return list(zip(at.tolist(), values.tolist(), spread.tolist(), strict=True))
+
+
+def _details(verdict: ChannelVerdict) -> Iterator[str]:
+    """Yield the numbers of a verdict, then its reasons."""
+    yield _left_in_training(verdict)
+    if verdict.unexplained:
+        yield "what is left is structure or slow noise that no known effect explains"
+    if verdict.remark:
+        yield verdict.remark
+    for item in verdict.left_out:
+        unproven = np.isnan(item["test_rms_with"])
+        why = "no block of the test can be scored with it" if unproven else "made the test worse"
+        yield f"{item['name']} was found but {why}"
+    pairs = [(one.finding.alike[0], other) for one in verdict.claims for other in one.finding.alike[1:]]
+    if pairs:
+        yield f"to separate: {'; '.join(dict.fromkeys(separated_by(*pair) for pair in pairs))}"
+    if verdict.claims and verdict.before.train_rms < MATERIAL * verdict.channel.floor.sd:
+        yield "present, too small to matter"
+    if verdict.row.state == "not proven" and verdict.test_after is not None:
+        yield "slow noise may do that, or something is missing"
+    if verdict.hidden:
+        share = verdict.channel.blind / verdict.channel.floor.sd
+        yield f"steps as coarse may make up to {share:.1f} of a smooth bias"
+
+
+def _left_in_training(verdict: ChannelVerdict) -> str:
+    floor = verdict.channel.floor.sd
+    before, after = (one.train_rms / floor for one in (verdict.before, verdict.after))
+    if not verdict.claims and not verdict.refit:
+        return f"the declared model leaves {before:.2f} white floors in training{_left_in_test(verdict)}"
+    anew = "" if verdict.claims else f"{', '.join(verdict.refit)} fitted anew, "
+    return f"{anew}{before:.1f} white floors become {after:.2f} in training{_left_in_test(verdict)}"
+
+
+def _left_in_test(verdict: ChannelVerdict) -> str:
+    """Return what is left of the test; only that says whether it is all."""
+    before, after, floor = verdict.test_before, verdict.test_after, verdict.channel.floor.sd
+    if before is None or after is None:
+        return "; without a test that is no proof"
+    if not np.isfinite(after.rms):
+        return "; no proof: the test has too little inside what training covered"
+    inside = f", over the {after.coverage:.0%} of it that are inside what training covered"
+    covered = "" if after.coverage == 1.0 else inside
+    if not verdict.claims and not verdict.refit:
+        return f", {before.rms / floor:.2f} in the test{covered}"
+    predicted = (verdict.after.carries and verdict.predicts) or (
+        goes_on(verdict.channel, verdict.after) and after.rms < before.rms
+    )
+    value, how = (after.rms, "predicted") if predicted else (after.estimated_rms, "estimated in the test")
+    return f", {before.rms / floor:.1f} become {value / floor:.2f} in the test{covered} ({how})"

@@ -1,0 +1,51 @@
+"""What the core asks of the lab; the diagnosis, which takes time to load, is loaded when it is needed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from imumon.pipeline import Estimator
+from imumon.protocols.thermometer import TemperatureRateParameters
+from imumon.run.setup import Setup
+
+
+def better_model(setup: Setup, _: TemperatureRateParameters, others: Sequence[Estimator]) -> list[Estimator]:
+    """Return the stage that looks for a better model than the present one, where there is one.
+
+    Parameters
+    ----------
+    others : sequence of Estimator
+        The stages before it.
+    """
+    if setup.bias_model is None:
+        return []
+    from imumon.lab.diagnosis.live import LiveDiagnosis
+
+    return [LiveDiagnosis(setup.bias_model, setup.watch.learn, partial(_made_by, tuple(others)))]
+
+
+def _made_by(stages: Sequence[Estimator]) -> set[str]:
+    """Return the columns that stages add, as far as they know by now what is sent."""
+    return {column.name for stage in stages for column in stage.columns}
+
+
+def compare_models(
+    session: Path, given: tuple[Path, Path], out: Path
+) -> tuple[Mapping[str, Any], Mapping[str, str]]:
+    """Write the page of what two models leave of a session; return it as data and as lines for a person."""
+    from imumon.lab.diagnose_command import model_of, read
+    from imumon.lab.diagnosis.comparing import compare, write_comparison
+    from imumon.models.model import UNITS
+
+    first, second = (model_of(path) for path in given)
+    compared = compare(read(session, None, at_rest=False), (first, second))
+    write_comparison(compared, (str(given[0]), str(given[1])), str(session), out)
+    data = {"out": out, "rms": {f"{one.run} {one.channel}": list(one.rms) for one in compared}}
+    rows = {
+        f"{one.run} {one.channel}": f"{one.rms[0]:.3g} become {one.rms[1]:.3g} {UNITS[one.channel]}"
+        for one in compared
+    }
+    return data, rows

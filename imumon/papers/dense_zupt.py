@@ -1,0 +1,348 @@
+"""ZUPT and TCZUPT as printed: 12 error states, mechanization, zero velocity.
+
+Error states are attitude (phi, true C = (1 + [phi x]) C), velocity, gyro bias and accelerometer bias, closed
+loop, in north-east-down.  After Fontanella, Accardo, Schiano Lo Moriello, Angrisani and De Simone, Sensors
+2018, 18(5), 1457, sections 2 and 3.  The standard filter takes gyros that a calibration has corrected, and
+its bias walks at random; TCZUPT takes raw ones and adds T_s (db/dT) T' to the bias at every step.
+
+A step takes one sample, or the mean of several: with the noise given as densities the result is the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from imumon.blocks import NO_INT, ColumnArray, FloatArray, SampleBlock
+from imumon.columns import Column
+from imumon.filters.slots import SlotGatherer
+from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY, body_to_ned
+from imumon.models.model import BiasModel
+from imumon.models.predictor import BiasPredictor
+from imumon.papers.shown import Shown
+
+STATES = 12
+PHI, VELOCITY, GYRO, ACCEL = (slice(k, k + 3) for k in range(0, STATES, 3))
+"""Places of the error states."""
+YAW = 2
+MEASURED_S = 0.01
+"""The standard deviations of the measurements are those of one every 10 ms, as at the paper's 100 Hz."""
+SLOT_S = 0.25
+ZEROING_S = 60.0
+LEVELLING_S = 1.0
+"""s at rest whose mean specific force is the vertical after a motion."""
+METHODS = ("dense_zupt", "dense_tczupt")
+
+
+@dataclass(frozen=True)
+class DenseSettings:
+    """Noise and start of the filter, SI units."""
+
+    interval_s: float
+    """Between samples."""
+    latitude_deg: float | None = 40.93
+    heading_deg: float | None = 0.0
+    """Of the place, and of the body's x axis clockwise from north.  Without the heading the filter knows
+    of the earth rate the vertical part only, without the latitude nothing: the rest is part of the bias."""
+    angle_random_walk: float | FloatArray = math.radians(0.28) / 60
+    velocity_random_walk: float | FloatArray = 1e-3
+    """rad/sqrt(s) and m/s/sqrt(s), (3,)."""
+    bias_random_walk: float = math.radians(0.1) / 3600
+    bias_sd: float = math.radians(2.2) / 3600
+    """K in rad/s/sqrt(s), and the standard deviation p0 of the bias at the start, rad/s."""
+    accel_bias_random_walk: float = 1e-6 * STANDARD_GRAVITY
+    accel_bias_sd: float = 1e-3 * STANDARD_GRAVITY
+    """m/s^2/sqrt(s) and m/s^2."""
+    angle_sd: float = 1e-4
+    velocity_sd: float = 1e-3
+    """Of tilt and yaw (rad) and of the velocity (m/s) at the start."""
+    zero_velocity_sd: float = 1e-3
+    """Of a velocity measurement every `MEASURED_S`, m/s."""
+    yaw_hold_sd: float | None = 1e-4
+    """Of a yaw measurement every `MEASURED_S`, rad.  None: yaw is free, and so is the vertical bias."""
+
+    @cached_property
+    def earth(self) -> FloatArray:
+        """Earth rate north, east, down, as far as it is known, rad/s, (3,)."""
+        if self.latitude_deg is None:
+            return np.zeros(3)
+        latitude = math.radians(self.latitude_deg)
+        north = 0.0 if self.heading_deg is None else math.cos(latitude)
+        return EARTH_RATE * np.array([north, 0.0, -math.sin(latitude)])
+
+    @cached_property
+    def start(self) -> FloatArray:
+        """Covariance at the start, (12, 12)."""
+        sds = [self.angle_sd, self.velocity_sd, self.bias_sd, self.accel_bias_sd]
+        return np.diag(np.repeat(np.square(sds), 3))
+
+    @cached_property
+    def noise(self) -> FloatArray:
+        """Process noise of a step, (12, 12)."""
+        walks = (
+            self.angle_random_walk,
+            self.velocity_random_walk,
+            self.bias_random_walk,
+            self.accel_bias_random_walk,
+        )
+        return np.diag(np.concatenate([np.broadcast_to(walk, 3) for walk in walks]) ** 2 * self.interval_s)
+
+    @cached_property
+    def measured(self) -> tuple[FloatArray, FloatArray]:
+        """H and R of a step: three velocities, and the yaw where it is held."""
+        h = np.zeros((3, STATES))
+        h[:, VELOCITY] = np.eye(3)
+        variances = [self.zero_velocity_sd**2] * 3
+        if self.yaw_hold_sd is not None:
+            h = np.vstack([h, np.arange(STATES) == YAW])
+            variances.append(self.yaw_hold_sd**2)
+        return h, np.diag(variances) * (MEASURED_S / self.interval_s)
+
+
+@dataclass
+class State:
+    """What the filter carries from step to step.
+
+    Parameters
+    ----------
+    attitude, held : array (3, 3)
+        C, body to north-east-down, now and at the start: the yaw that is held.
+    gravity : float
+        m/s².
+    bias, accel_bias : array (3,)
+        rad/s and m/s², body axes.
+    velocity : array (3,)
+        m/s.
+    covariance : array (12, 12)
+        Of the error states.
+    """
+
+    attitude: FloatArray
+    held: FloatArray
+    gravity: float
+    bias: FloatArray
+    covariance: FloatArray
+    velocity: FloatArray = field(default_factory=lambda: np.zeros(3))
+    accel_bias: FloatArray = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def bias_sd(self) -> FloatArray:
+        """rad/s, (3,)."""
+        return np.sqrt(np.diag(self.covariance)[GYRO])
+
+
+def begin(
+    settings: DenseSettings, force: FloatArray, bias: FloatArray, up: FloatArray | None = None
+) -> State:
+    """Return the state at rest with a mean specific force (3,), along which `up` is by default."""
+    up = force if up is None else up
+    attitude = body_to_ned(up / np.linalg.norm(up), math.radians(settings.heading_deg or 0.0))
+    gravity = float(np.linalg.norm(force))
+    return State(attitude, attitude, gravity, np.array(bias, np.float64), settings.start)
+
+
+def cross(a: FloatArray) -> FloatArray:
+    """Return [a x], (3, 3)."""
+    x, y, z = a.tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def turn(a: FloatArray) -> FloatArray:
+    """Return exp([a x]) for a small rotation vector in rad, to second order."""
+    small = cross(a)
+    return np.eye(3) + small + 0.5 * (small @ small)
+
+
+def transition(state: State, force: FloatArray, earth: FloatArray, dt: float) -> FloatArray:
+    """Return F = 1 + A dt of the error states, and half (A dt)² from bias to velocity, (12, 12).
+
+    phi' = -[earth x] phi - C b_g,  v' = -[C f x] phi - C b_a.
+    """
+    f = np.eye(STATES)
+    f[PHI, PHI] -= dt * cross(earth)
+    f[VELOCITY, PHI] = -dt * cross(force)
+    f[PHI, GYRO] = f[VELOCITY, ACCEL] = -dt * state.attitude
+    f[VELOCITY, GYRO] = 0.5 * f[VELOCITY, PHI] @ f[PHI, GYRO]
+    return f
+
+
+def step(
+    state: State, settings: DenseSettings, gyro: FloatArray, accel: FloatArray, drift: FloatArray
+) -> FloatArray:
+    """Go on by one step at rest; return the innovations over their standard deviations, (3,).
+
+    Parameters
+    ----------
+    gyro, accel : array (3,)
+        rad/s and m/s², body axes; means over the step.
+    drift : array (3,)
+        What the thermal model adds to the bias, rad/s: T_s (db/dT) T'; zero for the standard filter.
+    """
+    dt, earth = settings.interval_s, settings.earth
+    # Mechanization: the step's rotation half before and half after the specific force.
+    state.bias = state.bias + drift
+    half = turn(0.5 * dt * (gyro - state.bias - state.attitude.T @ earth))
+    state.attitude = state.attitude @ half
+    force = state.attitude @ (accel - state.accel_bias)
+    state.attitude = state.attitude @ half
+    state.velocity = state.velocity + dt * (force + np.array([0.0, 0.0, state.gravity]))
+    f = transition(state, force, earth, dt)
+    predicted = f @ state.covariance @ f.T + settings.noise
+    h, r = settings.measured
+    z = -state.velocity
+    if len(h) > 3:
+        off = state.held @ state.attitude.T
+        z = np.append(z, 0.5 * (off[1, 0] - off[0, 1]))
+    # The errors are expected to be zero, so that the innovation is the measurement.
+    spread = predicted @ h.T
+    total = h @ spread + r
+    gain = np.linalg.solve(total, spread.T).T
+    error, rest = gain @ z, np.eye(STATES) - gain @ h
+    state.covariance = rest @ predicted @ rest.T + gain @ r @ gain.T  # Joseph's form
+    state.attitude = turn(error[PHI]) @ state.attitude
+    state.velocity = state.velocity + error[VELOCITY]
+    state.bias = state.bias + error[GYRO]
+    state.accel_bias = state.accel_bias + error[ACCEL]
+    return np.asarray((z / np.sqrt(np.diag(total)))[:3])
+
+
+class DenseZupt:
+    """ZUPT on calibrated data, or TCZUPT, as a stage: ``{method}_gyro_bias_{axis}`` of the raw rate, and sd.
+
+    The first minute at rest is the initial zeroing.  In motion the bias is predicted only; after it the unit
+    is levelled anew.
+
+    Parameters
+    ----------
+    method : "dense_zupt" or "dense_tczupt"
+    settings : DenseSettings
+        Its interval is that of the slots.
+    model : BiasModel, optional
+        Bias over temperature: taken off before dense_zupt, slope of the bias for dense_tczupt, which also
+        needs the column ``temperature_rate`` (or one for each axis).
+    assume_rest : bool
+        Whether the unit is at rest throughout when nothing says (no column ``at_rest``).
+    """
+
+    def __init__(
+        self,
+        method: str,
+        settings: DenseSettings | None = None,
+        model: BiasModel | None = None,
+        assume_rest: bool = False,
+    ) -> None:
+        self._method = method
+        self._settings = replace(settings or DenseSettings(SLOT_S), interval_s=SLOT_S)
+        channels = [f"gyro_{a}" for a in "xyz" if model is not None and f"gyro_{a}" in model.channels]
+        self._predictor = BiasPredictor(model, channels) if model is not None and channels else None
+        self._axes = ["xyz".index(name[-1]) for name in channels]
+        self._assume_rest = assume_rest
+        self._gatherer = SlotGatherer(10, round(SLOT_S * 1e9))
+        self._shown = Shown((2, 3))
+        self._state: State | None = None
+        self._resting: list[FloatArray] = []
+
+    @property
+    def columns(self) -> Sequence[Column]:
+        """The columns that `process` adds."""
+        texts = (("gyro_bias", "bias of the raw rate by this method"), ("gyro_bias_sd", "its sigma"))
+        return [
+            Column(f"{self._method}_{name}_{a}", "rad/s", description=f"{text}, {a}")
+            for name, text in texts
+            for a in "xyz"
+        ]
+
+    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+        """Return the new columns of a block, NaN before the zeroing is over.
+
+        Needs ``device_time_ns``, ``segment``, gyros, accelerometers and ``at_rest``.
+        """
+        n, gyro, accel = len(block), block.gyro, block.accel
+        curve, warming = self._model(block)
+        values = np.full((n, 10), np.nan)
+        if gyro is not None and accel is not None:
+            values[:, :3], values[:, 3:6] = gyro - curve, accel
+        values[:, 6:9] = warming
+        values[:, 9] = self._assume_rest
+        if "at_rest" in block:
+            values[:, 9] = (block["at_rest"] != 0) & (block["at_rest"] != NO_INT)
+        slots = self._gatherer.process(block["device_time_ns"], block["segment"], values)
+        said = np.full((len(slots), 2, 3), np.nan)
+        for k in range(len(slots)):
+            if slots.begins[k]:
+                self._state, self._resting = None, []
+            self._take(slots.mean[k], bool(slots.smallest[k, 9] == 1.0))
+            if self._state is not None:
+                said[k] = self._state.bias, self._state.bias_sd
+        shown = self._shown.spread(slots.row, said, self._shown.breaks(block), n)
+        bias = shown[:, 0] + curve
+        return {
+            column.name: part for column, part in zip(self.columns, [*bias.T, *shown[:, 1].T], strict=True)
+        }
+
+    def _take(self, mean: FloatArray, rests: bool) -> None:
+        """Take in a slot of gyros (3), accelerometers (3), warming (3) and rest."""
+        state, settings = self._state, self._settings
+        drift = SLOT_S * np.nan_to_num(mean[6:9])
+        if not rests or not np.isfinite(mean[:6]).all():
+            self._resting = []
+            if state is not None:
+                state.bias = state.bias + drift
+                state.covariance[GYRO, GYRO] += settings.noise[GYRO, GYRO]
+                state.velocity[:] = np.nan
+            return
+        if state is not None and np.isfinite(state.velocity).all():
+            # The bias of a step is that at its end.
+            step(state, settings, mean[:3] + 0.5 * drift, mean[3:6], drift)
+            return
+        # A zeroing or a levelling is under way.  Rates before refer to the bias of now.
+        self._resting = [np.concatenate([past[:3] + drift, past[3:]]) for past in self._resting]
+        self._resting.append(mean[:6])
+        if state is not None:
+            state.bias = state.bias + drift
+            state.covariance[GYRO, GYRO] += settings.noise[GYRO, GYRO]
+        if len(self._resting) * SLOT_S < (ZEROING_S if state is None else LEVELLING_S) - 1e-9:
+            return
+        means = np.mean(self._resting, axis=0)
+        fresh = begin(settings, means[3:], np.zeros(3))
+        if state is None:
+            fresh.bias = means[:3] - fresh.attitude.T @ settings.earth
+        else:
+            fresh.bias = state.bias
+            fresh.covariance[GYRO, GYRO] = state.covariance[GYRO, GYRO]
+        self._state, self._resting = fresh, []
+
+    def _model(self, block: SampleBlock) -> tuple[FloatArray, FloatArray]:
+        """Return what is taken off the gyros, and how fast the bias moves by the model, rad/s², (n, 3)."""
+        curve, warming = np.zeros((len(block), 3)), np.zeros((len(block), 3))
+        if self._predictor is None:
+            return curve, warming
+        names = self._predictor.temperature_columns
+        temperature, rate = (
+            np.full((len(block), len(names)), np.nan),
+            np.full((len(block), len(names)), np.nan),
+        )
+        for j, name in enumerate(names):
+            suffix = name.removeprefix("temperature").removeprefix("_estimate")
+            for column in (f"temperature_estimate{suffix}", f"temperature{suffix}"):
+                if column in block:
+                    temperature[:, j] = block[column]
+                    break
+            if f"temperature_rate{suffix}" in block:
+                rate[:, j] = block[f"temperature_rate{suffix}"]
+        others = {name: block[name] for name in self._predictor.drivers if name in block}
+        times, segment = block["device_time_ns"], block["segment"]
+        predicted = self._predictor.process(times, segment, temperature, others=others)
+        if self._method == "dense_zupt":
+            curve[:, self._axes] = predicted.bias
+        else:
+            warming[:, self._axes] = predicted.slope * rate
+        return curve, warming
+
+    def notices(self) -> list[str]:
+        """Return nothing: the default says what is missing."""
+        return []

@@ -1,0 +1,312 @@
+"""Finite-impulse-response exponential regression on updates, and its linear variant.
+
+After Kozlov and Tarygin, "Real-Time Estimation of Temperature Time Derivative in Inertial Measurement Unit by
+Finite-Impulse-Response Exponential Regression on Updates", Sensors 2020, 20(5), 1299.  Equation numbers are
+those of the paper, and `square_root` has its appendices.
+
+A measurement exists when the reading changes level (4), or when the model has left the reading (15).  In
+between, and until the oldest measurement expires, state and outputs are functions of time alone; so whole
+stretches of samples are evaluated at once, and what happens at a sample is written per event.
+
+The recursion is the paper's, with two safeguards that keep it a least-squares fit of its buffer.  The state
+is fitted anew from the buffer (a) when taking out a measurement would cost too many digits, and (b) every
+`REFIT_SPAN` time constants: moving t0 shrinks the covariance of γ by e^(-s) each time, and with it what is
+left of the start's 10⁶ °C, which after an hour would hold γ at zero as firmly as a measurement does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.columns import Column
+from imumon.filters.rates import RateEstimate
+from imumon.filters.segments import Breaks
+from imumon.papers.square_root import fit, pull_back, update
+
+START_SD = 1e6
+"""Standard deviation of each coefficient before the first measurement."""
+START_SPACING_S = 60.0
+"""The virtual start measurements lie a minute apart."""
+REFIT_SPAN = 2.0
+"""Time constants by which t0 may move before the state is fitted anew."""
+LEAST_SHARE = 1e-4
+"""A measurement is pulled back only when the others leave this share of its variance to it."""
+STRETCH = 64
+"""Samples that are evaluated at once at first; twice as many each time nothing happens."""
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """What a user may set; the paper has 300 or 180 s, 180 or 120 s, and 90 measurements.
+
+    Raises ValueError when they are out of range.
+    """
+
+    step: float = 0.05
+    """Quantization step δτ of the sensor in °C."""
+    window_s: float = 300.0
+    """Least length T_w of the window in s."""
+    time_constant_s: float = 180.0
+    """Time constant T0 in s."""
+    buffer_size: int = 90
+    """N > 2 `order`; when so many measurements are in the buffer, the oldest goes."""
+    order: int = 3
+    """3: α + βu + γe^(-u) (13); 2: α + βu, the paper's section 4.2, where T0 only scales u."""
+
+    def __post_init__(self) -> None:
+        positive = self.step > 0 and self.window_s > 0 and self.time_constant_s > 0
+        if not (positive and self.buffer_size > 2 * self.order):
+            raise ValueError("step, window and time constant must be positive, and the buffer exceed 2 n")
+
+    @property
+    def sigma(self) -> float:
+        """σ0 of a measurement, °C."""
+        return self.step / 4.0
+
+
+@dataclass
+class State:
+    """What the filter carries from sample to sample."""
+
+    x: FloatArray
+    """α, β (and γ), °C, (n,)."""
+    s: FloatArray
+    """Upper triangular, S Sᵀ the covariance, (n, n)."""
+    t0: float
+    """Time bias, s."""
+    last_reading: float
+    temperature: float
+    """Of the last sample, °C."""
+    buffer: deque[tuple[float, float]] = field(default_factory=deque)
+    """Measurements in use, oldest first, °C and s."""
+    shift: float = 0.0
+    """Time constants by which t0 moved since the last fit."""
+
+
+def model_row(order: int, u: float) -> FloatArray:
+    """Return h (13) at u = (t - t0)/T0, (n,)."""
+    return np.array([1.0, u, math.exp(-u)][:order])
+
+
+def start(params: Params, t: float, reading: float) -> State:
+    """Listing 1: 2n virtual measurements of the first reading, one a minute into the past."""
+    n = params.order
+    state = State(np.zeros(n), START_SD * np.eye(n), t - 2 * n * START_SPACING_S, reading, reading)
+    for k in range(2 * n, 0, -1):
+        measure(state, params, t - k * START_SPACING_S, reading)
+    return state
+
+
+def measure(state: State, params: Params, t: float, z: float) -> None:
+    """Store a measurement (4, 15) and take it into the state (9, 11)."""
+    state.buffer.append((z, t))
+    u = (t - state.t0) / params.time_constant_s
+    state.x, state.s = update(state.x, state.s, z, model_row(params.order, u), params.sigma)
+
+
+def expires_s(state: State, params: Params) -> float:
+    """Return when the oldest measurement expires (section 3.3), infinity if not before another comes."""
+    buffer = state.buffer
+    if len(buffer) == params.buffer_size:
+        return -math.inf
+    # As in listing 2 the newest and the second oldest must be T_w apart, and 2 n measurements remain.
+    if len(buffer) <= 2 * params.order or buffer[-1][1] - buffer[1][1] < params.window_s:
+        return math.inf
+    return buffer[0][1] + params.window_s
+
+
+def expire(state: State, params: Params, t: float) -> None:
+    """Pull back what has expired or overflows the buffer (12), and move t0 (section 3.4)."""
+    sound = True
+    while t > expires_s(state, params):
+        z, time = state.buffer.popleft()
+        if sound:
+            h = model_row(params.order, (time - state.t0) / params.time_constant_s)
+            pulled = pull_back(state.x, state.s, z, h, params.sigma, LEAST_SHARE)
+            sound = pulled is not None
+            state.x, state.s = pulled or (state.x, state.s)
+    oldest = state.buffer[0][1]
+    shift = (oldest - state.t0) / params.time_constant_s
+    state.t0, state.shift = oldest, state.shift + shift
+    if sound and state.shift <= REFIT_SPAN:
+        state.x, state.s = move_bias(state.x, state.s, shift)
+    else:
+        refit(state, params)
+
+
+def move_bias(x: FloatArray, s: FloatArray, shift: float) -> tuple[FloatArray, FloatArray]:
+    """Move t0 by `shift` time constants (16): x ← C x, S ← C S.
+
+    C and S are upper triangular with positive diagonals, so C S is the Cholesky factor of C S Sᵀ Cᵀ; to form
+    that product first would square the condition number.
+    """
+    n = len(x)
+    c = np.array([[1.0, shift, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, math.exp(-shift)]])[:n, :n]
+    return c @ x, c @ s
+
+
+def refit(state: State, params: Params) -> None:
+    """Fit the measurements of the buffer from scratch."""
+    data = np.array(state.buffer)
+    rows = np.array([model_row(params.order, u) for u in (data[:, 1] - state.t0) / params.time_constant_s])
+    state.x, state.s = fit(rows, data[:, 0], params.sigma, START_SD)
+    state.shift = 0.0
+
+
+def evaluate(state: State, params: Params, seconds: FloatArray) -> RateEstimate:
+    """Return the four outputs (13, 17) at these times.
+
+    Written out, not as a product of matrices: the same sample must give the same bits in any block.
+    """
+    x, s, constant = state.x, state.s, params.time_constant_s
+    u = (seconds - state.t0) / constant
+    t1 = s[0, 1] + u * s[1, 1]
+    if params.order == 2:
+        temperature_sd = np.sqrt(s[0, 0] ** 2 + t1**2)
+        rate = np.full(len(u), x[1] / constant)
+        return RateEstimate(x[0] + u * x[1], rate, temperature_sd, np.full(len(u), abs(s[1, 1]) / constant))
+    decay = np.exp(-u)
+    t2 = s[0, 2] + u * s[1, 2] + decay * s[2, 2]
+    r2 = s[1, 2] - decay * s[2, 2]
+    return RateEstimate(
+        x[0] + u * x[1] + decay * x[2],
+        (x[1] - decay * x[2]) / constant,
+        np.sqrt(s[0, 0] ** 2 + t1**2 + t2**2),
+        np.sqrt(s[1, 1] ** 2 + r2**2) / constant,
+    )
+
+
+class FirRate:
+    """Least squares of a short-term model over the level changes of the last few minutes."""
+
+    def __init__(self, params: Params) -> None:
+        self.params = params
+        self.state: State | None = None
+        self._breaks = Breaks()
+        self._origin_ns = 0
+
+    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
+        """Return the estimates of samples that follow those of the last call.
+
+        Parameters
+        ----------
+        time_ns, segment : array, (n,)
+            Device time and the number of its segment; a new segment starts the filter anew.
+        reading : array, (n,)
+            °C; a sample whose reading is not finite is passed over.
+        """
+        n = len(reading)
+        out = np.full((4, n), np.nan)
+        if not n:
+            return RateEstimate(*out)
+        breaks = self._breaks.rows(time_ns, segment)
+        for begin, end in pairwise(sorted({0, *breaks, n})):
+            if begin in breaks:
+                self.state = None
+            if self.state is None:
+                valid = np.flatnonzero(np.isfinite(reading[begin:end]))
+                if not len(valid):
+                    continue
+                begin += int(valid[0])
+                self._origin_ns = int(time_ns[begin])
+                self.state = start(self.params, 0.0, float(reading[begin]))
+            seconds = (time_ns[begin:end] - self._origin_ns).astype(np.float64) * 1e-9
+            self._run(self.state, seconds, reading[begin:end], out[:, begin:end])
+        return RateEstimate(*out)
+
+    def _run(self, state: State, seconds: FloatArray, reading: FloatArray, out: FloatArray) -> None:
+        """Fill (4, n): listing 2 at each sample at which something happens, its outputs at the others."""
+        params, at, length = self.params, 0, STRETCH
+        n = len(seconds)
+        while at < n:
+            part = slice(at, min(at + length, n))
+            values = evaluate(state, params, seconds[part])
+            stop = at + self._quiet(state, seconds[part], reading[part], values.temperature)
+            quiet = slice(at, stop)
+            for row, column in zip(
+                out, (values.temperature, values.rate, values.temperature_sd, values.rate_sd), strict=True
+            ):
+                row[quiet] = column[: stop - at]
+            if stop > at:
+                state.temperature = float(out[0, stop - 1])
+            at, length = stop, 2 * length
+            if stop < part.stop:
+                self._event(state, float(seconds[at]), float(reading[at]), out[:, at])
+                at, length = at + 1, STRETCH
+
+    def _quiet(self, state: State, seconds: FloatArray, reading: FloatArray, temperature: FloatArray) -> int:
+        """Return how many samples pass until something happens."""
+        params, last = self.params, state.last_reading
+        before = np.concatenate([[state.temperature], temperature[:-1]])
+        with np.errstate(invalid="ignore"):
+            happens = np.abs(reading - last) > params.step / 2
+            happens |= np.isfinite(reading) & (np.abs(before - last) > params.step)
+            happens |= np.isfinite(reading) & (reading != last)
+        happens |= seconds > expires_s(state, params)
+        return int(np.argmax(happens)) if happens.any() else len(happens)
+
+    def _event(self, state: State, t: float, reading: float, out: FloatArray) -> None:
+        """Go through listing 2 at one sample, and fill its outputs, (4,)."""
+        params, last = self.params, state.last_reading
+        if math.isfinite(reading):
+            if abs(reading - last) > params.step / 2 or abs(state.temperature - last) > params.step:
+                measure(state, params, t, (reading + last) / 2.0)
+            state.last_reading = reading
+        if t > expires_s(state, params):
+            expire(state, params, t)
+        values = evaluate(state, params, np.array([t]))
+        out[:] = values.temperature[0], values.rate[0], values.temperature_sd[0], values.rate_sd[0]
+        state.temperature = float(out[0])
+
+
+class FirStage:
+    """The paper's filter as a stage, one for each temperature of the block.
+
+    Columns are ``fir_temperature_estimate``, ``fir_temperature_rate`` and their standard deviations, with the
+    ending of the channel (``_x`` of ``temperature_x``).
+    """
+
+    CHANNELS = ("temperature", "temperature_x", "temperature_y", "temperature_z")
+
+    def __init__(self, params: Params) -> None:
+        self._params = params
+        self._filters: dict[str, FirRate] = {}
+
+    @property
+    def columns(self) -> Sequence[Column]:
+        """The columns that `process` adds so far."""
+        return [column for channel in self._filters for column in _columns(channel)]
+
+    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+        """Return the new columns of a block; NaN where there is no estimate."""
+        for channel in self.CHANNELS:
+            if channel in block and channel not in self._filters:
+                self._filters[channel] = FirRate(self._params)
+        found: dict[str, ColumnArray] = {}
+        for channel, one in self._filters.items():
+            reading = block[channel] if channel in block else np.full(len(block), np.nan)
+            series = one.process(block["device_time_ns"], block["segment"], np.asarray(reading, np.float64))
+            parts = (series.temperature, series.rate, series.temperature_sd, series.rate_sd)
+            found |= {column.name: part for column, part in zip(_columns(channel), parts, strict=True)}
+        return found
+
+    def notices(self) -> list[str]:
+        """Return nothing: the default says what is wrong with the declared step."""
+        return []
+
+
+def _columns(channel: str) -> list[Column]:
+    end = channel.removeprefix("temperature")
+    return [
+        Column(f"fir_temperature_estimate{end}", "degC", description=f"FIR estimate of {channel}"),
+        Column(f"fir_temperature_rate{end}", "degC/s", description=f"FIR estimate of the rate of {channel}"),
+        Column(f"fir_temperature_estimate_sd{end}", "degC", description="its standard deviation"),
+        Column(f"fir_temperature_rate_sd{end}", "degC/s", description="its standard deviation"),
+    ]

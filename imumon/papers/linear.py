@@ -1,0 +1,138 @@
+"""Kalman filters on model L of Shi Gang et al. (3, 4): φ, δ¹ and δ² known, x_k and x_k-1 the states.
+
+The strong-tracking filter (STF) multiplies the propagated covariance by a fading factor λ ≥ 1 that brings
+the innovation's variance up to what is seen: λ = max(1, (V - q - βR) / (H F P Fᵀ Hᵀ)), q = δ¹² + δ²²,
+with V = e² at the first innovation, then V ← (ρV + e²)/(1 + ρ), ρ = 0.95.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from imumon.blocks import BoolArray, FloatArray
+from imumon.compiled import njit
+from imumon.papers.scalar import ScalarFilter
+
+FORGETTING = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class ModelL:
+    """Model L and where it begins."""
+
+    phi: float
+    delta1: float
+    delta2: float
+    """Parameters of x_k = (1+φ) x_k-1 - φ x_k-2 + δ¹ a_k - δ² a_k-1."""
+    mean: tuple[float, float]
+    variance: tuple[float, float]
+    """(x_k, x_k-1) and the diagonal of its covariance."""
+    noise_variance: float
+    """R, of one measurement."""
+
+
+class LinearSeries(NamedTuple):
+    """x_k|k-1, x_k|k and its standard deviation at each sample, (n,), in the unit of the data."""
+
+    predicted: FloatArray
+    estimate: FloatArray
+    sd: FloatArray
+
+
+class Settings(NamedTuple):
+    """φ, q = δ¹² + δ²², R, and β of the strong-tracking filter, negative for the plain Kalman filter."""
+
+    phi: float
+    process_variance: float
+    noise_variance: float
+    softening: float
+
+
+class State(NamedTuple):
+    """What the filter carries from sample to sample, changed in place."""
+
+    mean: FloatArray
+    covariance: FloatArray
+    """Of (x_k, x_k-1), (2,)."""
+    seen: FloatArray
+    """V, the variance of the innovations as it is seen, (1,); NaN before the first."""
+    largest_fading: FloatArray
+    """The largest λ so far, (1,)."""
+
+
+class LinearFilter(ScalarFilter[LinearSeries]):
+    """Kalman filter on model L.
+
+    Parameters
+    ----------
+    model : ModelL
+        Model, start and R.
+    softening : float or None
+        β of the strong-tracking filter; None for the plain Kalman filter.
+    """
+
+    def __init__(self, model: ModelL, softening: float | None = None) -> None:
+        process = model.delta1**2 + model.delta2**2
+        beta = -1.0 if softening is None else softening
+        self._settings = Settings(model.phi, process, model.noise_variance, beta)
+        mean, covariance = np.array(model.mean, np.float64), np.diag(np.array(model.variance, np.float64))
+        self.state = State(mean, covariance, np.full(1, np.nan), np.ones(1))
+
+    @property
+    def largest_fading(self) -> float:
+        """The largest λ so far."""
+        return float(self.state.largest_fading[0])
+
+    def _filter(self, reading: FloatArray, use: BoolArray, steps: FloatArray) -> LinearSeries:
+        series = LinearSeries(*(np.empty(len(reading)) for _ in LinearSeries._fields))
+        _run(reading, use, steps, self._settings, self.state, series)
+        return series
+
+
+@njit
+def _run(
+    reading: FloatArray,
+    use: BoolArray,
+    steps: FloatArray,
+    settings: Settings,
+    state: State,
+    series: LinearSeries,
+) -> None:
+    """Filter samples; the state changes in place, the series is filled."""
+    x, p, phi, noise = state.mean, state.covariance, settings.phi, settings.noise_variance
+    for k in range(reading.size):
+        x[0], x[1] = (1.0 + phi) * x[0] - phi * x[1], x[0]
+        # F P Fᵀ with F = [[1 + φ, -φ], [1, 0]].
+        across = (1.0 + phi) * p[0, 0] - phi * p[0, 1]
+        p[0, 0], p[1, 1] = (1.0 + phi) * across - phi * ((1.0 + phi) * p[0, 1] - phi * p[1, 1]), p[0, 0]
+        p[0, 1] = p[1, 0] = across
+        process = settings.process_variance * steps[k]
+        innovation = reading[k] - x[0]
+        if use[k] and settings.softening >= 0.0:
+            p *= _fading(innovation, p[0, 0], process, settings, state)
+        p[0, 0] += process
+        series.predicted[k] = x[0]
+        if use[k]:
+            total = p[0, 0] + noise
+            gain, before = p[0, 0] / total, p[1, 0] / total
+            x[0] += gain * innovation
+            x[1] += before * innovation
+            p[1, 1] -= before * p[1, 0]
+            p[0, 0] *= noise / total
+            p[0, 1] = p[1, 0] = before * noise
+        series.estimate[k], series.sd[k] = x[0], np.sqrt(p[0, 0])
+
+
+@njit
+def _fading(innovation: float, had: float, process: float, settings: Settings, state: State) -> float:
+    """Return λ after an innovation, `had` being H F P Fᵀ Hᵀ."""
+    seen = state.seen
+    square = innovation * innovation
+    seen[0] = square if np.isnan(seen[0]) else (FORGETTING * seen[0] + square) / (1.0 + FORGETTING)
+    wanted = seen[0] - process - settings.softening * settings.noise_variance
+    fading = wanted / had if had > 0.0 and wanted > had else 1.0
+    state.largest_fading[0] = max(state.largest_fading[0], fading)
+    return fading

@@ -1,0 +1,168 @@
+"""Where the filters of model L and NL begin: level, R and δ¹ of a local level, by likelihood.
+
+Model NL does not learn δ¹ and δ²: their covariance with x is zero and stays so.  They are fitted here
+instead.  With φ = 0 and δ² = 0 model L is a random walk measured with white noise: δ¹ = √(walk Δt) and
+R = white / Δt.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imumon.blocks import FloatArray, IntArray
+from imumon.errors import ImumonError, Reason
+from imumon.filters.slots import SlotGatherer
+from imumon.papers.rest_means import SLOT_S, RestMean, RestMeans
+
+LEAST_MEANS = 30
+RATIOS = np.concatenate([[0.0], 10.0 ** np.arange(-11.0, 1.01, 0.05)])
+"""Walks that are tried, to the white noise's density, 1/s²."""
+EXPECTED = slice(61, None)
+"""From 1e-8 /s² on: below, a walk cannot be told from none within a day."""
+CHI_SQUARE_95 = 3.84
+"""A deviance may exceed the least by this within 95 %."""
+FLOOR = 1e-24
+"""(rad/s)² s: white noise below 1e-12 rad/s/√Hz is none; keeps a constant reading from dividing by zero."""
+TO_INSTABILITY = math.sqrt(math.pi / math.log(10.0))
+"""Bias instability B (IEEE Std 952: the Allan floor is 0.664 B) of flicker with unit variance per decade."""
+
+
+@dataclass(frozen=True, slots=True)
+class LocalLevel:
+    """Noise of a local level."""
+
+    white: float
+    """Density of the white noise, (rad/s)² s."""
+    walk: float
+    """(rad/s)²/s."""
+
+    def noise_variance(self, interval_s: float) -> float:
+        """Return R of a sample, (rad/s)²."""
+        return self.white / interval_s
+
+    def process_variance(self, interval_s: float) -> float:
+        """Return q = δ¹² of a sample, (rad/s)²."""
+        return self.walk * interval_s
+
+    def delta1(self, interval_s: float) -> float:
+        """Return δ¹ at this sampling interval, with δ² = 0, rad/s."""
+        return math.sqrt(self.process_variance(interval_s))
+
+
+@dataclass(frozen=True, slots=True)
+class LocalLevelFit:
+    """Fit of a local level."""
+
+    best: LocalLevel
+    """Most likely; its walk may be 0."""
+    expected: LocalLevel
+    """Mean over the logarithm of the walk, weighted by the likelihood: never without a walk, for without
+    process noise the covariance of the filters degenerates."""
+    walk_range: tuple[float, float]
+    """95 % limits of the walk; the lower one is 0 when the data do not show that there is one."""
+    means: int
+    """Seconds at rest that were used."""
+
+    @property
+    def identified(self) -> bool:
+        """Whether the data show a walk at all; a minute hardly ever does."""
+        return self.walk_range[0] > 0.0
+
+
+def means_of(time_ns: IntArray, reading: FloatArray) -> list[RestMean]:
+    """Return the means of a recording at rest, reading (n,) in rad/s, NaN where it is not."""
+    gatherer = SlotGatherer(1, round(SLOT_S * 1e9))
+    slots = gatherer.process(time_ns, np.zeros(len(time_ns), np.int64), reading[:, np.newaxis])
+    return [row[0] for row in RestMeans().process(slots)]
+
+
+def fit_local_level(means: Sequence[RestMean]) -> LocalLevelFit:
+    """Fit white noise and random walk by likelihood.
+
+    Raises BAD_DATA when there are too few means.
+    """
+    count = sum(1 for mean in means if mean.covered_s > 0.0)
+    if count < LEAST_MEANS:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{count} s of readings at rest",
+            f"noise can be fitted from {LEAST_MEANS} s on; hours are better",
+        )
+    deviance, white = deviances(means, RATIOS)
+    best = int(np.argmin(deviance))
+    walks = RATIOS * white[best]
+    inside = walks[deviance <= deviance[best] + CHI_SQUARE_95]
+    weights = np.exp(-0.5 * (deviance[EXPECTED] - deviance[EXPECTED].min()))
+    weights /= weights.sum()
+    mean_white = float(weights @ white[EXPECTED])
+    mean_ratio = math.exp(float(weights @ np.log(RATIOS[EXPECTED])))
+    return LocalLevelFit(
+        LocalLevel(float(white[best]), float(walks[best])),
+        LocalLevel(mean_white, mean_ratio * mean_white),
+        (float(inside[0]), float(inside[-1])),
+        count,
+    )
+
+
+def deviances(means: Sequence[RestMean], ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return -2 log likelihood and the white noise's density at its best, (g,), for ratios walk / white.
+
+    One Kalman filter for each ratio, all in units of the white noise, whose density is profiled out.
+    """
+    level, variance = np.zeros(len(ratios)), np.full(len(ratios), np.inf)
+    logs, squares, count = np.zeros(len(ratios)), np.zeros(len(ratios)), 0
+    for new in means:
+        if new.begins:
+            variance[:] = np.inf
+        variance = variance + ratios * new.elapsed_s
+        if not new.covered_s > 0.0:
+            continue
+        noise = 1.0 / new.covered_s
+        if np.isinf(variance[0]):
+            level[:], variance[:] = new.mean, noise
+            continue
+        total, innovation = variance + noise, new.mean - level
+        logs += np.log(total)
+        squares += innovation**2 / total
+        count += 1
+        level += variance / total * innovation
+        variance = variance * noise / total
+    white = squares / max(count, 1) + FLOOR
+    return count * np.log(white) + logs, white
+
+
+def level_after(means: Sequence[RestMean], noise: LocalLevel) -> tuple[float, float]:
+    """Return the level after the last mean of a segment and its variance, NaN where there is none."""
+    level, variance = math.nan, math.nan
+    for new in means:
+        if new.begins:
+            level = variance = math.nan
+        variance += noise.walk * new.elapsed_s
+        if new.covered_s > 0.0:
+            measured = noise.white / new.covered_s
+            if math.isnan(level):
+                level, variance = new.mean, measured
+            else:
+                gain = variance / (variance + measured)
+                level += gain * (new.mean - level)
+                variance *= 1.0 - gain
+    return level, variance
+
+
+def from_noise(
+    angle_random_walk: float, bias_instability: float | None, rate_random_walk: float | None
+) -> LocalLevel:
+    """Return the local level that has the least error where the noise is known, rad/√s, rad/s and rad/s/√s.
+
+    A mean over T has the error 1/(2T) + h ln T + walk T/2 and a constant, h the flicker per e-fold, in units
+    of the white noise; its least is at 1/T = h + √(h² + walk), and the filter that averages over T has the
+    walk 1/T².
+    """
+    white = angle_random_walk**2
+    flicker = ((bias_instability or 0.0) / TO_INSTABILITY) ** 2 / white / math.log(10.0)
+    walk = (rate_random_walk or 0.0) ** 2 / white
+    return LocalLevel(white, (flicker + math.sqrt(flicker**2 + walk)) ** 2 * white)

@@ -1,0 +1,288 @@
+"""Heading of a unit at rest by the fixed-gain loop of Lee et al., Sensors 2020, 20(8), 2188, as printed.
+
+The strapdown attitude C (body to east-north-up) is turned by the gyros less the control rates, which the
+horizontal velocities drive so that they vanish (figure 3, equations 4 to 7):
+
+    v' = (C f)_h - k v,   ω_Ec = -k_b v_N,   ω_Nc = k_b v_E,   C' = C [ω×] - [(Ω + ω_c)×] C
+
+Each horizontal channel has the characteristic s² + k s + k_b g; k = 2 ζ ω_n, k_b = ω_n² / g.  At rest the
+control rates are what the frame turns by besides the earth's rate, so that (18) with
+β_E = mean ω_Ec and β_N = Ω cos L + mean ω_Nc the frame's heading is off by arctan(β_E / β_N).  The mean is
+
+- the total average (28), α(T) / T with α the integral of ω_c, or
+- the curve fit (30, 31), the slope a of the least-squares line a t + b through α(t).
+
+An accelerometer that warms up, δa (1 - exp(-t/T_i)), puts an error into both (19, 22, 29): there is no sigma
+in the paper, and so there is none here.  The paper runs the loop at 200 Hz; here it runs on means of
+`SLOT_S`, with the poles of each step at exactly exp(s h), so that it is stable at any rate.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from imumon.blocks import NO_INT, ColumnArray, FloatArray, SampleBlock
+from imumon.columns import Column
+from imumon.filters.slots import SlotGatherer
+from imumon.filters.turns import rotation_by
+from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY, heading_of
+from imumon.papers.shown import Shown
+
+SLOT_S = 0.125
+"""The loop follows errors of minutes; faster than this it only passes on noise, which the means take away."""
+LONGEST_GAP_S = 2.0
+"""After a longer gap the alignment begins anew."""
+LOOP, AVERAGE, CURVE = "fixed_gain_loop", "total_average", "curve_fit"
+METHODS = (LOOP, AVERAGE, CURVE)
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """What a user may set."""
+
+    latitude: float
+    """rad."""
+    coarse_s: float = 30.0
+    """s of averaging that the loop starts from."""
+    corner_hz: float = 2.0
+    damping: float = 0.7
+    """ω_n / 2π and ζ of the loop."""
+
+    @property
+    def corner(self) -> float:
+        """ω_n, rad/s."""
+        return 2.0 * math.pi * self.corner_hz
+
+    @property
+    def earth_rate(self) -> FloatArray:
+        """Ω east, north, up, rad/s, (3,)."""
+        return earth_rate(self.latitude)
+
+
+@dataclass
+class Loop:
+    """State of the loop."""
+
+    attitude: FloatArray
+    """C, body to east-north-up, (3, 3)."""
+    velocity: FloatArray = field(default_factory=lambda: np.zeros(2))
+    """East, north, m/s, (2,)."""
+
+
+@lru_cache(maxsize=16)
+def earth_rate(latitude: float) -> FloatArray:
+    """Return Ω east, north, up, rad/s, (3,)."""
+    return EARTH_RATE * np.array([0.0, math.cos(latitude), math.sin(latitude)])
+
+
+class Gains(NamedTuple):
+    """Of a step h in s: the decay of a velocity, exp(-k h), and k_b in rad/m."""
+
+    interval_s: float
+    decay: float
+    kb: float
+
+
+@lru_cache(maxsize=16)
+def gains(corner: float, damping: float, interval_s: float) -> Gains:
+    """Return the gains that place the poles of the sampled loop at exp(s h); corner ω_n in rad/s."""
+    decay = math.exp(-2.0 * damping * corner * interval_s)
+    inside = 1.0 - damping * damping
+    angle = corner * interval_s * math.sqrt(abs(inside))
+    swing = math.cos(angle) if inside >= 0.0 else math.cosh(angle)
+    trace = 2.0 * math.exp(-damping * corner * interval_s) * swing
+    return Gains(interval_s, decay, (1.0 + decay - trace) / (interval_s**2 * STANDARD_GRAVITY))
+
+
+def coarse(rate: FloatArray, force: FloatArray) -> FloatArray:
+    """Return C from the mean rate and specific force at rest, body axes: up, and the earth's rate north."""
+    up = force / np.linalg.norm(force)
+    north = rate - (rate @ up) * up
+    north /= np.linalg.norm(north)
+    return np.vstack([np.cross(north, up), north, up])
+
+
+def step(loop: Loop, gain: Gains, earth: FloatArray, rate: FloatArray, force: FloatArray) -> FloatArray:
+    """Go on by one step (4 to 7); return the control rates ω_Ec, ω_Nc in rad/s, (2,).
+
+    Parameters
+    ----------
+    earth : array (3,)
+        Ω east, north, up, rad/s.
+    rate, force : array (3,)
+        rad/s and m/s², body axes.
+    """
+    frame = loop.attitude @ rate - earth
+    loop.velocity = gain.decay * loop.velocity + gain.interval_s * (loop.attitude @ force)[:2]
+    control = gain.kb * np.array([-loop.velocity[1], loop.velocity[0]])
+    frame[:2] -= control
+    loop.attitude = rotation_by(gain.interval_s * frame) @ loop.attitude
+    return control
+
+
+@dataclass
+class Average:
+    """Total average (28): the integral of the control rates over the time."""
+
+    seconds: float = 0.0
+    angle: FloatArray = field(default_factory=lambda: np.zeros(2))
+
+    def add(self, control: FloatArray, interval_s: float) -> None:
+        """Take in a step."""
+        self.seconds += interval_s
+        self.angle = self.angle + interval_s * control
+
+    @property
+    def rate(self) -> FloatArray:
+        """Mean ω_Ec, ω_Nc, rad/s, (2,)."""
+        return self.angle / self.seconds
+
+
+@dataclass
+class Line:
+    """Curve fit (30, 31): HᵀH and Hᵀz of a line a t + b through α(t), H of rows [t, 1]."""
+
+    normal: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
+    right: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
+
+    def add(self, seconds: float, angle: FloatArray) -> None:
+        """Take in α at a time."""
+        row = np.array([seconds, 1.0])
+        self.normal = self.normal + np.outer(row, row)
+        self.right = self.right + np.outer(row, angle)
+
+    @property
+    def rate(self) -> FloatArray:
+        """a of both channels, rad/s, (2,); NaN before there are two points."""
+        if self.normal[1, 1] < 2.0:
+            return np.full(2, np.nan)
+        return np.asarray(np.linalg.solve(self.normal, self.right)[0])
+
+
+@dataclass
+class State:
+    """Where the alignment is: coarse (no loop yet), or fine."""
+
+    seconds: float = 0.0
+    rate: FloatArray = field(default_factory=lambda: np.zeros(3))
+    force: FloatArray = field(default_factory=lambda: np.zeros(3))
+    loop: Loop | None = None
+    control: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
+    average: Average = field(default_factory=Average)
+    line: Line = field(default_factory=Line)
+
+    def take(self, params: Params, rate: FloatArray, force: FloatArray, interval_s: float) -> None:
+        """Take in a slot."""
+        if self.loop is None:
+            self.seconds += interval_s
+            self.rate = self.rate + interval_s * rate
+            self.force = self.force + interval_s * force
+            if self.seconds >= params.coarse_s:
+                self.loop = Loop(coarse(self.rate, self.force))
+            return
+        gain = gains(params.corner, params.damping, interval_s)
+        self.control = step(self.loop, gain, params.earth_rate, rate, force)
+        self.average.add(self.control, interval_s)
+        self.line.add(self.average.seconds, self.average.angle)
+
+    def heading(self, params: Params, mean: FloatArray) -> float:
+        """Return the heading (18) in rad, 0 to 2π, from mean control rates, (2,)."""
+        if self.loop is None:
+            return math.nan
+        c = self.loop.attitude
+        frame = heading_of(c[2], c[1])
+        beta_north = params.earth_rate[1] + mean[1]
+        return (frame - math.atan2(mean[0], beta_north)) % (2.0 * math.pi)
+
+
+class SelfAlignment:
+    """The published alignment as a stage; it begins anew after motion, a gap or a restart of the device.
+
+    Columns are ``fixed_gain_loop_heading`` (of the control rates as they are),
+    ``fixed_gain_loop_control_rate_{east,north}``, ``total_average_heading`` and ``curve_fit_heading``.
+
+    Parameters
+    ----------
+    methods : sequence of str
+        Of `METHODS`: whose columns are given.
+    """
+
+    def __init__(self, params: Params, methods: Sequence[str] = METHODS) -> None:
+        self._params = params
+        self._methods = [method for method in METHODS if method in methods]
+        self._gatherer = SlotGatherer(7, round(SLOT_S * 1e9))
+        self._state = State()
+        self._middle_ns = 0
+        self._shown = Shown([len(self.columns)])
+
+    @property
+    def columns(self) -> Sequence[Column]:
+        """The columns that `process` adds."""
+        found = []
+        if LOOP in self._methods:
+            found.append(Column(f"{LOOP}_heading", "rad", description="heading by the control rates of now"))
+            for way in ("east", "north"):
+                text = f"control rate {way} of the fixed-gain loop"
+                found.append(Column(f"{LOOP}_control_rate_{way}", "rad/s", description=text))
+        if AVERAGE in self._methods:
+            text = "heading by the total average of the control rates"
+            found.append(Column(f"{AVERAGE}_heading", "rad", description=text))
+        if CURVE in self._methods:
+            text = "heading by the line through the integral of the control rates"
+            found.append(Column(f"{CURVE}_heading", "rad", description=text))
+        return found
+
+    def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
+        """Return the new columns of a block, NaN where there is no heading.
+
+        Needs ``device_time_ns``, ``segment``, gyros and accelerometers; uses ``at_rest``.
+        """
+        n = len(block)
+        gyro, accel = block.gyro, block.accel
+        values = np.full((n, 7), np.nan)
+        if gyro is not None and accel is not None:
+            values[:, :3], values[:, 3:6] = gyro, accel
+        values[:, 6] = 1.0
+        if "at_rest" in block:
+            known = block["at_rest"]
+            values[:, 6] = (known != 0) | (known == NO_INT)
+        slots = self._gatherer.process(block["device_time_ns"], block["segment"], values)
+        said = np.empty((len(slots), len(self.columns)))
+        for k in range(len(slots)):
+            elapsed = (int(slots.middle_ns[k]) - self._middle_ns) * 1e-9
+            self._middle_ns = int(slots.middle_ns[k])
+            if slots.begins[k] or slots.smallest[k, 6] == 0.0 or elapsed > LONGEST_GAP_S:
+                self._state = State()
+                elapsed = SLOT_S
+            mean = slots.mean[k]
+            if np.isfinite(mean).all() and slots.smallest[k, 6] == 1.0:
+                # Whole slots: their middles differ by a sample as the samples fall.
+                interval = SLOT_S * max(round(elapsed / SLOT_S), 1)
+                self._state.take(self._params, mean[:3], mean[3:6], interval)
+            said[k] = self._say()
+        result = self._shown.spread(slots.row, said, self._shown.breaks(block), n)
+        return {column.name: result[:, j] for j, column in enumerate(self.columns)}
+
+    def _say(self) -> FloatArray:
+        """Return the values of the columns."""
+        state, params = self._state, self._params
+        if state.loop is None or not state.average.seconds:
+            return np.full(len(self.columns), np.nan)
+        found: list[float] = []
+        if LOOP in self._methods:
+            found += [state.heading(params, state.control), *state.control]
+        if AVERAGE in self._methods:
+            found.append(state.heading(params, state.average.rate))
+        if CURVE in self._methods:
+            found.append(state.heading(params, state.line.rate))
+        return np.array(found)
+
+    def notices(self) -> list[str]:
+        """Return nothing: the paper judges nothing."""
+        return []

@@ -1,0 +1,316 @@
+"""SR-UKF and SR-RSUKF of Shi Gang et al. on model NL: X = (x_k, x_k-1, φ, δ¹, δ²), in square-root form.
+
+Equation numbers are the paper's.  X is augmented with the noises (a_k, a_k-1): n = 7 states, 14 sigma points
+X ± √7 S_j besides the central one (α = 1, β = κ = 0: weights 1/14, none negative, and the central point
+counts for nothing).  The noise states are reset after every update (21), so only the five real states are
+carried on, and the decomposition of (14) goes onto their five rows.
+
+Risk (15) is P ← (P⁻¹ - 2μ)⁻¹.  The inverses, and the printed 7-state P, are singular at φ = 0, so it is
+done on S: removing 2μ_i from the information is removing a measurement of variance 1/(2μ_i), entry by entry.
+Equation (20) as printed, U = P_xz S_z, is wrong by S_z²: it must be P_xz / S_z.
+
+The steps are compiled: they run at every sample, and in NumPy one takes 52 µs, compiled 0.5.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from imumon.blocks import BoolArray, FloatArray, IntArray
+from imumon.compiled import njit
+from imumon.errors import ImumonError, Reason
+from imumon.papers.scalar import ScalarFilter
+
+STATES = ("x", "x_before", "phi", "delta1", "delta2")
+N = len(STATES)
+X, BEFORE, PHI, DELTA1, DELTA2 = range(N)
+"""Places of the states in X."""
+NOISES = 2
+POINTS = 2 * (N + NOISES)
+"""Sigma points besides the central one."""
+GAMMA = math.sqrt(N + NOISES)
+
+CEILING = 0.95
+"""2 μ_x (R + q) may not be more: at 1 the variance escapes (limit of a lasting risk on a random walk)."""
+STEP_CEILING = 0.9999
+"""2 μ_i P_ii may not be more in any step; μ_i is shrunk for the step when it would."""
+REGULAR = 1.5
+"""A step of so many intervals or more is a gap: φ says nothing of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class ModelNL:
+    """Where model NL begins."""
+
+    mean: Sequence[float]
+    variance: Sequence[float]
+    """X and the diagonal of its covariance, in the unit of the data and its square (φ has none)."""
+    noise_variance: float
+    """R, of one measurement."""
+
+    @property
+    def process_variance(self) -> float:
+        """What a step adds to the variance of x: δ¹² + δ²²."""
+        return self.mean[DELTA1] ** 2 + self.mean[DELTA2] ** 2
+
+
+class FilterSeries(NamedTuple):
+    """What a filter says at each sample, arrays of shape (n,)."""
+
+    predicted: FloatArray
+    estimate: FloatArray
+    sd: FloatArray
+    """x_k|k-1, x_k|k and its standard deviation, in the unit of the data."""
+    phi: FloatArray
+    phi_sd: FloatArray
+    """φ and its standard deviation."""
+
+
+class Settings(NamedTuple):
+    """R, the diagonal of μ (5,), and the limit of φ."""
+
+    noise_variance: float
+    risk: FloatArray
+    phi_limit: float
+
+
+class State(NamedTuple):
+    """What the filter carries from sample to sample, changed in place."""
+
+    mean: FloatArray
+    factor: FloatArray
+    """X and the lower triangular S of its covariance S Sᵀ, (5,)."""
+    shrunk: IntArray
+    clamped: IntArray
+    """Steps with a smaller μ, and steps at which φ was held back, (1,)."""
+
+
+class SigmaPointFilter(ScalarFilter[FilterSeries]):
+    """SR-RSUKF of one axis; with μ = 0 it is the SR-UKF.
+
+    Raises BAD_CONFIG when μ would make the covariance lose its sign, with the limit.
+
+    Parameters
+    ----------
+    model : ModelNL
+        Mean and covariance to start from, and R.
+    risk : sequence of 5 float
+        Diagonal of μ in 1/unit²; zero for φ, δ¹ and δ².
+    phi_limit : float
+        φ is held within ±phi_limit; infinity lets it go, as the paper does.
+    """
+
+    def __init__(
+        self, model: ModelNL, risk: Sequence[float] = (0.0,) * N, phi_limit: float = math.inf
+    ) -> None:
+        check_risk(model, risk)
+        self.settings = Settings(model.noise_variance, np.array(risk, np.float64), phi_limit)
+        self.state = State(
+            np.array(model.mean, np.float64),
+            np.diag(np.sqrt(np.array(model.variance, np.float64))),
+            np.zeros(1, np.int64),
+            np.zeros(1, np.int64),
+        )
+
+    @property
+    def shrunk_steps(self) -> int:
+        """Steps at which μ had to be smaller."""
+        return int(self.state.shrunk[0])
+
+    @property
+    def clamped_steps(self) -> int:
+        """Steps at which φ wanted to leave its limits."""
+        return int(self.state.clamped[0])
+
+    def _filter(self, reading: FloatArray, use: BoolArray, steps: FloatArray) -> FilterSeries:
+        series = FilterSeries(*(np.empty(len(reading)) for _ in FilterSeries._fields))
+        _run(reading, use, steps, self.settings, self.state, series)
+        return series
+
+
+def check_risk(model: ModelNL, risk: Sequence[float]) -> None:
+    """Refuse a risk that breaks the filter at once or in the long run.
+
+    Raises BAD_CONFIG, with what was given and the limit.
+    """
+    names = dict(zip(STATES, risk, strict=True))
+    if any(value < 0.0 or not math.isfinite(value) for value in risk):
+        raise ImumonError(Reason.BAD_CONFIG, f"risk μ {names}", "μ must be finite and not negative")
+    for i in (PHI, DELTA1, DELTA2):
+        if risk[i] > 0.0 and model.variance[i] > 0.0:
+            escape = 1.0 / (2.0 * risk[i] * model.variance[i])
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"risk μ {risk[i]:g} on {STATES[i]}: its variance {model.variance[i]:g} escapes at step "
+                f"{escape:.0f}, because nothing measures it",
+                "put the risk on x alone",
+            )
+    both = risk[X] + risk[BEFORE]
+    scale = 2.0 * (model.noise_variance + model.process_variance)
+    if both * scale > CEILING * (1.0 + 1e-9):
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"risk μ {both:g} on x: 2μ(R + q) is {both * scale:.3g}, and the variance escapes at 1",
+            f"μ may be {CEILING / scale:.6g} at most with R + q = {scale / 2:.6g}",
+        )
+    phi, x, before = model.mean[PHI], model.variance[X], model.variance[BEFORE]
+    delta = model.mean[X] - model.mean[BEFORE]
+    first = (1 + phi) ** 2 * x + phi**2 * before + delta**2 * model.variance[PHI] + model.process_variance
+    if 2.0 * risk[X] * first >= 1.0:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"risk μ {risk[X]:g} on x: 2μP is {2 * risk[X] * first:.3g} at the first step, 1 or more",
+            f"μ must be below {0.5 / first:.6g}, or the start better known",
+        )
+
+
+@njit
+def _run(
+    reading: FloatArray,
+    use: BoolArray,
+    steps: FloatArray,
+    settings: Settings,
+    state: State,
+    series: FilterSeries,
+) -> None:
+    """Filter samples; the state changes in place, the series is filled."""
+    mean, factor = state.mean, state.factor
+    deviations = np.empty((N, POINTS))
+    for k in range(reading.size):
+        if use[k] and steps[k] < REGULAR:
+            predict(mean, factor, deviations, steps[k])
+        else:
+            hold(mean, factor, deviations, steps[k])
+        if use[k] and take_risk(factor, settings.risk):
+            state.shrunk[0] += 1
+        series.predicted[k] = mean[X]
+        if use[k]:
+            measure(mean, factor, reading[k], settings.noise_variance)
+            if abs(mean[PHI]) > settings.phi_limit:
+                mean[PHI] = math.copysign(settings.phi_limit, mean[PHI])
+                state.clamped[0] += 1
+        series.estimate[k], series.sd[k] = mean[X], factor[X, X]
+        series.phi[k] = mean[PHI]
+        series.phi_sd[k] = math.sqrt(factor[PHI, X] ** 2 + factor[PHI, BEFORE] ** 2 + factor[PHI, PHI] ** 2)
+
+
+@njit
+def _model(x: FloatArray, newer: float, older: float) -> float:
+    """Return x_k of model NL (5) from X_k-1 and the noises a_k, a_k-1."""
+    return float((1.0 + x[PHI]) * x[X] - x[PHI] * x[BEFORE] + x[DELTA1] * newer - x[DELTA2] * older)
+
+
+@njit
+def predict(mean: FloatArray, factor: FloatArray, deviations: FloatArray, noise: float) -> None:
+    """Apply model NL to sigma points (12 to 14); `noise` is Q, `deviations` (5, 14) is room to work in."""
+    centre = _model(mean, 0.0, 0.0)
+    point, root = np.empty(N), GAMMA * math.sqrt(noise)
+    shift, scale = 0.0, 1.0 / math.sqrt(POINTS)
+    for j in range(POINTS):
+        column, sign = j // 2, 1.0 - 2.0 * (j % 2)
+        newer = sign * root if column == N else 0.0
+        older = sign * root if column == N + 1 else 0.0
+        for i in range(N):
+            more = sign * GAMMA * factor[i, column] if column < N else 0.0
+            point[i] = mean[i] + more
+            # x_k-1 is the x_k of before, and φ, δ¹ and δ² stay: their means do, too.
+            if i == X:
+                deviations[BEFORE, j] = scale * more
+            elif i != BEFORE:
+                deviations[i, j] = scale * more
+        deviations[X, j] = _model(point, newer, older) - centre
+        shift += deviations[X, j] / POINTS
+    mean[BEFORE], mean[X] = mean[X], centre + shift
+    for j in range(POINTS):
+        deviations[X, j] = scale * (deviations[X, j] - shift)
+    _lower(deviations, factor)
+
+
+@njit
+def hold(mean: FloatArray, factor: FloatArray, deviations: FloatArray, noise: float) -> None:
+    """Let x stay where it is, less and less known: in motion and in gaps there is no difference to go on."""
+    for j in range(POINTS):
+        for i in range(N):
+            same = X if i == BEFORE else i
+            deviations[i, j] = factor[same, j] if j < N else 0.0
+    deviations[X, N] = math.sqrt((mean[DELTA1] ** 2 + mean[DELTA2] ** 2) * noise)
+    mean[BEFORE] = mean[X]
+    _lower(deviations, factor)
+
+
+@njit
+def _lower(wide: FloatArray, factor: FloatArray) -> None:
+    """Fill the lower triangular S with S Sᵀ = W Wᵀ, by Householder reflections; W (5, 14) is used up."""
+    columns = wide.shape[1]
+    for i in range(N):
+        total = 0.0
+        for j in range(i, columns):
+            total += wide[i, j] ** 2
+        length = math.copysign(math.sqrt(total), wide[i, i])
+        # Twice the inverse square of the reflection's vector v = row + length e_i.
+        scale = total + abs(length * wide[i, i])
+        if scale > 0.0:
+            wide[i, i] += length
+            for row in range(i + 1, N):
+                along = 0.0
+                for j in range(i, columns):
+                    along += wide[i, j] * wide[row, j]
+                along /= scale
+                for j in range(i, columns):
+                    wide[row, j] -= along * wide[i, j]
+        # The sign of a column of S is free: the diagonal is kept positive.
+        factor[i, i] = abs(length)
+        for row in range(i + 1, N):
+            factor[row, i] = -math.copysign(1.0, length) * wide[row, i]
+            factor[i, row] = 0.0
+
+
+@njit
+def take_risk(factor: FloatArray, risk: FloatArray) -> bool:
+    """Raise the covariance by the risk (15); return whether an entry of it had to be smaller.
+
+    With f = row i of S, σ² = 1/(2μ_i) and d_j = σ² - Σ_{k≥j} f_k², the lower triangular B with
+    B Bᵀ = E + f fᵀ/(σ² - fᵀf) has B_jj = √(d_j+1/d_j) and B_lj = f_l f_j / √(d_j+1 d_j), l > j; then S ← S B.
+    """
+    shrunk = False
+    for i in range(N):
+        if risk[i] == 0.0:
+            continue
+        variance = 0.0
+        for j in range(i + 1):
+            variance += factor[i, j] ** 2
+        limit = 0.5 / risk[i]
+        if variance > STEP_CEILING * limit:
+            limit = variance / STEP_CEILING
+            shrunk = True
+        if limit == 0.0:
+            continue
+        gain = np.zeros(N)
+        above = limit
+        for j in range(i, -1, -1):
+            f = factor[i, j]
+            d = above - f * f
+            b, c = math.sqrt(above / d), f / math.sqrt(above * d)
+            for row in range(j, N):
+                old = factor[row, j]
+                factor[row, j] = b * old + c * gain[row]
+                gain[row] += old * f
+            above = d
+    return shrunk
+
+
+@njit
+def measure(mean: FloatArray, factor: FloatArray, reading: float, noise_variance: float) -> None:
+    """Take in x + noise (16 to 20): with x first, only the first column of S changes."""
+    spread = factor[X, X]
+    total = spread * spread + noise_variance
+    residual = reading - mean[X]
+    shrink = math.sqrt(noise_variance / total)
+    for i in range(N):
+        mean[i] += factor[i, X] * spread / total * residual
+        factor[i, X] *= shrink

@@ -1,0 +1,268 @@
+"""From recordings to a model: the truth is found, the sigma is true, and what cannot work is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.errors import ImumonError, Reason
+from imumon.geodesy import EARTH_RATE
+from imumon.intake import Intake
+from imumon.lab.calibration import selection
+from imumon.lab.calibration.calibration import Calibration, calibrate
+from imumon.lab.calibration.cells import channel_of, group, levels
+from imumon.lab.calibration.record import record_of
+from imumon.models.curves.points import folds
+from imumon.models.curves.polynomial import fit_polynomial
+from tests.lab.calibration.records import DEG_H, GRAVITY, record, samples, soak, true_bias, true_slope
+
+GYROS = ("gyro_x", "gyro_y", "gyro_z")
+INSIDE = np.linspace(-20.5, 48.0, 500)
+
+
+@pytest.fixture(scope="module")
+def soaked() -> Calibration:
+    """A calibration of the published soak with half-hour levels."""
+    return calibrate([record(soak())], serial="A1")
+
+
+@pytest.fixture
+def fast(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the networks out where they are not what is tested: they take nearly all of the time."""
+    monkeypatch.setattr(selection, "MOST_NEURONS", 0)
+
+
+def errors(model_values: FloatArray, truth: FloatArray) -> float:
+    return float(np.sqrt(np.mean((model_values - truth) ** 2)) / DEG_H)
+
+
+def test_the_true_curves_and_slopes_are_found(soaked: Calibration) -> None:
+    for j, name in enumerate(GYROS):
+        channel = soaked.model.channels[name]
+        assert errors(channel.value(INSIDE), true_bias(INSIDE)[:, j]) < 2.5
+        assert errors(channel.slope(INSIDE), true_slope(INSIDE)[:, j]) < 0.9
+
+
+def test_the_residual_is_that_of_the_truth(soaked: Calibration) -> None:
+    for j, name in enumerate(GYROS):
+        channel = soaked.model.channels[name]
+        actual = errors(channel.value(INSIDE), true_bias(INSIDE)[:, j])
+        assert 0.5 * actual < channel.residual_sd / DEG_H < 6.0
+
+
+def test_points_scatter_about_the_curve_by_the_noise_of_their_samples(soaked: Calibration) -> None:
+    for finding in soaked.findings.values():
+        points = finding.points
+        left = points.value - finding.choice.curve.value(points.temperature)
+        assert 0.8 < np.sqrt(np.mean(left**2 / finding.white)) < 1.4
+
+
+def test_every_kind_of_curve_was_tried_and_the_worst_is_not_chosen(soaked: Calibration) -> None:
+    for finding in soaked.findings.values():
+        rms = finding.choice.held_out_rms
+        assert {"polynomial 1", "polynomial 9", "spline", "network 1", "network 2", "network 3"} <= set(rms)
+        assert rms[finding.choice.name] <= 1.05 * min(rms.values())
+        assert rms["polynomial 1"] > 10 * rms[finding.choice.name]
+
+
+def test_the_model_says_where_it_comes_from(soaked: Calibration) -> None:
+    model = soaked.model
+    assert (model.serial, model.earth_rate, model.block_s) == ("A1", "included", 10.0)
+    assert len(model.levels_degc) == 15
+    np.testing.assert_allclose(model.levels_degc, [*np.arange(-20.53, 46.0, 5.0), 48.08], atol=0.3)
+    (run,) = model.trained_on
+    assert run.sha256 == "0" * 64
+    assert run.rest_s == pytest.approx(len(soak()), rel=0.01)
+    channel = model.channels["gyro_x"]
+    assert channel.temperature_column == "temperature"
+    np.testing.assert_allclose(channel.temperature_range_degc, [-20.53 - 0.34, 48.08 + 0.34], atol=0.05)
+
+
+def test_a_split_by_sample_shows_no_error_where_levels_left_out_do() -> None:
+    """Levels alone, 13 coefficients for 15 of them: between them the curve is wild, and one split sees it."""
+    t = np.repeat([*np.arange(-20.53, 46.0, 5.0), 48.08], 1800)
+    records = [record(t)]
+    cells = group(records, None, None)
+    channel = channel_of(records, cells, "gyro_z", levels(cells))
+    assert channel is not None
+    points = channel.points()
+    part = np.random.default_rng(0).permutation(len(points)) % 20
+    curve = fit_polynomial(points.only(part < 13), 12)
+    rms = [
+        float(np.sqrt(np.mean((points.value - curve.value(points.temperature))[mine] ** 2))) / DEG_H
+        for mine in (part < 13, (part >= 13) & (part < 17), part >= 17)
+    ]
+    between = errors(curve.value(INSIDE), true_bias(INSIDE)[:, 2])
+    assert max(rms) < 2.0 * min(rms) < 5.0
+    assert between > 5.0 * max(rms)
+    apart = []
+    for out in folds(points.level, 5):
+        left = fit_polynomial(points.only(~out), 9)
+        apart.append(points.value[out] - left.value(points.temperature[out]))
+    assert float(np.sqrt(np.mean(np.concatenate(apart) ** 2))) / DEG_H > 5.0 * max(rms)
+
+
+@pytest.mark.usefixtures("fast")
+def test_turn_on_offsets_are_found_and_the_curve_is_their_mean() -> None:
+    t = soak(600.0)
+    offsets = np.array([0.0, 30.0, -12.0]) * DEG_H
+    records = [record(t, f"s{i}", seed=i, offset=offset) for i, offset in enumerate(offsets)]
+    found = calibrate(records)
+    for j, name in enumerate(GYROS):
+        finding = found.findings[name]
+        np.testing.assert_allclose(finding.offset / DEG_H, (offsets - offsets.mean()) / DEG_H, atol=1.0)
+        assert finding.repeatability is not None
+        assert finding.repeatability / DEG_H == pytest.approx(np.std([0, 30, -12], ddof=1), abs=1.0)
+        expected = true_bias(INSIDE)[:, j] + offsets.mean()
+        assert errors(found.model.channels[name].value(INSIDE), expected) < 2.5
+    assert [run.session for run in found.model.trained_on] == ["s0", "s1", "s2"]
+    assert found.model.trained_on[1].offset["gyro_x"] == found.findings["gyro_x"].offset[1]
+
+
+@pytest.mark.usefixtures("fast")
+def test_runs_without_a_common_temperature_get_no_offset_and_that_is_said() -> None:
+    t = soak(600.0)
+    half = len(t) // 2
+    found = calibrate([record(t[:half], "cold"), record(t[half + 500 :], "warm", seed=1)])
+    assert np.isnan(found.findings["gyro_x"].offset).any()
+    assert any(
+        "have no temperature in common with the others: taken as they are" in text for text in found.warnings
+    )
+
+
+@pytest.mark.usefixtures("fast")
+def test_a_restart_within_a_session_is_a_run_of_its_own() -> None:
+    t = soak(300.0)
+    blocks = [samples(t, 0), samples(t, 1, offset=20.0 * DEG_H, segment=1)]
+    found = calibrate([record_of(blocks, "s", "0" * 64)])
+    assert [run.run for run in found.model.trained_on] == [0, 1]
+    assert np.ptp(found.findings["gyro_y"].offset) / DEG_H == pytest.approx(20.0, abs=1.5)
+
+
+@pytest.mark.usefixtures("fast")
+@pytest.mark.parametrize(
+    ("accel", "earth"),
+    [
+        ((0.0, 0.0, -GRAVITY), (0.6408, 0.3700, -0.6728)),  # FRD, level
+        ((0.0, 0.0, GRAVITY), (0.6408, -0.3700, 0.6728)),  # FLU, level: y and z the other way
+    ],
+)
+def test_the_earth_rate_is_removed_with_latitude_and_heading(
+    accel: tuple[float, float, float], earth: tuple[float, float, float]
+) -> None:
+    """At 42.28° north, heading -30°: 0.7399 of the rate is north (0.866 of it on x, 0.5 on y), 0.6728 up."""
+    t = soak(600.0)
+    block = samples(t, accel=accel)
+    rate = EARTH_RATE * np.array(earth)
+    turned = {f"gyro_{axis}": block[f"gyro_{axis}"] + rate[j] for j, axis in enumerate("xyz")}
+    found = calibrate([record_of([block.with_columns(turned)], "s", "0" * 64)], 42.28, -30.0)
+    assert found.model.earth_rate == "removed"
+    for j, name in enumerate(GYROS):
+        value = found.model.channels[name].value(INSIDE)
+        assert abs(float(np.mean(value - true_bias(INSIDE)[:, j]))) < 0.03 * EARTH_RATE
+
+
+@pytest.mark.usefixtures("fast")
+def test_a_bias_that_is_another_in_each_pose_is_said_and_gravity_is_no_turn_on_offset() -> None:
+    t = soak(600.0)
+    down, up = (samples(t, accel=(0.0, 0.0, sign * GRAVITY)) for sign in (-1.0, 1.0))
+    up = up.with_columns({"gyro_x": up["gyro_x"] + np.radians(20.0) / 3600.0})
+    found = calibrate([record_of([one], name, name * 64) for name, one in (("0", down), ("1", up))])
+    assert found.turned
+    assert [text for text in found.warnings if text.startswith("gyro_x: the bias differs by 14.1 °/h")]
+    assert found.findings["accel_z"].repeatability is None
+    assert "accel_z" not in found.model.trained_on[0].offset
+
+
+@pytest.mark.usefixtures("fast")
+def test_accelerometer_curves_are_the_change_from_the_middle_of_the_range() -> None:
+    t = soak(300.0)
+    block = samples(t, accel=(0.0, 0.0, -GRAVITY))
+    moved = {"accel_x": block["accel_x"] + 1e-3 * (t - 14.0)}
+    model = calibrate([record_of([block.with_columns(moved)], "s", "0" * 64)]).model
+    middle = float(np.mean(model.channels["accel_x"].temperature_range_degc))
+    assert float(model.channels["accel_x"].value(middle)) == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_allclose(model.channels["accel_x"].slope(INSIDE), 1e-3, rtol=0.02)
+    assert np.abs(model.channels["accel_z"].value(INSIDE)).max() < 1e-3
+
+
+@pytest.mark.usefixtures("fast")
+def test_motion_is_left_out() -> None:
+    t = soak(600.0)
+    block = samples(t, accel=(0.0, 0.0, -GRAVITY))
+    moving = slice(3000, 3600)
+    random = np.random.default_rng(1)
+    shaken = {name: np.array(block[name]) for name in ("gyro_x", "gyro_y", "gyro_z", "accel_x")}
+    for name in GYROS:
+        shaken[name][moving] += 0.1 + 0.3 * random.standard_normal(600)
+    shaken["accel_x"][moving] += random.standard_normal(600)
+    found = calibrate([record_of([block.with_columns(shaken)], "s", "0" * 64)])
+    assert found.rest_s == pytest.approx(len(t) - 600, abs=40)
+    channel = found.model.channels["gyro_x"]
+    assert errors(channel.value(INSIDE), true_bias(INSIDE)[:, 0]) < 2.5
+
+
+def test_the_rest_detector_is_believed_where_there_is_one() -> None:
+    t = soak(300.0)
+    block = samples(t)
+    judged = block.with_columns({"at_rest": np.where(np.arange(len(t)) < 2000, 0, 1)})
+    rest = record_of([judged], "s", "0" * 64).rest
+    assert not rest[:200].any()
+    assert rest[201:].all()
+
+
+def without(*names: str) -> dict[str, Any]:
+    return dict.fromkeys(names, np.nan)
+
+
+@pytest.mark.parametrize(
+    ("temperature", "change", "said"),
+    [
+        (np.linspace(20.0, 24.0, 3000), {}, "spans 4.0"),
+        (np.linspace(20.0, 30.0, 500), {}, "s at rest, of"),
+        (np.linspace(20.0, 20.001, 2), {}, "0 s at rest, of 1 s with several samples in 10 s"),
+        (np.linspace(298.0, 338.0, 3000), {}, "there is no temperature"),
+        (np.repeat([20.0, 50.0], 2000), {}, "2 distinct temperatures"),
+        (np.repeat([0.0, 4.5, 9.0, 13.5, 40.0], 600), {}, "nothing at rest from 13"),
+        (np.tile(np.concatenate([np.linspace(25, 34, 60), np.linspace(34, 25, 60)]), 10), {}, "°C/min"),
+        (np.linspace(0.0, 40.0, 3000), without("temperature"), "there is no temperature"),
+        (np.linspace(0.0, 40.0, 3000), without("gyro_y"), "no values of gyro_y"),
+        (np.linspace(0.0, 40.0, 3000), {"gyro_z": 0.0}, "gyro_z never changes from 0 rad/s"),
+    ],
+)
+def test_what_cannot_give_a_model_is_refused_with_its_numbers(
+    temperature: FloatArray, change: dict[str, float], said: str
+) -> None:
+    block = samples(temperature)
+    block = SampleBlock({**block.columns, **{k: np.full(len(block), v) for k, v in change.items()}})
+    with pytest.raises(ImumonError) as caught:
+        calibrate([record_of([Intake().process(block).block], "bench", "0" * 64)])
+    assert caught.value.reason is Reason.BAD_DATA
+    assert said in caught.value.seen
+    assert caught.value.hint
+
+
+def test_half_of_a_place_is_refused() -> None:
+    with pytest.raises(ImumonError, match="there is no heading"):
+        calibrate([record(soak(60.0))], latitude_deg=40.0)
+
+
+def test_a_place_without_accelerometers_is_refused() -> None:
+    with pytest.raises(ImumonError, match="cannot be removed"):
+        calibrate([record(soak(60.0))], latitude_deg=40.0, heading_deg=0.0)
+
+
+@pytest.mark.usefixtures("fast")
+def test_what_goes_one_way_or_is_there_twice_is_said() -> None:
+    one = record(soak(300.0))
+    both = record(np.concatenate([soak(200.0), soak(200.0)[::-1]]))
+    assert any("one way only" in text for text in calibrate([one]).warnings)
+    assert not any("one way only" in text for text in calibrate([both]).warnings)
+    assert any("there twice" in text for text in calibrate([one, one]).warnings)
+    of_two = [replace(one, serial="SN 1"), replace(both, serial="SN 2")]
+    assert [calibrate(some).model.serial for some in (of_two[:1], of_two)] == ["SN 1", None]
+    assert calibrate(of_two, serial="SN 3").model.serial == "SN 3"

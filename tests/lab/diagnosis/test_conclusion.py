@@ -1,0 +1,155 @@
+"""What a person reads first: the conclusion, the proof, the next step; and that nothing is named that the
+test does not show."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imumon.lab.diagnosis.conclusion import conclusion, next_step
+from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
+from imumon.lab.diagnosis.page import write_page
+from imumon.lab.diagnosis.report import report
+from imumon.lab.diagnosis.verdict import VERDICTS, WHEN
+from tests.lab.diagnosis.units import DPH, Bias, lagged, ramps, run, telegraph, three
+
+TAU_S = 220.0
+
+
+def lag(_: object, temperature: np.ndarray) -> np.ndarray:
+    return np.asarray(-2.0 * (temperature - lagged(temperature, TAU_S)))
+
+
+@pytest.fixture(scope="module")
+def lagging() -> Diagnosis:
+    return diagnose(*three(lag))
+
+
+@pytest.fixture(scope="module")
+def unexplained() -> Diagnosis:
+    return diagnose(*three(telegraph))
+
+
+def hidden(seed: int, size_dph: float, also: Bias) -> Bias:
+    """Return an effect beside a load that nobody recorded: another course in each run."""
+
+    def bias(time: np.ndarray, temperature: np.ndarray) -> np.ndarray:
+        random = np.random.default_rng(seed)
+        knots = np.arange(0.0, time[-1] + 900.0, 900.0)
+        load = np.interp(time, knots, random.standard_normal(len(knots)))
+        return np.asarray(also(time, temperature) + size_dph * load)
+
+    return bias
+
+
+def test_a_lag_of_the_training_is_not_named_where_the_test_is_driven_by_something_else() -> None:
+    runs = [
+        run(seed, *ramps(5000, up, 1.5), hidden(seed, size, lag))
+        for seed, up, size in ((1, True, 0.0), (2, False, 0.0), (4, True, 40.0))
+    ]
+    (verdict,) = diagnose(runs[:2], runs[2:]).verdicts
+    assert verdict.test_before is not None
+    assert verdict.test_before.rms > 8.0 * verdict.channel.floor.sd
+    assert not verdict.claims
+    assert verdict.unexplained
+    assert "of the test" in verdict.remark
+    assert verdict.ranking[0].name in ("thermal_lag", "dead_time")
+
+
+def test_the_same_lag_is_named_where_the_test_shows_it(lagging: Diagnosis) -> None:
+    (verdict,) = lagging.verdicts
+    assert verdict.row.state == "named"
+    assert verdict.test_before is not None
+    assert verdict.test_after is not None
+    assert verdict.test_after.rms < 0.5 * verdict.test_before.rms
+
+
+def test_time_constant_and_coefficient_are_within_three_sigma(lagging: Diagnosis) -> None:
+    (claim,) = lagging.verdicts[0].claims
+    (sigma,), effect = claim.sigmas, claim.parts[0].effect
+    off_s = effect.model_dump()["time_constant_s"] - TAU_S
+    assert abs(off_s) < 3.0 * sigma.searched["time_constant_s"]
+    assert sigma.searched["time_constant_s"] < 0.2 * TAU_S
+    off = claim.parts[0].own[0, 0] - -2.0 * DPH * effect.model_dump()["half_span"]
+    assert abs(off) < 3.0 * sigma.coefficients[0, 0]
+
+
+def test_the_page_leads_with_conclusion_proof_and_next_step(lagging: Diagnosis, tmp_path: Path) -> None:
+    write_page(lagging, tmp_path / "report.html")
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    first = text[: text.index("<h2")]
+    assert f"<h1>{conclusion(lagging)}</h1>" in first
+    assert "→" in first
+    assert next_step(lagging, tmp_path).why in first
+    assert "±" in text
+
+
+def test_where_nothing_is_named_ranking_runs_and_one_next_step_are_there(
+    unexplained: Diagnosis, tmp_path: Path
+) -> None:
+    found = json.loads(json.dumps(report(unexplained, tmp_path)))
+    channel = found["channels"]["gyro_x"]
+    assert channel["verdict"] == "unexplained"
+    assert len(channel["ranking"]) > 3
+    assert [one["test"] for one in channel["runs"]] == [False, False, True]
+    assert [bool(step["what"]) and bool(step["why"]) for step in found["next"]] == [True]
+    assert unexplained.verdicts[0].in_short.startswith("unexplained")
+
+
+def walking(seed: int) -> Bias:
+    """Return a random walk of 40 °/h in an hour."""
+
+    def bias(time: np.ndarray, _: np.ndarray) -> np.ndarray:
+        random = np.random.default_rng(seed)
+        return np.asarray(40.0 / np.sqrt(3600.0) * np.cumsum(random.standard_normal(len(time))))
+
+    return bias
+
+
+def test_who_has_a_noisy_unit_is_told_to_look_at_its_noise_and_who_has_jumps_at_what_drives_it(
+    unexplained: Diagnosis,
+) -> None:
+    driven = next_step(unexplained, None)
+    assert "jumps or comes in bursts" in driven.why
+    assert "supply" in driven.what
+    runs = [run(seed, *ramps(5000, up), walking(seed)) for seed, up in ((11, True), (12, False), (13, True))]
+    noisy = diagnose(runs[:2], runs[2:])
+    assert [one.row.state for one in noisy.verdicts] == ["unexplained"]
+    alone = next_step(noisy, None)
+    assert "moves as slow noise does" in alone.why
+    assert "imumon allan" in alone.what
+
+
+def test_without_a_test_the_next_step_is_one(lagging: Diagnosis, tmp_path: Path) -> None:
+    assert "--test NEW" in next_step(replace(lagging, test=[]), tmp_path).command
+
+
+def test_what_is_not_told_apart_is_one_verdict_with_one_next_step(lagging: Diagnosis, tmp_path: Path) -> None:
+    (verdict,) = lagging.verdicts
+    (claim,) = verdict.claims
+    both = replace(claim, finding=replace(claim.finding, alike=["thermal_lag", "dead_time"]))
+    found = replace(lagging, verdicts=[replace(verdict, claims=[both])])
+    assert found.verdicts[0].row.name == "not told apart"
+    assert conclusion(found) == "gyro_x: thermal_lag or dead_time, not told apart"
+    assert "imumon plan" in next_step(found, tmp_path).command
+    chosen = replace(both, finding=replace(both.finding, by_test=True))
+    found = replace(lagging, verdicts=[replace(verdict, claims=[chosen])])
+    assert "no longer unseen" in conclusion(found)
+    assert "--test NEW" in next_step(found, tmp_path).command
+    alone = replace(claim, finding=replace(claim.finding, alike=[]))
+    found = replace(lagging, verdicts=[replace(verdict, claims=[alone])])
+    assert conclusion(found) == "gyro_x: thermal_lag"
+    assert "model.yaml" in next_step(found, tmp_path).command
+
+
+def test_the_documented_table_of_verdicts_is_the_one_that_is_evaluated() -> None:
+    text = (Path(__file__).parents[3] / "docs" / "closing-the-loop.md").read_text(encoding="utf-8")
+    for row in VERDICTS:
+        when = " and ".join(name.replace("_", " ") for name in row.predicates) or "otherwise"
+        assert f"| {when} | {row.sentence.format(names='NAMES')} | `{row.state}` |" in text
+    for name, meaning in WHEN.items():
+        assert f"- **{name.replace('_', ' ')}**: {meaning}" in text

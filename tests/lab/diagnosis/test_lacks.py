@@ -1,0 +1,45 @@
+"""What the axes of a sensor lack together, by what effects gain on each."""
+
+from __future__ import annotations
+
+from imumon.effects.drift import Drift
+from imumon.effects.warm_up import WarmUp
+from imumon.lab.diagnosis.candidates import Candidate, Part
+from imumon.lab.diagnosis.search import Scored, Table, lacks, proof
+
+LEAST = proof(2, 3)
+
+
+def axes(drift: tuple[float, ...], warm_up: tuple[float, ...] = (-9.0, -9.0, -9.0)) -> dict[str, Table]:
+    """Return what these gain on the axes."""
+    made = {"drift": Part(Drift()), "warm_up": Part(WarmUp(time_constant_s=200.0))}
+    return {
+        axis: {
+            name: Scored(Candidate(name, (made[name],)), gain, gain)
+            for name, gain in (("drift", one), ("warm_up", other))
+        }
+        for axis, one, other in zip("xyz", drift, warm_up, strict=True)
+    }
+
+
+def test_what_no_axis_proves_is_named_where_they_prove_it_together() -> None:
+    each = LEAST / 3.0 + 0.1
+    assert lacks({"x": axes((each,) * 3)["x"]}, LEAST) == []
+    (one,) = lacks(axes((each,) * 3), LEAST)
+    assert (one.names, one.channels) == (["drift"], ["x", "y", "z"])
+    assert lacks(axes((each, each, -9.0)), LEAST) == []
+
+
+def test_an_axis_agrees_with_the_others_unless_it_proves_another_by_itself() -> None:
+    (one,) = lacks(axes((60.0, 60.0, 12.0), (0.0, 0.0, 24.0)), LEAST)
+    assert (one.names, one.channels) == (["drift"], ["x", "y", "z"])
+    both = lacks(axes((60.0, 60.0, 12.0), (0.0, 0.0, 60.0)), LEAST)
+    assert {name: one.channels for one in both for name in one.names} == {
+        "drift": ["x", "y"],
+        "warm_up": ["z"],
+    }
+
+
+def test_what_is_not_told_apart_is_named_the_likelier_first() -> None:
+    (one,) = lacks(axes((40.0, 40.0, 40.0), (43.0, 41.0, 35.0)), LEAST)
+    assert one.names == ["drift", "warm_up"]

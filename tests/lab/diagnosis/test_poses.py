@@ -1,0 +1,132 @@
+"""Units that are laid in several poses: gravity and the earth rate are no errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from imumon.blocks import FloatArray
+from imumon.geodesy import EARTH_RATE, MICRO_G, STANDARD_GRAVITY
+from imumon.lab.diagnosis.blocks import in_one_pose, poses
+from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
+from imumon.lab.diagnosis.runs import Run
+from tests.lab.diagnosis.units import DPH, SAMPLES, WHITE_DPH, cubic, lagged, ramps
+
+SECONDS = 5400
+WHITE_UG = 50.0
+"""White noise of a mean of 30 s."""
+SIDES = (("x", 0.0), ("x", 180.0), ("x", 90.0), ("x", -90.0), ("y", 90.0), ("y", -90.0))
+LATITUDE_DEG, DECLINATION_DEG = 50.0, 10.0
+Errors = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
+"""Of time, temperature and true specific force, (n, 3): in m/s², or for gyros in °/h."""
+
+
+def nothing(_: FloatArray, __: FloatArray, force: FloatArray) -> FloatArray:
+    return np.zeros_like(force)
+
+
+def posed(seed: int, up: bool, rate: float, sensor: str, errors: Errors, level: bool, mag: bool) -> Run:
+    """Return a run in six poses with headings of their own; `level`: turned about the vertical only."""
+    random = np.random.default_rng(seed)
+    time, temperature = ramps(SECONDS, up, rate)
+    sides = (
+        [Rotation.from_euler("x", 0.0)] * 6 if level else [Rotation.from_euler(a, d, True) for a, d in SIDES]
+    )
+    turned = [Rotation.from_euler("z", random.uniform(0, 360), True) * side for side in sides]
+    which = random.permutation(6)[np.minimum(time * 6 // SECONDS, 5).astype(int)]
+    to_body = np.array([one.inv().as_matrix() for one in turned])[which]
+    force = to_body @ np.array([0.0, 0.0, STANDARD_GRAVITY])
+    d, latitude = np.radians(DECLINATION_DEG), np.radians(LATITUDE_DEG)
+    field = to_body @ np.array([20.0 * np.sin(d), 20.0 * np.cos(d), -43.0])
+    earth = to_body @ (EARTH_RATE * np.array([0.0, np.cos(latitude), np.sin(latitude)]))
+    sd = {"gyro": WHITE_DPH * DPH * np.sqrt(30.0), "accel": WHITE_UG * MICRO_G * np.sqrt(30.0), "mag": 0.02}
+    error = {"gyro": np.zeros_like(force), "accel": np.zeros_like(force)}
+    error[sensor] = errors(time, temperature, force)
+    true = {
+        "gyro": earth + (cubic(temperature)[:, np.newaxis] + error["gyro"]) * DPH,
+        "accel": force + error["accel"],
+        "mag": field,
+    }
+    mean = {"temperature": np.round((temperature + 0.01 * random.standard_normal(SECONDS)) * 16) / 16}
+    variance = {}
+    for kind in ("gyro", "accel", *(["mag"] if mag else [])):
+        for at, axis in enumerate("xyz"):
+            name, noise = f"{kind}_{axis}", sd[kind]
+            mean[name] = true[kind][:, at] + noise * random.standard_normal(SECONDS)
+            variance[name] = noise**2 * SAMPLES * random.chisquare(SAMPLES - 1, SECONDS) / (SAMPLES - 1)
+    count = dict.fromkeys(mean, np.full(SECONDS, SAMPLES))
+    return Run(f"run {seed}", time, count, mean, variance, np.ones(SECONDS))
+
+
+def found(sensor: str, errors: Errors, level: bool = False, mag: bool = True) -> Diagnosis:
+    first, second, last = (
+        posed(seed, up, rate, sensor, errors, level, mag)
+        for seed, up, rate in ((1, True, 1.5), (2, False, 1.5), (3, True, 1.0))
+    )
+    return diagnose([first, second], [last], sensors=(sensor,))
+
+
+def names(diagnosis: Diagnosis) -> list[list[str]]:
+    return [[claim.finding.name for claim in verdict.claims] for verdict in diagnosis.verdicts]
+
+
+def test_a_perfect_accelerometer_in_several_poses_misses_nothing() -> None:
+    diagnosis = found("accel", nothing)
+    assert names(diagnosis) == [[], [], []]
+    assert all(verdict.summary.startswith("nothing is missing") for verdict in diagnosis.verdicts)
+    assert diagnosis.length is not None
+    assert np.all(np.abs(diagnosis.length.bias) < 4 * diagnosis.length.bias_sd)
+    assert diagnosis.length.after < 60 * MICRO_G
+
+
+def test_bias_and_scale_follow_from_the_length_of_gravity_and_an_effect_is_named_beside_them() -> None:
+    bias, scale = np.array([5e-3, -3e-3, 8e-3]) * STANDARD_GRAVITY, np.array([2e-3, -1e-3, 3e-3])
+
+    def errors(_: FloatArray, temperature: FloatArray, force: FloatArray) -> FloatArray:
+        behind = (temperature - lagged(temperature, 200.0))[:, np.newaxis]
+        return np.asarray(bias + force * scale + behind * np.array([1.0, -1.0, 0.0]) * 200 * MICRO_G)
+
+    diagnosis = found("accel", errors)
+    assert names(diagnosis) == [["thermal_lag"], ["thermal_lag"], []]
+    length = diagnosis.length
+    assert length is not None
+    assert np.all(np.abs(length.scale - scale) < 5 * length.scale_sd)
+    assert np.all(np.abs(length.bias - bias) < 5 * length.bias_sd + 100 * MICRO_G)  # the lag is no part of it
+
+
+def test_a_scale_that_depends_on_temperature_is_a_product() -> None:
+    diagnosis = found("accel", lambda _, t, force: np.asarray(3e-4 * force * ((t - 25) / 20)[:, np.newaxis]))
+    assert names(diagnosis) == [["product(temperature, accel)"]] * 3
+
+
+@pytest.mark.parametrize("level", [False, True])
+def test_with_a_magnetometer_the_earth_rate_of_every_pose_is_taken_off(level: bool) -> None:
+    diagnosis = found("gyro", nothing, level=level)
+    assert names(diagnosis) == [[], [], []]
+    assert all(verdict.summary.startswith("nothing is missing") for verdict in diagnosis.verdicts)
+    said = next(text for text in diagnosis.caveats if text.startswith("several poses"))
+    assert "latitude +50°" in said or "latitude +49°" in said or "latitude +51°" in said
+
+
+def test_a_jump_is_no_earth_rate_and_no_g_sensitivity() -> None:
+    diagnosis = found("gyro", lambda t, _, __: (t > 2300)[:, np.newaxis] * np.array([12.0, -9.0, 8.0]))
+    assert names(diagnosis) == [["step"]] * 3
+
+
+def test_a_turn_begins_a_pose_and_a_block_is_of_one() -> None:
+    random = np.random.default_rng(0)
+    force = np.array([0.0, 0.0, 9.8]) + 1e-3 * random.standard_normal((100, 3))
+    force[47:, 0] += 0.3
+    resting = np.ones(100, bool)
+    resting[40:45] = False
+    pose = poses(force, resting)
+    assert pose[:46].max() == 0
+    assert pose[47:].min() == pose.max() == 1
+    kept = in_one_pose(resting, pose, 20)
+    assert not kept[40:47].any()
+    assert kept[:40].all()
+    assert kept[47:].all()
+    assert poses(force[:47], resting[:47]).max() == 0

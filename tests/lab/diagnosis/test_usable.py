@@ -1,0 +1,73 @@
+"""What of the data is used, and what is named instead."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from imumon.lab.diagnosis.blocks import common_block_s
+from imumon.lab.diagnosis.diagnose import diagnose
+from imumon.lab.diagnosis.runs import SENSORS, Run
+from imumon.lab.diagnosis.usable import Names, blocks_of_test, blocks_of_training, resting, usable_channels
+from tests.lab.diagnosis.units import three
+
+SECONDS = 2400
+NAMES = Names(["gyro_x"], ["temperature"], [])
+
+
+def still(time: np.ndarray, temperature: np.ndarray) -> np.ndarray:  # noqa: ARG001 - as all biases
+    return np.zeros_like(time)
+
+
+def moving(run: Run) -> Run:
+    """Return a run of a unit that moves all the time."""
+    return replace(run, rest=np.zeros_like(run.rest))
+
+
+def test_a_channel_with_one_value_is_left_out_and_said() -> None:
+    train, test = three(still, SECONDS)
+    for one in (*train, *test):
+        one.mean["gyro_y"], one.variance["gyro_y"] = np.zeros(SECONDS), np.zeros(SECONDS)
+        one.count["gyro_y"] = one.count["gyro_x"]
+    caveats: list[str] = []
+    assert usable_channels(train, test, SENSORS, caveats) == ["gyro_x"]
+    assert caveats == ["gyro_y is left out: it has one value throughout, 0 rad/s"]
+
+
+def test_a_channel_of_one_value_whose_means_differ_in_the_last_bit_is_left_out_and_said() -> None:
+    train, test = three(still, SECONDS)
+    for one in (*train, *test):
+        value = np.full(SECONDS, 0.001)
+        value[::2] = np.nextafter(0.001, 1.0)
+        one.mean["gyro_y"], one.variance["gyro_y"] = value, np.full(SECONDS, np.spacing(0.001) ** 2)
+        one.count["gyro_y"] = one.count["gyro_x"]
+    diagnosis = diagnose(train, test)
+    assert [verdict.name for verdict in diagnosis.verdicts] == ["gyro_x"]
+    assert "gyro_y is left out: it has one value throughout, 0.001 rad/s" in diagnosis.caveats
+
+
+def test_a_channel_that_a_training_run_lacks_is_left_out_and_said() -> None:
+    train, test = three(still, SECONDS)
+    both = {**train[0].mean, "gyro_z": train[0].mean["gyro_x"]}
+    train[0] = replace(train[0], mean=both, variance={**train[0].variance, "gyro_z": np.ones(SECONDS)})
+    caveats: list[str] = []
+    assert usable_channels(train, test, SENSORS, caveats) == ["gyro_x"]
+    assert caveats == [f"gyro_z is left out: {train[1].name} hardly has it"]
+
+
+def test_runs_that_move_or_lack_a_temperature_are_named_and_the_others_used() -> None:
+    train, test = three(still, SECONDS)
+    block_s = common_block_s(train)
+    bare = replace(train[0], name="bare", mean={"gyro_x": train[0].mean["gyro_x"]})
+    caveats: list[str] = []
+    found = blocks_of_training([moving(train[0]), train[1], bare], NAMES, block_s, caveats)
+    assert [run.name for run in found] == [train[1].name]
+    assert caveats == [
+        "bare: not used, it lacks temperature",
+        f"{train[0].name}: at rest for 0% of its {SECONDS / 60:.0f} min: not used, it moves",
+    ]
+    assert blocks_of_test([moving(test[0])], NAMES, block_s, caveats) == []
+    assert caveats[-1] == "no run of the test can be used: there is no independent proof"
+    assert resting(train[1])
+    assert not resting(moving(train[1]))

@@ -1,0 +1,92 @@
+"""Faults of single samples are named as what they are, and sound samples are not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.lab.diagnosis.quality import KEPT, Watcher
+from imumon.lab.diagnosis.runs import Run
+from imumon.lab.diagnosis.usable import faults, sound
+
+SECONDS, RATE = 600, 50
+N = SECONDS * RATE
+
+
+def watched(change: Callable[[FloatArray, FloatArray], FloatArray], sd: float = 1.0) -> Run:
+    """Return a run of a channel that wanders by 30 with the temperature, and what was seen of its samples."""
+    random = np.random.default_rng(3)
+    warmth = np.linspace(10.0, 40.0, N)
+    values = change(0.2 * warmth + sd * random.standard_normal(N), warmth)
+    watcher = Watcher(["gyro_x"])
+    blocks = [SampleBlock({"gyro_x": values[i : i + 777]}) for i in range(0, N, 777)]
+    assert sum(map(len, watcher.through(blocks))) == N
+    seconds = values.reshape(SECONDS, RATE)
+    return Run(
+        "a run",
+        np.arange(SECONDS, dtype=np.float64) + 0.5,
+        {"gyro_x": np.full(SECONDS, float(RATE))},
+        {"gyro_x": seconds.mean(axis=1), "temperature": warmth.reshape(SECONDS, RATE).mean(axis=1)},
+        {"gyro_x": seconds.var(axis=1, ddof=1)},
+        np.ones(SECONDS),
+        samples=watcher.samples(),
+    )
+
+
+def drop(values: FloatArray, _: FloatArray) -> FloatArray:
+    return np.where(np.random.default_rng(1).random(N) < 0.02, -50.0, values)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda v, _: np.round(v / 4.0) * 4.0, "quantized: steps of 4"),
+        (lambda v, _: np.where(np.abs(v - 5.0) < 0.8, 5.0, v), "dead-band"),
+        (lambda v, _: np.minimum(v, 7.0), "saturated"),
+        (drop, "dropouts: 1.9% of the samples are -50"),
+        (lambda v, _: v[np.arange(N) // 4 * 4], "another rate: a new value with every 4.0th"),
+        (lambda v, t: v + 0.15 * t * np.random.default_rng(2).standard_normal(N), "noise that depends"),
+    ],
+)
+def test_a_fault_is_named_as_what_it_is(
+    change: Callable[[FloatArray, FloatArray], FloatArray], said: str
+) -> None:
+    found = [fault.text for fault in faults([watched(change)], "gyro_x", "temperature", 0.02)]
+    assert len(found) == 1
+    assert found[0].startswith(said)
+
+
+@pytest.mark.parametrize(("value", "what"), [(5.0, "stuck"), (1e3, "saturated")])
+def test_what_stood_still_is_not_counted_again_as_a_value_that_comes_too_often(
+    value: float, what: str
+) -> None:
+    def frozen(values: FloatArray, _: FloatArray) -> FloatArray:
+        return np.where(np.abs(np.arange(N) - 21_000) <= 1000, value, values)
+
+    caveats: list[str] = []
+    (left,) = sound([watched(frozen)], ["gyro_x"], caveats)
+    assert caveats == [f"a run: gyro_x is {what} for 40 s; they are left out"]
+    assert faults([left], "gyro_x", "temperature", 0.02) == []
+
+
+@pytest.mark.parametrize("step", [0.0, 0.01, 0.5, 1.0])
+@pytest.mark.parametrize("scale", [1.0, 1e-5, 3e4])
+def test_sound_samples_have_no_fault_however_they_are_rounded(step: float, scale: float) -> None:
+    def rounded(values: FloatArray, _: FloatArray) -> FloatArray:
+        return scale * (np.round(values / step) * step if step else values)
+
+    assert faults([watched(rounded)], "gyro_x", "temperature", 0.02 * scale) == []
+
+
+def test_what_is_kept_of_a_long_recording_is_spread_over_it() -> None:
+    watcher, n = Watcher(["gyro_x"]), 5 * KEPT
+    for start in range(0, n, 5000):
+        values = np.arange(start, start + 5000, dtype=np.float64)
+        list(watcher.through([SampleBlock({"gyro_x": values})]))
+    kept = np.concatenate(watcher._kept["gyro_x"])
+    assert KEPT / 4 < len(kept) < 2 * KEPT
+    assert kept[0] < 10
+    assert kept[-1] > n - 100

@@ -1,0 +1,119 @@
+"""``imumon diagnose`` as a user or a program meets it."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imumon.models import load_model
+from tests.cli.command import MAP, imumon
+from tests.data_folder import measured
+from tests.lab.diagnosis.test_diagnose import lag
+from tests.lab.diagnosis.units import three
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write three runs of a lagging unit, one sample a second, as tables with a map."""
+    folder = tmp_path_factory.mktemp("tables")
+    (folder / "map.yaml").write_text(MAP, encoding="utf-8")
+    train, test = three(lag)
+    for name, run in zip(("a", "b", "c"), (*train, *test), strict=True):
+        gyro = run.mean["gyro_x"]
+        other = np.random.default_rng(0).normal(0.0, 1e-5, (len(gyro), 2))
+        np.savetxt(
+            folder / f"{name}.csv",
+            np.column_stack([run.time_s - 0.5, gyro, other, run.mean["temperature"]]),
+            "%.12g",
+            delimiter=",",
+            header="t,gx,gy,gz,temp",
+            comments="",
+        )
+    return folder
+
+
+def test_tables_are_diagnosed_into_report_page_and_model(tables: Path) -> None:
+    paths = [tables / f"{name}.csv" for name in "abc"]
+    out = tables / "found"
+    done = imumon(
+        "diagnose", "--train", *paths[:2], "--test", paths[2], "--map", tables / "map.yaml", "--out", out
+    )
+    assert done.returncode == 0, done.stderr
+    assert "thermal_lag: " in done.stderr
+    content = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    gyro = content["channels"]["gyro_x"]
+    assert [effect["name"] for effect in gyro["effects"]] == ["thermal_lag"]
+    assert gyro["after"]["test_rms"] < 0.5 * gyro["before"]["test_rms"]
+    assert content["channels"]["gyro_y"]["effects"] == []
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert not re.search(r"<(script|link|img)[^>]*(src|href)=.https?:", page)
+    model = load_model(out / "model.yaml")
+    assert [effect.name for effect in model.channels["gyro_x"].effects] == ["thermal_lag"]
+    assert [run.session for run in model.trained_on] == ["a.csv", "b.csv"]
+
+
+def test_a_diagnosis_that_fails_leaves_no_folder_behind_and_takes_none_away(
+    tables: Path, tmp_path: Path
+) -> None:
+    there = tmp_path / "there"
+    there.mkdir()
+    for out in (tmp_path / "new" / "found", there):
+        done = imumon("diagnose", "--train", tables / "no-such.csv", "--out", out)
+        assert done.returncode == 4, done.stderr
+    assert list(tmp_path.iterdir()) == [there]
+
+
+def test_two_things_declared_are_refused(tables: Path) -> None:
+    done = imumon(
+        "diagnose",
+        "--train",
+        tables / "a.csv",
+        "--declared",
+        "polynomial 3",
+        "--model",
+        "m.yaml",
+        "--out",
+        tables / "no",
+    )
+    assert done.returncode == 2
+    assert "--model and --declared" in done.stderr
+
+
+@pytest.mark.parametrize("declared", ["cubic", "polynomial 99", ""])
+def test_a_declared_model_that_is_none_is_refused(tables: Path, declared: str) -> None:
+    done = imumon("diagnose", "--train", tables / "a.csv", "--declared", declared, "--out", tables / "no")
+    assert done.returncode == 2
+    assert "polynomial N" in done.stderr
+
+
+def test_the_chamber_cycle_is_never_made_worse(tmp_path: Path) -> None:
+    folder = measured("chamber-cycle")
+    lines = (folder / "cooling-heating.csv").read_text(encoding="utf-8").splitlines()
+    head, rows = lines[0], lines[1:]
+    cut = int(0.65 * len(rows))
+    for name, part in (("first", rows[:cut]), ("rest", rows[cut:])):
+        (tmp_path / f"{name}.csv").write_text("\n".join([head, *part]) + "\n", encoding="utf-8")
+    done = imumon(
+        "diagnose",
+        "--train",
+        tmp_path / "first.csv",
+        "--test",
+        tmp_path / "rest.csv",
+        "--map",
+        folder / "map.yaml",
+        "--out",
+        tmp_path / "out",
+    )
+    assert done.returncode == 0, done.stderr
+    channels = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))["channels"]
+    for name, found in channels.items():
+        assert found["after"]["test_rms"] <= found["before"]["test_rms"], name
+    x = channels["gyro_x"]
+    assert x["after"]["test_rms"] < 0.5 * x["before"]["test_rms"]
+    assert [effect["name"] for effect in x["effects"]] == ["step"]
+    assert not x["in_model_file"]
+    assert channels["gyro_y"]["unexplained"]

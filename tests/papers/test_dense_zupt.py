@@ -1,0 +1,149 @@
+"""The textbook filter against numbers that were worked out apart from it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from dense_record import DenseRun, dense_filter
+
+from imumon.blocks import FloatArray
+from imumon.geodesy import body_to_ned
+from imumon.models.curves.polynomial import PolynomialCurve
+from imumon.models.model import BiasModel, ChannelModel
+from imumon.papers.dense_zupt import DenseSettings, DenseZupt
+from tests.estimation.gyro_bias.records import ARW, DPH, GRAVITY, Truth, local_earth, record
+
+SETTINGS = DenseSettings(0.01)
+
+
+def response(settings: DenseSettings, axis: int, seconds: float) -> FloatArray:
+    """Return what is left of a residual of 15 deg/h, in deg/h: without noise, for P needs no data."""
+    n = round(seconds / settings.interval_s)
+    gyro, accel = np.tile(local_earth(), (n, 1)), np.tile([0.0, 0.0, -GRAVITY], (n, 1))
+    start = np.zeros(3)
+    start[axis] = 15.0 * DPH
+    return dense_filter(settings, gyro, accel, start, every=10).bias[:, axis] / DPH
+
+
+@pytest.mark.parametrize(
+    ("k", "p0", "expected", "below_s"),
+    [
+        (0.0, 2.2, [13.33, 10.21, 7.57, 4.98, 2.96], 368.6),
+        (0.5, 2.2, [12.94, 7.86, 3.34, 0.57, 0.02], 76.4),
+        (0.5, 15.0, [2.18, 0.59, 0.20, 0.03, 0.00], 10.5),
+    ],
+)
+def test_a_residual_decays_as_the_random_walk_and_the_start_have_it(
+    k: float, p0: float, expected: list[float], below_s: float
+) -> None:
+    settings = replace(SETTINGS, bias_random_walk=k * DPH, bias_sd=p0 * DPH)
+    left = response(settings, 0, 400.0)
+    assert left[[999, 2999, 5999, 11999, 23999]] == pytest.approx(expected, abs=0.015)
+    assert (np.flatnonzero(left < 2.063)[0] + 1) / 100 == pytest.approx(below_s, abs=0.2)
+    if p0 < 3.0:
+        assert left[999] - response(settings, 2, 10.0)[999] == pytest.approx(0.5, abs=0.15)
+
+
+def test_the_sigma_reaches_the_information_limit() -> None:
+    settings = replace(SETTINGS, bias_random_walk=0.0, bias_sd=1000 * DPH)
+    n = 30000
+    gyro, accel = np.tile(local_earth(), (n, 1)), np.tile([0.0, 0.0, -GRAVITY], (n, 1))
+    run = dense_filter(settings, gyro, accel, np.zeros(3), every=10)
+    at = [999, 2999, 5999, 11999, 29999]
+    assert run.bias_sd[at, 0] / DPH == pytest.approx([6.21, 3.21, 2.22, 1.55, 0.97], rel=0.01)
+    limit = ARW / np.sqrt((np.array(at) + 1) / 100)
+    assert (run.bias_sd[at] >= 0.999 * limit[:, np.newaxis]).all()
+    assert run.bias_sd[at, 2] == pytest.approx(limit, rel=0.02)
+
+
+def test_velocity_alone_does_not_show_the_vertical_gyro() -> None:
+    settings = replace(SETTINGS, bias_sd=15.0 * DPH, yaw_hold_sd=None)
+    left = response(settings, 2, 300.0)
+    assert left[-1] > 14.0
+    assert abs(response(replace(settings, yaw_hold_sd=1e-4), 2, 300.0)[-1]) < 0.1
+
+
+def both(seed: int, attitude: FloatArray) -> tuple[DenseRun, DenseRun, FloatArray]:
+    """Return the filter on calibrated data and the filter with increments on raw data, at equal K and p0."""
+    n = 30000
+    temperature = np.interp(np.arange(n) / 100, [0, 60, 264, 300], [27.28, 27.28, 34.08, 34.08])
+    thermal = DPH * np.column_stack([40 * temperature, -65 * temperature, temperature**2 / 5])
+    block, _ = record(Truth(), 300.0, seed, thermal, attitude=attitude, earth=local_earth())
+    gyro, accel = block.gyro, block.accel
+    assert gyro is not None
+    assert accel is not None
+    settings = replace(SETTINGS, heading_deg=30.0)
+    up = attitude @ [0.0, 0.0, -1.0]
+    calibrated = dense_filter(settings, gyro - thermal, accel, np.zeros(3), up=up, every=10)
+    drift = np.diff(thermal, axis=0, prepend=thermal[:1])
+    return calibrated, dense_filter(settings, gyro, accel, thermal[0], drift, up, 10), thermal
+
+
+def test_on_calibrated_data_and_with_increments_it_is_one_filter() -> None:
+    up = np.array([0.3, -0.5, 0.8])
+    attitude = body_to_ned(up / np.linalg.norm(up), np.radians(30.0)).T
+    calibrated, compensated, thermal = both(3, attitude)
+    assert np.abs(calibrated.bias + thermal - compensated.bias).max() / DPH < 3e-3
+    np.testing.assert_allclose(calibrated.bias_sd, compensated.bias_sd, rtol=1e-4)
+
+
+def test_steps_of_ten_samples_are_the_filter_at_every_sample() -> None:
+    block, _ = record(Truth(), 30.0, 4, earth=local_earth())
+    gyro, accel = block.gyro, block.accel
+    assert gyro is not None
+    assert accel is not None
+    up = np.array([0.0, 0.0, -1.0])
+    printed = dense_filter(SETTINGS, gyro, accel, np.zeros(3), up=up)
+    tenth = dense_filter(SETTINGS, gyro, accel, np.zeros(3), up=up, every=10)
+    last = slice(999, None, 10)
+    assert np.abs(printed.bias - tenth.bias)[last].max() < 0.1 * printed.bias_sd[last].min()
+    np.testing.assert_allclose(tenth.bias_sd[last], printed.bias_sd[last], rtol=0.01)
+
+
+def warming_model(slope_dph: float) -> BiasModel:
+    curve = PolynomialCurve(
+        center_degc=30.0, half_width_degc=10.0, coefficients=[0.0, 10.0 * slope_dph * DPH]
+    )
+    channel = ChannelModel(
+        unit="rad/s",
+        temperature_column="temperature",
+        temperature_range_degc=[20.0, 40.0],
+        residual_sd=DPH,
+        curve=curve,
+    )
+    return BiasModel(
+        made_by="test", created="2026-01-01T00:00:00Z", channels={f"gyro_{a}": channel for a in "xyz"}
+    )
+
+
+@pytest.mark.parametrize("method", ["dense_zupt", "dense_tczupt"])
+def test_live_it_follows_a_ramp_and_holds_in_motion_whatever_the_blocks(method: str) -> None:
+    n = 15000
+    temperature = 25.0 + np.maximum(np.arange(n) / 100 - 60.0, 0.0) / 30.0
+    thermal = 40.0 * DPH * (temperature - 30.0)
+    block, _ = record(Truth(), n / 100, 6, thermal[:, np.newaxis] * np.ones(3), earth=local_earth())
+    rest = np.ones(n, np.int64)
+    rest[10000:11000] = 0
+    rate = np.where(np.arange(n) < 6000, 0.0, 1 / 30.0)
+    block = block.with_columns({"temperature": temperature, "temperature_rate": rate, "at_rest": rest})
+    block = block.with_columns({"gyro_x": block["gyro_x"] + 0.5 * (1 - rest)})
+    settings = replace(SETTINGS, bias_sd=3.0 * DPH)
+
+    def stage() -> DenseZupt:
+        return DenseZupt(method, settings, warming_model(40.0))
+
+    whole = stage().process(block)
+    bias, sd = whole[f"{method}_gyro_bias_x"], whole[f"{method}_gyro_bias_sd_x"]
+    assert np.isnan(bias[:5990]).all()
+    error = (bias - thermal) / DPH
+    # The zeroing leaves 60 ARW/√60 s = 2.2 deg/h; four sigma of that.
+    assert np.abs(error[6100:]).max() < 8.8
+    assert (np.diff(sd[10100:11000]) >= 0.0).all()
+    assert sd[10990] > sd[9990]
+    for size in (1, 999):
+        one = stage()
+        parts = [one.process(block.rows(i, min(i + size, n))) for i in range(0, n if size > 1 else 200, size)]
+        piece = np.concatenate([part[f"{method}_gyro_bias_x"] for part in parts])
+        np.testing.assert_array_equal(piece, bias[: len(piece)])
