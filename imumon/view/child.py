@@ -87,7 +87,6 @@ class Child:
         """Log a batch, unless nobody would see it or it is asked for again anyway."""
         self._answered = self._answered or batch.answers == self._request
         if self._answered and self._link.connected:
-            self._link.note(batch.items)
             self._logger.log(batch.items)
             self._delivered = batch.number
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import rerun as rr
 
@@ -55,3 +57,10 @@ def declare_lane(rec: rr.RecordingStream, lane: str, states: list[str]) -> None:
     """Log the colours of the states that a lane has had."""
     colors = np.array([state_color(state) for state in states], dtype=np.uint32)
     rec.log(lane_path(lane), rr.StateConfiguration(values=states, labels=states, colors=colors), static=True)
+
+
+def states_text(states: Mapping[str, str]) -> str:
+    """Return the state of every lane, in the order and under the names that a person knows."""
+    order = {name: at for at, name in enumerate(NAMES)}
+    lanes = sorted(states.items(), key=lambda item: order.get(item[0], len(order)))
+    return "  ".join(f"{NAMES.get(lane, lane)} {state}" for lane, state in lanes)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from enum import Enum, auto
 from typing import TYPE_CHECKING
 
 from imumon.view.frames import Report, Start
 from imumon.view.gate import Gate, hidden_address
-from imumon.view.items import Shown
-from imumon.view.newest import Newest
 from imumon.view.viewer import (
     LOCALHOST,
     SERVER_MEMORY,
@@ -96,9 +94,6 @@ class NativeLink:
         self._tell(Report(self._text(answer), self.connected, self._port, 0, proxy_url(self._port)))
         return change
 
-    def note(self, _: Sequence[Shown]) -> None:
-        """Leave what came to the viewer, which keeps up."""
-
     def _connect(self, rec: rr.RecordingStream) -> Change:
         rec.connect_grpc(proxy_url(self._port))
         self._phase = _Phase.CONNECTED
@@ -151,7 +146,6 @@ class WebLink:
         title = " - ".join(filter(None, (device, start.setup.title, "imumon")))
         self._behind = hidden_address()
         self._web = WebServer(listen(start.web_port, start.bind), self._behind, title)
-        self._newest = Newest()
         self._serving = False
         self._gate: Gate | None = None
 
@@ -167,8 +161,3 @@ class WebLink:
         self._gate = Gate(self._door, self._behind)
         self._tell(Report("serving the web viewer", True, port, self._web.port, self._web.url))
         return Change.NEW
-
-    def note(self, items: Sequence[Shown]) -> None:
-        """Tell the page the newest states and log lines: the picture of a slow browser has them late."""
-        self._newest.add(items)
-        self._web.tell(self._newest.lines)

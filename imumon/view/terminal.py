@@ -12,9 +12,9 @@ import numpy as np
 from imumon.harmless import for_log
 from imumon.view.cards import AXES, Cards, Reading, cell
 from imumon.view.items import Log, Numbers, Samples, State, ViewItem, ViewSetup, merge
+from imumon.view.lanes import states_text
 from imumon.view.layout import Rows
 from imumon.view.log_text import dated
-from imumon.view.newest import states_text
 from imumon.view.queue import DropOldestQueue
 from imumon.view.shown import ShownPanels
 

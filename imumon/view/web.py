@@ -1,17 +1,15 @@
-"""The web viewer on 127.0.0.1: a page with Rerun's own in a frame, kept from calling home, and the newest."""
+"""The web viewer on 127.0.0.1: Rerun's own page, kept from calling home, and the stream to it."""
 
 from __future__ import annotations
 
 import http.client
-import json
 import re
 import socket
 import sys
 import threading
 import time
 import urllib.request
-import uuid
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from functools import partial
 from html import escape
@@ -19,6 +17,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 from urllib.error import URLError
+from urllib.parse import quote
 
 from imumon.errors import ImumonError, Reason
 from imumon.view.gate import hidden_address, refusal
@@ -31,63 +30,12 @@ ASSETS = {
     "/favicon.ico": "image/x-icon",
 }
 """What the viewer needs, by content type.  The rest of what Rerun would serve is for other uses of it."""
-VIEWER = "/viewer"
-"""Where Rerun's own page is; at ``/`` is ours, which shows it in a frame."""
-
 FETCH_S = 10.0
-ALIVE = "/alive"
 STREAM_PATH = "/rerun."
 """How the paths of the stream begin; they are passed on, so that one port is enough."""
 PART_BYTES = 1 << 16
 OURS = {"connection", "keep-alive", "transfer-encoding", "content-length", "host", "origin", "server", "date"}
 """Headers that each of two connections has of its own; ``Host`` and ``Origin`` were judged here."""
-
-PAGE = """<!doctype html>
-<html>
-<head>
-<meta charset="utf-8">
-<title>{title}</title>
-<link rel="icon" href="favicon.ico">
-<style>
-  html, body {{ height: 100%; margin: 0; overflow: hidden; background: #0d1011; }}
-  body {{ display: flex; flex-direction: column; }}
-  iframe {{ flex: 1; border: 0; }}
-  #newest {{
-    max-height: {height}px; overflow: hidden; padding-left: 8px; color: #cad8de;
-    font: 13px/18px monospace; white-space: pre-wrap;
-  }}
-</style>
-</head>
-<body>
-<iframe id="picture" allow="clipboard-read; clipboard-write; fullscreen"></iframe>
-<div id="newest"></div>
-<script>
-  // By another name of this computer the frame is another site, which has a process of its own: a browser
-  // that draws by software has a turn or two in a second, and in a busy one none for half a minute.
-  const names = {{"127.0.0.1": "localhost", "localhost": "127.0.0.1"}};
-  const host = (names[location.hostname] || location.hostname) + ":" + (location.port || "80");
-  const stream = encodeURIComponent("rerun+http://" + host + "/proxy");
-  const picture = document.getElementById("picture");
-  picture.src = "http://" + host + "{viewer}?url=" + stream + "&hide_welcome_screen=1";
-  const say = (lines) => {{ document.getElementById("newest").textContent = lines.join("\\n"); }};
-  const source = new EventSource("{alive}");
-  source.onmessage = (message) => {{
-    const told = JSON.parse(message.data);
-    // A restarted server has another name; the page then starts anew and gets the picture back.
-    if (told.name !== "{name}") window.location.reload();
-    say(told.newest);
-  }};
-  source.onerror = () => {{ /* the browser asks again by itself */
-    say(["no answer from imumon: it has ended, or cannot be reached"]);
-  }};
-</script>
-</body>
-</html>
-"""
-NEWEST_HEIGHT = 72
-"""Pixels: four lines, two of which the states may take."""
-PUSH_S = 5.0
-"""So often the page is told what is newest when nothing has changed, so that who went away is noticed."""
 
 
 def bundled_assets() -> dict[str, bytes]:
@@ -120,21 +68,20 @@ def _fetch(url: str) -> bytes:
         return data
 
 
-def page(name: str, title: str) -> str:
-    """Return our page, for the server of this name."""
-    return PAGE.format(title=escape(title), name=name, viewer=VIEWER, alive=ALIVE, height=NEWEST_HEIGHT)
-
-
 def without_elsewhere(html: str) -> str:
     """Return Rerun's page without what it would load from elsewhere."""
     return re.sub(r"<link\b[^>]*https://[^>]*>", "", html)
 
 
+def titled(html: str, title: str) -> str:
+    """Return a page with another title."""
+    return re.sub(r"<title>.*?</title>", lambda _: f"<title>{escape(title)}</title>", html, flags=re.DOTALL)
+
+
 POLICY = (
     "default-src 'self' data: blob:; connect-src 'self' data: blob:; "
     "script-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob:; "
-    "style-src 'self' 'unsafe-inline'; worker-src 'self' blob:; "
-    "frame-src 'self' http://127.0.0.1:* http://localhost:*"
+    "style-src 'self' 'unsafe-inline'; worker-src 'self' blob:"
 )
 """The content security policy: this server, nothing else.  The web viewer sends usage data whatever its
 settings, asks for updates and for fonts; a browser that is told so refuses all of it."""
@@ -160,44 +107,14 @@ class WebServer:
         self.stream = stream
         self.host = socket.gethostname() if bind == "0.0.0.0" else bind  # as others reach it
         self.url = f"http://{self.host}:{self.port}/"
-        self._name = uuid.uuid4().hex
         self.files = bundled_assets()
-        self.files[VIEWER] = without_elsewhere(self.files["/"].decode()).encode()
-        self.files["/"] = page(self._name, title).encode()
-        self._newest = b""
-        self._change, self._closed = threading.Condition(), False
-        self.tell([])
+        self.files["/"] = titled(without_elsewhere(self.files["/"].decode()), title).encode()
         handler = partial(_Handler, self)
         self._server = _Server(door, handler)
         threading.Thread(target=self._server.serve_forever, name="web viewer", daemon=True).start()
 
-    def tell(self, newest: Sequence[str]) -> None:
-        """Let every page show these lines below the picture, at once."""
-        told = json.dumps({"name": self._name, "newest": newest}).encode()
-        if told != self._newest:
-            with self._change:
-                self._newest = told
-                self._change.notify_all()
-
-    def told(self) -> Iterator[bytes]:
-        """Yield what pages are told, now and as it changes, until the server is closed."""
-        seen = b""
-        while True:
-            with self._change:
-                self._change.wait_for(partial(self._differs, seen), PUSH_S)
-                if self._closed:
-                    return
-                seen = self._newest
-            yield seen
-
-    def _differs(self, seen: bytes) -> bool:
-        return self._closed or self._newest is not seen
-
     def close(self) -> None:
         """Stop serving."""
-        with self._change:
-            self._closed = True
-            self._change.notify_all()
         self._server.shutdown()
         self._server.server_close()
 
@@ -225,15 +142,18 @@ class _Handler(BaseHTTPRequestHandler):
         super().__init__(*arguments)
 
     def do_GET(self) -> None:
-        """Answer with a file, or tell what is newest."""
-        site = self._site
+        """Answer with a file; who asks for the page without a stream is sent to the one with ours."""
         if self._refuses():
             return
-        path = self.path.partition("?")[0]
-        if path == ALIVE:
-            self._push()
+        path, _, asked = self.path.partition("?")
+        if path == "/" and not asked:
+            stream = quote(f"rerun+http://{self.headers['Host']}/proxy", safe="")
+            self.send_response(HTTPStatus.FOUND)
+            self.send_header("Location", f"/?url={stream}&hide_welcome_screen=1")
+            self.send_header("Content-Length", "0")
+            self.end_headers()
             return
-        body = site.files.get(path)
+        body = self._site.files.get(path)
         if body is None:
             self.send_error(HTTPStatus.NOT_FOUND)
             return
@@ -244,16 +164,6 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("rerun-final-length", str(len(body)))  # the page's progress bar asks for it
         self.end_headers()
         self.wfile.write(body)
-
-    def _push(self) -> None:
-        """Tell the page what is newest for as long as it listens."""
-        self.send_response(HTTPStatus.OK)
-        self.send_header("Content-Type", "text/event-stream")
-        self.send_header("Cache-Control", "no-store")
-        self.send_header("Connection", "close")
-        self.end_headers()
-        for newest in self._site.told():
-            self.wfile.write(b"data: %b\n\n" % newest)
 
     def do_POST(self) -> None:
         """Pass a request for the stream on, and what comes back as it comes."""

@@ -25,7 +25,6 @@ SECTIONS = {
     "pipeline": "benchmarks.path",
     "replay": "benchmarks.replay",
     "live": "benchmarks.live",
-    "browser": "benchmarks.browser",
     "temperature": "benchmarks.temperature",
     "rest": "benchmarks.rest",
     "zupt": "benchmarks.zupt",
