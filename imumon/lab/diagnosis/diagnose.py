@@ -3,48 +3,40 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from imumon.clock.channel import CLOCK
 from imumon.effects.base import LEAST_SPAN_DEGC, Survey
 from imumon.effects.library import effects_for
 from imumon.errors import ImumonError, Reason
-from imumon.geodesy import DEG_PER_H
 from imumon.lab.calibration.gravity import Length
+from imumon.lab.diagnosis.axes import Assumed, make_axes
 from imumon.lab.diagnosis.blocks import (
     LEAST_BLOCKS,
     RunBlocks,
-    at_poses,
     common_block_s,
-    make_blocks,
     specific_force,
     survey,
-    white_floor,
 )
-from imumon.lab.diagnosis.candidates import Pool
-from imumon.lab.diagnosis.channel import Channel, Declared, Own
+from imumon.lab.diagnosis.channel import Declared
 from imumon.lab.diagnosis.claims import settle
 from imumon.lab.diagnosis.drivers import recorded, shadows, with_drivers
-from imumon.lab.diagnosis.earth import EarthRate, earth_rate, turned, without
 from imumon.lab.diagnosis.known import (
     check_range,
-    effects_of,
     modelled,
     order_of,
     temperature_of,
     with_needed,
     without_curve,
 )
-from imumon.lab.diagnosis.runs import SENSORS, STRETCHES, Run, channels_of, divided, in_order, unit_of
+from imumon.lab.diagnosis.runs import SENSORS, STRETCHES, Run, channels_of, divided, in_order
 from imumon.lab.diagnosis.search import search
 from imumon.lab.diagnosis.usable import (
     Names,
     blocks_of_test,
     blocks_of_training,
-    faults,
     sound,
     temperature_of_axis,
     usable_channels,
@@ -53,22 +45,9 @@ from imumon.lab.diagnosis.verdict import ChannelVerdict
 from imumon.models.curves.polynomial import CUBIC
 from imumon.models.model import BiasModel
 
-MOST_SEARCH_BLOCKS = 700
-"""Longer runs are searched in longer blocks; they are scored in blocks of 30 s all the same."""
-SHORTER, LEAST_SEARCH_BLOCKS = (1, 2, 3), 200
-"""Shorter runs in blocks of a half or a third: of few blocks the one with a jump in it decides."""
 HIGHEST_DEGREE = 8
 
 Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True, slots=True)
-class Assumed:
-    """The declared model: the temperature of each channel, the degree, and what has an offset of its own."""
-
-    temperatures: dict[str, str]
-    degree: int
-    own: Own
 
 
 @dataclass(slots=True)
@@ -149,11 +128,8 @@ def diagnose(
         check_range(model, temperatures, blocks)
     _remark(blocks, tested, shown, caveats)
     assumed = Assumed(temperatures, degree if shown.thermal else 0, "run" if offsets else "")
-    if names.drivers and shown.thermal and (alike := shadows(blocks, used[0], shown.scale, assumed.degree)):
-        caveats.append(
-            f"{', '.join(alike)} went with temperature or time in training: what depends on one of them looks"
-            " as if it depended on the other"
-        )
+    if names.drivers and shown.thermal:
+        caveats += _shadowed(shadows(blocks, used[0], shown.scale, assumed.degree))
     diagnosis = Diagnosis(declared, block_s, [], blocks, tested, shown, caveats, model, held)
     for sensor in sensors:
         if group := channels_of([sensor], channels):
@@ -194,6 +170,16 @@ def _remark(train: Sequence[RunBlocks], test: Sequence[RunBlocks], shown: Survey
         )
 
 
+def _shadowed(alike: Sequence[str]) -> list[str]:
+    """Return the caveat on drivers that went with temperature or time, if there are any."""
+    if not alike:
+        return []
+    return [
+        f"{', '.join(alike)} went with temperature or time in training: what depends on one of them looks"
+        " as if it depended on the other"
+    ]
+
+
 def _sensor(
     train: Sequence[Run],
     group: Sequence[str],
@@ -202,73 +188,18 @@ def _sensor(
     progress: Progress | None,
 ) -> list[ChannelVerdict]:
     """Return the verdicts on the axes of one sensor."""
-    blocks, tested, block_s = diagnosis.train, diagnosis.test, diagnosis.block_s
-    temperatures, own = assumed.temperatures, assumed.own
-    if not group[0].startswith(("gyro", CLOCK)):
-        # In each pose, and each day, another part of gravity, field or weather is seen, which nobody knows.
-        own = "pose"
-        if group[0].startswith("accel") and len(group) == 3:
-            _add_length(temperatures[group[0]], assumed.degree, diagnosis)
-        blocks, tested = at_poses(blocks), at_poses(tested)
-    models = {name: Declared.over(blocks, temperatures[name], assumed.degree, own) for name in group}
-    earth = None
-    if group[0].startswith("gyro") and turned(blocks):
-        earth = earth_rate(blocks, group, temperatures, models[group[0]])
-        diagnosis.caveats.append(_earth_caveat(earth))
-    if earth is not None:
-        blocks, tested = without(blocks, group, earth), without(tested, group, earth)
-    pools = _pools(blocks, group, temperatures)
-    channels = [
-        Channel(
-            name,
-            unit_of(name),
-            floor,
-            models[name],
-            pools[temperatures[name]],
-            tested,
-            faults(train, name, temperatures[name], floor.sd),
-            known=None if diagnosis.model is None else effects_of(diagnosis.model.channels[name]),
-        )
-        for name in group
-        for floor in [white_floor(train, name, block_s).of_blocks(blocks)]
-    ]
-    searched, search_s = blocks, search_block(blocks)
-    if search_s != block_s:
-        searched = _blocks_again(train, blocks, assumed, search_s)
-        searched = searched if earth is None else without(searched, group, earth)
-        searched = at_poses(searched) if own == "pose" else searched
-        pools = _pools(searched, group, temperatures)
-    temperature = temperatures[group[0]]
+    temperature = assumed.temperatures[group[0]]
+    if group[0].startswith("accel") and len(group) == 3:
+        _add_length(temperature, assumed.degree, diagnosis)
+    axes = make_axes(train, diagnosis.train, diagnosis.test, group, assumed, diagnosis.model)
+    diagnosis.caveats += axes.caveats
     found = search(
-        [channel.in_blocks(pools[channel.temperature], block_s / search_s) for channel in channels],
-        with_drivers(survey(searched, temperature, assumed.degree, search_s), searched, temperature),
+        axes.searched,
+        with_drivers(axes.survey, axes.blocks, temperature),
         effects_for(group[0]),
         progress=progress,
     )
-    return [settle(channel, one) for channel, one in zip(channels, found, strict=True)]
-
-
-def _pools(
-    blocks: Sequence[RunBlocks], group: Sequence[str], temperatures: Mapping[str, str]
-) -> dict[str, Pool]:
-    """Return the pool of each temperature that a channel of the group is over."""
-    return {
-        temperature: Pool(blocks, temperature) for temperature in {temperatures[name]: 0 for name in group}
-    }
-
-
-def _blocks_again(
-    train: Sequence[Run], blocks: Sequence[RunBlocks], assumed: Assumed, block_s: float
-) -> list[RunBlocks]:
-    """Return the runs that were used, of all channels, in blocks of another length."""
-    used = {run.name for run in blocks}
-    every = list(dict.fromkeys(assumed.temperatures.values()))
-    others = list(blocks[0].drives[every[0]].others)
-    return [
-        make_blocks(run, list(assumed.temperatures), every, others, block_s)
-        for run in train
-        if run.name in used
-    ]
+    return [settle(channel, one) for channel, one in zip(axes.channels, found, strict=True)]
 
 
 def _add_length(temperature: str, degree: int, diagnosis: Diagnosis) -> None:
@@ -283,30 +214,3 @@ def _add_length(temperature: str, degree: int, diagnosis: Diagnosis) -> None:
     if found is not None:
         poses, diagnosis.length = found
         diagnosis.caveats.append(diagnosis.length.described(poses))
-
-
-def _earth_caveat(earth: EarthRate | None) -> str:
-    if earth is None:
-        return (
-            "several poses: what is named g_sensitivity holds the vertical earth rate as well, up to"
-            " 15.04 °/h per g on the diagonal; the horizontal earth rate of each pose is not told from"
-            " an offset"
-        )
-    parts = [f"{earth.up / DEG_PER_H:+.2f} °/h up"] if earth.upright else []
-    parts += [f"{earth.across / DEG_PER_H:.2f} °/h level"] if earth.level else []
-    rest = (
-        ""
-        if earth.level
-        else "; its horizontal part is another offset in each pose, which a magnetometer would tell"
-    )
-    return (
-        f"several poses: the gyros have {' and '.join(parts)} in common; it is taken for the earth rate"
-        f" (latitude {earth.latitude_deg:+.0f}°) and subtracted{rest}"
-    )
-
-
-def search_block(blocks: Sequence[RunBlocks]) -> float:
-    """Return the length in seconds of the blocks that these, of the usual length, are searched in."""
-    longest = max(map(len, blocks))
-    shorter = next((part for part in SHORTER if part * longest >= LEAST_SEARCH_BLOCKS), SHORTER[-1])
-    return blocks[0].block_s * max(1, -(-longest // MOST_SEARCH_BLOCKS)) / shorter

@@ -21,15 +21,12 @@ from imumon.effects.base import ACCEL
 from imumon.effects.library import EFFECTS, AnyEffect, effects_for
 from imumon.files import write_text
 from imumon.geodesy import DEG_PER_H, MICRO_G
-from imumon.lab.diagnosis.blocks import BLOCK_S, at_poses, make_blocks, survey, white_floor
-from imumon.lab.diagnosis.candidates import Pool
-from imumon.lab.diagnosis.channel import Channel, Declared
-from imumon.lab.diagnosis.diagnose import search_block
-from imumon.lab.diagnosis.earth import earth_rate, turned, without
+from imumon.lab.diagnosis.axes import Assumed, make_axes
+from imumon.lab.diagnosis.blocks import BLOCK_S, make_blocks, survey
 from imumon.lab.diagnosis.likelihood import TAUS_S
 from imumon.lab.diagnosis.profiles import Profile, profiles
 from imumon.lab.diagnosis.questions import NOTHING
-from imumon.lab.diagnosis.runs import Run, collect, unit_of
+from imumon.lab.diagnosis.runs import Run, collect
 from imumon.lab.diagnosis.search import CLOSE, CLOSE_SHARE, PROVEN, Search, search
 from imumon.models.model import UNITS
 from imumon.simulation.unit import Scenario, SimulatedUnit
@@ -299,23 +296,13 @@ def recorded(plan: Scenario, seed: int) -> Run:
 
 
 def _searched(run: Run, channel: str, degree: int, kinds: Sequence[str]) -> Search:
-    """Return the search in one channel of a run, the earth rate and gravity taken care of."""
-    sensor, temperature = channel[:-2], "temperature"
-    group, magnetic = [f"{sensor}_{axis}" for axis in "xyz"], [f"mag_{axis}" for axis in "xyz"]
-    blocks = [make_blocks(run, group, [temperature], magnetic)]
-    search_s = search_block(blocks)
-    parts = [make_blocks(run, group, [temperature], magnetic, search_s)]
-    shown = survey(parts, temperature, degree, search_s)
-    declared = Declared.over(
-        blocks, temperature, degree if shown.thermal else 0, "pose" if sensor == "accel" else ""
-    )
-    if sensor == "accel":
-        parts = at_poses(parts)
-    elif turned(blocks) and (earth := earth_rate(blocks, group, dict.fromkeys(group, temperature), declared)):
-        parts = without(parts, group, earth)
-    floor = white_floor([run], channel, search_s).of_blocks(parts)
-    one = Channel(channel, unit_of(channel), floor, declared, Pool(parts, temperature), [])
-    return search([one], shown, kinds)[0]
+    """Return the search in one channel of a run."""
+    group, magnetic = [f"{channel[:-2]}_{axis}" for axis in "xyz"], [f"mag_{axis}" for axis in "xyz"]
+    blocks = [make_blocks(run, group, ["temperature"], magnetic)]
+    shown = survey(blocks, "temperature", degree, BLOCK_S)
+    assumed = Assumed(dict.fromkeys(group, "temperature"), degree if shown.thermal else 0, "")
+    axes = make_axes([run], blocks, [], group, assumed)
+    return search([axes.searched[group.index(channel)]], axes.survey, kinds)[0]
 
 
 def write_plan(report: Report, number: int, made: Plan, folder: Path) -> list[Path]:

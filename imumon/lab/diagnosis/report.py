@@ -17,6 +17,7 @@ from imumon.lab.diagnosis.conclusion import conclusion, next_step
 from imumon.lab.diagnosis.diagnose import Diagnosis
 from imumon.lab.diagnosis.fit import FittedPart
 from imumon.lab.diagnosis.questions import Answer
+from imumon.lab.diagnosis.search import Step
 from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim
 from imumon.version import __version__
 
@@ -82,12 +83,37 @@ def _run(name: str, blocks: int, duration_s: float) -> dict[str, Any]:
 
 
 def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
-    before, after = verdict.test_before, verdict.test_after
-    nothing = float("nan")
-    declared = verdict.channel.declared
     return {
         "verdict": verdict.row.state,
         "unit": verdict.channel.unit,
+        **_noise(verdict),
+        **_errors(verdict),
+        "explained_share": verdict.explained,
+        "curve": _curve(verdict),
+        "effects": [_effect(claim) for claim in verdict.claims],
+        "ranking": [asdict(one) for one in verdict.ranking],
+        "runs": [asdict(one) for one in verdict.runs],
+        "indistinguishable": [claim.finding.alike for claim in verdict.claims if claim.finding.alike],
+        "to_separate": [
+            {"effects": [claim.finding.alike[0], other], "by": separated_by(claim.finding.alike[0], other)}
+            for claim in verdict.claims
+            for other in claim.finding.alike[1:]
+        ],
+        "questions": [[_answer(one) for one in group] for group in verdict.questions],
+        "turns": [_turn(step) for step in verdict.turns],
+        "fitted_anew": verdict.refit,
+        "left_out": verdict.left_out,
+        "in_model_file": verdict.predicts,
+        "faults": [fault.text for fault in verdict.channel.faults],
+        "unexplained": verdict.unexplained,
+        "formula": None,
+        "remark": verdict.remark,
+        "summary": verdict.summary,
+    }
+
+
+def _noise(verdict: ChannelVerdict) -> dict[str, Any]:
+    return {
         "noise_floor_rms": verdict.channel.floor.sd,
         "noise_floor_from": verdict.channel.floor.source,
         "slow_noise": {
@@ -97,6 +123,14 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
             "random_walk_per_sqrt_s": verdict.slow.walk,
             "heavy_tails": verdict.slow.tails,
         },
+    }
+
+
+def _errors(verdict: ChannelVerdict) -> dict[str, Any]:
+    """Return what is left before and after, NaN where there is no test."""
+    before, after = verdict.test_before, verdict.test_after
+    nothing = float("nan")
+    return {
         "before": {
             "train_rms": verdict.before.train_rms,
             "test_rms": nothing if before is None else before.rms,
@@ -108,40 +142,25 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
         },
         "coverage": nothing if after is None else after.coverage,
         "scored": nothing if after is None else after.scored,
-        "explained_share": verdict.explained,
-        "curve": {
-            "coefficients": verdict.after.declared.tolist(),
-            "sigma": np.sqrt(np.diag(verdict.declared_covariance)).tolist(),
-            "middle_degc": declared.middle_degc,
-            "half_span_degc": declared.half_span_degc,
-        },
-        "effects": [_effect(claim) for claim in verdict.claims],
-        "ranking": [asdict(one) for one in verdict.ranking],
-        "runs": [asdict(one) for one in verdict.runs],
-        "indistinguishable": [claim.finding.alike for claim in verdict.claims if claim.finding.alike],
-        "to_separate": [
-            {"effects": [claim.finding.alike[0], other], "by": separated_by(claim.finding.alike[0], other)}
-            for claim in verdict.claims
-            for other in claim.finding.alike[1:]
-        ],
-        "questions": [[_answer(one) for one in group] for group in verdict.questions],
-        "turns": [
-            {
-                "done": step.done,
-                "gain_bic": step.gain,
-                "train_rms": step.train_rms,
-                "test_rms": step.test_rms,
-            }
-            for step in verdict.turns
-        ],
-        "fitted_anew": verdict.refit,
-        "left_out": verdict.left_out,
-        "in_model_file": verdict.predicts,
-        "faults": [fault.text for fault in verdict.channel.faults],
-        "unexplained": verdict.unexplained,
-        "formula": None,
-        "remark": verdict.remark,
-        "summary": verdict.summary,
+    }
+
+
+def _curve(verdict: ChannelVerdict) -> dict[str, Any]:
+    declared = verdict.channel.declared
+    return {
+        "coefficients": verdict.after.declared.tolist(),
+        "sigma": np.sqrt(np.diag(verdict.declared_covariance)).tolist(),
+        "middle_degc": declared.middle_degc,
+        "half_span_degc": declared.half_span_degc,
+    }
+
+
+def _turn(step: Step) -> dict[str, Any]:
+    return {
+        "done": step.done,
+        "gain_bic": step.gain,
+        "train_rms": step.train_rms,
+        "test_rms": step.test_rms,
     }
 
 
