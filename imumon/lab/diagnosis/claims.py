@@ -11,6 +11,7 @@ import numpy as np
 
 from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.channel import Channel
+from imumon.lab.diagnosis.choice import Finding
 from imumon.lab.diagnosis.fit import (
     CLEAN,
     EXPLAINED,
@@ -30,7 +31,7 @@ from imumon.lab.diagnosis.fit import (
 )
 from imumon.lab.diagnosis.questions import questions
 from imumon.lab.diagnosis.ranking import ranking, runs_left
-from imumon.lab.diagnosis.search import MOST_NAMES, Finding, Search, Step
+from imumon.lab.diagnosis.search import MOST_NAMES, Search, Step
 from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim, SlowNoise
 
 UNKNOWN = float("nan")

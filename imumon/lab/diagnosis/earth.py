@@ -23,7 +23,7 @@ from imumon.filters.least_squares import INDEPENDENT, least_squares
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 from imumon.lab.diagnosis.blocks import RunBlocks, specific_force
 from imumon.lab.diagnosis.channel import Declared
-from imumon.lab.diagnosis.search import PROVEN
+from imumon.lab.diagnosis.choice import PROVEN
 
 ALLOWANCE = 1.05
 SIGMAS = 3.0

@@ -23,11 +23,12 @@ from imumon.files import write_text
 from imumon.geodesy import DEG_PER_H, MICRO_G
 from imumon.lab.diagnosis.axes import Assumed, make_axes
 from imumon.lab.diagnosis.blocks import BLOCK_S, make_blocks, survey
+from imumon.lab.diagnosis.choice import CLOSE, CLOSE_SHARE, PROVEN
 from imumon.lab.diagnosis.likelihood import TAUS_S
 from imumon.lab.diagnosis.profiles import Profile, profiles
 from imumon.lab.diagnosis.questions import NOTHING
 from imumon.lab.diagnosis.runs import Run, collect
-from imumon.lab.diagnosis.search import CLOSE, CLOSE_SHARE, PROVEN, Search, search
+from imumon.lab.diagnosis.search import Search, search
 from imumon.models.model import UNITS
 from imumon.simulation.unit import Scenario, SimulatedUnit
 from imumon.simulation.unit.scenario import Unit

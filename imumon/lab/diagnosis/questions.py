@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from imumon.effects.base import ACCEL
 from imumon.lab.diagnosis.candidates import Candidate
 from imumon.lab.diagnosis.channel import Channel
+from imumon.lab.diagnosis.choice import Finding
 from imumon.lab.diagnosis.fit import Fit, fit
-from imumon.lab.diagnosis.search import Finding, Search
+from imumon.lab.diagnosis.search import Search
 
 NOTHING = "nothing"
 """The answer that there is slow noise and no effect; alone: is it noise, or something that the course of

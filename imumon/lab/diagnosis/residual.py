@@ -22,6 +22,7 @@ from imumon.lab.diagnosis.blocks import (
 )
 from imumon.lab.diagnosis.candidates import Candidate, Pool, candidates
 from imumon.lab.diagnosis.channel import Channel, Declared, Own, residual_rms
+from imumon.lab.diagnosis.choice import lacks, proof
 from imumon.lab.diagnosis.drivers import recorded, with_drivers
 from imumon.lab.diagnosis.earth import ALLOWANCE, turned
 from imumon.lab.diagnosis.extended import refitted
@@ -29,7 +30,7 @@ from imumon.lab.diagnosis.fit import MATERIAL, fit
 from imumon.lab.diagnosis.known import CUBIC, effects_of, temperature_of
 from imumon.lab.diagnosis.likelihood import Likelihood
 from imumon.lab.diagnosis.runs import SECOND_NS, Run, unit_of
-from imumon.lab.diagnosis.search import MOST_NAMES, Search, lacks, proof
+from imumon.lab.diagnosis.search import MOST_NAMES, Search
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.models.predictor import BiasPredictor
 

@@ -8,15 +8,14 @@ curve, Z the columns of the effects with nonlinear parameters theta, W, F and R 
 
 with r, q, s, b and c at the maximum of L, the noise no larger than it is without the effect.  A gain is twice
 the logarithm of a Bayes factor: while nothing is missing it ever exceeds g with a probability of exp(-g / 2)
-at most, however often one looks (Ville 1939; Shafer et al. 2011, doi:10.1214/10-STS347).  One package has
-one physics, so what an effect gains on several axes adds up; the choice of one of e effects on any of the
-sets of m axes costs 2 ln(e (2^m - 1)) (extended BIC: Chen & Chen 2008, doi:10.1093/biomet/asn034).
+at most, however often one looks (Ville 1939; Shafer et al. 2011, doi:10.1214/10-STS347).  Which effect is
+added to which axes, see `choice`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -24,15 +23,25 @@ import numpy as np
 from imumon.effects.base import Effect, Survey
 from imumon.lab.diagnosis.candidates import Candidate, Part, candidates
 from imumon.lab.diagnosis.channel import Channel, residual_rms
+from imumon.lab.diagnosis.choice import (
+    CLOSE_SHARE,
+    PROVEN,
+    Finding,
+    Lack,
+    Scored,
+    Table,
+    best_few,
+    best_of_each,
+    first_lack,
+    gain_in,
+    gain_of,
+    joined_events,
+    proof,
+)
 from imumon.lab.diagnosis.likelihood import Likelihood, Noise, no_larger
 
-PROVEN = 8.0
-"""Gain above which an effect is proven: e^-4 by chance."""
-CLOSE = 10.0
-"""Families whose gains differ by less are not told apart."""
-CLOSE_SHARE = 0.15
-"""Nor those that differ by less than this share of the best gain: no regressor has exactly the shape of the
-physics, and with a large effect the shape decides."""
+MOST_NAMES = 3
+"""Effects that are named in a set of those not told apart."""
 STAGES = 5
 LEAST_SIZE = 0.3
 """White floors (rms) that an effect takes away, at least."""
@@ -40,65 +49,9 @@ SECOND_SHARE = 0.2
 """And this share of what the largest effect before it takes away."""
 JUMP_SHARE = 0.5
 """A further jump counts from this share on: the jumps of a telegraph noise are of one size."""
-MOST_NAMES = 3
-"""Effects that are named in a set of those not told apart."""
-PAIR_LIST = 4
-"""Best candidates of each family that are tried in pairs."""
 REFINEMENTS = 4
 
 Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True, slots=True)
-class Scored:
-    """A candidate with its gain over the model so far.
-
-    `fit` is the gain without the price of the nonlinear parameters and of the choice.  `partner` names the
-    effect beside which it gains so much, where neither gains it alone.
-    """
-
-    candidate: Candidate
-    gain: float
-    fit: float
-    partner: str = ""
-
-    @property
-    def family(self) -> str:
-        """Name of its effect."""
-        return self.candidate.family
-
-
-Table = Mapping[str, Scored]
-"""The best candidate of each family."""
-
-
-@dataclass(slots=True)
-class Finding:
-    """An effect that was found in a channel."""
-
-    candidate: Candidate
-    """With refined parameters; coefficients come with the fit."""
-    gain: float
-    """Over the model so far."""
-    pooled_gain: float
-    """The same, summed over the channels that show it."""
-    rivals: dict[str, float]
-    """Gain of every family at that stage."""
-    alike: list[str]
-    """Families that cannot be told apart from it, it among them; empty when there is no other."""
-    size: float
-    """rms of what it takes away from the residual."""
-    by_test: bool = False
-    """Whether the test alone proves it."""
-    others: dict[str, Candidate] = field(default_factory=dict)
-    """The best of each other family that is not told apart from it."""
-    known: bool = False
-    """Whether it is of the model that was given, and fitted anew."""
-
-    @property
-    def name(self) -> str:
-        """Name of the effect."""
-        return self.candidate.family
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,82 +109,13 @@ def _add(active: Sequence[Search], least: float) -> None:
     while left:
         tables = {name: one.open_table() for name, one in left.items()}
         there = {name: [finding.name for finding in one.findings] for name, one in left.items()}
-        lack = _first_lack(tables, least, there)
+        lack = first_lack(tables, least, there)
         if lack is None:
             break
         done = [name for name in lack.channels if left[name].add(lack)]
         left = {name: one for name, one in left.items() if name not in done}
     for one in left.values():
         one.finished = True
-
-
-@dataclass(frozen=True, slots=True)
-class Lack:
-    """Effects of which channels lack one, the one that is chosen first; these data do not tell them apart.
-    `gain` is what it gains on all of these channels."""
-
-    names: list[str]
-    channels: list[str]
-    gain: float
-
-
-def proof(effects: int, channels: int) -> float:
-    """Return the gain that proves one of so many effects on any set of channels."""
-    return PROVEN + 2.0 * float(np.log(max(1, effects) * (2**channels - 1)))
-
-
-def lacks(tables: Mapping[str, Table], least: float) -> list[Lack]:
-    """Return what channels lack whose gains add up to more than `least`; each lacks one effect."""
-    found, left = list[Lack](), dict(tables)
-    while (lack := _first_lack(left, least, {})) is not None:
-        found.append(lack)
-        left = {name: table for name, table in left.items() if name not in lack.channels}
-    return found
-
-
-def _first_lack(tables: Mapping[str, Table], least: float, there: Mapping[str, Sequence[str]]) -> Lack | None:
-    """Return the effect that gains most on all the channels that show it, if that is more than `least`.
-
-    Of effects that gain alike, what carries over goes before an event, and what is `there` already before
-    what is new.
-    """
-    names = dict.fromkeys(name for table in tables.values() for name in table)
-    on = {name: [channel for channel in tables if _shows(tables[channel], name, least)] for name in names}
-    total = {name: sum(tables[channel][name].gain for channel in on[name]) for name in names}
-    proven = [name for name in names if total[name] > least]
-    if not proven:
-        return None
-    close = [name for name in proven if _near(total[name], max(total.values()))]
-
-    def order(name: str) -> tuple[bool, bool, float]:
-        event = tables[on[name][0]][name].candidate.scope == "event"
-        known = any(name in there.get(channel, ()) for channel in on[name])
-        return not event, known, total[name]
-
-    chosen = max(close, key=order)
-    channels = on[chosen]
-    together = {name: sum(_gain_in(tables[channel], name) for channel in channels) for name in names}
-    apart = {chosen, *(tables[channel][chosen].partner for channel in channels)}
-    alike = [name for name in names if name not in apart and _near(together[name], total[chosen])]
-    alike = [name for name in alike if together[name] > least]
-    return Lack([chosen, *sorted(alike, key=lambda name: -together[name])], channels, total[chosen])
-
-
-def _shows(table: Table, name: str, least: float) -> bool:
-    """Tell whether a channel shows an effect, and does not prove another in its place.
-
-    An event has a time of its own in each channel, so that each has to prove its own.
-    """
-    if name not in table:
-        return False
-    best = max(one.gain for one in table.values())
-    own = PROVEN if table[name].candidate.scope == "event" else 0.0
-    return table[name].gain > max(own, best - max(least, CLOSE_SHARE * best))
-
-
-def _near(gain: float, best: float) -> bool:
-    """Tell whether a gain is too near to the best for a proof."""
-    return best - gain < max(CLOSE, CLOSE_SHARE * best)
 
 
 class Search:
@@ -291,7 +175,7 @@ class Search:
     def table(self) -> Table:
         """Return the best of each family beside the model so far; jumps in several runs are one effect."""
         scored = self.scored(self.tried)
-        best = _best(scored + self.scored(_joined_events(scored)))
+        best = best_of_each(scored + self.scored(joined_events(scored)))
         return best if self.findings else self._beside_partner(scored, best)
 
     def scored(self, tried: Sequence[Candidate]) -> list[Scored]:
@@ -333,7 +217,7 @@ class Search:
         """
         few = [one for one in scored if not (one.candidate.free_start or one.candidate.choice)]
         few = [one for one in few if len(one.candidate.parts) == 1]
-        members = [one for group in _families(few).values() for one in group]
+        members = [one for group in best_few(few).values() for one in group]
         members += [self.refined(one) for one in best.values() if one.candidate.scope == "event"]
         pairs = [two for two in combinations(members, 2) if two[0].family != two[1].family]
         if not pairs:
@@ -356,7 +240,7 @@ class Search:
         for two, gain in zip(pairs, gains, strict=True):
             for one, other in (two, two[::-1]):
                 beside = gain - max(0.0, other.gain)
-                if other.family == partner.family and beside > _gain_in(found, one.family):
+                if other.family == partner.family and beside > gain_in(found, one.family):
                     found[one.family] = replace(one, gain=beside, partner=partner.family)
         best |= found
         return best
@@ -427,7 +311,7 @@ class Search:
         best = self.scored([best.candidate])[0]
         for level in range(REFINEMENTS):
             tried = best.candidate.neighbours(self.survey, level)
-            best = max([best, *self.scored(tried)], key=_gain)
+            best = max([best, *self.scored(tried)], key=gain_of)
         return best
 
     def _left(self, *more: Candidate) -> float:
@@ -454,7 +338,7 @@ class Search:
         for finding in everything:
             self.findings = [other for other in everything if other is not finding]
             family = [one for one in self.tried if one.family == finding.name and one.carries]
-            best = max(self.scored([finding.candidate, *family]), key=_gain)
+            best = max(self.scored([finding.candidate, *family]), key=gain_of)
             finding.candidate = self.refined(best).candidate
         self.findings = everything
 
@@ -503,37 +387,3 @@ class Search:
         if curve or before - self._score() > PROVEN:
             self._known.clear()
             self.channel = fitted
-
-
-def _best(scored: Sequence[Scored]) -> dict[str, Scored]:
-    return {one.family: one for one in sorted(scored, key=_gain)}
-
-
-def _gain_in(table: Table, name: str) -> float:
-    return table[name].gain if name in table else -np.inf
-
-
-def _gain(one: Scored) -> float:
-    return one.gain
-
-
-def _families(scored: Sequence[Scored]) -> dict[str, list[Scored]]:
-    """Return the best few candidates of each family."""
-    found: dict[str, list[Scored]] = {}
-    for one in sorted(scored, key=_gain, reverse=True):
-        if len(found.setdefault(one.family, [])) < PAIR_LIST:
-            found[one.family].append(one)
-    return found
-
-
-def _joined_events(scored: Sequence[Scored]) -> list[Candidate]:
-    """Return events in several runs at once, made of the best of each run."""
-    best: dict[str, dict[int, Scored]] = {}
-    for one in sorted(scored, key=_gain):
-        if one.candidate.scope == "event":
-            best.setdefault(one.family, {})[one.candidate.parts[0].runs[0]] = one
-    found = []
-    for name, runs in best.items():
-        parts: list[Part] = [one.candidate.parts[0] for one in sorted(runs.values(), key=_gain, reverse=True)]
-        found += [Candidate(name, tuple(parts[:count])) for count in range(2, len(parts) + 1)]
-    return found

@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imumon.lab.diagnosis.blocks import common_block_s
+from imumon.lab.diagnosis.choice import PROVEN
 from imumon.lab.diagnosis.known import temperature_of
 from imumon.lab.diagnosis.likelihood import Likelihood
 from imumon.lab.diagnosis.residual import Better, residual
 from imumon.lab.diagnosis.runs import Run
-from imumon.lab.diagnosis.search import PROVEN
 from imumon.models.model import BiasModel
 
 LEAST_BLOCKS = 10

@@ -5,7 +5,7 @@ from __future__ import annotations
 from imumon.effects.drift import Drift
 from imumon.effects.warm_up import WarmUp
 from imumon.lab.diagnosis.candidates import Candidate, Part
-from imumon.lab.diagnosis.search import Scored, Table, lacks, proof
+from imumon.lab.diagnosis.choice import Scored, Table, lacks, proof
 
 LEAST = proof(2, 3)
 

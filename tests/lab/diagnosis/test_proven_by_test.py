@@ -8,11 +8,11 @@ import pytest
 from imumon.effects.base import Drive
 from imumon.effects.hysteresis import Hysteresis
 from imumon.lab.diagnosis.candidates import Candidate
+from imumon.lab.diagnosis.choice import Finding
 from imumon.lab.diagnosis.claims import chosen_by_test
 from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.report import report
 from imumon.lab.diagnosis.runs import Run
-from imumon.lab.diagnosis.search import Finding
 from tests.lab.diagnosis.units import ramps, run
 
 SECONDS = 5400

@@ -1,0 +1,184 @@
+"""Choice: which effect do the axes lack, by what the candidates gain on each of them?
+
+One package has one physics, so what an effect gains on several axes adds up; the choice of one of e effects
+on any of the sets of m axes costs 2 ln(e (2^m - 1)) (extended BIC: Chen & Chen 2008,
+doi:10.1093/biomet/asn034).  Gains see `imumon.lab.diagnosis.search`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from imumon.lab.diagnosis.candidates import Candidate
+
+PROVEN = 8.0
+"""Gain above which an effect is proven: e^-4 by chance."""
+CLOSE = 10.0
+"""Families whose gains differ by less are not told apart."""
+CLOSE_SHARE = 0.15
+"""Nor those that differ by less than this share of the best gain: no regressor has exactly the shape of the
+physics, and with a large effect the shape decides."""
+PAIR_LIST = 4
+"""Best candidates of each family that are tried in pairs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """A candidate with its gain over the model so far.
+
+    `fit` is the gain without the price of the nonlinear parameters and of the choice.  `partner` names the
+    effect beside which it gains so much, where neither gains it alone.
+    """
+
+    candidate: Candidate
+    gain: float
+    fit: float
+    partner: str = ""
+
+    @property
+    def family(self) -> str:
+        """Name of its effect."""
+        return self.candidate.family
+
+
+Table = Mapping[str, Scored]
+"""The best candidate of each family."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lack:
+    """Effects of which channels lack one, the one that is chosen first; these data do not tell them apart.
+    `gain` is what it gains on all of these channels."""
+
+    names: list[str]
+    channels: list[str]
+    gain: float
+
+
+@dataclass(slots=True)
+class Finding:
+    """An effect that was chosen for a channel."""
+
+    candidate: Candidate
+    """With refined parameters; coefficients come with the fit."""
+    gain: float
+    """Over the model so far."""
+    pooled_gain: float
+    """The same, summed over the channels that show it."""
+    rivals: dict[str, float]
+    """Gain of every family at that stage."""
+    alike: list[str]
+    """Families that cannot be told apart from it, it among them; empty when there is no other."""
+    size: float
+    """rms of what it takes away from the residual."""
+    by_test: bool = False
+    """Whether the test alone proves it."""
+    others: dict[str, Candidate] = field(default_factory=dict)
+    """The best of each other family that is not told apart from it."""
+    known: bool = False
+    """Whether it is of the model that was given, and fitted anew."""
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.candidate.family
+
+
+def proof(effects: int, channels: int) -> float:
+    """Return the gain that proves one of so many effects on any set of channels."""
+    return PROVEN + 2.0 * float(np.log(max(1, effects) * (2**channels - 1)))
+
+
+def lacks(tables: Mapping[str, Table], least: float) -> list[Lack]:
+    """Return what channels lack whose gains add up to more than `least`; each lacks one effect."""
+    found, left = list[Lack](), dict(tables)
+    while (lack := first_lack(left, least, {})) is not None:
+        found.append(lack)
+        left = {name: table for name, table in left.items() if name not in lack.channels}
+    return found
+
+
+def first_lack(tables: Mapping[str, Table], least: float, there: Mapping[str, Sequence[str]]) -> Lack | None:
+    """Return the effect that gains most on all the channels that show it, if that is more than `least`.
+
+    Of effects that gain alike, what carries over goes before an event, and what is `there` already before
+    what is new.
+    """
+    names = dict.fromkeys(name for table in tables.values() for name in table)
+    on = {name: [channel for channel in tables if _shows(tables[channel], name, least)] for name in names}
+    total = {name: sum(tables[channel][name].gain for channel in on[name]) for name in names}
+    proven = [name for name in names if total[name] > least]
+    if not proven:
+        return None
+    close = [name for name in proven if _near(total[name], max(total.values()))]
+
+    def order(name: str) -> tuple[bool, bool, float]:
+        event = tables[on[name][0]][name].candidate.scope == "event"
+        known = any(name in there.get(channel, ()) for channel in on[name])
+        return not event, known, total[name]
+
+    chosen = max(close, key=order)
+    channels = on[chosen]
+    together = {name: sum(gain_in(tables[channel], name) for channel in channels) for name in names}
+    apart = {chosen, *(tables[channel][chosen].partner for channel in channels)}
+    alike = [name for name in names if name not in apart and _near(together[name], total[chosen])]
+    alike = [name for name in alike if together[name] > least]
+    return Lack([chosen, *sorted(alike, key=lambda name: -together[name])], channels, total[chosen])
+
+
+def _shows(table: Table, name: str, least: float) -> bool:
+    """Tell whether a channel shows an effect, and does not prove another in its place.
+
+    An event has a time of its own in each channel, so that each has to prove its own.
+    """
+    if name not in table:
+        return False
+    best = max(one.gain for one in table.values())
+    own = PROVEN if table[name].candidate.scope == "event" else 0.0
+    return table[name].gain > max(own, best - max(least, CLOSE_SHARE * best))
+
+
+def _near(gain: float, best: float) -> bool:
+    """Tell whether a gain is too near to the best for a proof."""
+    return best - gain < max(CLOSE, CLOSE_SHARE * best)
+
+
+def best_of_each(scored: Sequence[Scored]) -> dict[str, Scored]:
+    """Return the best candidate of each family."""
+    return {one.family: one for one in sorted(scored, key=gain_of)}
+
+
+def gain_in(table: Table, name: str) -> float:
+    """Return what a family gains, minus infinity where it is not in the table."""
+    return table[name].gain if name in table else -np.inf
+
+
+def gain_of(one: Scored) -> float:
+    """Return the gain, to sort by."""
+    return one.gain
+
+
+def best_few(scored: Sequence[Scored]) -> dict[str, list[Scored]]:
+    """Return the best few candidates of each family."""
+    found: dict[str, list[Scored]] = {}
+    for one in sorted(scored, key=gain_of, reverse=True):
+        if len(found.setdefault(one.family, [])) < PAIR_LIST:
+            found[one.family].append(one)
+    return found
+
+
+def joined_events(scored: Sequence[Scored]) -> list[Candidate]:
+    """Return events in several runs at once, made of the best of each run."""
+    best: dict[str, dict[int, Scored]] = {}
+    for one in sorted(scored, key=gain_of):
+        if one.candidate.scope == "event":
+            best.setdefault(one.family, {})[one.candidate.parts[0].runs[0]] = one
+    found = []
+    for name, runs in best.items():
+        largest = sorted(runs.values(), key=gain_of, reverse=True)
+        parts = [one.candidate.parts[0] for one in largest]
+        found += [Candidate(name, tuple(parts[:count])) for count in range(2, len(parts) + 1)]
+    return found
