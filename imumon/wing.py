@@ -41,6 +41,8 @@ class Wing(NamedTuple):
     """
     live_output: str = ""
     """Option of `imumon monitor` that sends what is recorded elsewhere, too: a `LiveOutput`."""
+    setup_keys: tuple[str, ...] = ()
+    """Keys of a pipeline file that nothing but this wing carries out."""
     stages: str = ""
     """Returns more stages behind those of the core.
 

@@ -95,29 +95,54 @@ class Form(NamedTuple):
     """Bytes of its data."""
 
 
+def _xbus_begin(packet: Sequence[int]) -> int:
+    return 6 if packet[3] == 0xFF else 4
+
+
+def _xbus_key(packet: Sequence[int], at: int) -> int:
+    return packet[at] << 8 | packet[at + 1]
+
+
+def _xbus_size(packet: Sequence[int], at: int) -> int:
+    return packet[at + 2]
+
+
+def _mip_begin(packet: Sequence[int]) -> int:
+    del packet
+    return 4
+
+
+def _mip_key(packet: Sequence[int], at: int) -> int:
+    return packet[KIND_AT] << 8 | packet[at + 1]
+
+
+def _mip_size(packet: Sequence[int], at: int) -> int:
+    return packet[at] - 2
+
+
 XBUS = Form(
-    "Xbus",
-    b"\xfa",
-    b"\xfa\xff",
-    xbus_lengths,
-    Sum(first=1, negated=True),
-    LONGEST_XBUS_PAYLOAD,
-    lambda packet: 6 if packet[3] == 0xFF else 4,
-    3,
-    lambda packet, at: packet[at] << 8 | packet[at + 1],
-    lambda packet, at: packet[at + 2],
+    name="Xbus",
+    sync=b"\xfa",
+    start=b"\xfa\xff",
+    lengths=xbus_lengths,
+    check=Sum(first=1, negated=True),
+    longest=LONGEST_XBUS_PAYLOAD,
+    begin=_xbus_begin,
+    header=3,
+    key=_xbus_key,
+    size=_xbus_size,
 )
 MIP = Form(
-    "MIP",
-    b"\x75\x65",
-    b"\x75\x65",
-    counted_length(3, 1, 6, 261),
-    Fletcher(),
-    255,
-    lambda _: 4,
-    2,
-    lambda packet, at: packet[KIND_AT] << 8 | packet[at + 1],
-    lambda packet, at: packet[at] - 2,
+    name="MIP",
+    sync=b"\x75\x65",
+    start=b"\x75\x65",
+    lengths=counted_length(3, 1, 6, 261),
+    check=Fletcher(),
+    longest=255,
+    begin=_mip_begin,
+    header=2,
+    key=_mip_key,
+    size=_mip_size,
 )
 
 

@@ -23,7 +23,7 @@ from imumon.estimation.rest import odds, quiet
 from imumon.geodesy import DEG_PER_H
 
 TITLE = "Rest and gyro bias: error of the bias in hands and in steady turns, °/h."
-HANDS = ("as said above", "flicker of 27 °/h beside 0.03 °/√h", "warm-up", "sensitivity 0.1 °/s/g")
+HANDS = ("the default scene", "flicker of 27 °/h beside 0.03 °/√h", "warm-up", "sensitivity 0.1 °/s/g")
 TURNS = {"0.5 °/s": (0.5, 10.0, 120.0, 0.0), "0.05 °/s": (0.05, 10.0, 0.5, 0.0)}
 TILTED = {"0.5 °/s, tilted 45°": (0.5, 10.0, 120.0, 45.0)}
 GRADES = {"industrial": 1, "as MPU-6050": 3}
@@ -43,13 +43,13 @@ VARIANTS: dict[str, list[Change]] = {
     "a mean fits by 5.5 sigma, not 4.5": [(hypotheses, "FIT_SIGMAS", 5.5)],
     "a mean fits by 3.5 sigma, not 4.5": [(hypotheses, "FIT_SIGMAS", 3.5)],
     "no tight return": [(hypotheses, "RETURN_SIGMAS", hypotheses.FIT_SIGMAS)],
-    "a wide law is rest against gravity": [(estimator, "TURN_LOG_RATIO", 50.0)],
+    "a wide prediction is rest against gravity": [(estimator, "TURN_LOG_RATIO", 50.0)],
     "no test by gravity": [(odds, "OBLIQUE", 1e9)],
     "gravity decides from 4, not 12": [(estimator, "CHANGE_LOG_RATIO", 4.0)],
     "a contradiction outlives the motion it began with": [(hypotheses, "ONSET_S", 0.0)],
-    "a vague law does not explain a rate": [(estimator, "as_predicted", lambda *_: 0.0)],
+    "a vague prediction does not explain a rate": [(estimator, "as_predicted", lambda *_: 0.0)],
     "the first mean was no turn": [(estimator, "first_was_turn", lambda *_: 0.0)],
-    "an oblique change excludes no turn about the vertical": [(odds, "MOSTLY_LEVEL", 1e9)],
+    "an oblique change excludes no turn about the vertical": [(odds, "LEVEL_RATIO", 1e9)],
     "no floor of a suspicious mean": [(quiet, "QUIET", quiet.QUIET * 1e-3)],
 }
 

@@ -18,7 +18,7 @@ from imumon.simulation.unit.scenario import Scenario, load_scenario
 
 RMS_BAR, LARGEST_BAR = 1.8, 7.0
 CASES = {
-    "as said above": varied(),
+    "the default scene": varied(),
     "no sensitivity to g": varied(per_g=0.0),
     "sensitivity 0.1 °/s/g": varied(per_g=0.1),
     "rests of 3 s": varied(rest_s=3.0, rests=20),

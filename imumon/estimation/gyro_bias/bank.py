@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.law import Law
 from imumon.estimation.gyro_bias.modes import (
     SENSITIVITY,
     SENSITIVITY_SD,
@@ -25,6 +24,7 @@ from imumon.estimation.gyro_bias.modes import (
     measurement_row,
     propagate,
 )
+from imumon.estimation.gyro_bias.prediction import Prediction
 
 MEMORY_S = 600.0
 """Over which σ² is averaged."""
@@ -56,7 +56,7 @@ class Bank:
     time_s: float
     degc: FloatArray
     """(3,)."""
-    law: Law
+    prediction: Prediction
     """Of the mixture, after the last update."""
 
     def copy(self) -> Bank:
@@ -80,7 +80,7 @@ def start(
     mean = np.zeros((3, modes.count, STATES))
     count = KNOWN_COUNT if known_noise else PRIOR_COUNT
     scale = np.repeat(count * white[:, np.newaxis], modes.count, 1)
-    law = Law.of(np.zeros(3), np.full(3, UNKNOWN), 0.0, force, time_s)
+    prediction = Prediction.of(np.zeros(3), np.full(3, UNKNOWN), 0.0, force, time_s)
     return Bank(
         modes,
         mean,
@@ -92,7 +92,7 @@ def start(
         force,
         time_s,
         degc,
-        law,
+        prediction,
     )
 
 
@@ -101,7 +101,7 @@ def rescale(bank: Bank, white: FloatArray) -> None:
     scale = np.repeat(PRIOR_COUNT * white[:, np.newaxis], bank.modes.count, 1)
     bank.covariance *= (bank.scale / bank.shape * PRIOR_COUNT / scale)[..., np.newaxis, np.newaxis]
     bank.shape, bank.scale = PRIOR_COUNT, scale
-    bank.law = law_of(bank)
+    bank.prediction = prediction_of(bank)
 
 
 def take_noise(bank: Bank, other: Bank) -> None:
@@ -136,7 +136,7 @@ def update(bank: Bank, rate: FloatArray, force: FloatArray, seconds: float, weig
     bank.covariance -= gain[..., np.newaxis] * cross[..., np.newaxis, :]
     if weigh:
         _weigh(bank, innovation**2 / spread, spread)
-    bank.law = law_of(bank)
+    bank.prediction = prediction_of(bank)
 
 
 def _weigh(bank: Bank, square: FloatArray, spread: FloatArray) -> None:
@@ -163,7 +163,7 @@ def mode_probabilities(bank: Bank) -> FloatArray:
     return np.asarray(w / w.sum(1, keepdims=True))
 
 
-def law_of(bank: Bank) -> Law:
+def prediction_of(bank: Bank) -> Prediction:
     """Return mean and covariance over all modes, in absolute units."""
     modes, w = bank.modes, mode_probabilities(bank)
     white = w * bank.scale / max(bank.shape - 1.0, 1.0)
@@ -173,13 +173,13 @@ def law_of(bank: Bank) -> Law:
     covariance = within + (off * w[..., np.newaxis]).transpose(0, 2, 1) @ off
     process = (white[:, np.newaxis] @ modes.process)[:, 0]
     fast = (white * modes.fast).sum(1)
-    return Law(mean, covariance, process, fast, white.sum(1), bank.force, bank.time_s, bank.degc)
+    return Prediction(mean, covariance, process, fast, white.sum(1), bank.force, bank.time_s, bank.degc)
 
 
 def widen(bank: Bank, variance: FloatArray) -> None:
     """Let the bias have changed by an unknown amount of this variance, (rad/s)², (3,)."""
     bank.covariance[..., WALK, WALK] += variance[:, np.newaxis] * bank.shape / bank.scale
-    bank.law = bank.law.wider(variance)
+    bank.prediction = bank.prediction.wider(variance)
 
 
 def forget(bank: Bank) -> None:

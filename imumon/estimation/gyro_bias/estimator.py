@@ -18,10 +18,10 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import hypotheses
 from imumon.estimation.gyro_bias.hypotheses import LEAST_WHITE, Evidence
-from imumon.estimation.gyro_bias.law import Law
 from imumon.estimation.gyro_bias.modes import SENSITIVITY_SD, SLOPE, WALK, Modes, known_modes, unknown_modes
 from imumon.estimation.gyro_bias.motion import Motion
 from imumon.estimation.gyro_bias.place import Attitude, Place, turned_earth
+from imumon.estimation.gyro_bias.prediction import Prediction
 from imumon.estimation.gyro_bias.timing import Span
 from imumon.estimation.rest import quiet
 from imumon.estimation.rest.odds import (
@@ -44,7 +44,7 @@ HELD_BACK = 2
 CHANGE_LOG_RATIO = 12.0
 """Log likelihood ratio of a changed bias over a turn from which on the bias has changed."""
 TURN_LOG_RATIO = 2.0
-"""The same of a turn over a changed bias, from which on a mean that fits a wide law is no rest."""
+"""The same of a turn over a changed bias, from which on a mean that fits a wide prediction is no rest."""
 BEGAN_LOG_RATIO = 8.0
 """Log likelihood ratio by the compass from which on the recording began in a turn."""
 SLOWEST_BEGUN = 2.5e-3
@@ -129,7 +129,7 @@ class State:
     """The last that were known, (3,)."""
     motion: Motion = field(default_factory=Motion)
     """Estimates the bias from motion before the first rest."""
-    by_motion: Law | None = None
+    by_motion: Prediction | None = None
     decided: bool = False
     """Whether a second has been decided on since it was last not quiet."""
     began_turning: bool = False
@@ -141,7 +141,7 @@ class State:
     """By the other hypothesis of the bias, after the last second, rad/s, (3,): the larger of two is shown,
     for a single second may fit by chance."""
     shown_s: float = -math.inf
-    """Time of the law that is shown; minus infinity once it is another."""
+    """Time of the prediction that is shown; minus infinity once it is another."""
 
 
 def restarted(state: State) -> State:
@@ -190,8 +190,8 @@ def miss(state: State, lag_degc: FloatArray, long: bool) -> None:
     state.motion.interrupt()
     state.lost |= long or state.quiet.run == 0
     if state.bias.nominal is not None:
-        law = state.bias.nominal.law
-        slope2 = law.mean[:, SLOPE] ** 2 + law.covariance[:, SLOPE, SLOPE]
+        prediction = state.bias.nominal.prediction
+        slope2 = prediction.mean[:, SLOPE] ** 2 + prediction.covariance[:, SLOPE, SLOPE]
         state.added = state.added + slope2 * lag_degc**2
     if long:
         quiet.begin(state.quiet)
@@ -228,7 +228,7 @@ def _move(state: State, slot: Slot) -> None:
         state.motion.interrupt()
     elif state.motion.take(slot.turn, slot.force):
         bias, variance = state.motion.bias
-        state.by_motion = Law.of(
+        state.by_motion = Prediction.of(
             bias, variance + EARTH_RATE**2, SENSITIVITY_SD**2, state.motion.force, slot.span.end_s
         )
         state.shown_s = -math.inf
@@ -237,7 +237,7 @@ def _move(state: State, slot: Slot) -> None:
 def _follow_turn(state: State, slot: Slot) -> None:
     """Add a slot to the turn since the attitude was taken."""
     assert state.bias.nominal is not None
-    state.turn = state.turn.then(slot.turn.less(state.bias.nominal.law.mean[:, WALK] + slot.modelled))
+    state.turn = state.turn.then(slot.turn.less(state.bias.nominal.prediction.mean[:, WALK] + slot.modelled))
     state.lost |= slot.span.gap_s > 0.0
 
 
@@ -284,8 +284,8 @@ def _second(state: State, slots: Sequence[Slot]) -> Second:
 def _come_to_rest(state: State, params: Params, force: FloatArray) -> None:
     """Take the attitude after a turn, and what that adds to the variance of the bias."""
     assert state.bias.nominal is not None
-    law = None if state.lost else state.bias.nominal.law
-    state.added = state.added + state.attitude.come_to_rest(force, params.place, state.turn, law)
+    prediction = None if state.lost else state.bias.nominal.prediction
+    state.added = state.added + state.attitude.come_to_rest(force, params.place, state.turn, prediction)
     state.turn, state.lost = STILL, False
 
 
@@ -302,18 +302,18 @@ def _decide(state: State, params: Params) -> FloatArray | None:
     given = slots[-1].at_rest is not None
     if given:
         _check_noise(state)
-    law = bias.nominal.law.wider(state.added).at(now.end_s, now.degc)
-    mean, variance = law.bias(now.force)
-    innovation = (now.rate - mean) / np.sqrt(variance + law.white / now.seconds)
+    prediction = bias.nominal.prediction.wider(state.added).at(now.end_s, now.degc)
+    mean, variance = prediction.bias(now.force)
+    innovation = (now.rate - mean) / np.sqrt(variance + prediction.white / now.seconds)
 
-    def test(law: Law, difference: FloatArray, fits: bool) -> Evidence:
+    def test(prediction: Prediction, difference: FloatArray, fits: bool) -> Evidence:
         if given:
             return Evidence(changed=now.end_s - bias.since_s > PATIENCE_S, probability=0.5)
         seconds = bias.recent[-bias.alike :] if fits and bias.alike >= LEAST_SECONDS else bias.recent
         if len(seconds) < LEAST_SECONDS:
             seconds = [_second(state, [one]) for one in slots]
         noise = float(_noise(state)[ACCEL].max()) / seconds[0].seconds
-        return _evidence(bias, params.rest, law, difference, seconds, noise)
+        return _evidence(bias, params.rest, prediction, difference, seconds, noise)
 
     hypotheses.decide(bias, now, state.added, test)
     state.added, state.decided, state.shown_s = np.zeros(3), True, -math.inf
@@ -335,14 +335,14 @@ def _check_noise(state: State) -> None:
         return
     covered_s = sum(one.span.covered_s for one in state.latest) / TRIAL
     noise = quiet.noise_of(state.quiet.means(TRIAL))[GYRO] * covered_s
-    if (noise > GIVEN_ANOTHER * bias.nominal.law.white).any():
+    if (noise > GIVEN_ANOTHER * bias.nominal.prediction.white).any():
         hypotheses.take_noise(bias, np.maximum(noise, LEAST_WHITE))
 
 
 def _evidence(
     bias: hypotheses.State,
     parameters: RestParameters,
-    law: Law,
+    prediction: Prediction,
     difference: FloatArray,
     seconds: list[Second],
     noise: float,
@@ -352,7 +352,7 @@ def _evidence(
     `noise` is the variance of the mean force of a second, (m/s²)².
     """
     now = bias.recent[-1]
-    value, variance = law.bias(now.force, of_mean=True)
+    value, variance = prediction.bias(now.force, of_mean=True)
     turn = sum((one.seconds * (one.rate - value) for one in seconds[1:]), np.zeros(3))
     ratio, part = by_gravity(seconds, difference, turn, float(variance.max()), noise, parameters.accel_drift)
     ratio += by_compass(seconds, value)
@@ -368,14 +368,16 @@ def _evidence(
     )
 
 
-def shown(state: State, params: Params, now_s: float) -> tuple[Law | None, FloatArray]:
-    """Return the law of the bias at a time, and what is to be added to its variance, (rad/s)², (3,); set the
-    turn that may be a change of the bias."""
+def shown(state: State, params: Params, now_s: float) -> tuple[Prediction | None, FloatArray]:
+    """Return the prediction of the bias at a time, and what is to be added to its variance, (rad/s)², (3,).
+
+    Sets the turn that may be a change of the bias.
+    """
     state.shown_s = now_s
     bias = state.bias
     if bias.nominal is None:
         return state.by_motion, np.zeros(3)
-    law, ambiguity = hypotheses.shown(bias, now_s, state.degc, state.force)
+    prediction, ambiguity = hypotheses.shown(bias, now_s, state.degc, state.force)
     if state.began_turning:
         state.turn_rate = bias.recent[-1].rate
     elif bias.contradicted or not bias.moved:
@@ -386,4 +388,4 @@ def shown(state: State, params: Params, now_s: float) -> tuple[Law | None, Float
     added = state.added + state.attitude.uncertain_earth(params.place)
     if state.turn.seconds:
         added = added + turned_earth(state.attitude.up, params.place, state.turn)
-    return law, added
+    return prediction, added

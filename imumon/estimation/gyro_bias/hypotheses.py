@@ -2,8 +2,8 @@
 
 Two hypotheses of the bias are filtered side by side: H0, *nominal*, the bias as predicted, which learns
 while no mean contradicts it, and H1, *changed*, a bias that is another since a mean did.  A mean fits one of
-them if the means of the last 1, 4 and 16 s lie within `FIT_SIGMAS` of its law on each axis.  Nominal is
-compared as it was 16 to 32 s ago, when it had not learned the beginning of a slow turn.  `ROWS` is the
+them if the means of the last 1, 4 and 16 s lie within `FIT_SIGMAS` of its prediction on each axis.  Nominal
+is compared as it was 16 to 32 s ago, when it had not learned the beginning of a slow turn.  `ROWS` is the
 decision, first match; the docs print the same table.  Between H1 and a turn decides the caller's test.
 """
 
@@ -19,8 +19,8 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import bank as filters
 from imumon.estimation.gyro_bias.bank import Bank
-from imumon.estimation.gyro_bias.law import Law
 from imumon.estimation.gyro_bias.modes import Modes
+from imumon.estimation.gyro_bias.prediction import Prediction
 from imumon.estimation.rest.quiet import Second
 
 FIT_SIGMAS = 4.5
@@ -30,7 +30,7 @@ RETURN_SIGMAS = 2.0
 SPANS = (1, 4, 16)
 """Seconds whose means are compared."""
 LAG_S = 16.0
-"""Age of the nominal law that is compared, at least; twice as much at most."""
+"""Age of the nominal prediction that is compared, at least; twice as much at most."""
 ONSET_S = 4.0
 """A contradiction that motion follows sooner was how the motion began."""
 NEW_POSE = 0.3
@@ -50,8 +50,8 @@ class Evidence(NamedTuple):
     """That the difference is a turn, while neither is certain."""
 
 
-Test = Callable[[Law, FloatArray, bool], Evidence]
-"""Of the law of the nominal bias, the difference from it, rad/s, (3,), and whether that fits."""
+Test = Callable[[Prediction, FloatArray, bool], Evidence]
+"""Of the prediction of the nominal bias, the difference from it, rad/s, (3,), and whether that fits."""
 
 
 @dataclass(slots=True, eq=False)
@@ -64,9 +64,9 @@ class State:
     older: tuple[Bank, ...] = ()
     """Nominal as it was, the first 16 to 32 s ago; empty while it is contradicted."""
     changed: Bank | None = None
-    earlier: tuple[Law, ...] = ()
+    earlier: tuple[Prediction, ...] = ()
     """Laws of changed, the first 4 to 8 s ago: a rate that drifts on does not fit them."""
-    law_then: Law | None = None
+    prediction_then: Prediction | None = None
     """Of nominal, when changed began: as time goes on it becomes vague, and would fit a steady turn."""
     fits_s: float = 0.0
     """How long the changed one has fitted, s."""
@@ -140,7 +140,7 @@ def _continue(state: State, now: Second, _: Bank) -> None:
     state.changed = _updated(state.changed, now)
     state.fits_s += now.seconds
     if now.end_s - state.earlier[1].time_s >= ONSET_S:
-        state.earlier = (state.earlier[1], state.changed.law)
+        state.earlier = (state.earlier[1], state.changed.prediction)
 
 
 def _begin(state: State, now: Second, compared: Bank) -> None:
@@ -150,13 +150,13 @@ def _begin(state: State, now: Second, compared: Bank) -> None:
     if state.changed is not None:
         state.changes, state.alike = state.changes + 1, 1
     changed = _nominal(state).copy()
-    state.law_then = changed.law.at(now.end_s, now.degc)
+    state.prediction_then = changed.prediction.at(now.end_s, now.degc)
     if state.changed is not None:
         filters.take_noise(changed, state.changed)
     filters.predict(changed, now.end_s, now.degc)
     filters.forget(changed)
     filters.update(changed, now.rate, now.force, now.seconds, weigh=False)
-    state.changed, state.fits_s, state.earlier = changed, now.seconds, (changed.law,) * 2
+    state.changed, state.fits_s, state.earlier = changed, now.seconds, (changed.prediction,) * 2
 
 
 ROWS: tuple[tuple[str, Callable[[Facts], bool], Action], ...] = (
@@ -202,28 +202,30 @@ def _nominal(state: State) -> Bank:
 
 def _facts(state: State, now: Second, compared: Bank, test: Test) -> tuple[Facts, float]:
     """Return the predicates, and the probability of a turn, if the rate is not the nominal bias."""
-    law = compared.law.at(now.end_s, now.degc)
+    prediction = compared.prediction.at(now.end_s, now.degc)
     alike = state.recent[-state.alike :]
-    fits_changed, limits, sigmas = False, law, FIT_SIGMAS
+    fits_changed, limits, sigmas = False, prediction, FIT_SIGMAS
     if state.changed is not None:
         lately = alike[-max(int(state.fits_s), 1) - 1 :]
         fits_changed, _ = _fit(FIT_SIGMAS, state.earlier[0].at(now.end_s, now.degc), now, lately)
-        if fits_changed and state.law_then is not None:
-            limits, sigmas = replace(law, covariance=state.law_then.covariance), RETURN_SIGMAS
+        if fits_changed and state.prediction_then is not None:
+            limits, sigmas = replace(prediction, covariance=state.prediction_then.covariance), RETURN_SIGMAS
     fits, difference = _fit(sigmas, limits, now, alike)
     evidence = Evidence()
     if not fits or state.contradicted or len(state.recent) <= SPANS[1]:
-        evidence = test(law, difference, fits)
+        evidence = test(prediction, difference, fits)
     facts = Facts(
         fits and not evidence.turns, fits_changed, state.contradicted, len(alike) > 2, evidence.changed
     )
     return facts, evidence.probability
 
 
-def _fit(sigmas: float, law: Law, now: Second, recent: Sequence[Second]) -> tuple[bool, FloatArray]:
-    """Compare the means of the last seconds with a law; the difference is that of up to 4 s."""
-    bias, of_second = law.bias(now.force)
-    _, of_mean = law.bias(now.force, of_mean=True)
+def _fit(
+    sigmas: float, prediction: Prediction, now: Second, recent: Sequence[Second]
+) -> tuple[bool, FloatArray]:
+    """Compare the means of the last seconds with a prediction; the difference is that of up to 4 s."""
+    bias, of_second = prediction.bias(now.force)
+    _, of_mean = prediction.bias(now.force, of_mean=True)
     fits, difference = True, np.zeros(3)
     for span in SPANS:
         if len(recent) < span and span != SPANS[1]:
@@ -231,7 +233,7 @@ def _fit(sigmas: float, law: Law, now: Second, recent: Sequence[Second]) -> tupl
         part = recent[-span:]
         seconds = sum(one.seconds for one in part)
         off = sum((one.seconds * one.rate for one in part), np.zeros(3)) / seconds - bias
-        spread = (of_second if len(part) == 1 else of_mean) + law.white / seconds
+        spread = (of_second if len(part) == 1 else of_mean) + prediction.white / seconds
         fits &= bool((off * off <= sigmas**2 * spread).all())
         if span <= SPANS[1]:
             difference = off
@@ -249,7 +251,7 @@ def _widen(state: State, variance: FloatArray) -> None:
     if variance.any():
         for bank in _banks(state):
             filters.widen(bank, variance)
-        state.earlier = tuple(law.wider(variance) for law in state.earlier)
+        state.earlier = tuple(prediction.wider(variance) for prediction in state.earlier)
 
 
 def _updated(bank: Bank, now: Second) -> Bank:
@@ -301,12 +303,12 @@ def take_noise(state: State, white: FloatArray) -> None:
             filters.rescale(bank, white)
 
 
-def shown(state: State, now_s: float, degc: FloatArray, force: FloatArray) -> tuple[Law, FloatArray]:
-    """Return the more likely law at a time, and the ambiguity that the other adds to sigma, rad/s, (3,)."""
-    nominal = _nominal(state).law.at(now_s, degc)
+def shown(state: State, now_s: float, degc: FloatArray, force: FloatArray) -> tuple[Prediction, FloatArray]:
+    """Return the more likely prediction at a time, and what the other adds to sigma, rad/s, (3,)."""
+    nominal = _nominal(state).prediction.at(now_s, degc)
     if state.changed is None:
         return nominal, np.zeros(3)
-    changed = state.changed.law.at(now_s, degc)
+    changed = state.changed.prediction.at(now_s, degc)
     difference = changed.bias(force)[0] - nominal.bias(force)[0]
     if state.turning:
         return nominal, math.sqrt(1.0 - state.probability) * difference

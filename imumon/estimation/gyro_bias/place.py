@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias.law import Law
 from imumon.estimation.gyro_bias.modes import SENSITIVITY
+from imumon.estimation.gyro_bias.prediction import Prediction
 from imumon.filters.turns import Turn
 from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL, STANDARD_GRAVITY, earth_rate_along, north_in_body
 
@@ -58,7 +58,9 @@ class Attitude:
         """Return the variance of the known earth rate by the error of the heading, (rad/s)², (3,)."""
         return np.asarray(place.horizontal**2 * self.heading_variance * (1.0 - self.up**2))
 
-    def come_to_rest(self, force: FloatArray, place: Place, turn: Turn, law: Law | None) -> FloatArray:
+    def come_to_rest(
+        self, force: FloatArray, place: Place, turn: Turn, prediction: Prediction | None
+    ) -> FloatArray:
         """Take the attitude of a new rest; return what that adds to the variance of the bias, (3,).
 
         Parameters
@@ -67,7 +69,7 @@ class Attitude:
             Mean specific force, m/s²; NaN or zero without one.
         turn : Turn
             Since the last rest.
-        law : Law or None
+        prediction : Prediction or None
             Of the bias meanwhile; None where the angle turned is not known, as readings were missing.
         """
         size = float(np.linalg.norm(force))
@@ -82,8 +84,11 @@ class Attitude:
             northward -= (northward @ self.up) * self.up
             length = float(np.linalg.norm(northward))
             variance = LOST_SD**2
-            if law is not None and length > LEAST_HORIZONTAL:
-                self.north, variance = northward / length, min(heading_variance(before, turn, law), variance)
+            if prediction is not None and length > LEAST_HORIZONTAL:
+                self.north, variance = (
+                    northward / length,
+                    min(heading_variance(before, turn, prediction), variance),
+                )
             else:
                 self.north = north_in_body(self.up, place.heading)
             added = place.horizontal**2 * variance * (1.0 - self.up**2)
@@ -95,7 +100,7 @@ class Attitude:
         return added
 
 
-def heading_variance(up: FloatArray, turn: Turn, law: Law) -> float:
+def heading_variance(up: FloatArray, turn: Turn, prediction: Prediction) -> float:
     """Return the variance of the angle by which the gyros estimate to have turned about the vertical, rad².
 
     By the bias at f0, by the sensitivity to a gravity that turns in body axes, by scale and misalignment, and
@@ -103,8 +108,11 @@ def heading_variance(up: FloatArray, turn: Turn, law: Law) -> float:
     """
     upright_s = up @ turn.by_bias
     turned2 = max(turn.seconds**2 - float(upright_s @ upright_s), 0.0)
-    sensitivity = float(np.einsum("aii->", law.covariance[:, SENSITIVITY, SENSITIVITY])) / 9.0
-    by_bias = float(upright_s**2 @ law.bias(law.force)[1]) + turned2 * STANDARD_GRAVITY**2 * sensitivity
+    sensitivity = float(np.einsum("aii->", prediction.covariance[:, SENSITIVITY, SENSITIVITY])) / 9.0
+    by_bias = (
+        float(upright_s**2 @ prediction.bias(prediction.force)[1])
+        + turned2 * STANDARD_GRAVITY**2 * sensitivity
+    )
     return by_bias + SCALE_SD**2 * float(np.sum(turn.scale_about(up) ** 2)) + turn.sampling_variance(up)
 
 

@@ -16,10 +16,10 @@ from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.gyro_bias.estimator import Params, Slot, State, miss, restarted, shown, step
 from imumon.estimation.gyro_bias.inputs import heading_of, readings_of, slots_of
-from imumon.estimation.gyro_bias.law import NOTHING, Shown, at_samples
 from imumon.estimation.gyro_bias.modes import SLOPE_LEFT_PER_SIGMA, SLOPE_PER_SIGMA
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.place import Place
+from imumon.estimation.gyro_bias.prediction import NOTHING, Shown, at_samples
 from imumon.estimation.gyro_bias.thermal_input import ThermalInput, unseen_lag
 from imumon.estimation.gyro_bias.timing import Timing
 from imumon.estimation.gyro_bias.trail import BiasTrail
@@ -37,7 +37,7 @@ GIVEN, GATHERED = AXES + 12, AXES + 13
 GAP_S = 2.5
 """A rest goes on over a pause as long as this; it holds as long where readings are missing."""
 SHOWN_S = 1.0 - 1e-6
-"""In motion the law of the bias is evaluated as often."""
+"""In motion the prediction of the bias is evaluated as often."""
 REST = (
     Column("at_rest", "1", "int64", "1 while the unit is at rest, 0 while it moves or nothing is known"),
     *(
@@ -279,9 +279,9 @@ class RestAndBias:
             self._last_ns, self._last_segment = int(time_ns[last]), int(segment[last])
 
     def _present(self) -> Shown:
-        """Return the law from now on."""
-        law, added = shown(self._state, self._params, self._now_s)
-        return NOTHING if law is None else law.shown(added, self._state.force)
+        """Return the prediction from now on."""
+        prediction, added = shown(self._state, self._params, self._now_s)
+        return NOTHING if prediction is None else prediction.shown(added, self._state.force)
 
     def _model_input(
         self, block: SampleBlock, temperature: FloatArray, breaks: Sequence[int]

@@ -20,7 +20,7 @@ OBLIQUE = 0.3
 """Share of a rate across the vertical from which on gravity is compared: no turntable leans so much (17°)."""
 EXCLUDED_SIGMAS = 6.0
 """Of the tilt: an oblique turn by more, where the unit has tilted by less than half of it, is excluded."""
-MOSTLY_LEVEL = 3.0
+LEVEL_RATIO = 3.0
 """The level part of a change over the vertical one from which on that decides for the whole."""
 NOT_OBLIQUE = 3.0
 """Log likelihood ratio against an oblique turn from which on only the vertical part may be a turn."""
@@ -58,7 +58,7 @@ def probability_of_turn(
 
 
 def as_predicted(difference: FloatArray, variance: FloatArray) -> float:
-    """Return the odds of the nominal bias over a turn: much where its law has become vague, (3,) each."""
+    """Return the odds of the nominal bias over a turn: high where its prediction is vague, (3,) each."""
     size2 = float(difference @ difference) + TINY
     along = (float(difference**2 @ variance) + TINY * float(variance.max())) / size2
     density = 2.0 * math.exp(-0.5 * size2 / along) / math.sqrt(2.0 * math.pi * along)
@@ -105,7 +105,7 @@ def by_gravity(
     oblique = 0.5 * (float((tilt - turn) @ (tilt - turn)) / of_turn - float(tilt @ tilt) / of_tilt)
     level2 = float(across @ across)
     excluded = float(turn @ turn) > EXCLUDED_SIGMAS**2 * of_tilt > 4.0 * float(tilt @ tilt)
-    if excluded and level2 > MOSTLY_LEVEL**2 * float(change @ up) ** 2:
+    if excluded and level2 > LEVEL_RATIO**2 * float(change @ up) ** 2:
         return MOST_LOG_RATIO, change
     # About the vertical: what the level axes show is noise of the bias, or a change of it.
     upright = 0.5 * level2 / variance + math.log(variance * USUAL_CHANGE / (USUAL_CHANGE**2 + level2) ** 1.5)

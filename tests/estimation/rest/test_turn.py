@@ -107,7 +107,7 @@ def test_a_turn_about_a_level_axis_is_no_rest_for_gravity_turns_as_the_gyros_say
 
 @pytest.mark.parametrize("seed", [0, 3])
 def test_a_turn_about_a_level_axis_that_slows_down_is_no_rest_in_another_pose(seed: int) -> None:
-    """The sensitivity to gravity makes the law so wide that 200 °/h fit it, but gravity turns with them."""
+    """The sensitivity to gravity makes the prediction so wide that 200 °/h fit; gravity turns with them."""
     t, gyro, accel = noise(BEGIN_S + 400.0, 25.0, 4.4e-6, 2.5e-3, seed=seed)
     rate = 0.5 * DEG * np.clip(np.minimum(t - BEGIN_S, BEGIN_S + 390.0 - t) / 120.0, 0.0, 1.0)
     gyro[:, 1] += rate

@@ -1,7 +1,7 @@
-"""The bias as a law: its mean and variance at a time, a temperature and a specific force.
+"""The predicted bias: its mean and variance at a time, a temperature and a specific force.
 
-All modes have one F, so the law of their mixture propagates as each of them does.  It is evaluated at each
-sample: a unit in the hand is in another pose a quarter of a second later.
+All modes have one F, so the moments of their mixture propagate as those of each of them.  They are evaluated
+at each sample: a unit in the hand is in another pose a quarter of a second later.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _FAST = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Law:
+class Prediction:
     """Mean and covariance of the states of three axes, absolute."""
 
     mean: FloatArray
@@ -37,7 +37,7 @@ class Law:
     @classmethod
     def of(
         cls, bias: FloatArray, variance: FloatArray, sensitivity: float, force: FloatArray, time_s: float
-    ) -> Law:
+    ) -> Prediction:
         """Return a constant bias, (3,), with its variance and that of the sensitivity, at f0."""
         mean, covariance = np.zeros((3, STATES)), np.zeros((3, STATES, STATES))
         mean[:, WALK], covariance[:, WALK, WALK] = bias, variance
@@ -45,8 +45,8 @@ class Law:
         none = np.zeros(3)
         return cls(mean, covariance, np.zeros((3, STATES)), none, none, force, time_s, np.full(3, np.nan))
 
-    def at(self, time_s: float, degc: FloatArray) -> Law:
-        """Return the law at a later time and temperatures, (3,)."""
+    def at(self, time_s: float, degc: FloatArray) -> Prediction:
+        """Return the prediction at a later time and temperatures, (3,)."""
         if time_s <= self.time_s:
             return self
         mean, covariance = self.mean.copy(), self.covariance.copy()
@@ -54,8 +54,8 @@ class Law:
         known = np.where(np.isfinite(degc), degc, self.degc)
         return replace(self, mean=mean, covariance=covariance, time_s=time_s, degc=known)
 
-    def wider(self, variance: FloatArray) -> Law:
-        """Return a law whose bias may have changed by an unknown amount of this variance, (3,)."""
+    def wider(self, variance: FloatArray) -> Prediction:
+        """Return a prediction whose bias may have changed by an unknown amount of this variance, (3,)."""
         covariance = self.covariance.copy()
         covariance[:, WALK, WALK] += variance
         return replace(self, covariance=covariance)
@@ -85,7 +85,7 @@ class Law:
 
 
 class Shown(NamedTuple):
-    """A law from the end of a slot on; NaN where nothing is known."""
+    """A prediction from the end of a slot on; NaN where nothing is known."""
 
     terms: FloatArray
     """Bias at f0 and its sensitivity, t, (3, 4)."""
