@@ -25,7 +25,6 @@ from imumon.sources import stamp
 
 F = TypeVar("F", bound=Callable[..., Any])
 Fields = TypeVar("Fields")
-Row = TypeVar("Row", bound=tuple[Any, ...])
 
 PACKAGE = __name__.partition(".")[0]
 
@@ -73,8 +72,6 @@ _TYPES = {
     "IntArray": np.int64,
     "float": np.float64,
     "FloatArray": np.float64,
-    "ByteArray": np.uint8,
-    "WordArray": np.uint32,
 }
 
 
@@ -84,7 +81,7 @@ def record(fields: type[Fields], **shapes: int | tuple[int, ...]) -> Fields:
     Parameters
     ----------
     fields : type
-        A class that annotates the fields as int, float, or an array of either, of bytes or of 32-bit words.
+        A class that annotates the fields as int, float, or an array of either.
     shapes : int or tuple of int
         Of the fields that are arrays.
     """
@@ -98,18 +95,9 @@ def records(fields: type[Fields], count: int, **shapes: int | tuple[int, ...]) -
     """
     if taken := [name for name in fields.__annotations__ if hasattr(np.record, name)]:
         raise ValueError(f"{fields.__name__}: NumPy has another meaning for {', '.join(taken)}")
-    # A named tuple wraps what it is annotated with.
-    kinds = {k: str(getattr(v, "__forward_arg__", v)) for k, v in fields.__annotations__.items()}
-    layout = [(name, _TYPES[kind], shapes.get(name, ())) for name, kind in kinds.items()]
+    layout = [(name, _TYPES[kind], shapes.get(name, ())) for name, kind in fields.__annotations__.items()]
     made: Any = np.zeros(count, np.dtype((np.record, layout)))
     return cast(Sequence[Fields], made)
-
-
-def filled(fields: type[Row], rows: Sequence[Row]) -> Sequence[Row]:
-    """Return an array of records with the values of these rows, a named tuple each."""
-    made: Any = records(fields, len(rows))
-    made[:] = rows
-    return cast(Sequence[Row], made)
 
 
 def alone(made: Fields) -> Sequence[Fields]:

@@ -70,7 +70,10 @@ class Modes:
     kinds: int
     """Kinds of noise: the slowest index of F."""
     levels: FloatArray
-    """Transition matrix from the flicker level of the unit to that of an axis, (kinds, kinds)."""
+    """How well the flicker level of an axis goes with that of the unit, (kinds, kinds), symmetric.
+
+    It is no transition matrix: the two end levels have one neighbour, and sums of 0.81 in place of 0.92.
+    """
 
     @property
     def count(self) -> int:
