@@ -70,10 +70,7 @@ class Modes:
     kinds: int
     """Kinds of noise: the slowest index of F."""
     levels: FloatArray
-    """How well the flicker level of an axis goes with that of the unit, (kinds, kinds), symmetric.
-
-    It is no transition matrix: the two end levels have one neighbour, and sums of 0.81 in place of 0.92.
-    """
+    """Probability of the flicker level of an axis, the row, given that of the unit, the column."""
 
     @property
     def count(self) -> int:
@@ -91,7 +88,7 @@ def unknown_modes(slope_per_sigma: tuple[float, ...]) -> Modes:
     apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
     other = (1.0 - SAME_LEVEL) / 3.0
     levels = np.where(apart == 0, SAME_LEVEL, np.where(apart == 1, other, other / count))
-    return _modes(b, walk, slope_per_sigma, levels)
+    return _modes(b, walk, slope_per_sigma, levels / levels.sum(axis=0))
 
 
 def known_modes(
