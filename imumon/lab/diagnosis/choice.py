@@ -86,6 +86,15 @@ class Finding:
         """Name of the effect."""
         return self.candidate.family
 
+    def becomes(self, candidate: Candidate) -> None:
+        """Take another candidate in the place of the present one, of its family or of one that is not told
+        apart from it."""
+        if candidate.family != self.name:
+            self.others = {name: one for name, one in self.others.items() if name != candidate.family}
+            self.others = {self.name: self.candidate, **self.others}
+            self.alike = [candidate.family, *(name for name in self.alike if name != candidate.family)]
+        self.candidate = candidate
+
 
 def proof(effects: int, channels: int) -> float:
     """Return the gain that proves one of so many effects on any set of channels."""

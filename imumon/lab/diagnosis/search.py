@@ -324,7 +324,10 @@ class Search:
         """Drop what later findings made needless, and refine what is left, each beside the others."""
         if len(self.findings) > 1:
             self._drop_needless()
-            self._refine()
+            before = [finding.name for finding in self.findings]
+            self._refine(exchange=True)
+            if changed := [finding.name for finding in self.findings if finding.name not in before]:
+                self.turns.append(Step(f"{' and '.join(changed)} fits better beside the rest", self.found))
         if self.channel.known is not None:
             self._keep_curve()
 
@@ -333,13 +336,19 @@ class Search:
             if len(self.findings) > 1 and self._worth(finding) <= PROVEN:
                 self.findings = [other for other in self.findings if other is not finding]
 
-    def _refine(self) -> None:
+    def _refine(self, exchange: bool = False) -> None:
+        """Refine each finding beside the others.
+
+        With `exchange`, a finding gives way to one that was not told apart from it, where that one is
+        likelier beside what was found later.
+        """
         everything = list(self.findings)
         for finding in everything:
             self.findings = [other for other in everything if other is not finding]
-            family = [one for one in self.tried if one.family == finding.name and one.carries]
-            best = max(self.scored([finding.candidate, *family]), key=gain_of)
-            finding.candidate = self.refined(best).candidate
+            names = [finding.name, *finding.alike] if exchange else [finding.name]
+            tried = [one for one in self.tried if one.family in names and one.carries]
+            best = self.refined(max(self.scored([finding.candidate, *tried]), key=gain_of))
+            finding.becomes(best.candidate)
         self.findings = everything
 
     def _worth(self, finding: Finding) -> float:

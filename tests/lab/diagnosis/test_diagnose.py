@@ -435,6 +435,19 @@ def test_what_is_found_in_a_measured_run_hangs_on_no_block_and_on_no_boundary_of
         assert after < 0.55 * before, (first, lost)
 
 
+def test_a_lag_gives_way_to_no_loop_that_was_found_before_the_jump_beside_it() -> None:
+    folder = measured("chamber-cycle")
+    whole = read_runs(folder / "cooling-heating.csv", folder / "map.yaml", lambda _: [RestDetector()])[0]
+    again = replace(whole, name="the same course later", start_ns=10**13)
+    verdict = diagnose([whole], [again], sensors=("gyro",)).verdicts[0]
+    lag, jump = (claim.finding for claim in verdict.claims)
+    assert (lag.name, jump.name) == ("thermal_lag", "step")
+    assert lag.candidate.free_start
+    assert verdict.turns[-1].done == "thermal_lag fits better beside the rest"
+    for rms in ("train_rms", "test_rms"):
+        assert getattr(verdict.turns[-1], rms) < 0.7 * getattr(verdict.turns[-2], rms)
+
+
 def _part(whole: Run, start: int, stop: int) -> Run:
     def cut(parts: dict[str, FloatArray]) -> dict[str, FloatArray]:
         return {name: values[start:stop] for name, values in parts.items()}
