@@ -18,7 +18,7 @@ from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.lab.diagnosis.blocks import BLOCK_S
 from imumon.lab.diagnosis.candidates import candidates
 from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
-from imumon.lab.diagnosis.fit import Fit, TestScore, fit, score
+from imumon.lab.diagnosis.fit import Fit, FittedPart, TestScore, fit, score
 from imumon.lab.diagnosis.report import report
 from imumon.lab.diagnosis.runs import SECOND_NS, Run, read_runs
 from imumon.lab.diagnosis.verdict import ChannelVerdict
@@ -46,6 +46,7 @@ def measured(data: Path, figures: Path) -> int:
             _row(share, verdict, content[verdict.name])
         if share == DRAWN:
             drawn = diagnosis
+    _trained_whole(run)
     print(f"\n## Had one insisted on one effect, fitted to the first {DRAWN:.0%}: rms in the test, deg/s\n")
     print("| axis | cubic | " + " | ".join(INSISTED) + " |")
     print("|---" * (len(INSISTED) + 2) + "|")
@@ -67,6 +68,25 @@ def measured(data: Path, figures: Path) -> int:
     print("\n## two-levels\n")
     _two_levels(data / "two-levels")
     return 0
+
+
+def _trained_whole(run: Run) -> None:
+    """Print what the whole record proves; as its test it is taken once more, which proves nothing."""
+    print("\n## Trained on the whole record, rms in training, deg/s\n")
+    again = replace(run, name="the same course once more", start_ns=10**13)
+    for verdict in diagnose([run], [again], sensors=("gyro",)).verdicts:
+        claims = [] if verdict.by_test else verdict.claims
+        names = " and ".join(_with_parameters(claim.parts) for claim in claims) or "nothing proven"
+        before, after = verdict.before.train_rms, (verdict.after if claims else verdict.before).train_rms
+        print(f"- {verdict.name[-1]}: {names}; {_deg(before)} -> {_deg(after)}")
+
+
+def _with_parameters(parts: Sequence[FittedPart]) -> str:
+    """Return the label of an effect with what is searched of it."""
+    effect = parts[0].effect
+    which = ", ".join(f"{getattr(effect, key):.3g}" for key in effect.nonlinear)
+    start = " with a free start" if len(parts[0].start) else ""
+    return f"{effect.label} ({which}){start}" if which else effect.label
 
 
 def _split(run: Run, share: float) -> tuple[list[Run], list[Run]]:
@@ -115,6 +135,7 @@ def _row(share: float, verdict: ChannelVerdict, found: dict[str, dict[str, float
     assert verdict.test_after is not None
     names = [" or ".join(claim.finding.alike) or claim.finding.name for claim in verdict.claims]
     said = "; ".join(names) or "nothing named"
+    said += ", proven by the test" if verdict.by_test else ""
     if verdict.unexplained:
         said += ", remainder unexplained" if names else ", unexplained"
     said += "".join(f"; {item['name']} left out" for item in verdict.left_out)
