@@ -34,13 +34,12 @@ INSISTED = ("thermal_lag", "hysteresis", "warm_up", "drift", "periodic", "temper
 
 def measured(data: Path, figures: Path) -> int:
     """Print the tables, draw the figures."""
-    folder = data / "chamber-cycle"
-    run = read_runs(folder / "cooling-heating.csv", folder / "map.yaml", lambda _: [RestDetector()])[0]
+    run = chamber_run(data / "chamber-cycle")
     print("## chamber-cycle, rms in deg/s, cubic in temperature as declared\n")
     print("| train on | axis | floor | train before | after | test before | after | covered | verdict |")
     print("|---|---|---|---|---|---|---|---|---|")
     for share in SHARES:
-        diagnosis = diagnose(*_split(run, share), sensors=("gyro",))
+        diagnosis = diagnose(*split(run, share), sensors=("gyro",))
         content = report(diagnosis)["channels"]
         for verdict in diagnosis.verdicts:
             _row(share, verdict, content[verdict.name])
@@ -89,7 +88,13 @@ def _with_parameters(parts: Sequence[FittedPart]) -> str:
     return f"{effect.label} ({which}){start}" if which else effect.label
 
 
-def _split(run: Run, share: float) -> tuple[list[Run], list[Run]]:
+def chamber_run(folder: Path) -> Run:
+    """Return the record of the chamber."""
+    return read_runs(folder / "cooling-heating.csv", folder / "map.yaml", lambda _: [RestDetector()])[0]
+
+
+def split(run: Run, share: float) -> tuple[list[Run], list[Run]]:
+    """Return a run's beginning, so much of it, as training, and the rest as its test."""
     at = int(share * len(run.time_s))
     return [_part(run, 0, at)], [_part(run, at, len(run.time_s))]
 
@@ -113,7 +118,7 @@ def _part(run: Run, start: int, stop: int) -> Run:
 
 def _one_block_less(run: Run, share: float) -> None:
     """Print how often which effects are named, and the range of the errors in the test, deg/s."""
-    (train,), test = _split(run, share)
+    (train,), test = split(run, share)
     without, later = [], []
     for at in range(0, len(train.time_s), round(BLOCK_S)):
         rest = train.rest.copy()
@@ -234,7 +239,7 @@ def _two_levels(folder: Path) -> None:
             except ImumonError as error:
                 print(f"{level}: refused: {error.seen}; {error.hint}")
         print("\n".join(f"{run.name}: {run.duration_s / 60:.1f} min" for run in runs))
-        _try([part for run in runs for part in _split(run, 0.6)[0]], [_split(run, 0.6)[1][0] for run in runs])
+        _try([part for run in runs for part in split(run, 0.6)[0]], [split(run, 0.6)[1][0] for run in runs])
 
 
 def _try(train: Sequence[Run], test: Sequence[Run]) -> None:

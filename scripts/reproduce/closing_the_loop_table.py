@@ -17,7 +17,7 @@ DOCS = ROOT / "docs"
 def main() -> int:
     """Run one part."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parts = ("steps", "simulated", "live", "limits", "paired", "plans", "measured", "heading")
+    parts = ("steps", "simulated", "live", "limits", "paired", "plans", "measured", "heading", "ablation")
     parser.add_argument("--part", choices=parts, default="simulated")
     parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
     parser.add_argument("data", nargs="?", type=Path, default=DATA, help="folder of the measured recordings")
@@ -30,7 +30,7 @@ def main() -> int:
     parser.add_argument(
         "--first",
         type=int,
-        help="first seed: simulated 0, live 2500, limits 71000, paired 500000, plans 900",
+        help="first seed: simulated 0, live 2500, limits 71000, paired 500000, plans and ablation 900",
     )
     parser.add_argument("--minutes", type=float, default=math.inf, help="simulated: begin no case after")
     parser.add_argument("--jobs", type=int, default=2, help="simulated, live, plans: processes")
@@ -73,6 +73,10 @@ def main() -> int:
         from closing_the_loop_plans import plans
 
         return plans(given.repeat, first, given.jobs, quick=given.quick)
+    if given.part == "ablation":
+        from closing_the_loop_ablation import ablation
+
+        return ablation(given.repeat, first, given.jobs, given.data, quick=given.quick)
     if given.part == "measured":
         from closing_the_loop_measured import measured
 

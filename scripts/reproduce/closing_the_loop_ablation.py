@@ -1,0 +1,153 @@
+"""What each mechanism of the diagnosis is worth: simulated cases and the measured chamber without it.
+
+Usage: closing_the_loop --part ablation [--repeat N] [--first SEED] [--jobs N] [DATA_FOLDER]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from ablation_table import PAGE, write
+from closing_the_loop_measured import chamber_run, split
+from closing_the_loop_statistics import Result, is_outside, jobs, right, run_case
+
+from imumon.lab.diagnosis import axes, candidates, claims, likelihood, search
+from imumon.lab.diagnosis.candidates import Candidate
+from imumon.lab.diagnosis.choice import PROVEN
+from imumon.lab.diagnosis.diagnose import diagnose
+
+Change = Sequence[tuple[Any, str, Any]]
+"""Module, class or function, a name in it, and what it is instead."""
+SHARES = (0.5, 0.55, 0.6, 0.65, 0.7, 0.75)
+"""Of the chamber's record that is trained on."""
+TITLE = (
+    "Diagnosis without one mechanism. Right: channels of simulated cases whose effects are named, or that are"
+    " rightly called unexplained or empty. False: names where nothing is missing or nothing of the library is"
+    " right. Left: what is left of the tests over that of the whole diagnosis, geometric mean and worst case."
+    " Chamber: °/s that x and z are left with, rms over trainings on 50 to 75 % of the record."
+)
+_candidates, _add, _refine = candidates.candidates, search._add, search.Search._refine
+
+
+def _untried(unwanted: Callable[[Candidate], bool]) -> Change:
+    """Return the change by which such candidates are not tried."""
+
+    def fewer(*given: Any) -> list[Candidate]:
+        return [one for one in _candidates(*given) if not unwanted(one)]
+
+    return [(search, "candidates", fewer)]
+
+
+def _family(name: str) -> Change:
+    return _untried(lambda one: one.parts[0].effect.name == name)
+
+
+def _noise(flicker: Sequence[float], walk: Sequence[float]) -> Change:
+    grid = [(r, q) for r in flicker for q in walk]
+    return [(likelihood.Likelihood.__init__, "__defaults__", (grid,))]
+
+
+def _each_alone(active: Sequence[search.Search], least: float) -> None:  # noqa: ARG001 - as what it replaces
+    for one in active:
+        _add([one], PROVEN)
+
+
+def _driven(family: Any, survey: Any) -> list[Candidate]:
+    return [
+        Candidate(effect.label, (candidates.Part(effect),))
+        for driver in survey.others
+        for effect in family.driven(survey, driver)
+    ]
+
+
+MECHANISMS: Mapping[str, Change] = {
+    "choice over all axes": [(search, "_add", _each_alone)],
+    "pairs of effects at once": [(search.Search, "_beside_partner", lambda _self, _scored, best: best)],
+    "exchange at the end": [(search.Search, "_refine", lambda self, exchange=False: _refine(self))],  # noqa: ARG005
+    "dropping what later effects replace": [(search.Search, "_drop_needless", lambda _self: None)],
+    "jumps in several runs as one": [(search, "joined_events", lambda _scored: [])],
+    "refinement of parameters": [(search, "REFINEMENTS", 0)],
+    "least share of the largest effect": [(search, "SECOND_SHARE", 0.0)],
+    "flicker in the noise": _noise((0.0,), likelihood.WALK),
+    "walk in the noise": _noise(likelihood.FLICKER, (0.0,)),
+    "shorter blocks for short runs": [(axes, "SHORTER", (1,))],
+    "refuted by the test": [(claims, "_not_worse", lambda _channel, findings: (list(findings), []))],
+    "proven by the test": [(claims, "_proven_by_test", lambda *_given: None)],
+    "eight floors of what the test proves": [(claims, "PROVEN_FLOORS", 0.0)],
+    "free state at power-on": _untried(lambda one: one.free_start),
+    "coefficients of each run": _untried(lambda one: one.scope == "either" and not one.carries),
+    "sums of loops and lags": _untried(
+        lambda one: len(one.parts) > 1 and not any(part.effect.is_curve for part in one.parts)
+    ),
+    "a curve that is late as a whole": _untried(
+        lambda one: any(part.effect.is_curve for part in one.parts[1:])
+    ),
+    "followers of the third order": _untried(lambda one: getattr(one.parts[0].effect, "order", 1) > 1),
+    "smooth loops": _untried(
+        lambda one: any(getattr(part.effect, "shape", "") == "smooth" for part in one.parts)
+    ),
+    "price of choosing a driver": [(candidates, "_driven", _driven)],
+    **{name: _family(name) for name in ("stress_relaxation", "dead_time", "product", "drift")},
+}
+"""What is left out, one by one."""
+
+
+def _changed(name: str) -> ExitStack:
+    stack = ExitStack()
+    for place, key, value in MECHANISMS.get(name, ()):
+        stack.enter_context(patch.object(place, key, value))
+    return stack
+
+
+def _case(job: tuple[str, Any]) -> list[Result]:
+    with _changed(job[0]):
+        return run_case(job[1])
+
+
+def _chamber(job: tuple[str, Path]) -> list[float]:
+    """Return what x and z are left with, °/s."""
+    name, folder = job
+    run = chamber_run(folder)
+    with _changed(name):
+        found = [diagnose(*split(run, share), sensors=("gyro",)).verdicts for share in SHARES]
+    left = [[v.test_after.rms for v in verdicts if v.test_after is not None] for verdicts in found]
+    x, _, z = np.degrees(np.sqrt(np.mean(np.square(left), axis=0))).tolist()
+    return [x, z]
+
+
+def _row(name: str, found: Sequence[Result], base: Sequence[Result], chamber: Sequence[float]) -> str:
+    empty = [one for one in found if not one.truth or is_outside(one.label)]
+    false = sum(bool(one.named) for one in empty)
+    ratios = np.array([one.after / other.after for one, other in zip(found, base, strict=True)])
+    ratios = np.where(np.isfinite(ratios), ratios, 1.0)
+    at = int(np.argmax(np.abs(np.log(ratios))))
+    worst = f"{ratios[at]:.2f} ({found[at].label}, {found[at].size:g})"
+    mean = float(np.exp(np.mean(np.log(ratios))))
+    cells = [f"{sum(map(right, found))}/{len(found)}", f"{false}/{len(empty)}", f"{mean:.3f}", worst]
+    return f"| {' | '.join([name, *cells, *(f'{value:.3f}' for value in chamber)])} |"
+
+
+def ablation(repeat: int, first: int, processes: int, data: Path, quick: bool = False) -> int:
+    """Print a row for each mechanism, and write the table into the page of all ablations."""
+    cases = list(jobs(repeat, "lag and" if quick else None, first))
+    names = ["none", *MECHANISMS][: 2 if quick else None]
+    lines = ["| without | right | false | left, × | worst, × | chamber x | z |", "|---" * 7 + "|"]
+    print("\n".join(lines), flush=True)
+    base: list[Result] = []
+    with ProcessPoolExecutor(processes) as pool:
+        for name in names:
+            chamber = pool.submit(_chamber, (name, data / "chamber-cycle"))
+            each = pool.map(_case, [(name, case) for case in cases])
+            found = [result for results in each for result in results]
+            base = base or found
+            lines.append(_row(name, found, base, chamber.result()))
+            print(lines[-1], flush=True)
+    if not quick:
+        write("diagnosis", f"{TITLE}  {len(cases)} cases, first seed {first}.", lines, PAGE)
+    return 0
