@@ -254,8 +254,8 @@ class Family:
     """Array, (n,)."""
     runs: list[Runs]
     """At each averaging factor."""
-    per_loss: FloatArray
-    """By what lost samples multiply the expected variance of each of `NOISES`, (n, 4)."""
+    white_gain: FloatArray
+    """By what missing samples multiply the expected variance of white noise, (n,)."""
     times: FloatArray
     """Correlation times, samples, (g,)."""
     quadratic: FloatArray
@@ -266,7 +266,7 @@ class Family:
         """Return the covariances with one of the correlation times, or with none."""
         m = self.m.astype(np.float64)
         shapes = [shape(m) for shape in SHAPES.values()]
-        shapes = [*(shape * loss for shape, loss in zip(shapes, self.per_loss.T, strict=False)), shapes[-1]]
+        shapes[0] = shapes[0] * self.white_gain
         shapes.append(np.zeros(len(m)) if time is None else markov_shape(m, float(self.times[time])))
         rows = [0, 1, 2, 3, 3 if time is None else 4 + time]  # without one its coefficient is zero
         quadratic, linear = self.quadratic[:, :, rows][..., rows], self.linear[:, :, rows]
@@ -274,29 +274,29 @@ class Family:
 
     def at(self, time: float) -> Covariances:
         """Return the covariances with a correlation time of so many samples."""
-        return family(self.m, self.runs, self.per_loss, np.array([time])).of(0)
+        return family(self.m, self.runs, self.white_gain, np.array([time])).of(0)
 
 
-def family(factors: IntArray, runs: list[Runs], per_loss: FloatArray, times: FloatArray) -> Family:
+def family(factors: IntArray, runs: list[Runs], white_gain: FloatArray, times: FloatArray) -> Family:
     """Return the covariances; of two averaging factors the runs of the longer one count.
 
     Parameters
     ----------
     factors : array of int64, (n,)
-    runs, per_loss, times
+    runs, white_gain, times
         See `Family`.
     """
     n, p = len(factors), len(NOISES) + len(times)
     noises = (*AUTOCOVARIANCES, *(markov(time) for time in times.tolist()))
     quadratic, linear = np.empty((n, n, p, p)), np.empty((n, n, p))
-    more = np.column_stack([per_loss, np.ones((n, len(times)))])
+    gain = np.column_stack([white_gain, np.ones((n, p - 1))])
     for j in range(n):
         for i in range(j + 1):
             square, trend = cross_terms("allan", int(factors[i]), int(factors[j]), runs[j], noises)
-            loss = np.sqrt(more[i] * more[j])
-            quadratic[i, j] = quadratic[j, i] = square * np.outer(loss, loss)
-            linear[i, j] = linear[j, i] = trend * loss
-    return Family(factors, runs, per_loss, times, quadratic, linear)
+            both = np.sqrt(gain[i] * gain[j])
+            quadratic[i, j] = quadratic[j, i] = square * np.outer(both, both)
+            linear[i, j] = linear[j, i] = trend * both
+    return Family(factors, runs, white_gain, times, quadratic, linear)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

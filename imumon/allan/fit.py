@@ -144,8 +144,9 @@ class Fit:
     what another term alone would make.  `DIGITS`: nothing is, because the steps of the readings hide the
     noise."""
 
-    def rounded(self, error: float) -> Fit:
-        """Return the terms where rounding may change the variance by this part: less certain, or none."""
+    def less_certain(self, error: float) -> Fit:
+        """Return the terms where rounding, or what is missing, may change the variance by this part: less
+        certain, or none."""
         if error > NO_SUM:
             return replace(self, terms=dict.fromkeys(NAMES), withheld=DIGITS)
         terms = {

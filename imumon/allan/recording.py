@@ -154,7 +154,7 @@ def _of_the_grid(series: dict[str, EvenSeries]) -> list[str]:
         if lost:
             texts.append(
                 f"{len(channel.gap_lengths):,} gaps, {lost:,} of {len(channel.values):,} samples missing: "
-                f"left out of the means of averaging times {PARTS} times as long, crossed by no shorter one"
+                f"their neighbours' mean in averaging times {PARTS} times as long, crossed by no shorter one"
             )
         if islands > 1:
             texts.append(

@@ -1,9 +1,10 @@
 """A channel on an even grid of samples: gaps found, and the runs that a difference may span.
 
 No sample is moved in time.  Between neighbours the time must be one interval, within `JITTER`; more is a gap
-if it is a whole number of intervals, and the end of an island otherwise.  A mean leaves out what is missing,
-where no gap in it is longer than one part in `PARTS`; no difference crosses a longer one.  Nothing ever
-crosses the end of an island: a restart of the device, a gap of unknown or great length.
+if it is a whole number of intervals, and the end of an island otherwise.  What is missing has the mean of its
+neighbours, as many on either side as are missing; no difference crosses a gap that is longer than one part in
+`PARTS` of its averaging time.  Nothing ever crosses the end of an island: a restart of the device, a gap of
+unknown or great length.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ class EvenSeries:
     interval_s: float
     """Time from sample to sample."""
     values: FloatArray
-    """All islands one after the other, (n,); the mean where a sample is missing."""
+    """All islands one after the other, (n,); that of its neighbours where a sample is missing."""
     islands: IntArray
     """Bounds of the islands in `values`, (k + 1,)."""
     gap_starts: IntArray
@@ -144,11 +145,15 @@ def _grid(time_ns: IntArray, segment: IntArray) -> _Grid | None:
 def _filled(values: FloatArray, grid: _Grid) -> EvenSeries:
     """Lay the samples out at their positions."""
     n = int(grid.position[-1]) + 1
-    laid = np.full(n, np.nan)
-    laid[grid.position] = values[grid.kept]
-    steps = np.diff(grid.position)
-    ahead = np.flatnonzero(steps > 1)
-    gap_starts, gap_lengths = grid.position[ahead] + 1, steps[ahead] - 1
+    laid, there = np.zeros(n), np.zeros(n, np.int64)
+    laid[grid.position], there[grid.position] = values[grid.kept], 1
+    ahead = np.flatnonzero(np.diff(grid.position) > 1)
+    gap_starts, gap_lengths = grid.position[ahead] + 1, np.diff(grid.position)[ahead] - 1
     islands = np.concatenate([grid.position[grid.first], [n]]).astype(np.int64)
-    laid[np.isnan(laid)] = values[grid.kept].mean()
+    island = np.searchsorted(islands, gap_starts, side="right")
+    low = np.maximum(gap_starts - gap_lengths, islands[island - 1])
+    high = np.minimum(gap_starts + 2 * gap_lengths, islands[island])
+    total, count = (np.concatenate([[0], np.cumsum(part)]) for part in (laid, there))
+    mean = (total[high] - total[low]) / (count[high] - count[low])
+    laid[there == 0] = np.repeat(mean, gap_lengths)
     return EvenSeries(grid.interval_s, laid, islands, gap_starts, gap_lengths, len(values), grid.jitter)

@@ -63,22 +63,13 @@ def test_lost_packets_change_the_curve_by_little_and_keep_the_long_averaging_tim
     assert np.all(np.abs(ratio - 1) < 0.05)
 
 
-@pytest.mark.parametrize("m", [1, 4, 16])
-def test_means_leave_out_what_is_missing(m: int) -> None:
-    rng = np.random.default_rng(11)
-    n = 1200
-    keep = rng.random(n) > 0.1
-    keep[[0, -1]] = True
-    values = rng.normal(size=n)
-    lossy = series((np.arange(n) * STEP_NS)[keep], values[keep])
-    with_holes = np.where(keep, values, np.nan)
-    squares = []
-    for start, stop in zip(*lossy.runs(m), strict=True):
-        for t in range(start, stop - 2 * m + 1):
-            first, last = with_holes[t : t + m], with_holes[t + m : t + 2 * m]
-            squares.append((np.nanmean(last) - np.nanmean(first)) ** 2 / 2)
-    assert len(squares) > 50
-    assert allan(lossy, np.array([m]))[0] == pytest.approx(np.mean(squares), rel=1e-9)
+def test_what_is_missing_has_the_mean_of_its_neighbours_of_the_same_island() -> None:
+    values = np.array([5.0, 7.0, 1.0, 9.0, 2.0, 4.0] + [0.0] * 1000)
+    time_ns = np.array([0, 1, 2, 5, 6, 7, *range(9, 1009)]) * STEP_NS
+    found = series(time_ns, values)
+    assert list(found.values[3:5]) == [(7 + 1 + 9 + 2) / 4] * 2
+    assert found.values[8] == (4 + 0) / 2
+    assert list(np.flatnonzero(~found.there)) == [3, 4, 8]
 
 
 @pytest.mark.parametrize("lost", [0.05, 0.3])
