@@ -25,6 +25,7 @@ from imumon.clock.repeats import Repeats
 from imumon.clock.side import SharedCounter, SideClock
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
 from imumon.intake import Intake
+from imumon.lane import LaneState
 from imumon.protocols.base import COMMON, MAIN, Timing
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.epochs import EpochAssembler, EpochCounters
@@ -303,7 +304,7 @@ class Pipeline:
         """Return the charts of the estimators as they are now."""
         return [chart for stage in self._stages for chart in stage.charts(self.live)]
 
-    def lanes(self) -> dict[str, str]:
+    def lanes(self) -> dict[str, LaneState]:
         """Return the states that the estimators judge, by lane."""
         return {lane: state for stage in self._stages for lane, state in stage.lanes(self.live).items()}
 

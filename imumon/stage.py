@@ -14,6 +14,7 @@ from imumon.blocks import ColumnArray, SampleBlock, missing, nan_for_missing
 from imumon.charts import Chart
 from imumon.columns import NAME, Column, ColumnType
 from imumon.errors import ImumonError, Reason
+from imumon.lane import LaneState
 from imumon.plugins import Plugin, described
 from imumon.units import parse_own_unit
 
@@ -51,8 +52,8 @@ class Charting(Protocol):
 class Judging(Protocol):
     """A stage that judges: each judgement is a lane of states in the view."""
 
-    def lanes(self) -> Mapping[str, str]:
-        """Return the state of each of its lanes as it is now."""
+    def lanes(self) -> Mapping[str, str | LaneState]:
+        """Return the state of each of its lanes as it is now; a str is neither good nor bad."""
 
 
 class GuardedStage:
@@ -107,9 +108,9 @@ class GuardedStage:
             return nothing
         return self._call("charts", lambda: _charts(stage.charts()), nothing, live)
 
-    def lanes(self, live: bool) -> Mapping[str, str]:
+    def lanes(self, live: bool) -> Mapping[str, LaneState]:
         """Return the state of each of its lanes as it is now."""
-        stage, nothing = self.stage, dict[str, str]()
+        stage, nothing = self.stage, dict[str, LaneState]()
         if not isinstance(stage, Judging):
             return nothing
         return self._call("lanes", lambda: _lanes(stage.lanes()), nothing, live)
@@ -270,9 +271,11 @@ def _charts(drawn: object) -> list[Chart]:
     return [*drawn]
 
 
-def _lanes(states: object) -> Mapping[str, str]:
-    if isinstance(states, Mapping) and all(isinstance(text, str) for text in [*states, *states.values()]):
-        return states
+def _lanes(states: object) -> Mapping[str, LaneState]:
+    if isinstance(states, Mapping) and all(isinstance(name, str) for name in states):
+        each = [LaneState(state) if isinstance(state, str) else state for state in states.values()]
+        if all(isinstance(state, LaneState) for state in each):
+            return dict(zip(states, each, strict=True))
     raise _wrong("it returned what is no state", "return a dict of str: the state of each lane")
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from imumon.blocks import NO_INT, SampleBlock
 from imumon.harmless import for_log
+from imumon.lane import LaneState, Level
 from imumon.pipeline import Pipeline, PipelineCounters
 from imumon.recordings.folder import Session
 from imumon.transport.reader import Event, EventKind, Reads
@@ -29,7 +30,9 @@ Say = Callable[[str, str], None]
 RATE_WINDOW_NS = 2_000_000_000
 SETTLING_NS = 60_000_000_000
 """The clock fit is called synchronised after this much time in a segment."""
-GARBLED = "bad: does not frame"
+GARBLED = LaneState("bad: does not frame", Level.BAD)
+OK = LaneState("ok", Level.GOOD)
+LOSSES, FULL = LaneState("warning: losses", Level.WAIT), LaneState("warning: full", Level.WAIT)
 GARBLED_BELOW = 0.5
 GARBLED_AFTER_BYTES = 400
 """When less than half of the bytes of the last 2 s, at least so many, frame: wrong baud rate or protocol."""
@@ -40,16 +43,20 @@ TEST_S = 600.0
 """A shorter session is no test: of ten means of 30 s, at rest and settled, it has hardly any."""
 CHART_NS = 5_000_000_000
 """Charts are made anew this often, while samples come: samples wait for it, and the view draws no faster."""
-_MOTION = {0: "moving", 1: "rest"}
+_MOTION = {0: LaneState("moving"), 1: LaneState("rest", Level.GOOD)}
 
+_OPEN, _LOST = LaneState("open", Level.GOOD), LaneState("lost", Level.BAD)
 _PORT_STATES = {
-    EventKind.OPENED: "open",
-    EventKind.RESUMED: "open",
-    EventKind.SILENT: "silent",
-    EventKind.LOST: "lost",
-    EventKind.UNAVAILABLE: "lost",
-    EventKind.CLOSED: "closed",
+    EventKind.OPENED: _OPEN,
+    EventKind.RESUMED: _OPEN,
+    EventKind.SILENT: LaneState("silent", Level.WAIT),
+    EventKind.LOST: _LOST,
+    EventKind.UNAVAILABLE: _LOST,
+    EventKind.CLOSED: LaneState("closed", Level.BAD),
 }
+_JUMPED = LaneState("jumped", Level.BAD)
+_SYNCHRONISED = LaneState("synchronised", Level.GOOD)
+_ACQUIRING = LaneState("acquiring", Level.WAIT)
 _SAID = {
     EventKind.MARK: "mark",
     EventKind.START: "start of part",
@@ -142,7 +149,7 @@ class Narrator:
         self._timebase = Timebase()
         self._link = LinkStatistics(settings) if settings is not None else None
         self._history: deque[tuple[int, PipelineCounters]] = deque()
-        self._lanes: dict[str, str] = {}
+        self._lanes: dict[str, LaneState] = {}
         self._began_ns: int | None = None
         self._first_bytes = 0
         self._last_ns = 0
@@ -159,8 +166,8 @@ class Narrator:
     @property
     def state(self) -> str:
         """What port and data do: open, silent, lost, closed, or does not frame."""
-        port = self._lanes.get("port", "open")
-        return "does not frame" if port == "open" and self._lanes.get("data") == GARBLED else port
+        port = self._lanes.get("port", _OPEN)
+        return "does not frame" if port == _OPEN and self._lanes.get("data") == GARBLED else port.text
 
     def item(self, item: Reads | Event) -> None:
         """Take what came from the port: count bytes, or show an event."""
@@ -191,14 +198,14 @@ class Narrator:
         if segment != self._segment:
             if not self._restless:
                 self.log("WARN", f"the device's clock or counter started anew: segment {segment}", arrival)
-            self._lane("clock", "jumped", arrival)
+            self._lane("clock", _JUMPED, arrival)
             self._segment, self._segment_began_ns = segment, arrival
         elif not self._segment_began_ns:
             self._segment_began_ns = arrival
         status = block.columns.get("status")
         if status is not None and status[-1] != NO_INT and int(status[-1]) != self._status:
             self._status = int(status[-1])
-            self._lane("status", f"0x{self._status:04X}", arrival)
+            self._lane("status", LaneState(f"0x{self._status:04X}"), arrival)
 
         self._watch_motion(block)
 
@@ -219,7 +226,7 @@ class Narrator:
             self.log("INFO", f"{_SAID[event.kind]}: {event.detail}", event.time_ns)
             lane = "mark" if event.kind is EventKind.MARK else "part"
             text = "between parts" if event.kind is EventKind.STOP else for_log(event.detail)
-            self._lanes[lane] = text
+            self._lanes[lane] = LaneState(text)
             self._emit(State(self._timebase.at(event.time_ns), lane, text))
             return
         self.log(_LEVELS.get(event.kind, "INFO"), f"port {event.kind.value}: {event.detail}", event.time_ns)
@@ -286,7 +293,7 @@ class Narrator:
             packets_per_s=(counters.packets - then.packets) / span_s if span_s > 0 else 0.0,
             bytes_per_s=(counters.bytes_received - then.bytes_received) / span_s if span_s > 0 else 0.0,
             link_load=self._link.load(now_ns) if self._link is not None else None,
-            port=self._lanes.get("port", ""),
+            port=self._lanes["port"].text if "port" in self._lanes else "",
             drift_ppm=self._pipeline.host_clock.drift_ppm,
             drift_sd_ppm=self._pipeline.host_clock.drift_sd_ppm,
             delay_ms=None if delay is None else delay * 1e-6,
@@ -316,9 +323,9 @@ class Narrator:
             self.log("ERROR", text, now_ns)
         self._restless = restarts >= RESTLESS or (self._restless and restarts > 0)
         if now_ns - self._segment_began_ns > SETTLING_NS:
-            self._lane("clock", "synchronised", now_ns)
-        elif self._lanes.get("clock") != "jumped":
-            self._lane("clock", "acquiring", now_ns)
+            self._lane("clock", _SYNCHRONISED, now_ns)
+        elif self._lanes.get("clock") != _JUMPED:
+            self._lane("clock", _ACQUIRING, now_ns)
 
     def _watch_link(self, progress: Progress, now_ns: int) -> None:
         overloaded = self._link is not None and self._link.overloaded(now_ns)
@@ -327,7 +334,7 @@ class Narrator:
             self.log("WARN", text, now_ns)
         self._overloaded = overloaded
         if progress.link_load is not None:
-            self._lane("link", "warning: full" if overloaded else "ok", now_ns)
+            self._lane("link", FULL if overloaded else OK, now_ns)
 
     def _watch_data(self, now_ns: int) -> None:
         """Judge the data of the last 2 s: framed, damaged, or hardly framed at all."""
@@ -337,7 +344,7 @@ class Narrator:
         if received < GARBLED_AFTER_BYTES:
             return
         damaged = now.lost + now.bytes_skipped > then.lost + then.bytes_skipped
-        state = GARBLED if framed < GARBLED_BELOW * received else "warning: losses" if damaged else "ok"
+        state = GARBLED if framed < GARBLED_BELOW * received else LOSSES if damaged else OK
         if state == GARBLED and self._lanes.get("data") != GARBLED:
             share = framed / received
             self.log(
@@ -345,10 +352,10 @@ class Narrator:
             )
         self._lane("data", state, now_ns)
 
-    def _lane(self, lane: str, state: str, time_ns: int) -> None:
+    def _lane(self, lane: str, state: LaneState, time_ns: int) -> None:
         if self._lanes.get(lane) != state:
             self._lanes[lane] = state
-            self._emit(State(self._timebase.at(time_ns), lane, state))
+            self._emit(State(self._timebase.at(time_ns), lane, state.text, state.level))
 
     def _emit(self, item: ViewItem) -> None:
         for publish in self.publish:

@@ -10,6 +10,7 @@ import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, IntArray, SampleBlock, join
 from imumon.charts import Chart
+from imumon.lane import Level
 
 NATIVE_TAB, WEB_TAB = 740.0, 560.0
 """Points of a tab in a window of 1456 x 819: a browser and its page have lines of their own about it."""
@@ -96,6 +97,7 @@ class State:
     at: Instant
     lane: str
     state: str
+    level: Level = Level.PLAIN
 
 
 @dataclass(frozen=True, slots=True)

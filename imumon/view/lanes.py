@@ -7,6 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 import rerun as rr
 
+from imumon.lane import Level
+
 NAMES = {
     "port": "Port",
     "link": "Link",
@@ -26,24 +28,16 @@ NAMES = {
 LAST = 9
 """The viewer sorts by name: from here on the names themselves decide."""
 
-GOOD, WAIT, BAD, PLAIN = 0x2E9E5BFF, 0xE0A020FF, 0xD64545FF, 0x6C7A92FF
-_WORDS = {
-    GOOD: "open ok good synchronised connected running recording rest valid settled",
-    WAIT: "opening waiting silent starting reconnecting warning acquiring aligning better",
-    BAD: "lost closed error failed bad jumped invalid clipping suspect disturbed hangs dead",
-    PLAIN: "not",
+COLORS = {
+    Level.GOOD: 0x2E9E5BFF,
+    Level.WAIT: 0xE0A020FF,
+    Level.BAD: 0xD64545FF,
+    Level.PLAIN: 0x6C7A92FF,
 }
-STATE_COLORS = {word: color for color, words in _WORDS.items() for word in words.split()}
-"""Colour of a state by the first of its words, in lower case, that is here; else it is grey-blue."""
+"""0xRRGGBBAA."""
 
 COLORED_STATES = 40
 """States of a lane that get a colour of ours; the viewer colours any others itself."""
-
-
-def state_color(state: str) -> int:
-    """Return the colour of a state as 0xRRGGBBAA: that of the first of its words that has one."""
-    words = [word.rstrip(":,") for word in state.lower().split(":")[0].split()]
-    return next((STATE_COLORS[word] for word in words if word in STATE_COLORS), PLAIN)
 
 
 def lane_path(lane: str) -> str:
@@ -53,10 +47,10 @@ def lane_path(lane: str) -> str:
     return f"/{place}-{NAMES.get(lane, lane).replace(' ', '-')}"
 
 
-def declare_lane(rec: rr.RecordingStream, lane: str, states: list[str]) -> None:
+def declare_lane(rec: rr.RecordingStream, lane: str, states: Mapping[str, Level]) -> None:
     """Log the colours of the states that a lane has had."""
-    colors = np.array([state_color(state) for state in states], dtype=np.uint32)
-    rec.log(lane_path(lane), rr.StateConfiguration(values=states, labels=states, colors=colors), static=True)
+    colors, texts = np.array([COLORS[level] for level in states.values()], np.uint32), list(states)
+    rec.log(lane_path(lane), rr.StateConfiguration(values=texts, labels=texts, colors=colors), static=True)
 
 
 def states_text(states: Mapping[str, str]) -> str:

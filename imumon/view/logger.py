@@ -16,6 +16,7 @@ import rerun.blueprint as rrb
 from imumon.blocks import NO_INT, FloatArray, IntArray
 from imumon.charts import Chart
 from imumon.harmless import for_markdown
+from imumon.lane import Level
 from imumon.view.attitude import DEVICE
 from imumon.view.axes import Axes
 from imumon.view.blueprint import Contents, blueprint
@@ -88,7 +89,7 @@ class StreamLogger:
         self._axes = Axes(rec, live=live)
         self._panels = PanelLog(rec, setup, self._axes, live=live)
         self._others = Others(rec, setup, self._axes, live=live)
-        self._lanes: dict[str, list[str]] = {}
+        self._lanes: dict[str, dict[str, Level]] = {}
         self._lasting: dict[str, Event] = {}
         self._charts: dict[str, Chart] = {}
         self._waiting: dict[str, Drawing] = {}
@@ -318,10 +319,12 @@ class StreamLogger:
     def _know_states(self, events: Sequence[State]) -> None:
         """Declare the colours of a lane anew where it has states that it had not."""
         lane = events[0].lane
-        known = self._lanes.setdefault(lane, [])
-        new = [state for state in dict.fromkeys(event.state for event in events) if state not in known]
-        if new and len(known) < COLORED_STATES:
-            known += new[: COLORED_STATES - len(known)]
+        known = self._lanes.setdefault(lane, {})
+        before = len(known)
+        for event in events:
+            if len(known) < COLORED_STATES:
+                known.setdefault(event.state, event.level)
+        if len(known) > before:
             declare_lane(self._rec, lane, known)
 
     def _grown_s(self) -> float:

@@ -161,7 +161,8 @@ def run(seed: int, seconds: int) -> None:
         pipeline.push(block.rows(start, stop))
     pipeline.finish()
     found = pipeline.take()
-    assert all(isinstance(text, str) for text in (*pipeline.warnings(), *pipeline.lanes().values()))
+    assert all(isinstance(text, str) for text in pipeline.warnings())
+    assert all(isinstance(state.text, str) for state in pipeline.lanes().values())
     assert all(chart.title for chart in pipeline.charts())
     for name, values in found.columns.items():
         assert name in block or values.dtype != np.float64 or not np.isinf(values).any(), name

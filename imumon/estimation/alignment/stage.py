@@ -26,6 +26,7 @@ from imumon.estimation.alignment.report import (
 )
 from imumon.filters.slots import SlotGatherer, Slots, held
 from imumon.geodesy import DEG_PER_H
+from imumon.lane import LaneState, Level
 
 MEANS = ("gyro_mean", "hann_mean")
 """Estimators beside the joint fit."""
@@ -36,6 +37,13 @@ PLACE, COLORS = "Alignment", (GREEN, RED, ORANGE)
 MOST_EMPTY_SLOTS = 8
 """A device sends a sample in 2 s at least: a longer time without samples is no rest."""
 _INPUTS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel", "mag") for axis in "xyz")
+LEVELS = {
+    "waiting": Level.WAIT,
+    "disturbed": Level.BAD,
+    "aligning": Level.WAIT,
+    "settled": Level.GOOD,
+}
+"""Of the phases; the others are neither good nor bad."""
 
 
 class Alignment:
@@ -241,13 +249,15 @@ class Alignment:
         )
         return next((phase for condition, phase in table if condition), "aligning")
 
-    def lanes(self) -> Mapping[str, str]:
+    def lanes(self) -> Mapping[str, LaneState]:
         """Return the state of the alignment, and the source of the heading shown."""
         status = self.status
         if status.phase == "not observable":
-            return {"alignment": "not observable with this gyro", "heading by": status.substitute[0]}
+            not_observable = LaneState("not observable with this gyro")
+            return {"alignment": not_observable, "heading by": LaneState(status.substitute[0])}
         shown = status.shown is not None and status.observable
-        return {"alignment": status.phase, "heading by": "joint fit" if shown else "none yet"}
+        by = LaneState("joint fit" if shown else "none yet")
+        return {"alignment": LaneState(status.phase, LEVELS.get(status.phase, Level.PLAIN)), "heading by": by}
 
     def charts(self) -> Sequence[Chart]:
         """Return the estimators beside each other, and sigma against time."""

@@ -16,6 +16,7 @@ from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.tilt_sigma import SLOT_S, Accelerometers, Gyros, Slot, TiltSigma
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL
+from imumon.lane import LaneState, Level
 from imumon.models.magnetometer import MagnetometerModel
 
 GAP_NS = 250_000_000
@@ -247,16 +248,18 @@ class AttitudeEstimate:
         north = np.where(np.isnan(q[:, 0]), NO_INT, rows["north"])
         return [*(part.copy() for part in q.T), roll, pitch, tilt_sd, heading(q), heading_sd, north]
 
-    def lanes(self) -> Mapping[str, str]:
+    def lanes(self) -> Mapping[str, LaneState]:
         """Return what the heading of the estimated attitude refers to."""
         calibrated = "" if self._magnetometer is not None else ", magnetometer not calibrated"
         if not self._fusion.begun:
-            text = "waiting"
+            state = LaneState("waiting", Level.WAIT)
         elif not self._fusion.north:
-            text = "relative heading"
+            state = LaneState("relative heading")
+        elif self._fusion.disturbed:
+            state = LaneState("disturbed: magnetic field", Level.BAD)
         else:
-            text = "disturbed: magnetic field" if self._fusion.disturbed else f"magnetic north{calibrated}"
-        return {"attitude": text}
+            state = LaneState(f"magnetic north{calibrated}")
+        return {"attitude": state}
 
     def notices(self) -> list[str]:
         """Return once what an attitude lacks and its reinitializations, where the device sends none."""

@@ -12,6 +12,7 @@ from imumon.effects.library import suspected_by
 from imumon.estimation.watch.evidence import BLOCK, LEARNING, PATTERNS, Pattern, State, limit, step
 from imumon.estimation.watch.parameters import WatchParameters
 from imumon.filters.segments import Breaks
+from imumon.lane import LaneState, Level
 
 SUSPECT = Column("model_suspect", "1", "int64", "1 once the bias filter is caught at being wrong, else 0")
 EXPLAINING_SHARE = 0.7
@@ -70,13 +71,16 @@ class ModelWatch:
                 self._reported.setdefault(interpret(self._state.peaks, self._modelled)[1], False)
         return {SUSPECT.name: suspect}
 
-    def lanes(self) -> Mapping[str, str]:
+    def lanes(self) -> Mapping[str, LaneState]:
         """Return the lane ``model``: MODEL OK, MODEL SUSPECT with the reason, waiting, or no model."""
         if self._state.alarm:
-            return {"model": f"MODEL SUSPECT: {interpret(self._state.peaks, self._modelled)[0]}"}
+            reason = interpret(self._state.peaks, self._modelled)[0]
+            return {"model": LaneState(f"MODEL SUSPECT: {reason}", Level.BAD)}
         if self._state.slots < LEARNING + BLOCK:
-            return {"model": "waiting for rest"}
-        return {"model": "MODEL OK" if self._modelled else "no model; the filter agrees with itself"}
+            return {"model": LaneState("waiting for rest", Level.WAIT)}
+        if not self._modelled:
+            return {"model": LaneState("no model; the filter agrees with itself")}
+        return {"model": LaneState("MODEL OK", Level.GOOD)}
 
     def notices(self) -> list[str]:
         """Return, once each, what is suspected and which command tells more; for the log."""

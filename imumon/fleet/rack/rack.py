@@ -18,6 +18,7 @@ from imumon.fleet.rack.description import Plan
 from imumon.fleet.rack.feed import Vitals
 from imumon.fleet.rack.table import Row, markdown
 from imumon.fleet.rack.unit import Ended, Task, Update, run_unit
+from imumon.lane import LaneState, Level
 from imumon.recordings.lines import waiting
 from imumon.recordings.session_log import SessionLog
 from imumon.view.items import Instant, Log, OfUnit, Overview, Shown, State, ViewSetup
@@ -320,7 +321,7 @@ class Rack:
             unit.heard(message.vitals)
             unit.setup = message.setup or unit.setup
             if back:
-                self._lane(unit, "recording")
+                self._lane(unit, LaneState("recording", Level.GOOD))
             if message.setup is not None:
                 for item in message.items:
                     self._show(OfUnit(message.setup, item))
@@ -351,11 +352,11 @@ class Rack:
         if quiet_s > patience_s and not unit.silent:
             unit.silent = True
             self._say(unit, "ERROR", f"its process (pid {process.pid}) hangs: no word for {quiet_s:.1f} s")
-            self._lane(unit, "HANGS")
+            self._lane(unit, LaneState("HANGS", Level.BAD))
         elif unit.silent and quiet_s < patience_s:
             unit.silent = False
             self._say(unit, "INFO", "its process goes on")
-            self._lane(unit, "recording")
+            self._lane(unit, LaneState("recording", Level.GOOD))
         elif quiet_s > patience_s + self._patience.ended:
             self._say(unit, "ERROR", f"its process was ended after {quiet_s:.0f} s without a word")
             process.kill()
@@ -369,7 +370,7 @@ class Rack:
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
         kept = f"; {unit.vitals.session} has what had arrived" if unit.vitals.session else ""
         self._say(unit, "ERROR", f"its process died ({how}){kept}; a new one in {pause_s:g} s")
-        self._lane(unit, f"DEAD: {how}")
+        self._lane(unit, LaneState(f"DEAD: {how}", Level.BAD))
 
     def _pause(self, unit: Unit) -> float:
         """Let a unit wait for its next process, longer each time; return how long, s."""
@@ -383,9 +384,9 @@ class Rack:
         if unit.setup is not None:
             self._show(OfUnit(unit.setup, Log(_now(), text, level)))
 
-    def _lane(self, unit: Unit, state: str) -> None:
+    def _lane(self, unit: Unit, state: LaneState) -> None:
         if unit.setup is not None:
-            self._show(OfUnit(unit.setup, State(_now(), "unit", state)))
+            self._show(OfUnit(unit.setup, State(_now(), "unit", state.text, state.level)))
 
     def _show(self, item: Shown) -> None:
         if self._publish is not None:

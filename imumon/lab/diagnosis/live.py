@@ -17,6 +17,7 @@ from imumon.lab.diagnosis.known import temperature_of
 from imumon.lab.diagnosis.residual import Better, better_models, known_to, residual
 from imumon.lab.diagnosis.runs import DRIVERS, LONGEST_GAP_S, SECOND_NS, Run, further_columns
 from imumon.lab.diagnosis.shadow import Shadow
+from imumon.lane import LaneState, Level
 from imumon.models.model import BiasModel, TrainedOn
 from imumon.models.predictor import BiasPredictor
 from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES, KeptSlots, gatherer_of, kept_slots
@@ -194,9 +195,9 @@ class LiveDiagnosis:
             self._reported.add(what or text)
             self._pending.append(text)
 
-    def lanes(self) -> Mapping[str, str]:
+    def lanes(self) -> Mapping[str, LaneState]:
         """Return the lane ``model`` while there is a better one, in the place of what the watch reports."""
-        return {LANE: self.state} if self.state else {}
+        return {LANE: LaneState(self.state, Level.WAIT)} if self.state else {}
 
     def notices(self) -> list[str]:
         """Return, once for each set of effects, what would be better, and what became of it; for the log."""

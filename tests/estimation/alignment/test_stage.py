@@ -19,6 +19,7 @@ from tests.estimation.alignment.units import (
     samples,
     scenario,
 )
+from tests.lanes import texts
 
 KNOCK = {"kind": "bump", "frequency_hz": 25.0, "decay_s": 0.3, "acceleration_m_per_s2": [0.3, 0.2, 0.1]}
 
@@ -209,7 +210,7 @@ def test_the_magnetic_heading_stands_beside() -> None:
 def test_charts_and_lanes_say_where_it_stands() -> None:
     stage, block = Alignment(AlignmentParameters(), 36.0), samples(scenario(90.0))
     in_pieces(stage, block, range(1000, len(block), 1000))
-    assert stage.lanes() == {"alignment": "settled", "heading by": "joint fit"}
+    assert texts(stage) == {"alignment": "settled", "heading by": "joint fit"}
     headings, progress = stage.charts()
     assert [curve.name for curve in headings.curves] == ["joint", "gyro mean", "hann mean"]
     shown = stage.status.shown
@@ -228,7 +229,7 @@ def test_without_an_observable_heading_the_chart_shows_what_the_device_says_as_s
     stage.process(samples(scenario(110.0, arw=MEMS_ARW, rate_hz=50.0)).rows(5000, 5500))
     text = stage.charts()[0].headline
     assert "heading not observable with this gyro; shown instead: the device's own yaw 260.0°" in text
-    assert stage.lanes() == {
+    assert texts(stage) == {
         "alignment": "not observable with this gyro", "heading by": "the device's own yaw",
     }  # fmt: skip
     assert all(math.isnan(estimate.heading) for estimate in stage.status.estimates.values())

@@ -16,6 +16,7 @@ from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.models.magnetometer import MagnetometerModel
 from tests.estimation.attitude.scenes import NORTH_DEG, matrices, scene, without_mag, wrapped
+from tests.lanes import texts
 
 Q = [f"attitude_estimate_{part}" for part in "wxyz"]
 CALIBRATED = MagnetometerModel(
@@ -67,7 +68,7 @@ def test_it_follows_turns_and_its_errors_are_as_its_sigma_says(
         assert found["attitude_estimate_heading_sd"][settled].max() < np.radians(3.6)
         # Of a single pose the magnitude says little of what the accelerometers are off by: 0.18° is declared.
         assert found["attitude_estimate_tilt_sd"][settled].max() < np.radians(0.4)
-        assert stage.lanes() == {"attitude": "magnetic north"}
+        assert texts(stage) == {"attitude": "magnetic north"}
         assert (found["attitude_estimate_north"][later] == 1).all()
 
 
@@ -101,7 +102,7 @@ def test_without_a_magnetometer_the_heading_is_free_and_its_change_has_a_sigma()
         assert np.abs(moved / sd[known[1:]]).max() < 4.0  # at every sample, that of the first motion too
         assert np.isnan(sd[0])  # nothing is known of the bias yet
         assert (found["attitude_estimate_north"][20:] == 0).all()
-        assert stage.lanes() == {"attitude": "relative heading"}
+        assert texts(stage) == {"attitude": "relative heading"}
         assert [text for text in stage.notices() if "heading is relative; it counts from 10°" in text]
         assert stage.notices() == []
 
@@ -228,7 +229,7 @@ def test_a_magnetometer_without_calibration_gives_north_but_no_sigma() -> None:
     assert (found["attitude_estimate_north"][20:] == 1).all()
     assert np.isnan(found["attitude_estimate_heading_sd"]).all()
     assert np.isfinite(found["attitude_estimate_tilt_sd"][-1])
-    assert stage.lanes() == {"attitude": "magnetic north, magnetometer not calibrated"}
+    assert texts(stage) == {"attitude": "magnetic north, magnetometer not calibrated"}
     assert any("imumon magnetometer" in text for text in stage.notices())
 
 
@@ -420,6 +421,6 @@ def test_gyros_without_gravity_have_no_attitude() -> None:
     names = [name for name in made.block.columns if not name.startswith("accel")]
     stage = AttitudeEstimate()
     assert stage.process(SampleBlock({name: made.block[name] for name in names})) == {}
-    assert stage.lanes() == {"attitude": "waiting"}
+    assert texts(stage) == {"attitude": "waiting"}
     silent = made.block.with_columns({f"accel_{axis}": np.full(500, np.nan) for axis in "xyz"})
     assert np.isnan(stage.process(silent)["attitude_estimate_w"]).all()

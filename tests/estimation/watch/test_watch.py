@@ -19,6 +19,7 @@ from imumon.models.model import BiasModel, ChannelModel
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.curves import curve_value
 from imumon.simulation.unit.scenario import Scenario
+from tests.lanes import texts
 
 HOURS = 2.0
 
@@ -138,13 +139,13 @@ def test_a_restart_of_the_device_clears_the_suspicion() -> None:
         }
     )
     watch = ModelWatch(modelled=True)
-    assert watch.lanes() == {"model": "waiting for rest"}
+    assert texts(watch) == {"model": "waiting for rest"}
     suspect = watch.process(block)["model_suspect"]
     first = int(np.argmax(suspect))
     assert seconds[first] < 1000.0
     assert suspect[first : np.argmax(segment)].all()
     assert not suspect[segment == 1].any()
-    assert watch.lanes() == {"model": "MODEL OK"}
+    assert texts(watch) == {"model": "MODEL OK"}
     said = watch.notices()
     assert len(said) == 1
     assert "imumon diagnose --train SESSION" in said[0]
@@ -202,13 +203,13 @@ def watched(gyro_lag_s: float, size: int) -> tuple[ModelWatch, FloatArray]:
 
 def test_a_unit_that_is_as_its_model_says_is_not_suspected() -> None:
     watch, _ = watched(0.0, 10_000)
-    assert watch.lanes() == {"model": "MODEL OK"}
+    assert texts(watch) == {"model": "MODEL OK"}
     assert watch.notices() == []
 
 
 def test_a_lag_that_the_model_lacks_is_suspected_whatever_the_blocks() -> None:
     watch, whole = watched(60.0, 36_000)
-    assert watch.lanes()["model"].startswith("MODEL SUSPECT: innovations follow")
+    assert watch.lanes()["model"].text.startswith("MODEL SUSPECT: innovations follow")
     (said,) = watch.notices()
     assert "thermal_lag" in said
     assert "imumon diagnose --train SESSION" in said
