@@ -31,18 +31,12 @@ class Mixed(NamedTuple):
     probability: FloatArray
 
 
-def mode_transition(modes: int, neighbour: float, any_other: float) -> FloatArray:
+def mode_transition(modes: int, change: float) -> FloatArray:
     """Return a transition matrix, (m, m), of modes in an order: rows are the mode before.
 
-    Parameters
-    ----------
-    neighbour : float
-        Probability to change to one of the two modes beside it.
-    any_other : float
-        Probability to change to any mode.
+    `change` is the probability to change to one of the two modes beside it.
     """
-    matrix = np.full((modes, modes), any_other / modes)
-    matrix += neighbour / 2.0 * (np.eye(modes, k=1) + np.eye(modes, k=-1))
+    matrix = change / 2.0 * (np.eye(modes, k=1) + np.eye(modes, k=-1))
     matrix[np.diag_indices(modes)] += 1.0 - matrix.sum(axis=1)
     return matrix
 

@@ -78,10 +78,8 @@ class Params:
     code_models: tuple[NoiseModel, ...] = CODE_MODELS
     mean_models: tuple[NoiseModel, ...] = MEAN_MODELS
     jerk_psds: tuple[float, ...] = JERK_PSDS
-    neighbour_per_s: float = 1e-4
+    change_per_s: float = 2e-3
     """Probability per second that the jerk PSD changes to a neighbour's."""
-    any_per_s: float = 1e-6
-    """Probability per second that it changes to any other."""
     probability_floor: float = 1e-14
     """Least probability of a filter."""
     soft: float = 2.0
@@ -148,11 +146,10 @@ def dynamics(params: Params, dt: float) -> Dynamics:
             [dt**3 / 6.0, dt**2 / 2.0, dt],
         ]
     )
-    neighbour, other = (min(dt * rate, 0.4) for rate in (params.neighbour_per_s, params.any_per_s))
     return Dynamics(
         f,
         np.asarray(np.kron(f, f), np.float64),
         decay,
         q[:, :, np.newaxis, np.newaxis] * params.jerk_psds,
-        mode_transition(len(params.jerk_psds), neighbour, other),
+        mode_transition(len(params.jerk_psds), min(dt * params.change_per_s, 0.4)),
     )
