@@ -18,9 +18,9 @@ from imumon.estimation.temperature_rate.model import CODE_MODELS, MEAN_MODELS, P
 from imumon.estimation.temperature_rate.stage import MultipleModelRate
 
 TITLE = (
-    "Rate of temperature: kinds of thermometers, and a measured record in steps of 0, 1/16, 0.5 and 1 °C.  The"
-    " outlier rule is for none of these scenes: without it a thermometer that reads 85 °C for 10 s from power-on"
-    " has a rate that errs by 502 °C/h instead of 4.6 (`field --part surprises`)."
+    "Rate of temperature: kinds of thermometers, and a measured record in steps of 0, 1/16, 0.5 and 1 °C."
+    "  The outlier rule is for none of these scenes: without it a thermometer that reads 85 °C for 10 s from"
+    " power-on has a rate that errs by 502 °C/h instead of 4.6 (`field --part surprises`)."
 )
 FLOOR = 0.1
 SETTLED_S, RECORD_SETTLED_S, HALF_S = 600.0, 180.0, 60.0
