@@ -6,7 +6,7 @@ import csv
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from imumon.blocks import FloatArray, IntArray
 from imumon.errors import ImumonError, Reason
 from imumon.files import readable
 from imumon.recordings.map import TIMESTAMPS, TextFormat, TimeColumn
-from imumon.recordings.time_text import ZONE, not_a_number, time_parser
+from imumon.recordings.time_text import not_a_number, time_parser
 
 ROWS_PER_PART = 20_000
 CONTROL_SHARE = 0.05
@@ -51,8 +51,6 @@ class Part:
     """Line (text) or row (Parquet) of each good row, from 1, (n,)."""
     time_ns: IntArray | None
     """As the column says it, also where it wraps, (n,)."""
-    local: bool
-    """Whether it is dates without a zone, as local clocks write them; they are taken for UTC."""
     values: FloatArray
     """The columns of data that were asked for, in the units of the table, (k, n); NaN where a cell is
     empty."""
@@ -225,8 +223,8 @@ def _text_part(rows: list[tuple[int, str]], first_row: int, layout: _Layout, tim
             why.setdefault(int(whole[row]), text)
     times = None
     if time is not None:
-        times = _texts_as_times(cells.column(len(values)).to_pylist(), time)
-        times = replace(times, of=dict(zip(whole.tolist(), times.of.values(), strict=True)))
+        found = _texts_as_times(cells.column(len(values)).to_pylist(), time)
+        times = dict(zip(whole.tolist(), found.values(), strict=True))
     lines = np.array([number for number, _ in rows], np.int64)
     return _part(first_row, lines, times, values, why, lambda row: rows[row][1])
 
@@ -321,29 +319,25 @@ def _numbers(path: Path, name: str, column: Any) -> FloatArray:
     return np.asarray(values.to_numpy(zero_copy_only=False), np.float64)
 
 
-def _times(column: Any, time: TimeColumn) -> _Times:
+def _times(column: Any, time: TimeColumn) -> Times:
     if pa.types.is_timestamp(column.type):
         if time.unit != TIMESTAMPS:
             wrong = f"time is a timestamp, so its unit is {TIMESTAMPS}, not {time.unit}"
-            return _Times(dict.fromkeys(range(len(column)), wrong), local=False)
+            return dict.fromkeys(range(len(column)), wrong)
         nanoseconds = column.cast(pa.timestamp("ns", column.type.tz)).cast(pa.int64()).to_pylist()
         found = ("time is absent" if value is None else value for value in nanoseconds)
-        return _Times(dict(enumerate(found)), local=column.type.tz is None)
+        return dict(enumerate(found))
     return _texts_as_times([None if value is None else str(value) for value in column.to_pylist()], time)
 
 
 # Both
 
 
-@dataclass(frozen=True, slots=True)
-class _Times:
-    """The time of rows in ns, or what is wrong with it, by the number of the row; and `Part.local`."""
-
-    of: dict[int, int | str]
-    local: bool
+Times = dict[int, int | str]
+"""The time of rows in ns, or what is wrong with it, by the number of the row."""
 
 
-def _texts_as_times(texts: Sequence[str | None], time: TimeColumn) -> _Times:
+def _texts_as_times(texts: Sequence[str | None], time: TimeColumn) -> Times:
     parse, wrap_ns = time_parser(time.unit, time.format), time.wrap_ns
 
     def time_of(text: str | None) -> int | str:
@@ -357,23 +351,19 @@ def _texts_as_times(texts: Sequence[str | None], time: TimeColumn) -> _Times:
             return f"time {text!r} is not from 0 to below {time.wraps_at:g}, where it wraps"
         return time_ns
 
-    if time.format is not None:
-        zoned = "%z" in time.format
-    else:
-        zoned = time.unit != TIMESTAMPS or any(text and ZONE.search(text) for text in texts)
-    return _Times(dict(enumerate(map(time_of, texts))), local=not zoned)
+    return dict(enumerate(map(time_of, texts)))
 
 
 def _part(
     first_row: int,
     line: IntArray,
-    times: _Times | None,
+    times: Times | None,
     values: FloatArray,
     why: dict[int, str],
     text_of: Callable[[int], str],
 ) -> Part:
     """Return the rows that can be taken, and those that cannot: what is wrong with the time comes first."""
-    time_of = times.of if times else {}
+    time_of = times or {}
     wrong = why | {row: said for row, said in time_of.items() if isinstance(said, str)}
     good = np.setdiff1d(np.arange(len(line)), list(wrong))
     return Part(
@@ -381,7 +371,6 @@ def _part(
         index=good + first_row,
         line=line[good],
         time_ns=None if times is None else np.array([time_of[row] for row in good.tolist()], np.int64),
-        local=times is not None and times.local,
         values=values[:, good],
         bad=[BadRow(int(line[row]), wrong[row], text_of(row)[:SHOWN]) for row in sorted(wrong)],
     )

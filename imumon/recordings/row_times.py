@@ -1,4 +1,4 @@
-"""Times of the rows of a table from elsewhere: even ones, counts that wrap, segments, leaps of an hour."""
+"""Times of the rows of a table from elsewhere: even ones, counts that wrap, segments."""
 
 from __future__ import annotations
 
@@ -13,10 +13,6 @@ from imumon.clock.rate import Intervals
 from imumon.errors import ImumonError, Reason
 from imumon.recordings.foreign import Part
 from imumon.recordings.map import TableMap
-
-HOUR_NS = 3600 * 10**9
-"""By which clocks are put forward and back for daylight saving, at a full hour."""
-WITH_ZONE = "write the times in UTC or with their zone (+01:00)"
 
 
 @dataclass(slots=True)
@@ -35,9 +31,6 @@ class RowTimes:
     wraps: int = 0
     longest: tuple[int, int] = (0, 0)
     """The longest step forwards, and the line that it leads to."""
-    leaps: int = 0
-    """How many leaps of an hour there were, and what is said of the first."""
-    first_leap: str = ""
 
     def take(self, part: Part) -> tuple[IntArray, IntArray]:
         """Return the times of rows in ns, and their segments.
@@ -53,15 +46,12 @@ class RowTimes:
         steps = np.diff(times, prepend=np.array([time for time, _ in before], np.int64))
         lines = line[1:]
         back = steps < 0
-        hours = _leaps_of_an_hour(times[len(times) - len(steps) :], steps) if part.local else back & False
         wrong = np.flatnonzero((steps == 0) | (back & (not self._segments_allowed)))
         if len(wrong):
             at = int(wrong[0])
-            self._refuse(
-                int(times[len(times) - len(steps) + at]), int(steps[at]), line[at : at + 2], hours[at]
-            )
+            self._refuse(int(times[len(times) - len(steps) + at]), int(steps[at]), line[at : at + 2])
         segments = self.segment + np.concatenate([np.zeros(1 - len(before), np.int64), np.cumsum(back)])
-        self._note(steps, lines, back, hours)
+        self._note(steps, lines, back)
         self.intervals.add(times, segments)
         self.last = int(times[-1]), int(line[-1])
         self.segment = int(segments[-1])
@@ -69,18 +59,15 @@ class RowTimes:
 
     def warnings(self) -> list[str]:
         """Return what cannot be known of these times, once all were taken."""
-        said = []
-        if self.leaps:
-            said.append(self.first_leap + (f" ({self.leaps} such leaps)" if self.leaps > 1 else ""))
         time = self.table_map.time
-        if time is not None and time.wrap_ns is not None:
-            wrap, (longest_ns, line) = f"{float(time.wrap_ns) * 1e-9:g} s", self.longest
-            said.append(
-                f"{self.table}: time wraps every {wrap}, and how often it did in a gap cannot be known: one"
-                f" of {wrap} or longer comes out short by whole wraps"
-                + (f". The longest step is {longest_ns * 1e-9:g} s, to line {line}" if line else "")
-            )
-        return said
+        if time is None or time.wrap_ns is None:
+            return []
+        wrap, (longest_ns, line) = f"{float(time.wrap_ns) * 1e-9:g} s", self.longest
+        return [
+            f"{self.table}: time wraps every {wrap}, and how often it did in a gap cannot be known: one"
+            f" of {wrap} or longer comes out short by whole wraps"
+            + (f". The longest step is {longest_ns * 1e-9:g} s, to line {line}" if line else "")
+        ]
 
     @property
     def _segments_allowed(self) -> bool:
@@ -114,52 +101,28 @@ class RowTimes:
         times: IntArray = counted + whole[wraps - first]
         return times
 
-    def _note(self, steps: IntArray, lines: IntArray, back: BoolArray, hours: BoolArray) -> None:
+    def _note(self, steps: IntArray, lines: IntArray, back: BoolArray) -> None:
         """Keep what the report says of these steps."""
         if not len(steps):
             return
         self.span_ns += sum(steps[~back].tolist())
         at = int(steps.argmax())
         self.longest = max(self.longest, (int(steps[at]), int(lines[at])), key=lambda step: step[0])
-        if hours.any():
-            at = int(np.flatnonzero(hours)[0])
-            does, where = ("goes back", "ends") if back[at] else ("leaps", "begins")
-            self.first_leap = self.first_leap or (
-                f"{self.table}:{lines[at]}: time {does} by {abs(steps[at]) * 1e-9:g} s at a full hour, as"
-                f" local time does where daylight saving {where}: if it is that, {WITH_ZONE}"
-            )
-            self.leaps += int(hours.sum())
 
-    def _refuse(self, time_ns: int, step_ns: int, lines: IntArray, hour: bool) -> None:
+    def _refuse(self, time_ns: int, step_ns: int, lines: IntArray) -> None:
         after, before = time_ns * 1e-9, (time_ns - step_ns) * 1e-9
         verb, hint = (
             "is before",
-            "if the device or the log started anew there, add backwards: segment to time in the map",
+            "if the device or the log started anew there, add backwards: segment to time in the map;"
+            " local time goes back where daylight saving ends: write UTC, or the zone (+01:00)",
         )
         if not step_ns:
             verb, hint = "is the same as", "if the rows are evenly spaced, give rate_hz: ... in place of time"
-        elif hour:
-            hint = f"if it is local time where daylight saving ends, {WITH_ZONE}; {hint}"
         raise ImumonError(
             Reason.BAD_DATA,
             f"{self.table}:{lines[1]}: time {after:.9f} s {verb} {before:.9f} s of line {lines[0]}",
             hint,
         )
-
-
-def _leaps_of_an_hour(times: IntArray, steps: IntArray) -> BoolArray:
-    """Tell at which times a local clock was put forward or back; the steps are those that lead to them.
-
-    Such a clock passes over the hour that begins where the rows stop, or comes to a full hour and begins it
-    anew; but for the hour the rows follow each other as usual, one may be missing.
-    """
-    usual = np.median(np.abs(steps)) if len(steps) else HOUR_NS
-    if 2 * usual >= HOUR_NS:
-        return np.zeros(len(steps), np.bool_)
-    hours_passed = times // HOUR_NS - (times - steps) // HOUR_NS
-    forwards = (hours_passed == 2) & (steps >= HOUR_NS) & (steps - HOUR_NS <= 2 * usual)
-    backwards = (hours_passed == 0) & (steps >= -HOUR_NS) & (steps + HOUR_NS <= 2 * usual)
-    return np.asarray(forwards | backwards, np.bool_)
 
 
 def _even_times(index: IntArray, rate_hz: float | None) -> IntArray:

@@ -51,7 +51,6 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _TIMESTAMP = re.compile(
     r"\s*(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,9}))?\s*(Z|UTC|[+-]\d\d:?\d\d)?\s*", re.ASCII
 )
-ZONE = re.compile(r"(Z|UTC|[+-]\d\d:?\d\d)\s*$")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 

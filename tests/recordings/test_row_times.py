@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from datetime import datetime, timedelta
+from collections.abc import Sequence
+from datetime import datetime
 from fractions import Fraction
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -132,58 +130,6 @@ def test_a_map_with_a_wrap_that_cannot_be_is_refused(tmp_path: Path, time: str, 
         run(tmp_path, [0], f"time: {{column: t, {time}}}\npressure: {{columns: [p], unit: Pa}}\n")
 
 
-def local(begin_utc: datetime, seconds: Iterable[float], form: str = "") -> list[str]:
-    """Return what a clock in Berlin says so many seconds after a moment."""
-    moments = (begin_utc.replace(tzinfo=ZoneInfo("UTC")) + timedelta(seconds=one) for one in seconds)
-    said = [moment.astimezone(BERLIN) for moment in moments]
-    return [one.isoformat() if form == "zone" else one.replace(tzinfo=None).isoformat() for one in said]
-
-
-@given(rate_hz=st.floats(0.1, 20.0), phase=st.floats(0.0, 1.0), rows_per_part=st.integers(30, 500))
-@settings(max_examples=25, deadline=None)
-def test_local_time_that_is_put_forward_is_said(
-    tmp_path_factory: pytest.TempPathFactory, rate_hz: float, phase: float, rows_per_part: int
-) -> None:
-    seconds = [570 + (row + phase) / rate_hz for row in range(int(60 * rate_hz) + 3)]
-    step_s = 3600 + 1 / rate_hz
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(foreign, "ROWS_PER_PART", rows_per_part)
-        report, times, _ = run(tmp_path_factory.mktemp("s"), local(SPRING, seconds), DATES)
-    (said,) = report.warnings
-    row = int(np.argmax(np.diff(times))) + 1
-    assert seconds[row - 1] < 600 <= seconds[row] + 1e-5
-    assert f"t.csv:{row + 2}: time leaps by {step_s:g} s at a full hour" in said
-    assert "daylight saving begins: if it is that, write the times in UTC or with their zone" in said
-
-
-def test_local_time_that_is_put_back_is_told_from_a_restart(tmp_path: Path) -> None:
-    times = local(AUTUMN, np.arange(590.0, 610.0, 0.25))
-    with pytest.raises(ImumonError) as caught:
-        run(tmp_path, times, DATES)
-    assert "t.csv:42: time" in caught.value.seen
-    assert "where daylight saving ends, write the times in UTC or with their zone" in caught.value.hint
-    report, _, segments = run(tmp_path, times, DATES.replace("8601}", "8601, backwards: segment}"))
-    (said,) = report.warnings
-    assert "t.csv:42: time goes back by 3599.75 s at a full hour" in said
-    assert segments == [0] * 40 + [1] * 40
-
-
-@pytest.mark.parametrize(
-    "times",
-    [
-        local(SPRING, np.arange(590.0, 610.0, 0.25), "zone"),
-        local(SPRING, np.arange(0.0, 590.0, 10.0)),
-        # Rows an hour apart; a gap of an hour from another minute on; one of an hour and some rows.
-        local(SPRING + timedelta(days=9), np.arange(0.0, 86400.0, 3600.0)),
-        local(SPRING + timedelta(days=9), [*np.arange(0.0, 9.0), *np.arange(3609.0, 3620.0)]),
-        local(SPRING + timedelta(days=9), [*np.arange(590.0, 600.0), *np.arange(4205.0, 4210.0)]),
-    ],
-)
-def test_nothing_is_said_of_other_times(tmp_path: Path, times: list[str]) -> None:
-    report, *_ = run(tmp_path, times, DATES)
-    assert report.warnings == ()
-
-
 @pytest.mark.parametrize(("step_s", "said"), [(20.0, 1), (2e-5, 1), (0.01, 0)])
 def test_a_rate_of_no_inertial_sensor_is_said(tmp_path: Path, step_s: float, said: int) -> None:
     table, map_path = tmp_path / "t.csv", tmp_path / "map.yaml"
@@ -196,14 +142,11 @@ def test_a_rate_of_no_inertial_sensor_is_said(tmp_path: Path, step_s: float, sai
     assert all("is the unit of the time right?" in text for text in report.warnings)
 
 
-@pytest.mark.parametrize(("zone", "leaps"), [(None, 1), ("UTC", 0)])
-def test_parquet_timestamps_without_a_zone_are_local(tmp_path: Path, zone: str | None, leaps: int) -> None:
-    text = local(SPRING, np.arange(590.0, 610.0, 0.25))
-    times = pa.array([datetime.fromisoformat(one) for one in text], pa.timestamp("us", zone))
-    pq.write_table(pa.table({"t": times, "p": np.ones(len(text))}), tmp_path / "t.parquet")
-    (tmp_path / "map.yaml").write_text(DATES)
-    report = import_table(tmp_path / "t.parquet", tmp_path / "map.yaml", tmp_path / "session")
-    assert len(report.warnings) == leaps
+def test_local_time_that_is_put_back_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    times = [f"2026-10-25T02:59:{second}" for second in (58, 59)] + ["2026-10-25T02:00:00"]
+    with pytest.raises(ImumonError, match=r"t.csv:4: time") as caught:
+        run(tmp_path, times, DATES)
+    assert "write UTC, or the zone (+01:00)" in caught.value.hint
 
 
 def test_the_rate_is_that_of_the_rows_without_gaps_and_restarts(tmp_path: Path) -> None:
