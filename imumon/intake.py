@@ -94,7 +94,7 @@ class Intake:
         """First reading of the gyros."""
         self._force = SpecificForce()
         self._left_out: Counter[str] = Counter()
-        self._said: set[str] = set()
+        self._reported: set[str] = set()
 
     @property
     def left_out(self) -> int:
@@ -133,7 +133,7 @@ class Intake:
         """Return the rows whose time goes on, and which these are; None for all."""
         if "device_time_ns" not in block or "segment" not in block:
             return block, None
-        rows, shift = self._clock.judge(block["device_time_ns"], block["segment"])
+        rows, shift = self._clock.evaluate(block["device_time_ns"], block["segment"])
         taken = block if shift is None else block.with_columns({"segment": block["segment"] + shift})
         if rows is None:
             return taken, None
@@ -149,8 +149,8 @@ class Intake:
         every |= {text: text for unchanged in self._unchanged.values() for text in unchanged.found.values()}
         if self._force.found is not None:
             every[self._force.found] = self._force.found
-        new = [text for what, text in every.items() if what not in self._said]
-        self._said.update(every)
+        new = [text for what, text in every.items() if what not in self._reported]
+        self._reported.update(every)
         return new
 
     def _limits_of(self, name: str) -> tuple[float, float, str] | None:
@@ -158,14 +158,14 @@ class Intake:
 
     def _sound(self, name: str, values: FloatArray, limits: tuple[float, float, str]) -> FloatArray | None:
         """Return the values with NaN where none can be, or None when all can."""
-        low, high, said = limits
+        low, high, label = limits
         if not len(values) or (low <= values.min() and values.max() <= high):  # not so where one is NaN
             return None
         bad = ~((values >= low) & (values <= high)) & ~np.isnan(values)
         count = int(bad.sum())
         if not count:
             return None
-        self._left_out[f"{name} {said}"] += count
+        self._left_out[f"{name} {label}"] += count
         return np.where(bad, np.nan, values)
 
     def _stand_still(
@@ -178,7 +178,7 @@ class Intake:
             self._leave_out(
                 sensor, (readings == 0.0).all(axis=0), f"{name} that is zero in all axes", block, changed
             )
-        stands = still.judge(readings)
+        stands = still.evaluate(readings)
         if stands is None:
             return
         length = np.abs(readings).max(axis=0)
@@ -209,15 +209,15 @@ class Intake:
         """
         readings = np.stack([block[name] for name in columns])
         there = ~np.isnan(readings).any(axis=0)
-        said = np.any((readings != 0.0) & ~np.isnan(readings), axis=0)
+        valid = np.any((readings != 0.0) & ~np.isnan(readings), axis=0)
         silent, why = there.copy(), "nothing but zero"
         if sensor == "gyro" and there.any():
             if self._first is None:
                 self._first = readings[:, np.argmax(there)]
                 silent[np.argmax(there)] = not self._first.any()  # the first is no repetition
             why = "nothing but its first reading" if self._first.any() else why
-            said &= there & np.any(readings != self._first[:, np.newaxis], axis=0)
-        begun = np.maximum.accumulate(said)
+            valid &= there & np.any(readings != self._first[:, np.newaxis], axis=0)
+        begun = np.maximum.accumulate(valid)
         if begun[-1:].any():
             self._begun.add(sensor)
         self._leave_out(columns, silent & ~begun, f"{sensor} while it has said {why}", block, changed)
@@ -238,7 +238,7 @@ class _Still:
         """How often they may be, as it was when they began; -1 when that has not been looked up."""
         self._pairs = self._repeats = 0
 
-    def judge(self, readings: FloatArray) -> BoolArray | None:
+    def evaluate(self, readings: FloatArray) -> BoolArray | None:
         """Return where readings, (3, n), stand still, or None when none does."""
         n = readings.shape[1]
         if not n:
@@ -355,11 +355,11 @@ class _Unchanged:
 
     def _find(self, axis: int, lively: int, value: float, since_ns: int) -> None:
         name, unit = self._names[axis], self._unit
-        said = (
+        stuck = (
             f"{name} says {value:g} {unit} without any change",
             "it is stuck, or its noise is below its steps",
         )
-        what, why = (f"{name} says nothing", "it is dead") if np.isnan(value) else said
+        what, why = (f"{name} says nothing", "it is dead") if np.isnan(value) else stuck
         since = f"for {UNCHANGED_S:g} s and more, since {since_ns * 1e-9:.3f} s of device time"
         self.found.setdefault(name, f"{what} {since}, while {self._names[lively]} changes: {why}")
 
@@ -386,7 +386,7 @@ class _Clock:
         self._shift = 0
         """Segments that were begun here."""
 
-    def judge(self, time_ns: IntArray, segment: IntArray) -> tuple[BoolArray | None, IntArray | None]:
+    def evaluate(self, time_ns: IntArray, segment: IntArray) -> tuple[BoolArray | None, IntArray | None]:
         """Return which rows are taken, None for all, and what to add to their segment, None for nothing."""
         if not len(time_ns):
             return None, None

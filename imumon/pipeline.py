@@ -39,8 +39,8 @@ UNDATED = NO_INT
 """Arrival time of bytes whose arrival nobody noted, as in a raw capture."""
 
 
-class Seen:
-    """The last stage of who computes from samples: hands on what stages see, with what they added."""
+class SampleSink:
+    """A last stage: passes every block, with the columns of the stages before it, to a callback."""
 
     columns: Sequence[Column] = ()
 
@@ -48,7 +48,7 @@ class Seen:
         self._take = take
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
-        """Hand on the block; add nothing."""
+        """Pass the block on; add nothing."""
         if len(block):
             self._take(block)
         return {}
@@ -367,10 +367,10 @@ class Pipeline:
         if not self._stages:
             return block
         taken = self._intake.process(block)
-        seen, added = taken.block, dict[str, ColumnArray]()
+        current, added = taken.block, dict[str, ColumnArray]()
         for stage in self._stages:
-            new = stage.process(seen, self.live)
-            seen = seen.with_columns(new)
+            new = stage.process(current, self.live)
+            current = current.with_columns(new)
             added |= {name: taken.spread(values) for name, values in new.items()}
         return block.with_columns(added)
 

@@ -49,7 +49,7 @@ class Charting(Protocol):
 
 
 @runtime_checkable
-class Judging(Protocol):
+class Reporting(Protocol):
     """A stage that judges: each judgement is a lane of states in the view."""
 
     def lanes(self) -> Mapping[str, str | LaneState]:
@@ -111,7 +111,7 @@ class GuardedStage:
     def lanes(self, live: bool) -> Mapping[str, LaneState]:
         """Return the state of each of its lanes as it is now."""
         stage, nothing = self.stage, dict[str, LaneState]()
-        if not isinstance(stage, Judging):
+        if not isinstance(stage, Reporting):
             return nothing
         return self._call("lanes", lambda: _lanes(stage.lanes()), nothing, live)
 

@@ -201,20 +201,20 @@ def fit_terms(variances: FloatArray, family: Family, interval_s: float, last: in
     covariance, of_time = solution.covariance, 0.0
     if correlated is not None:
         covariance, of_time = correlated.uncertainty(problem, solution)
-    told = _told(problem, smallest, solution) if error <= NO_SUM else []
-    told = told if stop == n else [column for column in told if column == WHITE]
+    reported = _reported(problem, smallest, solution) if error <= NO_SUM else []
+    reported = reported if stop == n else [column for column in reported if column == WHITE]
     withheld = ""
-    if correlated is None and error == 0.0 and ALIKE & frozenset(told):
+    if correlated is None and error == 0.0 and ALIKE & frozenset(reported):
         rest = tuple(c for c in np.flatnonzero(smallest.coefficients).tolist() if c not in ALIKE)
         if search.stands_for(rest):
-            told, withheld = [column for column in told if column not in ALIKE], AMBIGUOUS
-    if _contradicted(problem, solution.coefficients, covariance, told):
-        told, withheld = [column for column in told if column == WHITE], CONTRADICTED
+            reported, withheld = [column for column in reported if column not in ALIKE], AMBIGUOUS
+    if _contradicted(problem, solution.coefficients, covariance, reported):
+        reported, withheld = [column for column in reported if column == WHITE], CONTRADICTED
     terms: dict[str, Estimate | None] = dict.fromkeys(NAMES)
-    for column in told:
+    for column in reported:
         coefficient, variance = float(solution.coefficients[column]), float(covariance[column, column])
         terms[TERMS[column].name] = _estimate(coefficient, variance, TERMS[column].per_unit(interval_s))
-    if correlated is not None and MARKOV in told:
+    if correlated is not None and MARKOV in reported:
         time_s = correlated.time * interval_s
         terms[CORRELATION_TIME] = Estimate(time_s, time_s * math.sqrt(of_time))
     time = np.nan if correlated is None else correlated.time
@@ -227,10 +227,10 @@ def _estimate(coefficient: float, variance: float, per_unit: float) -> Estimate:
 
 
 def _contradicted(
-    problem: Problem, coefficients: FloatArray, covariance: FloatArray, told: list[int]
+    problem: Problem, coefficients: FloatArray, covariance: FloatArray, reported: list[int]
 ) -> bool:
     """Tell whether a term alone predicts more than the curve has, at some averaging time, beyond chance."""
-    for column in told:
+    for column in reported:
         alone = np.zeros(len(COLUMNS))
         alone[column] = max(coefficients[column] - math.sqrt(covariance[column, column]), 0.0)
         alone[FILTER] = coefficients[FILTER] if column == WHITE else 0.0
@@ -245,7 +245,7 @@ def _contradicted(
     return False
 
 
-def _told(problem: Problem, smallest: Solution, solution: Solution) -> list[int]:
+def _reported(problem: Problem, smallest: Solution, solution: Solution) -> list[int]:
     """Return the columns of the terms that the data show."""
     found = np.flatnonzero(solution.coefficients[: len(TERMS)]).tolist()
     return [column for column in found if column == MARKOV or _is_shown(problem, smallest, column)]

@@ -102,8 +102,8 @@ def as_json(results: Mapping[str, Result]) -> dict[str, Any]:
 
 
 def _channel(name: str, result: Result) -> dict[str, Any]:
-    told, fit, series = TERMS_OF[group_of(name)], result.fit, result.series
-    terms = {name: _estimate(fit.terms[name] if fit else None, term.unit) for name, term in told.items()}
+    style, fit, series = TERMS_OF[group_of(name)], result.fit, result.series
+    terms = {name: _estimate(fit.terms[name] if fit else None, term.unit) for name, term in style.items()}
     return {
         "tau_s": _numbers(result.tau_s),
         "oadev": _numbers(result.allan.values),
@@ -150,8 +150,8 @@ def noise_section(results: Mapping[str, Result]) -> dict[str, dict[str, list[flo
         axes = [results.get(f"{group}_{axis}") for axis in "xyz"]
         if any(axes):
             section[group] = {
-                told.key: [value_of(result, term) for result in axes]
-                for term, told in TERMS_OF[group].items()
+                style.key: [value_of(result, term) for result in axes]
+                for term, style in TERMS_OF[group].items()
             }
     return section
 

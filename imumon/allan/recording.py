@@ -77,7 +77,7 @@ def read_channels(path: Path, stages: Stages = no_stages) -> Channels:
         *([f"{', '.join(empty)}: fewer than two numbers; left out"] if empty else []),
         *_of_units(series),
         *_of_the_grid(series),
-        *_of_motion(samples, _hidden(series), judged="at_rest" in recording.columns),
+        *_of_motion(samples, _hidden(series), declared="at_rest" in recording.columns),
         *_of_temperature(samples),
     ]
     return Channels(series, tuple(warnings))
@@ -128,25 +128,25 @@ def _refuse(path: Path, rows: int, names: list[str], series: dict[str, EvenSerie
 
 def _of_units(series: dict[str, EvenSeries]) -> list[str]:
     """Tell what looks like readings in other units."""
-    said = []
+    remarks = []
     fast = [
         name
         for name in series
         if group_of(name) == "gyro" and np.median(np.abs(series[name].values)) > FASTEST_RAD_S
     ]
     if fast:
-        said.append(f"{', '.join(fast)}: turns faster than any gyro measures: it is not in rad/s")
+        remarks.append(f"{', '.join(fast)}: turns faster than any gyro measures: it is not in rad/s")
     accel = [series[name] for name in series if group_of(name) == "accel"]
     norm = float(np.linalg.norm([channel.values.mean() for channel in accel]))
     if len(accel) == len("xyz") and not NORMAL_G[0] < norm < NORMAL_G[1]:
-        said.append(
+        remarks.append(
             f"the mean specific force is {norm:.4g} m/s^2, not gravity: it is not in m/s^2, or not whole"
         )
-    return said
+    return remarks
 
 
 def _of_the_grid(series: dict[str, EvenSeries]) -> list[str]:
-    said: dict[str, list[str]] = {}
+    channels: dict[str, list[str]] = {}
     for name, channel in series.items():
         rate = 1.0 / channel.interval_s
         lost, islands = int(channel.gap_lengths.sum()), len(channel.islands) - 1
@@ -169,8 +169,8 @@ def _of_the_grid(series: dict[str, EvenSeries]) -> list[str]:
         if channel.jitter > 0.05:
             texts.append(f"time from sample to sample varies by {channel.jitter:.0%} rms; taken as even")
         for text in texts:
-            said.setdefault(text, []).append(name)
-    return [f"{_among(names, series)}{text}" for text, names in said.items()]
+            channels.setdefault(text, []).append(name)
+    return [f"{_among(names, series)}{text}" for text, names in channels.items()]
 
 
 def _among(names: list[str], series: dict[str, EvenSeries]) -> str:
@@ -188,25 +188,25 @@ def _hidden(series: dict[str, EvenSeries]) -> list[str]:
     ]
 
 
-def _of_motion(samples: SampleBlock, hidden: list[str], *, judged: bool) -> list[str]:
+def _of_motion(samples: SampleBlock, hidden: list[str], *, declared: bool) -> list[str]:
     """Tell the share of motion: by the column ``at_rest`` of a table, else by the rest detector."""
     time_ns = samples["device_time_ns"]
     short = time_ns[-1] - time_ns[0] < LEAST_FOR_MOTION_S * 1e9
-    if "at_rest" not in samples or (short and not judged):
+    if "at_rest" not in samples or (short and not declared):
         return []
     at_rest = samples["at_rest"]
     known = at_rest[np.argmax(at_rest == 1) :]  # until the first rest nothing is known
     share = float(np.mean(known != 1))
     if share <= MOVING_SHARE:
         return []
-    if hidden and not judged:
+    if hidden and not declared:
         return [f"whether the unit moved cannot be told: the steps of {', '.join(hidden)} are too coarse"]
-    if not (at_rest == 1).any() and not judged:
+    if not (at_rest == 1).any() and not declared:
         return [
             "the rest detector found no rest: the unit moved, or is noisier than a sensor at rest can be; an "
             "Allan deviation of a unit that moves is that of the motion"
         ]
-    how = "column at_rest" if judged else "by the rest detector"
+    how = "column at_rest" if declared else "by the rest detector"
     return [
         f"the unit moved during {share:.1%} of the recording ({how}): "
         "an Allan deviation of a unit that moves is that of the motion; record it at rest"

@@ -91,7 +91,7 @@ def _of_the_fit(results: dict[str, Result]) -> list[str]:
         for name, fit in fits.items()
         if fit.last < results[name].trusted - 1
     ]
-    said = {
+    channels = {
         "the reading never changes: the channel is stuck, or its resolution too coarse; no terms": still,
         "too short for a fit of the terms": short,
         "shorter averaging times are not fitted: no sum of the terms describes them (a filter?)": cut,
@@ -116,7 +116,7 @@ def _of_the_fit(results: dict[str, Result]) -> list[str]:
             if result.digits is not None and _is_rough(result)
         ],
     }
-    return [f"{', '.join(names)}: {text}" for text, names in said.items() if names]
+    return [f"{', '.join(names)}: {text}" for text, names in channels.items() if names]
 
 
 def _steps(name: str, result: Result) -> str:
@@ -159,9 +159,9 @@ def _show(results: dict[str, Result]) -> None:
         table = Table(
             Column("", no_wrap=True), Column("", no_wrap=True), *axes, box=SIMPLE, padding=(0, 1, 0, 0)
         )
-        for term, told in terms.items():
-            cells = (_with_sd(result, term, told.factor) for result in of_group.values())
-            table.add_row(told.title, told.shown, *cells)
+        for term, row in terms.items():
+            cells = (_with_sd(result, term, row.factor) for result in of_group.values())
+            table.add_row(row.title, row.shown, *cells)
         level = terms["bias_instability"]
         lowest = (f"{level.factor * result.allan.values[result.lowest]:.4g}" for result in of_group.values())
         table.add_row("lowest deviation", level.shown, *lowest)

@@ -123,12 +123,12 @@ def warn(texts: Iterable[str]) -> None:
 
 
 @contextmanager
-def with_warnings(said: Callable[[], Iterable[str]]) -> Iterator[None]:
+def with_warnings(warnings: Callable[[], Iterable[str]]) -> Iterator[None]:
     """Write warnings also where an `ImumonError` comes instead of a result: they may say why."""
     try:
         yield
     except ImumonError:
-        warn(said())
+        warn(warnings())
         raise
 
 

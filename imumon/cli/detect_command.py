@@ -51,17 +51,17 @@ def command(
 
     if proposed is not None:
         check_output(proposed)
-    heard = dict[int | None, bytearray]()
+    received = dict[int | None, bytearray]()
     rate: int | None = None
 
     def begin(settings: PortSettings) -> None:
         nonlocal rate
         rate = settings.baudrate if settings.has_line else None
-        heard[rate] = bytearray()
+        received[rate] = bytearray()
         note(f"listening to {_where(settings)}")
 
     def keep(data: bytes) -> None:
-        heard[rate] += data
+        received[rate] += data
 
     devices = {name: load_device(name) for name in names or device_names()}
     own_rates = [rate for device in devices.values() for rate in device.serial.baudrates[:1]]
@@ -75,7 +75,7 @@ def command(
     )
     wrong = failure(port, evidence)
     fit = [item for item in evidence if item.verdict is Verdict.FRAMES]
-    proposal = _propose(heard, evidence) if wrong else None
+    proposal = _propose(received, evidence) if wrong else None
     if as_json:
         print_json(_as_data(evidence, fit, proposal))
     else:
@@ -99,23 +99,23 @@ def _as_data(evidence: list[Evidence], fit: list[Evidence], proposal: str | None
     return {"found": found[0] if found else None, "fit": found, "evidence": rows, "proposal": proposal}
 
 
-def _propose(heard: dict[int | None, bytearray], evidence: list[Evidence]) -> str | None:
+def _propose(received: dict[int | None, bytearray], evidence: list[Evidence]) -> str | None:
     """Return a device file for lines of text, or for binary packets of fixed length at one of the rates."""
     from imumon.protocols import binary_proposal, text_proposal
     from imumon.transport.detect import Verdict
 
     last = max(evidence, key=lambda item: (item.tells_the_rate, item.text_share), default=None)
     if last is not None and last.tells_the_rate:
-        return text_proposal.propose(bytes(heard[last.baudrate]), last.seconds, last.baudrate)
+        return text_proposal.propose(bytes(received[last.baudrate]), last.seconds, last.baudrate)
     if any(item.verdict is Verdict.PARTLY for item in evidence):
         return None  # a known device whose bytes are damaged
     seconds = {item.baudrate: item.seconds for item in evidence}
-    tried = [binary_proposal.propose(bytes(heard[rate]), s, rate) for rate, s in seconds.items()]
+    tried = [binary_proposal.propose(bytes(received[rate]), s, rate) for rate, s in seconds.items()]
     found = max((one for one in tried if one is not None), key=lambda one: one.weight, default=None)
     if found is not None:
         return found.text
     for rate in seconds:
-        if lengths := binary_proposal.repeated_lengths(bytes(heard[rate])):
+        if lengths := binary_proposal.repeated_lengths(bytes(received[rate])):
             at = "" if rate is None else f"at {rate} baud "
             every = " or ".join(map(str, lengths))
             note(

@@ -52,7 +52,7 @@ class Ending:
         self._deadline = math.inf if self._seconds is None else time.monotonic() + self._seconds
 
     @property
-    def is_asked(self) -> bool:
+    def is_requested(self) -> bool:
         """Whether a signal has asked for the end."""
         return self._signal.is_set()
 
@@ -135,7 +135,7 @@ class PortRun:
         """Begin to decode, once all is compiled."""
         from imumon.run.live import warm_up
 
-        if not self.ending.is_asked:
+        if not self.ending.is_requested:
             warm_up(self._device, self._setup)
         gc.freeze()  # a search through all that was loaded takes 0.1 s, in which nothing else runs
         self.run.begin(publish)

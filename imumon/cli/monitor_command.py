@@ -118,7 +118,7 @@ def command(
         live.lines.write()
     learned = keep_learned(run.pipeline, run.session) if setup.bias_model is not None else None
     if as_json:
-        also = {name: said for one in views.outputs for name, said in one.as_data.items()}
+        also = {name: value for one in views.outputs for name, value in one.as_data.items()}
         print_json({**summary.as_dict(), "view_dropped": views.dropped, **also, "learned_model": learned})
     _report(summary, run.progress, views)
     if learned is not None:

@@ -136,11 +136,11 @@ def command(
         print_json(
             {"session": source.path} | exported_as_data(source, pipeline, exported) | compared | smoothing
         )
-    said = {
+    result = {
         "samples": f"{exported.rows:,}, {comparison}",
         "losses": describe_losses(pipeline.counters),
     }
-    print_rows(said | describe_streams(pipeline.counters, exported.tables) | _smoothing(disagreement))
+    print_rows(result | describe_streams(pipeline.counters, exported.tables) | _smoothing(disagreement))
     return EXIT_NEGATIVE if comparison.identical is False else EXIT_OK
 
 
@@ -185,8 +185,8 @@ def _warn(source: Source, pipeline: Pipeline, session: Path, comparison: Compari
 def _smoothing(disagreement: dict[str, float] | None) -> dict[str, str]:
     if disagreement is None:
         return {}
-    said = ", ".join(f"{name} {value:.2f}" for name, value in disagreement.items())
-    return {"forward less backward": f"{said} σ rms" if said else "nothing to compare"}
+    text = ", ".join(f"{name} {value:.2f}" for name, value in disagreement.items())
+    return {"forward less backward": f"{text} σ rms" if text else "nothing to compare"}
 
 
 def _speed(text: str | None, view: str) -> float | None:

@@ -95,11 +95,11 @@ def command(
         chosen_view(mode, bind)
         url = _shown(rec, setup, mode, bind)
     comparison = Comparison(rec, setup, align)
-    told = []
+    titles = []
     with _kept_when_whole(rec, out):
         for one, name in zip(recorded, names, strict=True):
             with reading_bar([one.session.path], quiet=as_json):
-                told.append(_log(one, name, comparison.session(name)))
+                titles.append(_log(one, name, comparison.session(name)))
         if comparison.arrange() is None:
             hint = "an imported table has no times of a computer: --align power-on" if align == "host" else ""
             raise ImumonError(Reason.BAD_DATA, "the sessions have no samples with such times", hint)
@@ -107,8 +107,8 @@ def command(
     if url:
         note(f"view: {url}")
     if as_json:
-        print_json({"sessions": [data for data, _ in told], "out": out, "url": url or None})
-    for name, (_, rows) in zip(names, told, strict=True):
+        print_json({"sessions": [data for data, _ in titles], "out": out, "url": url or None})
+    for name, (_, rows) in zip(names, titles, strict=True):
         note(name)
         print_rows(rows)
     if mode == "web" and out is None:

@@ -31,7 +31,7 @@ class NominalRate:
         self._last: tuple[int, int, int] | None = None
         self._device_s = self._arrived_s = self._latest_s = 0.0
         self._since_ns = 0
-        self._said = False
+        self._reported = False
 
     @property
     def measured_hz(self) -> float | None:
@@ -65,7 +65,7 @@ class NominalRate:
     def notices(self, ended: bool) -> list[str]:
         """Return, once, that the rate is contradicted, or at the end that it is only assumed."""
         rate, measured = self._rate_hz, self.measured_hz
-        if rate is None or self._said:
+        if rate is None or self._reported:
             return []
         whose = "the given" if self._given else "the device file's nominal"
         spaced = f"no packet says when it was measured: the rows are spaced at {whose} {rate:g} Hz"
@@ -74,11 +74,11 @@ class NominalRate:
             late_s = 2.0 * self._latest_s
             if abs(self._device_s - self._arrived_s) <= self._arrived_s / RATE_STEADINESS + late_s:
                 return []
-            self._said = True
+            self._reported = True
             found = f"{float(f'{measured:.3g}'):g}"
             advice = f"replay with --rate {found}, or say rate_hz: {found} in the device file"
             return [f"{spaced}, but they arrive at {found} Hz: {advice}"]
         if not ended or self._given:
             return []
-        self._said = True
+        self._reported = True
         return [f"{spaced}, and nothing shows whether they came at it: if they did not, give --rate HZ"]

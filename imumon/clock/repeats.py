@@ -41,7 +41,7 @@ class Repeats:
         self._last = (NO_INT, NO_INT)
         self._counter, self._clock = _Run(), _Run()
         self._twice = self._rows = 0
-        self._said: set[str] = set()
+        self._reported: set[str] = set()
 
     def add(self, counter: IntArray | None, ticks: IntArray | None, n: int) -> None:
         """Take rows that follow those of the last call, (n,) each, `NO_INT` where there is no count."""
@@ -62,19 +62,19 @@ class Repeats:
         """Return, once each, what does not go on and what that means for the times of the rows."""
         one = "their rows have one time, and estimates leave out all but the first"
         lost = "packets that are lost cannot be told by it"
-        told = {}
+        texts = {}
         if self._counter.at is not None:
             times = f", and {one}" if dated_by == "counter" else ""
-            told["counter"] = f"the packet counter stands at {self._counter.at}: {lost}{times}"
+            texts["counter"] = f"the packet counter stands at {self._counter.at}: {lost}{times}"
         if self._clock.at is not None:
-            told["clock"] = f"the device's clock stands at its count {self._clock.at}: {one}"
+            texts["clock"] = f"the device's clock stands at its count {self._clock.at}: {one}"
         if self._twice:
-            told["twice"] = (
+            texts["twice"] = (
                 f"{self._twice:,} of {self._rows:,} rows have the counter and the time of the one before, "
                 "as of packets sent or recorded twice: they have its time, and estimates leave them out"
             )
-        new = [text for what, text in told.items() if what not in self._said]
-        self._said.update(told)
+        new = [text for what, text in texts.items() if what not in self._reported]
+        self._reported.update(texts)
         return new
 
 

@@ -135,8 +135,8 @@ def connect(url: str, device: DeviceFile, family: Family, baudrate: int | None) 
         Rate at which the device talks; found when None.
     """
     device.decoder().feed(b"\0", 0)  # compiled kernels are loaded before bytes pile up
-    evidence = _heard(url, device) if baudrate is None else []
-    rates = [baudrate] if baudrate is not None else _rates_heard(url, device, evidence)
+    evidence = _received(url, device) if baudrate is None else []
+    rates = [baudrate] if baudrate is not None else _rates_received(url, device, evidence)
     line = device.serial
     settings = PortSettings(url, rates[0], line.bytesize, line.parity, line.stopbits)
     link = CommandLink(open_port(settings), family, streaming=False)
@@ -155,7 +155,7 @@ def connect(url: str, device: DeviceFile, family: Family, baudrate: int | None) 
         raise
 
 
-def _heard(url: str, device: DeviceFile) -> list[Evidence]:
+def _received(url: str, device: DeviceFile) -> list[Evidence]:
     """Listen at the rates of a device at a glance, and for longer where bytes came that are no packet yet."""
     evidence: list[Evidence] = []
     for seconds in (GLANCE_S, HEAR_S):
@@ -165,7 +165,7 @@ def _heard(url: str, device: DeviceFile) -> list[Evidence]:
     return evidence
 
 
-def _rates_heard(url: str, device: DeviceFile, evidence: list[Evidence]) -> list[int]:
+def _rates_received(url: str, device: DeviceFile, evidence: list[Evidence]) -> list[int]:
     """Return the rate at which packets of the device came; when nothing came, all of its rates."""
     best = evidence[0]
     if best.verdict not in (Verdict.NOTHING, Verdict.SILENT):

@@ -77,9 +77,9 @@ def measure(link: CommandLink, device: DeviceFile, rate_hz: float | None) -> Str
                 times.setdefault(name, []).append(block["arrival_time_ns"][np.isfinite(values)])
             elif name != "arrival_time_ns" and len(values):
                 times.setdefault(name, []).append(block["arrival_time_ns"][values != np.iinfo(np.int64).min])
-    heard = {name: np.concatenate(parts) for name, parts in times.items()}
-    columns = tuple(name for name, arrivals in heard.items() if len(arrivals))
-    main = next((heard[name] for name in MAIN_COLUMNS if name in columns), np.zeros(0, np.int64))
+    received = {name: np.concatenate(parts) for name, parts in times.items()}
+    columns = tuple(name for name, arrivals in received.items() if len(arrivals))
+    main = next((received[name] for name in MAIN_COLUMNS if name in columns), np.zeros(0, np.int64))
     after = main[main > main[0]] if len(main) else main  # the first may have waited together
     rate = len(after) * 1e9 / float(after[-1] - main[0]) if len(after) >= 2 else None
     return Stream(seconds, columns, len(main), rate, tuple(decoder.warnings()))

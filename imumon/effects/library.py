@@ -77,8 +77,8 @@ def separated_by(one: str, other: str) -> str:
         free = [name for name in (one, other) if "(" in name]
         return f"a run in which what {' and '.join(free)} depends on goes another way than the rest"
     kinds = kind_of(one), kind_of(other)
-    said = kinds[0].separated_by.get(kinds[1].name) or kinds[1].separated_by.get(kinds[0].name)
-    return said or "another run with a different course of temperature, the ambient held after power-on"
+    advice = kinds[0].separated_by.get(kinds[1].name) or kinds[1].separated_by.get(kinds[0].name)
+    return advice or "another run with a different course of temperature, the ambient held after power-on"
 
 
 def suspected_by(trait: str) -> tuple[str, ...]:

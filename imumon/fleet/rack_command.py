@@ -96,12 +96,12 @@ def command(
         if publisher is not None:
             publisher.close()
         lines.write()
-    told = rack.as_dict()
+    units = rack.as_dict()
     if as_json:
-        print_json({"units": told, "view_dropped": 0 if publisher is None else publisher.state.dropped})
+        print_json({"units": units, "view_dropped": 0 if publisher is None else publisher.state.dropped})
     for line in text_lines(rack.rows):
         note(line)
-    troubles = {name: text for name, unit in told.items() if (text := trouble(unit))}
+    troubles = {name: text for name, unit in units.items() if (text := trouble(unit))}
     print_rows({"sessions": str(out), **troubles})
     return EXIT_NEGATIVE if troubles else EXIT_OK
 

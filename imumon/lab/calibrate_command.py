@@ -67,13 +67,13 @@ def command(
     from imumon.lab.calibration.calibration import calibrate, check_place, read_sessions
 
     chosen, driven = chosen_drivers(drivers), None
-    said: list[str] = []
-    with with_warnings(lambda: said), reading_bar(sessions, quiet=as_json) as tell:
+    warnings: list[str] = []
+    with with_warnings(lambda: warnings), reading_bar(sessions, quiet=as_json) as tell:
         check_place(latitude, heading)
         records, found = read_sessions(sessions)
-        said += found
+        warnings += found
         result = calibrate(records, latitude, heading, serial, tell)
-        result.warnings[:0] = said
+        result.warnings[:0] = warnings
         if chosen != []:
             from imumon.lab.diagnosis.driven import with_drivers
 

@@ -109,8 +109,8 @@ def command(
     assumed = declared if declared is not None else CUBIC
     parse_declared(assumed)
     runs: list[list[Run]] = []
-    said = with_warnings(lambda: dict.fromkeys(t for group in runs for run in group for t in run.warnings))
-    with said, results_folder(out), reading_bar([*train, *test], quiet=as_json) as tell:
+    warned = with_warnings(lambda: dict.fromkeys(t for group in runs for run in group for t in run.warnings))
+    with warned, results_folder(out), reading_bar([*train, *test], quiet=as_json) as tell:
         sensors = channels.split(",")
         runs += [read(path, map_path, at_rest, sensors) for path in (*train, *test)]
         split = len(train)

@@ -48,7 +48,7 @@ def command(
 
     check_output(out)
     model = model_of(model_path) if model_path is not None else None
-    found = sessions_in(folder, lambda said: warn([said]))
+    found = sessions_in(folder, lambda text: warn([text]))
     sessions = _of_one(found, {"device": device, "serial": serial}, folder)
     if model is not None:
         warn(filter(None, {model.of_another(session.metadata.serial) for session in sessions}))
@@ -70,12 +70,12 @@ def command(
     return EXIT_OK if better else EXIT_NEGATIVE
 
 
-def _of_one(sessions: list[Session], asked: dict[str, str | None], folder: Path) -> list[Session]:
+def _of_one(sessions: list[Session], wanted: dict[str, str | None], folder: Path) -> list[Session]:
     """Return the sessions of one unit, the oldest first: of one device and serial number, where known.
 
     `asked` is the device and the serial number that were given.
     """
-    for key, value in asked.items():
+    for key, value in wanted.items():
         found = [session for session in sessions if value in (None, getattr(session.metadata, key))]
         names = sorted({name for session in found if (name := getattr(session.metadata, key)) is not None})
         if not found:

@@ -66,14 +66,14 @@ def command(session: Path, out: Path, model: Path | None, plot: Path | None, as_
         from imumon.lab.calibration.magnetometer_plot import write_magnetometer_plot
 
         write_magnetometer_plot(plot, fit, recording.name)
-    told = [*warnings(), *(f"{session}: {text}" for text in [*fit.doubts, *doubts(axes)])]
-    warn(told)
+    warned = [*warnings(), *(f"{session}: {text}" for text in [*fit.doubts, *doubts(axes)])]
+    warn(warned)
     if as_json:
-        said = {"out": out, "residual_before": fit.residual_before, "points": len(fit.field)}
-        turned = axes is not None and axes.told
-        said["axes_off_deg"] = degrees(axes.angle) if axes is not None and turned else None
-        said["axes_off_sd_deg"] = degrees(axes.sd) if axes is not None and turned else None
-        print_json({**said, **found.model_dump(), "warnings": told})
+        result = {"out": out, "residual_before": fit.residual_before, "points": len(fit.field)}
+        turned = axes is not None and axes.is_significant
+        result["axes_off_deg"] = degrees(axes.angle) if axes is not None and turned else None
+        result["axes_off_sd_deg"] = degrees(axes.sd) if axes is not None and turned else None
+        print_json({**result, **found.model_dump(), "warnings": warned})
     print_rows(_rows(fit, axes, out))
 
 
@@ -89,7 +89,7 @@ def _rows(fit: MagnetometerFit, axes: Axes | None, out: Path) -> dict[str, str]:
         "strength": f"{model.field:.2f} {model.unit}, scatter {fit.residual_before:.2g} as sent, "
         f"{model.residual_sd:.2g} corrected",
         "axes": "not checked, for want of gyros or turns"
-        if axes is None or not axes.told
+        if axes is None or not axes.is_significant
         else f"the gyros', turned against them by {degrees(axes.angle):.1f} ± {degrees(axes.sd):.1g}°",
         "written": str(out),
     }

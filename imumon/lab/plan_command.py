@@ -43,7 +43,7 @@ def command(report: Path, out: Path, hours: float, as_json: bool) -> None:
     if not plans:
         print_rows({"plan": "the report leaves no question open"})
     for at, (made, paths) in enumerate(zip(plans, files, strict=True)):
-        print_rows({f"{at + 1}": _said(made)} | {path.name: str(path) for path in paths})
+        print_rows({f"{at + 1}": _plan_rows(made)} | {path.name: str(path) for path in paths})
 
 
 def _described(made: Plan, paths: list[Path]) -> dict[str, Any]:
@@ -62,14 +62,14 @@ def _described(made: Plan, paths: list[Path]) -> dict[str, Any]:
     }
 
 
-def _said(made: Plan) -> str:
+def _plan_rows(made: Plan) -> str:
     also = f" (and {', '.join(made.question.also)})" if made.question.also else ""
-    asked = f"{made.question.channel}{also}: {made.question.name}?"
+    question = f"{made.question.channel}{also}: {made.question.name}?"
     if made.profile is None or made.expected is None:
-        return f"{asked} No experiment is planned: {made.why_not}"
+        return f"{question} No experiment is planned: {made.why_not}"
     pair = made.expected
     return (
-        f"{asked} {made.profile.duration_s / 3600.0:.1f} h, {made.profile.title}: expected evidence for"
+        f"{question} {made.profile.duration_s / 3600.0:.1f} h, {made.profile.title}: expected evidence for"
         f" {pair.truth} against {pair.rival} {pair.value:.0f} in BIC, {pair.needed:.0f} are needed;"
         f" {pair.least:.0f} is the least of three simulated units"
     )

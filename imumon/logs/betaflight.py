@@ -63,16 +63,16 @@ def read(path: Path, sensor: str | None = None) -> Log:
         raise ImumonError(Reason.BAD_DATA, f"{path}: has no time in {', '.join(MICROSECONDS)}")
     name, others = pick(path, [one for one in GYROS if f"{one}[0]" in columns], sensor)
     scaling = _Scaling.of(path, lines)
-    rate, said = scaling.rate(path, columns[f"{name}[0]"].unit)
+    rate, remark = scaling.rate(path, columns[f"{name}[0]"].unit)
     values = {column.name: table[column.title].to_numpy() for column in columns.values()}
     gyro = named(values, _parts(name), triple("gyro"), rate)
     if "accSmooth[0]" in columns:
         force, of_force = scaling.force(columns["accSmooth[0]"].unit)
-        said += f", accelerometer {of_force}"
+        remark += f", accelerometer {of_force}"
         if force is not None:
             gyro |= named(values, _parts("accSmooth"), triple("accel"), force)
     time = nanoseconds(np.nan_to_num(values["time"] * MICROSECONDS[columns["time"].unit], nan=-1.0))
-    return Log(name, others, Series(time, gyro), [], "FLU", f"gyro {said}, by {scaling.source}", damage)
+    return Log(name, others, Series(time, gyro), [], "FLU", f"gyro {remark}, by {scaling.source}", damage)
 
 
 @dataclass(frozen=True, slots=True)

@@ -271,14 +271,14 @@ class DenseZupt:
         if "at_rest" in block:
             values[:, 9] = (block["at_rest"] != 0) & (block["at_rest"] != NO_INT)
         slots = self._gatherer.process(block["device_time_ns"], block["segment"], values)
-        said = np.full((len(slots), 2, 3), np.nan)
+        outputs = np.full((len(slots), 2, 3), np.nan)
         for k in range(len(slots)):
             if slots.begins[k]:
                 self._state, self._resting = None, []
             self._take(slots.mean[k], bool(slots.smallest[k, 9] == 1.0))
             if self._state is not None:
-                said[k] = self._state.bias, self._state.bias_sd
-        shown = self._shown.spread(slots.row, said, self._shown.breaks(block), n)
+                outputs[k] = self._state.bias, self._state.bias_sd
+        shown = self._shown.spread(slots.row, outputs, self._shown.breaks(block), n)
         bias = shown[:, 0] + curve
         return {
             column.name: part for column, part in zip(self.columns, [*bias.T, *shown[:, 1].T], strict=True)

@@ -57,8 +57,8 @@ class State(NamedTuple):
     mean: FloatArray
     covariance: FloatArray
     """Of (x_k, x_k-1), (2,)."""
-    seen: FloatArray
-    """V, the variance of the innovations as it is seen, (1,); NaN before the first."""
+    innovation_variance: FloatArray
+    """V, the variance of the innovations as estimated so far, (1,); NaN before the first."""
     largest_fading: FloatArray
     """The largest λ so far, (1,)."""
 
@@ -129,10 +129,10 @@ def _run(
 @njit
 def _fading(innovation: float, had: float, process: float, settings: Settings, state: State) -> float:
     """Return λ after an innovation, `had` being H F P Fᵀ Hᵀ."""
-    seen = state.seen
+    v = state.innovation_variance
     square = innovation * innovation
-    seen[0] = square if np.isnan(seen[0]) else (FORGETTING * seen[0] + square) / (1.0 + FORGETTING)
-    wanted = seen[0] - process - settings.softening * settings.noise_variance
+    v[0] = square if np.isnan(v[0]) else (FORGETTING * v[0] + square) / (1.0 + FORGETTING)
+    wanted = v[0] - process - settings.softening * settings.noise_variance
     fading = wanted / had if had > 0.0 and wanted > had else 1.0
     state.largest_fading[0] = max(state.largest_fading[0], fading)
     return fading

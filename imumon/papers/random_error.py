@@ -161,7 +161,7 @@ class RandomErrorMethods:
         }
         self._shown = Shown((len(MEANS), len(AXES)))
         self._last_ns: int | None = None
-        self._said: set[str] = set()
+        self._reported: set[str] = set()
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -278,8 +278,8 @@ class RandomErrorMethods:
                     f"random error of gyro {name}: φ of model NL went to ±{limit:g} and was held back "
                     f"({clamped} steps so far): the model does not fit, or the unit moved unnoticed"
                 )
-        new = [text for key, text in found.items() if key not in self._said]
-        self._said |= found.keys()
+        new = [text for key, text in found.items() if key not in self._reported]
+        self._reported |= found.keys()
         return new
 
 

@@ -253,7 +253,7 @@ class SelfAlignment:
             known = block["at_rest"]
             values[:, 6] = (known != 0) | (known == NO_INT)
         slots = self._gatherer.process(block["device_time_ns"], block["segment"], values)
-        said = np.empty((len(slots), len(self.columns)))
+        outputs = np.empty((len(slots), len(self.columns)))
         for k in range(len(slots)):
             elapsed = (int(slots.middle_ns[k]) - self._middle_ns) * 1e-9
             self._middle_ns = int(slots.middle_ns[k])
@@ -265,8 +265,8 @@ class SelfAlignment:
                 # Whole slots: their middles differ by a sample as the samples fall.
                 interval = SLOT_S * max(round(elapsed / SLOT_S), 1)
                 self._state.take(self._params, mean[:3], mean[3:6], interval)
-            said[k] = self._say()
-        result = self._shown.spread(slots.row, said, self._shown.breaks(block), n)
+            outputs[k] = self._say()
+        result = self._shown.spread(slots.row, outputs, self._shown.breaks(block), n)
         return {column.name: result[:, j] for j, column in enumerate(self.columns)}
 
     def _say(self) -> FloatArray:

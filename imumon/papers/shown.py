@@ -28,10 +28,10 @@ class Shown:
         """Return the rows of the next block from which on nothing that was said before holds."""
         return self._breaks.rows(block["device_time_ns"], block["segment"])
 
-    def spread(self, rows: IntArray, said: FloatArray, breaks: Sequence[int], n: int) -> FloatArray:
+    def spread(self, rows: IntArray, outputs: FloatArray, breaks: Sequence[int], n: int) -> FloatArray:
         """Return what is shown at n rows, (n, ...), of what slots said that are known from `rows` on."""
         at = np.concatenate([rows, np.array(breaks, np.int64)])
-        values = np.concatenate([said, np.full((len(breaks), *said.shape[1:]), np.nan)])
+        values = np.concatenate([outputs, np.full((len(breaks), *outputs.shape[1:]), np.nan)])
         order = np.argsort(at, kind="stable")
         result = held(at[order], values[order], self._values, n)
         if n:

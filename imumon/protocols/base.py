@@ -88,7 +88,7 @@ class Decoder(ABC):
     def __init__(self) -> None:
         self._end, self._arrival_ns = np.zeros(1, np.int64), np.zeros(1, np.int64)
         self._done: list[Packets] = []
-        self._said: dict[str, bool] = {}
+        self._notices: dict[str, bool] = {}
         self._warned: dict[str, bool] = {}
 
     @property
@@ -123,7 +123,7 @@ class Decoder(ABC):
 
     def notices(self) -> list[str]:
         """Return, once each, what the device said that is not data (errors, warnings, configuration)."""
-        return _once(self._said)
+        return _once(self._notices)
 
     def warnings(self) -> list[str]:
         """Return, once each, why numbers are not fit for an estimate: the device has corrected them, say."""
@@ -131,8 +131,8 @@ class Decoder(ABC):
 
     def _say(self, text: str) -> None:
         """Keep a notice unless it was given before."""
-        if len(self._said) < MOST_NOTICES:
-            self._said.setdefault(text, False)
+        if len(self._notices) < MOST_NOTICES:
+            self._notices.setdefault(text, False)
 
     def _warn(self, text: str) -> None:
         self._warned.setdefault(text, False)
@@ -156,10 +156,10 @@ class Decoder(ABC):
         return Packets(join([part.block for part in done]), np.concatenate([part.groups for part in done]))
 
 
-def _once(said: dict[str, bool]) -> list[str]:
+def _once(texts: dict[str, bool]) -> list[str]:
     """Return the texts that were not given before."""
-    new = [text for text, given in said.items() if not given]
-    said.update(dict.fromkeys(new, True))
+    new = [text for text, given in texts.items() if not given]
+    texts.update(dict.fromkeys(new, True))
     return new
 
 

@@ -79,7 +79,7 @@ class Frame:
         length[(length > 0) & (at + length > len(held))] = INCOMPLETE
         return length
 
-    def judged(self, held: ByteArray, at: IntArray, length: IntArray, final: bool) -> IntArray:
+    def verdicts(self, held: ByteArray, at: IntArray, length: IntArray, final: bool) -> IntArray:
         """Return for each whole packet its length with its tail, or what is wrong, (n,)."""
         right = self.check(held, at, length)
         whole = self._with_tail(held, at, length, final) if self.tail else length
@@ -262,12 +262,12 @@ class _Candidates:
         self._begins = np.zeros(len(held) + 1, np.bool_)
         self._begins[self.at] = True
 
-    def _judge(self, which: IntArray) -> None:
+    def _check(self, which: IntArray) -> None:
         """Look at the checksums of some candidates."""
         which = which[self.verdict[which] == UNKNOWN]
         for number in np.flatnonzero(np.bincount(self.frame[which])).tolist():
             mine = which[self.frame[which] == number]
-            self.verdict[mine] = self._frames[number].judged(
+            self.verdict[mine] = self._frames[number].verdicts(
                 self._held, self.at[mine], self.length[mine], self._final
             )
 
@@ -278,7 +278,7 @@ class _Candidates:
         last = len(self._begins) - 1
         followed = self._begins[np.minimum(end, last)] | self._begins[np.minimum(end + tails, last)]
         sure = np.flatnonzero((self.length > 0) & followed & (self.at >= done))
-        self._judge(sure)
+        self._check(sure)
         sure = sure[self.verdict[sure] > 0]
         end = self.at[sure] + self.verdict[sure]
         before = np.maximum.accumulate(np.concatenate([[done], end[:-1]])) if len(sure) else end
@@ -292,7 +292,7 @@ class _Candidates:
         inside = np.searchsorted(self.at[packets], self.at) - 1
         ends = np.concatenate([self.at[packets] + self.verdict[packets], [0]])
         visible = np.flatnonzero(self.at >= ends[inside])
-        self._judge(visible)
+        self._check(visible)
         at = self.at[visible]
         if np.all(np.diff(at)):
             return visible

@@ -283,8 +283,8 @@ class MipDecoder(TaggedDecoder):
 
     def warnings(self) -> list[str]:
         """Return, once, that only corrected rates come."""
-        seen = {field.name: n for field, n in self.seen_fields().items()}
-        if seen.get("CompensatedRate", 0) >= GENERATION and "ScaledGyro" not in seen:
+        received = {field.name: n for field, n in self.received_fields().items()}
+        if received.get("CompensatedRate", 0) >= GENERATION and "ScaledGyro" not in received:
             self._warn(f"{ONLY_CORRECTED}; send ScaledGyro besides CompensatedRate")
         return super().warnings()
 

@@ -39,7 +39,7 @@ class Ranges(StrictModel):
             for sensor, (end, unit, name) in ends.items()
             if end is not None
         }
-        return {f"{s}_{axis}": (-most, most, said) for s, (most, said) in inside.items() for axis in "xyz"}
+        return {f"{s}_{axis}": (-most, most, label) for s, (most, label) in inside.items() for axis in "xyz"}
 
 
 class _Declaring(StrictModel, extra="ignore"):

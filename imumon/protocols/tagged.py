@@ -381,7 +381,7 @@ class TaggedDecoder(LayoutDecoder):
         self._settle()
         return dict(self._unknown)
 
-    def seen_fields(self) -> dict[Field, int]:
+    def received_fields(self) -> dict[Field, int]:
         """Return how often each known field came, those that did not left out."""
         self._settle()
         return dict(self._known)

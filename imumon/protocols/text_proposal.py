@@ -281,19 +281,19 @@ def _vector(x: FloatArray, k: int, names: Sequence[str], rate: float) -> _Guess 
     mean, scatter = float(norm.mean()), float(norm.std())
     steady = mean > 0 and scatter < STEADY * mean
     named = _named(names)
-    said = f"named so; norm {mean:.4g} with scatter {scatter:.2g}" if named else f"norm {mean:.4g}, steady"
+    how = f"named so; norm {mean:.4g} with scatter {scatter:.2g}" if named else f"norm {mean:.4g}, steady"
     gravity = next((g for g in GRAVITIES if abs(mean / g - 1) < NEAR), None) if steady else None
     if gravity is not None and named in (None, "accel"):
         unit, scale = GRAVITIES[gravity]
         scale = "" if scale == "1" else f", scale: {scale}"
         return _Guess(
-            k, 3, f"columns: {_columns('accel')}{scale}, unit: {unit}", f"{said}: gravity is {gravity:g}"
+            k, 3, f"columns: {_columns('accel')}{scale}, unit: {unit}", f"{how}: gravity is {gravity:g}"
         )
     if steady and named in (None, "mag"):
         for (low, high), unit in FIELDS.items():
             if low <= mean <= high:
                 return _Guess(
-                    k, 3, f"columns: {_columns('mag')}, unit: {unit}", f"{said}: as the earth's field"
+                    k, 3, f"columns: {_columns('mag')}, unit: {unit}", f"{how}: as the earth's field"
                 )
     if named == "gyro" or (named is None and _about_zero(x)):
         why = "named so" if named else "about zero on all three axes"

@@ -23,7 +23,7 @@ def run(stream: Connection, out: Connection) -> None:
     """Send what comes until the stream ends."""
     begin = stream.recv()
     outlet = make_outlet(begin.target, begin.setup)
-    told, now = None, Delivery(outlet.text)
+    sent, now = None, Delivery(outlet.text)
     repeated = reported = time.monotonic()
     while True:
         if stream.poll(REPORT_S):
@@ -38,8 +38,8 @@ def run(stream: Connection, out: Connection) -> None:
         if time.monotonic() - repeated >= REPEAT_S:
             repeated = time.monotonic()
             outlet.repeat(time.time_ns())
-        if now != told and time.monotonic() - reported >= REPORT_S:
-            told, reported = now, time.monotonic()
+        if now != sent and time.monotonic() - reported >= REPORT_S:
+            sent, reported = now, time.monotonic()
             out.send(now)
 
 

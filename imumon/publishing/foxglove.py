@@ -49,7 +49,7 @@ class Foxglove:
     @property
     def text(self) -> str:
         """The address, and whether a viewer is too slow."""
-        return f"{self._url}, a viewer is too slow and misses messages" if self._slow.seen else self._url
+        return f"{self._url}, a viewer is too slow and misses messages" if self._slow.noted else self._url
 
     def send(self, items: Sequence[Published]) -> int:
         """Hand messages to the SDK, which keeps the latest 1024 for a slow viewer; none fails here."""
@@ -102,10 +102,10 @@ class Foxglove:
 class _Slow(logging.Handler):
     """Notes that a viewer was too slow."""
 
-    seen = False
+    noted = False
 
     def emit(self, _: logging.LogRecord) -> None:
-        self.seen = True
+        self.noted = True
 
 
 def _log(message: Message) -> FoxgloveLog:

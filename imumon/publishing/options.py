@@ -62,7 +62,7 @@ class Published:
             from imumon.publishing.publisher import Publisher
 
             self._publishers = [Publisher(target, setup).start() for target in targets]
-        self._said: dict[Publisher, str] = {}
+        self._reported: dict[Publisher, str] = {}
 
     @property
     def publish(self) -> list[Callable[[Shown], None]]:
@@ -93,10 +93,10 @@ class Published:
         """Say how it goes, when that changes, and when the first is dropped."""
         for one in self._publishers:
             state = one.state
-            said = f"{one.target}: {state.text}" + (", some are dropped" if state.dropped else "")
-            if said != self._said.get(one, ""):
-                self._said[one] = said
-                tell("INFO" if state.ready and not state.dropped else "WARN", f"published to {said}")
+            text = f"{one.target}: {state.text}" + (", some are dropped" if state.dropped else "")
+            if text != self._reported.get(one, ""):
+                self._reported[one] = text
+                tell("INFO" if state.ready and not state.dropped else "WARN", f"published to {text}")
 
     def close(self) -> None:
         """Send what is left, and end."""

@@ -82,7 +82,7 @@ class Publisher(FedProcess):
         self._handed += sum(map(item_rows, items))
         return [pickle.dumps(items, PROTOCOL)]
 
-    def _heard(self, message: Delivery) -> None:
+    def _received(self, message: Delivery) -> None:
         self._now = message
 
     def _gone(self) -> None:

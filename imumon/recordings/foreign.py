@@ -364,7 +364,7 @@ def _part(
 ) -> Part:
     """Return the rows that can be taken, and those that cannot: what is wrong with the time comes first."""
     time_of = times or {}
-    wrong = why | {row: said for row, said in time_of.items() if isinstance(said, str)}
+    wrong = why | {row: text for row, text in time_of.items() if isinstance(text, str)}
     good = np.setdiff1d(np.arange(len(line)), list(wrong))
     return Part(
         rows_in=len(line),

@@ -38,7 +38,7 @@ def rest_in_hindsight(
     drift : array, (m,)
         What a bias at rest may drift in a slot.
     """
-    told = rest.copy()
+    found = rest.copy()
     for start, stop in _pauses(rest, run):
         near = np.r_[max(start - BESIDE, 0) : start, stop : min(stop + BESIDE, len(rest))]
         beside = near[(run[near] == run[start]) & rest[near]]
@@ -48,8 +48,8 @@ def rest_in_hindsight(
         allowed = SIGMAS * scatter_of_steps(mean[others]) + drift * len(pause)
         on_line = np.abs(mean[pause] - _between(pause, beside, mean)) <= allowed
         loud = variance[pause] > np.nanmax(variance[others], axis=0, initial=0.0)
-        told[pause] = (on_line | ~np.isfinite(mean[pause])).all() and not loud.any()
-    return told
+        found[pause] = (on_line | ~np.isfinite(mean[pause])).all() and not loud.any()
+    return found
 
 
 def _pauses(rest: BoolArray, run: IntArray) -> Sequence[tuple[int, int]]:

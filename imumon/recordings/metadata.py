@@ -22,7 +22,7 @@ FORMAT: Final = "imumon-session/1"
 SourceKind = Literal["live", "simulation", "import"]
 SPAN: Final = "span_ns"
 """Counter of an imported session: what its rows span, without the gaps between segments."""
-LONGEST_SAID: Final = 1 << 19
+SEARCHED_BYTES: Final = 1 << 19
 """Bytes of it that a wire file holds: half of the longest record that its reader takes for one."""
 _PACKAGES = ("numpy", "numba", "scipy", "pyarrow", "mcap", "rerun-sdk")
 
@@ -104,7 +104,7 @@ class SessionMetadata(StrictModel):
         """Return what a wire file says, so that session.yaml can be made anew from it (`begun_of`)."""
         text = dump_yaml(self.model_dump())
         # A reader takes a longer record for damage: a bias model that large stays in session.yaml alone.
-        if len(text.encode()) > LONGEST_SAID:
+        if len(text.encode()) > SEARCHED_BYTES:
             text = dump_yaml(self.model_copy(update={"pipeline_yaml": None}).model_dump())
         return {"device": self.device, "source": self.source, "session": text}
 
@@ -133,10 +133,10 @@ def versions_in_use() -> dict[str, str]:
     return own | {name: version(name) for name in _PACKAGES}
 
 
-def begun_of(said: Mapping[str, str]) -> SessionMetadata | None:
+def begun_of(metadata: Mapping[str, str]) -> SessionMetadata | None:
     """Return the metadata as they were at the start from what a wire file says; None where it does not."""
     try:
-        return parse_yaml(said["session"], SessionMetadata, "the metadata of the wire file")
+        return parse_yaml(metadata["session"], SessionMetadata, "the metadata of the wire file")
     except (KeyError, ImumonError):
         return None
 
@@ -144,8 +144,8 @@ def begun_of(said: Mapping[str, str]) -> SessionMetadata | None:
 def is_of_another_version(path: Path) -> bool:
     """Tell whether a session.yaml that this version cannot read says that another one wrote it."""
     with readable(path), path.open("rb") as file:
-        said = re.search(rb"^format: imumon-session/(\S+)", file.read(LONGEST_SAID), re.MULTILINE)
-    return said is not None and said[1] != FORMAT.rpartition("/")[2].encode()
+        line = re.search(rb"^format: imumon-session/(\S+)", file.read(SEARCHED_BYTES), re.MULTILINE)
+    return line is not None and line[1] != FORMAT.rpartition("/")[2].encode()
 
 
 def read_metadata(path: Path) -> SessionMetadata:

@@ -15,7 +15,7 @@ import numpy as np
 from imumon.blocks import SampleBlock
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
-from imumon.pipeline import Estimator, Pipeline, Seen
+from imumon.pipeline import Estimator, Pipeline, SampleSink
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.folder import fingerprint, is_session, lost_metadata, open_session
 from imumon.recordings.importing import TableImport
@@ -46,8 +46,8 @@ class Recording:
     """What is read."""
     pipeline: Pipeline
     """What it runs through."""
-    seen: list[SampleBlock]
-    """What its stages saw last."""
+    processed: list[SampleBlock]
+    """Blocks that have gone through the stages and were not yielded yet."""
 
     @property
     def columns(self) -> dict[str, Column]:
@@ -60,9 +60,9 @@ class Recording:
         What cannot be is missing, and so are rows whose time does not go on: `warnings` counts them.
         """
         for _ in run_over(self.source.items, self.pipeline):
-            seen = [*self.seen]
-            self.seen.clear()
-            yield from seen
+            blocks = [*self.processed]
+            self.processed.clear()
+            yield from blocks
 
     @property
     def serial(self) -> str | None:
@@ -144,10 +144,10 @@ def _through(
 ) -> Recording:
     """Return the recording with a pipeline of the stages of which the table has no column."""
     there = {column.name for column in source.imported}
-    made, seen = stages(source.device), list[SampleBlock]()
+    made, processed = stages(source.device), list[SampleBlock]()
     wanted = [stage for stage in made if there.isdisjoint(column.name for column in stage.columns)]
-    pipeline = Pipeline(source.device, [*wanted, Seen(seen.append)], source.range)
-    return Recording(name, truth, device, axes, source, pipeline, seen)
+    pipeline = Pipeline(source.device, [*wanted, SampleSink(processed.append)], source.range)
+    return Recording(name, truth, device, axes, source, pipeline, processed)
 
 
 def _with_segment(blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:

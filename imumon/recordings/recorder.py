@@ -89,8 +89,8 @@ class Recorder:
         for thread in (self._thread, self._keeper):
             thread.join(max(0.0, deadline - time.monotonic()))
         if self._thread.is_alive():
-            said = f"the disk did not answer for {STOP_TIMEOUT_S:.0f} s; the recording was not closed"
-            self._say(_WRITING, said)
+            text = f"the disk did not answer for {STOP_TIMEOUT_S:.0f} s; the recording was not closed"
+            self._say(_WRITING, text)
         return self._writer.counters
 
     def _run(self) -> None:

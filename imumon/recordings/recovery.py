@@ -52,8 +52,8 @@ def metadata_anew(path: Path, device_name: str | None) -> Anew:
         Known name or path of a device file; it comes before the one that the wire file holds.
     """
     text = None if device_name is None else device_text(device_name)[0]
-    said = WireReader(path).said()
-    begun = begun_of(said)
+    written = WireReader(path).metadata()
+    begun = begun_of(written)
     if begun is not None:
         unknown = [
             "what was written into session.yaml after the start is not known, as a serial number",
@@ -68,9 +68,9 @@ def metadata_anew(path: Path, device_name: str | None) -> Anew:
     if first is None:
         raise ImumonError(Reason.BAD_DATA, f"{path} holds no message", "there is nothing to recover")
     source: Literal["live", "simulation"] = "live"
-    if said.get("source") == "simulation":
+    if written.get("source") == "simulation":
         source = "simulation"
-    port = said.get("port")
+    port = written.get("port")
     metadata = SessionMetadata.begun(
         source,
         first.arrival_ns if isinstance(first, Bytes) else first.time_ns,
@@ -106,7 +106,7 @@ def rewrite(path: Path, bytes_missing: int = 0, ended_ns: int = 0) -> Path:
     partial = path.with_name(f"{path.name}.partial")
     partial.unlink(missing_ok=True)
     try:
-        with closing(WireWriter(partial, WireReader(path).said())) as writer:
+        with closing(WireWriter(partial, WireReader(path).metadata())) as writer:
             flushed = 0
             for item in _items(path, writer, bytes_missing, ended_ns):
                 writer.write(item)

@@ -19,7 +19,7 @@ TEMPERATURES = ("temperature", *(f"temperature_{axis}" for axis in AXES))
 PIECE = 4096
 """Samples at a time, to bound the memory: as many slots may end in them."""
 QUIET_QUANTILE = 0.25
-TELLING = 8
+SIGNIFICANT = 8
 """Samples in a slot whose scatter tells: 1 in 400 of them has half or twice of what it should be."""
 LOUDER = 3.0
 """A slot is quiet when its scatter on every axis is at most this much above that of the quietest quarter."""
@@ -95,7 +95,7 @@ class Reduced:
         sensors = [name for name in (*GYRO, *ACCEL) if name in self.names and self.has(name)]
         for name in sensors:
             at = self.names.index(name)
-            scatter = np.sqrt(np.where(self.count[:, at] >= TELLING, self.variance[:, at], np.nan))
+            scatter = np.sqrt(np.where(self.count[:, at] >= SIGNIFICANT, self.variance[:, at], np.nan))
             sd = scatter / np.sqrt(np.maximum(self.count[:, at], 1))
             known = scatter[np.isfinite(scatter)]
             if len(known):

@@ -34,7 +34,7 @@ ANY_HEADING = np.pi**2 / 3
 OK, WARN = 0, 1
 FIX, DIAGONAL_KNOWN = "sensor_msgs/msg/NavSatFix", 2
 NOISY = ("gyro", "accel")
-SAID = (
+DIAGNOSED = (
     *(f"gyro_bias_{axis}" for axis in "xyz"),
     *(f"gyro_bias_sd_{axis}" for axis in "xyz"),
     "at_rest",
@@ -78,17 +78,17 @@ def write_ros2(tables: Mapping[str, Path], out: Path, axes: Literal["FLU", "FRD"
         writer = Writer(file)
         schemas = {name: writer.register_msgdef(name, text) for name, text in DEFINITIONS.items()}
         for stream, path in tables.items():
-            told = Stream.of(stream, path, axes)
-            left_out += told.left_out
+            published = Stream.of(stream, path, axes)
+            left_out += published.left_out
             before = sum(counts.values())
             for block in iterate_table(path):
-                for topic, kind, time_ns, message in told.messages(block):
+                for topic, kind, time_ns, message in published.messages(block):
                     number = counts.get(topic, 0)
                     counts[topic] = number + 1
                     writer.write_message(topic, schemas[kind], message, time_ns, sequence=number)
             if sum(counts.values()) > before:
                 streams.append(stream)
-            elif told.clock:
+            elif published.clock:
                 left_out.append(f"{stream}: of its columns alone no message can be made")
         writer.finish()  # type: ignore[no-untyped-call]  # the package leaves its return type out
     return Written(counts, streams, left_out)
@@ -106,7 +106,7 @@ class Stream:
     flip: bool
     """Whether the samples are turned by 180° about x, from forward-right-down to forward-left-up."""
     _noise: dict[str, _Noise] = field(default_factory=lambda: {kind: _Noise() for kind in NOISY})
-    _told_ns: int | None = None
+    _published_ns: int | None = None
     """Time of the latest row."""
     _last: dict[str, float] = field(default_factory=dict)
     """The latest reading of what is told when it changes."""
@@ -141,8 +141,8 @@ class Stream:
             return
         times: IntArray = block[self.clock]
         second = times // SECOND_NS
-        before = second[0] - 1 if self._told_ns is None else self._told_ns // SECOND_NS
-        begins, self._told_ns = np.diff(second, prepend=before) != 0, int(times[-1])
+        before = second[0] - 1 if self._published_ns is None else self._published_ns // SECOND_NS
+        begins, self._published_ns = np.diff(second, prepend=before) != 0, int(times[-1])
         makers = list(self._makers(block, begins))
         for row in np.flatnonzero(times != NO_INT).tolist():
             time_ns = int(times[row])
@@ -154,12 +154,12 @@ class Stream:
                 message = make(row)
                 if message is not None:
                     yield topic, kind, time_ns, {"header": header, **message}
-            if begins[row] and self.name == MAIN and (said := self._diagnostics(block, row)) is not None:
+            if begins[row] and self.name == MAIN and (status := self._diagnostics(block, row)) is not None:
                 yield (
                     "/diagnostics",
                     "diagnostic_msgs/msg/DiagnosticArray",
                     time_ns,
-                    {"header": header, **said},
+                    {"header": header, **status},
                 )
 
     def _makers(self, block: SampleBlock, begins: BoolArray) -> Iterator[tuple[str, str, Any]]:
@@ -213,14 +213,14 @@ class Stream:
         """
         values = block[column]
         variance: ColumnArray = block[sd] ** 2 if sd in block else np.zeros(len(block))
-        told = begins.copy()
+        due = begins.copy()
         if not sd:
-            told |= np.diff(values, prepend=self._last.get(column, np.nan)) != 0
+            due |= np.diff(values, prepend=self._last.get(column, np.nan)) != 0
             self._last[column] = float(values[-1])
-        told &= np.isfinite(values)
+        due &= np.isfinite(values)
 
         def make(row: int) -> Message | None:
-            if not told[row]:
+            if not due[row]:
                 return None
             return {field: float(values[row]), "variance": float(np.nan_to_num(variance[row]))}
 
@@ -248,17 +248,17 @@ class Stream:
         return q, np.column_stack([tilt**2, tilt**2, yaw])
 
     def _diagnostics(self, block: SampleBlock, row: int) -> Message | None:
-        values = {name: float(block[name][row]) for name in SAID if name in block}
+        values = {name: float(block[name][row]) for name in DIAGNOSED if name in block}
         if not values:
             return None
         suspect = values.get("model_suspect", 0.0) == 1.0
-        said = [{"key": name, "value": f"{value:.9g}"} for name, value in values.items()]
+        pairs = [{"key": name, "value": f"{value:.9g}"} for name, value in values.items()]
         status = {
             "level": WARN if suspect else OK,
             "name": "imumon",
             "message": "the bias model is suspect" if suspect else "",
             "hardware_id": "",
-            "values": said,
+            "values": pairs,
         }
         return {"status": [status]}
 

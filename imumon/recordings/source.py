@@ -88,28 +88,28 @@ class Source:
 
     def _lacks(self, summary: WireSummary, name: str) -> list[str]:
         """Return what a wire file and its session lack, one sentence each."""
-        said = []
+        texts = []
         if self.session is not None and self.session.state == "interrupted":
-            said.append("the session was not closed: it is still being recorded, or was interrupted")
+            texts.append("the session was not closed: it is still being recorded, or was interrupted")
         missing = 0 if self.session is None else bytes_missing(self.session, summary)
         if missing:
             sent = summary.bytes + summary.bytes_unrecorded + missing
-            said.append(
+            texts.append(
                 f"{missing:,} bytes are not in {name}, of the {sent:,} that had come from the device as"
                 f" {METADATA_NAME} says"
             )
         elif self.session is not None and self.session.state == "closed" and not summary.complete:
-            said.append(f"the end of {name} is missing, though the session was closed")
+            texts.append(f"the end of {name} is missing, though the session was closed")
         if summary.tail_bytes:
-            said.append(f"{summary.tail_bytes:,} bytes at the end of {name} are not a whole record")
+            texts.append(f"{summary.tail_bytes:,} bytes at the end of {name} are not a whole record")
         if summary.bytes_unrecorded:
-            said.append(
+            texts.append(
                 f"{summary.bytes_unrecorded:,} bytes could not be recorded at the time, or were lost since"
             )
-        said += _damage(summary, name, self._began_ns())
+        texts += _damage(summary, name, self._began_ns())
         if summary.checksum_ok is False:
-            said.append(f"{name} was changed after it was recorded: its checksum differs")
-        return said
+            texts.append(f"{name} was changed after it was recorded: its checksum differs")
+        return texts
 
     def losses(self) -> dict[str, Any]:
         """Return what is missing from the recording as ``--json`` has it, as it is known after the run."""
@@ -176,21 +176,21 @@ def _since(began_ns: int | None, place: Place) -> float | None:
 
 def _damage(summary: WireSummary, name: str, began_ns: int | None) -> list[str]:
     """Return what there is to say of damage: the sum, and the first places."""
-    said, damage = [], summary.damage
+    texts, damage = [], summary.damage
     if damage.places:
         is_damaged = damage.places > summary.recovered.places
         verb = "is damaged" if is_damaged else "was damaged, before it was recovered,"
         count = f"{damage.places:,} place{'s' if damage.places > 1 else ''}"
-        said.append(
+        texts.append(
             f"{name} {verb} in {count}, {damage.seconds:.3f} s in all: {damage.messages:,} reads or events"
             f" missing, {damage.bytes:,} bytes of no use"
         )
-        said += [f"damaged: {_place(place, began_ns)}" for place in damage.where[:SHOWN_PLACES]]
+        texts += [f"damaged: {_place(place, began_ns)}" for place in damage.where[:SHOWN_PLACES]]
         if damage.places > SHOWN_PLACES:
-            said.append(f"damaged: {damage.places - SHOWN_PLACES:,} more places, the first with --json")
+            texts.append(f"damaged: {damage.places - SHOWN_PLACES:,} more places, the first with --json")
     if damage.events:
-        said.append(f"{damage.events:,} events of {name} are damaged and were left out")
-    return said
+        texts.append(f"{damage.events:,} events of {name} are damaged and were left out")
+    return texts
 
 
 def _place(place: Place, began_ns: int | None) -> str:
@@ -261,14 +261,15 @@ def wire_device(wire: WireReader) -> DeviceFile:
 
     Raises BAD_CONFIG when the file does not say it, with the name that it says.
     """
-    said = wire.said()
-    begun = begun_of(said)
+    metadata = wire.metadata()
+    begun = begun_of(metadata)
     if begun is None or begun.device_yaml is None:
-        named = f"; it says the name of the device, {said['device']}" if "device" in said else ""
+        named = f"; it says the name of the device, {metadata['device']}" if "device" in metadata else ""
         raise ImumonError(
             Reason.BAD_CONFIG,
             f"{wire.path} does not hold its device file{named}",
-            f"add --device {said.get('device', 'NAME')}, or the path of its file; imumon devices lists them",
+            f"add --device {metadata.get('device', 'NAME')}, or the path of its file;"
+            " imumon devices lists them",
         )
     return parse_device(begun.device_yaml, f"{wire.path} (device_yaml)")
 
@@ -316,14 +317,14 @@ def run_over(items: Iterable[Item | Reads | SampleBlock], pipeline: Pipeline) ->
     items : iterable of Bytes and Event, or of SampleBlock
         From `WireReader`, `capture_items` or `iterate_samples`.
     """
-    fed, told = 0, reading.get()
+    fed, progress = 0, reading.get()
     for item in items.batches() if isinstance(items, WireReader) else items:
         fed += feed(item, pipeline)
         if fed >= BATCH_BYTES:
-            told(fed)
+            progress(fed)
             fed = 0
             yield pipeline.take()
-    told(fed)
+    progress(fed)
     pipeline.finish()
     yield pipeline.take()
 

@@ -320,11 +320,11 @@ def _csv_columns(path: Path) -> dict[str, Column]:
     if not names:
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: it is empty")
     units = units_path(path)
-    told = load_yaml(units, _UnitsFile).columns if units.is_file() else {}
+    units_of = load_yaml(units, _UnitsFile).columns if units.is_file() else {}
     columns = {}
     for name in names:
-        if name in told:
-            columns[name] = Column(name, told[name].unit, told[name].type, told[name].description)
+        if name in units_of:
+            columns[name] = Column(name, units_of[name].unit, units_of[name].type, units_of[name].description)
         else:
             columns[name] = KNOWN.get(name) or Column(name, "")
     return columns

@@ -43,8 +43,8 @@ def time_parser(unit: str, date_format: str | None = None) -> ParseTime:
 
 def not_a_number(text: str) -> str:
     """Say that a text is no number, and what it would be one with."""
-    said = f"{text!r} is not a number"
-    return f'{said} (unless the map has csv: {{decimal: ","}})' if _DECIMAL_COMMA.fullmatch(text) else said
+    wrong = f"{text!r} is not a number"
+    return f'{wrong} (unless the map has csv: {{decimal: ","}})' if _DECIMAL_COMMA.fullmatch(text) else wrong
 
 
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")

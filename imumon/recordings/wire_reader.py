@@ -82,7 +82,7 @@ class WireReader:
             else:
                 yield from item
 
-    def said(self) -> dict[str, str]:
+    def metadata(self) -> dict[str, str]:
         """Return what the recording program wanted to say, at the begin of the file; empty if damaged.
 
         Raises BAD_DATA when the file cannot be read, or is of another program.

@@ -203,7 +203,7 @@ def viewer() -> Iterator[Finding]:
     """Look whether the Rerun viewer is there and starts, and who has its ports."""
     try:
         binary = viewer_binary()
-        said = subprocess.run(
+        words = subprocess.run(
             [binary, "--version"],
             env=quiet_environment(),
             capture_output=True,
@@ -218,7 +218,7 @@ def viewer() -> Iterator[Finding]:
             "viewer", State.FAULT, f"it does not start: {error}", "pip install --force-reinstall rerun-sdk"
         )
     else:
-        yield Finding("viewer", State.GOOD, f"Rerun {said[1] if len(said) > 1 else 'of unknown version'}")
+        yield Finding("viewer", State.GOOD, f"Rerun {words[1] if len(words) > 1 else 'of unknown version'}")
     for port, use in ((VIEWER_PORT, "a window"), (WEB_PORT, "a browser")):
         if probe(port) in (Answer.OTHER, Answer.SILENT):
             yield Finding(

@@ -273,9 +273,9 @@ class LiveRun:
                 self._reader.mark(kind, text)
 
     def _wire_writer(self) -> WireWriter:
-        said = self.session.metadata.for_wire()
+        metadata = self.session.metadata.for_wire()
         try:
-            return WireWriter(self.session.wire_path, said | {"port": str(self._settings)})
+            return WireWriter(self.session.wire_path, metadata | {"port": str(self._settings)})
         except OSError as error:
             remove_empty(self.session)
             raise ImumonError(

@@ -84,7 +84,7 @@ class Marks:
             return []
         end = lines.rfind(b"\n") + 1
         self._read += end or (len(lines) if len(lines) == MOST_BYTES else 0)
-        return [asked for line in lines[:end].splitlines() if (asked := _request(line)) is not None]
+        return [request for line in lines[:end].splitlines() if (request := _request(line)) is not None]
 
     def close(self) -> None:
         """Remove the file."""
@@ -106,14 +106,14 @@ def _goes_on(requests: Path, part: str) -> bool:
         lines = requests.read_bytes().splitlines()
     except FileNotFoundError:
         return False
-    asked = [
+    kinds = [
         kind
         for line in lines
         if (found := _request(line)) is not None
         for kind, text in [found]
         if text == part and kind is not EventKind.MARK
     ]
-    return asked[-1:] == [EventKind.START]
+    return kinds[-1:] == [EventKind.START]
 
 
 def _is_recorded(wire: Path) -> bool:

@@ -57,7 +57,7 @@ _PORT_STATES = {
 _JUMPED = LaneState("jumped", Level.BAD)
 _SYNCHRONISED = LaneState("synchronised", Level.GOOD)
 _ACQUIRING = LaneState("acquiring", Level.WAIT)
-_SAID = {
+_MARKS = {
     EventKind.MARK: "mark",
     EventKind.START: "start of part",
     EventKind.STOP: "end of part",
@@ -222,8 +222,8 @@ class Narrator:
 
     def event(self, event: Event) -> None:
         """Show what happened to the port, or what a person says of this moment."""
-        if event.kind in _SAID:
-            self.log("INFO", f"{_SAID[event.kind]}: {event.detail}", event.time_ns)
+        if event.kind in _MARKS:
+            self.log("INFO", f"{_MARKS[event.kind]}: {event.detail}", event.time_ns)
             lane = "mark" if event.kind is EventKind.MARK else "part"
             text = "between parts" if event.kind is EventKind.STOP else for_log(event.detail)
             self._lanes[lane] = LaneState(text)

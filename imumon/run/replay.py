@@ -138,10 +138,10 @@ def _narrated(
 ) -> Iterator[SampleBlock]:
     """Run over the items, and tell the narrator of each as the live run does."""
     next_batch_ns = next_tick_ns = now_ns = 0
-    told = reading.get()
+    progress = reading.get()
     for item in items:
         now_ns = _time_ns(item, now_ns)
-        told(feed(item, pipeline))
+        progress(feed(item, pipeline))
         if isinstance(item, Bytes):
             narrator.received(len(item.data), item.arrival_ns)
         elif not isinstance(item, SampleBlock):

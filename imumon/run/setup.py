@@ -164,8 +164,8 @@ class Setup(StrictModel):
         names = [name for name in Setup.model_fields if getattr(self, name) != getattr(defaults, name)]
         if not names:
             return None
-        said = {"format": FORMAT, **self.model_dump(include=set(names))}
-        return dump_yaml(said)
+        content = {"format": FORMAT, **self.model_dump(include=set(names))}
+        return dump_yaml(content)
 
 
 def _described(wrong: Any) -> str:

@@ -13,7 +13,7 @@ from imumon.estimation.smoothing.backward import backward
 from imumon.estimation.smoothing.record import Record, Recorder
 from imumon.estimation.smoothing.stage import Smoothed, SmoothedEstimates
 from imumon.estimation.temperature_rate.stage import TemperatureRate
-from imumon.pipeline import Estimator, Seen
+from imumon.pipeline import Estimator, SampleSink
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.source import Source, run_over
 from imumon.run.setup import Setup, ZuptMode
@@ -30,7 +30,7 @@ def smoothed(source: Source, setup: Setup) -> SmoothedEstimates:
 
         needed = (*NEEDED, Alignment)
     recorder = Recorder()
-    pipeline = pipeline_of(source, setup, [Seen(recorder.add)], only=needed)
+    pipeline = pipeline_of(source, setup, [SampleSink(recorder.add)], only=needed)
     for _ in run_over(source.items, pipeline):
         pass
     record = recorder.finish()

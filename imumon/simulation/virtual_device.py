@@ -156,10 +156,10 @@ class VirtualDevice:
         firmware = self.firmware
         if firmware is None:
             return False
-        heard = self.port.read()
-        if heard:
+        received = self.port.read()
+        if received:
             before = dict(firmware.settings.volatile)
-            self.port.write(firmware.hear(heard))
+            self.port.write(firmware.hear(received))
             if firmware.unplugged:
                 self.port.unplug()
             if firmware.baudrate != self.port.baudrate:

@@ -137,7 +137,7 @@ def detect(
     baudrates: Sequence[int] = COMMON_BAUDRATES,
     seconds_each: float = 1.5,
     before_rate: Callable[[PortSettings], None] = lambda _: None,
-    heard: Callable[[bytes], None] = lambda _: None,
+    received: Callable[[bytes], None] = lambda _: None,
 ) -> list[Evidence]:
     """Listen at one rate after the other until the bytes frame; return the evidence, the best first.
 
@@ -164,7 +164,7 @@ def detect(
     rates = baudrates if PortSettings(url).has_line else baudrates[:1]
     evidence: list[Evidence] = []
     for seconds in [GLANCE_S, seconds_each] if seconds_each > GLANCE_S and len(rates) > 1 else [seconds_each]:
-        evidence = _try_all(url, candidates, rates, seconds, before_rate, heard)
+        evidence = _try_all(url, candidates, rates, seconds, before_rate, received)
         if any(item.verdict is Verdict.FRAMES for item in evidence):
             break
         rates = [item.baudrate for item in evidence if item.tells_the_rate and item.baudrate][:1] or rates
@@ -177,7 +177,7 @@ def _try_all(
     rates: Sequence[int],
     seconds: float,
     before_rate: Callable[[PortSettings], None],
-    heard: Callable[[bytes], None],
+    received: Callable[[bytes], None],
 ) -> list[Evidence]:
     """Listen at one rate after the other until one is told or the port is silent."""
     evidence: list[Evidence] = []
@@ -185,7 +185,7 @@ def _try_all(
         settings = PortSettings(url, baudrate=rate)
         before_rate(settings)
         try:
-            evidence += listen(settings, candidates, seconds, heard)
+            evidence += listen(settings, candidates, seconds, received)
         except ImumonError as error:
             if error.reason is not Reason.BAD_CONFIG or rate == rates[-1]:
                 raise
@@ -198,7 +198,7 @@ def listen(
     settings: PortSettings,
     candidates: Mapping[str, Callable[[], Candidate]],
     seconds: float,
-    heard: Callable[[bytes], None] = lambda _: None,
+    received: Callable[[bytes], None] = lambda _: None,
 ) -> list[Evidence]:
     """Feed what arrives within `seconds` to every candidate; return the evidence in their order."""
     decoders = {name: factory() for name, factory in candidates.items()}
@@ -209,7 +209,7 @@ def listen(
         elapsed = 0.0
         while elapsed < seconds and not _decided(decoders.values(), counts):
             data = port.read(min(POLL_S, seconds - elapsed))
-            heard(data)
+            received(data)
             for byte in data:
                 counts[byte] += 1
             for name, decoder in decoders.items():

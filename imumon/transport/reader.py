@@ -263,13 +263,13 @@ class Reader:
 
     def _reopen(self, wakeup: Wakeup) -> Port | None:
         """Try to open until it works; return None when the reader is stopped meanwhile."""
-        delay_s, said = FIRST_DELAY_S, ""
+        delay_s, reported = FIRST_DELAY_S, ""
         while not wakeup.wait(delay_s):
             try:
                 return open_port(self.settings)
             except ImumonError as error:
-                if error.seen != said:
-                    said = error.seen
+                if error.seen != reported:
+                    reported = error.seen
                     self._say(EventKind.UNAVAILABLE, error.line)
             delay_s = min(2 * delay_s, LONGEST_DELAY_S)
         return None

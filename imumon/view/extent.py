@@ -93,14 +93,14 @@ class Extent:
         began = self._gather(0 if clock is None or not len(clock) else int(clock[-1]) // STEP_NS, drawn)
         if not began:
             return None
-        low, high = self._seen()
+        low, high = self._visible()
         least = max(drawn.least, LEAST_STEPS * self._resolution if np.isfinite(self._resolution) else 0.0)
         if low == high:  # nothing is known of what it resolves
             least = max(least, STILL * abs(low)) or 1.0
         long, scarce = (_with_room((low, high), least, share, drawn.floor, marks) for share in (AHEAD, 0.0))
         return scarce if long[1] - long[0] > 2.0 * (scarce[1] - scarce[0]) else long
 
-    def _seen(self) -> tuple[float, float]:
+    def _visible(self) -> tuple[float, float]:
         """Return the ends of all lines with their bands, without spikes and bands that are much too wide."""
         steps = self._steps
         calm_low = np.fmin.reduce([step.calm_low for step in steps])

@@ -78,7 +78,7 @@ class FedProcess(ABC):
         """Return what is to be sent now that these items came, maybe none."""
 
     @abstractmethod
-    def _heard(self, message: Any) -> None:
+    def _received(self, message: Any) -> None:
         """Take what the process says."""
 
     @abstractmethod
@@ -181,7 +181,7 @@ class FedProcess(ABC):
         with contextlib.suppress(EOFError, OSError):
             while True:
                 if messages.poll(LOOK_S):
-                    self._heard(messages.recv())
+                    self._received(messages.recv())
                 elif time.monotonic() - self._sending_s > STUCK_S:
                     _kill(process)
 

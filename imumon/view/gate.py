@@ -33,8 +33,8 @@ def refusal(host: str, origin: str = "") -> str:
 
     A name can be made to lead anywhere by who owns it; an address, and this computer's name, cannot.
     """
-    asked = HOST.match(host)
-    name = asked.group(1).lower() if asked else ""
+    requested = HOST.match(host)
+    name = requested.group(1).lower() if requested else ""
     if not _is_here(name):
         return f"Host {host!r} is neither an address nor the name of this computer: open it by its address"
     if origin and (urlsplit(origin).hostname or "") != name.strip("[]"):
@@ -95,9 +95,9 @@ class Gate:
         with client, contextlib.suppress(OSError):
             client.settimeout(HEAD_S)
             head = _head(client)
-            said = "" if head.startswith(HTTP_2) else refusal(_field(head, "host"), _field(head, "origin"))
-            if said:
-                client.sendall(_answer(said))
+            reason = "" if head.startswith(HTTP_2) else refusal(_field(head, "host"), _field(head, "origin"))
+            if reason:
+                client.sendall(_answer(reason))
                 return
             client.settimeout(None)
             with socket.create_connection(self._behind) as server:
@@ -126,8 +126,8 @@ def _field(head: bytes, name: str) -> str:
     return ", ".join(value.strip() for key, _, value in fields if key.lower() == name)
 
 
-def _answer(said: str) -> bytes:
-    body, status = f"{said}\n".encode(), HTTPStatus.FORBIDDEN
+def _answer(reason: str) -> bytes:
+    body, status = f"{reason}\n".encode(), HTTPStatus.FORBIDDEN
     head = f"HTTP/1.1 {status.value} {status.phrase}\r\nContent-Type: text/plain; charset=utf-8\r\n"
     return head.encode() + f"Content-Length: {len(body)}\r\nConnection: close\r\n\r\n".encode() + body
 

@@ -66,7 +66,7 @@ class NativeLink:
         self._viewer: subprocess.Popen[bytes] | None = None
         self._phase = _Phase.WAITING
         self._misses = 0
-        self._seen = not start.open_viewer
+        self._has_connected = not start.open_viewer
         answer = probe(start.port)
         if start.open_viewer and answer in (Answer.OTHER, Answer.SILENT):
             self._port = free_port(start.port + 1)
@@ -97,7 +97,7 @@ class NativeLink:
     def _connect(self, rec: rr.RecordingStream) -> Change:
         rec.connect_grpc(proxy_url(self._port))
         self._phase = _Phase.CONNECTED
-        self._seen = True
+        self._has_connected = True
         return Change.NEW
 
     def _check(self, rec: rr.RecordingStream) -> Change | None:
@@ -121,7 +121,7 @@ class NativeLink:
         code = self._viewer.poll() if self._viewer else None
         if code:  # one without a display may have answered a moment before
             return f"the viewer could not start or go on (exit code {code}); try --view web"
-        if self._seen or code == 0:
+        if self._has_connected or code == 0:
             return f"viewer closed; `rerun --bind {LOCALHOST} --port {self._port}` brings it back"
         return "viewer starts"
 

@@ -142,7 +142,7 @@ class ViewPublisher(FedProcess):
             frames = [pickle.dumps(again, PROTOCOL)]
         return frames
 
-    def _heard(self, message: Message) -> None:
+    def _received(self, message: Message) -> None:
         """Start a later view process on the same ports, and do not open a second window."""
         if isinstance(message, ReplayRequest):
             self._request = message

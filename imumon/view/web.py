@@ -145,8 +145,8 @@ class _Handler(BaseHTTPRequestHandler):
         """Answer with a file; who asks for the page without a stream is sent to the one with ours."""
         if self._refuses():
             return
-        path, _, asked = self.path.partition("?")
-        if path == "/" and not asked:
+        path, _, query = self.path.partition("?")
+        if path == "/" and not query:
             stream = quote(f"rerun+http://{self.headers['Host']}/proxy", safe="")
             self.send_response(HTTPStatus.FOUND)
             self.send_header("Location", f"/?url={stream}&hide_welcome_screen=1")
@@ -191,10 +191,10 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _refuses(self) -> bool:
         """Tell a page of another site that it may not read; return whether this is one."""
-        said = refusal(self.headers.get("Host", ""), self.headers.get("Origin", ""))
-        if said:
-            self.send_error(HTTPStatus.FORBIDDEN, explain=said)
-        return bool(said)
+        reason = refusal(self.headers.get("Host", ""), self.headers.get("Origin", ""))
+        if reason:
+            self.send_error(HTTPStatus.FORBIDDEN, explain=reason)
+        return bool(reason)
 
     def log_message(self, *_: object) -> None:
         """Stay silent; the terminal belongs to the status line."""

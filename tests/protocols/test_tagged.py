@@ -60,7 +60,7 @@ def test_a_field_may_have_several_sizes() -> None:
     decoder.feed(data((0x0101, b"\xff\xff")) + data((0x0101, b"\xff" * 8)) + data((0x0101, b"\x00")), 0)
     assert decoder.take()["wide"].tolist() == [65_535, -1]
     assert decoder.unknown_fields() == {(0x0101, 1): 1}
-    assert {field.size: n for field, n in decoder.seen_fields().items()} == {2: 1, 8: 1}
+    assert {field.size: n for field, n in decoder.received_fields().items()} == {2: 1, 8: 1}
 
 
 def test_computed_values_fill_in_where_none_were_sent() -> None:

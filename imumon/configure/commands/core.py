@@ -133,7 +133,7 @@ def packets_among(data: bytes, frame: Frame) -> tuple[list[bytes], int]:
     places = frame.places(held)
     sizes = frame.measured(held, places)
     whole = sizes > 0
-    sizes[whole] = frame.judged(held, places[whole], sizes[whole], final=True)
+    sizes[whole] = frame.verdicts(held, places[whole], sizes[whole], final=True)
     found: list[bytes] = []
     end, cut = 0, len(data)
     for at, size in zip(places.tolist(), sizes.tolist(), strict=True):

@@ -181,7 +181,7 @@ class Mip(Family):
         """Ask what it is, which commands it knows and its base rates."""
         about, sensors, _, uart = self.questions()
         info = ask(about)
-        said = tuple(
+        texts = tuple(
             filter(None, (info[at : at + 16].decode("ascii", "replace").strip(" \0") for at in (2, 18, 34)))
         )
         rate = _known(ask, sensors)
@@ -194,7 +194,7 @@ class Mip(Family):
         rates = {of: base for of, base in rates.items() if base}
         if SENSOR not in rates:
             raise ImumonError(Reason.BAD_DATA, "the device tells no base rate of its sensors")
-        there = replace(self, identity=said, modern=modern, base_hz=rates)
+        there = replace(self, identity=texts, modern=modern, base_hz=rates)
         return replace(there, speed_in_base=_known(ask, uart) is None)
 
     def assumed(self) -> tuple[str, ...]:

@@ -127,16 +127,16 @@ class Xsens(Family):
 
     def learn(self, ask: Ask) -> Xsens:
         """Ask what it is."""
-        said = []
+        answers = []
         for question, say in zip(self.questions(), (_text, _version), strict=True):
             try:
-                said.append(say(ask(question)))
+                answers.append(say(ask(question)))
             except (
                 CommandError
             ) as error:  # a unit that does not say what it is can be configured all the same
                 if not error.refused:
                     raise
-        return replace(self, identity=tuple(said))
+        return replace(self, identity=tuple(answers))
 
     def settings(self) -> tuple[str, ...]:
         """Return output configuration and baud rate."""

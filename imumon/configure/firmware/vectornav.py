@@ -11,7 +11,7 @@ from imumon.protocols.vectornav import VectorNavDevice, VectorNavEncoder
 from imumon.protocols.vectornav_fields import GROUP_NAMES, GROUPS
 
 INVALID_COMMAND, INVALID_PARAMETER, INVALID_REGISTER = 4, 7, 8
-SAID = {1: "VN-100-VIRTUAL", 3: "0100000001", 4: "2.1.0.0"}
+IDENTITY = {1: "VN-100-VIRTUAL", 3: "0100000001", 4: "2.1.0.0"}
 NAMES = {number: name for name, number in REGISTERS.items()}
 PLACES = {
     (group, bit): f"{GROUP_NAMES[group]}.{item.name}"
@@ -55,8 +55,8 @@ class VectorNavFirmware(Firmware):
         register = int(first) if first.isdigit() else -1
         if kind not in ("RRG", "WRG"):
             return frame(f"VNERR,{INVALID_COMMAND:02d}")
-        if kind == "RRG" and register in SAID:
-            return frame(f"VNRRG,{register:02d},{SAID[register]}")
+        if kind == "RRG" and register in IDENTITY:
+            return frame(f"VNRRG,{register:02d},{IDENTITY[register]}")
         name = NAMES.get(register)
         if name is None:
             return frame(f"VNERR,{INVALID_REGISTER:02d}")

@@ -65,8 +65,8 @@ class XsensFirmware(Firmware):
             return self._output(data)
         if kind == SET_BAUDRATE:
             return self._baudrate(data)
-        said = {REQ_PRODUCT_CODE: b"MTi-VIRTUAL", REQ_FIRMWARE: bytes([1, 2, 3])}
-        return frame(kind + 1, said[kind]) if kind in said else frame(ERROR, bytes([INVALID_MESSAGE]))
+        identity = {REQ_PRODUCT_CODE: b"MTi-VIRTUAL", REQ_FIRMWARE: bytes([1, 2, 3])}
+        return frame(kind + 1, identity[kind]) if kind in identity else frame(ERROR, bytes([INVALID_MESSAGE]))
 
     def _output(self, data: bytes) -> bytes:
         if data:

@@ -33,7 +33,7 @@ _WHAT = [
     ("channel", _TEXT),
     ("unit", _TEXT),
 ]
-_SAID = [("warnings", pa.list_(_TEXT)), ("reason", _TEXT), ("error", _TEXT)]
+_TEXTS = [("warnings", pa.list_(_TEXT)), ("reason", _TEXT), ("error", _TEXT)]
 _SAMPLES = [
     ("samples", pa.int64()),
     *((name, _NUMBER) for name in ("mean", "sd", "least", "greatest")),
@@ -71,7 +71,7 @@ RESULTS: dict[str, list[tuple[str, pa.DataType]]] = {
 
 def schema_of(command: str) -> pa.Schema:
     """Return the columns of the table of a command."""
-    return pa.schema([*_WHAT, *RESULTS[command], *_SAID])
+    return pa.schema([*_WHAT, *RESULTS[command], *_TEXTS])
 
 
 class Dataset:

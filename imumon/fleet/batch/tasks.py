@@ -19,7 +19,7 @@ from imumon.fleet.batch.dataset import Row
 from imumon.fleet.batch.limit import limited
 from imumon.fleet.batch.options import BatchOptions
 from imumon.fleet.batch.places import fetched
-from imumon.pipeline import Digest, Pipeline, Seen
+from imumon.pipeline import Digest, Pipeline, SampleSink
 from imumon.recordings.folder import is_session, open_session
 from imumon.recordings.side_tables import export_run
 from imumon.recordings.source import Source, open_source, run_over
@@ -140,7 +140,7 @@ class Moments:
 
 
 class _Channels:
-    """What was seen of each channel of a recording, as the stages see it."""
+    """What was channels of each channel of a recording, as the stages see it."""
 
     def __init__(self) -> None:
         self.moments: dict[str, Moments] = {}
@@ -167,27 +167,27 @@ class _Channels:
 
 
 def _decode(path: Path, job: Job) -> Iterator[Row]:
-    source, seen = open_source(path), _Channels()
-    pipeline = Pipeline(source.device, [Seen(seen.add)], source.range)
-    yield from _samples(source, job, pipeline, run_over(source.items, pipeline), seen)
+    source, channels = open_source(path), _Channels()
+    pipeline = Pipeline(source.device, [SampleSink(channels.add)], source.range)
+    yield from _samples(source, job, pipeline, run_over(source.items, pipeline), channels)
 
 
 def _replay(path: Path, job: Job) -> Iterator[Row]:
     session = open_session(path)
     text = job.options.pipeline_yaml
     setup = recorded_setup(session) if text is None else parse_setup(text, "--pipeline")
-    source, digest, seen = open_source(path), Digest(), _Channels()
-    pipeline = pipeline_of(source, setup, [Seen(seen.add)])
+    source, digest, channels = open_source(path), Digest(), _Channels()
+    pipeline = pipeline_of(source, setup, [SampleSink(channels.add)])
     blocks = digested(run_over(source.items, pipeline), pipeline, digest)
-    rows = [*_samples(source, job, pipeline, blocks, seen)]
+    rows = [*_samples(source, job, pipeline, blocks, channels)]
     identical = compare_with_live(session, setup, digest, pipeline).identical
     yield from ({**row, "identical_to_live": identical} for row in rows)
 
 
 def _samples(
-    source: Source, job: Job, pipeline: Pipeline, blocks: Iterable[SampleBlock], seen: _Channels
+    source: Source, job: Job, pipeline: Pipeline, blocks: Iterable[SampleBlock], channels: _Channels
 ) -> Iterator[Row]:
-    """Go through the blocks of a recording, into a table where one is asked for; yield what was seen."""
+    """Go through the blocks of a recording, into a table where one is asked for; yield its channels."""
     file: Path | None = None
     if job.options.tables:
         file = job.file("tables", ".parquet")
@@ -195,15 +195,15 @@ def _samples(
     else:
         for _ in blocks:
             pass
-    lost, said = pipeline.counters.lost, [*source.warnings(), *pipeline.warnings()]
+    lost, warnings = pipeline.counters.lost, [*source.warnings(), *pipeline.warnings()]
     units = {column.name: column.unit for column in source.columns(pipeline)}
-    for name, found in seen.moments.items():
+    for name, found in channels.moments.items():
         if found.count:
             yield {
                 "channel": name, "unit": units.get(name), "samples": found.count, "mean": found.mean,
                 "sd": found.sd, "least": found.least, "greatest": found.greatest,
-                "duration_s": seen.duration_s, "lost": lost,
-                "file": None if file is None else str(file), "warnings": said,
+                "duration_s": channels.duration_s, "lost": lost,
+                "file": None if file is None else str(file), "warnings": warnings,
             }  # fmt: skip
 
 
@@ -235,7 +235,7 @@ def _calibrate(path: Path, job: Job) -> Iterator[Row]:
     options = job.options
     serial = open_session(path).metadata.serial
     check_place(options.latitude_deg, options.heading_deg)  # before minutes of reading
-    records, said = read_sessions([path])
+    records, warnings = read_sessions([path])
     found = calibrate(records, options.latitude_deg, options.heading_deg, serial)
     file = job.file("models", ".yaml")
     found.model.write(file)
@@ -247,7 +247,7 @@ def _calibrate(path: Path, job: Job) -> Iterator[Row]:
             "residual_sd": choice.residual_sd, "held_out_rms": choice.held_out_rms[choice.name],
             "fit_rms": choice.fit_rms, "lag_rms": finding.lag_rms, "rest_s": found.rest_s,
             "lowest_degc": low, "highest_degc": high, "file": str(file),
-            "warnings": [*said, *found.warnings],
+            "warnings": [*warnings, *found.warnings],
         }  # fmt: skip
 
 

@@ -140,8 +140,8 @@ def read_sessions(
 
 def _entry(session: Session, rows: Sequence[Mapping[str, Any]]) -> Entry:
     channels = {row["channel"]: row for row in rows if row["channel"]}
-    said = (rows[0].get("warnings") if rows else None) or ()
-    lacking = tuple(text for text in said if RECORDING in text)
+    warnings = (rows[0].get("warnings") if rows else None) or ()
+    lacking = tuple(text for text in warnings if RECORDING in text)
     failure = next((row["error"] for row in rows if row["reason"]), "")
     try:
         model = recorded_setup(session).bias_model

@@ -61,11 +61,11 @@ class RackFile(StrictModel):
         """Every unit has a device, and a port of its own."""
         wrong = [
             InitErrorDetails(
-                type=PydanticCustomError("value_error", "{said}", {"said": said}),
+                type=PydanticCustomError("value_error", "{said}", {"said": text}),
                 loc=("units", name, key),
                 input=None,
             )
-            for name, key, said in self._contradictions()
+            for name, key, text in self._contradictions()
         ]
         if wrong:
             raise ValidationError.from_exception_data("RackFile", wrong)
@@ -109,14 +109,14 @@ def load_rack(path: Path) -> dict[str, Plan]:
 
 
 def _plan(name: str, place: Place, default: Shared, path: Path) -> Plan:
-    said = {**default.model_dump(exclude_none=True), **place.model_dump(exclude_none=True)}
+    settings_of = {**default.model_dump(exclude_none=True), **place.model_dump(exclude_none=True)}
     try:
-        device = _beside(path, said["device"])
+        device = _beside(path, settings_of["device"])
         device_yaml, source = device_text(device)
-        settings = parse_device(device_yaml, source).port_settings(place.port, said.get("baud"))
-        setup = load_setup(path.parent / said["pipeline"]) if "pipeline" in said else Setup()
-        if "model" in said:
-            setup = setup.with_options(model=load_model(path.parent / said["model"]))
+        settings = parse_device(device_yaml, source).port_settings(place.port, settings_of.get("baud"))
+        setup = load_setup(path.parent / settings_of["pipeline"]) if "pipeline" in settings_of else Setup()
+        if "model" in settings_of:
+            setup = setup.with_options(model=load_model(path.parent / settings_of["model"]))
     except ImumonError as error:
         raise ImumonError(error.reason, f"{path}: {name}: {error.seen}", error.hint) from error
     return Plan(name, device_yaml, source, settings, place.serial, setup.text())
@@ -139,12 +139,12 @@ class Watched:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._read = self._seen = self._stamp()
+        self._read = self._latest = self._stamp()
 
     def has_changed(self) -> bool:
         """Tell, once for each change, that the file is another one and stays so: it may be half written."""
-        stamp, before = self._stamp(), self._seen
-        self._seen = stamp
+        stamp, before = self._stamp(), self._latest
+        self._latest = stamp
         if stamp is None or stamp != before or stamp == self._read:
             return False
         self._read = stamp

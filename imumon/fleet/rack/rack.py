@@ -46,7 +46,7 @@ class Patience:
     """
 
     first: float = 120.0
-    said: float = 5.0
+    later: float = 5.0
     ended: float = 30.0
 
 
@@ -65,9 +65,9 @@ class Process:
         context = get_context("forkserver")
         context.set_forkserver_preload(["imumon.fleet.rack.preload"])
         self._ours, theirs = context.Pipe()
-        self.began_s = self.heard_s = time.monotonic()
+        self.began_s = self.received_s = time.monotonic()
         self.has_spoken = False
-        self._said: SimpleQueue[Message] = SimpleQueue()
+        self._messages: SimpleQueue[Message] = SimpleQueue()
         self._process = context.Process(target=run_unit, args=(task, theirs), name=task.plan.name)
         self._process.start()
         theirs.close()
@@ -81,10 +81,10 @@ class Process:
 
     def hear(self) -> list[Message]:
         """Return what it has said since the last time."""
-        said = list(waiting(self._said))
-        if said:
-            self.heard_s, self.has_spoken = time.monotonic(), True
-        return said
+        messages = list(waiting(self._messages))
+        if messages:
+            self.received_s, self.has_spoken = time.monotonic(), True
+        return messages
 
     def ask_to_end(self) -> None:
         """Ask it to close its session; returns at once."""
@@ -109,7 +109,7 @@ class Process:
     def _listen(self, channel: Connection) -> None:
         with contextlib.suppress(EOFError, OSError):
             while True:
-                self._said.put(channel.recv())
+                self._messages.put(channel.recv())
 
 
 @dataclass(slots=True)
@@ -168,7 +168,7 @@ class Unit:
         cpu = self.cpu if self.process is not None else self.cpu_of_life
         return Row(self.plan.name, self.state, self.vitals, cpu, len(self.deaths))
 
-    def heard(self, vitals: Vitals) -> None:
+    def received(self, vitals: Vitals) -> None:
         """Take how it is."""
         if not self.first.at_s:
             self.first = vitals
@@ -285,10 +285,10 @@ class Rack:
         """Return what ``--json`` says of all units that were there; one that came back is there once."""
         found: dict[str, dict[str, Any]] = {}
         for unit in [*self._left, *self.units]:
-            said, before = unit.as_dict(), found.get(unit.plan.name)
+            now, before = unit.as_dict(), found.get(unit.plan.name)
             if before is not None:
-                said |= {name: [*before[name], *said[name]] for name in ("sessions", "deaths", "interrupted")}
-            found[unit.plan.name] = said
+                now |= {name: [*before[name], *now[name]] for name in ("sessions", "deaths", "interrupted")}
+            found[unit.plan.name] = now
         return found
 
     def _begin(self, unit: Unit) -> None:
@@ -318,7 +318,7 @@ class Rack:
                     unit.summaries.append(message.summary)
                 continue
             back = unit.deaths and not unit.first.at_s
-            unit.heard(message.vitals)
+            unit.received(message.vitals)
             unit.setup = message.setup or unit.setup
             if back:
                 self._lane(unit, LaneState("recording", Level.GOOD))
@@ -347,8 +347,8 @@ class Rack:
                 self._say(unit, "ERROR", "did not end, and was killed: what had arrived is on disk")
                 process.kill()
             return
-        quiet_s = time.monotonic() - process.heard_s
-        patience_s = self._patience.said if process.has_spoken else self._patience.first
+        quiet_s = time.monotonic() - process.received_s
+        patience_s = self._patience.later if process.has_spoken else self._patience.first
         if quiet_s > patience_s and not unit.silent:
             unit.silent = True
             self._say(unit, "ERROR", f"its process (pid {process.pid}) hangs: no word for {quiet_s:.1f} s")
@@ -360,7 +360,7 @@ class Rack:
         elif quiet_s > patience_s + self._patience.ended:
             self._say(unit, "ERROR", f"its process was ended after {quiet_s:.0f} s without a word")
             process.kill()
-            process.heard_s = time.monotonic()
+            process.received_s = time.monotonic()
 
     def _mourn(self, unit: Unit, code: int, lived_s: float) -> None:
         unit.deaths.append(code)

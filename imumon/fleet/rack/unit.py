@@ -101,11 +101,11 @@ def _run(task: Task, rack: Connection) -> None:
     recorder = ViewRecorder(run.session.view_path, whole, on_error=run.report_view_error)
     feed = Feed(str(run.session.path), pictures=task.pictures)
     run.begin([recorder.publish, feed.publish])
-    said = False
+    reported = False
     try:
-        while not _asked_to_end(rack, PERIOD_S):
-            if not run.processing and not said:
-                said = True
+        while not _ends_on_request(rack, PERIOD_S):
+            if not run.processing and not reported:
+                reported = True
                 lines.put("ERROR", "decoding stopped; reading and recording go on")
             vitals, items = feed.take(run.progress)
             rack.send(Update(vitals, own, items, lines.take()))
@@ -119,7 +119,7 @@ def _run(task: Task, rack: Connection) -> None:
 
 def _opened(task: Task, device: DeviceFile, setup: Setup, lines: Lines, rack: Connection) -> LiveRun | None:
     """Return a run whose port is open; wait until it can be opened, or return None when asked to end."""
-    plan, said = task.plan, ""
+    plan, reported = task.plan, ""
     while True:
         try:
             folder = new_folder(task.sessions, plan.name, time.time_ns())
@@ -129,11 +129,11 @@ def _opened(task: Task, device: DeviceFile, setup: Setup, lines: Lines, rack: Co
             run.open()
             return run
         except ImumonError as error:
-            if error.seen != said:
-                said = error.seen
+            if error.seen != reported:
+                reported = error.seen
                 lines.put("WARN", f"waits for its port: {error.seen}")
         rack.send(Update(Vitals(lanes={"port": "waiting"}), None, (), lines.take()))
-        if _asked_to_end(rack, RETRY_S):
+        if _ends_on_request(rack, RETRY_S):
             return None
 
 
@@ -143,7 +143,7 @@ def new_folder(sessions: Path, name: str, now_ns: int) -> Path:
     return sessions / f"{stamp:%Y%m%dT%H%M%S}{now_ns // 1_000_000 % 1000:03d}Z-{name}"
 
 
-def _asked_to_end(rack: Connection, wait_s: float) -> bool:
+def _ends_on_request(rack: Connection, wait_s: float) -> bool:
     """Wait; return whether the rack has asked for the end, or is gone."""
     with suppress(EOFError, OSError):
         if not rack.poll(wait_s):

@@ -158,7 +158,7 @@ def _px4(
 def _notes(model: BiasModel, cubics: dict[str, _Cubic], autopilot: Autopilot) -> list[str]:
     low = max(cubic.low for cubic in cubics.values())
     high = min(cubic.high for cubic in cubics.values())
-    said = [
+    notes = [
         f"outside {low:.1f} to {high:.1f} °C the correction stands still: do not trust offsets that the"
         " autopilot finds at power-on there"
     ]
@@ -166,18 +166,18 @@ def _notes(model: BiasModel, cubics: dict[str, _Cubic], autopilot: Autopilot) ->
         for name, error in cubic.errors.items():
             channel = model.channels[name]
             if error > channel.residual_sd:
-                said.append(
+                notes.append(
                     f"{name}: the cubic misses the curve by {error:.3g} {channel.unit} rms, more than the"
                     f" curve itself errs ({channel.residual_sd:.3g}): calibrate over the temperatures of its"
                     " work only"
                 )
     if model.axes is None:
-        said.append(
+        notes.append(
             "the model does not say its axes: they are taken for those of the board, forward-right-down;"
             " if they are not, the correction has the wrong sign"
         )
     if autopilot == "px4" and model.earth_rate == "included":
-        said.append("the gyros' constant holds the earth rate of the test, up to 15 °/h")
+        notes.append("the gyros' constant holds the earth rate of the test, up to 15 °/h")
     if len(model.trained_on) < 2:
-        said.append("the model is from one run: that it holds in another is not shown")
-    return said
+        notes.append("the model is from one run: that it holds in another is not shown")
+    return notes

@@ -75,7 +75,7 @@ def read_sessions(paths: Sequence[Path]) -> tuple[list[Record], list[str]]:
     Raises BAD_DATA when one cannot be read.
     """
     found = [read_session(path) for path in paths]
-    return [record for record, _ in found], [text for _, said in found for text in said]
+    return [record for record, _ in found], [text for _, texts in found for text in texts]
 
 
 def calibrate(
@@ -227,17 +227,17 @@ def _apart_text(name: str, runs: IntArray) -> str:
 
 
 def _remarks(records: Sequence[Record], cells: Cells) -> list[str]:
-    said = []
+    remarks = []
     devices = sorted({record.device for record in records if record.device is not None})
     if len(devices) > 1:
-        said.append(f"the sessions are of different devices: {', '.join(devices)}")
+        remarks.append(f"the sessions are of different devices: {', '.join(devices)}")
     if len({record.sha256 for record in records}) < len(records):
-        said.append("a session is there twice: it counts twice, and its repeatability means nothing")
+        remarks.append("a session is there twice: it counts twice, and its repeatability means nothing")
     if _one_way(cells):
-        said.append(
+        remarks.append(
             "the temperature goes one way only: what lag, hysteresis or warm-up do is then part of the curve"
         )
-    return said
+    return remarks
 
 
 def _by_pose(cells: Cells, findings: dict[str, Finding]) -> list[str]:

@@ -60,7 +60,7 @@ class Axes:
         return int(np.einsum("kij,ij->k", WAYS, self.rotation).argmax())
 
     @property
-    def told(self) -> bool:
+    def is_significant(self) -> bool:
         """Whether the gyros tell which axes these are."""
         return self.follows and self.sd < WORST_SD
 
@@ -137,7 +137,7 @@ class Gathered:
 
 def refuse_other_axes(axes: Axes | None, source: str) -> None:
     """Raise BAD_DATA where the magnetometer has other axes than the gyros."""
-    if axes is None or not axes.told or axes.way == 0:
+    if axes is None or not axes.is_significant or axes.way == 0:
         return
     raise ImumonError(
         Reason.BAD_DATA,
@@ -157,7 +157,7 @@ def doubts(axes: Axes | None) -> list[str]:
             "the field did not go as the gyros turned, in any axes: are unit and axes of the gyros right? "
             "The axes of the magnetometer were not checked"
         ]
-    if not axes.told or axes.angle < SIGMAS * axes.sd:
+    if not axes.is_significant or axes.angle < SIGMAS * axes.sd:
         return []
     return [
         f"the magnetometer is turned by {np.degrees(axes.angle):.1f} ± {np.degrees(axes.sd):.1g}° against "
@@ -168,9 +168,9 @@ def doubts(axes: Axes | None) -> list[str]:
 
 def _fitted(pairs: _Pairs, noise: float) -> Axes:
     """Return the axes by pairs of fields, whose scatter over their strength is `noise`."""
-    told = Mounting()
-    told.add(pairs.before, pairs.after, pairs.rotation)
-    rotation, late_s = WAYS[int(told.left().argmin())], 0.0
+    mounting = Mounting()
+    mounting.add(pairs.before, pairs.after, pairs.rotation)
+    rotation, late_s = WAYS[int(mounting.left().argmin())], 0.0
     for _ in range(STEPS):
         left, jacobian = _left(pairs, rotation, late_s)
         step = np.linalg.lstsq(jacobian, -left, rcond=None)[0]

@@ -73,13 +73,13 @@ def _check_rest(records: Sequence[Record], cells: Cells) -> None:
     rest_s = float(cells.seconds.sum())
     if rest_s >= LEAST_REST_S:
         return
-    judged_s = sum(float(record.means.span_s.sum()) for record in records)
+    recorded_s = sum(float(record.means.span_s.sum()) for record in records)
     raise ImumonError(
         Reason.BAD_DATA,
-        f"{rest_s:.0f} s at rest, of {judged_s:.0f} s with several samples in {BLOCK_S:g} s; "
+        f"{rest_s:.0f} s at rest, of {recorded_s:.0f} s with several samples in {BLOCK_S:g} s; "
         f"a model needs {LEAST_REST_S:.0f}",
         "let the unit stand still on a firm base for longer"
-        if judged_s > 0.0
+        if recorded_s > 0.0
         else f"record faster than a sample in {LEAST_COVERED * BLOCK_S:g} s, or mend the unit of its time",
     )
 

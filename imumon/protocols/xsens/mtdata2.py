@@ -44,7 +44,7 @@ class MTData2Decoder(TaggedDecoder):
     def reference_frame(self) -> Frame | None:
         """Frame of orientation, velocity and free acceleration; None before one of them has come."""
         framed = {item.code for item in IDENTIFIERS if item.framed}
-        codes = [field.key & 0xC for field in self.seen_fields() if field.key & 0xFFF0 in framed]
+        codes = [field.key & 0xC for field in self.received_fields() if field.key & 0xFFF0 in framed]
         frames: tuple[Frame, ...] = ("ENU", "NED", "NWU")
         return next((frame for frame in frames if FRAMES[frame] in codes), None)
 

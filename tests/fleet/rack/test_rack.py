@@ -22,7 +22,7 @@ from tests.faults.rack import Feeder, packets, rack_command, recorded, write_rac
 from tests.waiting import LIMIT_S, wait_until
 
 RATE_HZ = 100.0
-IMPATIENT = Patience(said=6.0, ended=2.0)
+IMPATIENT = Patience(later=6.0, ended=2.0)
 SENT_S = 600.0
 """As long as a test may take."""
 

@@ -61,7 +61,7 @@ def test_axes_as_declared_are_found_as_such(rate_hz: float, speed: float, late: 
     for seed in (1, 2):
         _, axes = found(turns(seed, np.eye(3), rate_hz, speed, late, held))
         assert axes is not None
-        assert axes.told
+        assert axes.is_significant
         assert axes.angle < 3.0 * axes.sd
         assert axes.sd < np.radians(1.5)
         assert doubts(axes) == []
