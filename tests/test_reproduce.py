@@ -29,7 +29,7 @@ SMALL: dict[str, list[str]] = {
     "bias_sigma": ["--seeds", "1", "--only", "tactical"],
     "moving_bias": ["--seeds", "1", "--only", "rover", "--minutes", "3"],
     "alignment_site": ["1", "--only", "0.03"],
-    "thermometers": ["--seeds", "1", "--kinds", "white 0.25 step, 10 Hz", "--holds", "60"],
+    "thermometers": ["--seeds", "1", "--kinds", "white 0.25 step, 10 Hz", "--holds", "60", "--part", "bias"],
     **{name: ["--quick"] for name in QUICK},
 }
 """Arguments of a run of some seconds."""

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
@@ -19,8 +16,7 @@ from imumon.heap import trim_heap
 from imumon.view.items import Samples, ViewItem, ViewSetup, item_rows, merge
 from imumon.view.logger import StreamLogger
 from imumon.view.queue import DropOldestQueue
-from imumon.view.rrd import APPLICATION, copy_latest
-from imumon.view.viewer import start_quietly, viewer_binary
+from imumon.view.rrd import APPLICATION
 
 BATCH_S = 30.0
 """Items of this long become one chunk per panel.  A chunk costs about 1.4 kB beside its rows: with 80 panels
@@ -29,11 +25,6 @@ SEGMENT_S = 600.0
 """Rerun keeps 2 kB of each chunk until the file ends: at 1 kHz 25 MB/h."""
 QUEUE_BYTES = 64 << 20
 FLUSH_S = 5.0
-WORTH_BYTES = 1 << 20
-"""Smaller segments are not compacted."""
-LAST_S, LOOK_S = 3.0, 0.02
-"""The end waits so long for the compaction of the last segment (0.2 s), and looks so often."""
-PRIORITY = 15
 
 
 class ViewRecorder:
@@ -42,7 +33,6 @@ class ViewRecorder:
     The wire recording is the truth; when the disk cannot follow, this one loses the oldest items and says so
     in `dropped`.  All segments together open as one recording; the first carries the arrangement, every one
     its own footer, names, styles and latest states.  A segment that was cut short by a crash opens as well.
-    A finished segment is compacted while the next one is written.
 
     Raises EXISTS when there is a file already; NOT_FOUND when the folder is missing.
 
@@ -79,7 +69,6 @@ class ViewRecorder:
         self._refused = 0
         self._error = ""
         self._on_error = on_error
-        self._compaction: Compaction | None = None
         self._files: list[Path] = []
         self._open_segment()
         self._thread = threading.Thread(target=self._run, name="view recorder", daemon=True)
@@ -124,13 +113,8 @@ class ViewRecorder:
             closing = self._queue.is_closed()
             self._write_next()
             trim_heap()
-            if self._compaction is not None and self._compaction.is_done():
-                self._compaction = None
-        if self._compaction is not None:
-            self._compaction.stop()
         self._logger.finish()
         self._rec.disconnect()
-        self._compact_last()
 
     def _write_next(self) -> None:
         """Write what has come; where that cannot be, count it."""
@@ -189,25 +173,12 @@ class ViewRecorder:
             return None, item
         return item.part(0, row) if row else None, item.part(row, item.rows)
 
-    def _compact_last(self) -> None:
-        """Compact the last segment as well, unless somebody waits for long."""
-        if self._error:
-            return
-        last, end_s = compaction_of(self._files[-1]), time.monotonic() + LAST_S
-        while last is not None and not last.is_done():
-            if time.monotonic() > end_s:
-                last.stop()
-                return
-            time.sleep(LOOK_S)
-
     def _open_segment(self) -> None:
         count = len(self._files)
         if count:
             self._logger.end_file()
         path = self._path if count == 0 else self._path.with_suffix(f".{count:04d}{self._path.suffix}")
         self._rec.set_sinks(rr.FileSink(path))
-        if count and self._compaction is None:
-            self._compaction = compaction_of(self._files[-1])
         self._files.append(path)
         self._logger.begin(arrange=count == 0)
 
@@ -217,62 +188,3 @@ def _times_ns(item: ViewItem) -> IntArray | None:
     if isinstance(item, Samples):
         return item.host_ns if item.device_ns is None else item.device_ns
     return None if item.at.device_ns is None else np.array([item.at.device_ns], np.int64)
-
-
-def compaction_of(path: Path) -> Compaction | None:
-    """Begin to compact a finished segment; None where that is not worth it, or the disk is full."""
-    if path.stat().st_size < WORTH_BYTES:
-        return None
-    try:
-        return Compaction(path)
-    except OSError:
-        return None
-
-
-class Compaction:
-    """One run of ``rerun rrd optimize`` at low priority: few large chunks in place of many small ones.
-
-    Of several arrangements the last stays.  The segment is replaced when it has succeeded, and not before.
-
-    Raises NOT_FOUND when this installation has no viewer program.
-
-    Parameters
-    ----------
-    path : Path
-        A segment that is finished.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._part = path.with_name(f".{path.stem}.part{path.suffix}")
-        self._copy = path.with_name(f".{path.stem}.copy{path.suffix}")
-        try:
-            copy_latest(path, self._copy)
-        except OSError:
-            self._tidy()
-            raise
-        self._process = start_quietly(
-            [str(viewer_binary()), "rrd", "optimize", str(self._copy), "-o", str(self._part)]
-        )
-        with contextlib.suppress(ProcessLookupError):  # done already
-            os.setpriority(os.PRIO_PROCESS, self._process.pid, PRIORITY)
-
-    def is_done(self) -> bool:
-        """Tell whether it has ended, and if it has succeeded put the new file in the place of the old."""
-        code = self._process.poll()
-        if code is None:
-            return False
-        if code == 0 and self._part.exists():
-            self._part.replace(self._path)
-        self._tidy()
-        return True
-
-    def stop(self) -> None:
-        """End it; the segment stays as it was."""
-        self._process.kill()
-        self._process.wait()
-        self._tidy()
-
-    def _tidy(self) -> None:
-        for left in (self._copy, self._part):
-            left.unlink(missing_ok=True)

@@ -17,8 +17,8 @@ from imumon.errors import ImumonError, Reason
 from imumon.view.items import Status, Timebase, ViewSetup
 from imumon.view.recorder import ViewRecorder
 from imumon.view.viewer import quiet_environment, viewer_binary
-from tests.view.streams import ACCEL, RATE_HZ, Stream, block, entities, record_batches, scalars
-from tests.waiting import LIMIT_S, wait_until
+from tests.view.streams import ACCEL, RATE_HZ, Stream, block, entities, scalars
+from tests.waiting import LIMIT_S
 
 SETUP = ViewSetup("test", "recording-1", properties={"device": "synthetic"})
 
@@ -194,25 +194,3 @@ def test_full_disk_is_reported_and_what_is_missing_counted(tmp_path: Path) -> No
     done = subprocess.run(command, cwd=root, check=True, capture_output=True, text=True, timeout=LIMIT_S)
     assert "cannot be written any more" in done.stdout
     assert int(done.stdout.split()[-1]) >= 500
-
-
-def test_finished_segments_are_compacted_and_hold_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("imumon.view.recorder.WORTH_BYTES", 1000)
-    monkeypatch.setattr("imumon.view.recorder.BATCH_S", 0.01)
-    recorder = ViewRecorder(tmp_path / "view.rrd", SETUP, segment_s=10.0)
-    stream = Stream(recorder.publish)
-    for _ in range(120):
-        stream.send(10)
-        time.sleep(0.012)
-    while len(recorder.files) < 2:
-        time.sleep(0.01)
-    first = tmp_path / "view.rrd"
-    # Of about 50 that were written.
-    assert wait_until(lambda: len(list(record_batches(first, "/samples/accel"))) <= 2)
-    recorder.close()
-    assert len(list(record_batches(recorder.files[-1], "/samples/accel"))) <= 2, "the last one as well"
-    check_extremes(recorder.files, stream)
-    assert RrdReader(str(first)).blueprints()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["view.0001.rrd", "view.rrd"]

@@ -12,6 +12,7 @@ from PIL import Image
 from support.picture_faults import axis_faults, is_empty, numbers_on
 from support.screenshots import studio
 
+from imumon.lane import Level
 from imumon.view.extent import entity
 from imumon.view.items import Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup
 from imumon.view.logger import StreamLogger
@@ -32,7 +33,7 @@ def run_of_20_s() -> list[ViewItem]:
         at = timebase.at()
         numbers = {"packet_rate": 100.0, "link_load": 0.5, "packets_lost": 0.0, "packets_damaged": 0.0}
         items += [
-            State(at, "port", "open"),
+            State(at, "port", "open", Level.GOOD),
             Log(at, "opened"),
             Status(at, {"device": "none", "packets": "2,000"}),
             Numbers(at, numbers),

@@ -253,7 +253,7 @@ def test_of_a_single_run_every_other_stretch_is_the_test_and_that_is_said() -> N
 
 @pytest.mark.parametrize(
     ("rate", "hours", "gap_s"),
-    [(0.01, 40.0, 0.3), (0.2, 4.0, 0.3), (0.9, 2.0, 0.0), (0.9, 2.0, 0.3), (10.0, 0.5, 0.3)],
+    [(0.01, 40.0, 0.3), (0.2, 4.0, 0.3), (0.9, 2.0, 0.0), (10.0, 0.5, 0.3)],
 )
 def test_any_log_will_do(rate: float, hours: float, gap_s: float, tmp_path: Path) -> None:
     found = []
