@@ -32,8 +32,8 @@ TITLE = (
     " right. Left: what is left of the tests over that of the whole diagnosis, geometric mean and worst case."
     " Chamber: °/s that x and z are left with, rms over trainings on 50 to 75 % of the record."
 )
-SIZES = (0.0, 5.0, 8.0)
-"""White floors of the effects in the cases that are run."""
+SIZES = (0.0, 2.0, 3.0, 5.0, 10.0)
+"""White floors of the effects in the cases that are run; other drivers than temperature and time are in none."""
 _candidates, _add, _refine = candidates.candidates, search._add, search.Search._refine
 
 
@@ -58,14 +58,6 @@ def _noise(flicker: Sequence[float], walk: Sequence[float]) -> Change:
 def _each_alone(active: Sequence[search.Search], least: float) -> None:  # noqa: ARG001 - as what it replaces
     for one in active:
         _add([one], PROVEN)
-
-
-def _driven(family: Any, survey: Any) -> list[Candidate]:
-    return [
-        Candidate(effect.label, (candidates.Part(effect),))
-        for driver in survey.others
-        for effect in family.driven(survey, driver)
-    ]
 
 
 MECHANISMS: Mapping[str, Change] = {
@@ -94,8 +86,7 @@ MECHANISMS: Mapping[str, Change] = {
     "smooth loops": _untried(
         lambda one: any(getattr(part.effect, "shape", "") == "smooth" for part in one.parts)
     ),
-    "price of choosing a driver": [(candidates, "_driven", _driven)],
-    **{name: _family(name) for name in ("stress_relaxation", "dead_time", "product", "drift")},
+    **{name: _family(name) for name in ("stress_relaxation", "dead_time", "drift")},
 }
 """What is left out, one by one."""
 
@@ -137,7 +128,11 @@ def _row(name: str, found: Sequence[Result], base: Sequence[Result], chamber: Se
 
 def ablation(repeat: int, first: int, processes: int, data: Path, quick: bool = False) -> int:
     """Print a row for each mechanism, and write the table into the page of all ablations."""
-    cases = [case for case in jobs(repeat, "lag and" if quick else None, first) if case[0].size in SIZES]
+    cases = [
+        case
+        for case in jobs(repeat, "lag and" if quick else None, first)
+        if case[0].size in SIZES and not case[0].driver
+    ]
     names = ["none", *MECHANISMS][: 2 if quick else None]
     lines = ["| without | right | false | left, × | worst, × | chamber x | z |", "|---" * 7 + "|"]
     print("\n".join(lines), flush=True)
