@@ -32,7 +32,7 @@ TITLE = (
     " right. Left: what is left of the tests over that of the whole diagnosis, geometric mean and worst case."
     " Chamber: °/s that x and z are left with, rms over trainings on 50 to 75 % of the record."
 )
-SIZES = (0.0, 2.0, 3.0, 5.0, 10.0)
+SIZES = (0.0, 5.0)
 """White floors of the effects in the cases that are run, none of which has other drivers than temperature."""
 _candidates, _add, _refine = candidates.candidates, search._add, search.Search._refine
 
