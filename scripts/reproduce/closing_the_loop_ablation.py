@@ -131,7 +131,7 @@ def ablation(repeat: int, first: int, processes: int, data: Path, quick: bool = 
     cases = [
         case
         for case in jobs(repeat, "lag and" if quick else None, first)
-        if case[0].size in SIZES and not case[0].driver
+        if case[0].size in SIZES and not case[0].driver and "one axis" not in case[0].label
     ]
     names = ["none", *MECHANISMS][: 2 if quick else None]
     lines = ["| without | right | false | left, × | worst, × | chamber x | z |", "|---" * 7 + "|"]
