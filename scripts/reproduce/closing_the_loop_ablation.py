@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -30,7 +31,8 @@ TITLE = (
     "Diagnosis without one mechanism. Right: channels of simulated cases whose effects are named, or that are"
     " rightly called unexplained or empty. False: names where nothing is missing or nothing of the library is"
     " right. Left: what is left of the tests over that of the whole diagnosis, geometric mean and worst case."
-    " Chamber: °/s that x and z are left with, rms over trainings on 50 to 75 % of the record."
+    " Chamber: °/s that x and z are left with, rms over trainings on 50 to 75 % of the record, and x by the"
+    " whole record on its own course once more."
 )
 SIZES = (0.0, 5.0)
 """White floors of the effects in the cases that are run, none of which has other drivers than temperature."""
@@ -104,14 +106,17 @@ def _case(job: tuple[str, Any]) -> list[Result]:
 
 
 def _chamber(job: tuple[str, Path]) -> list[float]:
-    """Return what x and z are left with, °/s."""
+    """Return what x and z are left with, °/s, and x by the whole record on the same course once more."""
     name, folder = job
     run = chamber_run(folder)
     with _changed(name):
         found = [diagnose(*split(run, share), sensors=("gyro",)).verdicts for share in SHARES]
+        again = replace(run, name="the same course once more", start_ns=10**13)
+        whole = diagnose([run], [again], sensors=("gyro",)).verdicts[0]
     left = [[v.test_after.rms for v in verdicts if v.test_after is not None] for verdicts in found]
     x, _, z = np.degrees(np.sqrt(np.mean(np.square(left), axis=0))).tolist()
-    return [x, z]
+    assert whole.test_after is not None
+    return [x, z, float(np.degrees(whole.test_after.rms))]
 
 
 def _row(name: str, found: Sequence[Result], base: Sequence[Result], chamber: Sequence[float]) -> str:
@@ -134,7 +139,7 @@ def ablation(repeat: int, first: int, processes: int, data: Path, quick: bool = 
         if case[0].size in SIZES and not case[0].driver and "one axis" not in case[0].label
     ]
     names = ["none", *MECHANISMS][: 2 if quick else None]
-    lines = ["| without | right | false | left, × | worst, × | chamber x | z |", "|---" * 7 + "|"]
+    lines = ["| without | right | false | left, × | worst, × | chamber x | z | whole x |", "|---" * 8 + "|"]
     print("\n".join(lines), flush=True)
     base: list[Result] = []
     with ProcessPoolExecutor(processes) as pool:
