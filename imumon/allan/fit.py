@@ -133,13 +133,13 @@ class Fit:
     first: int
     last: int
     """The averaging times that were fitted: first..last.  Where `last` is not the longest trusted one, no
-    sum of the terms describes the longer ones, and only the angle random walk is told."""
+    sum of the terms describes the longer ones, and only the angle random walk is reported."""
     model_error: float
     """Part of each variance by which the curve differs from any sum of the terms beyond its noise, as far
     as the fit can tell; it is in the standard deviations.  0 when chi-square is in order; above `NO_SUM`
-    no term is told."""
+    no term is reported."""
     withheld: str
-    """`AMBIGUOUS`: bias instability and random walk are not told, because noise that is correlated for a
+    """`AMBIGUOUS`: bias instability and random walk are not reported, because noise that is correlated for a
     while would be as likely.  `CONTRADICTED`: only the angle random walk is, because the curve lies below
     what another term alone would make.  `DIGITS`: nothing is, because the steps of the readings hide the
     noise."""
@@ -183,7 +183,7 @@ def fit_terms(variances: FloatArray, family: Family, interval_s: float, last: in
     a low-pass filter of the device shapes those that are not longer than itself, and lowers them.  What
     still does not fit becomes a model error: a part of every variance, so that the many samples behind the
     short averaging times do not outvote the long ones.  When that is large, only the angle random walk is
-    told, from the averaging times before the disturbance.
+    reported, from the averaging times before the disturbance.
     """
     n = last + 1
     if n < 2 or not np.all(variances[:n] > 0.0):

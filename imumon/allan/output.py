@@ -23,7 +23,7 @@ _DEG = math.degrees(1.0)
 
 @dataclass(frozen=True, slots=True)
 class TermOfSensor:
-    """How a term of one sensor is told."""
+    """How a term of one sensor is reported."""
 
     unit: str
     key: str

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 def command(
     recording: Path, plot: Path | None, noise_out: Path | None, as_json: bool, **odometry: Path | None
 ) -> None:
-    """Tell noise, bias instability and drift of a recording at rest.
+    """Estimate noise, bias instability and drift of a recording at rest.
 
     SESSION is recorded or imported; TABLE is one of Parquet or CSV that imumon wrote.  Deviations are
     overlapping; what is printed are the terms fitted to the whole Allan curve, with standard deviations.
@@ -99,15 +99,15 @@ def _of_the_fit(results: dict[str, Result]) -> list[str]:
             f"{name} {_percent(error)}" for name, error in off.items() if error <= NO_SUM
         ],
         "no sum of the terms describes longer averaging times (a vibration, a cycle, motion?): "
-        "only the angle random walk is told": begun,
-        "no sum of the terms describes the curve (a vibration, a cycle, motion?): no term is told": [
+        "only the angle random walk is reported": begun,
+        "no sum of the terms describes the curve (a vibration, a cycle, motion?): no term is reported": [
             name for name, error in off.items() if error > NO_SUM
         ],
-        "correlated noise describes the curve as well as bias instability or a random walk: neither is told; "
-        "record for longer": withheld[AMBIGUOUS],
+        "correlated noise describes the curve as well as bias instability or a random walk: neither is "
+        "reported; record for longer": withheld[AMBIGUOUS],
         "the curve lies below what a term that was fitted would make alone: only the angle random walk is "
-        "told": withheld[CONTRADICTED],
-        "the steps of the readings hide the noise: no term is told": [
+        "reported": withheld[CONTRADICTED],
+        "the steps of the readings hide the noise: no term is reported": [
             _steps(name, results[name]) for name in withheld[DIGITS]
         ],
         "the steps of the readings add to the noise": [
