@@ -78,7 +78,7 @@ def main() -> None:
 
 def _sines(seeds: int) -> Table:
     """Return what is told of white noise beside a sine."""
-    table = Table("Hz", "rad/s", "N told", "value / truth", "median sd / truth", "other terms told")
+    table = Table("Hz", "rad/s", "N reported", "value / truth", "median sd / truth", "other terms reported")
     t = np.arange(SAMPLES) / RATE_HZ
     for hertz, size in SINES:
         channels = {
