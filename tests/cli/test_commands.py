@@ -53,7 +53,7 @@ def started(ahrs: VirtualDevice, out: Path, before: Sequence[str] = ()) -> subpr
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def wait_for_bytes(session: Path, size: int = 15_000) -> int:
+def wait_for_bytes(session: Path, size: int = 30_000) -> int:
     """Wait until so much is on disk, by default of a hundred packets or more; return how much is."""
     wire = session / "wire.mcap"
     assert wait_until(lambda: wire.exists() and wire.stat().st_size > size)
