@@ -108,9 +108,11 @@ class Facts(NamedTuple):
     fits_changed: bool
     contradicted: bool
     settled: bool
-    """Whether at least three seconds of this rate fit: one that goes on changing has two at most."""
+    """Whether the last 16 s are of one rate: that of a turn which comes to its end goes on changing."""
     accepted: bool
     """Whether the test has decided for a change of the bias."""
+    likely_turn: bool
+    """Whether the test finds a turn more likely than not."""
 
 
 Action = Callable[[State, Second, Bank], None]
@@ -161,7 +163,7 @@ def _begin(state: State, now: Second, compared: Bank) -> None:
 
 ROWS: tuple[tuple[str, Callable[[Facts], bool], Action], ...] = (
     ("rest", lambda f: f.fits_nominal and not f.contradicted, _learn),
-    ("rest again", lambda f: f.fits_nominal and f.settled, _learn),
+    ("rest again", lambda f: f.fits_nominal and f.settled and not f.likely_turn, _learn),
     ("changed bias", lambda f: f.fits_changed and f.accepted, _accept),
     ("undecided", lambda f: f.fits_changed, _continue),
     ("another rate", lambda _: True, _begin),
@@ -215,7 +217,12 @@ def _facts(state: State, now: Second, compared: Bank, test: Test) -> tuple[Facts
     if not fits or state.contradicted or len(state.recent) <= SPANS[1]:
         evidence = test(prediction, difference, fits)
     facts = Facts(
-        fits and not evidence.turns, fits_changed, state.contradicted, len(alike) > 2, evidence.changed
+        fits_nominal=fits and not evidence.turns,
+        fits_changed=fits_changed,
+        contradicted=state.contradicted,
+        settled=len(alike) == SPANS[-1],
+        accepted=evidence.changed,
+        likely_turn=evidence.probability > 0.5,
     )
     return facts, evidence.probability
 
@@ -312,4 +319,6 @@ def shown(state: State, now_s: float, degc: FloatArray, force: FloatArray) -> tu
     difference = changed.bias(force)[0] - nominal.bias(force)[0]
     if state.turning:
         return nominal, math.sqrt(1.0 - state.probability) * difference
-    return changed, math.sqrt(state.probability) * difference
+    # The variance of the mixture: that of the nominal bias, which may be vague by then, counts as well.
+    excess = np.maximum(nominal.bias(force)[1] - changed.bias(force)[1], 0.0)
+    return changed, np.copysign(np.sqrt(state.probability * (difference**2 + excess)), difference)

@@ -18,10 +18,6 @@ TURNS = np.radians([0.01, 300.0])
 """Turns are as likely on a logarithmic scale between these, rad/s."""
 OBLIQUE = 0.3
 """Share of a rate across the vertical from which on gravity is compared: no turntable leans so much (17°)."""
-EXCLUDED_SIGMAS = 6.0
-"""Of the tilt: an oblique turn by more, where the unit has tilted by less than half of it, is excluded."""
-LEVEL_RATIO = 3.0
-"""The level part of a change over the vertical one from which on that decides for the whole."""
 NOT_OBLIQUE = 3.0
 """Log likelihood ratio against an oblique turn from which on only the vertical part may be a turn."""
 COMPASS_ERROR = 0.15
@@ -104,9 +100,6 @@ def by_gravity(
     of_turn = of_tilt + variance * elapsed * elapsed
     oblique = 0.5 * (float((tilt - turn) @ (tilt - turn)) / of_turn - float(tilt @ tilt) / of_tilt)
     level2 = float(across @ across)
-    excluded = float(turn @ turn) > EXCLUDED_SIGMAS**2 * of_tilt > 4.0 * float(tilt @ tilt)
-    if excluded and level2 > LEVEL_RATIO**2 * float(change @ up) ** 2:
-        return MOST_LOG_RATIO, change
     # About the vertical: what the level axes show is noise of the bias, or a change of it.
     upright = 0.5 * level2 / variance + math.log(variance * USUAL_CHANGE / (USUAL_CHANGE**2 + level2) ** 1.5)
     ratio = math.log(2.0) - float(np.logaddexp(-oblique, -max(upright, 0.0)))
