@@ -1,1 +1,1 @@
-"""What every estimator is made of: slots of samples, the Kalman filter's two steps, and the noise model."""
+"""What several estimators share: slots of samples, turns followed by gyros, noise models, regressions."""

@@ -49,6 +49,7 @@ VARIANTS: dict[str, list[Change]] = {
     "a contradiction outlives the motion it began with": [(hypotheses, "ONSET_S", 0.0)],
     "a vague prediction does not explain a rate": [(estimator, "as_predicted", lambda *_: 0.0)],
     "the first mean was no turn": [(estimator, "first_was_turn", lambda *_: 0.0)],
+    "rest again after 3 s of one rate, not 16": [(hypotheses, "SETTLED_S", 3)],
     "an oblique change excludes no turn about the vertical": [(odds, "LEVEL_RATIO", 1e9)],
     "no floor of a suspicious mean": [(quiet, "QUIET", quiet.QUIET * 1e-3)],
 }

@@ -39,8 +39,8 @@ from imumon.geodesy import EARTH_RATE
 SECOND_S = 1.0 - 1e-6
 LEAST_SLOTS = 4
 """Quiet slots in a row before it is rest."""
-HELD_BACK = 2
-"""Quiet slots behind a second without which it is not learned."""
+UNDO_SLOTS = 2
+"""Motion that begins within so many slots after a second takes that second back from the filters."""
 CHANGE_LOG_RATIO = 12.0
 """Log likelihood ratio of a changed bias over a turn from which on the bias has changed."""
 TURN_LOG_RATIO = 2.0
@@ -50,8 +50,7 @@ BEGAN_LOG_RATIO = 8.0
 SLOWEST_BEGUN = 2.5e-3
 """rad/s: a slower turn, by 0.04 rad in 16 s, cannot reach that ratio beside the error of a heading."""
 LEAST_SECONDS = 3
-"""Seconds over which gravity is compared; in the first ones of a rest its slots are, and where the rate has
-just changed also the seconds before."""
+"""Least number of seconds over which gravity is compared."""
 FIRST_S = 4.0
 """How long the mean has been the same before the first mean of the recording is called in question."""
 GIVEN_ANOTHER = 4.0
@@ -77,11 +76,6 @@ class Slot(NamedTuple):
     """Whether it was at rest throughout, where that is given."""
 
     @property
-    def rate(self) -> FloatArray:
-        """Mean rate less what the thermal model has added, rad/s, (3,)."""
-        return self.readings.mean[GYRO] - self.modelled
-
-    @property
     def force(self) -> FloatArray:
         """Mean specific force, m/s², (3,); NaN without any."""
         return self.readings.mean[ACCEL]
@@ -94,8 +88,9 @@ class Params:
     white: FloatArray
     """Angle random walk, rad/√s, (3,)."""
     instability: FloatArray
+    """B, rad/s, (3,)."""
     walk: FloatArray
-    """B and K, rad/s and rad/s/√s, (3,)."""
+    """K, rad/s/√s, (3,)."""
     place: Place
     slopes: tuple[float, ...]
     """Standard deviations of the slope over temperature, over σ, 1/°C."""
@@ -113,20 +108,22 @@ class State:
     """All that is carried from slot to slot."""
 
     quiet: quiet.State = field(default_factory=quiet.State)
-    bias: hypotheses.State = field(default_factory=hypotheses.State)
+    decision: hypotheses.State = field(default_factory=hypotheses.State)
     latest: list[Slot] = field(default_factory=list)
     """The latest 16 slots."""
     pending: list[Slot] = field(default_factory=list)
     """Quiet slots of a second that is not complete."""
     attitude: Attitude = field(default_factory=Attitude)
     turn: Turn = STILL
+    """Since the attitude was taken."""
     lost: bool = False
-    """Since the attitude was taken, and whether readings were missing meanwhile."""
+    """Whether readings were missing since then."""
     added: FloatArray = field(default_factory=lambda: np.zeros(3))
     """Variance that has not been taken into the filters yet, (rad/s)², (3,)."""
     force: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    """The last specific force that was known, m/s², (3,)."""
     degc: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
-    """The last that were known, (3,)."""
+    """The last temperatures that were known, °C, (3,)."""
     motion: Motion = field(default_factory=Motion)
     """Estimates the bias from motion before the first rest."""
     by_motion: Prediction | None = None
@@ -135,8 +132,9 @@ class State:
     began_turning: bool = False
     """Whether the first mean of the recording is a turn, by the compass."""
     at_rest: bool = False
+    """Whether rest is shown."""
     turn_rate: FloatArray = field(default_factory=lambda: np.zeros(3))
-    """What is shown: whether it is at rest, and the turn that may be a change of the bias, rad/s, (3,)."""
+    """What is shown of a turn that may be a change of the bias, rad/s, (3,)."""
     ambiguity: FloatArray = field(default_factory=lambda: np.zeros(3))
     """By the other hypothesis of the bias, after the last second, rad/s, (3,): the larger of two is shown,
     for a single second may fit by chance."""
@@ -147,7 +145,7 @@ class State:
 def restarted(state: State) -> State:
     """Return a state as after a restart of the device: the bias is another, the noise is what it was."""
     quiet.begin(state.quiet)
-    return State(quiet=state.quiet, bias=hypotheses.State(jumped=state.bias.jumped))
+    return State(quiet=state.quiet, decision=hypotheses.State(jumped=state.decision.jumped))
 
 
 def step(state: State, params: Params, slot: Slot) -> FloatArray | None:
@@ -163,19 +161,19 @@ def step(state: State, params: Params, slot: Slot) -> FloatArray | None:
         return None
     if run == 0:
         _move(state, slot)
-    elif state.bias.nominal is None:
+    elif state.decision.nominal is None:
         _look_for_beginning(state, params)
     elif state.quiet.another:
-        hypotheses.take_noise(state.bias, _noise(state)[GYRO])
+        hypotheses.take_noise(state.decision, _noise(state)[GYRO])
         state.pending = []
     else:
         state.pending.append(slot)
-        if state.bias.turning:
+        if state.decision.turning:
             _follow_turn(state, slot)
         if run >= LEAST_SLOTS and sum(one.span.seconds for one in state.pending) >= SECOND_S:
             innovation = _decide(state, params)
-    turning = state.bias.turning or state.began_turning
-    state.at_rest = run >= LEAST_SLOTS and state.decided and not turning
+    turning = state.decision.turning or state.began_turning
+    state.at_rest = state.decided and not turning
     return innovation if state.at_rest else None
 
 
@@ -189,8 +187,8 @@ def miss(state: State, lag_degc: FloatArray, long: bool) -> None:
     """
     state.motion.interrupt()
     state.lost |= long or state.quiet.run == 0
-    if state.bias.nominal is not None:
-        prediction = state.bias.nominal.prediction
+    if state.decision.nominal is not None:
+        prediction = state.decision.nominal.prediction
         slope2 = prediction.mean[:, SLOPE] ** 2 + prediction.covariance[:, SLOPE, SLOPE]
         state.added = state.added + slope2 * lag_degc**2
     if long:
@@ -208,12 +206,12 @@ def _noise(state: State) -> FloatArray:
 def _interrupt(state: State) -> None:
     """Drop a second that is not complete: it moves, or nothing is known of it for a while."""
     if state.began_turning:
-        state.bias, state.began_turning = hypotheses.State(jumped=state.bias.jumped), False
+        state.decision, state.began_turning = hypotheses.State(jumped=state.decision.jumped), False
     if state.decided:
         state.shown_s = -math.inf
-    if state.bias.nominal is not None:
-        hypotheses.move(state.bias, undo=len(state.pending) < HELD_BACK)
-        if not state.bias.contradicted:
+    if state.decision.nominal is not None:
+        hypotheses.move(state.decision, undo=len(state.pending) < UNDO_SLOTS)
+        if not state.decision.contradicted:
             state.turn_rate = np.zeros(3)
     state.pending, state.decided, state.at_rest = [], False, False
 
@@ -221,7 +219,7 @@ def _interrupt(state: State) -> None:
 def _move(state: State, slot: Slot) -> None:
     """Follow a slot in motion."""
     _interrupt(state)
-    if state.bias.nominal is not None:
+    if state.decision.nominal is not None:
         _follow_turn(state, slot)
         return
     if slot.span.gap_s or np.isnan(slot.force).any():
@@ -236,8 +234,10 @@ def _move(state: State, slot: Slot) -> None:
 
 def _follow_turn(state: State, slot: Slot) -> None:
     """Add a slot to the turn since the attitude was taken."""
-    assert state.bias.nominal is not None
-    state.turn = state.turn.then(slot.turn.less(state.bias.nominal.prediction.mean[:, WALK] + slot.modelled))
+    assert state.decision.nominal is not None
+    state.turn = state.turn.then(
+        slot.turn.less(state.decision.nominal.prediction.mean[:, WALK] + slot.modelled)
+    )
     state.lost |= slot.span.gap_s > 0.0
 
 
@@ -259,7 +259,7 @@ def _look_for_beginning(state: State, params: Params) -> None:
         return
     known = bool(np.isfinite(params.white).all())
     white = np.maximum(params.white**2, LEAST_WHITE) if known else _noise(state)[GYRO]
-    hypotheses.begin(state.bias, params.modes(white), seconds, white, known)
+    hypotheses.begin(state.decision, params.modes(white), seconds, white, known)
     state.decided, state.added = True, np.zeros(3)
     state.turn, state.lost, state.shown_s = STILL, False, -math.inf
 
@@ -283,15 +283,15 @@ def _second(state: State, slots: Sequence[Slot]) -> Second:
 
 def _come_to_rest(state: State, params: Params, force: FloatArray) -> None:
     """Take the attitude after a turn, and what that adds to the variance of the bias."""
-    assert state.bias.nominal is not None
-    prediction = None if state.lost else state.bias.nominal.prediction
+    assert state.decision.nominal is not None
+    prediction = None if state.lost else state.decision.nominal.prediction
     state.added = state.added + state.attitude.come_to_rest(force, params.place, state.turn, prediction)
     state.turn, state.lost = STILL, False
 
 
 def _decide(state: State, params: Params) -> FloatArray | None:
     """Decide on a complete second; return its normalised innovations, (3,)."""
-    bias, slots = state.bias, state.pending
+    bias, slots = state.decision, state.pending
     assert bias.nominal is not None
     state.pending = []
     if bias.moved:
@@ -309,9 +309,7 @@ def _decide(state: State, params: Params) -> FloatArray | None:
     def test(prediction: Prediction, difference: FloatArray, fits: bool) -> Evidence:
         if given:
             return Evidence(changed=now.end_s - bias.since_s > PATIENCE_S, probability=0.5)
-        seconds = bias.recent[-bias.alike :] if fits and bias.alike >= LEAST_SECONDS else bias.recent
-        if len(seconds) < LEAST_SECONDS:
-            seconds = [_second(state, [one]) for one in slots]
+        seconds = _seconds_for_gravity(state, slots, fits)
         noise = float(_noise(state)[ACCEL].max()) / seconds[0].seconds
         return _evidence(bias, params.rest, prediction, difference, seconds, noise)
 
@@ -328,9 +326,23 @@ def _decide(state: State, params: Params) -> FloatArray | None:
     return np.asarray(innovation)
 
 
+def _seconds_for_gravity(state: State, slots: Sequence[Slot], fits: bool) -> list[Second]:
+    """Return over what gravity is compared.
+
+    Seconds of the present rate, where the mean fits the nominal bias and there are enough; else all of this
+    rest, as the rate may just have changed; in its beginning the slots.
+    """
+    bias = state.decision
+    if fits and bias.alike >= LEAST_SECONDS:
+        return bias.recent[-bias.alike :]
+    if len(bias.recent) >= LEAST_SECONDS:
+        return bias.recent
+    return [_second(state, [one]) for one in slots]
+
+
 def _check_noise(state: State) -> None:
     """Take the noise of the latest slots at rest that is given, where it is plainly another."""
-    bias = state.bias
+    bias = state.decision
     if state.quiet.run < TRIAL or bias.nominal is None:
         return
     covered_s = sum(one.span.covered_s for one in state.latest) / TRIAL
@@ -374,7 +386,7 @@ def shown(state: State, params: Params, now_s: float) -> tuple[Prediction | None
     Sets the turn that may be a change of the bias.
     """
     state.shown_s = now_s
-    bias = state.bias
+    bias = state.decision
     if bias.nominal is None:
         return state.by_motion, np.zeros(3)
     prediction, ambiguity = hypotheses.shown(bias, now_s, state.degc, state.force)

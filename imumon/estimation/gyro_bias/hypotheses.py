@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias import bank as filters
+from imumon.estimation.gyro_bias import bank as filter_bank
 from imumon.estimation.gyro_bias.bank import Bank
 from imumon.estimation.gyro_bias.modes import Modes
 from imumon.estimation.gyro_bias.prediction import Prediction
@@ -29,6 +29,8 @@ RETURN_SIGMAS = 2.0
 """The same for a return to the nominal bias where the changed one fits as well."""
 SPANS = (1, 4, 16)
 """Seconds whose means are compared."""
+SETTLED_S = 16
+"""Seconds of one rate before it may be rest again; with 3, the slow end of a turn was 30 sigma off."""
 LAG_S = 16.0
 """Age of the nominal prediction that is compared, at least; twice as much at most."""
 ONSET_S = 4.0
@@ -43,11 +45,12 @@ class Evidence(NamedTuple):
     """What a test has found about a mean and its difference from the nominal bias."""
 
     turns: bool = False
-    """The unit turns, however well the mean fits."""
+    """The log ratio is for a turn: no mean fits the nominal bias, however wide its prediction is."""
     changed: bool = False
     """It does not turn: the bias has changed."""
     probability: float = 0.0
-    """That the difference is a turn, while neither is certain."""
+    """That the difference is a turn, while neither is certain.  It decides what is shown, and whether that is
+    rest; `turns` decides only what the filters learn."""
 
 
 Test = Callable[[Prediction, FloatArray, bool], Evidence]
@@ -59,14 +62,14 @@ class State:
     """Both hypotheses, and what is known about the choice between them."""
 
     nominal: Bank | None = None
-    before: Bank | None = None
+    nominal_undo: Bank | None = None
     """Nominal before the last second, which is taken back where motion follows at once."""
-    older: tuple[Bank, ...] = ()
+    nominal_lagged: tuple[Bank, ...] = ()
     """Nominal as it was, the first 16 to 32 s ago; empty while it is contradicted."""
     changed: Bank | None = None
-    earlier: tuple[Prediction, ...] = ()
-    """Laws of changed, the first 4 to 8 s ago: a rate that drifts on does not fit them."""
-    prediction_then: Prediction | None = None
+    changed_lagged: tuple[Prediction, ...] = ()
+    """Predictions of changed, the first 4 to 8 s ago: a rate that drifts on does not fit them."""
+    nominal_at_onset: Prediction | None = None
     """Of nominal, when changed began: as time goes on it becomes vague, and would fit a steady turn."""
     fits_s: float = 0.0
     """How long the changed one has fitted, s."""
@@ -87,7 +90,8 @@ class State:
     recent: list[Second] = field(default_factory=list)
     """Seconds of this rest, 16 at most."""
     alike: int = 0
-    """How many of them are of the present rate."""
+    """How many of them are of the present rate.  At the first contradiction it goes on, as the onset is not
+    known; it begins anew when the rate changes once more."""
 
     @property
     def contradicted(self) -> bool:
@@ -120,18 +124,18 @@ Action = Callable[[State, Second, Bank], None]
 
 def _learn(state: State, now: Second, _: Bank) -> None:
     """H0 holds, or holds again: nominal learns."""
-    state.before = _nominal(state)
-    state.nominal = nominal = _updated(state.before, now)
+    state.nominal_undo = _nominal(state)
+    state.nominal = nominal = _updated(state.nominal_undo, now)
     state.changed, state.since_s, state.changes, state.probability = None, math.nan, 0, 0.0
-    if state.moved or not state.older:
-        state.older = (nominal,) * 2
-    elif nominal.time_s - state.older[1].time_s >= LAG_S:
-        state.older = (state.older[1], nominal)
+    if state.moved or not state.nominal_lagged:
+        state.nominal_lagged = (nominal,) * 2
+    elif nominal.time_s - state.nominal_lagged[1].time_s >= LAG_S:
+        state.nominal_lagged = (state.nominal_lagged[1], nominal)
 
 
 def _accept(state: State, now: Second, compared: Bank) -> None:
     """H1 holds: the changed bias becomes the nominal one."""
-    state.nominal, state.first, state.older = state.changed, None, ()
+    state.nominal, state.first, state.nominal_lagged = state.changed, None, ()
     state.jumped += 1
     _learn(state, now, compared)
 
@@ -141,24 +145,24 @@ def _continue(state: State, now: Second, _: Bank) -> None:
     assert state.changed is not None
     state.changed = _updated(state.changed, now)
     state.fits_s += now.seconds
-    if now.end_s - state.earlier[1].time_s >= ONSET_S:
-        state.earlier = (state.earlier[1], state.changed.prediction)
+    if now.end_s - state.changed_lagged[1].time_s >= ONSET_S:
+        state.changed_lagged = (state.changed_lagged[1], state.changed.prediction)
 
 
 def _begin(state: State, now: Second, compared: Bank) -> None:
     """The rate is another: H1 begins, or begins anew."""
     if not state.contradicted:
-        state.since_s, state.older, state.nominal, state.before = now.end_s, (), compared, None
+        state.since_s, state.nominal_lagged, state.nominal, state.nominal_undo = now.end_s, (), compared, None
     if state.changed is not None:
         state.changes, state.alike = state.changes + 1, 1
     changed = _nominal(state).copy()
-    state.prediction_then = changed.prediction.at(now.end_s, now.degc)
+    state.nominal_at_onset = changed.prediction.at(now.end_s, now.degc)
     if state.changed is not None:
-        filters.take_noise(changed, state.changed)
-    filters.predict(changed, now.end_s, now.degc)
-    filters.forget(changed)
-    filters.update(changed, now.rate, now.force, now.seconds, weigh=False)
-    state.changed, state.fits_s, state.earlier = changed, now.seconds, (changed.prediction,) * 2
+        filter_bank.take_noise(changed, state.changed)
+    filter_bank.predict(changed, now.end_s, now.degc)
+    filter_bank.forget(changed)
+    filter_bank.update(changed, now.rate, now.force, now.seconds, weigh=False)
+    state.changed, state.fits_s, state.changed_lagged = changed, now.seconds, (changed.prediction,) * 2
 
 
 ROWS: tuple[tuple[str, Callable[[Facts], bool], Action], ...] = (
@@ -185,10 +189,10 @@ def decide(state: State, now: Second, added: FloatArray, test: Test) -> None:
         if np.linalg.norm(now.force - state.pose) > NEW_POSE:
             state.first = None  # it was in a hand, and not on a turntable
         if not state.contradicted:
-            state.older = (_nominal(state),) * 2
+            state.nominal_lagged = (_nominal(state),) * 2
     state.recent = [*state.recent[1 - SPANS[-1] :], now]
     state.alike = min(state.alike + 1, len(state.recent))
-    compared = _nominal(state) if state.contradicted else state.older[0]
+    compared = _nominal(state) if state.contradicted else state.nominal_lagged[0]
     facts, probability = _facts(state, now, compared, test)
     action = next(row[2] for row in ROWS if row[1](facts))
     action(state, now, compared)
@@ -209,18 +213,19 @@ def _facts(state: State, now: Second, compared: Bank, test: Test) -> tuple[Facts
     fits_changed, limits, sigmas = False, prediction, FIT_SIGMAS
     if state.changed is not None:
         lately = alike[-max(int(state.fits_s), 1) - 1 :]
-        fits_changed, _ = _fit(FIT_SIGMAS, state.earlier[0].at(now.end_s, now.degc), now, lately)
-        if fits_changed and state.prediction_then is not None:
-            limits, sigmas = replace(prediction, covariance=state.prediction_then.covariance), RETURN_SIGMAS
+        fits_changed, _ = _fit(FIT_SIGMAS, state.changed_lagged[0].at(now.end_s, now.degc), now, lately)
+        if fits_changed and state.nominal_at_onset is not None:
+            limits, sigmas = replace(prediction, covariance=state.nominal_at_onset.covariance), RETURN_SIGMAS
     fits, difference = _fit(sigmas, limits, now, alike)
     evidence = Evidence()
+    # In the first seconds of a rest a wide prediction fits a turn as well.
     if not fits or state.contradicted or len(state.recent) <= SPANS[1]:
         evidence = test(prediction, difference, fits)
     facts = Facts(
         fits_nominal=fits and not evidence.turns,
         fits_changed=fits_changed,
         contradicted=state.contradicted,
-        settled=len(alike) == SPANS[-1],
+        settled=len(alike) >= SETTLED_S,
         accepted=evidence.changed,
         likely_turn=evidence.probability > 0.5,
     )
@@ -249,7 +254,7 @@ def _fit(
 
 def _banks(state: State) -> list[Bank]:
     """Return each bank once: an older one may be the nominal one itself."""
-    banks = (state.nominal, state.before, state.changed, *state.older)
+    banks = (state.nominal, state.nominal_undo, state.changed, *state.nominal_lagged)
     return list({id(bank): bank for bank in banks if bank is not None}.values())
 
 
@@ -257,8 +262,8 @@ def _widen(state: State, variance: FloatArray) -> None:
     """Add to the variance of the bias, (3,)."""
     if variance.any():
         for bank in _banks(state):
-            filters.widen(bank, variance)
-        state.earlier = tuple(prediction.wider(variance) for prediction in state.earlier)
+            filter_bank.widen(bank, variance)
+        state.changed_lagged = tuple(prediction.wider(variance) for prediction in state.changed_lagged)
 
 
 def _updated(bank: Bank, now: Second) -> Bank:
@@ -266,8 +271,8 @@ def _updated(bank: Bank, now: Second) -> Bank:
     bank = bank.copy()
     if np.isnan(bank.force[0]):
         bank.force = now.force  # accelerometers that come late
-    filters.predict(bank, now.end_s, now.degc)
-    filters.update(bank, now.rate, now.force, now.seconds)
+    filter_bank.predict(bank, now.end_s, now.degc)
+    filter_bank.update(bank, now.rate, now.force, now.seconds)
     return bank
 
 
@@ -276,13 +281,13 @@ def begin(
 ) -> None:
     """Begin with the first seconds at rest; white, (3,), is the variance of the mean rate of a second."""
     first = seconds[0]
-    state.nominal = filters.start(
+    state.nominal = filter_bank.start(
         modes, white, known_noise, first.force, first.end_s - first.seconds,
         first.degc,
     )  # fmt: skip
     for now in seconds:
         _learn(state, now, state.nominal)
-    state.older, state.before, state.moved = (state.nominal,) * 2, None, False
+    state.nominal_lagged, state.nominal_undo, state.moved = (state.nominal,) * 2, None, False
     state.recent, state.alike = list(seconds), len(seconds)
     state.first, state.pose = np.mean([one.rate for one in seconds], axis=0), first.force
 
@@ -295,11 +300,11 @@ def move(state: State, undo: bool) -> None:
     undo : bool
         Whether the last second is taken back: what moves the unit may begin before it is noticed.
     """
-    if undo and state.before is not None:
-        state.nominal = state.before
-    state.before = None
+    if undo and state.nominal_undo is not None:
+        state.nominal = state.nominal_undo
+    state.nominal_undo = None
     if state.changed is not None and state.changed.time_s - state.since_s < ONSET_S:
-        state.changed, state.since_s, state.older, state.probability = None, math.nan, (), 0.0
+        state.changed, state.since_s, state.nominal_lagged, state.probability = None, math.nan, (), 0.0
     state.moved, state.recent, state.alike = True, [], 0
 
 
@@ -307,7 +312,7 @@ def take_noise(state: State, white: FloatArray) -> None:
     """Take another white noise, (3,), as of a fan that starts."""
     for bank in _banks(state):
         if not bank.known_noise:
-            filters.rescale(bank, white)
+            filter_bank.rescale(bank, white)
 
 
 def shown(state: State, now_s: float, degc: FloatArray, force: FloatArray) -> tuple[Prediction, FloatArray]:

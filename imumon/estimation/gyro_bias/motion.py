@@ -17,10 +17,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.blocks import FloatArray
+from imumon.estimation.rest.quiet import SLOT_S
 from imumon.filters.turns import STILL, Turn, rotation_by
 from imumon.geodesy import DEG_PER_H
 
-HALF_A_SLOT_S = 0.125
 PART_S, PARTS = 5.0, 12
 """A window is a minute: a bias of a degree per second turns it by a radian."""
 UNKNOWN_RATE = math.radians(3.0)
@@ -61,11 +61,11 @@ class Motion:
 
     def take(self, turn: Turn, force: FloatArray) -> bool:
         """Take a slot in motion and its mean specific force, m/s²; return whether a window has ended."""
-        if not self.parts or self.parts[-1][0].seconds >= PART_S - HALF_A_SLOT_S:
+        if not self.parts or self.parts[-1][0].seconds >= PART_S - 0.5 * SLOT_S:
             self.parts.append((STILL, np.zeros(3)))
         whole, velocity = self.parts[-1]
         self.parts[-1] = whole.then(turn), velocity + whole.rotation @ (turn.by_bias @ force)
-        if len(self.parts) < PARTS or self.parts[-1][0].seconds < PART_S - HALF_A_SLOT_S:
+        if len(self.parts) < PARTS or self.parts[-1][0].seconds < PART_S - 0.5 * SLOT_S:
             return False
         self._fit()
         self.interrupt()

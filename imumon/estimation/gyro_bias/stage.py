@@ -34,7 +34,7 @@ Mode = Literal["standard", "thermal", "learned"]
 HEADING, MODELLED, DEGC, INITIAL_SD = (slice(AXES + 3 * i, AXES + 3 * i + 3) for i in range(4))
 GIVEN, GATHERED = AXES + 12, AXES + 13
 """Columns of the gatherer, behind the readings."""
-GAP_S = 2.5
+LONGEST_PAUSE_S = 2.5
 """A rest goes on over a pause as long as this; it holds as long where readings are missing."""
 SHOWN_S = 1.0 - 1e-6
 """In motion the prediction of the bias is evaluated as often."""
@@ -253,7 +253,7 @@ class RestAndBias:
             growth = self._thermal.variance.step(degc[row], np.full(3, np.nan))
             self._state.added = self._state.added + growth - self._growth
             self._growth, self._now_s = growth, behind_s
-            miss(self._state, lag, gap_s > max(GAP_S, 3.0 * self._timing.interval_s))
+            miss(self._state, lag, gap_s > max(LONGEST_PAUSE_S, 3.0 * self._timing.interval_s))
 
     def _hold(self, rest: IntArray, readings: FloatArray, start: int, stop: int) -> None:
         """Fill in rows of the slot that is open: a sample outside the band of a unit at rest ends it
@@ -273,7 +273,7 @@ class RestAndBias:
             last_ns = np.where(latest < 0, self._last_ns, time_ns[latest])
             last_segment = np.where(latest < 0, self._last_segment, segment[latest])
             expired = (time_ns == NO_INT) | (segment != last_segment)
-            rest[expired | (time_ns - last_ns > int(GAP_S * 1e9))] = 0
+            rest[expired | (time_ns - last_ns > int(LONGEST_PAUSE_S * 1e9))] = 0
         if usable.any():
             last = int(np.flatnonzero(usable)[-1])
             self._last_ns, self._last_segment = int(time_ns[last]), int(segment[last])
@@ -320,8 +320,8 @@ class RestAndBias:
             if true and text not in self._reported:
                 self._reported.add(text)
                 texts.append(text)
-        if self._state.bias.jumped > self._jumped:
-            self._jumped = self._state.bias.jumped
+        if self._state.decision.jumped > self._jumped:
+            self._jumped = self._state.decision.jumped
             texts.append(
                 "at rest the rate contradicted the bias, so it has jumped: the bias is estimated anew"
             )

@@ -34,20 +34,28 @@ class ThermalVariance:
     """Variance that an uncertain thermal model has brought since the start, of three axes.
 
     Within the calibrated range the error of the curve is a random walk over temperature; outside it the slope
-    itself is unknown, and the farthest counts.  An unknown state at power-on has moved the bias by its sd at
-    first less that now.
+    itself is unknown, and the farthest counts.  An unknown state at power-on fades: what has
+    faded, its sd at first less that now, has moved the bias.
     """
 
     residual: FloatArray
+    """Of the curve, rad/s, (3,)."""
     steepness: FloatArray
+    """Rms slope of the curve, rad/s/°C, (3,)."""
     low_degc: FloatArray
+    """Lower end of the calibrated range, (3,)."""
     high_degc: FloatArray
-    """Residual of the curve, its rms slope per °C, and the calibrated range, (3,)."""
+    """Its upper end, (3,); zero without a model."""
     walk: FloatArray = field(init=False)
+    """Variance of the random walk so far, (3,)."""
     mark_degc: FloatArray = field(init=False)
+    """Temperature up to which it has been counted, (3,)."""
     beyond_degc: FloatArray = field(init=False)
+    """Farthest outside of the calibrated range, (3,)."""
     first_sd: FloatArray = field(init=False)
+    """Of the state at power-on, (3,)."""
     faded: FloatArray = field(init=False)
+    """Variance by what has faded of it, (3,)."""
 
     def __post_init__(self) -> None:
         """Begin."""

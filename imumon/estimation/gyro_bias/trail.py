@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.charts import AXIS_COLORS, GREY, Axis, Chart, Curve
 from imumon.estimation.gyro_bias.thermal_input import GYROS
+from imumon.geodesy import DEG_PER_H
 from imumon.models.model import BiasModel
 
-DEG_PER_HOUR = math.degrees(3600.0)
 MOST_POINTS = 250
 """When more are kept, every second one is dropped, and from then on half as many are taken."""
 
@@ -46,20 +44,20 @@ class BiasTrail:
         if not self._points:
             return []
         degc, bias = np.hsplit(np.array(self._points), 2)
-        bias = bias * DEG_PER_HOUR
+        bias = bias / DEG_PER_H
         curves = []
         for (axis, color), channel in zip(AXIS_COLORS.items(), self._channels, strict=False):
             low, high = channel.temperature_range_degc
             at = np.linspace(low, high, 101)
             red, green, blue = ((part + 2 * grey) // 3 for part, grey in zip(color, GREY, strict=True))
-            value = channel.value(at) * DEG_PER_HOUR
+            value = channel.value(at) / DEG_PER_H
             curves.append(Curve(f"curve {axis}", at, value, (red, green, blue), width=1.2))
         x, y = Axis("temperature [°C]"), Axis("[°/h]")
         curves += _trails(degc, bias)
         charts = [Chart("gyro_bias", "Gyro bias", "Gyro bias over temperature", x, y, tuple(curves))]
         if self._channels:
             expected = [channel.value(degc[:, j]) for j, channel in enumerate(self._channels)]
-            left = _trails(degc, bias - np.column_stack(expected) * DEG_PER_HOUR)
+            left = _trails(degc, bias - np.column_stack(expected) / DEG_PER_H)
             title = "Gyro bias less the calibrated curve"
             charts.append(Chart("gyro_bias_left", "Residual", title, x, y, tuple(left)))
         return charts

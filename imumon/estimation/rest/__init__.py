@@ -1,6 +1,6 @@
 """Is the unit at rest?
 
-`stage.RestDetector` is the stage of the pipeline, `detector` decides slot by slot: by `quiet`, whether
-anything moves, and by the table of `imumon.estimation.gyro_bias`, what a steady mean of the gyros is.
-Nothing is imported here, so that parameters can be read without loading the detector.
+`quiet` tests, slot by slot, whether anything moves; `odds` weighs a turn against a bias that has changed.
+Start with `imumon.estimation.gyro_bias.estimator`, which puts both together: rest and bias are one estimator.
+Nothing is imported here, so that parameters can be read without loading the rest.
 """

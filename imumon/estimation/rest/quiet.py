@@ -38,10 +38,14 @@ VARIANCE_SIGMAS, VARIANCE_FACTOR = 6.0, 2.0
 this factor."""
 MEMORY_SLOTS = 1200.0
 """Over which the noise is averaged at rest: five minutes."""
-COLOUR, HALVES, HALVES_OFFSET, BUMP, SLOWER = 5.0, 5.0, 20.0, 20.0, 16.0
-"""In a trial: variance of means of 4 and 8 slots over that of white noise; that of one half over the other,
-and what is added to it; a single second difference squared, and the means' variance by their samples, over
-their means."""
+COLOUR = 5.0
+"""In a trial: largest variance of means of 4 and 8 slots over that of white noise."""
+HALVES, HALVES_OFFSET = 5.0, 20.0
+"""In a trial: largest noise of one half over the other, and what is added to it."""
+BUMP = 20.0
+"""In a trial: largest difference of a slot from its neighbours' mean, squared, over its variance."""
+SLOWER = 16.0
+"""In a trial: largest variance of slot means over that which their samples explain: more is slow motion."""
 ANOTHER = 2.5
 """Factor of the variance from which on a trial has found another noise."""
 SPIKE_SIGMAS = 8.0
@@ -91,24 +95,27 @@ class State:
     mean: FloatArray = field(default_factory=lambda: np.zeros((RING, AXES)))
     within: FloatArray = field(default_factory=lambda: np.full((RING, AXES), np.nan))
     slots: int = 0
+    """Since the start."""
     begun: int = 0
-    """Slots since the start, and how many there were when it began anew."""
+    """How many there were when it began anew."""
     run: int = 0
     """Quiet slots in a row; 0 while it moves, or nothing is known."""
     unquiet: int = 0
     """Slots that were not, since the last rest of a trial's length."""
     known: bool = False
     noise: FloatArray = field(default_factory=lambda: np.zeros(AXES))
+    """Variance of the mean of a slot at rest, (6,)."""
     sample_noise: FloatArray = field(default_factory=lambda: np.zeros(AXES))
-    """Variance of the mean of a slot, and of its samples, at rest, (6,)."""
+    """Variance of its samples at rest, (6,)."""
     learned: float = 0.0
     disturbed: bool = False
     """Whether a single sample of the present slot was outside `band`."""
     another: bool = False
     """Whether a trial has found another noise with this slot."""
     present: BoolArray = field(default_factory=lambda: np.zeros(AXES, np.bool_))
+    """Axes that have readings, (6,)."""
     absent: int = 0
-    """Axes that have readings, (6,), and slots for which one of them had none."""
+    """Slots for which one of them had none."""
     step: FloatArray = field(default_factory=lambda: np.repeat(np.inf, AXES))
     """Step of the sensor, (6,); infinite while it is not known."""
     seconds: float = SLOT_S
@@ -203,6 +210,7 @@ def _moves(state: State, slot: Slot, drift: FloatArray) -> bool:
             state.total[(j - 2 * lengths) % RING],
         )
         excess = np.maximum(np.abs(now - 2.0 * then + before) / width - drift * state.seconds * width, 0.0)
+        # A shorter window has a smaller floor: a disturbance has had less time to act.
         floor = QUIET**2 / np.maximum(1.0, 4.0 / width) + state.rounding
         square = excess**2 / (2.0 * np.maximum(state.noise / width, floor))
         if (square.reshape(-1, 2, 3).sum(2) > CHI_SQUARE).any():
