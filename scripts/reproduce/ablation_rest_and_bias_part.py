@@ -25,8 +25,9 @@ from imumon.geodesy import DEG_PER_H
 TITLE = "Rest and gyro bias: error of the bias in hands and in steady turns, °/h."
 HANDS = ("the default scene", "flicker of 27 °/h beside 0.03 °/√h", "warm-up", "sensitivity 0.1 °/s/g")
 TURNS = {"0.5 °/s": (0.5, 10.0, 120.0, 0.0), "0.05 °/s": (0.05, 10.0, 0.5, 0.0)}
+LONG = {"0.5 °/s for an hour": (0.5, 60.0, 120.0, 0.0)}
 TILTED = {"0.5 °/s, tilted 45°": (0.5, 10.0, 120.0, 45.0)}
-GRADES = {"industrial": 1, "as MPU-6050": 3}
+GRADES = {"industrial": 1, "as BMI160": 2, "as MPU-6050": 3}
 FLOOR_DPH = 1.0
 FIRST_S = 60.0
 """Of a turn, before which nothing is known of the flicker."""
@@ -50,6 +51,7 @@ VARIANTS: dict[str, list[Change]] = {
     "a vague prediction does not explain a rate": [(estimator, "as_predicted", lambda *_: 0.0)],
     "the first mean was no turn": [(estimator, "first_was_turn", lambda *_: 0.0)],
     "rest again after 3 s of one rate, not 16": [(hypotheses, "SETTLED_S", 3)],
+    "rest again however likely a turn is": [(hypotheses, "LIKELY_TURN", 1.0)],
     "an oblique change excludes no turn about the vertical": [(odds, "LEVEL_RATIO", 1e9)],
     "no floor of a suspicious mean": [(quiet, "QUIET", quiet.QUIET * 1e-3)],
 }
@@ -62,7 +64,7 @@ def outcomes(change: list[Change] | None, seeds: range, data: Path) -> Iterator[
             patches.enter_context(patch.object(where, name, value))
         for name in HANDS:
             yield _outcome(name, [_in_a_hand(name, seed) for seed in seeds])
-        for name, turn in {**TURNS, **TILTED}.items():
+        for name, turn in {**TURNS, **LONG, **TILTED}.items():
             for grade, which in GRADES.items():
                 yield _outcome(f"{name}, {grade}", [_turned(turn, which, seed) for seed in seeds])
         yield _outcome("walk of 6 °/h/√s at rest", [_walking(seed) for seed in seeds])

@@ -157,9 +157,10 @@ def mode_probabilities(bank: Bank) -> FloatArray:
     The flicker level of the unit is the parent of its axes' levels: messages on a tree, so they are exact.
     """
     modes, w = bank.modes, np.exp(bank.log_weight)
-    message = w.reshape(3, modes.kinds, -1).sum(2) @ modes.levels
+    kinds = len(modes.levels)
+    message = w.reshape(3, kinds, -1).sum(2) @ modes.levels
     others = (message.prod(0) / message) @ modes.levels.T
-    w *= np.repeat(others, modes.count // modes.kinds, axis=1)
+    w *= np.repeat(others, modes.count // kinds, axis=1)
     return np.asarray(w / w.sum(1, keepdims=True))
 
 

@@ -77,7 +77,7 @@ class State:
     fits_s: float = 0.0
     """How long the changed one has fitted, s."""
     since_s: float = math.nan
-    """Since when the nominal bias is contradicted; NaN while it is not."""
+    """Since when the nominal bias was contradicted last."""
     probability: float = 0.0
     """That the present rate is a turn."""
     changes: int = 0
@@ -99,7 +99,7 @@ class State:
     @property
     def contradicted(self) -> bool:
         """Whether the rate contradicts the nominal bias."""
-        return math.isfinite(self.since_s)
+        return self.changed is not None
 
     @property
     def turning(self) -> bool:
@@ -129,7 +129,7 @@ def _learn(state: State, now: Second, _: Bank) -> None:
     """H0 holds, or holds again: nominal learns."""
     state.nominal_undo = _nominal(state)
     state.nominal = nominal = _updated(state.nominal_undo, now)
-    state.changed, state.since_s, state.changes, state.probability = None, math.nan, 0, 0.0
+    state.changed, state.changes, state.probability = None, 0, 0.0
     if state.moved or not state.nominal_lagged:
         state.nominal_lagged = (nominal,) * 2
     elif nominal.time_s - state.nominal_lagged[1].time_s >= LAG_S:
@@ -154,13 +154,12 @@ def _continue(state: State, now: Second, _: Bank) -> None:
 
 def _begin(state: State, now: Second, compared: Bank) -> None:
     """The rate is another: H1 begins, or begins anew."""
-    if not state.contradicted:
+    changed = compared.copy()
+    state.nominal_at_onset = compared.prediction.at(now.end_s, now.degc)
+    if state.changed is None:
         state.since_s, state.nominal_lagged, state.nominal, state.nominal_undo = now.end_s, (), compared, None
-    if state.changed is not None:
+    else:
         state.changes, state.alike = state.changes + 1, 1
-    changed = _nominal(state).copy()
-    state.nominal_at_onset = changed.prediction.at(now.end_s, now.degc)
-    if state.changed is not None:
         filter_bank.take_noise(changed, state.changed)
     filter_bank.predict(changed, now.end_s, now.degc)
     filter_bank.forget(changed)
@@ -307,7 +306,7 @@ def move(state: State, undo: bool) -> None:
         state.nominal = state.nominal_undo
     state.nominal_undo = None
     if state.changed is not None and state.changed.time_s - state.since_s < ONSET_S:
-        state.changed, state.since_s, state.nominal_lagged, state.probability = None, math.nan, (), 0.0
+        state.changed, state.nominal_lagged, state.probability = None, (), 0.0
     state.moved, state.recent, state.alike = True, [], 0
 
 

@@ -66,10 +66,9 @@ class Modes:
     """Q: of w per second, of each gi when it is in equilibrium, of s per °C, (3, F, 8)."""
     fast: FloatArray
     """Flicker of a sample that the filter does not follow, (3, F)."""
-    kinds: int
-    """Kinds of noise: the slowest index of F."""
     levels: FloatArray
-    """Probability of the flicker level of an axis, the row, given that of the unit, the column."""
+    """Probability of the kind of noise of an axis, the row, given that of the unit, the column; kinds are the
+    slowest index of F."""
 
     @property
     def count(self) -> int:
@@ -110,7 +109,7 @@ def _modes(b: FloatArray, walk: FloatArray, slopes: tuple[float, ...], levels: F
     # What is faster than the fastest process, and that process at the end of a second less its mean over it:
     # 1 + 0.736 - 2 x 0.632 of its variance.
     fast = b[:, kind] ** 2 / math.pi * math.log(TAUS_S[0] / FASTEST_S) + 0.47 * variance
-    return Modes(process, fast, b.shape[1], levels)
+    return Modes(process, fast, levels)
 
 
 def propagate(
