@@ -335,7 +335,11 @@ class Aligner:
         wanted = math.radians(self.parameters.settled_deg)
         if self.heading_sd <= wanted:
             return 0.0
-        left = wanted**2 - (posterior.level_bias_sd / self.level_rate) ** 2
+        by_gyros, by_level = (
+            posterior.level_bias_sd / self.level_rate,
+            self.errors.level * math.tan(self.latitude),
+        )
+        left = wanted**2 - by_gyros**2 - by_level**2
         return max(state.rest_s * (posterior.noise_sd**2 / left - 1.0), 1.0) if left > 0.0 else None
 
     @property

@@ -134,7 +134,7 @@ def to_go_text(status: Status) -> str:
     if status.phase in ("coarse", "waiting"):
         return f"coarse, {status.rest_s:.0f} s of rest"
     if status.remaining_s is None:
-        return f"{wanted} not in reach with the bias of these gyros"
+        return f"{wanted} not in reach with the bias of these sensors"
     return f"about {status.remaining_s:.0f} s to {wanted}"
 
 

@@ -38,3 +38,14 @@ def test_a_unit_that_is_not_turned_is_waited_for() -> None:
     said = _guided(samples(scenario(90.0, rate_hz=100.0)), guide)
     assert said[-1].startswith("turn the unit now")
     assert not guide.done
+
+
+def test_a_sigma_that_the_accelerometers_keep_up_is_not_waited_for() -> None:
+    plan = scenario(150.0, rate_hz=100.0, latitude=65.0)
+    stage, guide = Alignment(AlignmentParameters(settled_deg=0.05, accel_bias_sd_ug=750.0), 65.0), Guide(1)
+    stage.process(samples(plan))
+    guide.update(stage.status)
+    assert stage.status.shown is not None
+    assert stage.status.observable
+    assert stage.status.remaining_s is None
+    assert guide.done
