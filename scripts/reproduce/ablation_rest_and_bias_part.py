@@ -23,9 +23,9 @@ from imumon.estimation.rest import odds, quiet
 from imumon.geodesy import DEG_PER_H
 
 TITLE = (
-    "Rest and gyro bias: error of the bias in hands and in steady turns, °/h.  The exclusion of an oblique turn is "
-    "for none of these scenes: without it a measured chamber cycle of a standing unit is rest for 95.5 % of its "
-    "time, with it for more than 98 % (`tests/estimation/rest/test_stage.py`)."
+    "Rest and gyro bias: error of the bias in hands and in steady turns, °/h.  The exclusion of an oblique "
+    "turn is for none of these scenes: without it a measured chamber cycle of a standing unit is rest for "
+    "95.5 % of its time, with it for more than 98 % (`tests/estimation/rest/test_stage.py`)."
 )
 HANDS = ("the default scene", "flicker of 27 °/h beside 0.03 °/√h", "warm-up", "sensitivity 0.1 °/s/g")
 TURNS = {"0.5 °/s": (0.5, 10.0, 120.0, 0.0), "0.05 °/s": (0.05, 10.0, 0.5, 0.0)}
