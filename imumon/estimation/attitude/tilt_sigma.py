@@ -126,6 +126,11 @@ class Gyros:
         return (SCALE_TURN * self.prior + self.change) / (SCALE_TURN + self.turned)
 
     @property
+    def turn_variance(self) -> FloatArray:
+        """Variance of a turn of each gyro over its square, (3,): its scale, and 1 where not confirmed."""
+        return np.asarray(self.variance + ~self.confirmed)
+
+    @property
     def contradicted(self) -> bool:
         """Whether a gyro has turned enough and the vertical does not confirm it."""
         return bool(((self.own_turned > CONFIRMING_TURN) & ~self.confirmed).any())
