@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.measure import Bar, Table, measure
 from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.temperature_rate.stage import MultipleModelRate
+from imumon.estimation.temperature_rate.method import MultipleModelRate
 from imumon.filters.rates import RateMethod
 from imumon.papers.fir import FirRate, Params
 

@@ -14,7 +14,7 @@ from scipy.special import ndtr
 from temperature_rate_records import PER_HOUR, SHAPES, Record
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.temperature_rate.stage import MultipleModelRate
+from imumon.estimation.temperature_rate.method import MultipleModelRate
 
 SETTLED_S = 1200.0
 RECORDS = 12

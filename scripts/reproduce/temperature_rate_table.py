@@ -16,7 +16,7 @@ from temperature_rate_kalman import search
 from temperature_rate_records import PER_HOUR, Record, measured, simulate
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.temperature_rate.stage import MultipleModelRate
+from imumon.estimation.temperature_rate.method import MultipleModelRate
 from imumon.filters.rates import RateEstimate
 from imumon.papers.fir import FirRate, Params
 

@@ -26,8 +26,8 @@ TAU_ACC_S, TAU_MAG_S = 3.0, 9.0
 ROW = np.dtype(
     [(name, np.float64, (3,)) for name in ("angle", "path", "bias_sd", "field")]
     + [(name, np.float64, (4,)) for name in ("quat6d", "acc_quat", "gyr_quat")]
-    + [(name, np.float64) for name in ("low_force", "delta", "follow_rate")]
-    + [("north", np.int64)]
+    + [(name, np.float64) for name in ("low_force", "delta")]
+    + [(name, np.int64) for name in ("north", "follows")]
 )
 """A sample and what the filter makes of it; NaN before it has begun.
 
@@ -40,8 +40,8 @@ quat6d, acc_quat, gyr_quat : VQF's quaternions w, x, y, z, from body to level ax
 low_force : magnitude of the low-passed specific force, m/s²
 delta : counterclockwise angle from quat6d to the attitude, rad: VQF's by the field, or that to the declared
     heading
-follow_rate : how fast the heading follows the field: 1 as usual, 0 not at all while VQF rejects the field
-north : whether the field has shown north
+north, follows : whether the field has shown north, and whether the heading follows it: VQF rejects a
+    disturbed field for some time
 """
 Rows = npt.NDArray[np.void]
 
@@ -150,14 +150,13 @@ class Fusion:
     def _follow_field(
         self, rows: Rows, found: dict[str, Any], has_mag: BoolArray, given: dict[str, Any]
     ) -> None:
-        """Fill in where north is, and how fast the heading follows the field."""
+        """Fill in where north is, and whether the heading follows the field."""
         north = self.north | np.logical_or.accumulate(has_mag)
         rows["north"], rows["delta"] = north, np.where(north, found["delta"], self._delta)
         # Before it has taken a field as its reference VQF calls every field disturbed, and follows it.
         disturbed = found["magDistDetected"] & (found["magRefNorm"] > 0.0)
         rejected = found["magRejectT"] <= given["magMaxRejectionTime"]
-        slower = np.where(rejected, 0.0, 1.0 / given["magRejectionFactor"])
-        rows["follow_rate"] = np.where(disturbed, slower, 1.0)
+        rows["follows"] = ~(disturbed & rejected)
         self.north, self.disturbed = True, bool(disturbed[-1])
 
     def _learn_rate(self, time_ns: IntArray, accel: FloatArray, has_mag: BoolArray) -> int:

@@ -40,11 +40,9 @@ COLUMNS = (
     Column("attitude_estimate_north", "1", "int64", "1: heading from magnetic north, 0: relative heading"),
 )
 SLOT_END = np.dtype(
-    [("tilt", np.float64), ("heading", np.float64)]
-    + [(name, np.float64, (3,)) for name in ("path", "up", "gyros")]
+    [("tilt", np.float64), ("heading", np.float64), ("path", np.float64, (3,)), ("gyros", np.float64, (3,))]
 )
-"""End of the latest slot: variances, rad²; path as of `ROW`; u; variance of each gyro's turn over its square:
-of its scale, and 1 where it is not confirmed."""
+"""End of the latest slot: variances, rad²; path as of `ROW`; `Gyros.turn_variance`."""
 
 
 class AttitudeEstimate:
@@ -180,7 +178,7 @@ class AttitudeEstimate:
         self._fusion = Fusion(self._heading)
         self._tilt_sigma = TiltSigma(self._tilt_sigma.accelerometers, self._tilt_sigma.gyros)
         sigma = self._heading_sigma
-        self._heading_sigma = HeadingSigma(sigma.gyros, sigma.magnetometer, sigma.earth_rate, sigma.iron)
+        self._heading_sigma = HeadingSigma(sigma.gyros, sigma.magnetometer, sigma.earth_rate)
         self._slot_end = np.full(1, math.nan, SLOT_END)
 
     def _end_slot(self, end: Rows, slots: Slots, k: int) -> None:
@@ -197,13 +195,12 @@ class AttitudeEstimate:
             force=force,
             low_force=float(end["low_force"]) or math.nan,
             sensitivity=carried @ turns.rotation[k].T @ turns.by_scale[k].reshape(3, 9),
-            lost=float(turns.fast[k] ** 2 + turns.missed[k] + turns.coning[k] @ turns.coning[k] / 3.0),
+            missed=float(turns.missed[k]),
         )
         tilt = self._tilt_sigma.step(slot)
         heading_variance = self._heading_sigma.step(slot, end, tilt)
-        self._slot_end = np.array(
-            [(tilt, heading_variance, end["path"], slot.up, self._tilt_sigma.gyros.turn_variance)], SLOT_END
-        )
+        values = (tilt, heading_variance, end["path"], self._tilt_sigma.gyros.turn_variance)
+        self._slot_end = np.array([values], SLOT_END)
 
     def _output(self, rows: Rows, latest: Rows) -> list[ColumnArray]:
         """Return the columns of rows from the filter and the end of the latest slot before each, (n,)."""
@@ -215,8 +212,7 @@ class AttitudeEstimate:
         # interval before or that of the moment.
         since = ((rows["path"] - latest["path"]) ** 2 * latest["gyros"]).sum(1)
         since += (rows["angle"] ** 2).sum(1) / 12.0
-        moved2 = ((matrices(rows["acc_quat"])[:, 2] - latest["up"]) ** 2).sum(1)
-        tilt = latest["tilt"] + since + 0.5 * moved2
+        tilt = latest["tilt"] + since
         heading_variance = latest["heading"] + since + tilt_into_heading(up, tilt)
         # More than a radian is no small angle, and its standard deviation means nothing.
         tilt_sd, heading_sd = (

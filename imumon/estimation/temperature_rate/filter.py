@@ -63,7 +63,7 @@ def start(models: Models, thermometer: Thermometer, slot: Slot) -> Filters:
     k, m = models.noise.shape[1], len(models.jerk_psds)
     x, p = np.zeros((STATES, k, m)), np.zeros((STATES, STATES, k, m))
     x[TEMPERATURE] = slot.mean
-    p[TEMPERATURE, TEMPERATURE] = thermometer.noise_scale + slot.variance
+    p[TEMPERATURE, TEMPERATURE] = thermometer.variance + slot.variance
     p[RATE, RATE] = FASTEST_RATE**2
     p[ACCELERATION, ACCELERATION] = np.minimum(START_ACCELERATION**2, np.array(models.jerk_psds) * LONG_S)
     p[ERROR, ERROR] = slow_error(models, thermometer)[0]
@@ -77,7 +77,7 @@ def slow_error(models: Models, thermometer: Thermometer) -> tuple[FloatArray, Fl
     keep = np.exp(-thermometer.spacing_s / slow_s)
     scale = thermometer.variance / ((1.0 - keep) * (3.0 - keep) / 3.0)
     walk_scale = np.full_like(slow_s, thermometer.variance / thermometer.spacing_s)
-    scale[models.code] = walk_scale[models.code] = thermometer.noise_scale
+    scale[models.code] = walk_scale[models.code] = thermometer.step**2
     return slow * scale, walk_per_s * walk_scale
 
 

@@ -40,9 +40,9 @@ class Gate:
     """The one reading of all of them, °C; NaN if they differ."""
 
     @property
-    def stuck_degc(self) -> float:
-        """The reading at which the thermometer sticks for some slots after a leap, °C; NaN if it does not."""
-        return self.outlier_degc if self.rejected >= GATE_SLOTS else math.nan
+    def sticks(self) -> bool:
+        """Whether the thermometer has stuck at one reading since a leap."""
+        return self.rejected >= GATE_SLOTS and math.isfinite(self.outlier_degc)
 
     def decide(self, slot: Slot, thermometer: Thermometer, expected: tuple[float, float] | None) -> Outcome:
         """Return the outcome of a slot that has readings: that of the first row that holds.

@@ -12,7 +12,7 @@ one of its own.
 | two codes | code models | z = edge + s Φ⁻¹(p), R = s² p(1-p)/(n f²) + (0.1 s Φ⁻¹(p))² |
 | one code: edge soft, a surprise, or prediction wide | code models | y is in the code: truncated Gaussian |
 | one code | code models | nothing; the code only confines the output |
-| any | mean models | z = mean, R = share of ρ + (d/n)²/2π + (β d/π)²/2 |
+| any | mean models | z = mean, R = share of ρ + (d/n)²/2π |
 
 "y is in the code" is one statement, however often it is read.  Of n readings the extreme one has the sigma
 s_n = s/√(1 + 2 ln n), which is how sharp the edge of a code is.  An edge is *soft* for a filter that predicts
@@ -105,9 +105,8 @@ def evaluate(
     else:
         of_codes, confined = _one_code(codes, models.noise[2, code])
         output_only = Correction(*(np.concatenate([part, np.zeros_like(y.mean[mean])]) for part in confined))
-    # The mean of a slot is on a lattice of d/n, and follows the ripple of the steps.
+    # The mean of a slot is on a lattice of d/n.
     noise = white[mean] * thermometer.variance + (step / n) ** 2 / (2.0 * math.pi)
-    noise = noise + thermometer.ripple_variance
     of_means = _gaussian(y.mean[mean], y.variance[mean], slot.mean, noise, step / n)
     return Correction(*map(np.concatenate, zip(of_codes, of_means, strict=True))), output_only
 
@@ -144,11 +143,8 @@ def _many_codes(codes: Codes, white: FloatArray) -> Correction:
 def _two_codes(codes: Codes) -> Correction:
     """Correct by the share of readings above the edge between the two codes."""
     slot, step, n, sigma, mean, variance = codes
-    jumped = slot.before != slot.first
-    count = slot.count + jumped
-    average = (slot.count * slot.mean + jumped * slot.before) / count
-    share = (average - slot.lowest) / (slot.highest - slot.lowest)
-    share = min(max(share, 0.5 / count), 1.0 - 0.5 / count)
+    share = (slot.mean - slot.lowest) / (slot.highest - slot.lowest)
+    share = min(max(share, 0.5 / slot.count), 1.0 - 0.5 / slot.count)
     quantile = float(ndtri(share))
     density = math.exp(-0.5 * quantile**2) / ROOT_2_PI
     binomial = share * (1.0 - share) / (n * density**2)

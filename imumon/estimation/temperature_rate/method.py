@@ -40,15 +40,12 @@ class MultipleModelRate:
     def __init__(self, step_degc: float | None = None, models: Models | None = None) -> None:
         self._models = models or Models()
         self.thermometer = Thermometer(StepFinder(step_degc or UNKNOWN_STEP_DEGC))
+        self.stuck_degc = math.nan
+        """Where readings stuck last after a leap that no temperature makes, °C; NaN if they never did."""
         self._gatherer = SlotGatherer(1, round(SLOT_S * 1e9))
         self._begin(0)
         self._output_ns: IntArray = np.array(0, np.int64)
         self._segment: IntArray = np.array(NO_INT, np.int64)
-
-    @property
-    def stuck_degc(self) -> float:
-        """The reading at which the thermometer sticks after a leap, °C; NaN if it does not."""
-        return self._gate.stuck_degc
 
     def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
         """Return the estimates of samples that follow those of the last call; the same in blocks of any size.
@@ -106,6 +103,8 @@ class MultipleModelRate:
             new = new.alone()
         outcome = self._gate.decide(new, thermometer, filters.expected if filters else None)
         self._fault = outcome is Outcome.PREDICT
+        if self._gate.sticks:
+            self.stuck_degc = self._gate.outlier_degc
         if outcome is Outcome.PREDICT:
             return filters
         thermometer.learn(new, anew=outcome is Outcome.RESTART)

@@ -24,9 +24,8 @@ SLOT_S = 1.0
 class NoiseModel(NamedTuple):
     """One hypothesis of the sensor noise.
 
-    A *code model* reads the code in which T + e + white noise is; its unit of variance is d², the step squared
-    (of slow errors `Thermometer.noise_scale`).  A *mean model* measures a slot's mean; its unit is ρ, the
-    variance of this mean from slot to slot.
+    A *code model* reads the code in which T + e + white noise is; its unit of variance is the squared step d².
+    A *mean model* measures a slot's mean; its unit is ρ, the variance of this mean from slot to slot.
     """
 
     white: float
@@ -47,7 +46,7 @@ def code_model(white_sd: float, slow_sd: float = 0.0, slow_s: float = 1e9, walk:
 
 def mean_model(slow: float = 0.0, slow_s: float = 1e9, walk_per_s: float = 0.0) -> NoiseModel:
     """Return a mean model, a share of whose ρ is the slow error."""
-    return NoiseModel(max(1.0 - slow, 0.05), slow, slow_s, walk_per_s)
+    return NoiseModel(1.0 - slow, slow, slow_s, walk_per_s)
 
 
 CODE_MODELS = (

@@ -9,7 +9,7 @@ import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray
 from imumon.estimation.temperature_rate.filter import LONG_S, Filters, slow_error
-from imumon.estimation.temperature_rate.model import ACCELERATION, RATE, SLOT_S, TEMPERATURE, Models
+from imumon.estimation.temperature_rate.model import RATE, SLOT_S, TEMPERATURE, Models
 from imumon.estimation.temperature_rate.thermometer import REVERSALS, Thermometer
 from imumon.filters.multiple_models import mixture
 from imumon.filters.rates import FASTEST_RATE, UNSEEN_RATE, RateEstimate
@@ -26,18 +26,17 @@ LAG_S = 3.0
 """Time constant with which the rate in the output follows the estimate, s, so that it does not jump.
 Ablation."""
 FROZEN_S, FROZEN_RATE = 3600.0, 1.0 / 3600.0
-"""A code unchanged for this long, s, may be frozen; from then on the sigma of the rate grows by 1 °C/h in each
-further hour, °C/s.  Assumed."""
+"""A code unchanged for this long, s, may be frozen; from then on the sigma of the rate grows by 1 °C/h in
+each further hour, °C/s.  Assumed."""
 
 
 class Output(NamedTuple):
-    """Estimate from a time on: a temperature of constant rate, and a rate of constant acceleration."""
+    """Estimate from a time on: a temperature of constant rate."""
 
     time_s: float = 0.0
     temperature: float = math.nan
     rate: float = math.nan
-    acceleration: float = math.nan
-    """°C, °C/s, °C/s²."""
+    """°C and °C/s."""
     temperature_sd: float = math.nan
     rate_sd: float = math.nan
     rate_offset: float = 0.0
@@ -55,7 +54,6 @@ def output(
     mu, x, p = filters.mu, filters.x, filters.p
     temperature, variance = mixture(mu, x[TEMPERATURE], p[TEMPERATURE, TEMPERATURE])
     rate, rate_variance = mixture(mu, x[RATE], p[RATE, RATE])
-    acceleration = float((mu * x[ACCELERATION]).sum())
     slow, walk = slow_error(models, thermometer)
     edge_sd = thermometer.step * (LINEARITY if thermometer.reversals >= REVERSALS else HYSTERESIS)
     variance += SLOW_MEAN**2 * float((mu * (slow + walk * LONG_S)).sum())
@@ -64,16 +62,11 @@ def output(
     rate_variance += (variance + thermometer.step**2 / 12.0) / RAMP_S**2
     frozen = max(end_s - thermometer.changed_s - FROZEN_S, 0.0) / FROZEN_S
     rate_variance += min(frozen * FROZEN_RATE, UNSEEN_RATE) ** 2
-    ahead = end_s - filters.time_s
-    rate += ahead * acceleration
-    age = end_s - before.time_s
-    fading = math.exp(-age / LAG_S) * before.rate_offset
-    offset = before.rate + age * before.acceleration + fading - rate
+    offset = before.rate + math.exp(-(end_s - before.time_s) / LAG_S) * before.rate_offset - rate
     return Output(
         time_s=end_s,
-        temperature=temperature + ahead * (rate - ahead * acceleration),
+        temperature=temperature + (end_s - filters.time_s) * rate,
         rate=rate,
-        acceleration=acceleration,
         temperature_sd=math.sqrt(variance),
         rate_sd=math.sqrt(rate_variance),
         rate_offset=0.0 if math.isnan(offset) else offset,
@@ -97,11 +90,7 @@ def extrapolate(age: FloatArray, known: BoolArray, reading: FloatArray, shown: O
     temperature_sd = np.hypot(shown.temperature_sd, waited * shown.rate_sd)
     return RateEstimate(
         temperature=np.where(known, shown.temperature + age * shown.rate, reading),
-        rate=np.where(
-            known,
-            shown.rate + age * shown.acceleration + fading,
-            unknown + np.where(late, shown.rate, 0.0),
-        ),
+        rate=np.where(known, shown.rate + fading, unknown + np.where(late, shown.rate, 0.0)),
         temperature_sd=np.where(known, temperature_sd, unknown + shown.reading_sd),
         rate_sd=np.where(known, np.hypot(shown.rate_sd, fading), unknown + FASTEST_RATE),
     )

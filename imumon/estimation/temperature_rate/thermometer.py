@@ -162,21 +162,9 @@ class Thermometer:
         return max(NEIGHBOUR_S, LATE_INTERVALS * self.spacing_s)
 
     @property
-    def noise_scale(self) -> float:
-        """Unit of the slow errors of code models, °C²: a step squared, or ρ where that is larger."""
-        return max(self.step**2, self.rho)
-
-    @property
     def variance(self) -> float:
         """Variance that a slot's mean has at least, ρ or that of rounding, °C²."""
         return max(self.rho, self.step**2 / 12.0)
-
-    @property
-    def ripple_variance(self) -> float:
-        """Variance of the ripple β d/π sin 2πT/d that a mean of rounded readings follows, °C²."""
-        white = self.scatter / self.step**2 - 1.0 / 12.0
-        beta = math.exp(-2.0 * math.pi**2 * max(white, 0.0)) if self.scatter else 0.0
-        return (beta * self.step / math.pi) ** 2 / 2.0
 
     @property
     def reading_sd(self) -> float:
@@ -258,9 +246,7 @@ class Thermometer:
     def _learn_repeats(self, slot: Slot) -> None:
         change, single, silent_s = slot.last - slot.before, slot.changes <= 1, self._silent_s(slot)
         back = change * self.change < 0.0 and silent_s < MOST_REPEAT_S
-        # A code that is read once in a hundred times shows no edge: its noise could be of any size.
-        shared = min(slot.mean - slot.lowest, slot.highest - slot.mean) > 0.1 * self.step
-        self.reversals += (slot.changes > 1 or back) and (shared or not slot.variance)
+        self.reversals += slot.changes > 1 or back
         self.leapt |= self.leaps(slot)
         gap_s = silent_s if single else SLOT_S / slot.changes
         if math.isfinite(gap_s):

@@ -9,7 +9,7 @@ from imumon.blocks import ColumnArray, SampleBlock
 from imumon.config import parse_yaml
 from imumon.errors import ImumonError
 from imumon.estimation.temperature_rate.stage import TemperatureRate
-from imumon.estimation.temperature_rate.thermometer import COARSEST_DEGC
+from imumon.estimation.temperature_rate.thermometer import UNKNOWN_STEP_DEGC
 from imumon.papers.fir import FirRate, Params
 from imumon.pipeline import Estimator
 from imumon.protocols.thermometer import TemperatureRateParameters
@@ -54,7 +54,7 @@ def test_what_a_single_reading_is_worth_nobody_says_before_a_second(rate_hz: flo
 
 
 @pytest.mark.parametrize(
-    ("declared", "floor"), [(None, COARSEST_DEGC / np.sqrt(12.0)), (0.01, 0.01 / np.sqrt(12.0))]
+    ("declared", "floor"), [(None, UNKNOWN_STEP_DEGC / np.sqrt(12.0)), (0.01, 0.01 / np.sqrt(12.0))]
 )
 def test_a_segment_begins_with_the_steps_that_nobody_saw(declared: float | None, floor: float) -> None:
     time_ns, segment = clock(200)
