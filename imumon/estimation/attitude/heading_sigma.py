@@ -6,8 +6,8 @@ gyros that are not confirmed, and by the bias, which each rest measures anew::
     h = s² |Σ u J|² + (Σ u J_ii)² of gyros not confirmed + Σ over motions (bias sigma · seconds)² + missed
 
 A calibrated magnetometer ties it down: VQF follows the field with τ = 9 s and forgets older parts of h.  H
-and V are the horizontal and the vertical field, B its calibrated strength, c the error of the calibration, i the
-iron that came after it, p the angle by which the field has turned the heading against the gyros::
+and V are the horizontal and the vertical field, B its calibrated strength, c the error of the calibration, i
+the iron that came after it, p the angle by which the field has turned the heading against the gyros::
 
     variance = (c² + i² + V² tilt) / H² + h
     i² = (i0 B)² + 2 · largest (along² + across²) of the last half minute

@@ -13,8 +13,8 @@ from imumon.filters.rates import FASTEST_RATE
 GATE_SIGMA, GATE_STEPS, GATE_SLOTS = 8.0, 5.0, 3
 """A slot is an outlier that lies so many sigmas, so many steps, and farther than a temperature moves from the
 prediction; after so many slots it may be the truth.  Assumed: wide, as the filters weigh what is nearer."""
-SPIKE_DEGC = 8.0
-"""A slot that spans more than this, and than 8 steps and 8 sigmas, has a spike, °C.  Assumed."""
+SPIKE_DEGC, SPIKE_STEPS = 8.0, 8.0
+"""A slot has a spike that spans more than so many °C and more than so many steps.  Assumed."""
 
 
 class Outcome(Enum):
@@ -53,7 +53,7 @@ class Gate:
             Mean and variance of the predicted reading, °C and °C²; None without an estimate.
         """
         dead = thermometer.is_dead(slot)
-        spike = slot.high - slot.low > self._widest(thermometer)
+        spike = slot.high - slot.low > max(SPIKE_DEGC, SPIKE_STEPS * thermometer.step)
         stuck = slot.low == slot.high == self.outlier_degc
         near = expected is not None and self._is_near(slot, thermometer, *expected)
         power_on = math.isnan(thermometer.change)
@@ -77,10 +77,6 @@ class Gate:
             self.outlier_degc = slot.last if stuck or not self.rejected else math.nan
             self.rejected += 1
         return outcome
-
-    def _widest(self, thermometer: Thermometer) -> float:
-        """Return what the noise of a slot spans at most, °C."""
-        return max(SPIKE_DEGC, GATE_SIGMA * max(thermometer.step, math.sqrt(thermometer.scatter)))
 
     def _is_near(self, slot: Slot, thermometer: Thermometer, mean: float, variance: float) -> bool:
         """Return whether a temperature may have got there since it was last observed."""

@@ -24,7 +24,7 @@ SLOT_S = 1.0
 class NoiseModel(NamedTuple):
     """One hypothesis of the sensor noise.
 
-    A *code model* reads the code in which T + e + white noise is; its unit of variance is the squared step d².
+    A *code model* reads the code in which T + e + white noise is; its unit of variance is d², of the step d.
     A *mean model* measures a slot's mean; its unit is ρ, the variance of this mean from slot to slot.
     """
 
@@ -97,36 +97,24 @@ class Models:
         return slice(len(self.code_models), None)
 
 
-class Dynamics(NamedTuple):
-    """F, Q and mode transitions of an interval; e, whose φ depends on the noise model, is apart."""
-
-    f: FloatArray
-    """F of T, r and a, (4, 4); its element of e is 1."""
-    f_kron_f: FloatArray
-    """F ⊗ F, (16, 16): vec(F P Fᵀ) = (F ⊗ F) vec P."""
-    decay: FloatArray
-    """φ = exp(-dt/τ) of e, and 1 of the other states, (4, k, 1)."""
-    q: FloatArray
-    """Q of T, r and a, (3, 3, 1, m)."""
-    transition: FloatArray
-    """Transition matrix of the jerk PSDs, (m, m)."""
-
-
 @lru_cache(maxsize=64)
-def dynamics(models: Models, dt: float) -> Dynamics:
-    """Return F, Q and transitions of an interval in s: constant acceleration driven by white jerk.
+def dynamics(models: Models, dt: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return F, F ⊗ F, the decay of e, Q and the transitions of dt seconds: acceleration with white jerk.
 
     ::
 
         F = [[1, dt, dt²/2, 0], [0, 1, dt, 0], [0, 0, 1, 0], [0, 0, 0, φ]],  φ = exp(-dt/τ)
         Q = q [[dt⁵/20, dt⁴/8, dt³/6], [dt⁴/8, dt³/3, dt²/2], [dt³/6, dt²/2, dt]]
+
+    F is (4, 4) and has 1 in place of φ, which depends on the noise model: the decay, (4, k, 1), is φ for e,
+    and 1 for the other states.  F ⊗ F, (16, 16), is for vec(F P Fᵀ) = (F ⊗ F) vec P.  Q of T, r and a is
+    (3, 3, 1, m), the transition matrix of the jerk PSDs (m, m).
     """
     f: FloatArray = np.eye(STATES)
     f[TEMPERATURE, RATE] = f[RATE, ACCELERATION] = dt
     f[TEMPERATURE, ACCELERATION] = 0.5 * dt**2
-    slow_s = models.noise[2]
-    decay = np.ones((STATES, *slow_s.shape))
-    decay[ERROR] = np.exp(-dt / slow_s)
+    decay = np.ones((STATES, len(models.noise[0]), 1))
+    decay[ERROR] = np.exp(-dt / models.noise[2])
     q = np.array(
         [
             [dt**5 / 20.0, dt**4 / 8.0, dt**3 / 6.0],
@@ -134,10 +122,6 @@ def dynamics(models: Models, dt: float) -> Dynamics:
             [dt**3 / 6.0, dt**2 / 2.0, dt],
         ]
     )
-    return Dynamics(
-        f,
-        np.asarray(np.kron(f, f), np.float64),
-        decay,
-        q[:, :, np.newaxis, np.newaxis] * models.jerk_psds,
-        mode_transition(len(models.jerk_psds), min(dt * models.change_per_s, 0.4)),
-    )
+    transition = mode_transition(len(models.jerk_psds), min(dt * models.change_per_s, 0.4))
+    f_kron_f = np.asarray(np.kron(f, f), np.float64)
+    return f, f_kron_f, decay, q[:, :, np.newaxis, np.newaxis] * models.jerk_psds, transition

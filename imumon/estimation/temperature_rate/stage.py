@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -39,87 +40,91 @@ class TemperatureRate:
     ) -> None:
         self._parameters = parameters or TemperatureRateParameters()
         self._new_method = new_method or partial(MultipleModelRate, self._parameters.step_degc)
-        self._methods: dict[str, RateMethod] = {}
-        self._last: dict[str, float] = {}
-        """Last reading of each channel that has had one, °C."""
-        self._finders: dict[str, StepFinder] = {}
-        """The steps that each channel shows, as long as they may contradict the declared one."""
-        self._notices: list[str] = []
-        self._noticed: set[tuple[str, str]] = set()
+        self._channels: dict[str, _Channel] = {}
+        self._notices: dict[tuple[str, str], str] = {}
+        """One for each channel and kind."""
+        self._reported = 0
 
     @property
     def columns(self) -> Sequence[Column]:
         """The columns that `process` adds so far."""
-        return [column for channel in self._methods for column in _columns(channel)]
+        return [column for name in self._channels for column in _columns(name)]
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; NaN where there is no estimate.
 
         Needs ``device_time_ns`` and ``segment``; a channel that is not in the block is missing throughout.
         """
-        for channel in CHANNELS:
-            if channel in block and channel not in self._methods:
-                self._methods[channel] = self._new_method()
-                self._finders[channel] = StepFinder()
+        for name in CHANNELS:
+            if name in block and name not in self._channels:
+                self._channels[name] = _Channel(self._new_method())
         added: dict[str, ColumnArray] = {}
-        for channel in self._methods:
-            for column, part in zip(_columns(channel), self._estimate(channel, block), strict=True):
-                added[column.name] = part
+        for name, channel in self._channels.items():
+            for column, values in zip(_columns(name), self._estimate(name, channel, block), strict=True):
+                added[column.name] = values
         return added
 
-    def _estimate(self, channel: str, block: SampleBlock) -> Sequence[FloatArray]:
-        """Return temperature, rate and their standard deviations, (n,) each.
+    def _estimate(self, name: str, channel: _Channel, block: SampleBlock) -> FloatArray:
+        """Return temperature, rate and their standard deviations, (4, n).
 
         Rows before the first reading are kept from the method: there may have been no column for them, and
         what follows must not depend on that.
         """
-        reading = self._reading(channel, block)
+        reading = self._reading(name, block)
         valid = np.flatnonzero(np.isfinite(reading))
-        first = 0 if channel in self._last else int(valid[0]) if len(valid) else len(block)
+        first = 0 if math.isfinite(channel.last) else int(valid[0]) if len(valid) else len(block)
         if len(valid):
-            self._compare_step(channel, reading[valid])
-            self._last[channel] = float(reading[valid[-1]])
-        method = self._methods[channel]
-        result = method.process(block["device_time_ns"][first:], block["segment"][first:], reading[first:])
+            self._compare_step(name, channel, reading[valid])
+        method = channel.method
+        found = method.process(block["device_time_ns"][first:], block["segment"][first:], reading[first:])
         if isinstance(method, MultipleModelRate) and math.isfinite(method.stuck_degc):
             text = f"it leapt to {method.stuck_degc:g} °C, as no temperature does, and stuck there: "
-            self._notice(channel, "stuck", text + "taken for a fault of the thermometer until it changes")
+            self._notice(name, "stuck", text + "taken for a fault of the thermometer until it changes")
         estimates = np.full((4, len(block)), np.nan)
-        estimates[:, first:] = result.temperature, result.rate, result.temperature_sd, result.rate_sd
-        return [*estimates]
+        estimates[:, first:] = found.temperature, found.rate, found.temperature_sd, found.rate_sd
+        return estimates
 
-    def _reading(self, channel: str, block: SampleBlock) -> FloatArray:
+    def _reading(self, name: str, block: SampleBlock) -> FloatArray:
         """Return the readings, NaN where there is none or it is out of range."""
-        given = block[channel] if channel in block else np.full(len(block), np.nan)
+        given = block[name] if name in block else np.full(len(block), np.nan)
         low, high = self._parameters.lowest_degc, self._parameters.highest_degc
         with np.errstate(invalid="ignore"):
             inside = (given >= low) & (given <= high)
         if (outside := given[np.isfinite(given) & ~inside]).size:
             text = f"{outside[0]:g} °C is left out, as all beyond {low:g} to {high:g} (lowest_degc, "
-            self._notice(channel, "outside", text + "highest_degc): is its unit right?")
+            self._notice(name, "outside", text + "highest_degc): is its unit right?")
         return np.where(inside, given, np.nan)
 
-    def _compare_step(self, channel: str, reading: FloatArray) -> None:
+    def _compare_step(self, name: str, channel: _Channel, reading: FloatArray) -> None:
         """Compare the declared step with what the changes of valid readings show, until they show it."""
-        declared, finder = self._parameters.step_degc, self._finders[channel]
+        declared, finder = self._parameters.step_degc, channel.finder
+        before = channel.last if math.isfinite(channel.last) else reading[0]
+        channel.last = float(reading[-1])
         if declared is None or finder.changes >= 1000:
             return
-        changes = np.abs(np.diff(reading, prepend=self._last.get(channel, reading[0])))
+        changes = np.abs(np.diff(reading, prepend=before))
         for change in changes[changes > 0.0].tolist():
             finder.learn(change)
         if (found := finder.contradiction(declared)) is not None:
-            self._notice(channel, "step", f"step_degc contradicts the data: {found}")
+            self._notice(name, "step", f"step_degc contradicts the data: {found}")
 
-    def _notice(self, channel: str, what: str, text: str) -> None:
-        """Add a notice, once for each channel and kind."""
-        if (channel, what) not in self._noticed:
-            self._noticed.add((channel, what))
-            self._notices.append(f"{channel}: {text}")
+    def _notice(self, name: str, kind: str, text: str) -> None:
+        self._notices.setdefault((name, kind), f"{name}: {text}")
 
     def notices(self) -> list[str]:
         """Return, once each, what is wrong with the declared step and with the readings; for the log."""
-        notices, self._notices = self._notices, []
-        return notices
+        new = [*self._notices.values()][self._reported :]
+        self._reported += len(new)
+        return new
+
+
+@dataclass(slots=True)
+class _Channel:
+    """The method of a channel, the step that its readings show, and the last of them, °C."""
+
+    method: RateMethod
+    finder: StepFinder = field(default_factory=StepFinder)
+    last: float = math.nan
 
 
 def _columns(channel: str) -> list[Column]:

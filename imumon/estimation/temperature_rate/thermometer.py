@@ -17,7 +17,7 @@ EQUAL_DEGC = 1e-5
 MEMORY_SLOTS = 32
 """Length of running means.  Ablation: 16 and 64 change errors by at most 9 %."""
 REVERSALS = 3
-"""So often must a reading go back within `MOST_REPEAT_S` until its noise is known to reach over an edge."""
+"""So often must a reading go back until its noise is known to reach over an edge."""
 MOST_REPEAT_S = 60.0
 """Longest time that a reading is taken to be repeated, s."""
 NEIGHBOUR_S, LATE_INTERVALS = 10.0, 3.0
@@ -81,16 +81,17 @@ class StepFinder:
     size: float = UNKNOWN_STEP_DEGC
     """The step as far as it is known, °C: one that is declared holds until the first change."""
     multiples: int = 0
-    """Changes that were multiples of it, since it was first found."""
+    """Changes that were multiples of it."""
+    misses: int = 0
+    """Changes that were none, of up to 8 steps: farther multiples are met by chance."""
     changes: int = 0
-    """All changes since then."""
-    misfit: float = 0.0
-    """Running share of changes that are no multiples of it."""
+    """All changes since it was first found."""
 
     @property
     def confirmed_step(self) -> float | None:
         """The step in °C, None while fewer than 8 changes or too many that are no multiples show it."""
-        return self.size if self.multiples >= 8 and self.misfit < 0.2 and self.size >= 1e-4 else None
+        shown = self.multiples >= 8 and self.misses < 0.25 * self.multiples
+        return self.size if shown and self.size >= 1e-4 else None
 
     def learn(self, change: float) -> None:
         """Learn from the distance of two readings, °C."""
@@ -99,13 +100,12 @@ class StepFinder:
         self.changes += 1
         ratio = change / self.size
         if self.multiples == 0 or ratio < 0.75:
-            self.size, self.misfit, self.multiples, self.changes = change, 0.0, 1, 1
-        elif ratio <= 8.5:  # farther multiples are met by chance
-            whole = round(ratio)
-            fits = abs(ratio - whole) < 0.2  # 0.0625 written with two digits is off by a sixth
-            self.misfit += ((not fits) - self.misfit) / MEMORY_SLOTS
+            self.size, self.multiples, self.misses, self.changes = change, 1, 0, 1
+        elif ratio <= 8.5:
+            fits = abs(ratio - round(ratio)) < 0.2  # 0.0625 written with two digits is off by a sixth
             self.multiples += fits
-            if fits and whole == 1:
+            self.misses += not fits
+            if fits and ratio < 1.5:
                 self.size += (change - self.size) / min(self.multiples, 64)
 
     def contradiction(self, declared: float) -> str | None:
@@ -220,9 +220,8 @@ class Thermometer:
         self.means = (slot.mean,) if anew else (*self.means[-2:], slot.mean)
         self.fresh_s, self.spacing_s = slot.end_s, slot.spacing_s
         if slot.changes:
-            single = math.sqrt(slot.step_squares) if slot.changes == 1 else 0.0
-            for change in (single, abs(slot.first - slot.before), slot.highest - slot.lowest):
-                self.finder.learn(change)
+            self.finder.learn(abs(slot.first - slot.before))
+            self.finder.learn(slot.highest - slot.lowest)
         if len(self.means) == 3:
             bend = (self.means[0] - 2.0 * self.means[1] + self.means[2]) ** 2 / 6.0
             self.rho = averaged(self.rho, bend, self.slots - 2)
@@ -245,8 +244,7 @@ class Thermometer:
 
     def _learn_repeats(self, slot: Slot) -> None:
         change, single, silent_s = slot.last - slot.before, slot.changes <= 1, self._silent_s(slot)
-        back = change * self.change < 0.0 and silent_s < MOST_REPEAT_S
-        self.reversals += slot.changes > 1 or back
+        self.reversals += slot.changes > 1 or change * self.change < 0.0
         self.leapt |= self.leaps(slot)
         gap_s = silent_s if single else SLOT_S / slot.changes
         if math.isfinite(gap_s):
