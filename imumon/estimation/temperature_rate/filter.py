@@ -63,7 +63,7 @@ def start(models: Models, thermometer: Thermometer, slot: Slot) -> Filters:
     k, m = models.noise.shape[1], len(models.jerk_psds)
     x, p = np.zeros((STATES, k, m)), np.zeros((STATES, STATES, k, m))
     x[TEMPERATURE] = slot.mean
-    p[TEMPERATURE, TEMPERATURE] = thermometer.variance + slot.variance
+    p[TEMPERATURE, TEMPERATURE] = thermometer.step**2 + thermometer.rho + slot.variance
     p[RATE, RATE] = FASTEST_RATE**2
     p[ACCELERATION, ACCELERATION] = np.minimum(START_ACCELERATION**2, np.array(models.jerk_psds) * LONG_S)
     p[ERROR, ERROR] = slow_error(models, thermometer)[0]

@@ -244,7 +244,8 @@ class Thermometer:
 
     def _learn_repeats(self, slot: Slot) -> None:
         change, single, silent_s = slot.last - slot.before, slot.changes <= 1, self._silent_s(slot)
-        self.reversals += slot.changes > 1 or change * self.change < 0.0
+        one_way = (slot.highest - slot.lowest) / self.step
+        self.reversals += slot.changes > one_way + 0.5 or change * self.change < 0.0
         self.leapt |= self.leaps(slot)
         gap_s = silent_s if single else SLOT_S / slot.changes
         if math.isfinite(gap_s):

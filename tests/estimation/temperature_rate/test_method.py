@@ -157,6 +157,27 @@ def test_spikes_are_passed_over() -> None:
     assert np.abs(error).max() * PER_HOUR < 1.0
 
 
+def test_a_spike_at_the_end_of_a_silent_slot_restarts_nothing() -> None:
+    temperature = steady(2.0, 0.4)
+    reading = quantized(temperature, 0.0, step=0.0625)
+    changes = np.flatnonzero(np.diff(reading))
+    spike = (changes[changes < 12000][-1] + 700) // 10 * 10 + 9
+    assert np.ptp(reading[spike - 650 : spike]) == 0.0
+    reading[spike] += 20.0
+    result = run(reading)
+    assert np.abs(result.temperature - temperature)[spike:].max() < 0.1
+
+
+@pytest.mark.parametrize(("step", "most"), [(0.01, 1.3), (0.0625, 1.2)])
+def test_equal_readings_two_codes_from_the_last_are_one_code(step: float, most: float) -> None:
+    t = np.arange(0.0, 400.0, 0.5)
+    temperature = 25.013 + 2.0 * step * np.maximum(t - 100.0, 0.0)
+    reading = np.repeat(step * np.round(temperature[::2] / step), 2)
+    result = run_at(reading, 2.0)
+    z = ((result.temperature - temperature) / result.temperature_sd)[t > 130.0]
+    assert np.sqrt(np.mean(z**2)) < most
+
+
 def test_a_jump_that_lasts_is_followed_with_a_wide_band() -> None:
     temperature, rate = self_heating(0.75)
     reading = quantized(temperature, 0.0)
