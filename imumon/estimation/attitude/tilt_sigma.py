@@ -184,10 +184,15 @@ class TiltSigma:
     def _in_motion(self, slot: Slot, change: float) -> float:
         """Return max(m, d/2, l), rad²."""
         self.mean += SLOT_S / (3.0 * LAG_S) * (0.25 * change - self.mean)
-        self.late = math.exp(-SLOT_S / TAU_ACC_S) * self.late + slot.sensitivity
+        delay = self._delay(slot)
         if not self.rested and SLOT_S * len(self.sensitivities) < LAG_S:
             return math.nan  # begun in motion: there is no earlier vertical to compare with
-        return max(self.mean, 0.5 * change, 0.5 * self.gyros.error(tilt_squared(self.late, slot.up)))
+        return max(self.mean, 0.5 * change, delay)
+
+    def _delay(self, slot: Slot) -> float:
+        """Return l, rad²."""
+        self.late = math.exp(-SLOT_S / TAU_ACC_S) * self.late + slot.sensitivity
+        return 0.5 * self.gyros.error(tilt_squared(self.late, slot.up))
 
 
 def tilt_squared(sensitivity: FloatArray, up: FloatArray) -> FloatArray:
