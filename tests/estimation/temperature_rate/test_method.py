@@ -309,18 +309,13 @@ def run_at(reading: FloatArray, rate_hz: float) -> RateEstimate:
     return MultipleModelRate().process(time_ns, segment, reading)
 
 
-def dithered(temperature: FloatArray, noise: float, step: float = 1.0) -> FloatArray:
-    noisy = temperature + noise * np.random.default_rng(7).standard_normal(len(temperature))
-    return np.asarray(step * np.round(noisy / step), np.float64)
-
-
 @pytest.mark.parametrize(("noise", "offset"), [(0.17, 0.03), (0.25, 0.0), (0.25, 0.03), (0.4, 0.0)])
 def test_the_ripple_of_a_dithered_quantizer_is_no_temperature(noise: float, offset: float) -> None:
     """A slow drift through the levels, of any phase: the mean of the readings alone is off by 0.05 step."""
     rate_hz, rate, step = 400.0, 5.0, 0.0625
     t = np.arange(int(900 * rate_hz)) / rate_hz
     temperature = 25.0 + rate / PER_HOUR * t
-    result = run_at(dithered(temperature, noise * step, step) + offset, rate_hz)
+    result = run_at(quantized(temperature, noise * step, 7, step) + offset, rate_hz)
     late = t > 600.0
     assert np.abs(result.temperature - temperature - offset)[late].max() < 0.04 * step
     assert np.abs(result.rate * PER_HOUR - rate)[late].max() < 0.5
@@ -334,7 +329,7 @@ def test_a_thermostat_that_switches_again_and_again_is_expected_to_switch() -> N
     swing = np.where(phase < 0.3, phase / 0.3, (1.0 - phase) / 0.7)
     keep = np.exp(-1.0 / (40.0 * rate_hz))
     temperature = 25.0 + lfilter([1.0 - keep], [1.0, -keep], swing)
-    result = run_at(dithered(temperature, 0.1 * step, step), rate_hz)
+    result = run_at(quantized(temperature, 0.1 * step, 7, step), rate_hz)
     z = ((result.rate - np.gradient(temperature, t)) / result.rate_sd)[t > 1800.0]
     assert np.sqrt(np.mean(z**2)) < 1.2
     assert np.abs(z).max() < 20.0

@@ -68,7 +68,7 @@ def test_a_ramp_from_refresh_to_refresh_is_no_noise_that_a_soak_would_have_stopp
     time_ns, segment = clock(len(t), RATE_HZ)
     result = MultipleModelRate().process(time_ns, segment, repeated(temperature, 5.0, 0.1, 11))
     soaked = t > 1600.0
-    assert np.abs(result.temperature - temperature)[soaked].max() < 1.5 * STEP
+    assert np.abs(result.temperature - temperature)[soaked].max() < 2.0 * STEP
 
 
 @pytest.mark.parametrize("seed", range(3))
