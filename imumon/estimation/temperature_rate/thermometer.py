@@ -17,7 +17,7 @@ EQUAL_DEGC = 1e-5
 MEMORY_SLOTS = 32
 """Length of running means.  Ablation: 16 and 64 change errors by at most 9 %."""
 REVERSALS = 3
-"""So often must a reading go back until its noise is known to reach over an edge."""
+"""So often must a reading go back within `MOST_REPEAT_S` until its noise is known to reach over an edge."""
 MOST_REPEAT_S = 60.0
 """Longest time that a reading is taken to be repeated, s."""
 NEIGHBOUR_S, LATE_INTERVALS = 10.0, 3.0
@@ -245,7 +245,8 @@ class Thermometer:
     def _learn_repeats(self, slot: Slot) -> None:
         change, single, silent_s = slot.last - slot.before, slot.changes <= 1, self._silent_s(slot)
         one_way = (slot.highest - slot.lowest) / self.step
-        self.reversals += slot.changes > one_way + 0.5 or change * self.change < 0.0
+        back = change * self.change < 0.0 and silent_s < MOST_REPEAT_S
+        self.reversals += slot.changes > one_way + 0.5 or back
         self.leapt |= self.leaps(slot)
         gap_s = silent_s if single else SLOT_S / slot.changes
         if math.isfinite(gap_s):
