@@ -137,7 +137,15 @@ def _many_codes(codes: Codes, white: FloatArray) -> Correction:
     for _ in range(4):  # solve for x
         place = offset + np.minimum(ripple, 0.4) / math.pi * np.sin(2.0 * math.pi * place)
     noise = np.maximum(sigma**2, slot.variance) / n + (ripple * step / math.pi) ** 2 / 8.0
-    return _gaussian(mean, variance, slot.low + step * place, noise, step / n)
+    found = _gaussian(mean, variance, slot.low + step * place, noise, step / n)
+    return found._replace(log_likelihood=found.log_likelihood + _scatter(codes))
+
+
+def _scatter(codes: Codes) -> FloatArray:
+    """Return the log likelihood of a variance of the readings that is more than noise and rounding: χ² of n."""
+    excess = np.maximum(codes.slot.variance / (codes.sigma**2 + codes.step**2 / 12.0), 1.0)
+    # In the mean it is zero: half the time it is -χ²/2, -1/4.
+    return np.asarray(0.25 - 0.5 * codes.n * (excess - 1.0 - np.log(excess)))
 
 
 def _two_codes(codes: Codes) -> Correction:
