@@ -52,7 +52,7 @@ def _as_in_motion(tilt: tilt_sigma.TiltSigma, slot: tilt_sigma.Slot) -> float:
 
 
 VARIANTS: dict[str, list[Change]] = {
-    "lag 3 s": [(tilt_sigma, "LAG_S", 3.0)],
+    "lag 3 s, which confirms no gyro": [(tilt_sigma, "LAG_S", 3.0)],
     "lag 12 s": [(tilt_sigma, "LAG_S", 12.0)],
     "scale not learned": [(tilt_sigma.Gyros, "variance", property(_prior))],
     "learned scale at most s0": [(tilt_sigma.Gyros, "variance", property(_bounded))],

@@ -142,7 +142,7 @@ def _many_codes(codes: Codes, white: FloatArray) -> Correction:
 
 
 def _scatter(codes: Codes) -> FloatArray:
-    """Return the log likelihood of a variance of the readings that is more than noise and rounding: χ² of n."""
+    """Return the log likelihood of readings that scatter more than noise and rounding: χ² of n."""
     excess = np.maximum(codes.slot.variance / (codes.sigma**2 + codes.step**2 / 12.0), 1.0)
     # In the mean it is zero: half the time it is -χ²/2, -1/4.
     return np.asarray(0.25 - 0.5 * codes.n * (excess - 1.0 - np.log(excess)))
