@@ -138,12 +138,19 @@ def _many_codes(codes: Codes, white: FloatArray) -> Correction:
         place = offset + np.minimum(ripple, 0.4) / math.pi * np.sin(2.0 * math.pi * place)
     noise = np.maximum(sigma**2, slot.variance) / n + (ripple * step / math.pi) ** 2 / 8.0
     found = _gaussian(mean, variance, slot.low + step * place, noise, step / n)
-    return found._replace(log_likelihood=found.log_likelihood + _scatter(codes))
+    return found._replace(log_likelihood=found.log_likelihood + _scatter(codes, white, place))
 
 
-def _scatter(codes: Codes) -> FloatArray:
-    """Return the log likelihood of readings that scatter more than noise and rounding: χ² of n."""
-    excess = np.maximum(codes.slot.variance / (codes.sigma**2 + codes.step**2 / 12.0), 1.0)
+def _scatter(codes: Codes, white: FloatArray, place: FloatArray) -> FloatArray:
+    """Return the log likelihood of readings that scatter more than noise and rounding: χ² of n.
+
+    Rounded readings have the variance s² + d²/12 and its first harmonic in the place, both in steps.
+    """
+    ripple = np.exp(-2.0 * np.pi**2 * white)
+    cosine, sine = ripple * np.cos(2.0 * math.pi * place), ripple * np.sin(2.0 * math.pi * place)
+    harmonic = -cosine * (1.0 / math.pi**2 + 4.0 * white) - (sine / math.pi) ** 2
+    rounded = codes.sigma**2 + codes.step**2 * np.maximum(1.0 / 12.0 + harmonic, 0.0)
+    excess = np.maximum(codes.slot.variance / rounded, 1.0)
     # In the mean it is zero: half the time it is -χ²/2, -1/4.
     return np.asarray(0.25 - 0.5 * codes.n * (excess - 1.0 - np.log(excess)))
 
