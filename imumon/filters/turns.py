@@ -37,8 +37,6 @@ SMALL = 1e-2
 """rad: of rotation vectors up to this the term of third order is below 1e-5 of the next angle."""
 HALF_CIRCLE = 3.0
 """rad: near half a circle a matrix does not tell which way round."""
-SERIES = 1e-2
-"""Square of an angle, rad², below which four terms of sine and cosine are exact to 1e-10."""
 
 
 @dataclass(slots=True, eq=False)
@@ -59,8 +57,6 @@ class Turn:
     """The same of motion that is nearly too fast for the samples, rad, in any direction."""
     missed: float = 0.0
     """Variance by samples that are missing, rad²."""
-    seconds: float = 0.0
-    """Time of all samples, each since the one before; without pauses."""
     path: float = 0.0
     """Sum of the angles of the parts that it is made of, rad."""
 
@@ -70,7 +66,7 @@ class Turn:
         rotation = rotation_by(-angle) @ self.rotation
         return Turn(
             rotation, self.by_bias, self.by_scale - self.by_bias[:, :, np.newaxis] * bias, self.coning,
-            self.fast, self.missed, self.seconds, angle_of(rotation),
+            self.fast, self.missed, angle_of(rotation),
         )  # fmt: skip
 
     def then(self, other: Turn) -> Turn:
@@ -83,7 +79,6 @@ class Turn:
             self.coning + c @ other.coning,
             self.fast + other.fast,
             self.missed + other.missed,
-            self.seconds + other.seconds,
             self.path + other.path,
         )
 
@@ -103,7 +98,10 @@ STILL = Turn()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turns:
-    """The turns of m slots, each since the last sample before: fields of `Turn`, (m, ...)."""
+    """The turns of m slots, each since the last sample before: fields of `Turn`, (m, ...).
+
+    `seconds` is the time of all samples, each since the one before, without pauses.
+    """
 
     rotation: FloatArray
     by_bias: FloatArray
@@ -118,7 +116,7 @@ class Turns:
         rotation = self.rotation[k]
         return Turn(
             rotation, self.by_bias[k], self.by_scale[k], self.coning[k], float(self.fast[k]),
-            float(self.missed[k]), float(self.seconds[k]), angle_of(rotation),
+            float(self.missed[k]), angle_of(rotation),
         )  # fmt: skip
 
 
@@ -295,14 +293,9 @@ def _turn_on(turn: Any, a: float, b: float, c: float, dt: float) -> None:
 def _settle(turn: Any) -> None:
     """Turn by the small rotation vector, and begin it anew."""
     x, y, z = turn.phi[0], turn.phi[1], turn.phi[2]
-    square = x * x + y * y + z * z
-    if square < SERIES:
-        first = 1.0 - square / 6.0 * (1.0 - square / 20.0)
-        second = 0.5 - square / 24.0 * (1.0 - square / 30.0)
-    else:
-        angle = math.sqrt(square)
-        first = math.sin(angle) / angle
-        second = (1.0 - math.cos(angle)) / square
+    angle = math.sqrt(x * x + y * y + z * z)
+    first = math.sin(angle) / angle if angle > 0.0 else 1.0
+    second = 2.0 * (math.sin(0.5 * angle) / angle) ** 2 if angle > 0.0 else 0.5
     for k in range(3):
         # A row of C exp([phi x]), s + first s x phi + second (s x phi) x phi.
         s, t, m = turn.rotation[k, 0], turn.rotation[k, 1], turn.rotation[k, 2]

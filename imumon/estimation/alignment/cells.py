@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray
-from imumon.estimation.alignment.record import Levelled
+from imumon.estimation.alignment.record import HorizontalRows
 
 CELLS = (96, 24, 6)
 """Candidate numbers of windows in a record; ablation: 48 alone makes 2.4 times the error."""
@@ -36,7 +36,7 @@ class Cells(NamedTuple):
     """A division of a record of n rows into J cells.
 
     `windows` (J, n) are the weights of the rows, `used` (J,) the cells of valid rows without a knock, and
-    `rate` (J,) their level rates, rad/s, with the variance of each part; `vertical` is the mean of the
+    `rate` (J,) their horizontal rates, rad/s, with the variance of each part; `vertical` is the mean of the
     vertical gyro, and `white` the white noise of the quietest axis, (rad/s)²/Hz.
     """
 
@@ -88,7 +88,7 @@ def scatter(values: ColumnArray, used: BoolArray, order: int) -> tuple[float, Bo
     return max(float(square[used].sum()), MIN_VARIANCE) / max(freedom - 2.0, 1.0), used, freedom
 
 
-def rotates_slowly(data: Levelled) -> bool:
+def rotates_slowly(data: HorizontalRows) -> bool:
     """Return whether the vertical gyro varies by more than its noise: a slow rotation about the vertical."""
     if len(data.valid) < 2 * (CREEP_CELLS + 1):
         return False
@@ -98,7 +98,7 @@ def rotates_slowly(data: Levelled) -> bool:
     return len(means) > MIN_CELLS and bool(np.var(means) > CREEP_RATIO * white)
 
 
-def divide(data: Levelled, rate: ColumnArray, creeps: bool) -> Cells | None:
+def divide(data: HorizontalRows, rate: ColumnArray, creeps: bool) -> Cells | None:
     """Return the division into cells with the smallest variance of the mean; None if the record is too short.
 
     Longer cells suppress more sway but estimate the noise from fewer degrees of freedom, so they must be

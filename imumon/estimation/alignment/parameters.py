@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import Field, field_validator
 
+from imumon.blocks import FloatArray
 from imumon.config import StrictModel
 from imumon.effects.warm_up import WarmUp
 from imumon.geodesy import MICRO_G
@@ -33,6 +35,17 @@ class KnownWarmUp(StrictModel):
     time_constant_s: Annotated[list[_Seconds], Field(min_length=3, max_length=3)]
     amplitude_sd_ug: float | None = Field(default=None, gt=0.0, le=1e5)
     time_constant_sd_s: float = Field(default=0.0, ge=0.0, le=1e5)
+
+    def bias_g(self, time_s: FloatArray) -> FloatArray:
+        """Return the bias at times since the first sample, s, (n,), in body axes, g, (n, 3)."""
+        course = -np.expm1(-time_s[:, None] / np.array(self.time_constant_s))
+        return np.asarray(1e-6 * course * np.array(self.amplitude_ug))
+
+    @property
+    def time_constants_s(self) -> tuple[float, ...]:
+        """Different time constants of the axes that warm up, s."""
+        pairs = zip(self.time_constant_s, self.amplitude_ug, strict=True)
+        return tuple(sorted({tau_s for tau_s, amplitude in pairs if amplitude}))
 
     @property
     def amplitude_sd_g(self) -> float | None:

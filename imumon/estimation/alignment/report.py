@@ -12,8 +12,6 @@ ANY_ANGLE_SD = math.pi / math.sqrt(3.0)
 """Standard deviation of an angle that is uniform on the circle, rad."""
 HOPELESS_S = 120.0
 """Time at rest after which a bias that hides the north is reported as such."""
-START_S = 10.0
-"""Time at the start that is not reported as a disturbance: the rest detector takes some seconds."""
 LEAST_S, LONGEST_S = 20.0, 300.0
 """Shortest and longest time in one of several positions."""
 TILT_PROBABILITY = 0.5
@@ -55,13 +53,13 @@ class Status:
     fit, which is the heading shown, and plain and Hann-weighted mean of the gyros; empty before the first
     fit.
 
-    `rest_s`, `disturbed_s` and `elapsed_s` are the time at rest, in motion, and since the first sample;
-    `settled_s` is the time from the first sample until the heading settled, None if it is not settled, and
-    `remaining_s` the predicted time until then, None if unknown or never.
+    `rest_s` and `elapsed_s` are the time at rest and since the first sample; `settled_s` is the time from the
+    first sample until the heading settled, None if it is not settled, and `remaining_s` the predicted time
+    until then, None if unknown or never; `wanted_sd` is the sigma wanted.
 
     `magnetic` is the heading from magnetic north, `device_yaw` the last yaw that the device reported, in its
-    own convention.  `arw` is the angular random walk of the quietest gyro, rad/√s, `level_bias_sd` the
-    standard deviation of the gyros' bias in the level axes, and `accel_bias_sd` that of the accelerometers'
+    own convention.  `arw` is the angular random walk of the quietest gyro, rad/√s, `horizontal_bias_sd` the
+    standard deviation of the gyros' bias in horizontal axes, and `accel_bias_sd` that of the accelerometers'
     bias, g; `tilt_probability` is that of a tilt of the unit rather than a drift of an accelerometer.
 
     `positions` counts the positions, the present one included; `position_s` is the time at rest in it, and
@@ -70,25 +68,22 @@ class Status:
     """
 
     phase: str
-    observable: bool
     estimates: Mapping[str, Estimate]
     settled_s: float | None
     remaining_s: float | None
+    wanted_sd: float
     magnetic: float
     device_yaw: float
     rest_s: float
-    disturbed_s: float
     elapsed_s: float
     roll: float
     pitch: float
     arw: float
-    level_bias_sd: float
+    horizontal_bias_sd: float
     accel_bias_sd: float
     bias_declared: bool
     tilt_probability: float
-    disturbances: int
     restarts: int
-    wanted_sd: float
     horizontal_earth_rate: float
     positions: int
     position_s: float
@@ -99,6 +94,11 @@ class Status:
     def shown(self) -> Estimate | None:
         """The heading shown, that of the joint fit; None before the first fit."""
         return self.estimates.get("joint")
+
+    @property
+    def observable(self) -> bool:
+        """Whether there is a heading that is known well enough to be shown."""
+        return self.shown is not None and math.isfinite(self.shown.heading)
 
     @property
     def hopeless(self) -> bool:
@@ -149,17 +149,15 @@ def rows(status: Status) -> dict[str, str]:
     if math.isfinite(status.arw):
         texts["gyro"] = (
             f"noise {_short(math.degrees(status.arw) * 60.0)} °/√h, "
-            f"σ of a horizontal bias {_short(status.level_bias_sd / DEG_PER_H)} °/h"
+            f"σ of a horizontal bias {_short(status.horizontal_bias_sd / DEG_PER_H)} °/h"
         )
     if status.shown is not None and status.observable and status.positions == 1:
         texts |= _conditions_of_one_position(status, status.shown)
     texts["data"] = f"{min(status.rest_s, status.elapsed_s):.0f} of {status.elapsed_s:.0f} s counted"
     if status.positions > 1:
         texts["positions"] = f"{status.positions}, the last turned by {math.degrees(status.turned):.1f}°"
-    if status.disturbances or status.disturbed_s > START_S:
-        texts["disturbed"] = (
-            f"{status.disturbed_s:.1f} s; {status.disturbances} times, {status.restarts} times it began anew"
-        )
+    if status.restarts:
+        texts["began anew"] = f"{status.restarts} times"
     if status.tilt_probability > TILT_PROBABILITY:
         texts["level"] = (
             f"the unit is tilting (probability {status.tilt_probability:.2f}); its sigma allows for that"
@@ -230,14 +228,14 @@ class Guide:
         before, angle = self.instruction, 360.0 / self.positions
         at, last = status.positions, status.positions >= self.positions
         too_long = status.position_s >= LONGEST_S
-        held = too_long or (status.position_s >= LEAST_S and status.position_sd <= status.wanted_sd)
+        enough = too_long or (status.position_s >= LEAST_S and status.position_sd <= status.wanted_sd)
         if status.phase == "disturbed":
             if self._turn_from >= at and not last:  # shown on the status line only
                 self.instruction = before = (
                     f"turned by {math.degrees(status.turned):.0f}° so far; "
                     f"stop at about {angle:.0f}° and let it rest"
                 )
-        elif held and not last:
+        elif enough and not last:
             self.instruction = f"turn the unit now by about {angle:.0f}° about the vertical"
             self._turn_from = at
         elif last and (ended or too_long):

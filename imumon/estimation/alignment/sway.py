@@ -26,17 +26,17 @@ all frequencies, too."""
 class Sway:
     """Fitted lines of a record of n rows.
 
-    `columns` (n, 4 l) are the basis functions of each line times its amplitude, rad/s; `rate` and `level`
-    (n,) the sway of gyros and accelerometers, rad/s and rad, complex as in `record.Levelled`.
+    `columns` (n, 4 l) are the basis functions of each line times its amplitude, rad/s; `rate` and `alpha`
+    (n,) the sway of gyros and accelerometers, rad/s and rad, complex as in `record.HorizontalRows`.
     """
 
     columns: FloatArray
     rate: ColumnArray
-    level: ColumnArray
+    alpha: ColumnArray
 
 
-def find_sway(rate: ColumnArray, level: ColumnArray, valid: BoolArray, slow: FloatArray) -> Sway:
-    """Return the sway of level rates and level, (n,), beside slow functions of time, (n, m)."""
+def find_sway(rate: ColumnArray, alpha: ColumnArray, valid: BoolArray, slow: FloatArray) -> Sway:
+    """Return the sway of horizontal rates and of α, (n,), beside slow functions of time, (n, m)."""
     n = len(rate)
     slow = slow / np.sqrt(np.sum(slow**2, axis=0)) * valid[:, None]
     inverse = np.linalg.inv(slow.T @ slow + 1e-9 * np.eye(slow.shape[1]))
@@ -46,7 +46,7 @@ def find_sway(rate: ColumnArray, level: ColumnArray, valid: BoolArray, slow: Flo
         values = values * valid[:, None]
         return np.asarray(values - slow @ (inverse @ (slow.T @ values)))
 
-    data, taper = beside(np.column_stack([rate, level])), np.hanning(n + 2)[1:-1]
+    data, taper = beside(np.column_stack([rate, alpha])), np.hanning(n + 2)[1:-1]
     left, sways = data[:, 0], np.zeros((n, 2), complex)
     columns, size = np.zeros((n, 0)), np.zeros(0)
     for _ in range(min(MAX_LINES, n // ROWS_PER_LINE)):
