@@ -73,19 +73,18 @@ def trend(n: int, order: int) -> FloatArray:
     return np.asarray(np.polynomial.chebyshev.chebvander((np.arange(n) + 0.5) / n * 2.0 - 1.0, order - 1))
 
 
-def scatter(values: ColumnArray, used: BoolArray, order: int) -> tuple[float, BoolArray, float]:
-    """Return the variance of cells about a trend, those used without knocks, and the degrees of freedom.
+def scatter(values: ColumnArray, used: BoolArray, order: int) -> tuple[float, BoolArray]:
+    """Return the variance of cells about a trend, and those used without knocks.
 
     `values` (cells,) are real, or complex with the same variance in both parts.
     """
     order = max(1, min(order, len(values) // 4))
     basis, square = trend(len(values), order), np.zeros(len(values))
-    for _ in range(3):
-        left = values - basis @ np.linalg.lstsq(basis[used], values[used], rcond=None)[0]
-        square = np.abs(left) ** 2
+    for _ in range(3):  # a knock hides smaller ones
+        square = np.abs(values - basis @ np.linalg.lstsq(basis[used], values[used], rcond=None)[0]) ** 2
         used = used & (square <= KNOCK**2 * np.median(square[used]) + MIN_VARIANCE)
     freedom = (2 if np.iscomplexobj(values) else 1) * max(int(used.sum()) - order, 0.5)
-    return max(float(square[used].sum()), MIN_VARIANCE) / max(freedom - 2.0, 1.0), used, freedom
+    return max(float(square[used].sum()), MIN_VARIANCE) / freedom, used
 
 
 def rotates_slowly(data: HorizontalRows) -> bool:
@@ -101,8 +100,8 @@ def rotates_slowly(data: HorizontalRows) -> bool:
 def divide(data: HorizontalRows, rate: ColumnArray, creeps: bool) -> Cells | None:
     """Return the division into cells with the smallest variance of the mean; None if the record is too short.
 
-    Longer cells suppress more sway but estimate the noise from fewer degrees of freedom, so they must be
-    better by the standard deviation of that estimate.
+    Longer cells suppress more sway, but estimate the noise from fewer degrees of freedom: they must be better
+    by the standard deviation of that estimate.
     """
     best, smallest, n = None, math.inf, len(rate)
     for count in CELLS:
@@ -113,12 +112,10 @@ def divide(data: HorizontalRows, rate: ColumnArray, creeps: bool) -> Cells | Non
         if used.sum() < MIN_CELLS:
             continue
         cells, vertical = windows @ rate, windows @ data.vertical
-        up_variance, up_used, _ = scatter(vertical, used, 1)
-        variance, used, freedom = scatter(cells, used, TREND_ORDER)
-        if not creeps:
-            variance = max(variance, 0.5 * up_variance)
+        up_variance, up_used = scatter(vertical, used, 1)
+        variance, used = scatter(cells, used, TREND_ORDER)
         of_mean = (1.0 + 2.0 * OVERLAP) / float(used.sum())
-        if variance * of_mean * (1.0 + math.sqrt(2.0 / max(freedom, 1.0))) < smallest:
+        if variance * of_mean * (1.0 + math.sqrt(1.0 / float(used.sum()))) < smallest:
             smallest = variance * of_mean
             best = Cells(
                 windows=windows,

@@ -23,7 +23,7 @@ from imumon.blocks import BoolArray, ColumnArray, FloatArray
 from imumon.estimation.alignment.cells import TREND_ORDER, Cells, divide, rotates_slowly, scatter, trend
 from imumon.estimation.alignment.information import Information, information
 from imumon.estimation.alignment.record import HorizontalRows
-from imumon.estimation.alignment.sway import find_sway
+from imumon.estimation.alignment.sway import without_sway
 
 SETTLING_TAU_S = np.geomspace(5.0, 640.0, 8)
 """Time constants of a tripod that settles, in octaves."""
@@ -35,7 +35,7 @@ makes up to 8 times the error."""
 WARM_UP_TAU_S = (100.0, 300.0, 1000.0)
 """Time constants of a warm-up of the accelerometers that is not declared."""
 OFFSET_SD = 1e-3
-"""Standard deviation of the constant part of α, and of its step in a knock, rad."""
+"""Standard deviation of the constant part of α, rad."""
 LIKELY = -15.0
 """Log weight relative to the largest below which a hypothesis is dropped."""
 LARGEST_BIAS = 1e-3
@@ -120,16 +120,17 @@ def fit_position(data: HorizontalRows, earth_vertical: float, drifts: Sequence[D
 
     courses = -np.expm1(-data.row_s * np.arange(n + 1.0)[:, None] / SETTLING_TAU_S)
     slopes, middles = np.diff(courses, axis=0) / data.row_s, 0.5 * (courses[1:] + courses[:-1])
-    sways = find_sway(rate, alpha, data.valid, np.column_stack([trend(n, TREND_ORDER), slopes]))
-    cells = divide(data, rate - sways.rate, creeps)
+    slow = np.column_stack([trend(n, TREND_ORDER), slopes])
+    (rate, alpha), sways = without_sway(rate, alpha, data.valid, slow)
+    cells = divide(data, rate, creeps)
     if cells is None:
         return None
 
     turning_bias = LARGEST_BIAS * (back.imag - back.imag.mean())
-    by_gyros = _by_gyros(cells, slopes, np.column_stack([sways.columns, turning_bias]))
+    by_gyros = _by_gyros(cells, slopes, np.column_stack([sways, turning_bias]))
     parts = []
     for drift in drifts:
-        by_tilt, log_density = _by_accelerometers(cells, alpha - sways.alpha, data.row_s, middles, drift)
+        by_tilt, log_density = _by_accelerometers(cells, alpha, data.row_s, middles, drift)
         parts.append(_rate_of_each_tilt(by_gyros.plus(by_tilt), log_density + math.log(drift.probability)))
     log_weight, mean, variance = (np.concatenate(part) for part in zip(*parts, strict=True))
     log_weight -= log_weight.max()
@@ -173,13 +174,11 @@ def _by_accelerometers(
     """
     used, means = cells.used, cells.windows @ alpha
     time_s = row_s * alpha.size / (len(used) + 1) * np.arange(1.0, len(used) + 1)
-    knocks_s, at_s = time_s[~used & np.r_[True, used[:-1]]], time_s[used]
-    noise, _, _ = scatter(means, used, TREND_ORDER)
+    at_s = time_s[used]
+    noise, _ = scatter(means, used, TREND_ORDER)
     warm_up = -drift.warm_up_sd * np.expm1(-at_s[:, None] / np.array(drift.warm_up_tau_s))
     covariance = noise * cells.correlation + OFFSET_SD**2 + 1e-14 * np.eye(len(at_s))
     covariance += warm_up @ warm_up.T + drift.walk**2 * np.minimum.outer(at_s, at_s)
-    for knock_s in knocks_s:  # the offset is unknown anew behind it
-        covariance += OFFSET_SD**2 * np.outer(at_s > knock_s, at_s > knock_s)
     data = _real_parts(means[used] - means[used].mean())
     square = float(np.sum(data * np.linalg.solve(covariance, data)))
     log_density = -0.5 * square - float(np.linalg.slogdet(covariance)[1])

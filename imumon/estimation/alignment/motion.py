@@ -126,7 +126,7 @@ class Motion:
 
     @property
     def _noise(self) -> float:
-        """Standard deviation of the angle of the turn, rad: by noise of the slots, and of the rate at rest."""
+        """Standard deviation of the angle of the turn by noise of the slots and of the rate at rest, rad."""
         if len(self.recent) < 2:
             return SAME_ATTITUDE
         spread = float(np.std(np.array(self.recent), axis=0).max()) * self.pending[-1].length_s
