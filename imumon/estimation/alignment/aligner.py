@@ -127,8 +127,8 @@ class Aligner:
         self.state = State()
         self.earlier_headings: list[PositionHeading] = []
         """Headings of the positions before the last restart."""
-        self.run = self.restarts = 0
-        """Numbers of segments of the device, and of restarts."""
+        self.run = 0
+        """Number of segments of the device."""
         self.elapsed_s = 0.0
         """Time from the first sample of the segment to the end of the last slot."""
         self.events: list[str] = []
@@ -145,7 +145,6 @@ class Aligner:
         if self.state.positions:
             self.earlier_headings = self.finish()
             self.events.append(f"alignment: {why}: the alignment starts anew")
-            self.restarts += 1
         self.state = State()
 
     def step(self, slot: Slot, magnetic: FloatArray, at_rest: bool, turn: Turn) -> None:

@@ -23,8 +23,7 @@ import numpy as np
 from scipy.special import i0e, i1e
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.alignment.hypotheses import PositionFit
-from imumon.estimation.alignment.information import Information
+from imumon.estimation.alignment.hypotheses import Information, PositionFit
 from imumon.estimation.alignment.report import ANY_ANGLE_SD
 from imumon.estimation.alignment.sensor_errors import SensorErrors
 from imumon.geodesy import EARTH_RATE

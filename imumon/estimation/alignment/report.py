@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from imumon.geodesy import DEG_PER_H, EARTH_RATE
+from imumon.geodesy import DEG_PER_H
 
 ANY_ANGLE_SD = math.pi / math.sqrt(3.0)
 """Standard deviation of an angle that is uniform on the circle, rad."""
@@ -14,8 +14,6 @@ HOPELESS_S = 120.0
 """Time at rest after which a bias that hides the north is reported as such."""
 LEAST_S, LONGEST_S = 20.0, 300.0
 """Shortest and longest time in one of several positions."""
-TILT_PROBABILITY = 0.5
-"""Probability of a tilt above which it is reported."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,16 +49,15 @@ class Status:
 
     `phase` is waiting, coarse, aligning, settled, not observable or disturbed.  `estimates` are the joint
     fit, which is the heading shown, and plain and Hann-weighted mean of the gyros; empty before the first
-    fit.
+    fit.  `substitute` is name and angle of what is shown where the heading is not observable.
 
     `rest_s` and `elapsed_s` are the time at rest and since the first sample; `settled_s` is the time from the
     first sample until the heading settled, None if it is not settled, and `remaining_s` the predicted time
     until then, None if unknown or never; `wanted_sd` is the sigma wanted.
 
-    `magnetic` is the heading from magnetic north, `device_yaw` the last yaw that the device reported, in its
-    own convention.  `arw` is the angular random walk of the quietest gyro, rad/√s, `horizontal_bias_sd` the
-    standard deviation of the gyros' bias in horizontal axes, and `accel_bias_sd` that of the accelerometers'
-    bias, g; `tilt_probability` is that of a tilt of the unit rather than a drift of an accelerometer.
+    `arw` is the angular random walk of the quietest gyro, rad/√s, `horizontal_bias_sd` the standard deviation
+    of the gyros' bias in horizontal axes; `tilt_probability` is that of a tilt of the unit rather than a
+    drift of an accelerometer.
 
     `positions` counts the positions, the present one included; `position_s` is the time at rest in it, and
     `position_sd` that of the heading by its white noise alone.  `turned` is the angle about the vertical
@@ -69,21 +66,18 @@ class Status:
 
     phase: str
     estimates: Mapping[str, Estimate]
+    substitute: tuple[str, float]
     settled_s: float | None
     remaining_s: float | None
     wanted_sd: float
-    magnetic: float
-    device_yaw: float
     rest_s: float
     elapsed_s: float
     roll: float
     pitch: float
     arw: float
     horizontal_bias_sd: float
-    accel_bias_sd: float
     bias_declared: bool
     tilt_probability: float
-    restarts: int
     horizontal_earth_rate: float
     positions: int
     position_s: float
@@ -104,15 +98,6 @@ class Status:
     def hopeless(self) -> bool:
         """Whether more time will not bring the wanted sigma, as the gyros' bias limits it."""
         return self.rest_s >= HOPELESS_S and self.remaining_s is None
-
-    @property
-    def substitute(self) -> tuple[str, float]:
-        """Name and angle, rad, of what is shown where the heading is not observable."""
-        if math.isfinite(self.device_yaw):
-            return "the device's own yaw", self.device_yaw
-        if math.isfinite(self.magnetic):
-            return "magnetic, not true north", self.magnetic
-        return "nothing", math.nan
 
 
 def heading_text(status: Status) -> str:
@@ -151,36 +136,16 @@ def rows(status: Status) -> dict[str, str]:
             f"noise {_short(math.degrees(status.arw) * 60.0)} °/√h, "
             f"σ of a horizontal bias {_short(status.horizontal_bias_sd / DEG_PER_H)} °/h"
         )
-    if status.shown is not None and status.observable and status.positions == 1:
-        texts |= _conditions_of_one_position(status, status.shown)
-    texts["data"] = f"{min(status.rest_s, status.elapsed_s):.0f} of {status.elapsed_s:.0f} s counted"
-    if status.positions > 1:
-        texts["positions"] = f"{status.positions}, the last turned by {math.degrees(status.turned):.1f}°"
-    if status.restarts:
-        texts["began anew"] = f"{status.restarts} times"
-    if status.tilt_probability > TILT_PROBABILITY:
-        texts["level"] = (
-            f"the unit is tilting (probability {status.tilt_probability:.2f}); its sigma allows for that"
-        )
-    return texts
-
-
-def _conditions_of_one_position(status: Status, shown: Estimate) -> dict[str, str]:
-    """Return texts of the biases up to which the sigma of one position holds."""
-    texts = {}
-    if not status.bias_declared:
-        holds = shown.sd * status.horizontal_earth_rate / DEG_PER_H
+    if status.shown is not None and status.observable and status.positions == 1 and not status.bias_declared:
+        holds = status.shown.sd * status.horizontal_earth_rate / DEG_PER_H
         texts["condition"] = (
             "the gyros' turn-on bias is not declared: sigma is right only if the bias of the gyro that "
             f"points east is below {_short(holds)} °/h, which turns the heading by one sigma; declare it "
             "(gyro_bias_sd_deg_per_h), or measure it with --positions 2"
         )
-    tan_latitude = math.sqrt(max((EARTH_RATE / status.horizontal_earth_rate) ** 2 - 1.0, 0.0))
-    texts["accelerometers"] = (
-        f"1 mg of bias of the one that points east turns the heading by "
-        f"{_short(math.degrees(1e-3 * tan_latitude))}°; sigma has it for "
-        f"{_short(1e3 * status.accel_bias_sd)} mg (accel_bias_sd_ug)"
-    )
+    texts["data"] = f"{min(status.rest_s, status.elapsed_s):.0f} of {status.elapsed_s:.0f} s counted"
+    if status.positions > 1:
+        texts["positions"] = f"{status.positions}, the last turned by {math.degrees(status.turned):.1f}°"
     return texts
 
 

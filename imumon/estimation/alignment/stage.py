@@ -11,14 +11,13 @@ from typing import Any, Literal
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
-from imumon.charts import GREEN, GREY, ORANGE, RED, Axis, Chart, Curve
+from imumon.charts import GREEN, GREY, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.estimation.alignment.aligner import Aligner
 from imumon.estimation.alignment.motion import CALM_SLOTS
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.record import SLOT_S, Slot
 from imumon.estimation.alignment.report import (
-    TILT_PROBABILITY,
     PositionHeading,
     Status,
     heading_text,
@@ -30,8 +29,8 @@ from imumon.lane import LaneState, Level
 
 NOT_OBSERVABLE_S = 30.0
 """Time at rest after which "not observable" is reported."""
-PLACE, COLORS = "Alignment", (GREEN, RED, ORANGE)
-"""The tab of the charts, and the colours of joint fit, plain and Hann mean."""
+TILT_PROBABILITY, CONTRADICTION = 0.5, 3.0
+"""Probability of a tilt above which it is reported, and the size of a bias over the declared one."""
 MOST_EMPTY_SLOTS = 8
 """A device sends a sample in 2 s at least: a longer time without samples is no rest."""
 _INPUTS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel", "mag") for axis in "xyz")
@@ -209,24 +208,26 @@ class Alignment:
         roll, pitch = (
             self._row[self._prefix + name] if aligner.resting else math.nan for name in ("roll", "pitch")
         )
+        substitutes = {
+            "the device's own yaw": self._yaw,
+            "magnetic, not true north": self._row["heading_magnetic"],
+        }
+        known = (pair for pair in substitutes.items() if math.isfinite(pair[1]))
         return Status(
             phase=self._phase(),
             estimates=aligner.estimates,
+            substitute=next(known, ("nothing", math.nan)),
             settled_s=state.settled_s,
             remaining_s=aligner.remaining_s,
             wanted_sd=math.radians(self._parameters.settled_deg),
-            magnetic=aligner.magnetic_heading,
-            device_yaw=self._yaw,
             rest_s=state.rest_s,
             elapsed_s=aligner.elapsed_s,
             roll=roll,
             pitch=pitch,
             arw=math.nan if fit is None else math.sqrt(fit.white),
             horizontal_bias_sd=math.nan if posterior is None else posterior.horizontal_bias_sd,
-            accel_bias_sd=aligner.errors.accel_bias,
             bias_declared=self._parameters.gyro_bias_sd_deg_per_h is not None,
             tilt_probability=0.0 if posterior is None else posterior.settling,
-            restarts=aligner.restarts,
             horizontal_earth_rate=aligner.earth_horizontal,
             positions=0 if last is None else last.number,
             position_s=0.0 if last is None else last.record.rest_s,
@@ -256,22 +257,22 @@ class Alignment:
         return {"alignment": LaneState(status.phase, LEVELS.get(status.phase, Level.PLAIN)), "heading by": by}
 
     def charts(self) -> Sequence[Chart]:
-        """Return the estimators beside each other, and sigma against time."""
-        if len(self._aligner.state.history) < 2 or self.status.shown is None:
+        """Return sigma against time."""
+        if len(self._aligner.state.history) < 2:
             return []
-        return [_headings_chart(self.status, self.status.shown.heading), self._sigma_chart()]
-
-    def _sigma_chart(self) -> Chart:
         time_s, _, sd = np.array(self._aligner.state.history).T
-        wanted = np.full(2, self._parameters.settled_deg)
+        wanted_s = np.array([max(time_s[0], 1.0), max(time_s[-1], 10.0)])
         curves = (
             Curve("σ", time_s, np.degrees(sd), GREEN, width=2.0),
-            Curve("wanted", np.array([max(time_s[0], 1.0), max(time_s[-1], 10.0)]), wanted, GREY),
+            Curve("wanted", wanted_s, np.full(2, self._parameters.settled_deg), GREY),
         )
-        return Chart(
-            "alignment_progress", PLACE, "Sigma of the heading shown", Axis("observed time [s]", log=True),
-            Axis("σ [°]", log=True), curves, headline=to_go_text(self.status),
-        )  # fmt: skip
+        return [
+            Chart(
+                "alignment_progress", "Alignment", "Sigma of the heading shown",
+                Axis("observed time [s]", log=True), Axis("σ [°]", log=True), curves,
+                headline=f"{heading_text(self.status)}; {to_go_text(self.status)}",
+            )
+        ]  # fmt: skip
 
     def notices(self) -> list[str]:
         """Return, once each, motions and restarts, and conditions that limit the heading."""
@@ -284,16 +285,16 @@ class Alignment:
         status, posterior = self.status, self._aligner.state.posterior
         declared = self._parameters.gyro_bias_sd_deg_per_h
         horizontal = status.horizontal_earth_rate / DEG_PER_H
-        aligned = status.phase in ("aligning", "settled")
+        tilts = status.tilt_probability > TILT_PROBABILITY and status.observable
+        depends = status.phase in ("aligning", "settled") and status.positions == 1 and declared is None
         contradicted = (
             declared is not None
             and posterior is not None
-            and posterior.bias_size > 3.0 * max(declared, 0.01) * DEG_PER_H
+            and posterior.bias_size > CONTRADICTION * max(declared, 0.01) * DEG_PER_H
         )
         return {
-            "alignment: the level changes as the gyros turn: the unit is tilting (a tripod that settles?)": (
-                status.tilt_probability > TILT_PROBABILITY and status.observable
-            ),
+            "alignment: the level changes as the gyros turn: the unit is tilting (a tripod that settles?); "
+            "its sigma allows for that": tilts,
             "heading not observable with this gyro: its bias is not small beside the earth's horizontal "
             f"rate of {horizontal:.1f} °/h; a turn by half a circle, and a rest, separate them; or an axis "
             "is swapped or reversed, or the unit of the gyros or the latitude is wrong": (
@@ -302,24 +303,9 @@ class Alignment:
             "alignment: the gyros' turn-on bias is not declared (gyro_bias_sd_deg_per_h), and from one "
             "position it cannot be separated from the earth's rotation: sigma takes it for that of gyros of "
             "such noise, and is too small where it is larger; a turn by half a circle and a rest remove it": (
-                aligned and status.positions == 1 and declared is None
+                depends
             ),
             "alignment: the rates contradict the declared bias of the gyros, or the latitude is wrong": (
                 contradicted
             ),
         }
-
-
-def _headings_chart(status: Status, shown: float) -> Chart:
-    """Return the headings of all estimators with 2 sigma, less the one shown, rad."""
-    names = tuple(name.replace("_", " ") for name in status.estimates)
-    curves = []
-    for k, (name, one, color) in enumerate(zip(names, status.estimates.values(), COLORS, strict=True)):
-        off = math.degrees(math.remainder(one.heading - shown, 2.0 * math.pi))
-        ends = off + 2.0 * math.degrees(one.sd) * np.array([-1.0, 1.0])
-        x, y = np.array([k, k, np.nan, k - 0.1, k + 0.1]), np.array([*ends, np.nan, off, off])
-        curves.append(Curve(name, x, y, color, width=3.0, listed=False))
-    return Chart(
-        "alignment_headings", PLACE, "Headings of all estimators, 2σ", Axis("estimator", names=names),
-        Axis("heading less the one shown [°]"), tuple(curves), headline=heading_text(status),
-    )  # fmt: skip
