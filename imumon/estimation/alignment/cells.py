@@ -73,8 +73,8 @@ def trend(n: int, order: int) -> FloatArray:
     return np.asarray(np.polynomial.chebyshev.chebvander((np.arange(n) + 0.5) / n * 2.0 - 1.0, order - 1))
 
 
-def scatter(values: ColumnArray, used: BoolArray, order: int) -> tuple[float, BoolArray]:
-    """Return the variance of cells about a trend, and those used without knocks.
+def scatter(values: ColumnArray, used: BoolArray, order: int) -> tuple[float, BoolArray, float]:
+    """Return the variance of cells about a trend, those used without knocks, and the degrees of freedom.
 
     `values` (cells,) are real, or complex with the same variance in both parts.
     """
@@ -84,7 +84,7 @@ def scatter(values: ColumnArray, used: BoolArray, order: int) -> tuple[float, Bo
         square = np.abs(values - basis @ np.linalg.lstsq(basis[used], values[used], rcond=None)[0]) ** 2
         used = used & (square <= KNOCK**2 * np.median(square[used]) + MIN_VARIANCE)
     freedom = (2 if np.iscomplexobj(values) else 1) * max(int(used.sum()) - order, 0.5)
-    return max(float(square[used].sum()), MIN_VARIANCE) / freedom, used
+    return max(float(square[used].sum()), MIN_VARIANCE) / max(freedom - 2.0, 1.0), used, freedom
 
 
 def rotates_slowly(data: HorizontalRows) -> bool:
@@ -112,10 +112,10 @@ def divide(data: HorizontalRows, rate: ColumnArray, creeps: bool) -> Cells | Non
         if used.sum() < MIN_CELLS:
             continue
         cells, vertical = windows @ rate, windows @ data.vertical
-        up_variance, up_used = scatter(vertical, used, 1)
-        variance, used = scatter(cells, used, TREND_ORDER)
+        up_variance, up_used, _ = scatter(vertical, used, 1)
+        variance, used, freedom = scatter(cells, used, TREND_ORDER)
         of_mean = (1.0 + 2.0 * OVERLAP) / float(used.sum())
-        if variance * of_mean * (1.0 + math.sqrt(1.0 / float(used.sum()))) < smallest:
+        if variance * of_mean * (1.0 + math.sqrt(2.0 / max(freedom, 1.0))) < smallest:
             smallest = variance * of_mean
             best = Cells(
                 windows=windows,

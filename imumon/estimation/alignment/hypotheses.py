@@ -218,7 +218,7 @@ def _by_accelerometers(
     used, means = cells.used, cells.windows @ alpha
     time_s = row_s * alpha.size / (len(used) + 1) * np.arange(1.0, len(used) + 1)
     at_s = time_s[used]
-    noise, _ = scatter(means, used, TREND_ORDER)
+    noise, _, _ = scatter(means, used, TREND_ORDER)
     warm_up = -drift.warm_up_sd * np.expm1(-at_s[:, None] / np.array(drift.warm_up_tau_s))
     covariance = noise * cells.correlation + OFFSET_SD**2 + 1e-14 * np.eye(len(at_s))
     covariance += warm_up @ warm_up.T + drift.walk**2 * np.minimum.outer(at_s, at_s)
