@@ -57,6 +57,8 @@ class Turn:
     """The same of motion that is nearly too fast for the samples, rad, in any direction."""
     missed: float = 0.0
     """Variance by samples that are missing, rad²."""
+    seconds: float = 0.0
+    """Time of all samples, each since the one before; without pauses."""
     path: float = 0.0
     """Sum of the angles of the parts that it is made of, rad."""
 
@@ -66,7 +68,7 @@ class Turn:
         rotation = rotation_by(-angle) @ self.rotation
         return Turn(
             rotation, self.by_bias, self.by_scale - self.by_bias[:, :, np.newaxis] * bias, self.coning,
-            self.fast, self.missed, angle_of(rotation),
+            self.fast, self.missed, self.seconds, angle_of(rotation),
         )  # fmt: skip
 
     def then(self, other: Turn) -> Turn:
@@ -79,6 +81,7 @@ class Turn:
             self.coning + c @ other.coning,
             self.fast + other.fast,
             self.missed + other.missed,
+            self.seconds + other.seconds,
             self.path + other.path,
         )
 
@@ -98,10 +101,7 @@ STILL = Turn()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turns:
-    """The turns of m slots, each since the last sample before: fields of `Turn`, (m, ...).
-
-    `seconds` is the time of all samples, each since the one before, without pauses.
-    """
+    """The turns of m slots, each since the last sample before: fields of `Turn`, (m, ...)."""
 
     rotation: FloatArray
     by_bias: FloatArray
@@ -116,7 +116,7 @@ class Turns:
         rotation = self.rotation[k]
         return Turn(
             rotation, self.by_bias[k], self.by_scale[k], self.coning[k], float(self.fast[k]),
-            float(self.missed[k]), angle_of(rotation),
+            float(self.missed[k]), float(self.seconds[k]), angle_of(rotation),
         )  # fmt: skip
 
 

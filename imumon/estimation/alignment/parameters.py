@@ -27,7 +27,7 @@ class KnownWarmUp(StrictModel):
         Final value in body axes, µg.
     time_constant_s : [x, y, z], or a float for all
     amplitude_sd_ug, time_constant_sd_s : float
-        Standard deviations, when they are known: a change of the level that they do not explain is then a
+        Standard deviations, when they are known: a change of the horizon that they do not explain is then a
         tilt of the unit.
     """
 
@@ -83,7 +83,7 @@ class AlignmentParameters(StrictModel):
         Standard deviation of a gyro's scale factor and misalignment: the relative
         error of a turn between two positions.  Default: a regression on the noise, and 300 at least.
     accel_bias_sd_ug : float, optional
-        Standard deviation of the constant bias of an accelerometer; it tilts the level.  Default:
+        Standard deviation of the constant bias of an accelerometer; it tilts the horizon.  Default:
         a regression on the noise of the gyros, and 750 at least.
     known_warm_up : KnownWarmUp, optional
         Counted from the first sample of the device.

@@ -109,9 +109,9 @@ def _linear_model(
         to_now = cmath.exp(-1j * yaw)
         rate = mean * to_now
         observed = np.column_stack([rate.real, rate.imag, np.full(len(rate), fit.vertical - vertical)])
-        of_level = variance + horizontal**2 * turned
+        of_horizontal = variance + horizontal**2 * turned
         of_vertical = np.full(len(rate), fit.vertical_variance)
-        weight = 1.0 / (np.column_stack([of_level, of_level, of_vertical]) + flicker**2)
+        weight = 1.0 / (np.column_stack([of_horizontal, of_horizontal, of_vertical]) + flicker**2)
         # A creep is followed by the vertical gyro, whose bias turns the rates across north: those of the
         # position by half of what it adds up to, and those of earlier positions by all of it.
         by_vertical = -1j * cmath.exp(1j * about) * horizontal * (creep_s + 0.5 * fit.creep_s)

@@ -119,10 +119,9 @@ def horizontal_rows(
     """
     valid, means = record.rows()
     attitude = upright(attitude[0], means[valid, 3:].mean(axis=0))
-    force = means[:, 3:] / STANDARD_GRAVITY
-    if known is not None:
-        force = force - known.bias_g(record.begun_s + record.row_s * (np.arange(len(means)) + 0.5))
-    force = force @ attitude.T
+    time_s = np.asarray(record.begun_s + record.row_s * (np.arange(len(means)) + 0.5), np.float64)
+    bias_g = np.zeros((len(means), 3)) if known is None else known.bias_g(time_s)
+    force = (means[:, 3:] / STANDARD_GRAVITY - bias_g) @ attitude.T
     rate = means[:, :3] @ attitude.T
     alpha = np.where(valid, force[:, 1] - 1j * force[:, 0], 0.0)
     horizontal = rate[:, 0] + 1j * rate[:, 1] - 1j * alpha * earth_vertical
