@@ -51,21 +51,15 @@ def test_a_vertical_x_axis_is_replaced_by_minus_z() -> None:
     assert abs(error_deg(stage.status.shown.heading, 220.0)) < 0.05
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_mems_gyro_never_shows_a_north(seed: int) -> None:
-    plan = scenario(150.0, arw=MEMS_ARW, rate_hz=50.0, gyro_turn_on={"sd_deg_per_h": 10.0})
+@pytest.mark.parametrize(("seed", "bias"), [(0, 10.0), (1, 10.0), (2, 10.0), (0, 0.0)])
+def test_a_mems_gyro_never_shows_a_north(seed: int, bias: float) -> None:
+    plan = scenario(150.0, arw=MEMS_ARW, rate_hz=50.0, gyro_turn_on={"sd_deg_per_h": bias})
     stage, out = aligned(samples(plan, seed))
     assert stage.status.phase == "not observable"
     assert not stage.status.observable
     assert np.isnan(out["heading"]).all()
-    assert out["heading_sd"][-1] > math.radians(15.0)
+    assert out["heading_sd"][-1] > math.radians(15.0 if bias else 5.0)
     assert any("heading not observable with this gyro" in text for text in stage.notices())
-
-
-def test_a_mems_gyro_whose_bias_happens_to_be_zero_shows_no_north_either() -> None:
-    stage, out = aligned(samples(scenario(150.0, arw=MEMS_ARW, rate_hz=50.0)))
-    assert not stage.status.observable
-    assert np.isnan(out["heading"]).all()
 
 
 @pytest.mark.parametrize("declared", [100.0, 1000.0])
@@ -122,24 +116,17 @@ def test_a_bias_of_nothing_but_the_east_gyro_is_in_the_sigma_and_said() -> None:
     assert "condition" not in rows(declared.status)
 
 
-def test_a_knock_that_leaves_an_angle_costs_its_seconds() -> None:
-    slam = {**KNOCK, "frequency_hz": 15.0, "tilt_deg": [0.005, 0.005, 0.0]}
-    quiet, _ = aligned(samples(scenario(120.0)))
-    stage, _ = aligned(samples(scenario(120.0, motion=[{**slam, "at_s": 70.0}])))
+@pytest.mark.parametrize("tilt_deg", [0.0, 0.005])
+def test_a_knock_costs_its_seconds_and_no_more(tilt_deg: float) -> None:
+    slam = {**KNOCK, "frequency_hz": 15.0, "tilt_deg": [tilt_deg, tilt_deg, 0.0], "at_s": 70.0}
+    quiet, _ = aligned(samples(scenario(120.0)), {"gyro_bias_sd_deg_per_h": 0.0})
+    stage, _ = aligned(samples(scenario(120.0, motion=[slam])), {"gyro_bias_sd_deg_per_h": 0.0})
+    assert stage.notices() == []
     assert stage.status.positions == 1
-    assert not any("anew" in text for text in stage.notices())
+    assert stage.status.rest_s > 119.0
     assert stage.status.shown is not None
     assert quiet.status.shown is not None
     assert stage.status.shown.sd < 1.3 * quiet.status.shown.sd
-    assert abs(error_deg(stage.status.shown.heading, 30.0)) < 0.03
-
-
-def test_a_knock_that_leaves_no_angle_counts() -> None:
-    block = samples(scenario(120.0, motion=[{**KNOCK, "at_s": 70.0}]))
-    stage, _ = aligned(block, {"gyro_bias_sd_deg_per_h": 0.0})
-    assert stage.notices() == []
-    assert stage.status.rest_s > 119.0
-    assert stage.status.shown is not None
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 0.03
 
 
@@ -330,15 +317,3 @@ def test_it_goes_on_from_a_snapshot() -> None:
     expected, found = first.process(rest), second.process(rest)
     for name, values in expected.items():
         np.testing.assert_array_equal(values, found[name], err_msg=name)
-
-
-def test_footsteps_take_nothing_off() -> None:
-    steps = [
-        {"kind": "bump", "at_s": at, "frequency_hz": 5.0, "decay_s": 0.15, "tilt_deg": [3e-4, -2e-4, 0.0]}
-        for at in np.arange(15.0, 90.0, 4.3).tolist()
-    ]
-    stage, _ = aligned(samples(scenario(90.0, arw=1e-3, rate_hz=400.0, motion=steps)))
-    assert stage.status.rest_s > 80.0
-    assert stage.status.positions == 1
-    assert stage.status.shown is not None
-    assert abs(error_deg(stage.status.shown.heading, 30.0)) < 3.0 * math.degrees(stage.status.shown.sd)
