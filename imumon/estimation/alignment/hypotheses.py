@@ -34,7 +34,7 @@ makes up to 8 times the error."""
 WARM_UP_TAU_S = (100.0, 300.0, 1000.0)
 """Time constants of a warm-up of the accelerometers that is not declared."""
 OFFSET_SD = 1e-3
-"""Standard deviation of the constant part of α, rad."""
+"""Standard deviation of the constant part of α, and of its step in a knock, rad."""
 LIKELY = -15.0
 """Log weight relative to the largest below which a hypothesis is dropped."""
 LARGEST_BIAS = 1e-3
@@ -217,11 +217,13 @@ def _by_accelerometers(
     """
     used, means = cells.used, cells.windows @ alpha
     time_s = row_s * alpha.size / (len(used) + 1) * np.arange(1.0, len(used) + 1)
-    at_s = time_s[used]
+    knocks_s, at_s = time_s[~used & np.r_[True, used[:-1]]], time_s[used]
     noise, _, _ = scatter(means, used, TREND_ORDER)
     warm_up = -drift.warm_up_sd * np.expm1(-at_s[:, None] / np.array(drift.warm_up_tau_s))
     covariance = noise * cells.correlation + OFFSET_SD**2 + 1e-14 * np.eye(len(at_s))
     covariance += warm_up @ warm_up.T + drift.walk**2 * np.minimum.outer(at_s, at_s)
+    for knock_s in knocks_s:  # the offset is unknown anew behind it
+        covariance += OFFSET_SD**2 * np.outer(at_s > knock_s, at_s > knock_s)
     data = _real_parts(means[used] - means[used].mean())
     square = float(np.sum(data * np.linalg.solve(covariance, data)))
     log_density = -0.5 * square - float(np.linalg.slogdet(covariance)[1])
