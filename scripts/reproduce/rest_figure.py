@@ -1,4 +1,4 @@
-"""The figure of docs/rest-detector.md: a knock, a slow turn and a bias that jumps, and what is called rest."""
+"""The figure of docs/rest-detector.md: what of a knock, a slow turn and a jump of the bias is called rest."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import cast
 import matplotlib as mpl
 import numpy as np
 
-from imumon.blocks import FloatArray, SampleBlock
+from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import RestAndBias
 
 mpl.use("Agg")
@@ -31,12 +31,15 @@ def simulate() -> tuple[SampleBlock, FloatArray]:
     rng = np.random.default_rng(SEED)
     t = np.arange(int(SECONDS * RATE_HZ)) / RATE_HZ
     gyro, accel = GYRO_SD * rng.standard_normal((len(t), 3)), ACCEL_SD * rng.standard_normal((len(t), 3))
-    bias = BIAS_DPS + JUMP_DPS * (t > JUMP_S)
+    bias: FloatArray = np.where(t > JUMP_S, BIAS_DPS + JUMP_DPS, BIAS_DPS)
     gyro[:, 2] += DEG * (bias + TURN_DPS * ((t > TURN_S[0]) & (t < TURN_S[1])))
     knocked = (t > KNOCK_S[0]) & (t < KNOCK_S[1])
     gyro[knocked] += 1.5 * DEG * rng.standard_normal((int(knocked.sum()), 3))
     accel[:, 2] += 9.80665
-    columns = {"device_time_ns": np.round(t * 1e9).astype(np.int64), "segment": np.zeros(len(t), np.int64)}
+    columns: dict[str, ColumnArray] = {
+        "device_time_ns": np.round(t * 1e9).astype(np.int64),
+        "segment": np.zeros(len(t), np.int64),
+    }
     for name, values in (("gyro", gyro), ("accel", accel)):
         columns |= {f"{name}_{axis}": values[:, k] for k, axis in enumerate("xyz")}
     return SampleBlock(columns), bias
@@ -50,7 +53,7 @@ def draw(path: Path) -> None:
     rate, bias, sd = (samples[name] / DEG for name in ("gyro_z", "gyro_bias_z", "gyro_bias_sd_z"))
     figure, axes = plt.subplots(2, 1, figsize=(8, 5), dpi=80, sharex=True)
     figure.suptitle(
-        "A knock (90 s), a turn of 0.5 °/s (150 s), a bias that jumps by 180 °/h (330 s)", fontsize=10
+        "A knock (90 s), a turn of 0.5 °/s (150 s), a jump of the bias by 180 °/h (330 s)", fontsize=10
     )
     above, below = (cast(Axes, one) for one in axes)
     each = int(RATE_HZ)
