@@ -34,6 +34,8 @@ COEFFICIENTS: dict[Kind, tuple[float, ...]] = {
 }
 NORMS: dict[Kind, float] = {"allan": 2.0, "modified": 2.0, "hadamard": 6.0}
 
+FLOOR_PER_INSTABILITY = math.sqrt(2.0 * math.log(2.0) / math.pi)
+"""Flat part of the Allan deviation of flicker, over the bias instability B (IEEE Std 952, C.1.3)."""
 NOISES = ("white", "flicker", "walk", "quantization")
 """The stochastic terms, by what they are of the rate (quantization: white noise of the angle)."""
 SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {

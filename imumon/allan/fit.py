@@ -39,7 +39,7 @@ import numpy as np
 from scipy.special import gammainc
 
 from imumon.allan.correlated import SHOWN, Search
-from imumon.allan.covariance import SHAPES, Covariances, Family, markov_shape
+from imumon.allan.covariance import FLOOR_PER_INSTABILITY, SHAPES, Covariances, Family, markov_shape
 from imumon.allan.problem import (
     COLUMNS,
     EVERY,
@@ -56,7 +56,6 @@ from imumon.allan.problem import (
     signed,
 )
 from imumon.blocks import FloatArray
-from imumon.filters.noise import FLOOR_PER_INSTABILITY
 
 FITTED = 2.0
 """A term is in the fit when the data call for it by this many standard deviations."""

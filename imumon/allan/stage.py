@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from imumon.allan.covariance import FLOOR_PER_INSTABILITY
 from imumon.allan.parameters import AllanParameters, SheetLine
 from imumon.allan.streaming import LiveCurve, StreamingAllan
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.charts import AXIS_COLORS, GREY, ORANGE, Axis, Chart, Curve
 from imumon.columns import Column
-from imumon.filters.noise import NoiseTerms
 from imumon.geodesy import MICRO_G
 
 TAB = "Allan"
@@ -144,4 +144,5 @@ def _bars(curve: LiveCurve) -> tuple[FloatArray, FloatArray]:
 
 def sheet_deviation(sheet: SheetLine, tau_s: FloatArray) -> FloatArray:
     """Return the Allan deviation that a data sheet promises at these averaging times, (n,)."""
-    return np.sqrt(NoiseTerms(sheet.white, sheet.instability, sheet.walk).allan_variance(tau_s))
+    flat = FLOOR_PER_INSTABILITY * sheet.instability
+    return np.sqrt(sheet.white**2 / tau_s + flat**2 + sheet.walk**2 * tau_s / 3.0)
