@@ -17,7 +17,7 @@ SPAN_S = 30.0
 """Length of the window of samples, s, and the most samples in it: above 1.09 kHz it is shorter."""
 MOST_SAMPLES = 32768
 PARTS = 7
-"""A segment is two of so many parts of the span, or a little less: six overlap by half."""
+"""A segment is two of so many parts of the span: six overlap by half."""
 FEWEST = 256
 """Samples that are needed: with fewer a segment has too few bins for a floor beside a line."""
 GAP = 20.0

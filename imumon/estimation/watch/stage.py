@@ -105,7 +105,7 @@ def interpret(peaks: FloatArray, modelled: bool) -> tuple[str, str]:
 
     Parameters
     ----------
-    peaks : array (3, k)
+    peaks : array (3, t)
         Of `State`.
     """
     least = EXPLAINING_SHARE * float(peaks.max())
