@@ -38,7 +38,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.allan.correlated import SHOWN, Search
+from imumon.allan.correlated import SHOWN, Correlated, Search
 from imumon.allan.covariance import FLOOR_PER_INSTABILITY, SHAPES, Covariances, Family, markov_shape
 from imumon.allan.problem import (
     COLUMNS,
@@ -50,7 +50,6 @@ from imumon.allan.problem import (
     WITH_MARKOV,
     Problem,
     Solution,
-    is_good,
     signed,
 )
 from imumon.blocks import FloatArray
@@ -183,33 +182,38 @@ def fit_terms(variances: FloatArray, family: Family, interval_s: float, last: in
     problem = Problem(variances[start:stop], covariances.part(start, stop), error)
     smallest = _smallest(problem, EVERY if correlated is None else WITH_MARKOV)
     solution = problem.fit(_with_alike(smallest), ALIKE)
-    covariance, of_time = solution.covariance, 0.0
-    if correlated is not None:
-        covariance, of_time = correlated.uncertainty(problem, solution)
-    reported = _reported(problem, smallest, solution) if error <= NO_SUM else []
-    reported = reported if stop == n else [column for column in reported if column == WHITE]
-    withheld = ""
-    if correlated is None and error == 0.0 and ALIKE & frozenset(reported):
-        rest = tuple(column for column in _columns_of(smallest) if column not in ALIKE)
-        if search.stands_for(rest):
-            reported, withheld = [column for column in reported if column not in ALIKE], AMBIGUOUS
-    terms: dict[str, Estimate | None] = dict.fromkeys(NAMES)
-    for column in reported:
-        coefficient, variance = float(solution.coefficients[column]), float(covariance[column, column])
-        terms[TERMS[column].name] = _estimate(coefficient, variance, TERMS[column].per_unit(interval_s))
-    if correlated is not None and MARKOV in reported:
-        time_s = correlated.time * interval_s
-        terms[CORRELATION_TIME] = Estimate(time_s, time_s * math.sqrt(of_time))
+    columns, withheld = _called_for(problem, smallest, solution), ""
+    rest = tuple(column for column in _columns_of(smallest) if column not in ALIKE)
+    if error > NO_SUM:
+        columns = []
+    elif stop < n:
+        columns = [column for column in columns if column == WHITE]
+    elif correlated is None and error == 0.0 and ALIKE & {*columns} and search.stands_for(rest):
+        columns, withheld = [column for column in columns if column not in ALIKE], AMBIGUOUS
+    terms = _estimates(problem, solution, columns, correlated, interval_s)
     time = np.nan if correlated is None else correlated.time
     return Fit(terms, signed(solution.coefficients), time, start, stop - 1, error, withheld)
 
 
-def _estimate(coefficient: float, variance: float, per_unit: float) -> Estimate:
-    value = math.sqrt(coefficient * per_unit)
-    return Estimate(value, 0.5 * value * math.sqrt(variance) / coefficient)
+def _estimates(
+    problem: Problem, solution: Solution, columns: list[int], correlated: Correlated | None, interval_s: float
+) -> dict[str, Estimate | None]:
+    """Return the terms of these columns, and None for every other."""
+    terms: dict[str, Estimate | None] = dict.fromkeys(NAMES)
+    covariance = solution.covariance
+    if correlated is not None:
+        covariance, of_time = correlated.uncertainty(problem, solution)
+        if MARKOV in columns:
+            time_s = correlated.time * interval_s
+            terms[CORRELATION_TIME] = Estimate(time_s, time_s * math.sqrt(of_time))
+    for column in columns:
+        coefficient, sd = float(solution.coefficients[column]), math.sqrt(covariance[column, column])
+        value = math.sqrt(coefficient * TERMS[column].per_unit(interval_s))
+        terms[TERMS[column].name] = Estimate(value, 0.5 * value * sd / coefficient)
+    return terms
 
 
-def _reported(problem: Problem, smallest: Solution, solution: Solution) -> list[int]:
+def _called_for(problem: Problem, smallest: Solution, solution: Solution) -> list[int]:
     """Return the columns of the terms that the fit without them calls for, whatever may stand for them."""
     found = []
     for column in np.flatnonzero(solution.coefficients[: len(TERMS)]).tolist():
@@ -272,26 +276,20 @@ def _good_beginning(variances: FloatArray, covariances: Covariances) -> int:
     chi-square does not see a disturbance that has only just begun.
     """
     for stop in range(len(variances) - 1, FEWEST_BEFORE, -1):
-        if is_good(*_everything(variances[:stop], covariances.part(0, stop), 0.0)):
+        if Problem(variances[:stop], covariances.part(0, stop)).fit(EVERY).is_good():
             return stop - 1
     return 0
 
 
-def _everything(variances: FloatArray, covariances: Covariances, error: float) -> tuple[Solution, int]:
-    """Return the fit of all terms and its degrees of freedom."""
-    solution = Problem(variances, covariances, error).fit(EVERY)
-    return solution, max(1, len(variances) - int(np.count_nonzero(solution.coefficients)))
-
-
 def _model_error(variances: FloatArray, covariances: Covariances) -> tuple[float, Solution]:
     """Return the relative error per variance that brings chi-square to its degrees of freedom, or 0."""
-    solution, free = _everything(variances, covariances, 0.0)
-    if is_good(solution, free):
+    solution = Problem(variances, covariances).fit(EVERY)
+    if solution.is_good():
         return 0.0, solution
     error = 1.0
     for _ in range(ROUNDS):
-        solution, free = _everything(variances, covariances, error)
-        change = math.sqrt(solution.chi_square / free)
+        solution = Problem(variances, covariances, error).fit(EVERY)
+        change = math.sqrt(solution.chi_square / solution.degrees_of_freedom())
         error = min(error * change, LARGEST_ERROR)
         if abs(change - 1.0) < CLOSE:
             break
