@@ -40,6 +40,7 @@ import numpy as np
 
 from imumon.allan.correlated import SHOWN, Correlated, Search
 from imumon.allan.covariance import FLOOR_PER_INSTABILITY, SHAPES, Covariances, Family, markov_shape
+from imumon.allan.parameters import NAMES
 from imumon.allan.problem import (
     COLUMNS,
     EVERY,
@@ -93,8 +94,7 @@ TERMS = (
     Term("correlated_noise", lambda _: 1.0),
 )
 """In the order of the columns of what is fitted."""
-CORRELATION_TIME = "correlation_time"
-NAMES = (*(term.name for term in TERMS), CORRELATION_TIME)
+CORRELATION_TIME = NAMES[-1]
 AMBIGUOUS, DIGITS = "ambiguous", "digits"
 
 

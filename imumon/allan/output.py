@@ -2,70 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from imumon.allan.analysis import Deviations, Result
 from imumon.allan.confidence import CONFIDENCE
-from imumon.allan.fit import NAMES, Estimate
-from imumon.allan.parameters import AccelNoise, GyroNoise
+from imumon.allan.fit import Estimate
+from imumon.allan.parameters import TERMS_OF
 from imumon.allan.recording import GROUPS, UNITS, group_of, rate_hz
-from imumon.config import StrictModel, dump_yaml
+from imumon.config import dump_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.files import check_output, write_text
-from imumon.geodesy import MICRO_G
-
-_DEG = math.degrees(1.0)
-
-
-class TermOfSensor(NamedTuple):
-    """How a term of one sensor is reported."""
-
-    key: str
-    unit: str
-    """Key in the noise section of a pipeline, and SI unit."""
-    title: str
-    shown: str
-    factor: float
-    """What a person reads: its name, its unit, and how many of it are one SI unit."""
-
-
-_ROWS: dict[str, tuple[type[StrictModel], list[tuple[str, str, str, float]]]] = {
-    "gyro": (
-        GyroNoise,
-        [
-            ("rad/sqrt(s)", "angle random walk", "°/√h", 60.0 * _DEG),
-            ("rad/s", "bias instability", "°/h", 3600.0 * _DEG),
-            ("rad/s/sqrt(s)", "rate random walk", "°/h/√h", 60.0 * 3600.0 * _DEG),
-            ("rad", "quantization", "arcsec", 3600.0 * _DEG),
-            ("rad/s^2", "rate ramp", "°/h/h", 3600.0**2 * _DEG),
-            ("rad/s", "correlated noise", "°/h", 3600.0 * _DEG),
-            ("s", "  correlated for", "s", 1.0),
-        ],
-    ),
-    "accel": (
-        AccelNoise,
-        [
-            ("m/s/sqrt(s)", "velocity random walk", "m/s/√h", 60.0),
-            ("m/s^2", "bias instability", "µg", 1.0 / MICRO_G),
-            ("m/s^2/sqrt(s)", "accel. random walk", "µg/√h", 60.0 / MICRO_G),
-            ("m/s", "quantization", "mm/s", 1e3),
-            ("m/s^3", "accel. ramp", "µg/h", 3600.0 / MICRO_G),
-            ("m/s^2", "correlated noise", "µg", 1.0 / MICRO_G),
-            ("s", "  correlated for", "s", 1.0),
-        ],
-    ),
-}
-TERMS_OF = {
-    group: {
-        name: TermOfSensor(key, *row)
-        for name, key, row in zip(NAMES, section.model_fields, rows, strict=True)
-    }
-    for group, (section, rows) in _ROWS.items()
-}
-"""Every term of each sensor, by the names in `imumon.allan.fit.NAMES`; keys are the fields of the section."""
 
 
 def check_outputs(plot: Path | None, *files: Path | None) -> None:

@@ -145,7 +145,7 @@ def _show(results: dict[str, Result]) -> None:
     from rich.box import SIMPLE
     from rich.table import Column, Table
 
-    from imumon.allan.output import TERMS_OF
+    from imumon.allan.parameters import TERMS_OF
 
     out = console()
     for group, terms in TERMS_OF.items():
