@@ -22,7 +22,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from imumon.blocks import FloatArray
+from imumon.blocks import NO_INT, FloatArray
 
 SLOT_S, BLOCK = 1.0, 10
 """Length of a slot at rest, s, and how many make a step of the tests."""
@@ -91,10 +91,11 @@ class State:
         """Means of earlier innovations."""
         self.gain, self.cusum, self.peaks = np.zeros((3, 3, len(PATTERNS)))
         """Of each test: the sum of log e over the block, the CUSUM, and its largest value since the start."""
-        self.last_s = 0.0
-        """Time of the last slot, s."""
         self.slots = 0
-        self.alarm = False
+        self.first_ns, self.last_s = NO_INT, 0.0
+        """Time of the first slot, ns, and of the last one since then, s."""
+        self.suspect_segment = NO_INT
+        """Segment in which the filter was caught at being wrong."""
 
 
 def limit(false_alarm_hours: float) -> float:
