@@ -64,10 +64,9 @@ class Turn:
         """Return the turn by rates without a constant bias, rad/s, (3,), to first order of its angle."""
         angle = self.by_bias @ bias
         rotation = rotation_by(-angle) @ self.rotation
-        return Turn(
-            rotation, self.by_bias, self.by_scale - self.by_bias[:, :, np.newaxis] * bias, self.coning,
-            self.fast, self.missed, self.seconds, angle_of(rotation),
-        )  # fmt: skip
+        by_scale = self.by_scale - self.by_bias[:, :, np.newaxis] * bias
+        sampling = self.coning, self.fast, self.missed
+        return Turn(rotation, self.by_bias, by_scale, *sampling, self.seconds, angle_of(rotation))
 
     def then(self, other: Turn) -> Turn:
         """Return this turn and another after it."""
@@ -111,11 +110,7 @@ class Turns:
 
     def at(self, k: int) -> Turn:
         """Return one."""
-        rotation = self.rotation[k]
-        return Turn(
-            rotation, self.by_bias[k], self.by_scale[k], self.coning[k], float(self.fast[k]),
-            float(self.missed[k]), float(self.seconds[k]), angle_of(rotation),
-        )  # fmt: skip
+        return Turn(*(getattr(self, one.name)[k] for one in fields(self)), path=angle_of(self.rotation[k]))
 
 
 Vector = tuple[float, float, float]
@@ -130,9 +125,10 @@ def rotation_by(vector: FloatArray) -> FloatArray:
 
 
 def angle_of(rotation: FloatArray) -> float:
-    """Return the angle of a rotation (3, 3), rad, from |C - I| = sqrt(8) sin(angle / 2)."""
-    off = (rotation - np.eye(3)).ravel()
-    return 2.0 * math.asin(min(math.sqrt(float(off @ off) / 8.0), 1.0))
+    """Return the angle of a rotation (3, 3), rad; small ones to full precision."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
+    twice_sine = math.sqrt((h - f) ** 2 + (c - g) ** 2 + (d - b) ** 2)
+    return math.atan2(twice_sine, a + e + i - 1.0)
 
 
 def _fields(names: str, shape: tuple[int, ...]) -> list[tuple[str, type, tuple[int, ...]]]:
