@@ -47,6 +47,7 @@ from imumon.allan.problem import (
     FILTER,
     MARKOV,
     QUANTIZATION,
+    RAMP,
     WHITE,
     WITH_MARKOV,
     Problem,
@@ -55,7 +56,7 @@ from imumon.allan.problem import (
 )
 from imumon.blocks import FloatArray
 
-FITTED = 3.0
+FITTED = 2.0
 """A term is in the fit when the data call for it by this many standard deviations."""
 LONGEST_START_S = 1.0
 """The shortest averaging times are left out, up to this one, where a filter of the device has shaped them."""
@@ -309,5 +310,11 @@ def _smallest(problem: Problem, every: tuple[int, ...]) -> Solution:
             if all(problem.called_for(solution, column) <= FITTED for column in others):
                 found.append(solution)
         if found:
-            return max(found, key=lambda solution: solution.log_likelihood)
+            return max(found, key=_merit)
     return everything
+
+
+def _merit(solution: Solution) -> float:
+    """Return the logarithm of the likelihood; one piece of a random walk resembles a ramp, which must be more
+    likely by as much as a term that is shown."""
+    return solution.log_likelihood - (0.5 * SHOWN**2 if solution.coefficients[RAMP] else 0.0)
