@@ -56,8 +56,9 @@ from imumon.allan.problem import (
 )
 from imumon.blocks import FloatArray
 
-FITTED = 2.0
-"""A term is in the fit when the data call for it by this many standard deviations."""
+FITTED, SHORT_FITTED = 2.0, 3.0
+"""A term is in the fit when the data call for it by this many standard deviations; the latter of quantization
+and filter, which concern the short averaging times: with 2 the error of N in white noise is a quarter larger."""
 LONGEST_START_S = 1.0
 """The shortest averaging times are left out, up to this one, where a filter of the device has shaped them."""
 FILTERED = 1.02
@@ -307,11 +308,17 @@ def _smallest(problem: Problem, every: tuple[int, ...]) -> Solution:
             if np.count_nonzero(solution.coefficients) < size:
                 continue
             others = [column for column in every if column not in columns]
-            if all(problem.called_for(solution, column) <= FITTED for column in others):
+            if not any(_is_missing(problem, solution, column) for column in others):
                 found.append(solution)
         if found:
             return max(found, key=_merit)
     return everything
+
+
+def _is_missing(problem: Problem, solution: Solution, column: int) -> bool:
+    """Return whether the data call for one more term."""
+    least = SHORT_FITTED if column in (QUANTIZATION, FILTER) else FITTED
+    return problem.called_for(solution, column) > least
 
 
 def _merit(solution: Solution) -> float:
