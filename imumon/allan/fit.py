@@ -57,8 +57,9 @@ from imumon.allan.problem import (
 from imumon.blocks import FloatArray
 
 FITTED, SHORT_FITTED = 2.0, 3.0
-"""A term is in the fit when the data call for it by this many standard deviations; the second is
-for quantization and filter, at the short averaging times: with 2 the error of N in white noise grows by 24 %."""
+"""A term is in the fit when the data call for it by this many standard deviations; the second number is that
+of quantization and filter, at the short averaging times: with 2 the error of N in white noise is a quarter
+larger."""
 LONGEST_START_S = 1.0
 """The shortest averaging times are left out, up to this one, where a filter of the device has shaped them."""
 FILTERED = 1.02
