@@ -116,4 +116,4 @@ def _chances() -> FloatArray:
     """Return the probability of each step from the middle, (ratios, phases, steps)."""
     edges = np.concatenate([[-np.inf], np.arange(-FARTHEST, FARTHEST) + 0.5, [np.inf]])
     below = ndtr((edges - PHASES[:, np.newaxis]) / RATIOS[:, np.newaxis, np.newaxis])
-    return np.maximum(np.diff(below), LEAST_CHANCE)
+    return np.asarray(np.maximum(np.diff(below), LEAST_CHANCE))
