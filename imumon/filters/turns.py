@@ -110,7 +110,8 @@ class Turns:
 
     def at(self, k: int) -> Turn:
         """Return one."""
-        return Turn(*(getattr(self, one.name)[k] for one in fields(self)), path=angle_of(self.rotation[k]))
+        parts = [getattr(self, one.name)[k] for one in fields(self)]
+        return Turn(*parts, angle_of(self.rotation[k]))
 
 
 Vector = tuple[float, float, float]
