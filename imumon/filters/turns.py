@@ -110,8 +110,9 @@ class Turns:
 
     def at(self, k: int) -> Turn:
         """Return one."""
-        parts = [getattr(self, one.name)[k] for one in fields(self)]
-        return Turn(*parts, angle_of(self.rotation[k]))
+        turn = Turn(*(getattr(self, one.name)[k] for one in fields(self)))
+        turn.path = angle_of(turn.rotation)
+        return turn
 
 
 Vector = tuple[float, float, float]
