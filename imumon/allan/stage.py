@@ -33,16 +33,14 @@ class AllanStage:
         Lines of the data sheet to draw.
     """
 
+    columns: Sequence[Column] = ()
+    """None: a curve over averaging time is not a quantity of each sample."""
+
     def __init__(self, parameters: AllanParameters | None = None) -> None:
         parameters = parameters or AllanParameters()
         self._sheets = {"gyro": parameters.gyro_sheet, "accel": parameters.accel_sheet}
         self._channels: dict[str, StreamingAllan] = {}
         self._restarts = 0
-
-    @property
-    def columns(self) -> Sequence[Column]:
-        """No columns: a curve over averaging time is not a quantity of each sample."""
-        return ()
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Take the samples of a block; needs ``device_time_ns`` and ``segment``."""
@@ -61,10 +59,6 @@ class AllanStage:
         restarts = max((channel.restarts for channel in self._channels.values()), default=0)
         new, self._restarts = restarts > self._restarts, restarts
         return ["the sample rate changed: the Allan curves begin anew"] if new else []
-
-    def curves(self) -> dict[str, LiveCurve]:
-        """Return the curve of each channel so far."""
-        return {name: channel.curve() for name, channel in self._channels.items()}
 
     def charts(self) -> Sequence[Chart]:
         """Return one log-log chart per sensor; none while no averaging time can be trusted."""

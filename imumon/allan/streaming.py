@@ -119,23 +119,14 @@ class StreamingAllan:
     """Allan deviation of one channel of a stream."""
 
     def __init__(self) -> None:
-        self._restarts = 0
+        self.restarts = 0
+        """How often the rate changed, and everything began anew."""
         self._begin()
 
     def _begin(self) -> None:
         self._waiting: list[tuple[int, int, float]] = []
         self._run = record(_Run, rings=(RINGS, RING), sums=OCTAVES, counts=OCTAVES)
         self._run.position = -1
-
-    @property
-    def interval_s(self) -> float:
-        """Time from sample to sample; 0 while it is being learned."""
-        return self._run.interval_ns * 1e-9
-
-    @property
-    def restarts(self) -> int:
-        """How often the rate changed, and everything began anew."""
-        return self._restarts
 
     def process(self, time_ns: IntArray, segment: IntArray, values: FloatArray) -> None:
         """Add samples, (n,) each; NaN where the channel has none.
@@ -150,7 +141,7 @@ class StreamingAllan:
                 start += stream(time_ns[start:], segment[start:], values[start:], self._run)
                 if start < len(values):
                     self._begin()
-                    self._restarts += 1
+                    self.restarts += 1
 
     def _learn(self, time_ns: IntArray, segment: IntArray, values: FloatArray, start: int) -> int:
         """Gather samples until the interval is known, then add them; return the next row."""
