@@ -60,7 +60,7 @@ class Motion:
     """Since the motion began."""
 
     def classify(self, slot: Slot, at_rest: bool) -> Outcome:
-        """Classify a slot by the table of docs/alignment.md, evaluated top down."""
+        """Classify a slot by the table of docs/appendix/alignment-details.md, evaluated top down."""
         if self.rest_rate is None:
             self.pending = [*self.pending[1 - 4 * MEDIAN_SLOTS :], slot]
             return Outcome.FIRST_REST if at_rest and self._first_rest() else Outcome.WAITING
