@@ -1,6 +1,7 @@
 """Prior of the errors of gyros and accelerometers: declared, or a regression on the gyros' noise.
 
-The regression is over the data sheets of docs/appendix/alignment-details.md, in powers of the angular random walk N.
+The regression is over the data sheets of docs/appendix/alignment-details.md, in powers of the angular
+random walk N.
 """
 
 from __future__ import annotations
