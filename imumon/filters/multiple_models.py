@@ -53,7 +53,7 @@ def mix(mean: FloatArray, covariance: FloatArray, mu: FloatArray, transition: Fl
     return Mixed(mixed + centre, second - mixed[:, np.newaxis] * mixed, predicted)
 
 
-def mode_probabilities(mu: FloatArray, log_likelihood: FloatArray, least: float = 0.0) -> FloatArray:
+def mode_probabilities(mu: FloatArray, log_likelihood: FloatArray, least: float) -> FloatArray:
     """Return the probabilities given the likelihoods of a measurement, over all axes together.
 
     Parameters
