@@ -25,6 +25,7 @@ from imumon.estimation.gyro_bias.modes import (
     propagate,
 )
 from imumon.estimation.gyro_bias.prediction import Prediction
+from imumon.estimation.rest.slots import Second
 
 MEMORY_S = 600.0
 """Over which σ² is averaged."""
@@ -66,123 +67,108 @@ class Bank:
             log_weight=self.log_weight.copy(), scale=self.scale.copy(),
         )  # fmt: skip
 
+    def predict(self, time_s: float, degc: FloatArray) -> None:
+        """Bring the filters to a time and temperatures, (3,); NaN is no change."""
+        propagate(self.mean, self.covariance, self.modes.process, time_s - self.time_s, degc - self.degc)
+        self.time_s, self.degc = time_s, np.where(np.isfinite(degc), degc, self.degc)
 
-def start(
-    modes: Modes, white: FloatArray, known_noise: bool, force: FloatArray, time_s: float, degc: FloatArray
-) -> Bank:
-    """Return filters that know nothing of the bias; `white`, (3,), is the variance of the mean of a
-    second."""
+    def update(self, now: Second, weigh: bool = True) -> None:
+        """Take a second at rest; `weigh`: as evidence of the modes and of σ², too."""
+        if np.isnan(self.force[0]):
+            self.force = now.force  # accelerometers that come late
+        h = measurement_row(now.force - self.force)
+        cross = (self.covariance.reshape(-1, STATES) @ h).reshape(self.mean.shape)  # P Hᵀ
+        spread = cross @ h + 1.0 / now.seconds  # S
+        innovation = now.rate[:, np.newaxis] - self.mean @ h
+        gain = cross / spread[..., np.newaxis]
+        self.mean += gain * innovation[..., np.newaxis]
+        self.covariance -= gain[..., np.newaxis] * cross[..., np.newaxis, :]
+        if weigh:
+            self._weigh(innovation**2 / spread, spread)
+        self.prediction = self._mixture()
+
+    def _weigh(self, square: FloatArray, spread: FloatArray) -> None:
+        """Take the likelihood of innovations, whose squares over S are given, and learn σ² from them."""
+        a, variance = self.shape, self.scale / self.shape
+        likelihood = 0.5 * np.log(spread * variance) + (a + 0.5) * np.log1p(square / (2.0 * a * variance))
+        self.log_weight -= likelihood
+        self.log_weight -= self.log_weight.max(1, keepdims=True)
+        np.maximum(self.log_weight, LEAST_WEIGHT, out=self.log_weight)
+        if not self.known_noise:
+            fade = min(1.0, 0.5 * MEMORY_S / (a + 0.5))
+            self.scale = fade * (self.scale + 0.5 * np.minimum(square, LARGEST_SURPRISE * variance))
+            self.shape = fade * (a + 0.5)
+
+    @property
+    def mode_probabilities(self) -> FloatArray:
+        """The probability of each mode, (3, F).
+
+        The flicker level of the unit is the parent of its axes' levels: exact messages on a tree.
+        """
+        levels, w = self.modes.levels, np.exp(self.log_weight)
+        message = w.reshape(3, len(levels), -1).sum(2) @ levels
+        others = (message.prod(0) / message) @ levels.T
+        w *= np.repeat(others, self.modes.count // len(levels), axis=1)
+        return np.asarray(w / w.sum(1, keepdims=True))
+
+    def _mixture(self) -> Prediction:
+        """Return mean and covariance over all modes, in absolute units."""
+        modes, w = self.modes, self.mode_probabilities
+        white = w * self.scale / max(self.shape - 1.0, 1.0)
+        mean = (w[:, np.newaxis] @ self.mean)[:, 0]
+        off = self.mean - mean[:, np.newaxis]
+        flat = self.covariance.reshape(3, modes.count, -1)
+        within = (white[:, np.newaxis] @ flat).reshape(3, STATES, STATES)
+        covariance = within + (off * w[..., np.newaxis]).transpose(0, 2, 1) @ off
+        process = (white[:, np.newaxis] @ modes.process)[:, 0]
+        fast = (white * modes.fast).sum(1)
+        return Prediction(mean, covariance, process, fast, white.sum(1), self.force, self.time_s, self.degc)
+
+    def widen(self, variance: FloatArray) -> None:
+        """Let the bias have changed by an unknown amount of this variance, (rad/s)², (3,)."""
+        self.covariance[..., WALK, WALK] += variance[:, np.newaxis] * self.shape / self.scale
+        self.prediction = self.prediction.wider(variance)
+
+    def forget(self) -> None:
+        """Let the bias be any."""
+        self.covariance[..., WALK, WALK] += UNKNOWN
+
+    def set_noise(self, shape: float, scale: FloatArray) -> None:
+        """Set the posterior of σ², a and β (3, F); what is known of the bias stays as it is."""
+        self.covariance *= (self.scale / self.shape * shape / scale)[..., np.newaxis, np.newaxis]
+        self.shape, self.scale = shape, scale
+
+    def restart_noise(self, white: FloatArray) -> None:
+        """Take another white noise of a second, (3,), where it is not declared: as of a fan that starts."""
+        if not self.known_noise:
+            self.set_noise(PRIOR_COUNT, np.repeat(PRIOR_COUNT * white[:, np.newaxis], self.modes.count, 1))
+            self.prediction = self._mixture()
+
+
+def start(modes: Modes, white: FloatArray, known_noise: bool, first: Second) -> Bank:
+    """Return filters that know nothing of the bias before a second at rest.
+
+    Parameters
+    ----------
+    white : array (3,)
+        Variance of the mean rate of a second, (rad/s)²; declared where `known_noise`.
+    """
     covariance = np.zeros((3, modes.count, STATES, STATES))
     diagonal = np.einsum("...ii->...i", covariance)
     diagonal[:] = modes.process
     diagonal[..., WALK], diagonal[..., SLOPE] = UNKNOWN, modes.process[..., SLOPE] * SLOPE_DEGC
     diagonal[..., SENSITIVITY] = (SENSITIVITY_SD**2 / white)[:, np.newaxis, np.newaxis]
-    mean = np.zeros((3, modes.count, STATES))
-    count = KNOWN_COUNT if known_noise else PRIOR_COUNT
-    scale = np.repeat(count * white[:, np.newaxis], modes.count, 1)
-    prediction = Prediction.of(np.zeros(3), np.full(3, UNKNOWN), 0.0, force, time_s)
+    count, time_s = KNOWN_COUNT if known_noise else PRIOR_COUNT, first.end_s - first.seconds
     return Bank(
         modes,
-        mean,
-        covariance,
-        np.zeros((3, modes.count)),
-        count,
-        scale,
-        known_noise,
-        force,
-        time_s,
-        degc,
-        prediction,
+        mean=np.zeros((3, modes.count, STATES)),
+        covariance=covariance,
+        log_weight=np.zeros((3, modes.count)),
+        shape=count,
+        scale=np.repeat(count * white[:, np.newaxis], modes.count, 1),
+        known_noise=known_noise,
+        force=first.force,
+        time_s=time_s,
+        degc=first.degc,
+        prediction=Prediction.of(np.zeros(3), np.full(3, UNKNOWN), 0.0, first.force, time_s),
     )
-
-
-def rescale(bank: Bank, white: FloatArray) -> None:
-    """Take another white noise, (3,), as of a fan that starts; what is known of the bias stays as it is."""
-    scale = np.repeat(PRIOR_COUNT * white[:, np.newaxis], bank.modes.count, 1)
-    bank.covariance *= (bank.scale / bank.shape * PRIOR_COUNT / scale)[..., np.newaxis, np.newaxis]
-    bank.shape, bank.scale = PRIOR_COUNT, scale
-    bank.prediction = prediction_of(bank)
-
-
-def take_noise(bank: Bank, other: Bank) -> None:
-    """Take what another bank has learned of the noise of the same gyros: σ², and the weights of the modes."""
-    ratio = bank.scale / bank.shape * other.shape / other.scale
-    bank.covariance *= ratio[..., np.newaxis, np.newaxis]
-    bank.shape, bank.scale, bank.log_weight = other.shape, other.scale.copy(), other.log_weight.copy()
-
-
-def predict(bank: Bank, time_s: float, degc: FloatArray) -> None:
-    """Bring the filters to a time and temperatures, (3,); NaN is no change."""
-    warming = degc - bank.degc
-    propagate(bank.mean, bank.covariance, bank.modes.process, time_s - bank.time_s, warming)
-    bank.time_s = time_s
-    bank.degc = np.where(np.isfinite(degc), degc, bank.degc)
-
-
-def update(bank: Bank, rate: FloatArray, force: FloatArray, seconds: float, weigh: bool = True) -> None:
-    """Take the mean rate, (3,), of so many seconds at rest at a specific force.
-
-    Parameters
-    ----------
-    weigh : bool
-        Whether it weighs the modes and σ²: not where the bias has jumped.
-    """
-    h = measurement_row(force - bank.force)
-    cross = (bank.covariance.reshape(-1, STATES) @ h).reshape(bank.mean.shape)  # P Hᵀ
-    spread = cross @ h + 1.0 / seconds  # S
-    innovation = rate[:, np.newaxis] - bank.mean @ h
-    gain = cross / spread[..., np.newaxis]
-    bank.mean += gain * innovation[..., np.newaxis]
-    bank.covariance -= gain[..., np.newaxis] * cross[..., np.newaxis, :]
-    if weigh:
-        _weigh(bank, innovation**2 / spread, spread)
-    bank.prediction = prediction_of(bank)
-
-
-def _weigh(bank: Bank, square: FloatArray, spread: FloatArray) -> None:
-    """Take the likelihood of innovations, whose squares over S are given, and learn σ² from them."""
-    a, variance = bank.shape, bank.scale / bank.shape
-    bank.log_weight -= 0.5 * np.log(spread * variance) + (a + 0.5) * np.log1p(square / (2.0 * a * variance))
-    bank.log_weight -= bank.log_weight.max(1, keepdims=True)
-    np.maximum(bank.log_weight, LEAST_WEIGHT, out=bank.log_weight)
-    if not bank.known_noise:
-        fade = min(1.0, 0.5 * MEMORY_S / (a + 0.5))
-        bank.scale = fade * (bank.scale + 0.5 * np.minimum(square, LARGEST_SURPRISE * variance))
-        bank.shape = fade * (a + 0.5)
-
-
-def mode_probabilities(bank: Bank) -> FloatArray:
-    """Return the probability of each mode, (3, F).
-
-    The flicker level of the unit is the parent of its axes' levels: messages on a tree, so they are exact.
-    """
-    modes, w = bank.modes, np.exp(bank.log_weight)
-    kinds = len(modes.levels)
-    message = w.reshape(3, kinds, -1).sum(2) @ modes.levels
-    others = (message.prod(0) / message) @ modes.levels.T
-    w *= np.repeat(others, modes.count // kinds, axis=1)
-    return np.asarray(w / w.sum(1, keepdims=True))
-
-
-def prediction_of(bank: Bank) -> Prediction:
-    """Return mean and covariance over all modes, in absolute units."""
-    modes, w = bank.modes, mode_probabilities(bank)
-    white = w * bank.scale / max(bank.shape - 1.0, 1.0)
-    mean = (w[:, np.newaxis] @ bank.mean)[:, 0]
-    off = bank.mean - mean[:, np.newaxis]
-    within = (white[:, np.newaxis] @ bank.covariance.reshape(3, modes.count, -1)).reshape(3, STATES, STATES)
-    covariance = within + (off * w[..., np.newaxis]).transpose(0, 2, 1) @ off
-    process = (white[:, np.newaxis] @ modes.process)[:, 0]
-    fast = (white * modes.fast).sum(1)
-    return Prediction(mean, covariance, process, fast, white.sum(1), bank.force, bank.time_s, bank.degc)
-
-
-def widen(bank: Bank, variance: FloatArray) -> None:
-    """Let the bias have changed by an unknown amount of this variance, (rad/s)², (3,)."""
-    bank.covariance[..., WALK, WALK] += variance[:, np.newaxis] * bank.shape / bank.scale
-    bank.prediction = bank.prediction.wider(variance)
-
-
-def forget(bank: Bank) -> None:
-    """Let the bias be any."""
-    bank.covariance[..., WALK, WALK] += UNKNOWN

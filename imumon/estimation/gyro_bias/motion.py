@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.rest.quiet import SLOT_S
+from imumon.estimation.rest.slots import SLOT_S
 from imumon.filters.turns import STILL, Turn, rotation_by
 from imumon.geodesy import DEG_PER_H
 

@@ -12,10 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray, IntArray
-from imumon.estimation.gyro_bias.modes import SENSITIVITY, STATES, WALK, measurement_row, propagate
-
-_FAST = 1
-"""The flicker process of a second: the mean of some seconds does not have it."""
+from imumon.estimation.gyro_bias.modes import FLICKER, SENSITIVITY, STATES, WALK, measurement_row, propagate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +43,7 @@ class Prediction:
         return cls(mean, covariance, np.zeros((3, STATES)), none, none, force, time_s, np.full(3, np.nan))
 
     def at(self, time_s: float, degc: FloatArray) -> Prediction:
-        """Return the prediction at a later time and temperatures, (3,)."""
+        """Return the prediction at a later time and temperatures, (3,); NaN is no change."""
         if time_s <= self.time_s:
             return self
         mean, covariance = self.mean.copy(), self.covariance.copy()
@@ -71,7 +68,7 @@ class Prediction:
         h = measurement_row(force - self.force)
         mean = self.mean @ h
         if of_mean:
-            h[_FAST] = 0.0
+            h[FLICKER.start] = 0.0
         return mean, np.maximum(self.covariance @ h @ h, 0.0)
 
     def shown(self, added: FloatArray, force: FloatArray) -> Shown:
@@ -80,8 +77,7 @@ class Prediction:
         select[0], select[1:, SENSITIVITY] = measurement_row(np.zeros(3)), np.eye(3)
         covariance = select @ self.covariance @ select.T
         covariance[:, 0, 0] += self.fast + added
-        offset = np.nan_to_num(force - self.force)
-        return Shown(self.mean @ select.T, covariance, self.force, offset)
+        return Shown(self.mean @ select.T, covariance, self.force, np.nan_to_num(force - self.force))
 
 
 class Shown(NamedTuple):
@@ -118,11 +114,8 @@ def at_samples(
     moving : array of bool (n,)
     """
     which = np.searchsorted(rows, np.arange(len(moving)), side="right")
-    terms, covariance, reference, offset = (np.array(one) for one in zip(*every, strict=True))
-    d = force - reference[which]
-    used = moving & np.isfinite(d).all(1)
+    terms, covariance, reference, offset = (np.array(one)[which] for one in zip(*every, strict=True))
+    d = force - reference
     row = np.ones((len(d), 1, 4))
-    row[:, 0, 1:] = np.where(used[:, np.newaxis], d, offset[which])
-    bias = (terms[which] * row).sum(2)
-    part = (covariance[which] * row[:, np.newaxis]).sum(3)
-    return bias, np.maximum((part * row).sum(2), 0.0)
+    row[:, 0, 1:] = np.where((moving & np.isfinite(d).all(1))[:, np.newaxis], d, offset)
+    return (terms * row).sum(2), np.maximum(((covariance * row[:, np.newaxis]).sum(3) * row).sum(2), 0.0)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.rest.quiet import Second
+from imumon.estimation.rest.slots import Second
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
 
 USUAL_CHANGE = 50.0 * DEG_PER_H
@@ -68,8 +68,8 @@ def as_predicted(difference: FloatArray, variance: FloatArray) -> float:
 
 def by_gravity(
     seconds: Sequence[Second],
+    bias: FloatArray,
     change: FloatArray,
-    turn: FloatArray,
     variance: float,
     noise: float,
     drift: float,
@@ -84,34 +84,36 @@ def by_gravity(
     ----------
     seconds : sequence of Second
         Up to 16 s of rest.
-    change, turn : array (3,)
-        By how much the rate differs from the bias, rad/s, and the angle by which it has turned since the
-        first of the seconds if that is a turn, rad; `variance` is that of an axis of the difference.
+    bias, change : array (3,)
+        The bias, and by how much the rate differs from it, rad/s; `variance` is that of an axis.
     noise, drift : float
-        Variance of the mean force of a second, (m/s²)², and drift of the accelerometers, m/s³.
+        Variance of the mean force of each of the seconds, (m/s²)², and drift of the accelerometers, m/s³.
     """
     force = seconds[-1].force
     gravity = math.sqrt(float(force @ force))
     if len(seconds) < 3 or not gravity > 0.5 * STANDARD_GRAVITY:
         return 0.0, change
     up = force / gravity
-    across = change - (change @ up) * up
-    if float(across @ across) < OBLIQUE**2 * float(change @ change):
+    upright2 = float(change @ up) ** 2
+    level2 = float(change @ change) - upright2
+    if level2 < OBLIQUE**2 * (level2 + upright2):
         return 0.0, change
-    elapsed = sum(one.seconds for one in seconds[1:])
-    turn = turn - (turn @ up) * up
-    tilt = np.cross(force, seconds[0].force) / (gravity * gravity)
+    later = seconds[1:]
+    elapsed = sum(one.seconds for one in later)
+    turn = sum((one.seconds * (one.rate - bias) for one in later), np.zeros(3))
+    turn -= (turn @ up) * up
+    tilt = np.cross(force, seconds[0].force) / gravity**2
     of_tilt = ((math.sqrt(2.0 * noise) + drift * elapsed) / gravity) ** 2
-    of_turn = of_tilt + variance * elapsed * elapsed
-    oblique = 0.5 * (float((tilt - turn) @ (tilt - turn)) / of_turn - float(tilt @ tilt) / of_tilt)
-    level2 = float(across @ across)
-    excluded = float(turn @ turn) > EXCLUDED_SIGMAS**2 * of_tilt > 4.0 * float(tilt @ tilt)
-    if excluded and level2 > LEVEL_RATIO**2 * float(change @ up) ** 2:
+    turn2, tilt2 = float(turn @ turn), float(tilt @ tilt)
+    excluded = turn2 > EXCLUDED_SIGMAS**2 * of_tilt > 4.0 * tilt2
+    if excluded and level2 > LEVEL_RATIO**2 * upright2:
         return MOST_LOG_RATIO, change
+    left = tilt - turn
+    oblique = 0.5 * (float(left @ left) / (of_tilt + variance * elapsed**2) - tilt2 / of_tilt)
     # About the vertical: what the level axes show is noise of the bias, or a change of it.
     upright = 0.5 * level2 / variance + math.log(variance * USUAL_CHANGE / (USUAL_CHANGE**2 + level2) ** 1.5)
     ratio = math.log(2.0) - float(np.logaddexp(-oblique, -max(upright, 0.0)))
-    return ratio, change - across if oblique > NOT_OBLIQUE else change
+    return ratio, (change @ up) * up if oblique > NOT_OBLIQUE else change
 
 
 def by_compass(seconds: Sequence[Second], bias: FloatArray) -> float:
