@@ -14,7 +14,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import bank
-from imumon.estimation.gyro_bias.hypotheses import CHANGED_BIAS, Hypotheses, Witness, begun
+from imumon.estimation.gyro_bias.hypotheses import CHANGED_BIAS, LEAST_SECONDS, Hypotheses, begun
 from imumon.estimation.gyro_bias.modes import SENSITIVITY_SD, SLOPE, WALK, Modes, modes_of, unknown_modes
 from imumon.estimation.gyro_bias.motion import Motion
 from imumon.estimation.gyro_bias.place import Attitude, Place
@@ -219,7 +219,7 @@ class Estimator:
         sd = self.settings.white_sd
         white = self._noise()[GYRO] if sd is None else np.maximum(sd**2, LEAST_WHITE)
         filters = bank.start(self.settings.modes(white), white, sd is not None, seconds[0])
-        self.hypotheses = begun(filters, seconds)
+        self.hypotheses = begun(filters, seconds, self.settings.rest, self.settings.rest_given)
         self.decided, self.added = True, np.zeros(3)
         self.revision += 1
 
@@ -238,10 +238,10 @@ class Estimator:
         prediction = hypotheses.nominal.prediction.wider(self.added).at(now.end_s, now.degc)
         mean, variance = prediction.bias(now.force)
         innovation = (now.rate - mean) / np.sqrt(variance + prediction.white / now.seconds)
-        noise = float(self._noise()[ACCEL].max())
-        settings = self.settings
-        witness = Witness(slots, self.attitude.earth, noise, settings.rest, settings.rest_given)
-        self.jumps += hypotheses.decide(now, self.added, witness) == CHANGED_BIAS
+        accel_noise, earth = float(self._noise()[ACCEL].max()), self.attitude.earth
+        first = len(hypotheses.recent) < LEAST_SECONDS
+        parts = [second_of([slot], earth) for slot in slots] if first else []
+        self.jumps += hypotheses.decide(now, parts, self.added, accel_noise) == CHANGED_BIAS
         self.added, self.decided = np.zeros(3), True
         _, ambiguity = hypotheses.prediction(now.end_s, self.degc, self.force)
         self.ambiguities = (self.ambiguities[1], ambiguity)

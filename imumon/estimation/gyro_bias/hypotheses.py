@@ -28,7 +28,7 @@ from imumon.estimation.rest.odds import (
     probability_of_turn,
 )
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.slots import Second, Slot, second_of
+from imumon.estimation.rest.slots import Second
 
 FIT_SIGMAS = 4.5
 """Sigmas of an axis within which a mean fits; with 4, drifts of a warm-up contradicted the bias."""
@@ -56,19 +56,6 @@ NEW_POSE = 0.3
 """m/s²: a specific force that differs by more from the first one is that of another pose."""
 LEAST_SECONDS = 3
 """Least number of seconds over which gravity is compared."""
-
-
-class Witness(NamedTuple):
-    """What decides beside the rate of a second."""
-
-    slots: list[Slot]
-    """Of the second."""
-    earth: FloatArray
-    """Known earth rate, rad/s, (3,)."""
-    noise: float
-    """Variance of its mean force, (m/s²)²."""
-    limits: RestParameters
-    rest_given: bool
 
 
 class Facts(NamedTuple):
@@ -127,6 +114,8 @@ class Hypotheses:
     """Mean rate of the first rest, (3,); None once the unit has been in another pose."""
     pose: FloatArray
     """Specific force at the first rest, (3,)."""
+    limits: RestParameters
+    rest_given: bool
     changed: Changed | None = None
     moved: bool = False
     """Whether it has moved since the last second that was decided on."""
@@ -136,13 +125,17 @@ class Hypotheses:
         """Whether a turn is more likely than a changed bias."""
         return self.changed is not None and self.changed.probability > 0.5
 
-    def decide(self, now: Second, added: FloatArray, witness: Witness) -> str:
+    def decide(self, now: Second, slots: Sequence[Second], added: FloatArray, accel_noise: float) -> str:
         """Decide on a quiet second; return the name of the row.
 
         Parameters
         ----------
+        slots : sequence of Second
+            Of which the second consists; needed in the first seconds of a rest.
         added : array (3,)
             What has been added to the variance of the bias meanwhile, (rad/s)².
+        accel_noise : float
+            Variance of the mean force of a second, (m/s²)².
         """
         self._widen(added)
         if self.moved and np.linalg.norm(now.force - self.pose) > NEW_POSE:
@@ -151,7 +144,7 @@ class Hypotheses:
             self.lagged = (self.nominal, self.nominal)
         self.recent = [*self.recent[1 - SPANS[-1] :], now]
         self.alike = min(self.alike + 1, len(self.recent))
-        facts = self._facts(now, witness)
+        facts = self._facts(now, slots, accel_noise)
         name, _, action = next(row for row in ROWS if row[1](facts))
         action(self, now)
         if self.changed is not None:
@@ -159,36 +152,42 @@ class Hypotheses:
         self.moved = False
         return name
 
-    def _facts(self, now: Second, witness: Witness) -> Facts:
+    def _facts(self, now: Second, slots: Sequence[Second], accel_noise: float) -> Facts:
         prediction, alike = self.lagged[0].prediction.at(now.end_s, now.degc), self.recent[-self.alike :]
         changed, fits_changed, limits, sigmas = self.changed, False, prediction, FIT_SIGMAS
         if changed is not None:
-            lately = alike[-max(int(changed.fits_s), 1) - 1 :]
-            fits_changed, _ = _fit(FIT_SIGMAS, changed.lagged[0].at(now.end_s, now.degc), now, lately)
+            older = changed.lagged[0].at(now.end_s, now.degc)
+            learned = alike[-max(int(changed.fits_s), 1) - 1 :]
+            fits_changed, _ = _fit(FIT_SIGMAS, older, learned)
             if fits_changed:
                 limits, sigmas = replace(prediction, covariance=changed.at_onset.covariance), RETURN_SIGMAS
-        fits, difference = _fit(sigmas, limits, now, alike)
-        facts = Facts(fits, fits_changed, changed is not None, len(alike) >= SETTLED_S, False, 0.0)
+        fits, difference = _fit(sigmas, limits, alike)
+        facts = Facts(fits, fits_changed, changed is not None, self.alike >= SETTLED_S, False, 0.0)
         # In the first seconds of a rest a wide prediction fits a turn as well.
         if fits and changed is None and len(self.recent) > SPANS[1]:
             return facts
-        if witness.rest_given:
+        if self.rest_given:
             impatient = changed is not None and now.end_s - changed.since_s > PATIENCE_S
             return facts._replace(accepted=impatient, probability=0.5)
-        return self._weigh(facts, prediction, difference, witness)
+        if fits and self.alike >= LEAST_SECONDS:
+            seconds: Sequence[Second] = alike
+        else:  # the rate may just have changed
+            seconds = self.recent if len(self.recent) >= LEAST_SECONDS else slots
+        return self._weigh(facts, prediction, difference, seconds, accel_noise)
 
-    def _weigh(self, facts: Facts, prediction: Prediction, change: FloatArray, witness: Witness) -> Facts:
+    def _weigh(
+        self,
+        facts: Facts,
+        prediction: Prediction,
+        change: FloatArray,
+        seconds: Sequence[Second],
+        accel_noise: float,
+    ) -> Facts:
         """Weigh a turn against a changed bias: a rate that differs by `change`, rad/s, (3,)."""
-        now, limits = self.recent[-1], witness.limits
-        if facts.fits_nominal and self.alike >= LEAST_SECONDS:
-            seconds = self.recent[-self.alike :]
-        elif len(self.recent) >= LEAST_SECONDS:
-            seconds = self.recent  # all of this rest, as the rate may just have changed
-        else:
-            seconds = [second_of([slot], witness.earth) for slot in witness.slots]
+        now, limits = self.recent[-1], self.limits
         bias, variance = prediction.bias(now.force, of_mean=True)
-        noise = witness.noise / seconds[0].seconds
-        ratio, part = by_gravity(seconds, bias, change, float(variance.max()), noise, limits.accel_drift)
+        largest, noise = float(variance.max()), accel_noise / seconds[0].seconds
+        ratio, part = by_gravity(seconds, bias, change, largest, noise, limits.accel_drift)
         ratio += by_compass(seconds, bias)
         others, fits_s, changes = as_predicted(part, variance), 0.0, 0
         if self.changed is not None:
@@ -309,26 +308,27 @@ ROWS: tuple[tuple[str, Callable[[Facts], bool], Callable[[Hypotheses, Second], N
 bias is shown, and whether it is rest."""
 
 
-def begun(bank: Bank, seconds: Sequence[Second]) -> Hypotheses:
+def begun(bank: Bank, seconds: Sequence[Second], limits: RestParameters, rest_given: bool) -> Hypotheses:
     """Return the hypotheses after the first seconds at rest, by filters that know nothing of the bias."""
     for now in seconds:
         bank.predict(now.end_s, now.degc)
         bank.update(now)
     first = np.mean([one.rate for one in seconds], axis=0)
-    return Hypotheses(bank, None, (bank, bank), list(seconds), len(seconds), first, seconds[0].force)
+    return Hypotheses(
+        bank, None, (bank, bank), list(seconds), len(seconds), first, seconds[0].force, limits, rest_given
+    )
 
 
-def _fit(
-    sigmas: float, prediction: Prediction, now: Second, recent: Sequence[Second]
-) -> tuple[bool, FloatArray]:
+def _fit(sigmas: float, prediction: Prediction, recent: Sequence[Second]) -> tuple[bool, FloatArray]:
     """Compare the means of the last seconds with a prediction; the difference is that of up to 4 s."""
-    bias, of_second = prediction.bias(now.force)
-    _, of_mean = prediction.bias(now.force, of_mean=True)
+    force = recent[-1].force
+    bias, of_second = prediction.bias(force)
+    _, of_mean = prediction.bias(force, of_mean=True)
     fits, difference = True, np.zeros(3)
     for span in SPANS:
-        if len(recent) < span and span != SPANS[1]:
-            continue
         part = recent[-span:]
+        if len(part) < span > SPANS[1]:
+            break
         seconds = sum(one.seconds for one in part)
         off = sum((one.seconds * one.rate for one in part), np.zeros(3)) / seconds - bias
         spread = (of_second if len(part) == 1 else of_mean) + prediction.white / seconds

@@ -23,6 +23,7 @@ from imumon.geodesy import DEG_PER_H
 
 PART_S, PARTS = 5.0, 12
 """A window is a minute: a bias of a degree per second turns it by a radian."""
+WINDOW_S = PARTS * PART_S
 UNKNOWN_RATE = math.radians(3.0)
 """Standard deviation of the bias before anything is known: turn-on of consumer gyros."""
 PRIOR_SD = np.repeat([UNKNOWN_RATE, 0.03, 0.4], [3, 9, 3])
@@ -32,7 +33,7 @@ ALIKE = 6.0
 """Factor of the variance: accelerations of successive parts are alike, where the speed changes slowly."""
 BIAS_WALK = 30.0 * DEG_PER_H
 """Random walk of the bias, rad/s/sqrt(s): 230 °/h a minute, as 100 °/h/°C at 2 °C/min makes it."""
-RATE = slice(0, 3)
+RATE, SCALE, FORCE = slice(0, 3), slice(3, 12), slice(12, 15)
 
 
 @dataclass(slots=True, eq=False)
@@ -61,11 +62,12 @@ class Motion:
 
     def take(self, turn: Turn, force: FloatArray) -> bool:
         """Take a slot in motion and its mean specific force, m/s²; return whether a window has ended."""
-        if not self.parts or self.parts[-1][0].seconds >= PART_S - 0.5 * SLOT_S:
+        full_s = PART_S - 0.5 * SLOT_S
+        if not self.parts or self.parts[-1][0].seconds >= full_s:
             self.parts.append((STILL, np.zeros(3)))
         whole, velocity = self.parts[-1]
         self.parts[-1] = whole.then(turn), velocity + whole.rotation @ (turn.by_bias @ force)
-        if len(self.parts) < PARTS or self.parts[-1][0].seconds < PART_S - 0.5 * SLOT_S:
+        if len(self.parts) < PARTS or self.parts[-1][0].seconds < full_s:
             return False
         self._fit()
         self.interrupt()
@@ -77,8 +79,7 @@ class Motion:
         total = sum((turn.rotation.T @ v for turn, v in self.parts), np.zeros(3))
         self.force = np.asarray(total / seconds)
         self.covariance[RATE, RATE] += np.eye(3) * BIAS_WALK**2 * seconds
-        known, variance = np.asarray(np.linalg.inv(self.covariance)), 1.0
-        mean = self.mean
+        known, variance, mean = np.asarray(np.linalg.inv(self.covariance)), 1.0, self.mean
         for _ in range(10):
             measured, design = self._linear(mean)
             normal = design.T @ design / variance
@@ -103,11 +104,11 @@ class Motion:
             excess = turn.by_bias @ at[RATE]
             added = axes @ rotation_by(-0.5 * excess) @ velocity
             turned = np.zeros_like(angle)
-            turned[:, RATE], turned[:, 3:12] = axes @ turn.by_bias, axes @ turn.by_scale.reshape(3, 9)
+            turned[:, RATE], turned[:, SCALE] = axes @ turn.by_bias, axes @ turn.by_scale.reshape(3, 9)
             # An angle too much turns the force, the half of it within the part.
             by_states = np.cross(angle + 0.5 * turned, added[:, np.newaxis], axis=0)
             measured.append(added + by_states[:, RATE] @ at[RATE])
-            by_states[:, 12:] += axes @ turn.by_bias
+            by_states[:, FORCE] += axes @ turn.by_bias
             design.append(np.hstack([turn.seconds * np.eye(3), by_states]))
             angle = angle + turned
             axes = axes @ rotation_by(-excess) @ turn.rotation
@@ -116,8 +117,8 @@ class Motion:
     @property
     def bias(self) -> tuple[FloatArray, FloatArray]:
         """Return bias and variance until the next window ends, (3,) each; NaN where little is known."""
-        variance = np.diag(self.covariance)[RATE] + BIAS_WALK**2 * PART_S * PARTS
+        variance = np.diag(self.covariance)[RATE] + BIAS_WALK**2 * WINDOW_S
         # A bias that turns a window by half a turn may be a wrong minimum of the fit.
         known = variance < (0.5 * UNKNOWN_RATE) ** 2
-        known &= float(np.linalg.norm(self.mean[RATE])) * PART_S * PARTS < math.pi
+        known &= float(np.linalg.norm(self.mean[RATE])) * WINDOW_S < math.pi
         return np.where(known, self.mean[RATE], np.nan), np.where(known, variance, np.nan)

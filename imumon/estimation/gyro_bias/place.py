@@ -120,13 +120,11 @@ class Attitude:
     def _heading_variance(self, up: FloatArray, prediction: Prediction) -> float:
         """Return the variance of the angle by which the gyros seem to have turned about the vertical, rad².
 
-        By the bias at f0, by the sensitivity to a gravity that turns in body axes, by scale and misalignment,
-        and for want of more samples; `up` (3,) is that before the turn.
+        By the bias, whose sensitivity meets a gravity that turns in body axes, by scale and misalignment, and
+        for want of more samples; `up` (3,) is that before the turn.
         """
-        turn, (_, variance) = self.turn, prediction.bias(prediction.force)
-        upright_s = up @ turn.by_bias
-        turned2 = max(turn.seconds**2 - float(upright_s @ upright_s), 0.0)
-        sensitivity = float(np.einsum("aii->", prediction.covariance[:, SENSITIVITY, SENSITIVITY])) / 9.0
-        by_bias = float(upright_s**2 @ variance) + turned2 * STANDARD_GRAVITY**2 * sensitivity
-        by_scale = SCALE_SD**2 * float(np.sum(turn.scale_about(up) ** 2))
-        return by_bias + by_scale + turn.sampling_variance(up)
+        _, bias = prediction.bias(prediction.force)
+        sensitivity = np.einsum("aii->a", prediction.covariance[:, SENSITIVITY, SENSITIVITY]) / 3.0
+        by_bias = float((up @ self.turn.by_bias) ** 2 @ (bias + STANDARD_GRAVITY**2 * sensitivity))
+        by_scale = SCALE_SD**2 * float(np.sum(self.turn.scale_about(up) ** 2))
+        return by_bias + by_scale + self.turn.sampling_variance(up)

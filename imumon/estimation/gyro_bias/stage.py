@@ -127,7 +127,7 @@ class RestAndBias:
         self._at_rest = 0
         self._trail = BiasTrail(model)
         self._breaks = Breaks()
-        self._last_ns, self._last_segment = NO_INT, 0
+        self._last_ns = NO_INT
         keys = retired(self._parameters) + retired(rest)
         self._notices = _notices_of_place(latitude_deg, heading_deg)
         self._notices += [f"{key} is not used any more" for key in keys]
@@ -157,7 +157,7 @@ class RestAndBias:
         slots = self._slots.process(np.where(usable, time_ns, NO_INT), segment, values)
         rest, innovation = np.zeros(n, np.int64), np.full((n, 3), np.nan)
         rows, every, turns = self._follow(block, slots, readings, temperature, rest, innovation)
-        self._expire(rest, time_ns, segment, usable)
+        self._expire(rest, time_ns, usable)
         turn = held(rows, np.array(turns[1:]).reshape(-1, 3), turns[0], n)
         if self._rest_given:
             rest[:] = given
@@ -231,17 +231,12 @@ class RestAndBias:
                 rest[start + int(np.argmax(outside)) : stop] = self._at_rest = 0
                 self._estimator.quiet.disturbed = True
 
-    def _expire(self, rest: IntArray, time_ns: IntArray, segment: IntArray, usable: BoolArray) -> None:
-        """End rest where readings are missing for long, behind their segment, and at unknown times."""
-        if not usable.all():
-            latest = np.maximum.accumulate(np.where(usable, np.arange(len(usable)), -1))
-            last_ns = np.where(latest < 0, self._last_ns, time_ns[latest])
-            last_segment = np.where(latest < 0, self._last_segment, segment[latest])
-            expired = (time_ns == NO_INT) | (segment != last_segment)
-            rest[expired | (time_ns - last_ns > int(LONGEST_PAUSE_S * 1e9))] = 0
-        if usable.any():
-            last = int(np.flatnonzero(usable)[-1])
-            self._last_ns, self._last_segment = int(time_ns[last]), int(segment[last])
+    def _expire(self, rest: IntArray, time_ns: IntArray, usable: BoolArray) -> None:
+        """End rest where readings are missing for long, and at unknown times."""
+        latest = np.maximum.accumulate(np.where(usable, np.arange(len(usable)), -1))
+        latest_ns = np.where(latest < 0, self._last_ns, time_ns[latest])
+        rest[(time_ns == NO_INT) | (time_ns - latest_ns > int(LONGEST_PAUSE_S * 1e9))] = 0
+        self._last_ns = int(latest_ns[-1]) if len(latest_ns) else self._last_ns
 
     def charts(self) -> Sequence[Chart]:
         """Return the bias over temperature, beside the model's curve where there is a model."""
@@ -307,10 +302,6 @@ class RestDetector(RestAndBias):
     def notices(self) -> list[str]:
         """Return, once, which parameters are not used any more."""
         return [text for text in super().notices() if "any more" in text]
-
-    def charts(self) -> Sequence[Chart]:
-        """Return none."""
-        return []
 
 
 def _declared(
