@@ -9,6 +9,7 @@ of each axis: its noise and slope.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from imumon.estimation.gyro_bias.modes import (
     WALK,
     Modes,
     measurement_row,
-    propagate,
+    propagated,
 )
 from imumon.estimation.gyro_bias.prediction import Prediction
 from imumon.estimation.rest.slots import Second
@@ -38,7 +39,7 @@ LARGEST_SURPRISE = 25.0
 """A squared innovation over its variance counts as no more for σ²: a knock is no noise."""
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Bank:
     """The filters at a time, (3 axes, F modes, ...)."""
 
@@ -52,56 +53,48 @@ class Bank:
     """a, and β, (3, F)."""
     known_noise: bool
     """Whether σ² is declared."""
-    force: FloatArray
-    """f0: specific force at the first rest, (3,)."""
     time_s: float
     degc: FloatArray
     """(3,)."""
-    prediction: Prediction
-    """Of the mixture, after the last update."""
 
-    def copy(self) -> Bank:
-        """Return a bank that goes its own way."""
-        return replace(
-            self, mean=self.mean.copy(), covariance=self.covariance.copy(),
-            log_weight=self.log_weight.copy(), scale=self.scale.copy(),
-        )  # fmt: skip
+    def after(self, now: Second, jumped: bool = False) -> Bank:
+        """Return the filters after a second at rest.
 
-    def predict(self, time_s: float, degc: FloatArray) -> None:
-        """Bring the filters to a time and temperatures, (3,); NaN is no change."""
-        propagate(self.mean, self.covariance, self.modes.process, time_s - self.time_s, degc - self.degc)
-        self.time_s, self.degc = time_s, np.where(np.isfinite(degc), degc, self.degc)
-
-    def update(self, now: Second, weigh: bool = True) -> None:
-        """Take a second at rest; `weigh`: as evidence of the modes and of σ², too."""
-        if np.isnan(self.force[0]):
-            self.force = now.force  # accelerometers that come late
-        h = measurement_row(now.force - self.force)
-        cross = (self.covariance.reshape(-1, STATES) @ h).reshape(self.mean.shape)  # P Hᵀ
+        Parameters
+        ----------
+        jumped : bool
+            Whether the bias may be any, so that the second is no evidence of modes and σ².
+        """
+        dt, warming = now.end_s - self.time_s, now.degc - self.degc
+        mean, covariance = propagated(self.mean, self.covariance, self.modes.process, dt, warming)
+        if jumped:
+            covariance[..., WALK, WALK] += UNKNOWN
+        h = measurement_row(now.force)
+        cross = (covariance.reshape(-1, STATES) @ h).reshape(mean.shape)  # P Hᵀ
         spread = cross @ h + 1.0 / now.seconds  # S
-        innovation = now.rate[:, np.newaxis] - self.mean @ h
+        innovation = now.rate[:, np.newaxis] - mean @ h
         gain = cross / spread[..., np.newaxis]
-        self.mean += gain * innovation[..., np.newaxis]
-        self.covariance -= gain[..., np.newaxis] * cross[..., np.newaxis, :]
-        if weigh:
-            self._weigh(innovation**2 / spread, spread)
-        self.prediction = self._mixture()
+        mean += gain * innovation[..., np.newaxis]
+        covariance -= gain[..., np.newaxis] * cross[..., np.newaxis, :]
+        degc = np.where(np.isfinite(now.degc), now.degc, self.degc)
+        bank = replace(self, mean=mean, covariance=covariance, time_s=now.end_s, degc=degc)
+        return bank if jumped else bank._weighed(innovation**2 / spread, spread)
 
-    def _weigh(self, square: FloatArray, spread: FloatArray) -> None:
+    def _weighed(self, square: FloatArray, spread: FloatArray) -> Bank:
         """Take the likelihood of innovations, whose squares over S are given, and learn σ² from them."""
         a, variance = self.shape, self.scale / self.shape
         likelihood = 0.5 * np.log(spread * variance) + (a + 0.5) * np.log1p(square / (2.0 * a * variance))
-        self.log_weight -= likelihood
-        self.log_weight -= self.log_weight.max(1, keepdims=True)
-        np.maximum(self.log_weight, LEAST_WEIGHT, out=self.log_weight)
-        if not self.known_noise:
-            fade = min(1.0, 0.5 * MEMORY_S / (a + 0.5))
-            self.scale = fade * (self.scale + 0.5 * np.minimum(square, LARGEST_SURPRISE * variance))
-            self.shape = fade * (a + 0.5)
+        weight = self.log_weight - likelihood
+        weight = np.maximum(weight - weight.max(1, keepdims=True), LEAST_WEIGHT)
+        if self.known_noise:
+            return replace(self, log_weight=weight)
+        fade = min(1.0, 0.5 * MEMORY_S / (a + 0.5))
+        scale = fade * (self.scale + 0.5 * np.minimum(square, LARGEST_SURPRISE * variance))
+        return replace(self, log_weight=weight, shape=fade * (a + 0.5), scale=scale)
 
     @property
     def mode_probabilities(self) -> FloatArray:
-        """The probability of each mode, (3, F).
+        """Probability of each mode, (3, F).
 
         The flicker level of the unit is the parent of its axes' levels: exact messages on a tree.
         """
@@ -111,8 +104,9 @@ class Bank:
         w *= np.repeat(others, self.modes.count // len(levels), axis=1)
         return np.asarray(w / w.sum(1, keepdims=True))
 
-    def _mixture(self) -> Prediction:
-        """Return mean and covariance over all modes, in absolute units."""
+    @cached_property
+    def prediction(self) -> Prediction:
+        """Mean and covariance over all modes, in absolute units."""
         modes, w = self.modes, self.mode_probabilities
         white = w * self.scale / max(self.shape - 1.0, 1.0)
         mean = (w[:, np.newaxis] @ self.mean)[:, 0]
@@ -122,27 +116,28 @@ class Bank:
         covariance = within + (off * w[..., np.newaxis]).transpose(0, 2, 1) @ off
         process = (white[:, np.newaxis] @ modes.process)[:, 0]
         fast = (white * modes.fast).sum(1)
-        return Prediction(mean, covariance, process, fast, white.sum(1), self.force, self.time_s, self.degc)
+        return Prediction(mean, covariance, process, fast, white.sum(1), self.time_s, self.degc)
 
-    def widen(self, variance: FloatArray) -> None:
+    def wider(self, variance: FloatArray) -> Bank:
         """Let the bias have changed by an unknown amount of this variance, (rad/s)², (3,)."""
-        self.covariance[..., WALK, WALK] += variance[:, np.newaxis] * self.shape / self.scale
-        self.prediction = self.prediction.wider(variance)
+        covariance = self.covariance.copy()
+        covariance[..., WALK, WALK] += variance[:, np.newaxis] * self.shape / self.scale
+        return replace(self, covariance=covariance)
 
-    def forget(self) -> None:
-        """Let the bias be any."""
-        self.covariance[..., WALK, WALK] += UNKNOWN
+    def with_noise(self, shape: float, scale: FloatArray) -> Bank:
+        """Take a posterior of σ², a and β (3, F); what is known of the bias stays as it is."""
+        ratio = self.scale / self.shape * shape / scale
+        return replace(
+            self, covariance=self.covariance * ratio[..., np.newaxis, np.newaxis], shape=shape, scale=scale
+        )
 
-    def set_noise(self, shape: float, scale: FloatArray) -> None:
-        """Set the posterior of σ², a and β (3, F); what is known of the bias stays as it is."""
-        self.covariance *= (self.scale / self.shape * shape / scale)[..., np.newaxis, np.newaxis]
-        self.shape, self.scale = shape, scale
-
-    def restart_noise(self, white: FloatArray) -> None:
+    def with_white(self, white: FloatArray) -> Bank:
         """Take another white noise of a second, (3,), where it is not declared: as of a fan that starts."""
-        if not self.known_noise:
-            self.set_noise(PRIOR_COUNT, np.repeat(PRIOR_COUNT * white[:, np.newaxis], self.modes.count, 1))
-            self.prediction = self._mixture()
+        if self.known_noise:
+            return self
+        return self.with_noise(
+            PRIOR_COUNT, np.repeat(PRIOR_COUNT * white[:, np.newaxis], self.modes.count, 1)
+        )
 
 
 def start(modes: Modes, white: FloatArray, known_noise: bool, first: Second) -> Bank:
@@ -158,17 +153,8 @@ def start(modes: Modes, white: FloatArray, known_noise: bool, first: Second) -> 
     diagonal[:] = modes.process
     diagonal[..., WALK], diagonal[..., SLOPE] = UNKNOWN, modes.process[..., SLOPE] * SLOPE_DEGC
     diagonal[..., SENSITIVITY] = (SENSITIVITY_SD**2 / white)[:, np.newaxis, np.newaxis]
-    count, time_s = KNOWN_COUNT if known_noise else PRIOR_COUNT, first.end_s - first.seconds
-    return Bank(
-        modes,
-        mean=np.zeros((3, modes.count, STATES)),
-        covariance=covariance,
-        log_weight=np.zeros((3, modes.count)),
-        shape=count,
-        scale=np.repeat(count * white[:, np.newaxis], modes.count, 1),
-        known_noise=known_noise,
-        force=first.force,
-        time_s=time_s,
-        degc=first.degc,
-        prediction=Prediction.of(np.zeros(3), np.full(3, UNKNOWN), 0.0, first.force, time_s),
-    )
+    count = KNOWN_COUNT if known_noise else PRIOR_COUNT
+    scale = np.repeat(count * white[:, np.newaxis], modes.count, 1)
+    mean, log_weight = np.zeros((3, modes.count, STATES)), np.zeros((3, modes.count))
+    begin_s = first.end_s - first.seconds
+    return Bank(modes, mean, covariance, log_weight, count, scale, known_noise, begin_s, first.degc)

@@ -8,6 +8,8 @@ rates are less what the thermal model has added since the start.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,7 +26,7 @@ from imumon.estimation.rest.odds import by_compass
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.rest.quiet import TRIAL, QuietDetector
 from imumon.estimation.rest.slots import ACCEL, GYRO, Second, Slot, second_of
-from imumon.geodesy import EARTH_RATE
+from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 
 SECOND_S = 1.0 - 1e-6
 LEAST_SLOTS = 4
@@ -80,8 +82,8 @@ class Estimator:
     attitude: Attitude = field(init=False)
     added: FloatArray = field(default_factory=lambda: np.zeros(3))
     """Variance that has not been taken into the filters yet, (rad/s)², (3,)."""
-    force: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
-    """The last specific force that was known, m/s², (3,)."""
+    force: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """The last specific force that was known, m/s², (3,); zero before the first."""
     degc: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     """The last temperatures that were known, °C, (3,)."""
     motion: Motion = field(default_factory=Motion)
@@ -171,6 +173,10 @@ class Estimator:
         covered_s = sum(one.covered_s for one in self.latest) / len(self.latest)
         return np.maximum(self.quiet.noise * covered_s, LEAST_WHITE)
 
+    def _second(self, slots: Sequence[Slot]) -> Second:
+        """Return the means of slots, less the earth rate."""
+        return second_of(slots, self.attitude.earth, self.force)
+
     def _interrupt(self) -> None:
         """Drop a second that is not complete: it moves, or nothing is known of it for a while."""
         if self.began_turning:
@@ -191,9 +197,8 @@ class Estimator:
             self.motion.interrupt()
         elif self.motion.take(slot.turn, force):
             bias, variance = self.motion.bias
-            self.by_motion = Prediction.of(
-                bias, variance + EARTH_RATE**2, SENSITIVITY_SD**2, self.motion.force, slot.end_s
-            )
+            variance = variance + EARTH_RATE**2 + (SENSITIVITY_SD * STANDARD_GRAVITY) ** 2
+            self.by_motion = Prediction.of(bias, variance, slot.end_s, self.degc)
             self.revision += 1
 
     def _follow(self, slot: Slot) -> None:
@@ -213,7 +218,7 @@ class Estimator:
         self.attitude.come_to_rest(self.force, None)
         count = min(max(round(sum(one.seconds for one in slots)), 1), len(slots))
         parts = np.array_split(np.arange(len(slots)), count)
-        seconds = [second_of([slots[k] for k in part], self.attitude.earth) for part in parts]
+        seconds = [self._second([slots[k] for k in part]) for part in parts]
         if not np.isfinite([one.rate for one in seconds]).all():
             return
         sd = self.settings.white_sd
@@ -232,15 +237,15 @@ class Estimator:
         slots, self.pending = self.pending, []
         if hypotheses.moved:
             self._come_to_rest(hypotheses, slots[0].mean[ACCEL])
-        now = second_of(slots, self.attitude.earth)
+        now = self._second(slots)
         if not np.isfinite(now.rate).all():
             return None
         prediction = hypotheses.nominal.prediction.wider(self.added).at(now.end_s, now.degc)
         mean, variance = prediction.bias(now.force)
         innovation = (now.rate - mean) / np.sqrt(variance + prediction.white / now.seconds)
-        accel_noise, earth = float(self._noise()[ACCEL].max()), self.attitude.earth
+        accel_noise = float(self._noise()[ACCEL].max()) if self.quiet.present[ACCEL].all() else math.inf
         first = len(hypotheses.recent) < LEAST_SECONDS
-        parts = [second_of([slot], earth) for slot in slots] if first else []
+        parts = [self._second([slot]) for slot in slots] if first else []
         self.jumps += hypotheses.decide(now, parts, self.added, accel_noise) == CHANGED_BIAS
         self.added, self.decided = np.zeros(3), True
         _, ambiguity = hypotheses.prediction(now.end_s, self.degc, self.force)

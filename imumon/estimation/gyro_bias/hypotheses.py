@@ -205,10 +205,10 @@ class Hypotheses:
     def learn(self, now: Second) -> None:
         """H0 holds, or holds again: nominal learns."""
         anew = self.moved or self.changed is not None
-        self.undo, self.nominal, self.changed = self.nominal, _updated(self.nominal, now), None
+        self.undo, self.nominal, self.changed = self.nominal, self.nominal.after(now), None
         if anew:
             self.lagged = (self.nominal, self.nominal)
-        elif self.nominal.time_s - self.lagged[1].time_s >= LAG_S:
+        elif now.end_s - self.lagged[1].time_s >= LAG_S:
             self.lagged = (self.lagged[1], self.nominal)
 
     def accept(self, now: Second) -> None:
@@ -221,7 +221,7 @@ class Hypotheses:
         """The rate is the same since it changed; H1 or a turn is not decided."""
         assert self.changed is not None
         changed = self.changed
-        changed.bank = _updated(changed.bank, now)
+        changed.bank = changed.bank.after(now)
         changed.fits_s += now.seconds
         if now.end_s - changed.lagged[1].time_s >= ONSET_S:
             changed.lagged = (changed.lagged[1], changed.bank.prediction)
@@ -229,16 +229,14 @@ class Hypotheses:
     def begin(self, now: Second) -> None:
         """The rate is another: H1 begins, or begins anew with what it has learned of the noise."""
         before, since_s, changes, nominal = self.changed, now.end_s, 0, self.lagged[0]
-        bank = nominal.copy()
+        bank = nominal
         if before is None:
             self.nominal, self.lagged, self.undo = nominal, (nominal, nominal), None
         else:
             since_s, changes, self.alike = before.since_s, before.changes + 1, 1
-            bank.set_noise(before.bank.shape, before.bank.scale.copy())
-            bank.log_weight = before.bank.log_weight.copy()
-        bank.predict(now.end_s, now.degc)
-        bank.forget()
-        bank.update(now, weigh=False)
+            bank = nominal.with_noise(before.bank.shape, before.bank.scale)
+            bank = replace(bank, log_weight=before.bank.log_weight)
+        bank = bank.after(now, jumped=True)
         at_onset = nominal.prediction.at(now.end_s, now.degc)
         lagged = (bank.prediction, bank.prediction)
         self.changed = Changed(bank, lagged, at_onset, since_s, now.seconds, changes)
@@ -258,27 +256,25 @@ class Hypotheses:
             self.changed = None
         self.moved, self.recent, self.alike = True, [], 0
 
-    def _banks(self) -> list[Bank]:
-        """Return each bank once: an older one may be the nominal one itself."""
-        banks = [self.nominal, *self.lagged]
-        banks += [self.undo] if self.undo is not None else []
-        banks += [self.changed.bank] if self.changed is not None else []
-        return list({id(bank): bank for bank in banks}.values())
+    def _replace_banks(self, change: Callable[[Bank], Bank]) -> None:
+        older, newer = self.lagged
+        self.nominal, self.lagged = change(self.nominal), (change(older), change(newer))
+        self.undo = None if self.undo is None else change(self.undo)
+        if self.changed is not None:
+            self.changed.bank = change(self.changed.bank)
 
     def _widen(self, variance: FloatArray) -> None:
         """Add to the variance of the bias, (3,)."""
         if not variance.any():
             return
-        for bank in self._banks():
-            bank.widen(variance)
+        self._replace_banks(lambda bank: bank.wider(variance))
         if self.changed is not None:
             older, newer = self.changed.lagged
             self.changed.lagged = (older.wider(variance), newer.wider(variance))
 
     def restart_noise(self, white: FloatArray) -> None:
         """Take another white noise of a second, (3,), as of a fan that starts."""
-        for bank in self._banks():
-            bank.restart_noise(white)
+        self._replace_banks(lambda bank: bank.with_white(white))
 
     def prediction(self, now_s: float, degc: FloatArray, force: FloatArray) -> tuple[Prediction, FloatArray]:
         """Return the more likely prediction at a time, and what the other adds to sigma, rad/s, (3,)."""
@@ -311,8 +307,7 @@ bias is shown, and whether it is rest."""
 def begun(bank: Bank, seconds: Sequence[Second], limits: RestParameters, rest_given: bool) -> Hypotheses:
     """Return the hypotheses after the first seconds at rest, by filters that know nothing of the bias."""
     for now in seconds:
-        bank.predict(now.end_s, now.degc)
-        bank.update(now)
+        bank = bank.after(now)
     first = np.mean([one.rate for one in seconds], axis=0)
     return Hypotheses(
         bank, None, (bank, bank), list(seconds), len(seconds), first, seconds[0].force, limits, rest_given
@@ -336,11 +331,3 @@ def _fit(sigmas: float, prediction: Prediction, recent: Sequence[Second]) -> tup
         if span <= SPANS[1]:
             difference = off
     return fits, difference
-
-
-def _updated(bank: Bank, now: Second) -> Bank:
-    """Return the filters after a second at rest."""
-    bank = bank.copy()
-    bank.predict(now.end_s, now.degc)
-    bank.update(now)
-    return bank

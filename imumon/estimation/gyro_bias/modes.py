@@ -9,7 +9,7 @@ Per axis the state is::
     s   slope over temperature      s' = s + N(0, σs² |dT| / 30 °C)
     m   sensitivity to the specific force, rad/s per m/s², constant
 
-    bias = w + g1 + g2 + g3 + m (f - f0) = H x
+    bias = w + g1 + g2 + g3 + m f = H x
 
 All variances are in units of the variance σ² of the mean of one second of white noise, which is not known.
 Three Gauss-Markov processes of one variance, a decade and a half apart, are flicker noise of coefficient B:
@@ -103,34 +103,34 @@ def modes_of(b: FloatArray, k: FloatArray, slopes: tuple[float, ...], levels: Fl
     return Modes(process, fast, levels)
 
 
-def propagate(
+def propagated(
     mean: FloatArray, covariance: FloatArray, process: FloatArray, dt: float, warming: FloatArray
-) -> None:
-    """Do x = F x and P = F P Fᵀ + Q in place, over dt seconds and `warming` °C, (3,); NaN is no change.
+) -> tuple[FloatArray, FloatArray]:
+    """Return F x and F P Fᵀ + Q, over dt seconds and `warming` °C, (3,); NaN is no change.
 
     Parameters
     ----------
     mean, covariance, process : array (3, ..., 8), (3, ..., 8, 8), (3, ..., 8)
         Of three axes, and any number of modes; the process noise is that of `Modes.process`.
     """
-    warming = np.where(np.isnan(warming), 0.0, warming).reshape(3, *(1,) * (mean.ndim - 1))
-    if warming.any():
-        mean[..., WALK] += warming[..., 0] * mean[..., SLOPE]
-        covariance[..., WALK, :] += warming * covariance[..., SLOPE, :]
-        covariance[..., :, WALK] += warming * covariance[..., :, SLOPE]
+    warming = np.where(np.isnan(warming), 0.0, warming)
     keeps = np.ones(STATES)
     keeps[FLICKER] = np.exp(-dt / TAUS_S)
-    mean *= keeps
-    covariance *= keeps[:, np.newaxis] * keeps
-    grows = np.zeros(mean.shape)
-    grows[..., WALK], grows[..., FLICKER] = dt, 1.0 - keeps[FLICKER] ** 2
-    grows[..., SLOPE] = np.abs(warming[..., 0])
+    f = np.zeros((3, STATES, STATES))
+    f[:] = np.diag(keeps)
+    f[:, WALK, SLOPE] = warming
+    grows = np.zeros((3, STATES))
+    grows[:, WALK], grows[:, FLICKER], grows[:, SLOPE] = dt, 1.0 - keeps[FLICKER] ** 2, np.abs(warming)
+    modes = (1,) * (mean.ndim - 2)
+    f, grows = f.reshape(3, *modes, STATES, STATES), grows.reshape(3, *modes, STATES)
+    covariance = f @ covariance @ f.swapaxes(-1, -2)
     np.einsum("...ii->...i", covariance)[...] += process * grows
+    return (f @ mean[..., np.newaxis])[..., 0], covariance
 
 
-def measurement_row(offset: FloatArray) -> FloatArray:
-    """Return H, (8,), at a specific force of so much more than f0, m/s², (3,); NaN is f0."""
+def measurement_row(force: FloatArray) -> FloatArray:
+    """Return H, (8,), at a specific force, m/s², (3,); zero where it is not known."""
     h = np.ones(STATES)
     h[SLOPE] = 0.0
-    h[SENSITIVITY] = np.where(np.isnan(offset), 0.0, offset)
+    h[SENSITIVITY] = force
     return h

@@ -123,7 +123,7 @@ class Attitude:
         By the bias, whose sensitivity meets a gravity that turns in body axes, by scale and misalignment, and
         for want of more samples; `up` (3,) is that before the turn.
         """
-        _, bias = prediction.bias(prediction.force)
+        _, bias = prediction.bias(STANDARD_GRAVITY * up)
         sensitivity = np.einsum("aii->a", prediction.covariance[:, SENSITIVITY, SENSITIVITY]) / 3.0
         by_bias = float((up @ self.turn.by_bias) ** 2 @ (bias + STANDARD_GRAVITY**2 * sensitivity))
         by_scale = SCALE_SD**2 * float(np.sum(self.turn.scale_about(up) ** 2))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray, IntArray
-from imumon.estimation.gyro_bias.modes import FLICKER, SENSITIVITY, STATES, WALK, measurement_row, propagate
+from imumon.estimation.gyro_bias.modes import FLICKER, SENSITIVITY, STATES, WALK, measurement_row, propagated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,28 +26,25 @@ class Prediction:
     fast: FloatArray
     white: FloatArray
     """Variance of the flicker of single samples, and of the white noise of a second, (rad/s)², (3,)."""
-    force: FloatArray
-    """f0, m/s², (3,)."""
     time_s: float
     degc: FloatArray
+    """°C, (3,)."""
 
     @classmethod
-    def of(
-        cls, bias: FloatArray, variance: FloatArray, sensitivity: float, force: FloatArray, time_s: float
-    ) -> Prediction:
-        """Return a constant bias, (3,), with its variance and that of the sensitivity, at f0."""
+    def of(cls, bias: FloatArray, variance: FloatArray, time_s: float, degc: FloatArray) -> Prediction:
+        """Return a constant bias, (3,), with its variance."""
         mean, covariance = np.zeros((3, STATES)), np.zeros((3, STATES, STATES))
         mean[:, WALK], covariance[:, WALK, WALK] = bias, variance
-        covariance[:, SENSITIVITY, SENSITIVITY] = sensitivity * np.eye(3)
         none = np.zeros(3)
-        return cls(mean, covariance, np.zeros((3, STATES)), none, none, force, time_s, np.full(3, np.nan))
+        return cls(mean, covariance, np.zeros((3, STATES)), none, none, time_s, degc)
 
     def at(self, time_s: float, degc: FloatArray) -> Prediction:
         """Return the prediction at a later time and temperatures, (3,); NaN is no change."""
         if time_s <= self.time_s:
             return self
-        mean, covariance = self.mean.copy(), self.covariance.copy()
-        propagate(mean, covariance, self.process, time_s - self.time_s, degc - self.degc)
+        mean, covariance = propagated(
+            self.mean, self.covariance, self.process, time_s - self.time_s, degc - self.degc
+        )
         known = np.where(np.isfinite(degc), degc, self.degc)
         return replace(self, mean=mean, covariance=covariance, time_s=time_s, degc=known)
 
@@ -65,7 +62,7 @@ class Prediction:
         of_mean : bool
             Of a mean over some seconds, which has none of the fastest flicker.
         """
-        h = measurement_row(force - self.force)
+        h = measurement_row(force)
         mean = self.mean @ h
         if of_mean:
             h[FLICKER.start] = 0.0
@@ -77,31 +74,29 @@ class Prediction:
         select[0], select[1:, SENSITIVITY] = measurement_row(np.zeros(3)), np.eye(3)
         covariance = select @ self.covariance @ select.T
         covariance[:, 0, 0] += self.fast + added
-        return Shown(self.mean @ select.T, covariance, self.force, np.nan_to_num(force - self.force))
+        return Shown(self.mean @ select.T, covariance, force)
 
 
 class Shown(NamedTuple):
     """A prediction from the end of a slot on; NaN where nothing is known."""
 
     terms: FloatArray
-    """Bias at f0 and its sensitivity, t, (3, 4)."""
+    """Bias without specific force, and its sensitivity, t, (3, 4)."""
     covariance: FloatArray
     """Theirs, C, (3, 4, 4)."""
-    reference: FloatArray
-    """f0, (3,)."""
-    offset: FloatArray
-    """Specific force of the slot less f0, (3,)."""
+    force: FloatArray
+    """Of the slot, (3,)."""
 
 
-NOTHING = Shown(*(np.full(shape, np.nan) for shape in ((3, 4), (3, 4, 4), (3,), (3,))))
+NOTHING = Shown(*(np.full(shape, np.nan) for shape in ((3, 4), (3, 4, 4), (3,))))
 
 
 def at_samples(
     rows: IntArray, every: list[Shown], force: FloatArray, moving: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return bias t (1, d) and variance (1, d) C (1, d) of samples, (n, 3) each.
+    """Return bias t (1, f) and variance (1, f) C (1, f) of samples, (n, 3) each.
 
-    d is the specific force of the sample less f0; at rest, where its noise is no change of pose, and without
+    f is the specific force of the sample; at rest, where its noise is no change of pose, and without
     accelerometers, that of the slot.  The sums are of few terms each, so they are the same whatever the
     division into blocks.
 
@@ -114,8 +109,7 @@ def at_samples(
     moving : array of bool (n,)
     """
     which = np.searchsorted(rows, np.arange(len(moving)), side="right")
-    terms, covariance, reference, offset = (np.array(one)[which] for one in zip(*every, strict=True))
-    d = force - reference
-    row = np.ones((len(d), 1, 4))
-    row[:, 0, 1:] = np.where((moving & np.isfinite(d).all(1))[:, np.newaxis], d, offset)
+    terms, covariance, of_slot = (np.array(one)[which] for one in zip(*every, strict=True))
+    row = np.ones((len(force), 1, 4))
+    row[:, 0, 1:] = np.where((moving & np.isfinite(force).all(1))[:, np.newaxis], force, of_slot)
     return (terms * row).sum(2), np.maximum(((covariance * row[:, np.newaxis]).sum(3) * row).sum(2), 0.0)

@@ -123,7 +123,7 @@ def by_compass(seconds: Sequence[Second], bias: FloatArray) -> float:
     Both hypotheses give the angle by which the heading has turned since the first of the seconds, with one
     variance; its sense is not compared, for not all devices count the yaw alike.
     """
-    seconds = [one for one in seconds if np.isfinite(one.heading[0] + one.force[0])]
+    seconds = [one for one in seconds if np.isfinite(one.heading[0]) and one.force.any()]
     if len(seconds) < 4:
         return 0.0
     heading, force = (

@@ -67,23 +67,30 @@ class Second(NamedTuple):
     rate: FloatArray
     """Less what model and earth add, rad/s, (3,)."""
     force: FloatArray
-    """m/s², (3,)."""
+    """m/s², (3,); the last one where it is missing, zero before the first."""
     degc: FloatArray
     """Temperature of each gyro, (3,)."""
     heading: FloatArray
     """(3,), as in `Slot`."""
 
 
-def second_of(slots: Sequence[Slot], earth: FloatArray) -> Second:
-    """Return the means of slots; `earth` is the known earth rate, rad/s, (3,)."""
+def second_of(slots: Sequence[Slot], earth: FloatArray, force: FloatArray) -> Second:
+    """Return the means of slots.
+
+    Parameters
+    ----------
+    earth, force : array (3,)
+        What is known of the earth rate, rad/s; and the specific force where it is missing, m/s².
+    """
     covered = np.array([one.covered_s for one in slots])
     total = float(covered.sum())
     mean, modelled, degc, heading = (
         covered / total @ np.array(part)
         for part in zip(*((one.mean, one.modelled, one.degc, one.heading) for one in slots), strict=True)
     )
+    force = np.where(np.isfinite(mean[ACCEL]), mean[ACCEL], force)
     degc = np.where(np.isfinite(degc), degc, slots[-1].degc)
-    return Second(slots[-1].end_s, total, mean[GYRO] - modelled - earth, mean[ACCEL], degc, heading)
+    return Second(slots[-1].end_s, total, mean[GYRO] - modelled - earth, force, degc, heading)
 
 
 @dataclass(slots=True)
