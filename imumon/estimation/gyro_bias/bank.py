@@ -124,20 +124,21 @@ class Bank:
         covariance[..., WALK, WALK] += variance[:, np.newaxis] * self.shape / self.scale
         return replace(self, covariance=covariance)
 
-    def with_noise(self, shape: float, scale: FloatArray) -> Bank:
-        """Take a posterior of σ², a and β (3, F); what is known of the bias stays as it is."""
-        ratio = self.scale / self.shape * shape / scale
+    def with_noise_of(self, other: Bank) -> Bank:
+        """Take what another bank of the same gyros has learned of σ² and the modes; what is known of the bias
+        stays as it is."""
+        ratio = self.scale / self.shape * other.shape / other.scale
+        covariance = self.covariance * ratio[..., np.newaxis, np.newaxis]
         return replace(
-            self, covariance=self.covariance * ratio[..., np.newaxis, np.newaxis], shape=shape, scale=scale
+            self, covariance=covariance, log_weight=other.log_weight, shape=other.shape, scale=other.scale
         )
 
     def with_white(self, white: FloatArray) -> Bank:
         """Take another white noise of a second, (3,), where it is not declared: as of a fan that starts."""
         if self.known_noise:
             return self
-        return self.with_noise(
-            PRIOR_COUNT, np.repeat(PRIOR_COUNT * white[:, np.newaxis], self.modes.count, 1)
-        )
+        scale = np.repeat(PRIOR_COUNT * white[:, np.newaxis], self.modes.count, 1)
+        return self.with_noise_of(replace(self, shape=PRIOR_COUNT, scale=scale))
 
 
 def start(modes: Modes, white: FloatArray, known_noise: bool, first: Second) -> Bank:

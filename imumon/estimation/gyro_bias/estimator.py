@@ -160,7 +160,7 @@ class Estimator:
         self.degc = np.where(np.isfinite(degc), degc, self.degc)
         self.added = self.added + self.thermal.step(degc, np.full(3, np.nan)) + self.thermal.lagged(lag_degc)
         if self.hypotheses is not None:
-            prediction = self.hypotheses.nominal.prediction
+            prediction = self.hypotheses.nominal.bank.prediction
             slope2 = prediction.mean[:, SLOPE] ** 2 + prediction.covariance[:, SLOPE, SLOPE]
             self.added = self.added + slope2 * lag_degc**2
         if long:
@@ -204,7 +204,7 @@ class Estimator:
     def _follow(self, slot: Slot) -> None:
         """Add a slot to the turn since the attitude was taken."""
         assert self.hypotheses is not None
-        self.attitude.follow(slot.turn, self.hypotheses.nominal.prediction.mean[:, WALK] + slot.modelled)
+        self.attitude.follow(slot.turn, self.hypotheses.nominal.bank.prediction.mean[:, WALK] + slot.modelled)
         self.attitude.lost |= slot.gap_s > 0.0
 
     def _look_for_beginning(self) -> None:
@@ -230,7 +230,7 @@ class Estimator:
 
     def _come_to_rest(self, hypotheses: Hypotheses, force: FloatArray) -> None:
         """Take the attitude after a turn, and what that adds to the variance of the bias."""
-        self.added = self.added + self.attitude.come_to_rest(force, hypotheses.nominal.prediction)
+        self.added = self.added + self.attitude.come_to_rest(force, hypotheses.nominal.bank.prediction)
 
     def _decide(self, hypotheses: Hypotheses) -> FloatArray | None:
         """Decide on a complete second; return its normalised innovations, (3,)."""
@@ -240,7 +240,7 @@ class Estimator:
         now = self._second(slots)
         if not np.isfinite(now.rate).all():
             return None
-        prediction = hypotheses.nominal.prediction.wider(self.added).at(now.end_s, now.degc)
+        prediction = hypotheses.nominal.bank.prediction.wider(self.added).at(now.end_s, now.degc)
         mean, variance = prediction.bias(now.force)
         innovation = (now.rate - mean) / np.sqrt(variance + prediction.white / now.seconds)
         accel_noise = float(self._noise()[ACCEL].max()) if self.quiet.present[ACCEL].all() else math.inf

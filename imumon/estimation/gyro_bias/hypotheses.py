@@ -77,13 +77,38 @@ class Facts(NamedTuple):
         return self.probability > LIKELY_TURN
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """Filters, as they are and as they were."""
+
+    bank: Bank
+    older: Bank
+    newer: Bank
+    """`older` is from once to twice the lag ago, `newer` is the next one to be compared."""
+
+    @classmethod
+    def of(cls, bank: Bank) -> Track:
+        """Return a track that begins."""
+        return cls(bank, bank, bank)
+
+    def after(self, now: Second, lag_s: float) -> Track:
+        """Return the track after a second at rest."""
+        bank = self.bank.after(now)
+        if now.end_s - self.newer.time_s < lag_s:
+            return Track(bank, self.older, self.newer)
+        return Track(bank, self.newer, bank)
+
+    def changed(self, change: Callable[[Bank], Bank]) -> Track:
+        """Return the track with another variance or noise."""
+        return Track(change(self.bank), change(self.older), change(self.newer))
+
+
 @dataclass(slots=True, eq=False)
 class Changed:
     """H1, since the rate contradicts the nominal bias."""
 
-    bank: Bank
-    lagged: tuple[Prediction, Prediction]
-    """As predicted before, the first 4 to 8 s ago: a rate that drifts on does not fit it."""
+    track: Track
+    """Compared as 4 to 8 s ago: a rate that drifts on does not fit it."""
     at_onset: Prediction
     """Of nominal, when this rate began: as time goes on it becomes vague, and would fit a steady turn."""
     since_s: float
@@ -100,11 +125,10 @@ class Changed:
 class Hypotheses:
     """Both hypotheses, and what is known about the choice between them."""
 
-    nominal: Bank
-    undo: Bank | None
+    nominal: Track
+    """H0; compared as 16 to 32 s ago, and while it is contradicted as it was then."""
+    undo: Track | None
     """Nominal before the last second, which is taken back where motion follows at once."""
-    lagged: tuple[Bank, Bank]
-    """Nominal as it was, the first 16 to 32 s ago; while it is contradicted, nominal itself."""
     recent: list[Second]
     """Seconds of this rest, 16 at most."""
     alike: int
@@ -137,11 +161,12 @@ class Hypotheses:
         accel_noise : float
             Variance of the mean force of a second, (m/s²)².
         """
-        self._widen(added)
+        if added.any():
+            self._change(lambda bank: bank.wider(added))
         if self.moved and np.linalg.norm(now.force - self.pose) > NEW_POSE:
             self.first = None  # it was in a hand, and not on a turntable
         if self.moved and self.changed is None:
-            self.lagged = (self.nominal, self.nominal)
+            self.nominal = Track.of(self.nominal.bank)
         self.recent = [*self.recent[1 - SPANS[-1] :], now]
         self.alike = min(self.alike + 1, len(self.recent))
         facts = self._facts(now, slots, accel_noise)
@@ -153,10 +178,11 @@ class Hypotheses:
         return name
 
     def _facts(self, now: Second, slots: Sequence[Second], accel_noise: float) -> Facts:
-        prediction, alike = self.lagged[0].prediction.at(now.end_s, now.degc), self.recent[-self.alike :]
+        prediction = self.nominal.older.prediction.at(now.end_s, now.degc)
+        alike = self.recent[-self.alike :]
         changed, fits_changed, limits, sigmas = self.changed, False, prediction, FIT_SIGMAS
         if changed is not None:
-            older = changed.lagged[0].at(now.end_s, now.degc)
+            older = changed.track.older.prediction.at(now.end_s, now.degc)
             learned = alike[-max(int(changed.fits_s), 1) - 1 :]
             fits_changed, _ = _fit(FIT_SIGMAS, older, learned)
             if fits_changed:
@@ -205,41 +231,33 @@ class Hypotheses:
     def learn(self, now: Second) -> None:
         """H0 holds, or holds again: nominal learns."""
         anew = self.moved or self.changed is not None
-        self.undo, self.nominal, self.changed = self.nominal, self.nominal.after(now), None
+        self.undo, self.nominal, self.changed = self.nominal, self.nominal.after(now, LAG_S), None
         if anew:
-            self.lagged = (self.nominal, self.nominal)
-        elif now.end_s - self.lagged[1].time_s >= LAG_S:
-            self.lagged = (self.lagged[1], self.nominal)
+            self.nominal = Track.of(self.nominal.bank)
 
     def accept(self, now: Second) -> None:
         """H1 holds: the changed bias becomes the nominal one."""
         assert self.changed is not None
-        self.nominal, self.first = self.changed.bank, None
+        self.nominal, self.first = self.changed.track, None
         self.learn(now)
 
     def go_on(self, now: Second) -> None:
         """The rate is the same since it changed; H1 or a turn is not decided."""
         assert self.changed is not None
-        changed = self.changed
-        changed.bank = changed.bank.after(now)
-        changed.fits_s += now.seconds
-        if now.end_s - changed.lagged[1].time_s >= ONSET_S:
-            changed.lagged = (changed.lagged[1], changed.bank.prediction)
+        self.changed.track = self.changed.track.after(now, ONSET_S)
+        self.changed.fits_s += now.seconds
 
     def begin(self, now: Second) -> None:
         """The rate is another: H1 begins, or begins anew with what it has learned of the noise."""
-        before, since_s, changes, nominal = self.changed, now.end_s, 0, self.lagged[0]
-        bank = nominal
+        bank, before, since_s, changes = self.nominal.older, self.changed, now.end_s, 0
+        at_onset = bank.prediction.at(now.end_s, now.degc)
         if before is None:
-            self.nominal, self.lagged, self.undo = nominal, (nominal, nominal), None
+            self.nominal, self.undo = Track.of(bank), None
         else:
             since_s, changes, self.alike = before.since_s, before.changes + 1, 1
-            bank = nominal.with_noise(before.bank.shape, before.bank.scale)
-            bank = replace(bank, log_weight=before.bank.log_weight)
-        bank = bank.after(now, jumped=True)
-        at_onset = nominal.prediction.at(now.end_s, now.degc)
-        lagged = (bank.prediction, bank.prediction)
-        self.changed = Changed(bank, lagged, at_onset, since_s, now.seconds, changes)
+            bank = bank.with_noise_of(before.track.bank)
+        track = Track.of(bank.after(now, jumped=True))
+        self.changed = Changed(track, at_onset, since_s, now.seconds, changes)
 
     def move(self, undo: bool) -> None:
         """Note that the unit moves: a contradiction of a few seconds was how the motion began.
@@ -252,36 +270,27 @@ class Hypotheses:
         if undo and self.undo is not None:
             self.nominal = self.undo
         self.undo = None
-        if self.changed is not None and self.changed.bank.time_s - self.changed.since_s < ONSET_S:
+        if self.changed is not None and self.changed.track.bank.time_s - self.changed.since_s < ONSET_S:
             self.changed = None
         self.moved, self.recent, self.alike = True, [], 0
 
-    def _replace_banks(self, change: Callable[[Bank], Bank]) -> None:
-        older, newer = self.lagged
-        self.nominal, self.lagged = change(self.nominal), (change(older), change(newer))
-        self.undo = None if self.undo is None else change(self.undo)
+    def _change(self, change: Callable[[Bank], Bank]) -> None:
+        """Give all filters another variance or noise."""
+        self.nominal = self.nominal.changed(change)
+        self.undo = None if self.undo is None else self.undo.changed(change)
         if self.changed is not None:
-            self.changed.bank = change(self.changed.bank)
-
-    def _widen(self, variance: FloatArray) -> None:
-        """Add to the variance of the bias, (3,)."""
-        if not variance.any():
-            return
-        self._replace_banks(lambda bank: bank.wider(variance))
-        if self.changed is not None:
-            older, newer = self.changed.lagged
-            self.changed.lagged = (older.wider(variance), newer.wider(variance))
+            self.changed.track = self.changed.track.changed(change)
 
     def restart_noise(self, white: FloatArray) -> None:
         """Take another white noise of a second, (3,), as of a fan that starts."""
-        self._replace_banks(lambda bank: bank.with_white(white))
+        self._change(lambda bank: bank.with_white(white))
 
     def prediction(self, now_s: float, degc: FloatArray, force: FloatArray) -> tuple[Prediction, FloatArray]:
         """Return the more likely prediction at a time, and what the other adds to sigma, rad/s, (3,)."""
-        nominal = self.nominal.prediction.at(now_s, degc)
+        nominal = self.nominal.bank.prediction.at(now_s, degc)
         if self.changed is None:
             return nominal, np.zeros(3)
-        changed, probability = self.changed.bank.prediction.at(now_s, degc), self.changed.probability
+        changed, probability = self.changed.track.bank.prediction.at(now_s, degc), self.changed.probability
         bias, variance = changed.bias(force)
         nominal_bias, nominal_variance = nominal.bias(force)
         difference = bias - nominal_bias
@@ -310,7 +319,7 @@ def begun(bank: Bank, seconds: Sequence[Second], limits: RestParameters, rest_gi
         bank = bank.after(now)
     first = np.mean([one.rate for one in seconds], axis=0)
     return Hypotheses(
-        bank, None, (bank, bank), list(seconds), len(seconds), first, seconds[0].force, limits, rest_given
+        Track.of(bank), None, list(seconds), len(seconds), first, seconds[0].force, limits, rest_given
     )
 
 
