@@ -31,7 +31,7 @@ from imumon.estimation.rest.slots import Second
 MEMORY_S = 600.0
 """Over which σ² is averaged."""
 LEAST_WEIGHT = float(np.log(1e-4))
-PRIOR_COUNT, KNOWN_COUNT = 3.0, 1e6
+PRIOR_COUNT, DECLARED_COUNT = 3.0, 0.5 * MEMORY_S
 """a of a σ² that second differences of 16 slots have shown, and of one that is declared."""
 UNKNOWN = 1e8
 """Prior variance of w over σ²: turn-on biases of any gyro."""
@@ -51,8 +51,6 @@ class Bank:
     shape: float
     scale: FloatArray
     """a, and β, (3, F)."""
-    known_noise: bool
-    """Whether σ² is declared."""
     time_s: float
     degc: FloatArray
     """(3,)."""
@@ -86,8 +84,6 @@ class Bank:
         likelihood = 0.5 * np.log(spread * variance) + (a + 0.5) * np.log1p(square / (2.0 * a * variance))
         weight = self.log_weight - likelihood
         weight = np.maximum(weight - weight.max(1, keepdims=True), LEAST_WEIGHT)
-        if self.known_noise:
-            return replace(self, log_weight=weight)
         fade = min(1.0, 0.5 * MEMORY_S / (a + 0.5))
         scale = fade * (self.scale + 0.5 * np.minimum(square, LARGEST_SURPRISE * variance))
         return replace(self, log_weight=weight, shape=fade * (a + 0.5), scale=scale)
@@ -134,28 +130,24 @@ class Bank:
         )
 
     def with_white(self, white: FloatArray) -> Bank:
-        """Take another white noise of a second, (3,), where it is not declared: as of a fan that starts."""
-        if self.known_noise:
-            return self
+        """Take another white noise of a second, (3,), as of a fan that starts."""
         scale = np.repeat(PRIOR_COUNT * white[:, np.newaxis], self.modes.count, 1)
         return self.with_noise_of(replace(self, shape=PRIOR_COUNT, scale=scale))
 
 
-def start(modes: Modes, white: FloatArray, known_noise: bool, first: Second) -> Bank:
+def start(modes: Modes, white: FloatArray, count: float, first: Second) -> Bank:
     """Return filters that know nothing of the bias before a second at rest.
 
     Parameters
     ----------
     white : array (3,)
-        Variance of the mean rate of a second, (rad/s)²; declared where `known_noise`.
+        Variance of the mean rate of a second, (rad/s)², with `count` as its a.
     """
     covariance = np.zeros((3, modes.count, STATES, STATES))
     diagonal = np.einsum("...ii->...i", covariance)
     diagonal[:] = modes.process
     diagonal[..., WALK], diagonal[..., SLOPE] = UNKNOWN, modes.process[..., SLOPE] * SLOPE_DEGC
     diagonal[..., SENSITIVITY] = (SENSITIVITY_SD**2 / white)[:, np.newaxis, np.newaxis]
-    count = KNOWN_COUNT if known_noise else PRIOR_COUNT
     scale = np.repeat(count * white[:, np.newaxis], modes.count, 1)
     mean, log_weight = np.zeros((3, modes.count, STATES)), np.zeros((3, modes.count))
-    begin_s = first.end_s - first.seconds
-    return Bank(modes, mean, covariance, log_weight, count, scale, known_noise, begin_s, first.degc)
+    return Bank(modes, mean, covariance, log_weight, count, scale, first.end_s - first.seconds, first.degc)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -19,8 +20,8 @@ from imumon.estimation.gyro_bias import bank
 from imumon.estimation.gyro_bias.hypotheses import CHANGED_BIAS, LEAST_SECONDS, Hypotheses, begun
 from imumon.estimation.gyro_bias.modes import SENSITIVITY_SD, SLOPE, WALK, Modes, modes_of, unknown_modes
 from imumon.estimation.gyro_bias.motion import Motion
-from imumon.estimation.gyro_bias.place import Attitude, Place
-from imumon.estimation.gyro_bias.prediction import NOTHING, Prediction, Shown
+from imumon.estimation.gyro_bias.place import Attitude
+from imumon.estimation.gyro_bias.prediction import NOTHING, Shown
 from imumon.estimation.gyro_bias.thermal_input import ThermalVariance
 from imumon.estimation.rest.odds import by_compass
 from imumon.estimation.rest.parameters import RestParameters
@@ -35,8 +36,6 @@ UNDO_SLOTS = 2
 """Motion that begins within so many slots after a second takes that second back from the filters."""
 BEGAN_LOG_RATIO = 8.0
 """Log likelihood ratio by the compass from which on the recording began in a turn."""
-SLOWEST_BEGUN = 2.5e-3
-"""rad/s: a slower turn, by 0.04 rad in 16 s, cannot reach that ratio beside the error of a heading."""
 LEAST_WHITE = 1e-18
 """Variance of the mean of a second, (rad/s)²: less than any gyro has, and more than none."""
 
@@ -49,12 +48,19 @@ class Settings:
     """Angle random walk, rad/√s, (3,)."""
     wander: tuple[FloatArray, FloatArray] | None
     """B, rad/s, and K, rad/s/√s, (3,) each."""
-    place: Place
+    latitude: float | None
+    heading: float | None
+    """Of the place, and of the first rest, rad."""
     slopes: tuple[float, ...]
     """Standard deviations of the slope over temperature, over σ, 1/°C."""
     rest: RestParameters
     rest_given: bool
     """Whether the slots say whether it rests."""
+
+    @property
+    def attitude(self) -> Attitude:
+        """Attitude of which nothing is known."""
+        return Attitude(self.latitude, self.heading)
 
     def modes(self, white: FloatArray) -> Modes:
         """Return the modes of the bank; `white`, (3,), is the variance of the mean of a second."""
@@ -80,32 +86,32 @@ class Estimator:
     pending: list[Slot] = field(default_factory=list)
     """Quiet slots of a second that is not complete."""
     attitude: Attitude = field(init=False)
-    added: FloatArray = field(default_factory=lambda: np.zeros(3))
+    added: FloatArray = field(default_factory=partial(np.zeros, 3))
     """Variance that has not been taken into the filters yet, (rad/s)², (3,)."""
-    force: FloatArray = field(default_factory=lambda: np.zeros(3))
+    force: FloatArray = field(default_factory=partial(np.zeros, 3))
     """The last specific force that was known, m/s², (3,); zero before the first."""
-    degc: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    degc: FloatArray = field(default_factory=partial(np.full, 3, np.nan))
     """The last temperatures that were known, °C, (3,)."""
     motion: Motion = field(default_factory=Motion)
     """Estimates the bias from motion before the first rest."""
-    by_motion: Prediction | None = None
+    by_motion: Shown = NOTHING
     decided: bool = False
     """Whether a second has been decided on since it was last not quiet."""
     began_turning: bool = False
     """Whether the first mean of the recording is a turn, by the compass."""
-    ambiguities: tuple[FloatArray, FloatArray] = field(default_factory=lambda: (np.zeros(3), np.zeros(3)))
-    """By the other hypothesis of the bias, after the last two seconds, rad/s, (3,) each."""
+    ambiguities: FloatArray = field(default_factory=partial(np.zeros, (2, 3)))
+    """By the other hypothesis of the bias, after each of the last two seconds, rad/s, (2, 3)."""
     revision: int = 0
     """Changes with the prediction, but for what time does to it."""
 
     def __post_init__(self) -> None:
         """Begin where nothing is known of the attitude."""
-        self.attitude = Attitude(self.settings.place)
+        self.attitude = self.settings.attitude
 
     def restarted(self) -> Estimator:
         """Return what holds after a restart of the device: the noise is what it was, the bias is not."""
         self.quiet.begin()
-        thermal = self.thermal.restarted()
+        thermal = ThermalVariance(self.thermal.trust)
         return Estimator(self.settings, thermal, self.quiet, self.jumps, revision=self.revision + 1)
 
     @property
@@ -198,7 +204,7 @@ class Estimator:
         elif self.motion.take(slot.turn, force):
             bias, variance = self.motion.bias
             variance = variance + EARTH_RATE**2 + (SENSITIVITY_SD * STANDARD_GRAVITY) ** 2
-            self.by_motion = Prediction.of(bias, variance, slot.end_s, self.degc)
+            self.by_motion = Shown.constant(bias, variance)
             self.revision += 1
 
     def _follow(self, slot: Slot) -> None:
@@ -214,16 +220,17 @@ class Estimator:
         if not self.quiet.known or run < LEAST_SLOTS:
             return
         slots = self.latest[-run:]
-        self.attitude = Attitude(self.settings.place)
+        self.attitude = self.settings.attitude
         self.attitude.come_to_rest(self.force, None)
         count = min(max(round(sum(one.seconds for one in slots)), 1), len(slots))
         parts = np.array_split(np.arange(len(slots)), count)
         seconds = [self._second([slots[k] for k in part]) for part in parts]
         if not np.isfinite([one.rate for one in seconds]).all():
             return
-        sd = self.settings.white_sd
-        white = self._noise()[GYRO] if sd is None else np.maximum(sd**2, LEAST_WHITE)
-        filters = bank.start(self.settings.modes(white), white, sd is not None, seconds[0])
+        white, count = self._noise()[GYRO], bank.PRIOR_COUNT
+        if self.settings.white_sd is not None:
+            white, count = np.maximum(self.settings.white_sd**2, LEAST_WHITE), bank.DECLARED_COUNT
+        filters = bank.start(self.settings.modes(white), white, count, seconds[0])
         self.hypotheses = begun(filters, seconds, self.settings.rest, self.settings.rest_given)
         self.decided, self.added = True, np.zeros(3)
         self.revision += 1
@@ -249,9 +256,9 @@ class Estimator:
         self.jumps += hypotheses.decide(now, parts, self.added, accel_noise) == CHANGED_BIAS
         self.added, self.decided = np.zeros(3), True
         _, ambiguity = hypotheses.prediction(now.end_s, self.degc, self.force)
-        self.ambiguities = (self.ambiguities[1], ambiguity)
+        self.ambiguities = np.stack([self.ambiguities[1], ambiguity])
         self.revision += 1
-        self._ask_compass(hypotheses, now)
+        self._compare_compass(hypotheses)
         if self.began_turning and hypotheses.changed is not None:
             self.quiet.begin()
             self._interrupt()
@@ -259,16 +266,16 @@ class Estimator:
             self._come_to_rest(hypotheses, slots[-1].mean[ACCEL])
         return np.asarray(innovation)
 
-    def _ask_compass(self, hypotheses: Hypotheses, now: Second) -> None:
+    def _compare_compass(self, hypotheses: Hypotheses) -> None:
         """Find whether the recording has begun in a turn, while it may have."""
         possible = hypotheses.first is not None and hypotheses.changed is None
-        if possible and not self.settings.rest_given and float(now.rate @ now.rate) > SLOWEST_BEGUN**2:
+        if possible and not self.settings.rest_given:
             self.began_turning |= by_compass(hypotheses.recent, np.zeros(3)) < -BEGAN_LOG_RATIO
 
     def shown(self, now_s: float) -> Shown:
         """Return the prediction of the bias from a time on."""
         if self.hypotheses is None:
-            return self.by_motion.shown(np.zeros(3), self.force) if self.by_motion is not None else NOTHING
+            return self.by_motion
         prediction, _ = self.hypotheses.prediction(now_s, self.degc, self.force)
         return prediction.shown(self.added + self.attitude.uncertain_earth, self.force)
 

@@ -47,14 +47,11 @@ class Motion:
     parts : list of (Turn, array (3,))
         Of the present window, the last one growing, with the integral of the specific force in the axes of
         its beginning, m/s.
-    force : array (3,)
-        Mean specific force of the last window, m/s².
     """
 
     mean: FloatArray = field(default_factory=lambda: np.zeros(len(PRIOR_SD)))
     covariance: FloatArray = field(default_factory=lambda: np.diag(PRIOR_SD**2))
     parts: list[tuple[Turn, FloatArray]] = field(default_factory=list)
-    force: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     def interrupt(self) -> None:
         """Begin the window anew: it rested, or readings are missing."""
@@ -76,8 +73,8 @@ class Motion:
     def _fit(self) -> None:
         """Take the window."""
         seconds = sum(turn.seconds for turn, _ in self.parts)
-        total = sum((turn.rotation.T @ v for turn, v in self.parts), np.zeros(3))
-        self.force = np.asarray(total / seconds)
+        velocity = sum((turn.rotation.T @ v for turn, v in self.parts), np.zeros(3))
+        vertical = velocity / np.linalg.norm(velocity)
         self.covariance[RATE, RATE] += np.eye(3) * BIAS_WALK**2 * seconds
         known, variance, mean = np.asarray(np.linalg.inv(self.covariance)), 1.0, self.mean
         for _ in range(10):
@@ -91,7 +88,6 @@ class Motion:
             free = len(left) - float(np.trace(np.linalg.solve(information, normal)))
             variance, mean = ALIKE * max(float(left @ left) / free, 1e-4), found[3:]
         self.mean, self.covariance = mean, np.asarray(np.linalg.inv(information)[3:, 3:])
-        vertical = self.force / np.linalg.norm(self.force)
         self.mean[RATE] -= (vertical @ self.mean[RATE]) * vertical
         lacking = UNKNOWN_RATE**2 - float(vertical @ self.covariance[RATE, RATE] @ vertical)
         self.covariance[RATE, RATE] += max(lacking, 0.0) * np.outer(vertical, vertical)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -24,12 +25,23 @@ LOST_SD = 1.0
 """Error of a heading that is not known, rad; the sine of larger ones is no larger."""
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Latitude and first heading, rad; None when they are not known."""
+@dataclass(slots=True, eq=False)
+class Attitude:
+    """Up, north and earth rate at the last rest, body axes, and the turn since then."""
 
     latitude: float | None
     heading: float | None
+    """Of the first rest, rad; None when they are not known."""
+    up: FloatArray = field(default_factory=partial(np.zeros, 3))
+    north: FloatArray = field(default_factory=partial(np.zeros, 3))
+    """Unit vectors, (3,); zero where not known."""
+    earth: FloatArray = field(default_factory=partial(np.zeros, 3))
+    """What is known of the earth rate, rad/s, (3,)."""
+    heading_variance: float = 0.0
+    """Of the heading, where the place is known, rad²."""
+    turn: Turn = STILL
+    lost: bool = False
+    """Whether readings were missing since the last rest."""
 
     @property
     def oriented(self) -> bool:
@@ -41,23 +53,6 @@ class Place:
         """Horizontal earth rate, rad/s; the most it can be where the latitude is not known."""
         return EARTH_RATE * (1.0 if self.latitude is None else math.cos(self.latitude))
 
-
-@dataclass(slots=True, eq=False)
-class Attitude:
-    """Up, north and earth rate at the last rest, body axes, and the turn since then."""
-
-    place: Place
-    up: FloatArray = field(default_factory=lambda: np.zeros(3))
-    north: FloatArray = field(default_factory=lambda: np.zeros(3))
-    """Unit vectors, (3,); zero where not known."""
-    earth: FloatArray = field(default_factory=lambda: np.zeros(3))
-    """What is known of the earth rate, rad/s, (3,)."""
-    heading_variance: float = 0.0
-    """Of the heading, where the place is known, rad²."""
-    turn: Turn = STILL
-    lost: bool = False
-    """Whether readings were missing since the last rest."""
-
     def follow(self, turn: Turn, bias: FloatArray) -> None:
         """Turn on; `bias` is that of the rates, rad/s, (3,)."""
         self.turn = self.turn.then(turn.less(bias))
@@ -65,7 +60,7 @@ class Attitude:
     @property
     def uncertain_earth(self) -> FloatArray:
         """Variance of the earth rate that is known, or taken for bias, (rad/s)², (3,)."""
-        known = self.place.horizontal**2 * self.heading_variance * (1.0 - self.up**2)
+        known = self.horizontal**2 * self.heading_variance * (1.0 - self.up**2)
         return np.asarray(known + self._turned_earth() if self.turn.seconds else known)
 
     def _turned_earth(self) -> FloatArray:
@@ -73,13 +68,13 @@ class Attitude:
 
         Its direction is not known.
         """
-        if self.place.oriented:
+        if self.oriented:
             return np.zeros(3)
         change = self.turn.rotation.T - np.eye(3)
         square = (change * change) @ np.ones(3)
-        if self.place.latitude is None:
+        if self.latitude is None:
             return np.asarray(EARTH_RATE**2 / 3.0 * square)
-        return np.asarray(0.5 * self.place.horizontal**2 * (square - (change @ self.up) ** 2))
+        return np.asarray(0.5 * self.horizontal**2 * (square - (change @ self.up) ** 2))
 
     def come_to_rest(self, force: FloatArray, prediction: Prediction | None) -> FloatArray:
         """Take the attitude of a new rest; return what that adds to the variance of the bias, (3,).
@@ -94,16 +89,16 @@ class Attitude:
         added, size = self._turned_earth(), float(np.linalg.norm(force))
         if size > 0.0:
             before, self.up = self.up, force / size
-            if self.place.oriented:
+            if self.oriented:
                 added = self._find_north(before, None if self.lost else prediction)
-            if self.place.latitude is not None:
-                self.earth = earth_rate_along(self.up, self.north, self.place.latitude)
+            if self.latitude is not None:
+                self.earth = earth_rate_along(self.up, self.north, self.latitude)
         self.turn, self.lost = STILL, False
         return added
 
     def _find_north(self, before: FloatArray, prediction: Prediction | None) -> FloatArray:
         """Find north where the place is known; `before` is up, (3,), at the last rest, or zero."""
-        assert self.place.heading is not None
+        assert self.heading is not None
         northward = self.north @ self.turn.rotation
         northward -= (northward @ self.up) * self.up
         length, variance = float(np.linalg.norm(northward)), LOST_SD**2
@@ -111,11 +106,11 @@ class Attitude:
             self.north = northward / length
             variance = min(variance, self._heading_variance(before, prediction))
         else:
-            self.north = north_in_body(self.up, self.place.heading)
+            self.north = north_in_body(self.up, self.heading)
         if not before.any():
             return np.zeros(3)
         self.heading_variance = min(LOST_SD**2, self.heading_variance + variance)
-        return np.asarray(self.place.horizontal**2 * variance * (1.0 - self.up**2))
+        return np.asarray(self.horizontal**2 * variance * (1.0 - self.up**2))
 
     def _heading_variance(self, up: FloatArray, prediction: Prediction) -> float:
         """Return the variance of the angle by which the gyros seem to have turned about the vertical, rad².

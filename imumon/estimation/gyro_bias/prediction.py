@@ -30,14 +30,6 @@ class Prediction:
     degc: FloatArray
     """°C, (3,)."""
 
-    @classmethod
-    def of(cls, bias: FloatArray, variance: FloatArray, time_s: float, degc: FloatArray) -> Prediction:
-        """Return a constant bias, (3,), with its variance."""
-        mean, covariance = np.zeros((3, STATES)), np.zeros((3, STATES, STATES))
-        mean[:, WALK], covariance[:, WALK, WALK] = bias, variance
-        none = np.zeros(3)
-        return cls(mean, covariance, np.zeros((3, STATES)), none, none, time_s, degc)
-
     def at(self, time_s: float, degc: FloatArray) -> Prediction:
         """Return the prediction at a later time and temperatures, (3,); NaN is no change."""
         if time_s <= self.time_s:
@@ -87,8 +79,15 @@ class Shown(NamedTuple):
     force: FloatArray
     """Of the slot, (3,)."""
 
+    @classmethod
+    def constant(cls, bias: FloatArray, variance: FloatArray) -> Shown:
+        """Return a bias of any pose, (3,), with its variance."""
+        terms, covariance = np.zeros((3, 4)), np.zeros((3, 4, 4))
+        terms[:, 0], covariance[:, 0, 0] = bias, variance
+        return cls(terms, covariance, np.zeros(3))
 
-NOTHING = Shown(*(np.full(shape, np.nan) for shape in ((3, 4), (3, 4, 4), (3,))))
+
+NOTHING = Shown.constant(np.full(3, np.nan), np.full(3, np.nan))
 
 
 def at_samples(

@@ -15,9 +15,8 @@ from imumon.errors import ImumonError, Reason
 from imumon.estimation.gyro_bias.estimator import Estimator, Settings
 from imumon.estimation.gyro_bias.modes import SLOPE_LEFT_PER_SIGMA, SLOPE_PER_SIGMA
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
-from imumon.estimation.gyro_bias.place import Place
 from imumon.estimation.gyro_bias.prediction import NOTHING, Shown, at_samples
-from imumon.estimation.gyro_bias.thermal_input import ThermalInput, ThermalVariance, Trust, unseen_lag
+from imumon.estimation.gyro_bias.thermal_input import ThermalInput, ThermalVariance, trust_in, unseen_lag
 from imumon.estimation.gyro_bias.trail import BiasTrail
 from imumon.estimation.rest.parameters import RestParameters, retired
 from imumon.estimation.rest.slots import (
@@ -114,10 +113,12 @@ class RestAndBias:
         self._parameters, rest = parameters or GyroBiasParameters(), rest or RestParameters()
         self._thermal = ThermalInput(model)
         slopes = (0.0, SLOPE_LEFT_PER_SIGMA if model else SLOPE_PER_SIGMA) if mode == "learned" else (0.0,)
-        place = Place(*(None if one is None else math.radians(one) for one in (latitude_deg, heading_deg)))
+        latitude, heading = (
+            None if one is None else math.radians(one) for one in (latitude_deg, heading_deg)
+        )
         white_sd, wander = _declared(self._parameters)
-        self._trust = None if model is None else Trust.in_model(model)
-        settings = Settings(white_sd, wander, place, slopes, rest, self._rest_given)
+        self._trust = None if model is None else trust_in(model)
+        settings = Settings(white_sd, wander, latitude, heading, slopes, rest, self._rest_given)
         self._estimator = Estimator(settings, ThermalVariance(self._trust))
         self._timing = Timing()
         self._slots = SlotGatherer(GATHERED, round(SLOT_S * 1e9), rates=GYRO.start)
@@ -336,11 +337,11 @@ def _notices_of_place(latitude_deg: float | None, heading_deg: float | None) -> 
     return []
 
 
-def _outside(trust: Trust | None) -> str:
+def _outside(trust: FloatArray | None) -> str:
     if trust is None:
         return ""
+    _, _, low, high = trust
     return (
-        "the temperature is outside the range of the bias model, "
-        f"{trust.low_degc.max():.1f} to {trust.high_degc.min():.1f} °C: the bias is "
-        "extrapolated and its standard deviation widened"
+        f"the temperature is outside the range of the bias model, {low.max():.1f} to {high.min():.1f} °C: "
+        "the bias is extrapolated and its standard deviation widened"
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -31,32 +32,15 @@ def unseen_lag(gap_s: float, rate_sd: FloatArray) -> FloatArray:
     return np.asarray(-UNTOLD_S * math.expm1(-gap_s / UNTOLD_S) * unseen)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Trust:
-    """How far a model can be trusted, of three axes, (3,) each."""
-
-    residual: FloatArray
-    """Of the curve, rad/s."""
-    steepness: FloatArray
-    """Rms slope of the curve, rad/s/°C."""
-    low_degc: FloatArray
-    high_degc: FloatArray
-    """Calibrated range."""
-
-    @classmethod
-    def in_model(cls, model: BiasModel) -> Trust:
-        """Return that of the gyros."""
-        channels = [model.channels[name] for name in GYROS]
-        low, high = np.array([channel.temperature_range_degc for channel in channels]).T
-        slopes = [
-            channel.slope(np.linspace(*ends, 101)) for channel, *ends in zip(channels, low, high, strict=True)
-        ]
-        residual = np.array([channel.residual_sd for channel in channels])
-        return cls(residual, np.sqrt(np.mean(np.square(slopes), axis=1)), low, high)
-
-
-def _zeros() -> FloatArray:
-    return np.zeros(3)
+def trust_in(model: BiasModel) -> FloatArray:
+    """Return of the model's gyros, (4, 3), the sd of the curve's residual, rad/s, the rms slope of the curve,
+    rad/s/°C, and the lower and the upper end of the calibrated range, °C."""
+    rows = []
+    for channel in (model.channels[name] for name in GYROS):
+        low, high = channel.temperature_range_degc
+        slope = channel.slope(np.linspace(low, high, 101))
+        rows.append([channel.residual_sd, np.sqrt(np.mean(slope**2)), low, high])
+    return np.array(rows).T
 
 
 @dataclass(slots=True, eq=False)
@@ -68,39 +52,36 @@ class ThermalVariance:
     faded, its sd at first less that now, has moved the bias.
     """
 
-    trust: Trust | None
-    """None without a model."""
-    mark_degc: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    trust: FloatArray | None
+    """As from `trust_in`; None without a model."""
+    mark_degc: FloatArray = field(default_factory=partial(np.full, 3, np.nan))
     """Temperature up to which the random walk has been counted, (3,)."""
-    beyond_degc: FloatArray = field(default_factory=_zeros)
+    beyond_degc: FloatArray = field(default_factory=partial(np.zeros, 3))
     """Farthest outside of the calibrated range, (3,)."""
-    power_on_sd: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    power_on_sd: FloatArray = field(default_factory=partial(np.full, 3, np.nan))
     """Of the state at power-on, (3,)."""
-    faded: FloatArray = field(default_factory=_zeros)
+    faded: FloatArray = field(default_factory=partial(np.zeros, 3))
     """Variance by what has faded of it, (3,)."""
-
-    def restarted(self) -> ThermalVariance:
-        """Return what holds after a restart of the device."""
-        return ThermalVariance(self.trust)
 
     def step(self, degc: FloatArray, sd: FloatArray) -> FloatArray:
         """Return the variance that these temperatures add, with this sd of the state, (3,); NaN is none."""
         if self.trust is None:
             return np.zeros(3)
-        trust, before2, faded = self.trust, self.beyond_degc**2, self.faded
+        residual, steepness, low, high = self.trust
+        before2, faded = self.beyond_degc**2, self.faded
         self.mark_degc = np.where(np.isfinite(self.mark_degc), self.mark_degc, degc)
         moved = np.abs(degc - self.mark_degc)
         far = moved >= MOVED_DEGC
         self.mark_degc = np.where(far, degc, self.mark_degc)
-        walk = np.where(far, 2.0 * trust.residual**2 * moved / CORRELATION_DEGC, 0.0)
-        self.beyond_degc = np.fmax(self.beyond_degc, np.fmax(trust.low_degc - degc, degc - trust.high_degc))
+        walk = np.where(far, 2.0 * residual**2 * moved / CORRELATION_DEGC, 0.0)
+        self.beyond_degc = np.fmax(self.beyond_degc, np.fmax(low - degc, degc - high))
         self.power_on_sd = np.where(np.isfinite(self.power_on_sd), self.power_on_sd, sd)
         self.faded = np.fmax(self.faded, (sd - self.power_on_sd) ** 2)
-        return np.asarray(walk + trust.steepness**2 * (self.beyond_degc**2 - before2) + self.faded - faded)
+        return np.asarray(walk + steepness**2 * (self.beyond_degc**2 - before2) + self.faded - faded)
 
     def lagged(self, lag_degc: FloatArray) -> FloatArray:
         """Return the variance by what the lag behind the thermometer may have done in a gap (sd), (3,)."""
-        return np.zeros(3) if self.trust is None else np.asarray((self.trust.steepness * lag_degc) ** 2)
+        return np.zeros(3) if self.trust is None else np.asarray((self.trust[1] * lag_degc) ** 2)
 
 
 class ThermalInput:

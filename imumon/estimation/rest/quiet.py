@@ -9,6 +9,7 @@ bias is needed: whether a steady mean is the bias or a turn is not decided here.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -50,18 +51,14 @@ DITHER = 2.0 * np.pi**2
 (Widrow)."""
 
 
-def _zeros() -> FloatArray:
-    return np.zeros(AXES)
-
-
 @dataclass(slots=True, eq=False)
 class QuietDetector:
     """The latest slots, the latest one last, and the noise at rest."""
 
-    mean: FloatArray = field(default_factory=lambda: np.zeros((TRIAL, AXES)))
-    within: FloatArray = field(default_factory=lambda: np.full((TRIAL, AXES), np.nan))
+    mean: FloatArray = field(default_factory=partial(np.zeros, (TRIAL, AXES)))
+    within: FloatArray = field(default_factory=partial(np.full, (TRIAL, AXES), np.nan))
     """Variance of their samples."""
-    total: FloatArray = field(default_factory=lambda: np.zeros((2 * LENGTHS[-1] + 1, AXES)))
+    total: FloatArray = field(default_factory=partial(np.zeros, (2 * LENGTHS[-1] + 1, AXES)))
     """Sum of the means up to each slot."""
     slots: int = 0
     """Since it began, or began anew."""
@@ -71,9 +68,9 @@ class QuietDetector:
     """Slots that were not, since the last rest of a trial's length."""
     known: bool = False
     """Whether the noise is."""
-    noise: FloatArray = field(default_factory=_zeros)
+    noise: FloatArray = field(default_factory=partial(np.zeros, AXES))
     """Variance of the mean of a slot at rest, (6,)."""
-    sample_noise: FloatArray = field(default_factory=_zeros)
+    sample_noise: FloatArray = field(default_factory=partial(np.zeros, AXES))
     """Variance of its samples at rest, (6,)."""
     learned: float = 0.0
     """Slots that the noise has been learned from."""
@@ -81,11 +78,11 @@ class QuietDetector:
     """Whether a single sample of the present slot was outside `band`."""
     another: bool = False
     """Whether another noise has been found with this slot."""
-    present: BoolArray = field(default_factory=lambda: np.zeros(AXES, np.bool_))
+    present: BoolArray = field(default_factory=partial(np.zeros, AXES, np.bool_))
     """Axes that have readings, (6,)."""
     absent: int = 0
     """Slots for which one of them had none."""
-    step: FloatArray = field(default_factory=_zeros)
+    step: FloatArray = field(default_factory=partial(np.zeros, AXES))
     """Step of the sensor, (6,); 0 while it is not known."""
 
     @property
@@ -116,8 +113,6 @@ class QuietDetector:
         self._note(slot)
         step = np.minimum(np.where(self.step > 0.0, self.step, np.inf), slot.step)
         step = np.where(np.isfinite(step), step, 0.0)
-        # The first step of a coarse sensor is outside a band that knew none.
-        self.disturbed &= not ((step > 0.0) & (self.step == 0.0)).any()
         self.step = step
         if self.known:
             self.run += 1
