@@ -111,12 +111,10 @@ class Changed:
     """Compared as 4 to 8 s ago: a rate that drifts on does not fit it."""
     at_onset: Prediction
     """Of nominal, when this rate began: as time goes on it becomes vague, and would fit a steady turn."""
-    since_s: float
-    """Since when the nominal bias is contradicted."""
     fits_s: float
     """How long this rate has lasted, s."""
     changes: int
-    """How often the rate has changed since then."""
+    """How often the rate has changed since the nominal bias was contradicted."""
     probability: float = 0.0
     """That the present rate is a turn."""
 
@@ -193,7 +191,7 @@ class Hypotheses:
         if fits and changed is None and len(self.recent) > SPANS[1]:
             return facts
         if self.rest_given:
-            impatient = changed is not None and now.end_s - changed.since_s > PATIENCE_S
+            impatient = changed is not None and changed.fits_s > PATIENCE_S
             return facts._replace(accepted=impatient, probability=0.5)
         if fits and self.alike >= LEAST_SECONDS:
             seconds: Sequence[Second] = alike
@@ -249,15 +247,15 @@ class Hypotheses:
 
     def begin(self, now: Second) -> None:
         """The rate is another: H1 begins, or begins anew with what it has learned of the noise."""
-        bank, before, since_s, changes = self.nominal.older, self.changed, now.end_s, 0
+        bank, before, changes = self.nominal.older, self.changed, 0
         at_onset = bank.prediction.at(now.end_s, now.degc)
         if before is None:
             self.nominal, self.undo = Track.of(bank), None
         else:
-            since_s, changes, self.alike = before.since_s, before.changes + 1, 1
+            changes, self.alike = before.changes + 1, 1
             bank = bank.with_noise_of(before.track.bank)
         track = Track.of(bank.after(now, jumped=True))
-        self.changed = Changed(track, at_onset, since_s, now.seconds, changes)
+        self.changed = Changed(track, at_onset, now.seconds, changes)
 
     def move(self, undo: bool) -> None:
         """Note that the unit moves: a contradiction of a few seconds was how the motion began.
@@ -270,7 +268,8 @@ class Hypotheses:
         if undo and self.undo is not None:
             self.nominal = self.undo
         self.undo = None
-        if self.changed is not None and self.changed.track.bank.time_s - self.changed.since_s < ONSET_S:
+        changed = self.changed
+        if changed is not None and changed.changes == 0 and changed.fits_s < ONSET_S:
             self.changed = None
         self.moved, self.recent, self.alike = True, [], 0
 

@@ -41,8 +41,8 @@ BUMP = 20.0
 """In a trial: largest difference of a slot from its neighbours' mean, squared, over its variance."""
 SLOWER = 16.0
 """In a trial: largest variance of slot means over that which their samples explain: more is slow motion."""
-ANOTHER, GIVEN_ANOTHER = 2.5, 4.0
-"""Factor of the variance from which on a trial has found another noise; the same at rest that is given."""
+ANOTHER = 2.5
+"""Factor of the variance from which on a trial has found another noise."""
 SPIKE_SIGMAS = 8.0
 """A single sample so far from the mean at rest ends it."""
 TINY = 1e-24
@@ -132,12 +132,11 @@ class QuietDetector:
             self.run = 0
             return
         self.run += 1
-        noise = noise_of(self.mean)
-        other = not self.known or bool((noise > GIVEN_ANOTHER * self.noise)[GYRO].any())
-        if other and self.run >= TRIAL and self.slots % 4 == 0:
-            self._found(noise, noise * slot.samples)
-        else:
+        if self.known or self.run < TRIAL:
             self._learn(slot)
+        else:
+            noise = noise_of(self.mean)
+            self._found(noise, noise * slot.samples)
 
     def _note(self, slot: Slot) -> None:
         """Append the means: the last one of an axis that pauses, and 0 of one that is absent."""
