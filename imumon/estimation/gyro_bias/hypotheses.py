@@ -181,6 +181,7 @@ class Hypotheses:
         changed, fits_changed, limits, sigmas = self.changed, False, prediction, FIT_SIGMAS
         if changed is not None:
             older = changed.track.older.prediction.at(now.end_s, now.degc)
+            # The first of this rate were before it began, as the onset is not known.
             learned = alike[-max(int(changed.fits_s), 1) - 1 :]
             fits_changed, _ = _fit(FIT_SIGMAS, older, learned)
             if fits_changed:
@@ -211,9 +212,9 @@ class Hypotheses:
         now, limits = self.recent[-1], self.limits
         bias, variance = prediction.bias(now.force, of_mean=True)
         largest, noise = float(variance.max()), accel_noise / seconds[0].seconds
-        ratio, part = by_gravity(seconds, bias, change, largest, noise, limits.accel_drift)
+        ratio = by_gravity(seconds, bias, change, largest, noise, limits.accel_drift)
         ratio += by_compass(seconds, bias)
-        others, fits_s, changes = as_predicted(part, variance), 0.0, 0
+        others, fits_s, changes = as_predicted(change, variance), 0.0, 0
         if self.changed is not None:
             fits_s, changes = self.changed.fits_s, self.changed.changes
         if self.first is not None and fits_s >= ONSET_S:
@@ -223,7 +224,7 @@ class Hypotheses:
         return facts._replace(
             fits_nominal=facts.fits_nominal and not turns,
             accepted=ratio > CHANGE_LOG_RATIO or (steady and not turns),
-            probability=probability_of_turn(part, ratio, others, limits.largest_jump, changes),
+            probability=probability_of_turn(change, ratio, others, limits.largest_jump, changes),
         )
 
     def learn(self, now: Second) -> None:

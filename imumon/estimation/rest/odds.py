@@ -23,8 +23,6 @@ EXCLUDED_SIGMAS = 6.0
 half as many: a chamber on a cycle, measured, is rest for 95 % of its time without, and for 98 % with it."""
 LEVEL_RATIO = 3.0
 """The level part of a change over the vertical one from which on that decides for the whole."""
-NOT_OBLIQUE = 3.0
-"""Log likelihood ratio against an oblique turn from which on only the vertical part may be a turn."""
 COMPASS_ERROR = 0.15
 """Error of a change of heading over that change: hard and soft iron.  Assumed."""
 COMPASS_NOISE = 0.01
@@ -73,9 +71,8 @@ def by_gravity(
     variance: float,
     noise: float,
     drift: float,
-) -> tuple[float, FloatArray]:
-    """Return the log likelihood ratio of a changed bias over a turn by how gravity moved, and the part of the
-    change that may be a turn, rad/s, (3,).
+) -> float:
+    """Return the log likelihood ratio of a changed bias over a turn by how gravity moved.
 
     A turn is about the vertical, or oblique.  An oblique one tilts the unit by the angle turned, a change of
     the bias does not.  In one about the vertical the level axes show the noise of the bias alone.
@@ -92,12 +89,12 @@ def by_gravity(
     force = seconds[-1].force
     gravity = math.sqrt(float(force @ force))
     if len(seconds) < 3 or not gravity > 0.5 * STANDARD_GRAVITY:
-        return 0.0, change
+        return 0.0
     up = force / gravity
     upright2 = float(change @ up) ** 2
     level2 = float(change @ change) - upright2
     if level2 < OBLIQUE**2 * (level2 + upright2):
-        return 0.0, change
+        return 0.0
     later = seconds[1:]
     elapsed = sum(one.seconds for one in later)
     turn = sum((one.seconds * (one.rate - bias) for one in later), np.zeros(3))
@@ -107,13 +104,12 @@ def by_gravity(
     turn2, tilt2 = float(turn @ turn), float(tilt @ tilt)
     excluded = turn2 > EXCLUDED_SIGMAS**2 * of_tilt > 4.0 * tilt2
     if excluded and level2 > LEVEL_RATIO**2 * upright2:
-        return MOST_LOG_RATIO, change
+        return MOST_LOG_RATIO
     left = tilt - turn
     oblique = 0.5 * (float(left @ left) / (of_tilt + variance * elapsed**2) - tilt2 / of_tilt)
     # About the vertical: what the level axes show is noise of the bias, or a change of it.
     upright = 0.5 * level2 / variance + math.log(variance * USUAL_CHANGE / (USUAL_CHANGE**2 + level2) ** 1.5)
-    ratio = math.log(2.0) - float(np.logaddexp(-oblique, -max(upright, 0.0)))
-    return ratio, (change @ up) * up if oblique > NOT_OBLIQUE else change
+    return math.log(2.0) - float(np.logaddexp(-oblique, -max(upright, 0.0)))
 
 
 def by_compass(seconds: Sequence[Second], bias: FloatArray) -> float:

@@ -37,8 +37,6 @@ COLOUR = 5.0
 """In a trial: largest variance of means of 4 and 8 slots over that of white noise."""
 HALVES, HALVES_OFFSET = 5.0, 20.0
 """In a trial: largest noise of one half over the other, and what is added to it."""
-BUMP = 20.0
-"""In a trial: largest difference of a slot from its neighbours' mean, squared, over its variance."""
 SLOWER = 16.0
 """In a trial: largest variance of slot means over that which their samples explain: more is slow motion."""
 ANOTHER = 2.5
@@ -206,25 +204,22 @@ class QuietDetector:
 
     def _trial(self, count: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """Return the variance of slot means and of samples, (6,) each; None of what moves."""
-        second, noise = np.diff(self.mean, 2, axis=0), noise_of(self.mean)
+        noise = noise_of(self.mean)
         enough = np.isfinite(self.within).all(0) & (count >= 3.0)
         samples = np.where(enough, np.where(enough, self.within, 0.0).mean(0), noise * count)
-        quiet2 = (np.minimum(QUIET**2, 9.0 * self.noise) if self.known else QUIET**2) + self.rounding
-        floor = np.maximum(noise, quiet2)
-        if self._is_road(noise, samples, count):
-            return None
+        least = QUIET**2 + self.rounding
         for length in (4, 8):  # noise averages out
             means = self.mean.reshape(-1, length, AXES).mean(1)
-            ratio = means.var(0, ddof=1) / np.maximum(noise / length, quiet2)
-            if (ratio.reshape(2, 3).mean(1) > COLOUR).any() or (ratio > 2.0 * COLOUR).any():
+            ratio = means.var(0, ddof=1) / np.maximum(noise / length, least)
+            if (ratio.reshape(2, 3).mean(1) > COLOUR).any():
                 return None
         # A hand is slow within a slot and fast between slots.
-        slow = enough & (noise * count > SLOWER * samples) & (noise > quiet2)
-        halves = np.stack([(second[:7] ** 2).sum(0), (second[7:] ** 2).sum(0)]) / floor
-        by_sensor = halves.reshape(2, 2, 3).sum(2)
-        uneven = by_sensor.max(0) > HALVES * by_sensor.min(0) + HALVES_OFFSET
-        bumps = second**2 / 6.0 > BUMP * floor
-        return None if slow.any() or uneven.any() or bumps.any() else (noise, samples)
+        slow = enough & (noise * count > SLOWER * samples) & (noise > least)
+        second = np.diff(self.mean, 2, axis=0) ** 2 / np.maximum(noise, least)
+        first, last = (half.reshape(-1, 2, 3).sum((0, 2)) for half in (second[:7], second[7:]))
+        uneven = np.maximum(first, last) > HALVES * np.minimum(first, last) + HALVES_OFFSET
+        moves = bool(slow.any() or uneven.any()) or self._is_road(noise, samples, count)
+        return None if moves else (noise, samples)
 
     def _is_road(self, noise: FloatArray, samples: FloatArray, count: FloatArray) -> bool:
         """Return whether it shakes more than any sensor's noise does."""
