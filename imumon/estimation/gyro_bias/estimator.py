@@ -222,8 +222,8 @@ class Estimator:
         slots = self.latest[-run:]
         self.attitude = self.settings.attitude
         self.attitude.come_to_rest(self.force, None)
-        count = min(max(round(sum(one.seconds for one in slots)), 1), len(slots))
-        parts = np.array_split(np.arange(len(slots)), count)
+        whole_s = max(round(sum(one.seconds for one in slots)), 1)
+        parts = np.array_split(np.arange(len(slots)), min(whole_s, len(slots)))
         seconds = [self._second([slots[k] for k in part]) for part in parts]
         if not np.isfinite([one.rate for one in seconds]).all():
             return
@@ -290,6 +290,6 @@ class Estimator:
             return np.zeros(3)
         if self.began_turning:
             return hypotheses.recent[-1].rate
-        before, ambiguity = self.ambiguities
-        ambiguity = np.where(np.abs(before) > np.abs(ambiguity), before, ambiguity)
-        return np.copysign(np.hypot(ambiguity, self.quiet.rounding_error[GYRO]), ambiguity)
+        before, latest = self.ambiguities
+        larger = np.where(np.abs(before) > np.abs(latest), before, latest)
+        return np.asarray(np.copysign(np.hypot(larger, self.quiet.rounding_error[GYRO]), larger))

@@ -171,8 +171,8 @@ class RestAndBias:
         ended = slots.row[slots.row < n]
         self._trail.add(temperature[ended], bias[ended])
         vectors = bias, sd, readings[:, GYRO] - bias, innovation, bias - curve, sd
-        values = [rest, *turn.T, *(axis for vector in vectors for axis in vector.T)]
-        added = dict(zip((column.name for column in (*REST, *BIAS)), values, strict=True))
+        results = [rest, *turn.T, *(axis for vector in vectors for axis in vector.T)]
+        added = dict(zip((column.name for column in (*REST, *BIAS)), results, strict=True))
         return {column.name: added[column.name] for column in self.columns}
 
     def _follow(

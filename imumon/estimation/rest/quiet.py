@@ -76,7 +76,7 @@ class QuietDetector:
     """Whether a single sample of the present slot was outside `band`."""
     another: bool = False
     """Whether another noise has been found with this slot."""
-    present: BoolArray = field(default_factory=partial(np.zeros, AXES, np.bool_))
+    present: BoolArray = field(default_factory=lambda: np.zeros(AXES, np.bool_))
     """Axes that have readings, (6,)."""
     absent: int = 0
     """Slots for which one of them had none."""

@@ -8,9 +8,7 @@ import pytest
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias, Mode
 from tests.estimation.gyro_bias.records import (
-    ARW,
     DPH,
-    VRW,
     Truth,
     record,
     slope_model,
@@ -20,7 +18,6 @@ from tests.estimation.gyro_bias.records import (
 
 SLOW = Truth(rate_hz=10.0)
 SLOPE = 60.0
-KNOWN = {"angle_random_walk_rad_per_sqrt_s": ARW, "velocity_random_walk_m_per_s_per_sqrt_s": VRW}
 
 
 def warming(
