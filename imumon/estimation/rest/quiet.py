@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray
-from imumon.estimation.rest.slots import ACCEL, AXES, GYRO, Slot
+from imumon.estimation.rest.slots import AXES, Slot
 
 TRIAL = 16
 """Slots of a trial."""
@@ -37,8 +37,6 @@ COLOUR = 5.0
 """In a trial: largest variance of means of 4 and 8 slots over that of white noise."""
 HALVES, HALVES_OFFSET = 5.0, 20.0
 """In a trial: largest noise of one half over the other, and what is added to it."""
-SLOWER = 16.0
-"""In a trial: largest variance of slot means over that which their samples explain: more is slow motion."""
 ANOTHER = 2.5
 """Factor of the variance from which on a trial has found another noise."""
 SPIKE_SIGMAS = 8.0
@@ -213,23 +211,15 @@ class QuietDetector:
             ratio = means.var(0, ddof=1) / np.maximum(noise / length, least)
             if (ratio.reshape(2, 3).mean(1) > COLOUR).any():
                 return None
-        # A hand is slow within a slot and fast between slots.
-        slow = enough & (noise * count > SLOWER * samples) & (noise > least)
         second = np.diff(self.mean, 2, axis=0) ** 2 / np.maximum(noise, least)
         first, last = (half.reshape(-1, 2, 3).sum((0, 2)) for half in (second[:7], second[7:]))
         uneven = np.maximum(first, last) > HALVES * np.minimum(first, last) + HALVES_OFFSET
-        moves = bool(slow.any() or uneven.any()) or self._is_road(noise, samples, count)
-        return None if moves else (noise, samples)
-
-    def _is_road(self, noise: FloatArray, samples: FloatArray, count: FloatArray) -> bool:
-        """Return whether it shakes more than any sensor's noise does."""
-        white = noise * count < 1.5 * samples
+        # Single samples are as loud as they are.
         loud = np.maximum(self.mean.var(0), noise).reshape(2, 3).mean(1) > ROAD**2
-        loud &= count.reshape(2, 3).max(1) >= 3.0  # single samples are as loud as they are
-        shakes = samples > VIBRATION**2
-        if loud[1] or shakes[ACCEL].any():
-            return True
-        return bool((loud[0] and not white[GYRO].all()) or (shakes & ~white)[GYRO].any())
+        road = loud & (count.reshape(2, 3).max(1) >= 3.0)
+        shaken = samples > VIBRATION**2
+        moves = uneven.any() or road.any() or shaken.any()
+        return None if moves else (noise, samples)
 
 
 def noise_of(mean: FloatArray) -> FloatArray:

@@ -51,14 +51,6 @@ def test_on_calibrated_data_and_thermal_it_is_one_filter() -> None:
     assert rms(block, bias, GyroBias()).min() > 6.0
 
 
-def test_a_model_without_its_temperature_says_so() -> None:
-    block, _ = warming(triangle(540.0))
-    none = SampleBlock({k: v for k, v in block.columns.items() if not k.startswith("temperature")})
-    stage = GyroBias(model=slope_model(SLOPE), mode="thermal")
-    stage.process(none)
-    assert any("lacks its temperature" in text for text in stage.notices())
-
-
 def test_zeroing_on_a_ramp_refers_to_its_end() -> None:
     t = np.arange(620) / 10
     block, bias = warming(25.0 + t / 30.0)
