@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray
-from imumon.estimation.rest.slots import AXES, Slot
+from imumon.estimation.rest.slots import ACCEL, AXES, Slot
 
 TRIAL = 16
 """Slots of a trial."""
@@ -214,11 +214,12 @@ class QuietDetector:
         second = np.diff(self.mean, 2, axis=0) ** 2 / np.maximum(noise, least)
         first, last = (half.reshape(-1, 2, 3).sum((0, 2)) for half in (second[:7], second[7:]))
         uneven = np.maximum(first, last) > HALVES * np.minimum(first, last) + HALVES_OFFSET
-        # Single samples are as loud as they are.
+        # Single samples are as loud as they are, and a gyro may be noisy: its samples are then white.
         loud = np.maximum(self.mean.var(0), noise).reshape(2, 3).mean(1) > ROAD**2
         road = loud & (count.reshape(2, 3).max(1) >= 3.0)
-        shaken = samples > VIBRATION**2
-        moves = uneven.any() or road.any() or shaken.any()
+        white = (noise * count < 1.5 * samples) & (np.arange(AXES) < ACCEL.start)
+        shaken = (samples > VIBRATION**2) | np.repeat(road, 3)
+        moves = uneven.any() or (shaken & ~white).any()
         return None if moves else (noise, samples)
 
 
