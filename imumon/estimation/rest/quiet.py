@@ -109,6 +109,8 @@ class QuietDetector:
         self._note(slot)
         step = np.minimum(np.where(self.step > 0.0, self.step, np.inf), slot.step)
         step = np.where(np.isfinite(step), step, 0.0)
+        # The first step of a coarse sensor is outside a band that knew none.
+        self.disturbed &= not ((step > 0.0) & (self.step == 0.0)).any()
         self.step = step
         if self.known:
             self.run += 1
