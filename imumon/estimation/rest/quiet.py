@@ -39,6 +39,8 @@ HALVES, HALVES_OFFSET = 5.0, 20.0
 """In a trial: largest noise of one half over the other, and what is added to it."""
 ANOTHER = 2.5
 """Factor of the variance from which on a trial has found another noise."""
+SLOWER = 16.0
+"""In a trial: largest variance of slot means over that which their samples explain: more is slow motion."""
 SPIKE_SIGMAS = 8.0
 """A single sample so far from the mean at rest ends it."""
 TINY = 1e-24
@@ -213,6 +215,8 @@ class QuietDetector:
             ratio = means.var(0, ddof=1) / np.maximum(noise / length, least)
             if (ratio.reshape(2, 3).mean(1) > COLOUR).any():
                 return None
+        # A hand is slow within a slot and fast between slots.
+        slow = enough & (noise * count > SLOWER * samples) & (noise > least)
         second = np.diff(self.mean, 2, axis=0) ** 2 / np.maximum(noise, least)
         first, last = (half.reshape(-1, 2, 3).sum((0, 2)) for half in (second[:7], second[7:]))
         uneven = np.maximum(first, last) > HALVES * np.minimum(first, last) + HALVES_OFFSET
@@ -221,7 +225,7 @@ class QuietDetector:
         road = loud & (count.reshape(2, 3).max(1) >= 3.0)
         white = (noise * count < 1.5 * samples) & (np.arange(AXES) < ACCEL.start)
         shaken = (samples > VIBRATION**2) | np.repeat(road, 3)
-        moves = uneven.any() or (shaken & ~white).any()
+        moves = slow.any() or uneven.any() or (shaken & ~white).any()
         return None if moves else (noise, samples)
 
 
