@@ -209,7 +209,9 @@ class QuietDetector:
         noise = noise_of(self.mean)
         enough = np.isfinite(self.within).all(0) & (count >= 3.0)
         samples = np.where(enough, np.where(enough, self.within, 0.0).mean(0), noise * count)
-        least = QUIET**2 + self.rounding
+        # Where the noise at rest is known, what is far above it is suspicious, too.
+        quiet2 = np.minimum(QUIET**2, 9.0 * self.noise) if self.known else QUIET**2
+        least = quiet2 + self.rounding
         for length in (4, 8):  # noise averages out
             means = self.mean.reshape(-1, length, AXES).mean(1)
             ratio = means.var(0, ddof=1) / np.maximum(noise / length, least)
