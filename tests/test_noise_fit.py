@@ -49,9 +49,11 @@ def test_a_fit_tells_flicker_from_a_walk(instability: float, walk: float) -> Non
     n, white = 3600, 1.5
     model = flicker([instability * white], [walk * white], TAUS)
     x = rng.normal(size=len(TAUS) + 1) * np.append(0.0, model.markov_sd)
+    kept = np.append(1.0, np.exp(-1.0 / TAUS))
+    driving = np.append(model.walk, model.markov_sd * np.sqrt(1.0 - kept[1:] ** 2))
     z = np.empty(n)
     for k in range(n):
-        x = model.decay(1.0) * x + rng.normal(size=len(x)) * np.sqrt(model.growth(1.0)[0])
+        x = kept * x + rng.normal(size=len(x)) * driving
         z[k] = x.sum() + white * rng.normal()
     z[500:700] = np.nan
     elapsed = np.append(np.inf, np.ones(n - 1))

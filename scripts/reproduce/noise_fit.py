@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.filters.noise import INSTABILITY_PER_DECADE, BiasNoise, NoiseTerms, whitener
+from imumon.lab.diagnosis.whitening import INSTABILITY_PER_DECADE, BiasNoise, whitener
 
 VAGUE = 1e8
 """Variance of a level that nobody knows, over that of the rest of a mean: rounding stays below 1e-7."""
@@ -23,7 +24,7 @@ def deviance(
     Parameters
     ----------
     noise, elapsed_s, white
-        As of `imumon.filters.noise.whitener`.
+        As of `imumon.lab.diagnosis.whitening.whitener`.
     mean : array (n,)
         NaN where there is none.
     """
@@ -49,6 +50,14 @@ STEPS = (1.0, 0.3, 0.1, 0.03)
 """Decades between what is tried, in turn."""
 
 
+class NoiseTerms(NamedTuple):
+    """N, B and K of IEEE Std 952, rad/sqrt(s), rad/s and rad/s/sqrt(s); zero where there is none."""
+
+    white: float
+    instability: float
+    walk: float
+
+
 def fit_noise(elapsed_s: FloatArray, mean: FloatArray, covered_s: FloatArray) -> NoiseTerms:
     """Fit white noise, flicker and walk to means at rest, by likelihood.
 
@@ -58,7 +67,7 @@ def fit_noise(elapsed_s: FloatArray, mean: FloatArray, covered_s: FloatArray) ->
     Parameters
     ----------
     elapsed_s, mean : array (n,)
-        As of `imumon.filters.noise.whitener`.
+        As of `imumon.lab.diagnosis.whitening.whitener`.
     covered_s : array (n,)
         Over how long each mean was taken.
     """

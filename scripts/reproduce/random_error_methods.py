@@ -6,13 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from noise_fit import fit_noise
+from noise_fit import NoiseTerms, fit_noise
 from random_error_records import RATE_HZ, VARIANCE, Record
 from scipy.signal import lfilter
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.filters.noise import NoiseTerms
 from imumon.papers.linear import LinearFilter, ModelL
 from imumon.papers.local_level import fit_local_level, means_of
 from imumon.papers.rest_means import ExponentialMean, RestMean, hold

@@ -25,13 +25,11 @@ from imumon.estimation.gyro_bias.prediction import NOTHING, Shown
 from imumon.estimation.gyro_bias.thermal_input import ThermalVariance
 from imumon.estimation.rest.odds import by_compass
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.quiet import TRIAL, QuietDetector
+from imumon.estimation.rest.quiet import LEAST_SLOTS, TRIAL, QuietDetector
 from imumon.estimation.rest.slots import ACCEL, GYRO, Second, Slot, second_of
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 
 SECOND_S = 1.0 - 1e-6
-LEAST_SLOTS = 4
-"""Quiet slots in a row before it is rest."""
 UNDO_SLOTS = 2
 """Motion that begins within so many slots after a second takes that second back from the filters."""
 BEGAN_LOG_RATIO = 8.0
@@ -118,7 +116,7 @@ class Estimator:
     def at_rest(self) -> bool:
         """Whether the unit rests; by accelerometers alone where a gyro is absent."""
         if not self.quiet.present[GYRO].all():
-            return self.quiet.run >= LEAST_SLOTS
+            return self.quiet.is_rest
         turning = self.began_turning or (self.hypotheses is not None and self.hypotheses.turning)
         return self.decided and not turning
 
@@ -147,7 +145,7 @@ class Estimator:
             self.pending.append(slot)
             if self.hypotheses.turning:
                 self._follow(slot)
-            if self.quiet.run >= LEAST_SLOTS and sum(one.seconds for one in self.pending) >= SECOND_S:
+            if self.quiet.is_rest and sum(one.seconds for one in self.pending) >= SECOND_S:
                 innovation = self._decide(self.hypotheses)
         return innovation if self.at_rest else None
 
