@@ -13,7 +13,7 @@ from imumon.allan.series import PARTS, EvenSeries, even_channels
 from imumon.blocks import SampleBlock, join
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.rest.quiet import COARSEST_STEPS
+from imumon.estimation.rest.slots import COARSEST_STEPS
 from imumon.filters.rounding import digits
 from imumon.recordings.reader import Stages, no_stages, open_recording
 from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES
