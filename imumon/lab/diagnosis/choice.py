@@ -21,22 +21,18 @@ CLOSE = 10.0
 CLOSE_SHARE = 0.15
 """Nor those that differ by less than this share of the best gain: no regressor has exactly the shape of the
 physics, and with a large effect the shape decides."""
-PAIR_LIST = 4
-"""Best candidates of each family that are tried in pairs."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scored:
     """A candidate with its gain over the model so far.
 
-    `fit` is the gain without the price of the nonlinear parameters and of the choice.  `partner` names the
-    effect beside which it gains so much, where neither gains it alone.
+    `fit` is the gain without the price of the nonlinear parameters and of the choice.
     """
 
     candidate: Candidate
     gain: float
     fit: float
-    partner: str = ""
 
     @property
     def family(self) -> str:
@@ -132,8 +128,7 @@ def first_lack(tables: Mapping[str, Table], least: float, there: Mapping[str, Se
     chosen = max(close, key=order)
     channels = on[chosen]
     together = {name: sum(gain_in(tables[channel], name) for channel in channels) for name in names}
-    apart = {chosen, *(tables[channel][chosen].partner for channel in channels)}
-    alike = [name for name in names if name not in apart and _near(together[name], total[chosen])]
+    alike = [name for name in names if name != chosen and _near(together[name], total[chosen])]
     alike = [name for name in alike if together[name] > least]
     return Lack([chosen, *sorted(alike, key=lambda name: -together[name])], channels, total[chosen])
 
@@ -155,11 +150,6 @@ def _near(gain: float, best: float) -> bool:
     return best - gain < max(CLOSE, CLOSE_SHARE * best)
 
 
-def best_of_each(scored: Sequence[Scored]) -> dict[str, Scored]:
-    """Return the best candidate of each family."""
-    return {one.family: one for one in sorted(scored, key=gain_of)}
-
-
 def gain_in(table: Table, name: str) -> float:
     """Return what a family gains, minus infinity where it is not in the table."""
     return table[name].gain if name in table else -np.inf
@@ -168,26 +158,3 @@ def gain_in(table: Table, name: str) -> float:
 def gain_of(one: Scored) -> float:
     """Return the gain, to sort by."""
     return one.gain
-
-
-def best_few(scored: Sequence[Scored]) -> dict[str, list[Scored]]:
-    """Return the best few candidates of each family."""
-    found: dict[str, list[Scored]] = {}
-    for one in sorted(scored, key=gain_of, reverse=True):
-        if len(found.setdefault(one.family, [])) < PAIR_LIST:
-            found[one.family].append(one)
-    return found
-
-
-def joined_events(scored: Sequence[Scored]) -> list[Candidate]:
-    """Return events in several runs at once, made of the best of each run."""
-    best: dict[str, dict[int, Scored]] = {}
-    for one in sorted(scored, key=gain_of):
-        if one.candidate.scope == "event":
-            best.setdefault(one.family, {})[one.candidate.parts[0].runs[0]] = one
-    found = []
-    for name, runs in best.items():
-        largest = sorted(runs.values(), key=gain_of, reverse=True)
-        parts = [one.candidate.parts[0] for one in largest]
-        found += [Candidate(name, tuple(parts[:count])) for count in range(2, len(parts) + 1)]
-    return found

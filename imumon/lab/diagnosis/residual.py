@@ -153,10 +153,7 @@ def _lacking(
     """Return what the first stage of the search, over all channels at once, finds in each."""
     tried = candidates(shown, LASTING)
     searches = {one.name: Search(one, shown, likelihood, tried) for one in channels}
-    tables = {
-        name: {family: one for family, one in search.table().items() if not one.partner}
-        for name, search in searches.items()
-    }
+    tables = {name: search.table() for name, search in searches.items()}
     return {
         name: _Found(
             searches[name].channel,

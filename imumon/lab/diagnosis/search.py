@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 
@@ -24,18 +23,13 @@ from imumon.effects.base import Effect, Survey
 from imumon.lab.diagnosis.candidates import Candidate, Part, candidates
 from imumon.lab.diagnosis.channel import Channel, residual_rms
 from imumon.lab.diagnosis.choice import (
-    CLOSE_SHARE,
     PROVEN,
     Finding,
     Lack,
     Scored,
     Table,
-    best_few,
-    best_of_each,
     first_lack,
-    gain_in,
     gain_of,
-    joined_events,
     proof,
 )
 from imumon.lab.diagnosis.likelihood import Likelihood, Noise, no_larger
@@ -45,10 +39,6 @@ MOST_NAMES = 3
 STAGES = 5
 LEAST_SIZE = 0.3
 """White floors (rms) that an effect takes away, at least."""
-SECOND_SHARE = 0.2
-"""And this share of what the largest effect before it takes away."""
-JUMP_SHARE = 0.5
-"""A further jump counts from this share on: the jumps of a telegraph noise are of one size."""
 REFINEMENTS = 4
 
 Progress = Callable[[str], None]
@@ -173,10 +163,8 @@ class Search:
     # One stage
 
     def table(self) -> Table:
-        """Return the best of each family beside the model so far; jumps in several runs are one effect."""
-        scored = self.scored(self.tried)
-        best = best_of_each(scored + self.scored(joined_events(scored)))
-        return best if self.findings else self._beside_partner(scored, best)
+        """Return the best of each family beside the model so far."""
+        return {one.family: one for one in sorted(self.scored(self.tried), key=gain_of)}
 
     def scored(self, tried: Sequence[Candidate]) -> list[Scored]:
         """Return candidates with their gains over the model so far.
@@ -208,43 +196,6 @@ class Search:
         base = channel.design(self.found)
         return self.likelihood.scan(channel.values, base, channel.pool, terms, no_larger(noise))[0]
 
-    def _beside_partner(self, scored: Sequence[Scored], best: dict[str, Scored]) -> Table:
-        """Return the table with what effects gain beside the partner in the best pair, where both are needed.
-
-        Two effects at once hide one another: the one that replaces both best may be neither.  A pair counts
-        that gains more than any effect alone by more than the shape of that may be off.  Its partner is what
-        does not carry over, else what gains less alone.
-        """
-        few = [one for one in scored if not (one.candidate.free_start or one.candidate.choice)]
-        few = [one for one in few if len(one.candidate.parts) == 1]
-        members = [one for group in best_few(few).values() for one in group]
-        members += [self.refined(one) for one in best.values() if one.candidate.scope == "event"]
-        pairs = [two for two in combinations(members, 2) if two[0].family != two[1].family]
-        if not pairs:
-            return best
-        pool, price = self.channel.pool, self.likelihood.price
-        terms = [[term for one in two for term in pool.terms(one.candidate)[0]] for two in pairs]
-        null, noise = self.null()
-        ratio = 2.0 * (self._scan(terms, noise) - null)
-        number = [
-            len(own) + sum(one.candidate.nonlinear for one in two)
-            for two, own in zip(pairs, terms, strict=True)
-        ]
-        gains = (ratio - np.array(number) * price).tolist()
-        alone = max(PROVEN, *(one.gain for one in members))
-        at = int(np.argmax(gains))
-        if gains[at] <= max(alone + max(PROVEN, CLOSE_SHARE * alone), *(one.gain for one in best.values())):
-            return best
-        partner = min(pairs[at], key=lambda one: (one.candidate.scope not in ("run", "event"), one.gain))
-        found = dict[str, Scored]()
-        for two, gain in zip(pairs, gains, strict=True):
-            for one, other in (two, two[::-1]):
-                beside = gain - max(0.0, other.gain)
-                if other.family == partner.family and beside > gain_in(found, one.family):
-                    found[one.family] = replace(one, gain=beside, partner=partner.family)
-        best |= found
-        return best
-
     def open_table(self) -> Table:
         """Return the table of this stage without what is too small to be added."""
         return {name: one for name, one in self.tables[-1].items() if name not in self.too_small}
@@ -256,9 +207,7 @@ class Search:
         best = self.refined(table[name])
         size = float(np.sqrt(max(self._left() ** 2 - self._left(best.candidate) ** 2, 0.0)))
         least = max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind)
-        again = best.candidate.scope == "event" and name in (finding.name for finding in self.findings)
-        share = JUMP_SHARE if again else SECOND_SHARE
-        if size < max(least, share * self._largest_beside(best.candidate)):
+        if size < least:
             self.too_small.add(name)
             self.finished = best.candidate.scope == "event"  # beside small jumps nothing else is proven
             return self.finished
@@ -269,13 +218,12 @@ class Search:
         others = [other for other in lack.names[1:] if other in table and other not in there][
             : MOST_NAMES - 1
         ]
-        gain = max(best.gain, table[name].gain)
         self.findings.append(
             Finding(
                 best.candidate,
-                gain,
+                best.gain,
                 lack.gain,
-                {**{other: one.gain for other, one in table.items()}, name: gain},
+                {**{other: one.gain for other, one in table.items()}, name: best.gain},
                 [name, *others] if others else [],
                 size,
                 others={other: table[other].candidate for other in others},
@@ -283,20 +231,8 @@ class Search:
         )
         if len(self.findings) > 1:
             self._refine()
-        self.turns.append(Step(name, self.found, gain))
+        self.turns.append(Step(name, self.found, best.gain))
         return True
-
-    def _largest_beside(self, candidate: Candidate) -> float:
-        """Return the largest rms that one of the findings takes away beside a candidate; of one of the same
-        family, what that took away alone, for two of a kind share it."""
-        left, everything, sizes = self._left(candidate), self.findings, [0.0]
-        for finding in everything:
-            self.findings = [other for other in everything if other is not finding]
-            beside = float(np.sqrt(max(self._left(candidate) ** 2 - left**2, 0.0)))
-            same = finding.name == candidate.family and candidate.scope != "event"
-            sizes.append(finding.size if same else beside)
-        self.findings = everything
-        return max(sizes)
 
     def _second_event(self, candidate: Candidate) -> bool:
         """Tell, and remember, whether a run has a second jump."""
