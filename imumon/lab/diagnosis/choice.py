@@ -97,15 +97,6 @@ def proof(effects: int, channels: int) -> float:
     return PROVEN + 2.0 * float(np.log(max(1, effects) * (2**channels - 1)))
 
 
-def lacks(tables: Mapping[str, Table], least: float) -> list[Lack]:
-    """Return what channels lack whose gains add up to more than `least`; each lacks one effect."""
-    found, left = list[Lack](), dict(tables)
-    while (lack := first_lack(left, least, {})) is not None:
-        found.append(lack)
-        left = {name: table for name, table in left.items() if name not in lack.channels}
-    return found
-
-
 def first_lack(tables: Mapping[str, Table], least: float, there: Mapping[str, Sequence[str]]) -> Lack | None:
     """Return the effect that gains most on all the channels that show it, if that is more than `least`.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +12,7 @@ from imumon.effects.base import LEAST_SPAN_DEGC, Survey
 from imumon.effects.library import effects_for
 from imumon.errors import ImumonError, Reason
 from imumon.lab.calibration.gravity import Length
-from imumon.lab.diagnosis.axes import Assumed, make_axes
+from imumon.lab.diagnosis.axes import Assumed, axes_over_bases, likeliest
 from imumon.lab.diagnosis.blocks import (
     LEAST_BLOCKS,
     RunBlocks,
@@ -22,7 +22,7 @@ from imumon.lab.diagnosis.blocks import (
 )
 from imumon.lab.diagnosis.channel import Declared
 from imumon.lab.diagnosis.claims import settle
-from imumon.lab.diagnosis.drivers import recorded, shadows, with_drivers
+from imumon.lab.diagnosis.drivers import recorded, shadows
 from imumon.lab.diagnosis.known import (
     check_range,
     modelled,
@@ -32,7 +32,7 @@ from imumon.lab.diagnosis.known import (
     without_curve,
 )
 from imumon.lab.diagnosis.runs import SENSORS, STRETCHES, Run, channels_of, divided, in_order
-from imumon.lab.diagnosis.search import search
+from imumon.lab.diagnosis.search import Progress, search
 from imumon.lab.diagnosis.usable import (
     Names,
     blocks_of_test,
@@ -46,8 +46,14 @@ from imumon.models.curves.polynomial import CUBIC
 from imumon.models.model import BiasModel
 
 HIGHEST_DEGREE = 8
-
-Progress = Callable[[str], None]
+POSES_OWN = (
+    "several poses: the gyros have another constant in each, as the earth rate makes it; a sensitivity to g"
+    " is not told from that"
+)
+POSES_ALIKE = (
+    "several poses: what is named g_sensitivity holds the vertical earth rate as well, up to 15.04 °/h per g"
+    " on the diagonal"
+)
 
 
 @dataclass(slots=True)
@@ -188,17 +194,15 @@ def _sensor(
     progress: Progress | None,
 ) -> list[ChannelVerdict]:
     """Return the verdicts on the axes of one sensor."""
-    temperature = assumed.temperatures[group[0]]
     if group[0].startswith("accel") and len(group) == 3:
-        _add_length(temperature, assumed.degree, diagnosis)
-    axes = make_axes(train, diagnosis.train, diagnosis.test, group, assumed, diagnosis.model)
-    diagnosis.caveats += axes.caveats
-    found = search(
-        axes.searched,
-        with_drivers(axes.survey, axes.blocks, temperature),
-        effects_for(group[0]),
-        progress=progress,
+        _add_length(assumed.temperatures[group[0]], assumed.degree, diagnosis)
+    every = axes_over_bases(train, diagnosis.train, diagnosis.test, group, assumed, diagnosis.model)
+    names = effects_for(group[0])
+    axes, found = likeliest(
+        [(axes, search(axes.searched, axes.survey, names, progress=progress)) for axes in every]
     )
+    if group[0].startswith("gyro") and any(run.pose.any() for run in diagnosis.train):
+        diagnosis.caveats.append(POSES_OWN if axes.assumed.own == "pose" else POSES_ALIKE)
     return [settle(channel, one) for channel, one in zip(axes.channels, found, strict=True)]
 
 

@@ -21,7 +21,7 @@ from imumon.effects.base import ACCEL
 from imumon.effects.library import EFFECTS, AnyEffect, effects_for
 from imumon.files import write_text
 from imumon.geodesy import DEG_PER_H, MICRO_G
-from imumon.lab.diagnosis.axes import Assumed, make_axes
+from imumon.lab.diagnosis.axes import Assumed, axes_over_bases, likeliest
 from imumon.lab.diagnosis.blocks import BLOCK_S, make_blocks, survey
 from imumon.lab.diagnosis.choice import CLOSE, CLOSE_SHARE, PROVEN
 from imumon.lab.diagnosis.likelihood import TAUS_S
@@ -298,12 +298,11 @@ def recorded(plan: Scenario, seed: int) -> Run:
 
 def _searched(run: Run, channel: str, degree: int, kinds: Sequence[str]) -> Search:
     """Return the search in one channel of a run."""
-    group, magnetic = [f"{channel[:-2]}_{axis}" for axis in "xyz"], [f"mag_{axis}" for axis in "xyz"]
-    blocks = [make_blocks(run, group, ["temperature"], magnetic)]
+    blocks = [make_blocks(run, [channel], ["temperature"])]
     shown = survey(blocks, "temperature", degree, BLOCK_S)
-    assumed = Assumed(dict.fromkeys(group, "temperature"), degree if shown.thermal else 0, "")
-    axes = make_axes([run], blocks, [], group, assumed)
-    return search([axes.searched[group.index(channel)]], axes.survey, kinds)[0]
+    assumed = Assumed({channel: "temperature"}, degree if shown.thermal else 0, "")
+    every = axes_over_bases([run], blocks, [], [channel], assumed)
+    return likeliest([(axes, search(axes.searched, axes.survey, kinds)) for axes in every])[1][0]
 
 
 def write_plan(report: Report, number: int, made: Plan, folder: Path) -> list[Path]:

@@ -39,6 +39,10 @@ MOST_NAMES = 3
 STAGES = 5
 LEAST_SIZE = 0.3
 """White floors (rms) that an effect takes away, at least."""
+SECOND_SHARE = 0.2
+"""And this share of what the largest effect before it takes away."""
+JUMP_SHARE = 0.5
+"""A further jump counts from this share on: the jumps of a telegraph noise are of one size."""
 REFINEMENTS = 4
 
 Progress = Callable[[str], None]
@@ -207,7 +211,9 @@ class Search:
         best = self.refined(table[name])
         size = float(np.sqrt(max(self._left() ** 2 - self._left(best.candidate) ** 2, 0.0)))
         least = max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind)
-        if size < least:
+        again = best.candidate.scope == "event" and name in (finding.name for finding in self.findings)
+        largest = max((finding.size for finding in self.findings), default=0.0)
+        if size < max(least, (JUMP_SHARE if again else SECOND_SHARE) * largest):
             self.too_small.add(name)
             self.finished = best.candidate.scope == "event"  # beside small jumps nothing else is proven
             return self.finished
@@ -289,24 +295,24 @@ class Search:
 
     def _worth(self, finding: Finding) -> float:
         """Return by how much the score falls without a finding."""
-        everything, before = self.findings, self._score()
+        everything, before = self.findings, self.score()
         self.findings = [other for other in everything if other is not finding]
-        worth = before - self._score()
+        worth = before - self.score()
         self.findings = everything
         return worth
 
-    def _score(self) -> float:
+    def score(self) -> float:
         """Return S of the model so far."""
-        terms = (len(group) for one in self.found for group in self.channel.pool.terms(one))
-        number = sum(terms) + sum(one.nonlinear for one in self.found)
-        return 2 * self.null()[0] - number * self.likelihood.price - sum(one.choice for one in self.found)
+        number = self.channel.design(self.found).shape[1] + sum(one.nonlinear for one in self.found)
+        price = number * self.likelihood.price + sum(one.choice for one in self.found)
+        return float(2.0 * self.null()[0] - price)
 
     # A model that was given
 
     def _begin_with(self, known: Sequence[Effect]) -> None:
         """Fit anew what the runs show of a model that was given; the rest of it stays as it is."""
         given = self.channel.as_given()
-        before = 2 * self.likelihood.best(given.values, given.base)[0]
+        before = 2 * self.likelihood.best(given.values, given.base)[0] - self.likelihood.price
         for effect in known:
             candidate = Candidate(effect.label, (Part(effect),))
             self.findings.append(Finding(candidate, 0.0, 0.0, {}, [], 0.0, known=True))
@@ -317,18 +323,17 @@ class Search:
                 self.channel = replace(self.channel, kept=(*self.channel.kept, effect))
                 self._known.clear()
         self._refine()
-        gain = self._score() - before - (self.channel.declared.degree) * self.likelihood.price
+        gain = self.score() - before
         self.refit = gain > PROVEN
         if self.refit:
             self.turns.append(Step("what was given is fitted anew", self.found, gain))
 
     def _keep_curve(self) -> None:
         """Leave the curve that was given as it is, but for a constant, unless fitting it anew pays."""
-        fitted, price = self.channel, self.channel.declared.degree * self.likelihood.price
-        before = self._score() - price
+        fitted, before = self.channel, self.score()
         self._known.clear()
         self.channel = replace(fitted, declared=replace(fitted.declared, degree=0))
         curve = any(finding.candidate.parts[0].effect.is_curve for finding in self.findings)
-        if curve or before - self._score() > PROVEN:
+        if curve or before - self.score() > PROVEN:
             self._known.clear()
             self.channel = fitted
