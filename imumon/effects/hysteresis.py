@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import ClassVar, Literal, Self, get_args
 
@@ -23,9 +23,8 @@ Shape = Literal["play", "smooth"]
 class Hysteresis(Follower):
     """What follows is dragged along with a backlash of this half width, or in a smooth loop (Dahl's).
 
-    Sums of several widths make any loop (Prandtl and Ishlinskii); the powers let its width change with
-    temperature.  A smooth loop goes behind a backlash of half width `slack`, so that the noise of a
-    thermometer moves nothing.
+    The powers let its width change with temperature.  A smooth loop goes behind a backlash of half width
+    `slack`, so that the noise of a thermometer moves nothing.
     """
 
     kind: Literal["hysteresis"] = "hysteresis"
@@ -46,12 +45,9 @@ class Hysteresis(Follower):
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
         """Return widths from twice the slack up to half the span."""
-        return [
-            cls(half_width=width, shape=shape, **form)
-            for form in cls.forms(survey)
-            for shape in get_args(Shape)
-            for width in logarithmic(2 * SLACK_DEGC, survey.span_degc / 2)
-        ]
+        widths = logarithmic(2 * SLACK_DEGC, survey.span_degc / 2) if survey.thermal else []
+        scale = asdict(survey.scale)
+        return [cls(half_width=width, shape=shape, **scale) for shape in get_args(Shape) for width in widths]
 
     @classmethod
     def driven(cls, survey: Survey, driver: str) -> list[Self]:
@@ -62,16 +58,8 @@ class Hysteresis(Follower):
 
     @classmethod
     def of_curve(cls, survey: Survey) -> list[Self]:  # noqa: ARG003 - whatever the runs can show
-        """Return none: sums of loops have any shape."""
+        """Return none: a loop has a shape of its own."""
         return []
-
-    @classmethod
-    def sums(cls, grid: Sequence[Self]) -> list[tuple[Self, ...]]:
-        """Return sums of two and three backlashes, and of two smooth loops."""
-        plays, smooth = (
-            [loop for loop in grid if loop.order == 1 and loop.shape == shape] for shape in get_args(Shape)
-        )
-        return [*cls._sums_of(plays, (2, 3)), *cls._sums_of(smooth, (2,))]
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return what is dragged along."""
