@@ -54,7 +54,7 @@ class Lack:
     gain: float
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Finding:
     """An effect that was chosen for a channel."""
 

@@ -91,7 +91,7 @@ def settle(channel: Channel, found: Search) -> ChannelVerdict:
         claims=_claims(channel, given, after, kept.findings, spread),
         unexplained=unexplained,
         explained=explained_share(given.train_rms, after.train_rms, floor) if kept.claims else 0.0,
-        noise=found.null()[1],
+        noise=found.noise()[:2],
         left_out=kept.refuted,
         remark=kept.remark,
         predicts=predicts,

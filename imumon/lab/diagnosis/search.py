@@ -89,8 +89,7 @@ def search(
         if progress is not None:
             progress(f"effect {stage + 1} of {', '.join(one.channel.name for one in active)}")
         for one in active:
-            one.tables.append(one.table())
-            one.too_small.clear()
+            one.look()
         _add(active, least)
     for one in searches:
         one.tidy()
@@ -99,17 +98,17 @@ def search(
 
 def _add(active: Sequence[Search], least: float) -> None:
     """Add to each channel the effect that gains most on all the channels that show it; finish the others."""
-    left = {one.channel.name: one for one in active}
-    while left:
-        tables = {name: one.open_table() for name, one in left.items()}
-        there = {name: [finding.name for finding in one.findings] for name, one in left.items()}
-        lack = first_lack(tables, least, there)
-        if lack is None:
-            break
-        done = [name for name in lack.channels if left[name].add(lack)]
-        left = {name: one for name, one in left.items() if name not in done}
-    for one in left.values():
-        one.finished = True
+    searches = {one.channel.name: one for one in active}
+    tables = {name: dict(one.tables[-1]) for name, one in searches.items()}
+    there = {name: [finding.name for finding in one.findings] for name, one in searches.items()}
+    while (lack := first_lack(tables, least, there)) is not None:
+        for name in lack.channels:
+            if searches[name].add(lack) or searches[name].finished:
+                del tables[name]
+            else:
+                del tables[name][lack.names[0]]
+    for name in tables:
+        searches[name].finished = True
 
 
 class Search:
@@ -128,9 +127,8 @@ class Search:
         self.findings: list[Finding] = []
         self.tables: list[Table] = []
         self.turns: list[Step] = []
-        self.too_small = set[str]()
         self.many_events = self.finished = self.refit = False
-        self._known: dict[tuple[int, ...], tuple[list[Candidate], float, Noise]] = {}
+        self._fitted: dict[tuple[int, ...], tuple[Channel, Sequence[Candidate], float, Noise]] = {}
         if channel.known is not None:
             self._begin_with(channel.known)
 
@@ -145,49 +143,58 @@ class Search:
             one for one in self.tried if one.family == name and len(one.parts) == 1 and not one.free_start
         ]
 
-    def null(self) -> tuple[float, Noise]:
-        """Return the log-likelihood of the model so far, and its noise."""
-        found = self.found
-        key = tuple(map(id, found))  # the candidates are kept, so that no other has their id
-        if key not in self._known:
-            best = self.likelihood.best(self.channel.values, self.channel.design(found))
-            self._known[key] = found, *best
-        return self._known[key][1:]
+    # A model: the declared curve with candidates
 
-    def noise_sd(self) -> float:
-        """Return the white noise of a block that the likelihood of the model so far is largest with."""
-        return self.likelihood.scale(self.channel.values, self.channel.design(self.found), self.null()[1])
+    def fitted(self, model: Sequence[Candidate]) -> tuple[float, Noise]:
+        """Return the log-likelihood of a model, and its noise."""
+        key = (id(self.channel), *map(id, model))  # both are kept, so that no other has their id
+        if key not in self._fitted:
+            best = self.likelihood.best(self.channel.values, self.channel.design(model))
+            self._fitted[key] = self.channel, model, *best
+        return self._fitted[key][2:]
+
+    def score(self, model: Sequence[Candidate] | None = None) -> float:
+        """Return S of a model; of what was found so far, if none is given."""
+        model = self.found if model is None else model
+        number = self.channel.design(model).shape[1] + sum(one.nonlinear for one in model)
+        price = number * self.likelihood.price + sum(one.choice for one in model)
+        return float(2.0 * self.fitted(model)[0] - price)
+
+    def noise(self) -> tuple[float, float, float]:
+        """Return the noise of what was found: flicker and walk over white noise, and the latter's sd."""
+        flicker, walk = noise = self.fitted(self.found)[1]
+        return (
+            flicker,
+            walk,
+            self.likelihood.scale(self.channel.values, self.channel.design(self.found), noise),
+        )
 
     def noise_gain(self) -> float:
         """Return by how much slow noise is likelier than white noise alone, in BIC."""
         values, base = self.channel.values, self.channel.design(self.found)
         white = self.likelihood.at(values, base, (0.0, 0.0))
-        return 2.0 * (self.null()[0] - white) - 2.0 * self.likelihood.price
+        return 2.0 * (self.fitted(self.found)[0] - white) - 2.0 * self.likelihood.price
 
-    # One stage
-
-    def table(self) -> Table:
-        """Return the best of each family beside the model so far."""
-        return {one.family: one for one in sorted(self.scored(self.tried), key=gain_of)}
-
-    def scored(self, tried: Sequence[Candidate]) -> list[Scored]:
-        """Return candidates with their gains over the model so far.
+    def scored(self, tried: Sequence[Candidate], model: Sequence[Candidate]) -> list[Scored]:
+        """Return candidates with their gains over a model.
 
         A state at power-on that is free must not be the effect: with it a candidate gains no more than it
         does beside that state alone.
         """
         if not tried:
             return []
-        price, pool = self.likelihood.price, self.channel.pool
-        terms = [pool.terms(candidate) for candidate in tried]
+        price, channel = self.likelihood.price, self.channel
+        terms = [channel.pool.terms(candidate) for candidate in tried]
         starts = list(dict.fromkeys(tuple(start) for _, start in terms if start))
-        null, noise = self.null()
-        ratio = 2.0 * (
-            self._scan([*([*own, *start] for own, start in terms), *map(list, starts)], noise) - null
+        every = [*([*own, *start] for own, start in terms), *map(list, starts)]
+        before, noise = self.fitted(model)
+        after, _ = self.likelihood.scan(
+            channel.values, channel.design(model), channel.pool, every, no_larger(noise)
         )
-        alone = dict(zip(starts, ratio[len(tried) :].tolist(), strict=True))
+        ratio = (2.0 * (after - before)).tolist()
+        alone = dict(zip(starts, ratio[len(tried) :], strict=True))
         found = []
-        for candidate, (own, start), value in zip(tried, terms, ratio.tolist(), strict=False):
+        for candidate, (own, start), value in zip(tried, terms, ratio, strict=False):
             fit = value - (len(own) + len(start)) * price
             gain = fit - candidate.nonlinear * price - candidate.choice
             if start:
@@ -195,35 +202,62 @@ class Search:
             found.append(Scored(candidate, gain, fit))
         return found
 
-    def _scan(self, terms: Sequence[Sequence[tuple[int, int]]], noise: Noise) -> np.ndarray:
-        channel = self.channel
-        base = channel.design(self.found)
-        return self.likelihood.scan(channel.values, base, channel.pool, terms, no_larger(noise))[0]
+    def refined(self, candidate: Candidate, model: Sequence[Candidate]) -> Scored:
+        """Return a candidate with its nonlinear parameters refined: a pattern search around the grid."""
+        (best,) = self.scored([candidate], model)
+        for level in range(REFINEMENTS):
+            tried = best.candidate.neighbours(self.survey, level)
+            best = max([best, *self.scored(tried, model)], key=gain_of)
+        return best
 
-    def open_table(self) -> Table:
-        """Return the table of this stage without what is too small to be added."""
-        return {name: one for name, one in self.tables[-1].items() if name not in self.too_small}
+    def _taken_away(self, candidate: Candidate, model: Sequence[Candidate]) -> float:
+        """Return the rms that a candidate takes away beside a model, by ordinary least squares."""
+        without, with_it = (
+            residual_rms(self.channel.design(one), self.channel.values)
+            for one in (model, [*model, candidate])
+        )
+        return float(np.sqrt(max(without**2 - with_it**2, 0.0)))
+
+    def _largest_beside(self, candidate: Candidate) -> float:
+        """Return the largest rms that one of the findings takes away beside the others and a candidate."""
+        sizes = [self._taken_away(one.candidate, [*self._beside(one), candidate]) for one in self.findings]
+        return max(sizes, default=0.0)
+
+    def _beside(self, finding: Finding) -> list[Candidate]:
+        """Return the candidates of the other findings."""
+        return [other.candidate for other in self.findings if other is not finding]
+
+    # One stage
+
+    def look(self) -> None:
+        """Add a table: the best of each family beside what was found so far."""
+        scored = sorted(self.scored(self.tried, self.found), key=gain_of)
+        self.tables.append({one.family: one for one in scored})
 
     def add(self, lack: Lack) -> bool:
-        """Add the best of a family with its parameters refined, and tell whether this stage is done: not when
-        that is too small.  With a second event in a run the channel is finished."""
-        table, name = self.tables[-1], lack.names[0]
-        best = self.refined(table[name])
-        size = float(np.sqrt(max(self._left() ** 2 - self._left(best.candidate) ** 2, 0.0)))
-        least = max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind)
-        again = best.candidate.scope == "event" and name in (finding.name for finding in self.findings)
-        largest = max((finding.size for finding in self.findings), default=0.0)
-        if size < max(least, (JUMP_SHARE if again else SECOND_SHARE) * largest):
-            self.too_small.add(name)
-            self.finished = best.candidate.scope == "event"  # beside small jumps nothing else is proven
-            return self.finished
-        if self._second_event(best.candidate):
-            self.finished = True
-            return True
+        """Add the best of a family with its parameters refined; return False where that is too small.
+
+        Beside jumps that are too small, and with a second one in a run, nothing else is proven: the channel
+        is finished.
+        """
+        table, name, model = self.tables[-1], lack.names[0], self.found
+        best = self.refined(table[name].candidate, model)
+        size = self._taken_away(best.candidate, model)
         there = {finding.name for finding in self.findings}
-        others = [other for other in lack.names[1:] if other in table and other not in there][
-            : MOST_NAMES - 1
-        ]
+        is_event = best.candidate.scope == "event"
+        share = JUMP_SHARE if is_event and name in there else SECOND_SHARE
+        least = max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind)
+        if size < max(least, share * self._largest_beside(best.candidate)):
+            self.finished = is_event
+            return False
+        if is_event:
+            taken = {run for one in model if one.family == name for run in one.parts[0].runs}
+            self.many_events |= not taken.isdisjoint(best.candidate.parts[0].runs)
+        if self.many_events:
+            self.finished = True
+            return False
+        others = [other for other in lack.names[1:] if other in table and other not in there]
+        others = others[: MOST_NAMES - 1]
         self.findings.append(
             Finding(
                 best.candidate,
@@ -240,32 +274,27 @@ class Search:
         self.turns.append(Step(name, self.found, best.gain))
         return True
 
-    def _second_event(self, candidate: Candidate) -> bool:
-        """Tell, and remember, whether a run has a second jump."""
-        same = [one for one in self.found if one.family == candidate.family]
-        taken = {run for one in same for part in one.parts for run in part.runs}
-        if candidate.scope == "event":
-            self.many_events |= any(run in taken for part in candidate.parts for run in part.runs)
-        return self.many_events
+    def _refine(self, exchange: bool = False) -> None:
+        """Refine each finding beside the others.
 
-    def refined(self, best: Scored) -> Scored:
-        """Return a candidate with its nonlinear parameters refined: a pattern search around the grid."""
-        best = self.scored([best.candidate])[0]
-        for level in range(REFINEMENTS):
-            tried = best.candidate.neighbours(self.survey, level)
-            best = max([best, *self.scored(tried)], key=gain_of)
-        return best
-
-    def _left(self, *more: Candidate) -> float:
-        """Return the rms that ordinary least squares leaves with what was found and more."""
-        return residual_rms(self.channel.design([*self.found, *more]), self.channel.values)
+        With `exchange`, a finding gives way to one that was not told apart from it, where that one is
+        likelier beside what was found later.
+        """
+        for finding in self.findings:
+            beside = self._beside(finding)
+            names = [finding.name, *finding.alike] if exchange else [finding.name]
+            tried = [one for one in self.tried if one.family in names and one.carries]
+            best = max(self.scored([finding.candidate, *tried], beside), key=gain_of)
+            finding.becomes(self.refined(best.candidate, beside).candidate)
 
     # At the end
 
     def tidy(self) -> None:
         """Drop what later findings made needless, and refine what is left, each beside the others."""
         if len(self.findings) > 1:
-            self._drop_needless()
+            for finding in list(self.findings):
+                if len(self.findings) > 1 and self.score() - self.score(self._beside(finding)) <= PROVEN:
+                    self.findings.remove(finding)
             before = [finding.name for finding in self.findings]
             self._refine(exchange=True)
             if changed := [finding.name for finding in self.findings if finding.name not in before]:
@@ -273,55 +302,20 @@ class Search:
         if self.channel.known is not None:
             self._keep_curve()
 
-    def _drop_needless(self) -> None:
-        for finding in list(self.findings):
-            if len(self.findings) > 1 and self._worth(finding) <= PROVEN:
-                self.findings = [other for other in self.findings if other is not finding]
-
-    def _refine(self, exchange: bool = False) -> None:
-        """Refine each finding beside the others.
-
-        With `exchange`, a finding gives way to one that was not told apart from it, where that one is
-        likelier beside what was found later.
-        """
-        everything = list(self.findings)
-        for finding in everything:
-            self.findings = [other for other in everything if other is not finding]
-            names = [finding.name, *finding.alike] if exchange else [finding.name]
-            tried = [one for one in self.tried if one.family in names and one.carries]
-            best = self.refined(max(self.scored([finding.candidate, *tried]), key=gain_of))
-            finding.becomes(best.candidate)
-        self.findings = everything
-
-    def _worth(self, finding: Finding) -> float:
-        """Return by how much the score falls without a finding."""
-        everything, before = self.findings, self.score()
-        self.findings = [other for other in everything if other is not finding]
-        worth = before - self.score()
-        self.findings = everything
-        return worth
-
-    def score(self) -> float:
-        """Return S of the model so far."""
-        number = self.channel.design(self.found).shape[1] + sum(one.nonlinear for one in self.found)
-        price = number * self.likelihood.price + sum(one.choice for one in self.found)
-        return float(2.0 * self.null()[0] - price)
-
     # A model that was given
 
     def _begin_with(self, known: Sequence[Effect]) -> None:
         """Fit anew what the runs show of a model that was given; the rest of it stays as it is."""
         given = self.channel.as_given()
-        before = 2 * self.likelihood.best(given.values, given.base)[0] - self.likelihood.price
+        before = 2.0 * self.likelihood.best(given.values, given.base)[0] - self.likelihood.price
         for effect in known:
             candidate = Candidate(effect.label, (Part(effect),))
             self.findings.append(Finding(candidate, 0.0, 0.0, {}, [], 0.0, known=True))
         for finding in list(self.findings):
-            if self._worth(finding) <= PROVEN:
-                self.findings = [other for other in self.findings if other is not finding]
+            if self.score() - self.score(self._beside(finding)) <= PROVEN:
+                self.findings.remove(finding)
                 effect = finding.candidate.parts[0].effect
                 self.channel = replace(self.channel, kept=(*self.channel.kept, effect))
-                self._known.clear()
         self._refine()
         gain = self.score() - before
         self.refit = gain > PROVEN
@@ -331,9 +325,7 @@ class Search:
     def _keep_curve(self) -> None:
         """Leave the curve that was given as it is, but for a constant, unless fitting it anew pays."""
         fitted, before = self.channel, self.score()
-        self._known.clear()
         self.channel = replace(fitted, declared=replace(fitted.declared, degree=0))
         curve = any(finding.candidate.parts[0].effect.is_curve for finding in self.findings)
         if curve or before - self.score() > PROVEN:
-            self._known.clear()
             self.channel = fitted

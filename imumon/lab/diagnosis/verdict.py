@@ -105,10 +105,9 @@ class SlowNoise:
     @classmethod
     def of(cls, found: Search) -> Self:
         """Return that of the model that was found."""
-        noise, channel, sd = found.null()[1], found.channel, found.noise_sd()
-        flicker, walk = np.sqrt(noise)
-        tails = found.likelihood.tails(channel.values, channel.design(found.found), noise)
-        return cls(float(flicker * sd), float(walk * sd / np.sqrt(WALK_S)), tails)
+        channel, (flicker, walk, sd) = found.channel, found.noise()
+        tails = found.likelihood.tails(channel.values, channel.design(found.found), (flicker, walk))
+        return cls(float(np.sqrt(flicker) * sd), float(np.sqrt(walk / WALK_S) * sd), tails)
 
     @property
     def jumps(self) -> bool:
