@@ -42,7 +42,7 @@ LEAST_SIZE = 0.3
 SECOND_SHARE = 0.2
 """And this share of what the largest effect before it takes away."""
 JUMP_SHARE = 0.5
-"""A further jump counts from this share on: the jumps of a telegraph noise are of one size."""
+"""A second jump in a run counts from this share on: the jumps of a telegraph noise are of one size."""
 REFINEMENTS = 4
 
 Progress = Callable[[str], None]
@@ -245,14 +245,14 @@ class Search:
         size = self._taken_away(best.candidate, model)
         there = {finding.name for finding in self.findings}
         is_event = best.candidate.scope == "event"
-        share = JUMP_SHARE if is_event and name in there else SECOND_SHARE
+        jumped = {run for one in model if one.family == name for run in one.parts[0].runs}
+        again = is_event and not jumped.isdisjoint(best.candidate.parts[0].runs)
+        share = JUMP_SHARE if again else SECOND_SHARE
         least = max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind)
         if size < max(least, share * self._largest_beside(best.candidate)):
             self.finished = is_event
             return False
-        if is_event:
-            taken = {run for one in model if one.family == name for run in one.parts[0].runs}
-            self.many_events |= not taken.isdisjoint(best.candidate.parts[0].runs)
+        self.many_events |= again
         if self.many_events:
             self.finished = True
             return False
