@@ -64,10 +64,9 @@ def _shows(before: TestScore, after: TestScore, floor: float) -> bool:
     return np.isfinite(after.rms) and (after.left < CLEAN * floor or explains(before.rms, after.rms, floor))
 
 
-def settle(channel: Channel, found: Search) -> ChannelVerdict:
+def settle(found: Search) -> ChannelVerdict:
     """Return the verdict on a channel: what is claimed of it by what the search found in it."""
-    shape = replace(channel.declared, degree=found.channel.declared.degree)
-    channel = replace(channel, declared=shape, kept=found.channel.kept)
+    channel = found.channel
     given, floor = fit_given(channel), channel.limit  # what digits make of a smooth bias is no structure
     kept = _kept(channel, found, given, floor)
     after = kept.after
