@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from imumon.lab.diagnosis.alternatives import questions, ranking, runs_left
 from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.channel import Channel
 from imumon.lab.diagnosis.choice import Finding
@@ -29,8 +30,6 @@ from imumon.lab.diagnosis.fit import (
     score,
     sigmas,
 )
-from imumon.lab.diagnosis.questions import questions
-from imumon.lab.diagnosis.ranking import ranking, runs_left
 from imumon.lab.diagnosis.search import MOST_NAMES, Search, Step
 from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim, SlowNoise
 

@@ -10,12 +10,11 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.effects.library import separated_by
+from imumon.lab.diagnosis.alternatives import Question, Ranked, RunLeft
 from imumon.lab.diagnosis.channel import Channel
 from imumon.lab.diagnosis.choice import PROVEN, Finding
 from imumon.lab.diagnosis.fit import MATERIAL, Fit, FittedPart, PartSigma, TestScore, goes_on
 from imumon.lab.diagnosis.likelihood import WALK_S
-from imumon.lab.diagnosis.questions import Question
-from imumon.lab.diagnosis.ranking import Ranked, RunLeft
 from imumon.lab.diagnosis.search import Search, Step
 
 State = Literal["named", "unexplained", "nothing missing", "too few digits", "not proven", "faulty"]
