@@ -14,6 +14,8 @@ from imumon.effects.follower import Follower
 
 SHARES = (0.05, 0.1, 0.2, 0.4)
 """Half widths of a loop of another driver, of its span."""
+REVERSALS_OF_CUBIC = 4
+"""Turns of the temperature in a single run from which on it shows how the width changes with temperature."""
 SLACK_DEGC = 0.15
 """Way of the thermometer that its noise and its steps make up."""
 

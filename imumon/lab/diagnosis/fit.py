@@ -294,7 +294,8 @@ def _estimated(
         return np.zeros(len(run))
     drive = run.drives[channel.temperature]
     further = [run.average(one.columns(drive)) for one in own if one.scope == "either"]
-    columns = np.column_stack([np.ones(len(run)), *further])
+    levels = channel.declared.levels(run)
+    columns = np.column_stack([levels[:, np.newaxis] == np.unique(levels[use]), *further]).astype(float)
     if any(one.scope == "event" for one in own):
         first = np.flatnonzero(use)[_jump_at(columns[use], residual[use])]
         columns = np.column_stack([columns, np.arange(len(run)) >= first])
