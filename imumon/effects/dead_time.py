@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
@@ -38,8 +37,8 @@ class DeadTime(Follower):
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
         """Return delays up to an eighth of the shortest run."""
-        delays = logarithmic(SHORTEST_S, survey.shortest_s / 8) if survey.thermal else []
-        return [cls(delay_s=delay, **asdict(survey.scale)) for delay in delays]
+        delays = logarithmic(SHORTEST_S, survey.shortest_s / 8)
+        return [cls(delay_s=delay, **form) for form in cls.forms(survey) for delay in delays]
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return the delayed temperature, between those remembered on a straight line."""

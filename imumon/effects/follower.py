@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from collections.abc import Sequence
+from dataclasses import asdict
+from itertools import combinations
+from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import Field
@@ -14,8 +17,8 @@ from imumon.effects.temperature_curve import MORE_DEGREES
 SHORTEST_S = 20.0
 """A lag or delay that is shorter is a rate in means of 30 s."""
 HIGHEST_ORDER = 9
-LEAST_REVERSALS = 2
-"""Turns of the temperature in a single run from which on it shows several powers."""
+MOST_IN_SUMS = 9
+"""Parameters of which sums are tried."""
 
 
 class Follower(ScaledEffect):
@@ -32,17 +35,29 @@ class Follower(ScaledEffect):
         return self.order + (not self.of_temperature)
 
     @classmethod
-    def of_curve(cls, survey: Survey) -> list[Self]:
-        """Return those of as many powers as are declared, and of more; none where one run went one way."""
-        if survey.runs == 1 and survey.reversals < LEAST_REVERSALS:
+    def forms(cls, survey: Survey) -> list[dict[str, Any]]:
+        """Return orders and scale to try: none at constant temperature, the cubic only where two runs can
+        show it."""
+        if not survey.thermal:
             return []
-        orders = [max(survey.degree, 1) + more for more in (0, *MORE_DEGREES)]
-        return [
-            one.model_copy(update={"order": order})
-            for order in orders
-            if order <= HIGHEST_ORDER
-            for one in cls.grid(survey)
-        ]
+        orders = (1, 3) if may_sum(survey, 4) else (1,)
+        return [{"order": order, **asdict(survey.scale)} for order in orders]
+
+    @classmethod
+    def of_curve(cls, survey: Survey) -> list[Self]:
+        """Return those of more powers than are declared; none where the temperature went one way only."""
+        every = [max(survey.degree, 1) + more for more in (0, *MORE_DEGREES)]
+        orders = [order for order in every if order <= HIGHEST_ORDER]
+        linear = [one for one in cls.grid(survey) if one.order == 1] if may_sum(survey, 2) else []
+        return [one.model_copy(update={"order": order}) for order in orders for one in linear]
+
+    @staticmethod
+    def _sums_of(chosen: Sequence[Follower], sizes: Sequence[int]) -> list[tuple[Any, ...]]:
+        """Return sums of so many of the chosen effects, or of some spread over them where they are many."""
+        count = min(MOST_IN_SUMS, len(chosen))
+        spread = np.unique(np.linspace(0, len(chosen) - 1, count).round().astype(int))
+        few = [chosen[index] for index in spread.tolist()]
+        return [group for size in sizes for group in combinations(few, size)]
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return what follows the driver, (n,), and carry the memory along."""
@@ -61,3 +76,8 @@ class Follower(ScaledEffect):
         for k in range(1, self.order):
             powers[:, k] = powers[:, k - 1] * u
         return powers
+
+
+def may_sum(survey: Survey, reversals: int) -> bool:
+    """Return whether the runs can show more than one term of a kind: two runs, or so many turns."""
+    return survey.runs > 1 or survey.reversals >= reversals

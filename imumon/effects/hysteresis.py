@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import ClassVar, Literal, Self, get_args
 
@@ -14,8 +14,6 @@ from imumon.effects.follower import Follower
 
 SHARES = (0.05, 0.1, 0.2, 0.4)
 """Half widths of a loop of another driver, of its span."""
-REVERSALS_OF_CUBIC = 4
-"""Turns of the temperature in a single run from which on it shows how the width changes with temperature."""
 SLACK_DEGC = 0.15
 """Way of the thermometer that its noise and its steps make up."""
 
@@ -25,8 +23,9 @@ Shape = Literal["play", "smooth"]
 class Hysteresis(Follower):
     """What follows is dragged along with a backlash of this half width, or in a smooth loop (Dahl's).
 
-    The powers let its width change with temperature.  A smooth loop goes behind a backlash of half width
-    `slack`, so that the noise of a thermometer moves nothing.
+    Sums of several widths make any loop (Prandtl and Ishlinskii); the powers let its width change with
+    temperature.  A smooth loop goes behind a backlash of half width `slack`, so that the noise of a
+    thermometer moves nothing.
     """
 
     kind: Literal["hysteresis"] = "hysteresis"
@@ -47,9 +46,12 @@ class Hysteresis(Follower):
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
         """Return widths from twice the slack up to half the span."""
-        widths = logarithmic(2 * SLACK_DEGC, survey.span_degc / 2) if survey.thermal else []
-        scale = asdict(survey.scale)
-        return [cls(half_width=width, shape=shape, **scale) for shape in get_args(Shape) for width in widths]
+        return [
+            cls(half_width=width, shape=shape, **form)
+            for form in cls.forms(survey)
+            for shape in get_args(Shape)
+            for width in logarithmic(2 * SLACK_DEGC, survey.span_degc / 2)
+        ]
 
     @classmethod
     def driven(cls, survey: Survey, driver: str) -> list[Self]:
@@ -60,8 +62,16 @@ class Hysteresis(Follower):
 
     @classmethod
     def of_curve(cls, survey: Survey) -> list[Self]:  # noqa: ARG003 - whatever the runs can show
-        """Return none: a loop has a shape of its own."""
+        """Return none: sums of loops have any shape."""
         return []
+
+    @classmethod
+    def sums(cls, grid: Sequence[Self]) -> list[tuple[Self, ...]]:
+        """Return sums of two and three backlashes, and of two smooth loops."""
+        plays, smooth = (
+            [loop for loop in grid if loop.order == 1 and loop.shape == shape] for shape in get_args(Shape)
+        )
+        return [*cls._sums_of(plays, (2, 3)), *cls._sums_of(smooth, (2,))]
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return what is dragged along."""

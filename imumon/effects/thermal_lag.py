@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import ClassVar, Literal, Self
 
@@ -45,8 +45,8 @@ class ThermalLag(Follower):
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:
         """Return time constants up to a quarter of the shortest run."""
-        times = logarithmic(SHORTEST_S, survey.shortest_s / 4) if survey.thermal else []
-        return [cls(time_constant_s=tau, **asdict(survey.scale)) for tau in times]
+        times = logarithmic(SHORTEST_S, survey.shortest_s / 4)
+        return [cls(time_constant_s=tau, **form) for form in cls.forms(survey) for tau in times]
 
     @classmethod
     def driven(cls, survey: Survey, driver: str) -> list[Self]:
@@ -54,6 +54,13 @@ class ThermalLag(Follower):
         scale = asdict(survey.others[driver])
         times = logarithmic(SHORTEST_S, survey.shortest_s / 4, RATIO**2)
         return [cls(driver=driver, time_constant_s=tau, start_sd=0.0, **scale) for tau in times]
+
+    @classmethod
+    def sums(cls, grid: Sequence[Self]) -> list[tuple[Self, ...]]:
+        """Return sums of two lags, none of which is a rate."""
+        return cls._sums_of(
+            [lag for lag in grid if lag.order == 1 and lag.time_constant_s >= 2 * UNTOLD_S], (2,)
+        )
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return the lagged driver."""
