@@ -27,12 +27,14 @@ physics, and with a large effect the shape decides."""
 class Scored:
     """A candidate with its gain over the model so far.
 
-    `fit` is the gain without the price of the nonlinear parameters and of the choice.
+    `fit` is the gain without the price of the nonlinear parameters and of the choice.  `partner` names the
+    effect beside which it gains so much, where neither gains it alone.
     """
 
     candidate: Candidate
     gain: float
     fit: float
+    partner: str = ""
 
     @property
     def family(self) -> str:
@@ -119,7 +121,8 @@ def first_lack(tables: Mapping[str, Table], least: float, there: Mapping[str, Se
     chosen = max(close, key=order)
     channels = on[chosen]
     together = {name: sum(gain_in(tables[channel], name) for channel in channels) for name in names}
-    alike = [name for name in names if name != chosen and _near(together[name], total[chosen])]
+    apart = {chosen, *(tables[channel][chosen].partner for channel in channels)}
+    alike = [name for name in names if name not in apart and _near(together[name], total[chosen])]
     alike = [name for name in alike if together[name] > least]
     return Lack([chosen, *sorted(alike, key=lambda name: -together[name])], channels, total[chosen])
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -23,12 +24,14 @@ from imumon.effects.base import Effect, Survey
 from imumon.lab.diagnosis.candidates import Candidate, Part, candidates
 from imumon.lab.diagnosis.channel import Channel, residual_rms
 from imumon.lab.diagnosis.choice import (
+    CLOSE_SHARE,
     PROVEN,
     Finding,
     Lack,
     Scored,
     Table,
     first_lack,
+    gain_in,
     gain_of,
     proof,
 )
@@ -37,6 +40,8 @@ from imumon.lab.diagnosis.likelihood import Likelihood, Noise, no_larger
 MOST_NAMES = 3
 """Effects that are named in a set of those not told apart."""
 STAGES = 5
+PAIR_LIST = 4
+"""Best candidates of each family that are tried in pairs."""
 LEAST_SIZE = 0.3
 """White floors (rms) that an effect takes away, at least."""
 SECOND_SHARE = 0.2
@@ -89,7 +94,7 @@ def search(
         if progress is not None:
             progress(f"effect {stage + 1} of {', '.join(one.channel.name for one in active)}")
         for one in active:
-            one.look()
+            one.look(pairs=stages > 1)
         _add(active, least)
     for one in searches:
         one.tidy()
@@ -229,10 +234,41 @@ class Search:
 
     # One stage
 
-    def look(self) -> None:
-        """Add a table: the best of each family beside what was found so far."""
+    def look(self, pairs: bool) -> None:
+        """Add a table: the best of each family beside what was found so far, at first in pairs as well."""
         scored = sorted(self.scored(self.tried, self.found), key=gain_of)
-        self.tables.append({one.family: one for one in scored})
+        best = {one.family: one for one in scored}
+        self.tables.append(self._beside_partner(scored, best) if pairs and not self.findings else best)
+
+    def _beside_partner(self, scored: Sequence[Scored], best: dict[str, Scored]) -> Table:
+        """Return the table with what effects gain beside the partner in the best pair, where both are needed.
+
+        Two effects at once hide one another: the one that replaces both best may be neither.  A pair counts
+        that gains more than any effect alone by more than the shape of that may be off.  Its partner is what
+        does not carry over, else what gains less alone.
+        """
+        members = [self.refined(one.candidate, []) for one in best.values() if one.candidate.scope == "event"]
+        for family in best:
+            same = [one for one in scored if one.family == family and one.candidate.is_plain]
+            members += same[-PAIR_LIST:]
+        pairs = [two for two in combinations(members, 2) if two[0].family != two[1].family]
+        both = [Candidate("pair", (*one.candidate.parts, *two.candidate.parts)) for one, two in pairs]
+        gains = [one.gain for one in self.scored(both, [])]
+        alone = max([PROVEN, *(one.gain for one in members)])
+        least = max([alone + max(PROVEN, CLOSE_SHARE * alone), *(one.gain for one in best.values())])
+        if max(gains, default=0.0) <= least:
+            return best
+        partner = min(
+            pairs[int(np.argmax(gains))],
+            key=lambda one: (one.candidate.scope not in ("run", "event"), one.gain),
+        )
+        found = dict[str, Scored]()
+        for two, gain in zip(pairs, gains, strict=True):
+            for one, other in (two, two[::-1]):
+                beside = gain - max(0.0, other.gain)
+                if other.family == partner.family and beside > gain_in(found, one.family):
+                    found[one.family] = replace(one, gain=beside, partner=partner.family)
+        return best | found
 
     def add(self, lack: Lack) -> bool:
         """Add the best of a family with its parameters refined; return False where that is too small.
@@ -242,6 +278,7 @@ class Search:
         """
         table, name, model = self.tables[-1], lack.names[0], self.found
         best = self.refined(table[name].candidate, model)
+        gain = max(best.gain, table[name].gain)  # beside a partner the latter is more
         size = self._taken_away(best.candidate, model)
         there = {finding.name for finding in self.findings}
         is_event = best.candidate.scope == "event"
@@ -261,9 +298,9 @@ class Search:
         self.findings.append(
             Finding(
                 best.candidate,
-                best.gain,
+                gain,
                 lack.gain,
-                {**{other: one.gain for other, one in table.items()}, name: best.gain},
+                {**{other: one.gain for other, one in table.items()}, name: gain},
                 [name, *others] if others else [],
                 size,
                 others={other: table[other].candidate for other in others},
@@ -271,7 +308,7 @@ class Search:
         )
         if len(self.findings) > 1:
             self._refine()
-        self.turns.append(Step(name, self.found, best.gain))
+        self.turns.append(Step(name, self.found, gain))
         return True
 
     def _refine(self, exchange: bool = False) -> None:
@@ -292,15 +329,18 @@ class Search:
     def tidy(self) -> None:
         """Drop what later findings made needless, and refine what is left, each beside the others."""
         if len(self.findings) > 1:
-            for finding in list(self.findings):
-                if len(self.findings) > 1 and self.score() - self.score(self._beside(finding)) <= PROVEN:
-                    self.findings.remove(finding)
+            self._drop_needless()
             before = [finding.name for finding in self.findings]
             self._refine(exchange=True)
             if changed := [finding.name for finding in self.findings if finding.name not in before]:
                 self.turns.append(Step(f"{' and '.join(changed)} fits better beside the rest", self.found))
         if self.channel.known is not None:
             self._keep_curve()
+
+    def _drop_needless(self) -> None:
+        for finding in list(self.findings):
+            if len(self.findings) > 1 and self.score() - self.score(self._beside(finding)) <= PROVEN:
+                self.findings.remove(finding)
 
     # A model that was given
 
