@@ -22,9 +22,9 @@ from closing_the_loop_live import AXES, level_earth_rate, plain_model, settings
 from scipy.optimize import least_squares
 
 from imumon.blocks import FloatArray
+from imumon.lab.diagnosis.better import residual
 from imumon.lab.diagnosis.blocks import RunBlocks, make_blocks
 from imumon.lab.diagnosis.likelihood import Likelihood
-from imumon.lab.diagnosis.better import residual
 from imumon.lab.diagnosis.runs import Run
 
 NAMES = [f"gyro_{axis}" for axis in AXES]

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 from closing_the_loop_cases import Setting, make_case
 
+from imumon.lab.diagnosis.alternatives import NOTHING
 from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.planning import MARGIN, Plan, Report, open_questions, plan, recorded, scenario
-from imumon.lab.diagnosis.alternatives import NOTHING
 from imumon.lab.diagnosis.report import report
 
 KINDS = (
