@@ -196,7 +196,7 @@ class Shadow:
                 return None
             left = [blocks.mean[name] - blocks.mean[name][early].mean() for name in self._names]
             likelihood = Likelihood([blocks])
-            ratio += sign * sum(likelihood.of_later(one, early) for one in left)
+            ratio += sign * sum(likelihood.predictive(one, early) for one in left)
             squares.append(np.mean([one[~early] ** 2 for one in left]))
         before, after = np.sqrt(squares).tolist()
         return Score(ratio, before, after)

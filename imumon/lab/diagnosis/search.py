@@ -94,7 +94,7 @@ def search(
         if progress is not None:
             progress(f"effect {stage + 1} of {', '.join(one.channel.name for one in active)}")
         for one in active:
-            one.look(pairs=stages > 1)
+            one.tabulate(pairs=stages > 1)
         _add(active, least)
     for one in searches:
         one.tidy()
@@ -234,7 +234,7 @@ class Search:
 
     # One stage
 
-    def look(self, pairs: bool) -> None:
+    def tabulate(self, pairs: bool) -> None:
         """Add a table: the best of each family beside what was found so far, at first in pairs as well."""
         scored = sorted(self.scored(self.tried, self.found), key=gain_of)
         best = {one.family: one for one in scored}
