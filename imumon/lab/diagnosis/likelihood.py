@@ -67,7 +67,7 @@ class Likelihood:
         return found[at], self._grid[at]
 
     def predictive(self, values: FloatArray, early: BoolArray) -> float:
-        """Return the predictive log-likelihood of later values, given the early ones and the noise of those."""
+        """Return the predictive log-likelihood of later values, given the early ones and their noise."""
         white = [self.white(values[:, np.newaxis], point)[:, 0] for point in self._grid]
         sds = [np.concatenate([item.sd[:, at] for item in self._filters]) for at in range(len(self._grid))]
         variance = [float(np.mean(one[early] ** 2)) for one in white]
