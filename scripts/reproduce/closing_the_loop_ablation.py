@@ -18,7 +18,7 @@ from ablation_table import PAGE, write
 from closing_the_loop_measured import chamber_run, split
 from closing_the_loop_statistics import Result, is_outside, jobs, right, run_case
 
-from imumon.lab.diagnosis import candidates, claims, likelihood, search
+from imumon.lab.diagnosis import axes, candidates, claims, likelihood, search
 from imumon.lab.diagnosis.candidates import Candidate
 from imumon.lab.diagnosis.choice import PROVEN
 from imumon.lab.diagnosis.diagnose import diagnose
@@ -71,6 +71,7 @@ MECHANISMS: Mapping[str, Change] = {
     "least share of the largest effect": [(search, "SECOND_SHARE", 0.0)],
     "flicker in the noise": _noise((0.0,), likelihood.WALK),
     "walk in the noise": _noise(likelihood.FLICKER, (0.0,)),
+    "shorter blocks for short runs": [(axes, "SHORTER", (1,))],
     "refuted by the test": [(claims, "_not_worse", lambda _channel, findings: (list(findings), []))],
     "proven by the test": [(claims, "_proven_by_test", lambda *_given: None)],
     "eight floors of what the test proves": [(claims, "PROVEN_FLOORS", 0.0)],

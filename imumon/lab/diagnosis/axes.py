@@ -10,7 +10,7 @@ import numpy as np
 from imumon.clock.channel import CLOCK
 from imumon.effects.base import Survey
 from imumon.geodesy import EARTH_RATE
-from imumon.lab.diagnosis.blocks import RunBlocks, at_poses, survey, white_floor
+from imumon.lab.diagnosis.blocks import RunBlocks, at_poses, make_blocks, survey, white_floor
 from imumon.lab.diagnosis.candidates import Pool
 from imumon.lab.diagnosis.channel import Channel, Declared, Own, ordinary
 from imumon.lab.diagnosis.choice import PROVEN
@@ -20,6 +20,12 @@ from imumon.lab.diagnosis.runs import Run, unit_of
 from imumon.lab.diagnosis.search import Search
 from imumon.lab.diagnosis.usable import faults
 from imumon.models.model import BiasModel
+
+MOST_SEARCH_BLOCKS = 1200
+"""Longer runs are searched in longer blocks; they are scored in blocks of 30 s all the same."""
+SHORTER, LEAST_SEARCH_BLOCKS = (1, 2, 3), 200
+"""Shorter runs in blocks of a half or a third: of few blocks the one with a jump in it decides."""
+
 
 EARTH_SPREAD = 2.1 * EARTH_RATE
 """rad/s: most that the constants of a gyro in two poses differ by the earth rate, and by 5 % of its scale."""
@@ -36,9 +42,14 @@ class Assumed:
 
 @dataclass(frozen=True, slots=True)
 class Axes:
-    """The axes of one sensor over a base, `assumed`; `survey` is what the training can show."""
+    """The axes of one sensor: `channels` in blocks of the usual length, which are scored, `searched` in those
+    that are searched.
+
+    `survey` is what the training can show; `assumed` is the base that the effects are searched beside.
+    """
 
     channels: list[Channel]
+    searched: list[Channel]
     survey: Survey
     assumed: Assumed
 
@@ -124,9 +135,15 @@ def make_axes(
         for name in group
         for floor in [white_floor(train, name, block_s).of_blocks(blocks)]
     ]
+    search_s = _search_block(blocks)
+    if search_s != block_s:
+        blocks = _blocks_again(train, blocks, assumed, search_s)
+        blocks = at_poses(blocks) if own == "pose" else blocks
+        pools = _pools(blocks, group, temperatures)
+    searched = [channel.in_blocks(pools[channel.temperature], block_s / search_s) for channel in channels]
     temperature = temperatures[group[0]]
-    shown = with_drivers(survey(blocks, temperature, assumed.degree, block_s), blocks, temperature)
-    return Axes(channels, shown, assumed)
+    shown = with_drivers(survey(blocks, temperature, assumed.degree, search_s), blocks, temperature)
+    return Axes(channels, searched, shown, assumed)
 
 
 def _pools(
@@ -136,3 +153,24 @@ def _pools(
     return {
         temperature: Pool(blocks, temperature) for temperature in {temperatures[name]: 0 for name in group}
     }
+
+
+def _blocks_again(
+    train: Sequence[Run], blocks: Sequence[RunBlocks], assumed: Assumed, block_s: float
+) -> list[RunBlocks]:
+    """Return the runs that were used, of all channels, in blocks of another length."""
+    used = {run.name for run in blocks}
+    every = list(dict.fromkeys(assumed.temperatures.values()))
+    others = list(blocks[0].drives[every[0]].others)
+    return [
+        make_blocks(run, list(assumed.temperatures), every, others, block_s)
+        for run in train
+        if run.name in used
+    ]
+
+
+def _search_block(blocks: Sequence[RunBlocks]) -> float:
+    """Return the length in seconds of the blocks that these, of the usual length, are searched in."""
+    longest = max(map(len, blocks))
+    shorter = next((part for part in SHORTER if part * longest >= LEAST_SEARCH_BLOCKS), SHORTER[-1])
+    return blocks[0].block_s * max(1, -(-longest // MOST_SEARCH_BLOCKS)) / shorter

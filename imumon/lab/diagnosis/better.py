@@ -24,8 +24,8 @@ from imumon.lab.diagnosis.blocks import (
     make_blocks,
     survey,
 )
-from imumon.lab.diagnosis.channel import residual_rms
-from imumon.lab.diagnosis.choice import PROVEN, proof
+from imumon.lab.diagnosis.channel import Channel, residual_rms
+from imumon.lab.diagnosis.choice import PROVEN, Finding, proof
 from imumon.lab.diagnosis.drivers import recorded
 from imumon.lab.diagnosis.extended import refitted
 from imumon.lab.diagnosis.fit import MATERIAL, fit
@@ -111,7 +111,7 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     material = [one.name for one in every[0].channels if before[one.name] >= MATERIAL * one.floor.sd]
     if not material:
         return []
-    searched = [(axes, search(axes.channels, axes.survey, LASTING, stages=1)) for axes in every]
+    searched = [(axes, search(axes.searched, axes.survey, LASTING, stages=1)) for axes in every]
     axes, found = likeliest(searched)
     gain = sum(
         one.score() - _score_of_nothing(one, searched, axes.assumed, at)
@@ -121,21 +121,20 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     if not gain > proof(len(degrees) * len(LASTING), len(channels)):
         return []
     return [
-        _better(one, gain, before[one.channel.name], model.channels[one.channel.name])
-        for one in found
-        if one.findings and one.channel.name in material
+        _better(channel, one.findings[0], gain, before[channel.name], model.channels[channel.name])
+        for channel, one in zip(axes.channels, found, strict=True)
+        if one.findings and channel.name in material
     ]
 
 
 def _score_of_nothing(one: Search, searched: Sequence[Searched], base: Assumed, at: int) -> float:
     """Return the score of a channel with no effect and the curve of the present model."""
     axes = next(axes for axes, _ in searched if axes.assumed == replace(base, degree=0))
-    return Search(axes.channels[at], axes.survey, one.likelihood, []).score()
+    return Search(axes.searched[at], axes.survey, one.likelihood, []).score()
 
 
-def _better(searched: Search, gain: float, before: float, present: ChannelModel) -> Better:
+def _better(channel: Channel, found: Finding, gain: float, before: float, present: ChannelModel) -> Better:
     """Return the present model of a channel with what it lacks, fitted."""
-    channel, found = searched.channel, searched.findings[0]
     fitted = fit(channel, [found.candidate])
     middle, half = channel.declared.middle_degc, channel.declared.half_span_degc
     curve = Polynomial(fitted.declared, domain=[middle - half, middle + half])

@@ -16,8 +16,6 @@ from imumon.lab.diagnosis.runs import Origin, Run
 BLOCK_S = 30.0
 LEAST_BLOCKS = 40
 """Of a training: ten for each coefficient of a cubic."""
-MOST_BLOCKS = 1200
-"""Of a run: ten hours of 30 s.  A longer one is cut into longer blocks."""
 LEAST_SLOTS = 6
 """Slots in a block: halves and thirds of it are blocks, too, and differences inside show the white floor."""
 PLATEAU = 0.1
@@ -185,10 +183,9 @@ def at_poses(runs: Sequence[RunBlocks]) -> list[RunBlocks]:
 
 
 def common_block_s(runs: Sequence[Run]) -> float:
-    """Return the length of a block in s: 30, or more where a log has few samples in that, or is long."""
-    shortest = LEAST_SLOTS * max(run.slot_s for run in runs)
-    wanted = max(BLOCK_S, max(run.duration_s for run in runs) / MOST_BLOCKS)
-    return float(shortest * np.ceil(wanted / shortest))
+    """Return the length of a block: 30 s, or more where a log has few samples in that."""
+    slot_s = max(run.slot_s for run in runs)
+    return LEAST_SLOTS * slot_s * -(-BLOCK_S // (LEAST_SLOTS * slot_s))
 
 
 def _block_means(columns: FloatArray, weight: FloatArray, width: int) -> tuple[FloatArray, FloatArray]:

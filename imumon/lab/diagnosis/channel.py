@@ -129,6 +129,11 @@ class Channel:
             return self
         return replace(self, declared=replace(self.declared, degree=0), kept=self.known)
 
+    def in_blocks(self, pool: Pool, share: float) -> Channel:
+        """Return it over training runs in longer blocks, which have this share of the white variance."""
+        floor = replace(self.floor, sd=self.floor.sd * float(np.sqrt(share)))
+        return replace(self, pool=pool, floor=floor)
+
 
 def ordinary(columns: FloatArray, values: FloatArray) -> FloatArray:
     """Return the coefficients of ordinary least squares, the smallest where columns are collinear."""

@@ -55,9 +55,10 @@ class _Model:
         return any(not one.known for one in self.findings)
 
 
-def settle(found: Search) -> ChannelVerdict:
+def settle(channel: Channel, found: Search) -> ChannelVerdict:
     """Return the verdict on a channel: what is claimed of it by what the search found in it."""
-    channel = found.channel
+    shape = replace(channel.declared, degree=found.channel.declared.degree)
+    channel = replace(channel, declared=shape, kept=found.channel.kept)
     given, floor = fit_given(channel), channel.limit  # what digits make of a smooth bias is no structure
     kept, refuted = _claimed(channel, found, given, floor)
     after, both = kept.after, kept.tests
@@ -70,7 +71,7 @@ def settle(found: Search) -> ChannelVerdict:
             both[1].rms = both[0].rms
     left = after.train_rms if both is None or not kept.claims else max(after.train_rms, both[1].left)
     unexplained = found.many_events or left >= CLEAN * floor
-    covariance, spread = sigmas(channel, found.likelihood, [one.candidate for one in kept.findings])
+    covariance, spread = sigmas(found.channel, found.likelihood, [one.candidate for one in kept.findings])
     return ChannelVerdict(
         channel=channel,
         before=given,

@@ -199,11 +199,11 @@ def _sensor(
     every = axes_over_bases(train, diagnosis.train, diagnosis.test, group, assumed, diagnosis.model)
     names = effects_for(group[0])
     axes, found = likeliest(
-        [(axes, search(axes.channels, axes.survey, names, progress=progress)) for axes in every]
+        [(axes, search(axes.searched, axes.survey, names, progress=progress)) for axes in every]
     )
     if group[0].startswith("gyro") and any(run.pose.any() for run in diagnosis.train):
         diagnosis.caveats.append(POSES_OWN if axes.assumed.own == "pose" else POSES_ALIKE)
-    return [settle(one) for one in found]
+    return [settle(channel, one) for channel, one in zip(axes.channels, found, strict=True)]
 
 
 def _add_length(temperature: str, degree: int, diagnosis: Diagnosis) -> None:

@@ -303,7 +303,7 @@ def _searched(run: Run, channel: str, degree: int, kinds: Sequence[str]) -> Sear
     shown = survey(blocks, "temperature", degree, BLOCK_S)
     assumed = Assumed({channel: "temperature"}, degree if shown.thermal else 0, "")
     every = axes_over_bases([run], blocks, [], [channel], assumed)
-    return likeliest([(axes, search(axes.channels, axes.survey, kinds)) for axes in every])[1][0]
+    return likeliest([(axes, search(axes.searched, axes.survey, kinds)) for axes in every])[1][0]
 
 
 def write_plan(report: Report, number: int, made: Plan, folder: Path) -> list[Path]:
