@@ -224,8 +224,16 @@ class Search:
         return float(np.sqrt(max(without**2 - with_it**2, 0.0)))
 
     def _largest_beside(self, candidate: Candidate) -> float:
-        """Return the largest rms that one of the findings takes away beside the others and a candidate."""
-        sizes = [self._taken_away(one.candidate, [*self._beside(one), candidate]) for one in self.findings]
+        """Return the largest rms that one of the findings takes away beside the others and a candidate.
+
+        One of the same family counts with what it took away alone, for two of a kind share it.
+        """
+        sizes = [
+            one.size
+            if one.name == candidate.family and candidate.scope != "event"
+            else self._taken_away(one.candidate, [*self._beside(one), candidate])
+            for one in self.findings
+        ]
         return max(sizes, default=0.0)
 
     def _beside(self, finding: Finding) -> list[Candidate]:
