@@ -34,11 +34,10 @@ from imumon.lab.diagnosis.known import (
 from imumon.lab.diagnosis.runs import SENSORS, STRETCHES, Run, channels_of, divided, in_order
 from imumon.lab.diagnosis.search import Progress, search
 from imumon.lab.diagnosis.usable import (
-    Names,
-    blocks_of_test,
-    blocks_of_training,
+    check_training,
     sound,
     temperature_of_axis,
+    usable_blocks,
     usable_channels,
 )
 from imumon.lab.diagnosis.verdict import ChannelVerdict
@@ -125,16 +124,20 @@ def diagnose(
         degree = max(order_of(model.channels[name]) for name in channels)
         drivers = with_needed(drivers, model, temperatures)
     used = list(dict.fromkeys(temperatures.values()))
-    names = Names(channels, used, recorded(train, test, [*used, *channels], drivers, caveats))
+    others = recorded(train, test, [*used, *channels], drivers, caveats)
     block_s = common_block_s([*train, *test])
-    blocks = blocks_of_training(train, names, block_s, caveats)
-    tested = blocks_of_test(test, names, block_s, caveats)
+    (blocks, moving), (tested, _) = (
+        usable_blocks(runs, channels, used, others, block_s, caveats) for runs in (train, test)
+    )
+    check_training(blocks, moving, block_s)
     shown = survey(blocks, used[0], degree, block_s)
     if model is not None and shown.thermal:  # else no curve is fitted, and that of the model stays as it is
         check_range(model, temperatures, blocks)
+    if test and not tested:
+        caveats.append("no run of the test can be used: there is no independent proof")
     _remark(blocks, tested, shown, caveats)
     assumed = Assumed(temperatures, degree if shown.thermal else 0, "run" if offsets else "")
-    if names.drivers and shown.thermal:
+    if others and shown.thermal:
         caveats += _shadowed(shadows(blocks, used[0], shown.scale, assumed.degree))
     diagnosis = Diagnosis(declared, block_s, [], blocks, tested, shown, caveats, model, held)
     for sensor in sensors:
