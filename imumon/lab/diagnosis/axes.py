@@ -33,11 +33,15 @@ EARTH_SPREAD = 2.1 * EARTH_RATE
 
 @dataclass(frozen=True, slots=True)
 class Assumed:
-    """The declared model: the temperature of each channel, the degree, and what has an offset of its own."""
+    """The declared model: the temperature of each channel, the degree, and what has an offset of its own.
+
+    `search_s` is the length of the blocks that are searched.
+    """
 
     temperatures: dict[str, str]
     degree: int
     own: Own
+    search_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +139,7 @@ def make_axes(
         for name in group
         for floor in [white_floor(train, name, block_s).of_blocks(blocks)]
     ]
-    search_s = _search_block(blocks)
+    search_s = assumed.search_s
     if search_s != block_s:
         blocks = _blocks_again(train, blocks, assumed, search_s)
         blocks = at_poses(blocks) if own == "pose" else blocks
@@ -169,7 +173,7 @@ def _blocks_again(
     ]
 
 
-def _search_block(blocks: Sequence[RunBlocks]) -> float:
+def search_block(blocks: Sequence[RunBlocks]) -> float:
     """Return the length in seconds of the blocks that these, of the usual length, are searched in."""
     longest = max(map(len, blocks))
     shorter = next((part for part in SHORTER if part * longest >= LEAST_SEARCH_BLOCKS), SHORTER[-1])

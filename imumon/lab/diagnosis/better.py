@@ -104,7 +104,9 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     every = [
         axes
         for degree in degrees
-        for axes in axes_over_bases([left], [blocks], [], channels, Assumed(temperatures, degree, ""))
+        for axes in axes_over_bases(
+            [left], [blocks], [], channels, Assumed(temperatures, degree, "", block_s)
+        )
     ]
     before = {one.name: residual_rms(one.base, one.values) for one in every[0].channels}
     # What a model leaves hardly above the white noise is too small to matter.
@@ -130,7 +132,7 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
 def _score_of_nothing(one: Search, searched: Sequence[Searched], base: Assumed, at: int) -> float:
     """Return the score of a channel with no effect and the curve of the present model."""
     axes = next(axes for axes, _ in searched if axes.assumed == replace(base, degree=0))
-    return Search(axes.searched[at], axes.survey, one.likelihood, []).score()
+    return Search(axes.channels[at], axes.survey, one.likelihood, []).score()
 
 
 def _better(channel: Channel, found: Finding, gain: float, before: float, present: ChannelModel) -> Better:

@@ -12,7 +12,7 @@ from imumon.effects.base import LEAST_SPAN_DEGC, Survey
 from imumon.effects.library import effects_for
 from imumon.errors import ImumonError, Reason
 from imumon.lab.calibration.gravity import Length
-from imumon.lab.diagnosis.axes import Assumed, axes_over_bases, likeliest
+from imumon.lab.diagnosis.axes import Assumed, axes_over_bases, likeliest, search_block
 from imumon.lab.diagnosis.blocks import (
     LEAST_BLOCKS,
     RunBlocks,
@@ -136,7 +136,9 @@ def diagnose(
     if test and not tested:
         caveats.append("no run of the test can be used: there is no independent proof")
     _remark(blocks, tested, shown, caveats)
-    assumed = Assumed(temperatures, degree if shown.thermal else 0, "run" if offsets else "")
+    assumed = Assumed(
+        temperatures, degree if shown.thermal else 0, "run" if offsets else "", search_block(blocks)
+    )
     if others and shown.thermal:
         caveats += _shadowed(shadows(blocks, used[0], shown.scale, assumed.degree))
     diagnosis = Diagnosis(declared, block_s, [], blocks, tested, shown, caveats, model, held)

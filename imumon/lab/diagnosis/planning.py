@@ -22,7 +22,7 @@ from imumon.effects.library import EFFECTS, AnyEffect, effects_for
 from imumon.files import write_text
 from imumon.geodesy import DEG_PER_H, MICRO_G
 from imumon.lab.diagnosis.alternatives import NOTHING
-from imumon.lab.diagnosis.axes import Assumed, axes_over_bases, likeliest
+from imumon.lab.diagnosis.axes import Assumed, axes_over_bases, likeliest, search_block
 from imumon.lab.diagnosis.blocks import BLOCK_S, make_blocks, survey
 from imumon.lab.diagnosis.choice import CLOSE, CLOSE_SHARE, PROVEN
 from imumon.lab.diagnosis.likelihood import TAUS_S
@@ -301,7 +301,8 @@ def _searched(run: Run, channel: str, degree: int, kinds: Sequence[str]) -> Sear
     """Return the search in one channel of a run."""
     blocks = [make_blocks(run, [channel], ["temperature"])]
     shown = survey(blocks, "temperature", degree, BLOCK_S)
-    assumed = Assumed({channel: "temperature"}, degree if shown.thermal else 0, "")
+    degree = degree if shown.thermal else 0
+    assumed = Assumed({channel: "temperature"}, degree, "", search_block(blocks))
     every = axes_over_bases([run], blocks, [], [channel], assumed)
     return likeliest([(axes, search(axes.searched, axes.survey, kinds)) for axes in every])[1][0]
 
