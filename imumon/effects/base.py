@@ -161,6 +161,8 @@ class Effect(StrictModel):
     """Whether an unknown state at power-on may be fitted as well."""
     start_share: ClassVar[float] = 1.0
     """Standard deviation of the state at power-on; 1 is half the way between those of `starts`."""
+    one_sign: ClassVar[bool] = False
+    """Whether coefficients of both signs are none of it."""
     suspected_by: ClassVar[tuple[str, ...]] = ()
     """What the innovations of a bias filter follow when the model lacks it, see `imumon.estimation.watch`."""
     separated_by: ClassVar[Mapping[str, str]] = {}

@@ -27,11 +27,12 @@ class StressRelaxation(Effect):
 
     That is what barriers make that are equally many at each logarithm of their time constant between two
     ends (Primak 1955, doi:10.1103/PhysRev.100.1677).  The first step begins at `time_constant_s`, each is
-    `ratio` wide.
+    `ratio` wide, and no spectrum has barriers of both signs.
     """
 
     kind: Literal["stress_relaxation"] = "stress_relaxation"
     scope = "either"
+    one_sign = True
     nonlinear = ("time_constant_s", "ratio")
     suspected_by = ("time since start",)
     separated_by: ClassVar[Mapping[str, str]] = {

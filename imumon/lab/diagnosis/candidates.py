@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from imumon.blocks import FloatArray
+from imumon.blocks import FloatArray, IntArray
 from imumon.effects.base import Effect, Survey
 from imumon.effects.follower import may_sum
 from imumon.effects.library import EFFECTS
@@ -133,6 +133,7 @@ class Pool:
     temperature: str
     """Which temperature drives the effects."""
     _columns: list[list[FloatArray]] = field(default_factory=list)
+    _spectra: list[int] = field(default_factory=list)
     _known: dict[tuple[int, str], tuple[Effect, list[int]]] = field(default_factory=dict)
 
     def terms(self, candidate: Candidate) -> tuple[list[Term], list[Term]]:
@@ -151,6 +152,12 @@ class Pool:
             for column in self._index(part.effect, "start_columns")
         ]
         return defining, start
+
+    def spectra(self, terms: Sequence[Term]) -> IntArray:
+        """Return a number for each term, (k,): those of the same are of one sign; -1 where that is free."""
+        found = [(self._spectra[column], scope) for column, scope in terms]
+        number = {one: at for at, one in enumerate(dict.fromkeys(found))}
+        return np.array([number[one] if one[0] >= 0 else -1 for one in found], np.int64)
 
     def matrix(self, terms: Sequence[Term]) -> FloatArray:
         """Return the columns of terms over all runs, (n, k): zero in runs that a term is not of."""
@@ -171,5 +178,6 @@ class Pool:
             parts = [run.average(getattr(effect, what)(run.drives[self.temperature])) for run in self.runs]
             first, width = len(self._columns), parts[0].shape[1]
             self._columns += [[part[:, i] for part in parts] for i in range(width)]
+            self._spectra += [first if effect.one_sign and what == "columns" else -1] * width
             self._known[key] = effect, list(range(first, first + width))
         return self._known[key][1]

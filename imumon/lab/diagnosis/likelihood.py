@@ -7,6 +7,7 @@ block, F the mean of exp(-|lag|/tau) over `TAUS_S`, which is close to flicker, R
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -29,8 +30,14 @@ COLLINEAR = 1e-5
 RIDGE = 1e-9
 
 
-Groups = Sequence[tuple[IntArray, IntArray]]
-"""Candidates of so many terms each: which they are, (count,), and their terms, (count, size)."""
+@dataclass(frozen=True, slots=True)
+class _Group:
+    """Candidates of so many terms each: which they are (count,), their terms (count, size), and whether a
+    term and the next are of one sign (count, size - 1)."""
+
+    which: IntArray
+    places: IntArray
+    alike: BoolArray
 
 
 class Likelihood:
@@ -89,17 +96,22 @@ class Likelihood:
         pool: Pool,
         terms: Sequence[Sequence[Term]],
         grid: Sequence[Noise],
-    ) -> FloatArray:
-        """Return the best log-likelihood of the base with each candidate, given as terms."""
+    ) -> tuple[FloatArray, list[Noise]]:
+        """Return the best log-likelihood of the base with each candidate, given as terms, and its noise.
+
+        A candidate whose spectrum would have both signs explains nothing.
+        """
         used = list(dict.fromkeys(term for group in terms for term in group))
         place = {term: at for at, term in enumerate(used)}
-        groups = _by_size([[place[term] for term in group] for group in terms])
-        best = np.full(len(terms), -np.inf)
-        for point in grid:
+        groups = _by_size([[place[term] for term in group] for group in terms], pool.spectra(used))
+        best, noise = np.full(len(terms), -np.inf), np.zeros(len(terms), np.int64)
+        for index, point in enumerate(grid):
             residual, basis = self._left(values, base, point)
             explained = _explained(residual, basis, self._terms(pool, used, point), groups, len(terms))
-            best = np.maximum(best, self._of(residual @ residual - explained, point))
-        return best
+            found = self._of(residual @ residual - explained, point)
+            better = found > best
+            best[better], noise[better] = found[better], index
+        return best, [grid[index] for index in noise.tolist()]
 
     def _terms(self, pool: Pool, terms: Sequence[Term], noise: Noise) -> FloatArray:
         """Return the whitened columns of terms, a row each; each is whitened once for each noise."""
@@ -153,12 +165,14 @@ def no_larger(start: Noise) -> list[Noise]:
     return [point for point in GRID if sum(point) <= sum(start)]
 
 
-def _by_size(groups: Sequence[Sequence[int]]) -> Groups:
+def _by_size(groups: Sequence[Sequence[int]], spectra: IntArray) -> list[_Group]:
     """Return, for each number of terms, the candidates that have it."""
     found = []
     for size in sorted({len(group) for group in groups} - {0}):
         which = [at for at, group in enumerate(groups) if len(group) == size]
-        found.append((np.array(which), np.array([groups[at] for at in which])))
+        places = np.array([groups[at] for at in which])
+        this, following = spectra[places[:, :-1]], spectra[places[:, 1:]]
+        found.append(_Group(np.array(which), places, (this == following) & (this >= 0)))
     return found
 
 
@@ -166,7 +180,7 @@ def _explained(
     residual: FloatArray,
     basis: FloatArray,
     matrix: FloatArray,
-    groups: Groups,
+    groups: Sequence[_Group],
     count: int,
 ) -> FloatArray:
     """Return by how much each candidate lowers the sum of squares of the whitened residual.
@@ -180,7 +194,8 @@ def _explained(
     scale = np.where(usable, 1.0 / np.sqrt(np.where(usable, after, 1.0)), 0.0)
     slope = scale * (matrix @ residual)
     out = np.zeros(count)
-    for which, places in groups:
+    for group in groups:
+        which, places = group.which, group.places
         part = slope[places]
         if places.shape[1] == 1:
             out[which] = part[:, 0] ** 2
@@ -192,7 +207,8 @@ def _explained(
         gram *= scale[places][:, :, np.newaxis] * scale[places][:, np.newaxis]
         gram += diagonal[:, :, np.newaxis] * np.eye(places.shape[1])
         solution = np.linalg.solve(gram, part[:, :, np.newaxis])[:, :, 0]
-        out[which] = np.einsum("ij,ij->i", solution, part)
+        against = group.alike & (solution[:, :-1] * solution[:, 1:] < 0)
+        out[which] = np.where(against.any(axis=1), 0.0, np.einsum("ij,ij->i", solution, part))
     return out
 
 

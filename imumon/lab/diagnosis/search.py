@@ -193,7 +193,7 @@ class Search:
         starts = list(dict.fromkeys(tuple(start) for _, start in terms if start))
         every = [*([*own, *start] for own, start in terms), *map(list, starts)]
         before, noise = self.fitted(model)
-        after = self.likelihood.scan(
+        after, _ = self.likelihood.scan(
             channel.values, channel.design(model), channel.pool, every, no_larger(noise)
         )
         ratio = (2.0 * (after - before)).tolist()

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from imumon.effects.base import Drive
 from imumon.effects.drift import Drift
+from imumon.effects.stress_relaxation import StressRelaxation
 from imumon.lab.diagnosis.blocks import make_blocks
 from imumon.lab.diagnosis.candidates import Candidate, Part, Pool
 from imumon.lab.diagnosis.choice import PROVEN
@@ -36,8 +38,8 @@ def test_what_is_a_walk_without_a_drift_is_flicker_with_it() -> None:
     likelihood, pool = Likelihood([blocks]), Pool([blocks], "temperature")
     walk = likelihood.best(blocks.mean["gyro_x"] / DPH, curve)[1]
     assert walk[1] > walk[0]
-    with_drift = np.column_stack([curve, pool.design([Candidate("drift", (Part(Drift()),))])])
-    noise = likelihood.best(blocks.mean["gyro_x"] / DPH, with_drift)[1]
+    terms = [pool.terms(Candidate("drift", (Part(Drift()),)))[0]]
+    _, (noise,) = likelihood.scan(blocks.mean["gyro_x"] / DPH, curve, pool, terms, no_larger(walk))
     assert noise[0] > walk[0]
     assert noise[1] < walk[1]
 
@@ -52,3 +54,18 @@ def test_what_jumps_has_innovations_with_heavy_tails() -> None:
     walk = WHITE_DPH * np.cumsum(np.random.default_rng(2).standard_normal(SECONDS)) / 20.0
     assert tails(telegraph) > PROVEN
     assert tails(lambda _, __: walk) < PROVEN
+
+
+def test_a_spectrum_with_both_signs_explains_nothing() -> None:
+    creep = StressRelaxation(time_constant_s=20.0, ratio=16.0, steps=2)
+    for weights, explains in (((30.0, 10.0), True), ((-30.0, 10.0), False)):
+        effect = creep.with_coefficients(weights)
+        told = run(6, *ramps(SECONDS, up=True), lambda time, t: effect.simulate(Drive(time, t)))  # noqa: B023 - called at once
+        blocks = make_blocks(told, ["gyro_x"], ["temperature"])
+        curve = (blocks.temperature["temperature"] - 25.0)[:, np.newaxis] ** np.arange(4)
+        likelihood, pool = Likelihood([blocks]), Pool([blocks], "temperature")
+        values, white = blocks.mean["gyro_x"] / DPH, (0.0, 0.0)
+        terms = [pool.terms(Candidate("stress_relaxation", (Part(creep),)))[0]]
+        found, _ = likelihood.scan(values, curve, pool, terms, [white])
+        gain = float(found[0]) - likelihood.at(values, curve, white)
+        assert gain > 50.0 if explains else abs(gain) < 1e-6
