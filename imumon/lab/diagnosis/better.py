@@ -15,7 +15,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from imumon.effects.library import EFFECTS
-from imumon.lab.diagnosis.axes import Assumed, Searched, axes_over_bases, likeliest
+from imumon.lab.diagnosis.axes import Assumed, axes_over_bases, likeliest
 from imumon.lab.diagnosis.blocks import (
     BLOCK_S,
     LEAST_BLOCKS,
@@ -32,7 +32,7 @@ from imumon.lab.diagnosis.fit import MATERIAL, fit
 from imumon.lab.diagnosis.known import CUBIC, effects_of, temperature_of, without_model
 from imumon.lab.diagnosis.likelihood import Likelihood
 from imumon.lab.diagnosis.runs import Run
-from imumon.lab.diagnosis.search import Search, search
+from imumon.lab.diagnosis.search import search
 from imumon.models.model import BiasModel, ChannelModel
 
 LASTING = [name for name, kind in EFFECTS.items() if kind.scope not in ("run", "event")]
@@ -115,10 +115,10 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
         return []
     searched = [(axes, search(axes.searched, axes.survey, LASTING, stages=1)) for axes in every]
     axes, found = likeliest(searched)
+    # The curve of the present model, and nothing beside it.
+    present = next(one for base, one in searched if base.assumed == replace(axes.assumed, degree=0))
     gain = sum(
-        one.score() - _score_of_nothing(one, searched, axes.assumed, at)
-        for at, one in enumerate(found)
-        if one.findings
+        one.score() - other.score([]) for one, other in zip(found, present, strict=True) if one.findings
     )
     if not gain > proof(len(degrees) * len(LASTING), len(channels)):
         return []
@@ -127,12 +127,6 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
         for channel, one in zip(axes.channels, found, strict=True)
         if one.findings and channel.name in material
     ]
-
-
-def _score_of_nothing(one: Search, searched: Sequence[Searched], base: Assumed, at: int) -> float:
-    """Return the score of a channel with no effect and the curve of the present model."""
-    axes = next(axes for axes, _ in searched if axes.assumed == replace(base, degree=0))
-    return Search(axes.channels[at], axes.survey, one.likelihood, []).score()
 
 
 def _better(channel: Channel, found: Finding, gain: float, before: float, present: ChannelModel) -> Better:

@@ -45,14 +45,6 @@ from imumon.models.curves.polynomial import CUBIC
 from imumon.models.model import BiasModel
 
 HIGHEST_DEGREE = 8
-POSES_OWN = (
-    "several poses: the gyros have another constant in each, as the earth rate makes it; a sensitivity to g"
-    " is not told from that"
-)
-POSES_ALIKE = (
-    "several poses: what is named g_sensitivity holds the vertical earth rate as well, up to 15.04 °/h per g"
-    " on the diagonal"
-)
 
 
 @dataclass(slots=True)
@@ -207,8 +199,21 @@ def _sensor(
         [(axes, search(axes.searched, axes.survey, names, progress=progress)) for axes in every]
     )
     if group[0].startswith("gyro") and any(run.pose.any() for run in diagnosis.train):
-        diagnosis.caveats.append(POSES_OWN if axes.assumed.own == "pose" else POSES_ALIKE)
+        diagnosis.caveats.append(f"several poses: {_of_poses(axes.assumed)}")
     return [settle(channel, one) for channel, one in zip(axes.channels, found, strict=True)]
+
+
+def _of_poses(assumed: Assumed) -> str:
+    """Return what limits the verdicts on gyros in several poses."""
+    if assumed.own == "pose":
+        return (
+            "the gyros have another constant in each, as the earth rate makes it; a sensitivity to g is not"
+            " told from that"
+        )
+    return (
+        "what is named g_sensitivity holds the vertical earth rate as well, up to 15.04 °/h per g on the"
+        " diagonal"
+    )
 
 
 def _add_length(temperature: str, degree: int, diagnosis: Diagnosis) -> None:
