@@ -123,16 +123,13 @@ def diagnose(
     )
     check_training(blocks, moving, block_s)
     shown = survey(blocks, used[0], degree, block_s)
-    if model is not None and shown.thermal:  # else no curve is fitted, and that of the model stays as it is
+    if shown.thermal and model is not None:  # else no curve is fitted, and that of the model stays as it is
         check_range(model, temperatures, blocks)
     if test and not tested:
         caveats.append("no run of the test can be used: there is no independent proof")
-    _remark(blocks, tested, shown, caveats)
-    assumed = Assumed(
-        temperatures, degree if shown.thermal else 0, "run" if offsets else "", search_block(blocks)
-    )
-    if others and shown.thermal:
-        caveats += _shadowed(shadows(blocks, used[0], shown.scale, assumed.degree))
+    degree = degree if shown.thermal else 0
+    caveats += _limits(blocks, tested, shown, shadows(blocks, used[0], shown.scale, degree))
+    assumed = Assumed(temperatures, degree, "run" if offsets else "", search_block(blocks))
     diagnosis = Diagnosis(declared, block_s, [], blocks, tested, shown, caveats, model, held)
     for sensor in sensors:
         if group := channels_of([sensor], channels):
@@ -158,29 +155,26 @@ def _divided(
     return [first], [other], True
 
 
-def _remark(train: Sequence[RunBlocks], test: Sequence[RunBlocks], shown: Survey, caveats: list[str]) -> None:
-    """Say what this data cannot show, whatever it is."""
+def _limits(
+    train: Sequence[RunBlocks], test: Sequence[RunBlocks], shown: Survey, alike: Sequence[str]
+) -> list[str]:
+    """Return what this data cannot show; `alike` are drivers that went with temperature or time."""
+    limits = []
     if not shown.thermal:
-        caveats.append(
+        limits.append(
             f"the temperature moves by {shown.span_degc:.1f} °C only ({LEAST_SPAN_DEGC:.0f} °C are needed):"
             " no curve over temperature is fitted, and no effect of temperature can be found"
         )
     if not test:
-        caveats.append("no test data: nothing proves what is claimed but the data that it was fitted to")
+        limits.append("no test data: nothing proves what is claimed but the data that it was fitted to")
     if len(train) < 2:
-        caveats.append(
-            "one training run: what depends on time and what depends on temperature may look alike"
+        limits.append("one training run: what depends on time and what depends on temperature may look alike")
+    if alike and shown.thermal:
+        limits.append(
+            f"{', '.join(alike)} went with temperature or time in training: what depends on one of them looks"
+            " as if it depended on the other"
         )
-
-
-def _shadowed(alike: Sequence[str]) -> list[str]:
-    """Return the caveat on drivers that went with temperature or time, if there are any."""
-    if not alike:
-        return []
-    return [
-        f"{', '.join(alike)} went with temperature or time in training: what depends on one of them looks"
-        " as if it depended on the other"
-    ]
+    return limits
 
 
 def _sensor(
