@@ -39,6 +39,8 @@ VRW = 5e-5
 """m/s/√s."""
 PAPER_ARW, SITE_ARW, TACTICAL_ARW = 2.43e-4, 1e-3, 0.01
 """deg/√h: of the paper, of a fibre-optic gyro, and of a tactical one."""
+ACCEL_BIAS_UG = 30.0
+"""Of accelerometers of navigation grade, as they are declared."""
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from study import largest, rms
 
 from imumon.blocks import BoolArray, FloatArray, SampleBlock
 from imumon.estimation.attitude.parameters import AttitudeParameters
@@ -90,10 +91,8 @@ def _samples(data: dict[str, FloatArray]) -> SampleBlock:
 
 def _row(error: FloatArray, sd: FloatArray) -> list[str]:
     """Return rms error, rms and largest error over sigma, and median sigma, as text."""
-    known = np.isfinite(sd)
-    if not known.any():
+    if not np.isfinite(sd).any():
         return ["-"] * 4
-    ratio = error[known] / sd[known]
-    degrees = np.degrees([np.sqrt(np.mean(error**2)), np.median(sd[known])])
-    z = float(np.sqrt(np.mean(ratio**2)))
-    return [f"{degrees[0]:.2f}", f"{z:.2f}", f"{np.abs(ratio).max():.1f}", f"{degrees[1]:.2f}"]
+    ratio = error / sd
+    cells = [f"{np.degrees(rms(error)):.2f}", f"{rms(ratio):.2f}", f"{largest(ratio):.1f}"]
+    return [*cells, f"{np.degrees(np.nanmedian(sd)):.2f}"]

@@ -3,40 +3,30 @@
 A curve is fitted to two runs of a unit whose bias has an undeclared effect, so that the model's `residual_sd`
 covers it; a third run from another power-on goes sample by sample through the stage that says MODEL CAN BE
 BETTER.
-
-Usage: closing_the_loop --part live [--repeat N] [--first SEED] [--only KIND] [--least FLOORS] [--jobs N]
-       [--results FILE] [--out PAGE]
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
 import re
-import sys
 import time
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-    os.environ.setdefault(name, "1")
+import closing_the_loop_drivers as drivers
+import numpy as np
+from closing_the_loop_cases import DPH, EARTH_DPH, GRAVITY, Case, Setting, make_case
+from closing_the_loop_statistics import share
+from numpy.polynomial.chebyshev import chebvander
+from study import Options, Study, Table, spread
 
-import closing_the_loop_drivers as drivers  # noqa: E402
-import numpy as np  # noqa: E402 - the number of threads is read when it is imported
-from closing_the_loop_cases import DPH, EARTH_DPH, GRAVITY, Case, Setting, make_case  # noqa: E402
-from closing_the_loop_statistics import share  # noqa: E402
-from numpy.polynomial.chebyshev import chebvander  # noqa: E402
-
-from imumon.blocks import ColumnArray, SampleBlock  # noqa: E402
-from imumon.lab.diagnosis.blocks import make_blocks  # noqa: E402
-from imumon.lab.diagnosis.channel import ordinary  # noqa: E402
-from imumon.lab.diagnosis.live import LiveDiagnosis  # noqa: E402
-from imumon.lab.diagnosis.runs import Run  # noqa: E402
-from imumon.models.curves.polynomial import PolynomialCurve  # noqa: E402
-from imumon.models.model import BiasModel, ChannelModel  # noqa: E402
+from imumon.blocks import ColumnArray, SampleBlock
+from imumon.lab.diagnosis.blocks import make_blocks
+from imumon.lab.diagnosis.channel import ordinary
+from imumon.lab.diagnosis.live import LiveDiagnosis
+from imumon.lab.diagnosis.runs import Run
+from imumon.models.curves.polynomial import PolynomialCurve
+from imumon.models.model import BiasModel, ChannelModel
 
 AXES = "xyz"
 DEGREE = 3
@@ -57,12 +47,19 @@ EFFECTS = (
 SIZES = (1.0, 2.0, 5.0, 10.0)
 BEYOND = "beyond the calibration"
 """Label of the sessions that leave the middle half of the temperatures, which the calibration is cut to."""
-HEAD = (
-    "# Closing the loop: live sessions\n\n"
-    "Made by `scripts/reproduce/closing_the_loop_live.py`. Right is what is named last when the effect"
-    " is among the three best on every axis that is named; `named` counts sessions in which anything was"
-    " named by any search. Wilson's 95 % interval.\n\n"
-)
+NOISES = ("white", "flicker", "walk")
+POSES: Mapping[str, Any] = {"poses": True, "latitude_deg": 50.0}
+NOTHING: Mapping[str, tuple[Sequence[str], Mapping[str, Any]]] = {
+    "nothing": (NOISES, {}),
+    "nothing, constant": (NOISES, {}),
+    "nothing, poses": (NOISES, {"poses": True}),
+    "nothing, poses, earth rate": (NOISES, POSES),
+    "nothing, ten columns": (NOISES, {"driver": "none"}),
+    f"nothing, {BEYOND}": (NOISES[:2], {}),
+}
+"""Sessions of which nothing is missing: noises, and what else a setting has."""
+QUICK = "driven: load"
+HEADS = ("effect", "floors", "named", "right", "first named, min, median", "°/h before", "after")
 SAID = re.compile(r"MODEL CAN BE BETTER: (.*?): ([\d.e+-]+) become ([\d.e+-]+) °/h")
 
 
@@ -92,34 +89,11 @@ def settings() -> list[Setting]:
     found += [
         Setting((), size, driver=name, label=f"driven: {name}") for name in drivers.DRIVING for size in SIZES
     ]
-    found += [
-        Setting((), 0.0, noise=noise, label=f"nothing, {noise}") for noise in ("white", "flicker", "walk")
-    ]
-    found += [
-        Setting((), 0.0, noise=noise, label=f"nothing, constant, {noise}")
-        for noise in ("white", "flicker", "walk")
-    ]
-    found += [
-        Setting((), 0.0, noise=noise, poses=True, label=f"nothing, poses, {noise}")
-        for noise in ("white", "flicker", "walk")
-    ]
-    found += [
-        Setting(
-            (), 0.0, noise=noise, poses=True, latitude_deg=50.0, label=f"nothing, poses, earth rate, {noise}"
-        )
-        for noise in ("white", "flicker", "walk")
-    ]
-    found += [
-        Setting(("g_sensitivity",), size, poses=True, latitude_deg=50.0, label="g_sensitivity, earth rate")
-        for size in (10.0, 50.0)
-    ]
-    found += [
-        Setting((), 0.0, noise=noise, driver="none", label=f"nothing, ten columns, {noise}")
-        for noise in ("white", "flicker", "walk")
-    ]
-    found += [
-        Setting((), 0.0, noise=noise, label=f"nothing, {BEYOND}, {noise}") for noise in ("white", "flicker")
-    ]
+    for label, (noises, more) in NOTHING.items():
+        found += [Setting((), 0.0, noise=noise, label=f"{label}, {noise}", **more) for noise in noises]
+        if more == POSES:
+            beside = "g_sensitivity, earth rate"
+            found += [Setting(("g_sensitivity",), size, label=beside, **POSES) for size in (10.0, 50.0)]
     found += [Setting((), 0.0, turn_on_dph=8.0, label="nothing, turn-on offsets")]
     return found
 
@@ -236,84 +210,33 @@ def right(one: Said) -> bool:
     return bool(one.said) and all(set(names) & set(one.truth) for names, _ in one.said)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the sessions and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repeat", type=int, default=4)
-    parser.add_argument("--first", type=int, default=2500)
-    parser.add_argument("--only", default="")
-    parser.add_argument("--least", type=float, default=0.0, help="size in floors of the smallest effect")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--list", action="store_true")
-    parser.add_argument("--results", type=Path, help="file of sessions that are done, which grows by these")
-    parser.add_argument("--out", type=Path, help="page to write the table to")
-    given = parser.parse_args(arguments)
+def row(found: Sequence[Said]) -> list[str]:
+    """Return the row of one kind of sessions."""
+    first, named = found[0], [one for one in found if one.said]
+    cells = [first.label, f"{first.size:g}", share(sum(bool(one.text) for one in found), len(found))]
+    cells.append(share(sum(map(right, found)), len(found)) if first.truth else "")
+    if not named:
+        return [*cells, "", "", ""]
+    since, before, after = np.median([(one.since_s / 60, one.before, one.after) for one in named], axis=0)
+    return [*cells, f"{since:.0f}", f"{before:.3g}", f"{after:.3g}"]
+
+
+def tables(given: Options) -> Iterator[Table]:
+    """Yield the sessions by kind and size; five times as many of those with nothing missing."""
+    only = QUICK if given.quick else given.only
     work = [
-        (setting, 1000 * at + given.first + number)
+        (setting, 1000 * at + given.seeds[0] + number)
         for at, setting in enumerate(settings())
-        if given.only in setting.label and setting.size >= given.least
-        for number in range(given.repeat * (5 if setting.label.startswith("nothing") else 1))
+        if only in setting.label
+        for number in range(len(given.seeds) * (5 if setting.label.startswith("nothing") else 1))
     ]
-    results = kept(given.results)
-    done = {(one.label, one.size, one.seed) for one in results}
-    work = [job for job in work if (job[0].label, job[0].size, job[1]) not in done]
-    with ProcessPoolExecutor(given.jobs) as pool:
-        for one in pool.map(run_case, work):
-            results.append(one)
-            if given.results is not None:
-                with given.results.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(asdict(one)) + "\n")
-    if given.list:
-        for one in results:
-            mark = "" if right(one) or not one.truth else "BAD "
-            print(f"{mark}{one.label} {one.size:g} #{one.seed} {one.since_s:.0f} s: {one.text}")
-    text = table(results)
-    print(text)
-    if given.out is not None:
-        given.out.write_text(HEAD + text + "\n", encoding="utf-8")
-    return 0
-
-
-def kept(path: Path | None) -> list[Said]:
-    """Return the sessions that earlier runs left in a file."""
-    if path is None or not path.exists():
-        return []
-    found = []
-    for line in path.read_text(encoding="utf-8").splitlines():
-        one = json.loads(line)
-        said = tuple((tuple(names), axes) for names, axes in one["said"])
-        found.append(Said(**(one | {"truth": tuple(one["truth"]), "said": said})))
-    return found
-
-
-def table(results: Sequence[Said]) -> str:
-    """Return what was said, as Markdown."""
-    lines = [
-        "| effect | floors | named | right | first named, min, median | °/h before | after |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    labels = list(dict.fromkeys(one.label for one in results))
-    kinds = {(one.label, one.size) for one in results}
-    for label, size in sorted(kinds, key=lambda kind: (labels.index(kind[0]), kind[1])):
-        found = [one for one in results if (one.label, one.size) == (label, size)]
-        said = [one for one in found if one.said]
-        ever = sum(bool(one.text) for one in found)
-        good = share(sum(map(right, found)), len(found)) if found[0].truth else ""
-        when = f"{np.median([one.since_s for one in said]) / 60:.0f}" if said else ""
-        numbers = [
-            f"{np.median([getattr(one, key) for one in said]):.3g}" if said else ""
-            for key in ("before", "after")
-        ]
-        lines.append(
-            f"| {label} | {size:g} | {share(ever, len(found))} | {good} | {when} | {' | '.join(numbers)} |"
-        )
+    results = list(spread(run_case, work, given.jobs))
+    groups: dict[tuple[str, float], list[Said]] = {}
+    for one in results:
+        groups.setdefault((one.label, one.size), []).append(one)
     seconds = [one.seconds for one in results]
-    lines += [
-        "",
-        f"{np.median(seconds):.2f} s of a core for two hours (median; the longest {max(seconds):.2f} s).",
-    ]
-    return "\n".join(lines)
+    note = f"{np.median(seconds):.2f} s of a core for two hours (median; the longest {max(seconds):.2f} s)."
+    yield Table("", HEADS, [row(found) for found in groups.values()], note)
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+STUDY = Study(tables, seeds=4, first=2500, page="appendix/closing-the-loop-live.md")

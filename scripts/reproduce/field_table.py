@@ -30,10 +30,11 @@ from rest_detector_table import (
     TURNS,
     Tally,
     bias_over_sigma,
-    matrix,
+    the_same,
     vqf_rest,
 )
 from scipy.signal import savgol_filter
+from study import largest, matrix, rms
 from thermometer_kinds import KINDS, PER_HOUR, Kind, Profile, constant, drifting, ramp
 from thermometers_table import ONSET_S, SETTLED_S, STEADY_S, errors
 
@@ -69,8 +70,7 @@ class Row:
     @property
     def largest(self) -> float:
         """Largest error over sigma."""
-        known = np.abs(self.ratios[np.isfinite(self.ratios)])
-        return float(known.max()) if len(known) else np.nan
+        return largest(self.ratios)
 
     def saved(self, cpu_s: float) -> dict[str, Any]:
         """Return what `--out` writes of the row; `cpu_s` is what it cost, peers and simulation included."""
@@ -96,24 +96,12 @@ class Row:
         return [self.part, self.kind, *numbers, f"{self.rms:.2f}", f"{self.largest:.1f}"]
 
 
-def rms(values: FloatArray) -> float:
-    """Return the root mean square of what is known."""
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
-
-
-def turn(rate_dps: float, minutes: float, begun_s: float, tilt_deg: float, seed: int) -> Scene:
-    """Return a steady turn, which is the same for every seed."""
-    del seed
-    return steady_turn(TURN_RATE_HZ, rate_dps, minutes, begun_s, tilt_deg)
-
-
 def rest_rows(seeds: range) -> Iterator[Row]:
     """Steady turns, slow tilts, hands and cars, with six grades of sensors: motion taken for rest."""
     scenes: list[tuple[str, Callable[[int], Scene]]] = [
         (
             f"turn of {rate:g} °/s for {minutes:g} min, begun in {begun:g} s, {tilt:g}° off the vertical",
-            partial(turn, rate, minutes, begun, tilt),
+            partial(the_same, steady_turn(TURN_RATE_HZ, rate, minutes, begun, tilt)),
         )
         for rate, minutes, begun, tilt in TURNS
     ]

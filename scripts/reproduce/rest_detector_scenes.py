@@ -33,15 +33,6 @@ class Grade:
     gyro_flicker: float = 0.0
 
 
-GRADES = (
-    Grade("consumer", 0.3 * DEG, 0.05, 2e-6),
-    Grade("consumer, coarse steps", 0.02 * DEG, 0.004, 2e-6, 0.0625 * DEG, 0.0383),
-    Grade("industrial", 0.05 * DEG, 0.01, 5e-7),
-    Grade("tactical", 3e-5, 2e-3, 5e-8),
-    Grade("navigation", 1e-6, 2e-4, 1e-9),
-)
-
-
 def _sensor(name: str, arw: float, flicker: float, micro_g: float, steps: tuple[float, float]) -> Grade:
     """Return a sensor by its data sheet: °/√h, °/h, µg/√Hz, and steps in °/s and m/s²."""
     white, force = arw / 60.0 * DEG * 10.0, micro_g * 1e-6 * GRAVITY * 10.0
@@ -376,13 +367,8 @@ SCENES: dict[str, Callable[[float, float, int], Scene]] = {
 """From rate, seconds and seed."""
 
 
-def measure(scene: Scene, grade: Grade, seed: int) -> SampleBlock:
-    """Return what sensors of a grade read of a scene, at the rate of the scene."""
-    return measure_with_bias(scene, grade, seed)[0]
-
-
 def measure_with_bias(scene: Scene, grade: Grade, seed: int) -> tuple[SampleBlock, FloatArray]:
-    """Return the same, and the bias of the gyros without what the scene adds, (n, 3)."""
+    """Return what sensors of a grade read of a scene, and the bias of the gyros less the scene's, (n, 3)."""
     rng = np.random.default_rng(seed)
     n, rate_hz = len(scene.t), 1.0 / (scene.t[1] - scene.t[0])
     scale = np.sqrt(rate_hz / 100.0)

@@ -6,12 +6,26 @@ Equation numbers are those of Kozlov and Tarygin, Sensors 2020, 20(5), 1299.
 from __future__ import annotations
 
 import math
+from typing import Protocol
 
 import numpy as np
+from temperature_rate_records import Record
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.filters.rates import RateEstimate
 from imumon.papers.fir import model_row
+
+
+class Method(Protocol):
+    """What estimates the rate of temperature."""
+
+    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
+        """Return the estimates at the samples."""
+
+
+def estimate(method: Method, record: Record) -> RateEstimate:
+    """Return the estimates of a record."""
+    return method.process(record.time_ns, np.zeros(len(record.reading), np.int64), record.reading)
 
 
 class DifferenceRate:

@@ -1,42 +1,32 @@
-"""Errors of all temperature-rate methods on simulated and measured records, and the figures of the paper."""
+"""Errors of the methods for the rate of temperature on simulated and measured records."""
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from temperature_rate_band import bound, consistency, elsewhere
-from temperature_rate_comparison import DifferenceRate, KalmanRate, reference_fit
-from temperature_rate_figures import draw_all
-from temperature_rate_kalman import search
-from temperature_rate_records import PER_HOUR, Record, measured, simulate
+from study import Options, Study, Table
+from temperature_rate_comparison import DifferenceRate, KalmanRate, Method, estimate, reference_fit
+from temperature_rate_figures import draw
+from temperature_rate_records import PER_HOUR, SHAPES, Record, measured, simulate
 
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import FloatArray
 from imumon.estimation.temperature_rate.stage import MultipleModelRate
 from imumon.filters.rates import RateEstimate
 from imumon.papers.fir import FirRate, Params
 
-ROOT = Path(__file__).resolve().parents[2]
 BUFFER = 1000
 STEP = 0.05
-SETTLED_MIN = 20.0
-
-Method = Callable[[Record], RateEstimate]
-
-
-def _segment(record: Record) -> IntArray:
-    return np.zeros(len(record.reading), np.int64)
+SETTLED_MIN, MEASURED_MIN = 20.0, 3.0
+"""From then on errors count, simulated and measured."""
+HEADS = ("record", "method", "rms °C/h", "max °C/h", "jump °C/h", "delay s", "within 2σ")
 
 
 def two_sided(record: Record) -> RateEstimate:
     """Return the default method run forward and backward in time, merged: what the future could add."""
-    ahead = MultipleModelRate().process(record.time_ns, _segment(record), record.reading)
+    ahead = estimate(MultipleModelRate(), record)
     reverse = (record.time_ns[-1] - record.time_ns)[::-1]
-    back = MultipleModelRate().process(reverse, _segment(record), record.reading[::-1])
+    back = MultipleModelRate().process(reverse, np.zeros(len(reverse), np.int64), record.reading[::-1])
     forward = ahead.rate_sd**-2.0
     backward = back.rate_sd[::-1] ** -2.0
     total = forward + backward
@@ -44,26 +34,17 @@ def two_sided(record: Record) -> RateEstimate:
     return RateEstimate(ahead.temperature, rate, ahead.temperature_sd, total**-0.5)
 
 
-METHODS: dict[str, Method] = {
-    "FIR 300/180": lambda r: FirRate(Params(STEP, 300.0, 180.0, BUFFER)).process(
-        r.time_ns, _segment(r), r.reading
-    ),
-    "FIR 180/120": lambda r: FirRate(Params(STEP, 180.0, 120.0, BUFFER)).process(
-        r.time_ns, _segment(r), r.reading
-    ),
-    "FIR 300/180, buffer 90": lambda r: FirRate(Params(STEP, 300.0, 180.0, 90)).process(
-        r.time_ns, _segment(r), r.reading
-    ),
-    "linear 300": lambda r: FirRate(Params(STEP, 300.0, 300.0, BUFFER, order=2)).process(
-        r.time_ns, _segment(r), r.reading
-    ),
-    "Kalman": lambda r: KalmanRate(STEP).process(r.time_ns, _segment(r), r.reading),
-    "3 min difference": lambda r: DifferenceRate(STEP).process(r.time_ns, _segment(r), r.reading),
-    "multiple models": lambda r: MultipleModelRate().process(r.time_ns, _segment(r), r.reading),
-    "reference (eq. 5), centred": lambda r: reference_fit(r.time_ns, r.reading, STEP),
-    "multiple models, both ways": two_sided,
-}
-"""The last two see the future."""
+def methods() -> Mapping[str, Method]:
+    """Return fresh filters by name."""
+    return {
+        "FIR 300/180": FirRate(Params(STEP, 300.0, 180.0, BUFFER)),
+        "FIR 180/120": FirRate(Params(STEP, 180.0, 120.0, BUFFER)),
+        "FIR 300/180, buffer 90": FirRate(Params(STEP, 300.0, 180.0, 90)),
+        "linear 300": FirRate(Params(STEP, 300.0, 300.0, BUFFER, order=2)),
+        "Kalman": KalmanRate(STEP),
+        "3 min difference": DifferenceRate(STEP),
+        "multiple models": MultipleModelRate(),
+    }
 
 
 def delay_s(rate: FloatArray, truth: FloatArray, interval_s: float) -> float:
@@ -80,7 +61,7 @@ def delay_s(rate: FloatArray, truth: FloatArray, interval_s: float) -> float:
     return float(lags[int(np.argmin(errors))] * interval_s)
 
 
-def row(record: Record, result: RateEstimate, settled_min: float) -> tuple[float, ...]:
+def row(record: Record, name: str, result: RateEstimate, settled_min: float) -> list[str]:
     """Return rms, largest error, largest change between samples (°C/h), delay (s), share within 2σ."""
     late = (record.minutes > settled_min) & np.isfinite(result.rate)
     rate, truth = result.rate[late], record.rate[late]
@@ -88,72 +69,31 @@ def row(record: Record, result: RateEstimate, settled_min: float) -> tuple[float
     interval = float(np.median(np.diff(record.time_ns))) * 1e-9
     share = float(np.mean(np.abs(error) < 2 * PER_HOUR * result.rate_sd[late]))
     jump = float(np.abs(np.diff(rate)).max()) * PER_HOUR
-    rms = float(np.sqrt(np.mean(error**2)))
-    return rms, float(np.abs(error).max()), jump, delay_s(rate, truth, interval), share
+    delay = delay_s(rate, truth, interval)
+    numbers = [f"{np.sqrt(np.mean(error**2)):.3g}", f"{np.abs(error).max():.3g}", f"{jump:.2g}"]
+    return [record.name, name, *numbers, "-" if np.isnan(delay) else f"{delay:.0f}", f"{100 * share:.1f} %"]
 
 
-def table(records: Sequence[Record], settled_min: float) -> None:
-    """Print a table in Markdown."""
-    print("| record | method | rms °C/h | max °C/h | jump °C/h | delay s | within 2σ |")
-    print("|---|---|---|---|---|---|---|")
+def rows(records: Sequence[Record], settled_min: float) -> Iterator[list[str]]:
+    """Yield a row for each record and method; the last two methods see the future."""
     for record in records:
-        for name, method in METHODS.items():
-            rms, largest, jump, delay, share = row(record, method(record), settled_min)
-            late = "-" if np.isnan(delay) else f"{delay:.0f}"
-            numbers = f"{rms:.3g} | {largest:.3g} | {jump:.2g} | {late} | {100 * share:.1f} %"
-            print(f"| {record.name} | {name} | {numbers} |", flush=True)
+        for name, method in methods().items():
+            yield row(record, name, estimate(method, record), settled_min)
+        reference = reference_fit(record.time_ns, record.reading, STEP)
+        yield row(record, "reference (eq. 5), centred", reference, settled_min)
+        yield row(record, "multiple models, both ways", two_sided(record), settled_min)
 
 
-def ensemble() -> None:
-    """Print what the default method does over several seeds, in Markdown."""
-    print("| shape | noise °C | rms °C/h | jump °C/h | within 2σ |")
-    print("|---|---|---|---|---|")
-    for shape in ("heating", "lively", "wobble", "steady"):
-        for noise in (0.002, 0.005, 0.02):
-            rows = []
-            for seed in range(5):
-                record = simulate(shape, noise, seed)
-                rows.append(row(record, METHODS["multiple models"](record), SETTLED_MIN))
-            rms, _, jump, _, share = np.array(rows).T
-            numbers = f"{rms.min():.2g} to {rms.max():.2g} | {jump.max():.2g}"
-            print(f"| {shape} | {noise} | {numbers} | {100 * share.min():.1f} to {100 * share.max():.1f} % |")
-
-
-def main() -> None:
-    """Write tables to standard output and figures to docs/figures/temperature-rate."""
-    default = os.environ.get("IMUMON_DATA", str(ROOT.parent / "shared" / "data"))
-    parser = argparse.ArgumentParser(prog="scripts/reproduce/temperature_rate", description=__doc__)
-    parser.add_argument("data", nargs="?", default=default, help="folder of the measured recordings")
-    parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
-    given = parser.parse_args()
+def tables(given: Options) -> Iterator[Table]:
+    """Yield simulated and measured records."""
     if given.quick:
-        table([simulate("heating", 0.0, hours=1.0)], SETTLED_MIN)
+        yield Table("", HEADS, list(rows([simulate("heating", 0.0, hours=1.0)], SETTLED_MIN)))
         return
-    folder = Path(given.data)
-    print(f"Simulated at 10 Hz for 3 h, step {STEP} °C, after {SETTLED_MIN:.0f} min; FIR buffer {BUFFER}.\n")
-    shapes = ("heating", "lively", "wobble", "steady")
-    table([simulate(shape, noise) for shape in shapes for noise in (0.0, 0.005)], SETTLED_MIN)
-    print("\nThe paper's search for a Kalman filter.")
-    search()
-    print("\nThe default method over five seeds.\n")
-    ensemble()
-    print("\nThe band, and that of an exact posterior that knows the shape but for offset and factor.\n")
-    bound()
-    print("\nThe band on temperatures drawn from the hypotheses.\n")
-    consistency()
-    print("\nThe band on other records.\n")
-    elsewhere()
-    records = measured(folder)
-    if records:
-        print("\nMeasured, after 3 min; the truth is a centred local cubic fit to all readings.\n")
-        table(records, 3.0)
-    else:
-        print(f"\nNo measured records in {folder}.")
-    out = ROOT / "docs" / "figures" / "temperature-rate"
-    out.mkdir(parents=True, exist_ok=True)
-    for path in draw_all(out):
-        print(path.relative_to(ROOT), file=sys.stderr)
+    title = f"Simulated at 10 Hz for 3 h, step {STEP} °C, after {SETTLED_MIN:.0f} min; FIR buffer {BUFFER}"
+    simulated = [simulate(shape, noise) for shape in SHAPES for noise in (0.0, 0.005)]
+    yield Table(title, HEADS, list(rows(simulated, SETTLED_MIN)))
+    title = "Measured, after 3 min; the truth is a centred local cubic fit to all readings"
+    yield Table(title, HEADS, list(rows(measured(given.data), MEASURED_MIN)))
 
 
-if __name__ == "__main__":
-    main()
+STUDY = Study(tables, draw=draw)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from study import rms
 from thermal_calibration_data import DEG_H, DWELLING_DEGC, INSIDE, Function, Soak
 
 from imumon.blocks import FloatArray
@@ -19,6 +20,8 @@ from imumon.models.curves.training import Scaling, fit_network, mean_square, sta
 
 SIZES = (1, 2, 3, 4, 5)
 RESTARTS = 20
+SEED = 1
+"""Of the simulated soak."""
 LEAST_STEP_DEGC = 0.2
 BAD = 1.5
 """A start ended badly when its error is more than this much above that of the best."""
@@ -52,19 +55,9 @@ def published(points: Points, neurons: int, seed: int, restarts: int = RESTARTS)
     return Trained(curve, (rms[0], rms[1], rms[2]), int(np.sum(error > BAD * error.min())))
 
 
-def rms(values: FloatArray) -> float:
-    """Return the root mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
-def over_axes(values: list[float]) -> float:
-    """Return S_r: the root mean square over the three axes (equation 12 is not in the text of the paper)."""
-    return rms(np.array(values))
-
-
 @dataclass(frozen=True, slots=True)
 class SizeRow:
-    """S_r of one size of network, °/h or °/h/°C."""
+    """S_r of one size of network: the rms over the axes, °/h or °/h/°C."""
 
     neurons: int
     by_sample: tuple[float, float, float]
@@ -74,7 +67,7 @@ class SizeRow:
 
 
 def _by_part(residuals: list[tuple[float, float, float]]) -> tuple[float, float, float]:
-    training, validation, test = (over_axes([r[k] for r in residuals]) / DEG_H for k in range(3))
+    training, validation, test = (rms([r[k] for r in residuals]) / DEG_H for k in range(3))
     return training, validation, test
 
 
@@ -90,7 +83,7 @@ def size_study(soak: Soak) -> list[SizeRow]:
             true.append(rms(found.curve.value(INSIDE) - soak.bias[:, axis]))
             residual = held_out(channel.points(), lambda p, n=n: fit_network(p, n, restarts=3))  # type: ignore[misc]  # mypy cannot infer a lambda with a default
             apart.append(rms(residual[np.isfinite(residual)]))
-        rows.append(SizeRow(n, _by_part(trained), over_axes(apart) / DEG_H, over_axes(true) / DEG_H))
+        rows.append(SizeRow(n, _by_part(trained), rms(apart) / DEG_H, rms(true) / DEG_H))
     return rows
 
 
@@ -103,7 +96,7 @@ def slope_size_study(soak: Soak) -> list[SizeRow]:
             found = published(level_differences(soak, axis), n, seed=n)
             trained.append(found.residual)
             true.append(rms(found.curve.value(INSIDE) - soak.slope[:, axis]))
-        rows.append(SizeRow(n, _by_part(trained), np.nan, over_axes(true) / DEG_H))
+        rows.append(SizeRow(n, _by_part(trained), np.nan, rms(true) / DEG_H))
     return rows
 
 
@@ -159,20 +152,6 @@ def slope_methods(soak: Soak, axis: int) -> dict[str, Function]:
         "imumon: network 3": fit_network(points, 3).slope,
         "imumon calibrate: its choice": choose(channel, points, knots).curve.slope,
     }
-
-
-def on_level_means(soak: Soak, axis: int) -> tuple[float, float]:
-    """Return the largest error, rad/s, of a 1-2-2-1 network and of a spline, both on 15 level means alone."""
-    means = level_means(soak, axis)
-    scaling = Scaling.of(means)
-    given = scaling.apply(means)
-    begun = starts(2, RESTARTS, np.random.default_rng(1))
-    weights = [train(start, given, decay=0.0, evaluations=300) for start in begun]
-    network = scaling.curve(min(weights, key=lambda one: mean_square(one, given)))
-    inside = (means.temperature[0] <= INSIDE) & (means.temperature[-1] >= INSIDE)
-    spline = CubicSpline(means.temperature, means.value)(INSIDE)
-    errors = [network.value(INSIDE) - soak.bias[:, axis], spline - soak.bias[:, axis]]
-    return float(np.abs(errors[0][inside]).max()), float(np.abs(errors[1][inside]).max())
 
 
 def polynomial_leak(soak: Soak) -> tuple[float, float, float, float]:
