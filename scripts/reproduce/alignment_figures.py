@@ -1,4 +1,4 @@
-"""Figures 5 to 9 of Lee et al., from the loop and the stage of imumon."""
+"""The alignment of Lee et al.: closed forms beside the loop of imumon, and figures 5 to 9."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from pathlib import Path
 
 import figures
 import numpy as np
-from alignment_loop import Loop, closed_heading, closed_tilt, short_heading, simulate
+from alignment_loop import Loop, closed_heading, closed_tilt, comparisons, short_heading, simulate
 from alignment_site_scenes import ACCEL_BIAS_UG, LATITUDE_DEG, PAPER_ARW
-from study import Options
+from study import Options, Study, Table
 
 from imumon.blocks import ColumnArray, FloatArray
 from imumon.estimation.alignment.parameters import AlignmentParameters
@@ -118,7 +118,7 @@ def draw_run() -> Iterator[Path]:
     yield figures.save([upper, lower], "alignment", "figure-07")
     (ax,) = figures.axes("Figure 8: drift of roll and pitch of a unit at rest", x="s after power-on", y="µg")
     for name in ("roll", "pitch"):
-        ax.plot(t, 1e6 * out[f"{name}_drift"], label=name)
+        ax.plot(t, 1e6 * out[f"{name}_drift"], label=name.replace("_", " "))
     yield figures.save([ax], "alignment", "figure-08")
     upper, lower = figures.axes("Figure 9: heading error, and the Cramér-Rao bound", 2, x="s after power-on")
     shown = {
@@ -126,8 +126,8 @@ def draw_run() -> Iterator[Path]:
     }  # fmt: skip
     for name, color in shown.items():
         error = np.degrees(np.remainder(out[name] + math.pi, 2.0 * math.pi) - math.pi)
-        upper.plot(t, error, color, lw=1.0, label=name)
-        lower.semilogy(t, np.abs(error), color, lw=0.7, label=f"|error| {name}")
+        upper.plot(t, error, color, lw=1.0, label=name.replace("_", " "))
+        lower.semilogy(t, np.abs(error), color, lw=0.7, label=f"|error| {name.replace('_', ' ')}")
         if f"{name}_sd" in out:
             lower.semilogy(t, np.degrees(out[f"{name}_sd"]), color + "--", lw=0.8)
     known, free = t[t > 5], t[t > COARSE_S + 30]
@@ -144,3 +144,13 @@ def draw(_: Options) -> Iterator[Path]:
     """Draw every figure."""
     yield from draw_loop()
     yield from draw_run()
+
+
+def tables(_: Options) -> Iterator[Table]:
+    """Yield the closed forms beside the loop of imumon."""
+    found = comparisons(Loop(gyro_deg_per_h=0.01))
+    title = "Largest difference between closed form and simulation: 30 µg, 300 s, 0.01 °/h of gyro bias"
+    yield Table(title, ["equation", "of the largest"], [[name, f"{value:.3%}"] for name, value in found])
+
+
+STUDY = Study(tables, draw=draw)

@@ -12,6 +12,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from samples import sent
 from scipy.spatial.transform import Rotation
 from study import largest, rms
 
@@ -72,21 +73,12 @@ def measured(folder: Path, given: AttitudeParameters) -> Iterator[Trial]:
 def _trial(path: Path) -> tuple[SampleBlock, FloatArray, BoolArray]:
     """Return a trial as the stages before leave it, the true attitude and which rows are scored."""
     with np.load(path) as data:
-        samples, truth = _samples(data), data["opt_quat"]
+        gyro, accel = (data[name].astype(np.float64) for name in ("gyr", "acc"))
+        samples = sent(np.arange(len(gyro)) / float(data["sampling_rate"]), gyro=gyro, accel=accel)
+        truth = data["opt_quat"]
         scored = data["movement"] & np.isfinite(truth).all(1)
     samples = samples.with_columns(RestAndBias(mode="learned").process(samples))
     return samples, truth, scored
-
-
-def _samples(data: dict[str, FloatArray]) -> SampleBlock:
-    n, rate_hz = len(data["gyr"]), float(data["sampling_rate"])
-    columns = {
-        "device_time_ns": np.round(np.arange(n) * 1e9 / rate_hz).astype(np.int64),
-        "segment": np.zeros(n, np.int64),
-    }
-    for name, sent in (("gyro", data["gyr"]), ("accel", data["acc"])):
-        columns |= {f"{name}_{axis}": sent[:, j].astype(np.float64) for j, axis in enumerate("xyz")}
-    return SampleBlock(columns)
 
 
 def _row(error: FloatArray, sd: FloatArray) -> list[str]:

@@ -15,6 +15,7 @@ import numpy as np
 from attitude_measured import HEADS as MEASURED_HEADS
 from attitude_measured import measured_rows
 from attitude_scenes import SCENES, Record, calibrated, simulate
+from samples import without
 from scipy.spatial.transform import Rotation
 from study import Options, Study, Table, largest, matrix, over_bar, worst_first
 from study import rms as rms
@@ -103,15 +104,9 @@ def heading_error(q: FloatArray, truth: FloatArray, since: int, free: bool) -> F
     return np.asarray(np.angle(np.exp(1j * (off - (off[since] if free else 0.0)))))
 
 
-def without_magnetometer(samples: SampleBlock) -> SampleBlock:
-    """Return what a unit without a magnetometer sends."""
-    columns = samples.columns.items()
-    return SampleBlock({name: values for name, values in columns if not name.startswith("mag")})
-
-
 def add(tilt: Errors, turn: Errors, record: Record, with_mag: bool, dt: float) -> None:
     """Run ours and others on a record, from where ours has a sigma."""
-    samples = record.samples if with_mag else without_magnetometer(record.samples)
+    samples = record.samples if with_mag else without(record.samples, "mag")
     axes = cast(Literal["FRD", "FLU"], record.axes)
     attitude = AttitudeEstimate(AttitudeParameters(), axes, calibrated())
     estimated = samples
@@ -162,7 +157,7 @@ def tables(given: Options) -> Iterator[Table]:
 def draw(_: Options) -> Iterator[Path]:
     """Draw a unit that is turned by hand, without a magnetometer: error of tilt and heading beside sigma."""
     record = simulate(SCENES["by hand"], 50.0, 9700)
-    samples = without_magnetometer(record.samples)
+    samples = without(record.samples, "mag")
     for stage in (RestAndBias(mode="learned"), AttitudeEstimate()):
         samples = samples.with_columns(stage.process(samples))
     q = np.column_stack([samples[f"attitude_estimate_{part}"] for part in "wxyz"])

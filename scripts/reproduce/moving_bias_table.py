@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 from attitude_scenes import ACCEL_SD, SCALE_SD, turned
 from bias_sigma_records import LATITUDE_DEG, SENSORS, TAUS_S, waves
-from scipy.signal import lfilter
+from samples import gauss_markov, sent
 from scipy.spatial.transform import Rotation
 from study import Options, Study, Table, largest, matrix, over_bar, rms, worst_first
 from vqf import VQF
@@ -102,11 +102,8 @@ def simulate(vehicle: Vehicle, rate_hz: float, seconds: float, seed: int) -> tup
     sensitive = rng.uniform(-1.0, 1.0, (3, 3))
     sensitive *= math.radians(PER_G_DPS) / STANDARD_GRAVITY / np.abs(sensitive).max()
     seen = np.radians(rng.normal(0.0, sensor.turn_on, 3)) + force @ sensitive.T + earth
-    for tau in TAUS_S:
-        decay = math.exp(-1.0 / (rate_hz * tau))
-        drive = rng.normal(size=(n, 3)) * math.sqrt(1.0 - decay * decay)
-        drive[0] = rng.normal(size=3)
-        seen += sensor.flicker_dph * DEG_PER_H * lfilter([1.0], [1.0, -decay], drive, axis=0)
+    for tau_s in TAUS_S:
+        seen += gauss_markov(rng, n, rate_hz, tau_s, sensor.flicker_dph * DEG_PER_H)
     white, jolts = rng.normal(size=(2, n, 3)) * math.sqrt(rate_hz)
     gyro = (
         rate
@@ -115,15 +112,7 @@ def simulate(vehicle: Vehicle, rate_hz: float, seconds: float, seed: int) -> tup
         + math.radians(sensor.angle_walk) / 60.0 * white
     )
     accel = force + rng.normal(0.0, ACCEL_SD, 3) + sensor.velocity_walk * jolts
-    vectors = {"gyro": gyro, "accel": accel}
-    columns = {
-        "device_time_ns": np.round(np.arange(1, n + 1) / rate_hz * 1e9).astype(np.int64),
-        "segment": np.zeros(n, np.int64),
-        **{
-            f"{name}_{axis}": values[:, j] for name, values in vectors.items() for j, axis in enumerate("xyz")
-        },
-    }
-    return SampleBlock(columns), seen
+    return sent(np.arange(1, n + 1) / rate_hz, gyro=gyro, accel=accel), seen
 
 
 def row(name: str, rate_hz: float, minutes: float, seeds: range) -> tuple[float, list[str]]:

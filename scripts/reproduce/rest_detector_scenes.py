@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from samples import sent
 from scipy.signal import butter, lfilter, sosfilt
 from scipy.spatial.transform import Rotation
 
-from imumon.blocks import ColumnArray, FloatArray, SampleBlock
+from imumon.blocks import FloatArray, SampleBlock
 
 GRAVITY = 9.80665
 DEG = np.pi / 180.0
@@ -389,13 +390,7 @@ def measure_with_bias(scene: Scene, grade: Grade, seed: int) -> tuple[SampleBloc
     if grade.gyro_step:
         gyro = np.round(gyro / grade.gyro_step) * grade.gyro_step
         accel = np.round(accel / grade.accel_step) * grade.accel_step
-    columns: dict[str, ColumnArray] = {
-        "device_time_ns": np.rint(scene.t * 1e9).astype(np.int64),
-        "segment": np.zeros(n, np.int64),
-    }
-    for i, name in enumerate("xyz"):
-        columns |= {f"gyro_{name}": gyro[:, i].copy(), f"accel_{name}": accel[:, i].copy()}
-    return SampleBlock(columns), BIAS + walk
+    return sent(scene.t, gyro=gyro, accel=accel), BIAS + walk
 
 
 def averaged(samples: SampleBlock, count: int) -> SampleBlock:

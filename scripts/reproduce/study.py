@@ -27,7 +27,7 @@ DOCS = ROOT / "docs"
 RMS_BAR, LARGEST_BAR = 1.8, 7.0
 """Error over sigma, rms and largest, beyond which a row is bad."""
 STUDIES: Mapping[str, Mapping[str, str]] = {
-    "alignment": {"": "alignment_table"},
+    "alignment": {"": "alignment_figures"},
     "alignment_site": {"": "alignment_site"},
     "allan_terms": {"": "allan_terms_table"},
     "attitude": {"": "attitude_table"},
@@ -45,7 +45,7 @@ STUDIES: Mapping[str, Mapping[str, str]] = {
     "rest_detector": {"": "rest_detector_table"},
     "smoothing": {"": "smoothing_table"},
     "tczupt": {"": "tczupt_table"},
-    "temperature_rate": {"": "temperature_rate_table"},
+    "temperature_rate": {"": "temperature_rate_figures"},
     "thermal_calibration": {"": "thermal_calibration_table"},
 }
 """The module of each study, by command and `--part`; the first part is the default."""
