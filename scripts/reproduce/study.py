@@ -42,7 +42,6 @@ STUDIES: Mapping[str, Mapping[str, str]] = {
     },
     "moving_bias": {"": "moving_bias_table"},
     "random_error": {"": "random_error_table"},
-    "rest_detector": {"": "rest_detector_table"},
     "smoothing": {"": "smoothing_table"},
     "tczupt": {"": "tczupt_table"},
     "temperature_rate": {"": "temperature_rate_figures"},
