@@ -95,6 +95,16 @@ def test_every_study_has_a_command() -> None:
     assert all((FOLDER / name).resolve() == FOLDER / "study" for name in study.STUDIES)
 
 
+def test_pages_have_the_markers_of_their_studies(scripts: Path) -> None:
+    import study
+
+    for command, parts in study.STUDIES.items():
+        for part, module in parts.items():
+            page = import_module(module).STUDY.page
+            text = (scripts.parents[1] / "docs" / page).read_text(encoding="utf-8") if page else ""
+            assert not page or f"<!-- end {part or command} -->" in text, page
+
+
 def test_commands_that_the_docs_name_exist() -> None:
     pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
     for page in pages:
