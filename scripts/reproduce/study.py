@@ -159,9 +159,19 @@ def worst_first(rows: Iterable[tuple[float, Sequence[str]]]) -> list[Sequence[st
     return [cells for _, cells in sorted(rows, key=lambda row: -row[0])]
 
 
+def rows_of(text: str) -> Iterator[tuple[str, str]]:
+    """Yield the lines of all tables of a page, each with the heads of its table."""
+    heads = ""
+    for line in text.splitlines():
+        heads = (heads or line) if line.startswith("|") else ""
+        if heads:
+            yield heads, line
+
+
 def differences(new: str, old: str) -> Iterator[str]:
-    """Yield the rows of tables that differ between two versions of a page, as `diff` does."""
-    before, after = ([line for line in text.splitlines() if line.startswith("|")] for text in (old, new))
+    """Yield the rows that differ between two versions of tables with the same heads, as `diff` does."""
+    known = {heads for heads, _ in rows_of(new)}
+    before, after = ([line for heads, line in rows_of(text) if heads in known] for text in (old, new))
     return unified_diff(before, after, "old", "new", n=0, lineterm="")
 
 
@@ -175,18 +185,11 @@ def write_between(page: Path, name: str, text: str) -> None:
     page.write_text(f"{before}{begin}{text}{end}{after}", encoding="utf-8")
 
 
-def main(command: str, arguments: Sequence[str]) -> None:
-    """Run a study."""
-    parts = STUDIES[command]
-    first = argparse.ArgumentParser(add_help=False)
-    first.add_argument("--part", choices=list(parts), default=next(iter(parts)))
-    part = first.parse_known_args(arguments)[0].part
-    module = import_module(parts[part])
-    study = cast(Study, module.STUDY)
-    parents = [first] if len(parts) > 1 else []
-    parser = argparse.ArgumentParser(
-        prog=f"scripts/reproduce/{command}", description=module.__doc__, parents=parents
-    )
+def parser_of(
+    command: str, study: Study, about: str | None, part: argparse.ArgumentParser
+) -> argparse.ArgumentParser:
+    """Return the command line of a study."""
+    parser = argparse.ArgumentParser(prog=f"scripts/reproduce/{command}", description=about, parents=[part])
     data = os.environ.get("IMUMON_DATA", str(ROOT.parent / "shared" / "data"))
     parser.add_argument(
         "--seeds", "--repeat", type=int, default=study.seeds, help="runs of each scene (%(default)s)"
@@ -203,27 +206,44 @@ def main(command: str, arguments: Sequence[str]) -> None:
         parser.add_argument("--write", action="store_true", help=f"write the tables into docs/{study.page}")
     for name, default in study.lists.items():
         parser.add_argument(f"--{name}", type=float, nargs="+", default=default, help="%(default)s")
-    given = parser.parse_args(arguments)
-    options = Options(
-        range(given.first, given.first + (1 if given.quick else given.seeds)), given.only, given.data,
-        given.quick, 1 if given.quick else given.jobs, {name: getattr(given, name) for name in study.lists},
-    )  # fmt: skip
+    return parser
+
+
+def printed(tables: Iterable[Table], as_json: bool) -> str:
+    """Print tables as they come, and return all of them in Markdown."""
+    done = []
+    for table in tables:
+        done.append(table)
+        if not as_json:
+            print(table.markdown(), flush=True)
+    if as_json:
+        print(json.dumps([asdict(table) for table in done], ensure_ascii=False))
+    return "\n".join(table.markdown() for table in done)
+
+
+def main(command: str, arguments: Sequence[str]) -> None:
+    """Run a study."""
+    parts = STUDIES[command]
+    part = argparse.ArgumentParser(add_help=False)
+    if len(parts) > 1:
+        part.add_argument("--part", choices=list(parts))
+    name = getattr(part.parse_known_args(arguments)[0], "part", None) or next(iter(parts))
+    module = import_module(parts[name])
+    study = cast(Study, module.STUDY)
+    given = parser_of(command, study, module.__doc__, part).parse_args(arguments)
+    count, jobs = (1, 1) if given.quick else (given.seeds, given.jobs)
+    lists = {option: getattr(given, option) for option in study.lists}
+    seeds = range(given.first, given.first + count)
+    options = Options(seeds, given.only, given.data, given.quick, jobs, lists)
     if given.figures:
         for path in study.draw(options) if study.draw else ():
             print(path.relative_to(ROOT))
         return
-    done = []
-    for table in study.tables(options):
-        done.append(table)
-        if not given.json:
-            print(table.markdown(), flush=True)
-    text = "\n".join(table.markdown() for table in done)
-    if given.json:
-        print(json.dumps([asdict(table) for table in done], ensure_ascii=False))
+    text = printed(study.tables(options), given.json)
     if given.beside:
         print("\n".join(differences(text, given.beside.read_text(encoding="utf-8"))))
     if study.page and given.write:
-        write_between(DOCS / study.page, part or command, text)
+        write_between(DOCS / study.page, name or command, text)
 
 
 if __name__ == "__main__":
