@@ -18,13 +18,12 @@ from bias_race_runners import (
     simulate,
 )
 from study import Options, Study, Table
+from thermal_calibration_data import simulated_soak
 
-from imumon.blocks import FloatArray, SampleBlock
+from imumon.blocks import FloatArray
 from imumon.lab.calibration.calibration import calibrate
-from imumon.lab.calibration.record import record_of
 from imumon.models.model import BiasModel
 from imumon.simulation.unit.scenario import Chamber, Scenario, Step, load_scenario
-from imumon.simulation.unit.unit import SimulatedUnit
 
 WARM_UP, RAMP, ATHERMAL = "warm-up", "ramp", "warm-up-athermal"
 TITLES = {
@@ -51,15 +50,7 @@ def scenario_of(name: str) -> Scenario:
 def calibrated() -> BiasModel:
     """Return the model that `imumon calibrate` makes of the soak test of the same unit, with other noise."""
     scenario = load_scenario("crs05-soak")
-    unit = SimulatedUnit(scenario, SOAK_SEED)
-
-    def blocks() -> Iterator[SampleBlock]:
-        left = scenario.samples
-        while left > 0:
-            yield unit.run(min(left, 50_000))[0]
-            left -= 50_000
-
-    record = record_of(blocks(), "soak", "0" * 64, axes=scenario.axes)
+    record = simulated_soak(SOAK_SEED).record
     return calibrate([record], scenario.latitude_deg, scenario.attitude.heading_deg).model
 
 
