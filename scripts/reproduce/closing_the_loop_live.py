@@ -13,9 +13,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import closing_the_loop_drivers as drivers
 import numpy as np
 from closing_the_loop_cases import DPH, EARTH_DPH, GRAVITY, Case, Setting, make_case
+from closing_the_loop_physics import DRIVING
 from closing_the_loop_statistics import share
 from numpy.polynomial.chebyshev import chebvander
 from study import Options, Study, Table, spread
@@ -86,9 +86,7 @@ def settings() -> list[Setting]:
         for name in EFFECTS
         for size in SIZES
     ]
-    found += [
-        Setting((), size, driver=name, label=f"driven: {name}") for name in drivers.DRIVING for size in SIZES
-    ]
+    found += [Setting((), size, driver=name, label=f"driven: {name}") for name in DRIVING for size in SIZES]
     for label, (noises, more) in NOTHING.items():
         found += [Setting((), 0.0, noise=noise, label=f"{label}, {noise}", **more) for noise in noises]
         if more == POSES:
@@ -167,7 +165,7 @@ def blocks_of(run: Run) -> list[SampleBlock]:
 def run_case(job: tuple[Setting, int]) -> Said:
     """Return what is said of the third run of a case."""
     setting, seed = job
-    case = drivers.make(setting, seed) if setting.driver else make_case(setting, seed)
+    case = make_case(setting, seed)
     if setting.latitude_deg is not None:
         case = replace(case, runs=[level_earth_rate(run, setting.latitude_deg, seed) for run in case.runs])
     model, last = plain_model(case), case.runs[2]

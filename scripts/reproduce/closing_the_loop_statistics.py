@@ -8,9 +8,9 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-import closing_the_loop_drivers as drivers
 import numpy as np
-from closing_the_loop_cases import OUTSIDE, Setting, make_case
+from closing_the_loop_cases import Setting, make_case
+from closing_the_loop_physics import DRIVING, OUTSIDE
 from study import Options, Study, Table, spread
 
 from imumon.lab.diagnosis.diagnose import diagnose
@@ -96,12 +96,10 @@ def settings() -> list[Setting]:
         for noise in ("white", "flicker", "walk")
     ]
     found += [Setting((name,), 5.0, driver="none", label=f"{COLUMNS}, {name}") for name in BESIDE]
-    found += [
-        Setting((), size, driver=name, label=f"{DRIVEN}{name}") for name in drivers.DRIVING for size in SIZES
-    ]
+    found += [Setting((), size, driver=name, label=f"{DRIVEN}{name}") for name in DRIVING for size in SIZES]
     found += [Setting(("thermal_lag", "hysteresis"), 5.0, label="lag and loop")]
     # What goes with the temperature is rightly named as an effect of it.
-    unseen = [name for name in drivers.DRIVING if name != "gradient"]
+    unseen = [name for name in DRIVING if name != "gradient"]
     found += [
         Setting((), size, driver=name, label=f"{HIDDEN}{name}")
         for name in unseen
@@ -114,7 +112,7 @@ def settings() -> list[Setting]:
 def run_case(job: tuple[Setting, int]) -> list[Result]:
     """Return the results of the three channels of a case."""
     setting, seed = job
-    case = drivers.make(setting, seed) if setting.driver else make_case(setting, seed)
+    case = make_case(setting, seed)
     began = time.perf_counter()
     used: list[str] | None = [] if setting.label.startswith(HIDDEN) else None
     diagnosis = diagnose(case.runs[:2], case.runs[2:], sensors=("gyro",), drivers=used)
