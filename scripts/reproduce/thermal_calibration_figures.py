@@ -18,6 +18,12 @@ from imumon.recordings.reduced import GYRO
 
 FOLDER = "thermal-calibration"
 PARTS = ("training samples", "validation samples", "test samples")
+DRAWN = (
+    "derivative of the published b(T) network",
+    "cubic spline through the level means",
+    "imumon: smoothing spline",
+)
+"""Methods whose slopes are compared."""
 SHARE = 0.6
 """Of the chamber's record that is fitted."""
 
@@ -40,7 +46,7 @@ def slope_errors(soak: Soak) -> Path:
     drawn = figures.axes("Error of the slope on the simulated soak", 3, x="°C", size=(8.0, 8.0))
     for axis, ax in enumerate(drawn):
         methods = slope_methods(soak, axis)
-        for name in list(methods)[::3]:
+        for name in DRAWN:
             error = methods[name](INSIDE) - soak.slope[:, axis]
             ax.plot(INSIDE, error / DEG_H, lw=1, label=name)
         ax.set(ylabel=f"{AXES[axis]}, °/h/°C", ylim=(-4, 4))

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 from study import Options, Study, Table, rms
-from thermal_calibration_data import AXES, DEG_H, INSIDE, Soak, chamber_cycle, simulated_soak
+from thermal_calibration_data import AXES, DEG_H, INSIDE, Soak, chamber_cycle, during, simulated_soak
 from thermal_calibration_figures import PARTS, draw
-from thermal_calibration_measured import Row, fit_first_test_rest
 from thermal_calibration_study import (
     RESTARTS,
     SEED,
@@ -22,6 +21,16 @@ from thermal_calibration_study import (
     slope_methods,
     slope_size_study,
 )
+
+from imumon.lab.calibration.calibration import calibrate, knots_of
+from imumon.lab.calibration.cells import channel_of, group, levels
+from imumon.lab.calibration.record import Record
+from imumon.lab.calibration.selection import slow_variance
+from imumon.models.curves.polynomial import fit_polynomial
+from imumon.models.curves.smoothing import fit_spline
+from imumon.models.curves.training import fit_network
+from imumon.models.model import Curve
+from imumon.recordings.reduced import GYRO
 
 SHARES = (0.42, 0.6, 0.8)
 """Of the chamber's record that is fitted."""
@@ -74,15 +83,37 @@ def outside(soak: Soak) -> Table:
     return Table(title, ["", *(f"{d:g} °C" for d in DISTANCES_DEGC)], rows)
 
 
-def chamber(share: float, rows: Sequence[Row]) -> Table:
-    """Errors on the rest of the measured record."""
-    cells = [
-        [row.axis, *(f"{np.rad2deg(error):.3f}" for error in row.errors.values()), row.chosen,
-         f"{np.rad2deg(row.promised):.3f}", f"{row.inside:.0%}", f"{np.rad2deg(row.floor):.4f}"]
-        for row in rows
-    ]  # fmt: skip
-    heads = ["axis", *rows[0].errors, "what was chosen", "promised", "inside", "noise of a block"]
-    return Table(f"Fitted to the first {share:.0%} of the time:", heads, cells)
+def chamber(record: Record, share: float) -> Table:
+    """Errors of curves fitted to the first `share` of a record's time, on the rest in the trained range."""
+    first, rest = during(record, 0.0, share), during(record, share, 1.0)
+    model = calibrate([first])
+    groups = group([first], None, None)
+    centers = levels(groups)
+    rows = []
+    for axis, name in zip(AXES, GYRO, strict=True):
+        channel = channel_of([first], groups, name, centers)
+        assert channel is not None
+        knots = knots_of(channel, centers)
+        points = channel.points(slow_variance(channel.points(), channel.white, knots))
+        curves: dict[str, Curve] = {
+            "line": fit_polynomial(points, 1),
+            "cubic": fit_polynomial(points, 3),
+            "spline": fit_spline(points, knots),
+            "network 2": fit_network(points, 2),
+        }
+        found = model.model.channels[name]
+        t, value = rest.of(channel.temperature_column)[rest.rest], rest.of(name)[rest.rest]
+        inside = found.inside(t)
+        constant = float(np.average(channel.value, weights=channel.seconds))
+        errors = {"constant": rms(value[inside] - constant)}
+        errors |= {key: rms(value[inside] - curve.value(t[inside])) for key, curve in curves.items()}
+        errors["chosen"] = rms(value[inside] - found.value(t[inside]))
+        white = rms(np.sqrt(rest.means.mean_variance(name)[rest.rest]))
+        cells = [axis, *(f"{np.rad2deg(error):.3f}" for error in errors.values())]
+        cells += [model.findings[name].choice.name, f"{np.rad2deg(found.residual_sd):.3f}"]
+        rows.append([*cells, f"{inside.mean():.0%}", f"{np.rad2deg(white):.4f}"])
+    heads = ["axis", *errors, "what was chosen", "promised", "inside", "noise of a block"]
+    return Table(f"Fitted to the first {share:.0%} of the time:", heads, rows)
 
 
 def tables(given: Options) -> Iterator[Table]:
@@ -113,7 +144,7 @@ def tables(given: Options) -> Iterator[Table]:
     )
     yield Table(text, (), ())
     for share in SHARES:
-        yield chamber(share, fit_first_test_rest(record, share))
+        yield chamber(record, share)
     picture = PICTURE.format("Chamber cycle", "chamber-cycle")
     yield Table("", (), (), f"Curve chosen from the first 60 %:\n\n{picture}")
 
