@@ -13,13 +13,11 @@ from random_error_methods import (
     PRETENDED,
     PUBLISHED,
     Output,
-    default,
     exponential,
-    fit_record,
     published,
     slow,
 )
-from random_error_records import RATE_HZ, Record, measured, simulate, without_temperature
+from random_error_records import RATE_HZ, Record, simulate
 from study import Options, Study, Table, rms
 
 from imumon.blocks import FloatArray
@@ -29,8 +27,6 @@ MINUTE_SEEDS, HOUR_SEEDS, JOURNEY_SEEDS = 48, 8, 24
 HOUR_FIRST, JOURNEY_FIRST = 100, 300
 """First seeds of the records of an hour and of a journey."""
 TAUS_S = (0.02, 0.1, 1.0, 10.0)
-TURN, TURN_FROM, TURN_TO = 0.5, 20, 40
-"""deg/s, and s: a true rotation by 10 deg."""
 
 
 def tables(given: Options) -> Iterator[Table]:
@@ -41,9 +37,7 @@ def tables(given: Options) -> Iterator[Table]:
     minutes = [simulate(60.0, seed) for seed in range(MINUTE_SEEDS)]
     yield compensated(minutes)
     yield against_truth([simulate(HOUR, HOUR_FIRST + seed) for seed in range(HOUR_SEEDS)])
-    yield rotation(minutes[:4])
     yield journey([simulate(660.0, JOURNEY_FIRST + seed) for seed in range(JOURNEY_SEEDS)])
-    yield on_measured(measured(given.data))
 
 
 def allan(values: FloatArray, rate: float, taus: Sequence[float]) -> FloatArray:
@@ -101,46 +95,6 @@ def _published(name: str, delta: float, record: Record) -> Output:
     return published(name, record.reading, delta)
 
 
-def rotation(records: Sequence[Record]) -> Table:
-    """What is lost of a turn by 10 deg in 20 s under (a), and the gain of slow sines under (b)."""
-    rows = []
-    n = len(records[0].reading)
-    t = np.arange(n) / RATE_HZ
-    turn = np.where((t >= TURN_FROM) & (t < TURN_TO), TURN, 0.0)
-    for delta in DELTAS:
-        for name in PUBLISHED:
-            lost, after, gains = [], [], []
-            for record in records:
-                still = published(name, record.reading, delta)
-                moved = published(name, record.reading + turn, delta)
-                taken = moved.predicted - still.predicted
-                lost.append(np.sum(taken[TURN_FROM * RATE_HZ : TURN_TO * RATE_HZ]) / RATE_HZ)
-                after.append(-taken[TURN_TO * RATE_HZ + 1])
-                gains.append([_gain(name, record, delta, f, still.estimate) for f in (0.1, 1.0)])
-            low, high = np.mean(gains, axis=0)
-            cells = [f"{np.mean(lost):.2f}", f"{np.mean(after):.2f}", f"{low:.3f}", f"{high:.3f}"]
-            rows.append([f"{name}, δ¹ {delta:g}", *cells])
-    lost = []
-    for record in records:
-        moving = Record(record.name, record.rate_hz, record.reading + turn, record.drift, record.temperature)
-        rest = np.where(turn == 0.0, 1.0, 0.0)
-        taken = slow("drift", moving, rest).estimate - slow("drift", record, rest).estimate
-        lost.append(np.nansum(taken[TURN_FROM * RATE_HZ : TURN_TO * RATE_HZ]) / RATE_HZ)
-    rows.append(["drift, told when it is at rest", f"{np.mean(lost):.2f}", "0.00", "-", "-"])
-    title = "True rotation: 0.5 deg/s for 20 s, lost under (a); gain of a sine under (b)"
-    heads = ["method", "lost, deg", "false rate after, deg/s", "gain at 0.1 Hz", "gain at 1 Hz"]
-    return Table(title, heads, rows)
-
-
-def _gain(name: str, record: Record, delta: float, hertz: float, still: FloatArray) -> float:
-    t = np.arange(len(still)) / RATE_HZ
-    wave = TURN * np.sin(2 * np.pi * hertz * t)
-    answer = published(name, record.reading + wave, delta).estimate - still
-    late = t >= 20.0
-    basis = np.column_stack([np.sin(2 * np.pi * hertz * t), np.cos(2 * np.pi * hertz * t)])[late]
-    return float(np.hypot(*np.linalg.lstsq(basis, answer[late], rcond=None)[0]) / TURN)
-
-
 def journey(records: Sequence[Record]) -> Table:
     """What the angle errs by after a minute of motion that follows ten minutes at rest."""
     rows = []
@@ -157,28 +111,6 @@ def journey(records: Sequence[Record]) -> Table:
         rows.append([name, f"{rms(whole):.3f}", f"{rms(slowly):.3f}"])
     title = f"Angle error after 60 s in motion, 600 s at rest before, {len(records)} seeds, deg"
     return Table(title, ["subtracted", "rms", "of which drift"], rows)
-
-
-def on_measured(records: Sequence[Record]) -> Table:
-    """Allan deviations of measured recordings: raw, without temperature, and compensated."""
-    rows = []
-    for record in records:
-        reading = without_temperature(record)
-        delta, noise = fit_record(record, reading)
-        still = Record(record.name, record.rate_hz, reading, record.drift, record.temperature)
-        series = [record.reading, reading, reading - np.nan_to_num(slow("drift", still).estimate)]
-        outputs = [published(name, reading, delta, noise) for name in PUBLISHED]
-        series += [reading - output.predicted for output in outputs]
-        series += [output.estimate for output in outputs]
-        taus = [m / record.rate_hz for m in (2, 10, 100)]
-        cells = ["/".join(f"{v:.3g}" for v in allan(values, record.rate_hz, taus)) for values in series]
-        innovations = rms(default(still)["zupt_innovation_x"])
-        rows.append([record.name, f"{innovations:.2f}", f"{delta:.1e}", *cells])
-    names = ["raw", "less cubic in T", "less drift", *(f"{n} {m}" for m in "ab" for n in PUBLISHED)]
-    title = (
-        "Measured, static: oadev at 2, 10, 100 intervals, °/h; δ¹ and R fitted to the record less the cubic"
-    )
-    return Table(title, ["record", "rms innovation / sd", "δ¹ deg/s", *names], rows)
 
 
 STUDY = Study(tables, draw=draw)
