@@ -119,7 +119,7 @@ def rest() -> Found:
 
 
 def zupt() -> Found:
-    """White noise at rest, and the same said to be in motion, beside the filter of 12 states."""
+    """White noise at rest, and the same marked as motion, beside the filter of 12 states."""
     seconds = 300
     known = GyroBiasParameters(angle_random_walk_rad_per_sqrt_s=8e-5, bias_instability_rad_per_s=1e-5)
 

@@ -312,9 +312,9 @@ def record(scene: Scene, seconds: float, seed: int) -> Record:
         gyro[1:, :2] += np.diff(angle, axis=0) / step
         # Turned by a about its axes, the body sees the vector f as f - a x f; above its pivot, it swings.
         swing = scene.lever_m * np.gradient(np.gradient(angle, step, axis=0), step, axis=0)
-        seen = angle * STANDARD_GRAVITY + swing
-        accel[:, 0] += seen[:, 1]
-        accel[:, 1] -= seen[:, 0]
+        force = angle * STANDARD_GRAVITY + swing
+        accel[:, 0] += force[:, 1]
+        accel[:, 1] -= force[:, 0]
     ahead = attitude.apply([1.0, 0.0, 0.0])
     heading = np.arctan2(ahead[:, 1], ahead[:, 0])
     level = (Rotation.from_rotvec(np.outer(heading, [0.0, 0.0, -1.0])) * attitude).apply(gyro)[:, :2]
@@ -346,16 +346,16 @@ def _at_rest(
     """Return what gyros and accelerometers of a unit at rest in these attitudes send, (n, 3) each."""
     n, step, latitude = len(heading), 1.0 / scene.rate_hz, math.radians(scene.latitude_deg)
     east = np.array([math.sin(heading[0]), math.cos(heading[0]), 0.0])
-    seen = attitude.inv()
+    to_body = attitude.inv()
     gyro = rng.normal(size=(n, 3)) * math.radians(scene.arw) / 60.0 / math.sqrt(step)
-    gyro += EARTH_RATE * seen.apply([math.cos(latitude), 0.0, -math.sin(latitude)])
+    gyro += EARTH_RATE * to_body.apply([math.cos(latitude), 0.0, -math.sin(latitude)])
     gyro[1:, 2] += np.diff(heading) / step
     gyro += scene.bias_deg_per_h * DEG_PER_H * rng.choice([-1.0, 1.0], 3)
     gyro += scene.east_bias_deg_per_h * DEG_PER_H * rng.choice([-1.0, 1.0]) * east
     if scene.flicker_deg_per_h:
         gyro += gauss_markov(rng, n, scene.rate_hz, 100.0, scene.flicker_deg_per_h * DEG_PER_H)
     accel = rng.normal(size=(n, 3)) * scene.vrw / math.sqrt(step)
-    accel -= STANDARD_GRAVITY * seen.apply([0.0, 0.0, 1.0])
+    accel -= STANDARD_GRAVITY * to_body.apply([0.0, 0.0, 1.0])
     amplitude, tau = scene.warm_up
     accel[:, :2] -= amplitude * MICRO_G * np.expm1(-step * np.arange(n) / tau)[:, None]
     if scene.force_ug:

@@ -26,7 +26,7 @@ FIELD_UT = np.array([0.0, 20.0, -43.0])
 ACCEL_SD, SCALE_SD = 0.05, 0.01
 """Turn-on error of the accelerometers, m/s², scale and misalignment of the gyros: as the stage takes them."""
 CONSUMER_SD, CONSUMER_SCALE_SD = 0.4, 0.03
-"""The same of the BMI160, 40 mg, and the MPU-6050; the stage is not told."""
+"""The same of the BMI160, 40 mg, and the MPU-6050; the stage does not know."""
 Z_REVERSED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0))
 HARD_UT, SOFT, MAG_NOISE_UT = 0.3, 3e-3, 0.2
 """What a calibration leaves of hard and soft iron, and noise."""
@@ -243,7 +243,7 @@ def _symmetric(rng: np.random.Generator) -> FloatArray:
 
 
 def calibrated() -> MagnetometerModel:
-    """Return what the calibration said of the magnetometer."""
+    """Return the model of the magnetometer that a calibration has found."""
     strength = float(np.linalg.norm(FIELD_UT))
     return MagnetometerModel(
         unit="uT",

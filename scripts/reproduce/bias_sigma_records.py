@@ -57,7 +57,7 @@ class Case:
     temperature : str
         "constant", "ramp" (2 °C/min) or "warm-up" (20 °C, time constant 400 s).
     place : bool
-        Whether the estimator is told latitude and heading.
+        Whether the estimator knows latitude and heading.
     motion : str
         "hand": turned to any pose and shaken; "rover" and "car": driven about on the level.
     """

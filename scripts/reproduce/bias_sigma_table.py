@@ -58,11 +58,11 @@ def places(rest: npt.NDArray[np.bool_]) -> Places:
 
 
 def estimated(case: Case, record: Record) -> tuple[FloatArray, FloatArray, Record]:
-    """Return error and sigma of the pipeline, rad/s, (n, 3) each, and the record with what it was told."""
+    """Return error and sigma of the pipeline, rad/s, (n, 3) each, and the record with its columns."""
     samples = record.samples
     known = (LATITUDE_DEG, 0.0) if case.place else (None, None)
     for stage in (TemperatureRate(), RestAndBias(None, None, "learned", *known)):
         samples = samples.with_columns(stage.process(samples))
-    seen = record.bias if case.place else record.bias + record.earth
-    error, sd = matrix(samples, "gyro_bias") - seen, matrix(samples, "gyro_bias_sd")
+    observable = record.bias if case.place else record.bias + record.earth
+    error, sd = matrix(samples, "gyro_bias") - observable, matrix(samples, "gyro_bias_sd")
     return error, sd, Record(samples, record.bias, record.earth, record.rest)

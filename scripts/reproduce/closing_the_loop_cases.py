@@ -91,7 +91,7 @@ class Network:
         return cls(rng.uniform(150, 220), rng.uniform(170, 280), rng.uniform(0.05, 0.2), rng.uniform(0.5, 2))
 
     def run(self, air: FloatArray, start_off_degc: float) -> Thermal:
-        """Return the temperatures of a run from near equilibrium, or from as much off as is said."""
+        """Return the temperatures of a run from near equilibrium, or from so far off it."""
         board, die = np.empty(len(air)), np.empty(len(air))
         b = air[0] + start_off_degc + 0.5 * self.heat_degc
         d = air[0] + 0.2 * start_off_degc + 1.5 * self.heat_degc

@@ -60,18 +60,18 @@ NOTHING: Mapping[str, tuple[Sequence[str], Mapping[str, Any]]] = {
 """Sessions of which nothing is missing: noises, and what else a setting has."""
 QUICK = "driven: load"
 HEADS = ("effect", "floors", "named", "right", "first named, min, median", "°/h before", "after")
-SAID = re.compile(r"MODEL CAN BE BETTER: (.*?): ([\d.e+-]+) become ([\d.e+-]+) °/h")
+REPORT = re.compile(r"MODEL CAN BE BETTER: (.*?): ([\d.e+-]+) become ([\d.e+-]+) °/h")
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
-    """What was said of a session, last: the effects, the axes, when first, and what it cost."""
+class Session:
+    """The last report of a session: the effects, the axes, when first, and what it cost."""
 
     label: str
     size: float
     seed: int
     truth: tuple[str, ...]
-    said: tuple[tuple[tuple[str, ...], str], ...]
+    named: tuple[tuple[tuple[str, ...], str], ...]
     since_s: float
     before: float
     after: float
@@ -162,8 +162,8 @@ def blocks_of(run: Run) -> list[SampleBlock]:
     ]
 
 
-def run_case(job: tuple[Setting, int]) -> Said:
-    """Return what is said of the third run of a case."""
+def run_case(job: tuple[Setting, int]) -> Session:
+    """Return what is reported of the third run of a case."""
     setting, seed = job
     case = make_case(setting, seed)
     if setting.latitude_deg is not None:
@@ -187,15 +187,15 @@ def run_case(job: tuple[Setting, int]) -> Said:
         for text in stage.notices():
             since = since if np.isfinite(since) else float(block["device_time_ns"][-1]) * 1e-9
             texts.append(text)
-    state = SAID.search(stage.state)
-    said = tuple(_groups(state.group(1))) if state else ()
+    state = REPORT.search(stage.state)
+    named = tuple(_groups(state.group(1))) if state else ()
     numbers = (float(state.group(2)), float(state.group(3))) if state else (np.nan, np.nan)
     truth = tuple(sorted(set().union(*case.truth)))
-    return Said(setting.label, setting.size, seed, truth, said, since, *numbers, spent, " | ".join(texts))
+    return Session(setting.label, setting.size, seed, truth, named, since, *numbers, spent, " | ".join(texts))
 
 
 def _groups(text: str) -> list[tuple[tuple[str, ...], str]]:
-    """Return effects and axes of what was said."""
+    """Return effects and axes of a report."""
     found = []
     for part in re.split(r"; ", text):
         what, _, axes = part.rpartition(" on ")
@@ -203,19 +203,19 @@ def _groups(text: str) -> list[tuple[tuple[str, ...], str]]:
     return found
 
 
-def right(one: Said) -> bool:
+def right(one: Session) -> bool:
     """Tell whether the effect is named, alone or in a set of at most three, on any axis and none but it."""
-    return bool(one.said) and all(set(names) & set(one.truth) for names, _ in one.said)
+    return bool(one.named) and all(set(names) & set(one.truth) for names, _ in one.named)
 
 
-def row(found: Sequence[Said]) -> list[str]:
+def row(found: Sequence[Session]) -> list[str]:
     """Return the row of one kind of sessions."""
-    first, named = found[0], [one for one in found if one.said]
+    first, sessions = found[0], [one for one in found if one.named]
     cells = [first.label, f"{first.size:g}", share(sum(bool(one.text) for one in found), len(found))]
     cells.append(share(sum(map(right, found)), len(found)) if first.truth else "")
-    if not named:
+    if not sessions:
         return [*cells, "", "", ""]
-    since, before, after = np.median([(one.since_s / 60, one.before, one.after) for one in named], axis=0)
+    since, before, after = np.median([(one.since_s / 60, one.before, one.after) for one in sessions], axis=0)
     return [*cells, f"{since:.0f}", f"{before:.3g}", f"{after:.3g}"]
 
 
@@ -229,7 +229,7 @@ def tables(given: Options) -> Iterator[Table]:
         for number in range(len(given.seeds) * (5 if setting.label.startswith("nothing") else 1))
     ]
     results = list(spread(run_case, work, given.jobs))
-    groups: dict[tuple[str, float], list[Said]] = {}
+    groups: dict[tuple[str, float], list[Session]] = {}
     for one in results:
         groups.setdefault((one.label, one.size), []).append(one)
     seconds = [one.seconds for one in results]

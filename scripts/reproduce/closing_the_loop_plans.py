@@ -28,7 +28,7 @@ OUTSIDE = ("slow wander", "supply")
 SIZES = (1.0, 3.0, 10.0)
 MOST_S = 8 * 3600.0
 FRESH = 100
-"""First seed of the units that a plan is proven on: no plan has seen them."""
+"""First seed of the units that a plan is proven on: no plan was made for them."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -169,7 +169,7 @@ def right(result: Result) -> bool:
 
 
 def false_drivers(result: Result) -> list[str]:
-    """Return the drivers that are named beyond what is true and what is said not to be told apart from it."""
+    """Return the drivers that are named beyond what is true and what is reported as not separable from it."""
     sets = [set(group) for group in result.sets]
     return [
         name

@@ -193,13 +193,13 @@ def bias_rows(seeds: range) -> Iterator[Row]:
         peers: dict[str, list[FloatArray]] = {peer: [] for peer in DEFAULTS}
         for seed in seeds:
             record = simulate(case, seed)
-            error, sd, told = estimated(case, record)
+            error, sd, estimates = estimated(case, record)
             where = places(record.rest)
-            seen = np.concatenate([where.ends, where.before, where.motion[:: round(RATE_HZ)]])
-            ratios.append((error / sd)[seen].ravel())
+            rows = np.concatenate([where.ends, where.before, where.motion[:: round(RATE_HZ)]])
+            ratios.append((error / sd)[rows].ravel())
             mistakes.append(error[where.motion].ravel())
-            time_s = told.samples["device_time_ns"] * 1e-9
-            run = Run(scenario, told.samples, record.bias, record.earth, time_s, record.rest)
+            time_s = estimates.samples["device_time_ns"] * 1e-9
+            run = Run(scenario, estimates.samples, record.bias, record.earth, time_s, record.rest)
             for peer, method in DEFAULTS.items():
                 peers[peer].append((method(run) - record.bias - record.earth)[where.motion].ravel())
         others = {peer: rms(np.concatenate(parts)) / DEG_PER_H for peer, parts in peers.items()}

@@ -101,18 +101,18 @@ def simulate(vehicle: Vehicle, rate_hz: float, seconds: float, seed: int) -> tup
     earth = EARTH_RATE * np.array([0.0, math.cos(latitude), math.sin(latitude)]) @ middle
     sensitive = rng.uniform(-1.0, 1.0, (3, 3))
     sensitive *= math.radians(PER_G_DPS) / STANDARD_GRAVITY / np.abs(sensitive).max()
-    seen = np.radians(rng.normal(0.0, sensor.turn_on, 3)) + force @ sensitive.T + earth
+    bias = np.radians(rng.normal(0.0, sensor.turn_on, 3)) + force @ sensitive.T + earth
     for tau_s in TAUS_S:
-        seen += gauss_markov(rng, n, rate_hz, tau_s, sensor.flicker_dph * DEG_PER_H)
+        bias += gauss_markov(rng, n, rate_hz, tau_s, sensor.flicker_dph * DEG_PER_H)
     white, jolts = rng.normal(size=(2, n, 3)) * math.sqrt(rate_hz)
     gyro = (
         rate
         + rate @ rng.normal(0.0, SCALE_SD, (3, 3))
-        + seen
+        + bias
         + math.radians(sensor.angle_walk) / 60.0 * white
     )
     accel = force + rng.normal(0.0, ACCEL_SD, 3) + sensor.velocity_walk * jolts
-    return sent(np.arange(1, n + 1) / rate_hz, gyro=gyro, accel=accel), seen
+    return sent(np.arange(1, n + 1) / rate_hz, gyro=gyro, accel=accel), bias
 
 
 def row(name: str, rate_hz: float, minutes: float, seeds: range) -> tuple[float, list[str]]:

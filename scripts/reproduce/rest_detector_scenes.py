@@ -1,4 +1,4 @@
-"""Scenes for the rest detector: what a unit does, seen through sensors of different grades."""
+"""Scenes for the rest detector: what a unit does, and what sensors of different grades read."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ def measured(name: str, seconds: int, seed: int) -> FloatArray:
     result = np.empty((3, 5))
     for j, axis in enumerate("xyz"):
         true = np.concatenate([truth[:, j] for truth in truths])[rows]
-        result[j] = _judged(record, smoothed, axis, true, stage.residuals[f"gyro_bias_{axis}"])
+        result[j] = _scores(record, smoothed, axis, true, stage.residuals[f"gyro_bias_{axis}"])
     return result
 
 
@@ -113,7 +113,7 @@ def played(name: str, seconds: int, seed: int) -> Iterator[tuple[SampleBlock, Fl
         yield block, bias + rates[latest]
 
 
-def _judged(
+def _scores(
     record: Record, smoothed: dict[str, FloatArray], axis: str, true: FloatArray, apart: float
 ) -> list[float]:
     error = smoothed[f"gyro_bias_smoothed_{axis}"] - true

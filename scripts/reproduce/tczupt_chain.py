@@ -30,7 +30,7 @@ EVERY = 10
 AGREE_DEGC = 0.2
 """Wall and case agree: two steps of their logger."""
 WINDOW = 31
-"""Entries of the log whose median is compared, five minutes: its noise is a tenth of what is asked."""
+"""Entries of the log whose median is compared, five minutes: its noise is a tenth of the limit."""
 ON_THE_RAMP = np.linspace(27.28, 34.08, 137)
 """°C."""
 

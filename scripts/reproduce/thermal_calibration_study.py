@@ -152,7 +152,7 @@ def polynomial_leak(soak: Soak) -> tuple[float, float, float, float]:
 def beyond_the_range(soak: Soak, distances: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return rms errors over axes and both ends, rad/s, of following the tangent and of holding the value.
 
-    The curve is fitted to levels 2 to 14 of 15; it is asked `distances` °C outside.
+    The curve is fitted to levels 2 to 14 of 15; it is evaluated `distances` °C outside.
     """
     tangent, hold = [], []
     for axis, channel in enumerate(soak.channels):
