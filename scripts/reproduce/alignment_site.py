@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from alignment_site_scenes import ACCEL_BIAS_UG, CREEPS, SCENES, Scene, mean_heading, record
-from study import Options, Study, Table, largest, worst_first
+from study import Cell, Cells, Options, Study, Table, largest, worst_first
 from study import rms as rms
 
 from imumon.blocks import FloatArray
@@ -49,13 +49,15 @@ def outcome(scene: Scene, seed: int) -> tuple[FloatArray, FloatArray]:
 
 NAMES = ("rms error °", "over the better mean", "σ", "shown", "rms z", "max z")
 HEADS = (*(f"{name}, {second} s" for second in AT_S for name in NAMES), "max z, any second", "beyond 5 σ")
+FORMATS = ("", *(".4f", ".2f", ".4f", "", ".2f", ".1f") * len(AT_S), ".1f", "")
 
 
-def row(scene: Scene, seeds: range) -> tuple[float, list[str]]:
+def row(scene: Scene, seeds: range) -> tuple[float, Cells]:
     """Return by how much a scene is worse than the bars, and its row of the table."""
     outcomes = [outcome(scene, seed) for seed in seeds]
     found, always = np.array([rows for rows, _ in outcomes]), np.array([z for _, z in outcomes])
-    cells, past = [scene.name], []
+    cells: list[Cell] = [scene.name]
+    past = []
     for k, second in enumerate(AT_S):
         error, sd, plain, hann = found[:, k].T
         shown, z = float(np.isfinite(error).mean()), error / sd
@@ -63,11 +65,10 @@ def row(scene: Scene, seeds: range) -> tuple[float, list[str]]:
         past += [rms(z) / RMS_Z, largest(z) / MAX_Z]
         if second >= FROM_S:
             past += [ratio / RATIO, SHOWN / max(shown, 0.01)]
-        cells += [f"{rms(error):.4f}", f"{ratio:.2f}", f"{np.median(sd):.4f}", f"{100 * shown:.0f} %"]
-        cells += [f"{rms(z):.2f}", f"{largest(z):.1f}"]
+        cells += [rms(error), ratio, float(np.median(sd)), f"{100 * shown:.0f} %", rms(z), largest(z)]
     known = always[np.isfinite(always)]
     beyond = float(np.mean(np.abs(known) > MAX_Z)) if len(known) else 0.0
-    return float(np.nanmax(past)), [*cells, f"{largest(known):.1f}", f"{100 * beyond:.1f} %"]
+    return float(np.nanmax(past)), [*cells, largest(known), f"{100 * beyond:.1f} %"]
 
 
 def tables(given: Options) -> Iterator[Table]:
@@ -75,7 +76,8 @@ def tables(given: Options) -> Iterator[Table]:
     for title, scenes in (("site", SCENES), ("creep about the vertical", CREEPS)):
         chosen = [scene for scene in scenes if given.only in scene.name][: 1 if given.quick else None]
         if chosen:
-            yield Table("", [title, *HEADS], worst_first(row(scene, given.seeds) for scene in chosen))
+            rows = worst_first(row(scene, given.seeds) for scene in chosen)
+            yield Table("", [title, *HEADS], rows, formats=FORMATS)
 
 
 STUDY = Study(tables, seeds=10)

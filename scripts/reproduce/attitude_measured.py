@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from samples import sent
 from scipy.spatial.transform import Rotation
-from study import largest, rms
+from study import Cells, largest, rms
 
 from imumon.blocks import BoolArray, FloatArray, SampleBlock
 from imumon.estimation.attitude.parameters import AttitudeParameters
@@ -25,6 +25,7 @@ HEADS = (
     "trial, during motion", "tilt °", "z rms", "max", "σ °", "free heading °", "z rms", "max", "σ °",
     "claimed %",
 )  # fmt: skip
+FORMATS = ("", ".2f", ".2f", ".1f", ".2f", ".2f", ".2f", ".1f", ".2f", ".0f")
 UP = np.array([0.0, 0.0, 1.0])
 TRUTH_SD = np.radians(0.05)
 """Of the optical heading, rad."""
@@ -41,10 +42,10 @@ class Trial:
     turn_sd: FloatArray
 
 
-def measured_rows(folder: Path, given: AttitudeParameters) -> Iterator[list[str]]:
+def measured_rows(folder: Path, given: AttitudeParameters) -> Iterator[Cells]:
     """Yield the cells of each trial in a folder."""
     for trial in measured(folder, given):
-        claimed = f"{100.0 * np.isfinite(trial.turn_sd).mean():.0f}"
+        claimed = 100.0 * float(np.isfinite(trial.turn_sd).mean())
         yield [trial.name, *_row(trial.tilt, trial.tilt_sd), *_row(trial.turn, trial.turn_sd), claimed]
 
 
@@ -81,10 +82,7 @@ def _trial(path: Path) -> tuple[SampleBlock, FloatArray, BoolArray]:
     return samples, truth, scored
 
 
-def _row(error: FloatArray, sd: FloatArray) -> list[str]:
-    """Return rms error, rms and largest error over sigma, and median sigma, as text."""
-    if not np.isfinite(sd).any():
-        return ["-"] * 4
+def _row(error: FloatArray, sd: FloatArray) -> list[float]:
+    """Return rms error, rms and largest error over sigma, and median sigma."""
     ratio = error / sd
-    cells = [f"{np.degrees(rms(error)):.2f}", f"{rms(ratio):.2f}", f"{largest(ratio):.1f}"]
-    return [*cells, f"{np.degrees(np.nanmedian(sd)):.2f}"]
+    return [float(np.degrees(rms(error))), rms(ratio), largest(ratio), float(np.degrees(np.nanmedian(sd)))]

@@ -12,12 +12,13 @@ from typing import Literal, cast
 import figures
 import imufusion
 import numpy as np
+from attitude_measured import FORMATS as MEASURED_FORMATS
 from attitude_measured import HEADS as MEASURED_HEADS
 from attitude_measured import measured_rows
 from attitude_scenes import SCENES, Record, calibrated, simulate
 from samples import without
 from scipy.spatial.transform import Rotation
-from study import Options, Study, Table, largest, matrix, over_bar, worst_first
+from study import Cells, Options, Study, Table, largest, matrix, over_bar, worst_first
 from study import rms as rms
 from vqf import VQF
 
@@ -34,6 +35,8 @@ HEADS = (
     "scene", "Hz", "magnetometer", "tilt °", "VQF", "imufusion", "z rms", "max", "σ °",
     "heading °", "VQF", "imufusion", "z rms", "max", "σ °", "claimed %",
 )  # fmt: skip
+ANGLE = (".2f", ".2f", ".2f", ".2f", ".1f", ".2f")
+FORMATS = ("", ".0f", "", *ANGLE, *ANGLE, ".0f")
 QUICK_S = 30.0
 
 
@@ -46,13 +49,13 @@ class Errors:
     )
     sigma: list[FloatArray] = field(default_factory=list)
 
-    def row(self) -> tuple[float, list[str], float]:
+    def row(self) -> tuple[float, list[float], float]:
         """Return how bad it is, its cells, and the share of samples with a sigma."""
         errors = [np.concatenate(parts) for parts in self.by.values()]
         sigma = np.concatenate(self.sigma)
         ratios = errors[0] / sigma
-        cells = [f"{np.degrees(rms(error)):.2f}" for error in errors]
-        cells += [f"{rms(ratios):.2f}", f"{largest(ratios):.1f}", f"{np.degrees(np.nanmedian(sigma)):.2f}"]
+        degrees = [float(np.degrees(value)) for value in (*map(rms, errors), np.nanmedian(sigma))]
+        cells = [*degrees[:-1], rms(ratios), largest(ratios), degrees[-1]]
         return over_bar(ratios), cells, float(np.mean(np.isfinite(sigma)))
 
 
@@ -124,14 +127,14 @@ def add(tilt: Errors, turn: Errors, record: Record, with_mag: bool, dt: float) -
     turn.sigma.append(heading_sd[later])
 
 
-def row(name: str, rate_hz: float, with_mag: bool, records: Iterable[Record]) -> tuple[float, list[str]]:
+def row(name: str, rate_hz: float, with_mag: bool, records: Iterable[Record]) -> tuple[float, Cells]:
     """Return how bad a row is, and its cells."""
     tilt, turn = Errors(), Errors()
     for record in records:
         add(tilt, turn, record, with_mag, 1.0 / rate_hz)
     (first, tilt_cells, known), (second, turn_cells, tied) = tilt.row(), turn.row()
-    cells = [name, f"{rate_hz:.0f}", "yes" if with_mag else "no", *tilt_cells, *turn_cells]
-    return max(first, second), [*cells, f"{100.0 * min(known, tied):.0f}"]
+    cells = [name, rate_hz, "yes" if with_mag else "no", *tilt_cells, *turn_cells]
+    return max(first, second), [*cells, 100.0 * min(known, tied)]
 
 
 def tables(given: Options) -> Iterator[Table]:
@@ -147,11 +150,13 @@ def tables(given: Options) -> Iterator[Table]:
         for name, rate_hz, with_mag in kinds[: 1 if given.quick else None]
     ]
     if rows:
-        yield Table("", HEADS, worst_first(rows), f"Worst over its bar: {max(bad for bad, _ in rows):.2f}.")
+        note = f"Worst over its bar: {max(bad for bad, _ in rows):.2f}."
+        yield Table("", HEADS, worst_first(rows), note, FORMATS)
     if given.only in ("", "measured") and not given.quick:
         folder = given.data / "broad"
         found = list(measured_rows(folder, AttitudeParameters()))
-        yield Table("Measured", MEASURED_HEADS, found, "" if found else f"No recordings in {folder}.")
+        note = "" if found else f"No recordings in {folder}."
+        yield Table("Measured", MEASURED_HEADS, found, note, MEASURED_FORMATS)
 
 
 def draw(_: Options) -> Iterator[Path]:

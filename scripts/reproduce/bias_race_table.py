@@ -106,6 +106,7 @@ def with_model(model: BiasModel) -> dict[str, Method]:
 
 
 HEADS = ("method", "rms", "worst seed", "rms at the ends of rests", "rms while it moves", "largest")
+FORMATS = ("", ".1f", ".1f", ".1f", ".1f", ".0f")
 
 
 def tables(given: Options) -> Iterator[Table]:
@@ -133,9 +134,13 @@ def tables(given: Options) -> Iterator[Table]:
             table = np.array(found)
             rms_of[scenario, name] = table[:, 0]
             whole, ends, moving = np.sqrt((table[:, :3] ** 2).mean(0))
-            numbers = (whole, table[:, 0].max(), ends, moving)
-            rows.append([name, *(f"{value:.1f}" for value in numbers), f"{table[:, 3].max():.0f}"])
-        yield Table(f"### {title}\n\n{len(given.seeds)} seeds; deg/h after the third rest", HEADS, rows)
+            rows.append([name, whole, table[:, 0].max(), ends, moving, table[:, 3].max()])
+        yield Table(
+            f"### {title}\n\n{len(given.seeds)} seeds; deg/h after the third rest",
+            HEADS,
+            rows,
+            formats=FORMATS,
+        )
     lines = [
         f"Thermal, {scenario}, worst of the seeds: {found.max():.1f} deg/h (bar {BAR_DEG_PER_H:.0f})."
         for (scenario, name), found in rms_of.items()

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from closing_the_loop_cases import Setting, make_case
-from study import Options, Study, Table, spread
+from study import Cells, Options, Study, Table, spread
 
 from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.planning import MARGIN, Plan, Report, open_questions, plan, recorded, scenario
@@ -88,11 +88,9 @@ def tables(given: Options) -> Iterator[Table]:
     work = [(kind, size, seed) for kind in (*KINDS, *OUTSIDE) for size in SIZES for seed in given.seeds]
     groups = spread(planned, work[: 1 if given.quick else None], given.jobs)
     found = [one for group in groups for one in group]
-    rows = []
+    rows: list[Cells] = []
     for one in found:
-        numbers = (one.hours, one.expected, one.needed, one.reached, one.seconds)
-        cells = ["-" if math.isnan(value) else f"{value:.1f}" for value in numbers]
-        rows.append([one.label, one.question, *cells])
+        rows.append([one.label, one.question, one.hours, one.expected, one.needed, one.reached, one.seconds])
     able = [one for one in found if one.expected >= MARGIN * one.needed]
     within = sum(0.5 <= one.reached / one.expected <= 2.0 for one in able)
     enough = sum(one.reached >= one.needed for one in able)
@@ -101,7 +99,8 @@ def tables(given: Options) -> Iterator[Table]:
         f"{len(found)} questions; {made} with a profile; {len(able)} of them expected to tell."
         f"  Reached within a factor of 2: {within} of {len(able)}; enough: {enough} of {len(able)}."
     )
-    yield Table("", ["case", "open", "hours", "expected", "needed", "reached", "s"], rows, note)
+    heads = ["case", "open", "hours", "expected", "needed", "reached", "s"]
+    yield Table("", heads, rows, note, ("", "", *[".1f"] * 5))
 
 
 STUDY = Study(tables, seeds=4, first=900)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from closing_the_loop_cases import Setting, make_case
 from closing_the_loop_physics import DRIVING, OUTSIDE
-from study import Options, Study, Table, spread
+from study import Cell, Cells, Options, Study, Table, spread
 
 from imumon.lab.diagnosis.diagnose import diagnose
 
@@ -220,14 +220,14 @@ def limit(result: Result) -> float:
     return LOOP_LIMIT if "hysteresis" in result.truth or "loop" in result.label else LIMIT
 
 
-def case_row(found: Sequence[Result]) -> list[str]:
+def case_row(found: Sequence[Result]) -> Cells:
     """Return the row of one kind of cases and one size; errors in the test are in floors."""
     first, after = found[0], np.array([one.after for one in found])
     names = ", ".join(f"{name} {count}" for name, count in Counter(map(verdict, found)).most_common(4))
-    cells = [first.label, f"{first.size:g}", share(sum(map(right, found)), len(found)), names]
-    cells += [f"{np.nanmedian([one.before for one in found]):.2f}", f"{np.nanmedian(after):.2f}"]
-    cells += [f"{np.nanmax(after):.2f}", f"{sum(one.after <= limit(one) for one in found)}/{len(found)}"]
-    return [*cells, f"{sum(is_worse(one) for one in found)}"]
+    before = float(np.nanmedian([one.before for one in found]))
+    cells: list[Cell] = [first.label, first.size, share(sum(map(right, found)), len(found)), names, before]
+    within = f"{sum(one.after <= limit(one) for one in found)}/{len(found)}"
+    return [*cells, float(np.nanmedian(after)), float(np.nanmax(after)), within, sum(map(is_worse, found))]
 
 
 def is_worse(result: Result) -> bool:
@@ -276,6 +276,9 @@ HEADS = (
 )  # fmt: skip
 
 
+FORMATS = ("", "g", "", "", ".2f", ".2f", ".2f")
+
+
 def tables(given: Options) -> Iterator[Table]:
     """Yield the claims, and each kind of cases."""
     work = list(jobs(len(given.seeds), QUICK if given.quick else given.only, given.seeds[0]))
@@ -294,7 +297,7 @@ def tables(given: Options) -> Iterator[Table]:
     groups: dict[tuple[str, float], list[Result]] = {}
     for one in results:
         groups.setdefault((one.label, one.size), []).append(one)
-    yield Table("", HEADS, [case_row(found) for found in groups.values()])
+    yield Table("", HEADS, [case_row(found) for found in groups.values()], formats=FORMATS)
 
 
 STUDY = Study(tables, seeds=4, page="appendix/closing-the-loop-results.md")

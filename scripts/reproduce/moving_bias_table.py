@@ -12,7 +12,7 @@ from attitude_scenes import ACCEL_SD, SCALE_SD, turned
 from bias_sigma_records import LATITUDE_DEG, SENSORS, TAUS_S, waves
 from samples import gauss_markov, sent
 from scipy.spatial.transform import Rotation
-from study import Options, Study, Table, largest, matrix, over_bar, rms, worst_first
+from study import Cell, Cells, Options, Study, Table, largest, matrix, over_bar, rms, worst_first
 from vqf import VQF
 
 from imumon.blocks import FloatArray, SampleBlock
@@ -26,6 +26,7 @@ SETTLED_S = 70.0
 HEADS = (
     "scene", "Hz", "min", "z rms", "max", "°/h", "VQF, the same axes", "σ °/h", "claimed %", "VQF, all axes",
 )  # fmt: skip
+FORMATS = ("", ".0f", "g", ".2f", ".1f", ".0f", ".0f", ".0f", ".0f", ".0f")
 Moves = tuple[FloatArray, FloatArray, FloatArray]
 """Roll, pitch and yaw, rad, velocity, m/s, and what shakes, m/s², east, north, up; (n, 3) each."""
 
@@ -115,7 +116,7 @@ def simulate(vehicle: Vehicle, rate_hz: float, seconds: float, seed: int) -> tup
     return sent(np.arange(1, n + 1) / rate_hz, gyro=gyro, accel=accel), bias
 
 
-def row(name: str, rate_hz: float, minutes: float, seeds: range) -> tuple[float, list[str]]:
+def row(name: str, rate_hz: float, minutes: float, seeds: range) -> tuple[float, Cells]:
     """Return how bad a row is, and the row: values of each second from the first window on."""
     late = slice(round(SETTLED_S * rate_hz), None, round(rate_hz))
     errors, sigmas, others = [], [], []
@@ -130,16 +131,22 @@ def row(name: str, rate_hz: float, minutes: float, seeds: range) -> tuple[float,
     known = np.isfinite(error)
     ratios = error / sd
     in_dph = [rms(error), rms(other[known]), float(np.median(sd[known]))]
-    cells = [name, f"{rate_hz:.0f}", f"{minutes:g}", f"{rms(ratios):.2f}", f"{largest(ratios):.1f}"]
-    cells += [f"{value / DEG_PER_H:.0f}" for value in in_dph]
-    return over_bar(ratios), [*cells, f"{100.0 * known.mean():.0f}", f"{rms(other) / DEG_PER_H:.0f}"]
+    cells: list[Cell] = [
+        name,
+        rate_hz,
+        minutes,
+        rms(ratios),
+        largest(ratios),
+        *(value / DEG_PER_H for value in in_dph),
+    ]
+    return over_bar(ratios), [*cells, 100.0 * float(known.mean()), rms(other) / DEG_PER_H]
 
 
 def tables(given: Options) -> Iterator[Table]:
     """Yield one table, the worst row first."""
     kinds = product(VEHICLES, given.lists["rates"], given.lists["minutes"])
     chosen = [kind for kind in kinds if given.only in kind[0]][: 1 if given.quick else None]
-    yield Table("", HEADS, worst_first(row(*kind, given.seeds) for kind in chosen))
+    yield Table("", HEADS, worst_first(row(*kind, given.seeds) for kind in chosen), formats=FORMATS)
 
 
 STUDY = Study(tables, 5, 500, lists={"rates": [50.0], "minutes": [10.0]})

@@ -108,9 +108,9 @@ def journey(records: Sequence[Record]) -> Table:
                 known = slow(name, record, still).estimate
             whole.append(np.sum((record.reading - known)[moving]) / RATE_HZ)
             slowly.append(np.sum((record.drift - known)[moving]) / RATE_HZ)
-        rows.append([name, f"{rms(whole):.3f}", f"{rms(slowly):.3f}"])
+        rows.append([name, rms(whole), rms(slowly)])
     title = f"Angle error after 60 s in motion, 600 s at rest before, {len(records)} seeds, deg"
-    return Table(title, ["subtracted", "rms", "of which drift"], rows)
+    return Table(title, ["subtracted", "rms", "of which drift"], rows, formats=("", ".3f", ".3f"))
 
 
 STUDY = Study(tables, draw=draw)

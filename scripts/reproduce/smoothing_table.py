@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from alignment_site_scenes import ACCEL_BIAS_UG
-from study import Options, Study, Table, largest, rms
+from study import Cell, Options, Study, Table, largest, rms
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.alignment.parameters import AlignmentParameters
@@ -53,9 +53,10 @@ def tables(given: Options) -> Iterator[Table]:
     count = len(given.seeds) * (1 if given.quick else HEADINGS)
     seeds = range(given.seeds[0], given.seeds[0] + count)
     error, z, live, apart_by = np.array([heading(seed) for seed in seeds]).T
-    cells = ["alignment, 5 min", f"{rms(live):.4f}", f"{rms(error):.4f}", f"{rms(z):.2f}"]
-    cells += [f"{np.abs(z).max():.1f}", f"{apart_by.min():.2f} to {apart_by.max():.2f}"]
-    yield Table("", ["heading", "forward, median [°]", "smoothed [°]", *HEADS], [cells])
+    apart = f"{apart_by.min():.2f} to {apart_by.max():.2f}"
+    row: list[Cell] = ["alignment, 5 min", rms(live), rms(error), rms(z), largest(z), apart]
+    heads = ["heading", "forward, median [°]", "smoothed [°]", *HEADS]
+    yield Table("", heads, [row], formats=("", ".4f", ".4f", ".2f", ".1f"))
 
 
 def measured(name: str, seconds: int, seed: int) -> FloatArray:

@@ -15,6 +15,7 @@ from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
 from difflib import unified_diff
 from importlib import import_module
+from itertools import zip_longest
 from pathlib import Path
 from typing import TypeVar, cast
 
@@ -79,20 +80,30 @@ class Options:
     lists: Mapping[str, Sequence[float]]
 
 
+Cell = str | float
+Cells = Sequence[Cell]
+
+
 @dataclass(frozen=True)
 class Table:
-    """A table of text, with a title above and a note below."""
+    """A table with a title above and a note below; numbers have the format of their column."""
 
     title: str
     heads: Sequence[str]
-    rows: Sequence[Sequence[str]]
+    rows: Sequence[Cells]
     note: str = ""
+    formats: Sequence[str] = ()
 
     def markdown(self) -> str:
         """Return the table in Markdown."""
         lines = [f"{self.title}\n"] if self.title else []
         lines += [f"| {' | '.join(self.heads)} |", "|---" * len(self.heads) + "|"] if self.rows else []
-        lines += [f"| {' | '.join(row)} |" for row in self.rows]
+        for row in self.rows:
+            cells = [
+                cell if isinstance(cell, str) else format(cell, form)
+                for cell, form in zip_longest(row, self.formats[: len(row)], fillvalue="")
+            ]
+            lines.append(f"| {' | '.join(cells)} |")
         return "\n".join([*lines, f"\n{self.note}"] if self.note else lines) + "\n"
 
 
@@ -154,7 +165,7 @@ def spread(function: Callable[[Job], Result], work: Sequence[Job], jobs: int) ->
     print(file=sys.stderr)
 
 
-def worst_first(rows: Iterable[tuple[float, Sequence[str]]]) -> list[Sequence[str]]:
+def worst_first(rows: Iterable[tuple[float, Cells]]) -> list[Cells]:
     """Return the cells of rows, those with the largest number first."""
     return [cells for _, cells in sorted(rows, key=lambda row: -row[0])]
 

@@ -40,16 +40,9 @@ PICTURE = "![{0}](../figures/thermal-calibration/{1}.png)"
 
 def sizes(rows: Sequence[SizeRow], title: str, note: str) -> Table:
     """What splits by sample say of networks of each size, and the truth."""
-    cells = [
-        [
-            f"{row.neurons}",
-            *(f"{v:.2f}" for v in row.by_sample),
-            f"{row.levels_left_out:.1f}",
-            f"{row.truth:.2f}",
-        ]
-        for row in rows
-    ]
-    return Table(title, ["neurons", *PARTS, "levels left out", "against the truth"], cells, note)
+    cells = [[row.neurons, *row.by_sample, row.levels_left_out, row.truth] for row in rows]
+    heads = ["neurons", *PARTS, "levels left out", "against the truth"]
+    return Table(title, heads, cells, note, ("", ".2f", ".2f", ".2f", ".1f", ".2f"))
 
 
 def slopes(soak: Soak) -> Table:
@@ -58,7 +51,7 @@ def slopes(soak: Soak) -> Table:
     rows = []
     for name in methods[0]:
         errors = [rms(methods[axis][name](INSIDE) - soak.slope[:, axis]) / DEG_H for axis in range(3)]
-        rows.append([name, *(f"{error:.2f}" for error in errors)])
+        rows.append([name, *errors])
     bad = [published(soak.halfminutes(axis), 2, 1).bad for axis in range(3)]
     *parts, true = (value / DEG_H for value in polynomial_leak(soak))
     note = (
@@ -69,18 +62,19 @@ def slopes(soak: Soak) -> Table:
         f" (z).\n\n{PICTURE.format('Slopes', 'slopes')}"
     )
     title = "## Error of the slope\n\nrms from -20.53 to 48.08 °C against the truth, °/h/°C."
-    return Table(title, ["method", *AXES], rows, note)
+    return Table(title, ["method", *AXES], rows, note, ("", ".2f", ".2f", ".2f"))
 
 
 def outside(soak: Soak) -> Table:
     """Errors beyond the calibrated range."""
     errors = dict(zip(("tangent", "held"), beyond_the_range(soak, DISTANCES_DEGC), strict=True))
-    rows = [[name, *(f"{v / DEG_H:.1f}" for v in values)] for name, values in errors.items()]
+    rows = [[name, *(values / DEG_H)] for name, values in errors.items()]
     title = (
         "## Outside the calibrated range\n\n"
         "Spline fitted to levels 2 to 14; rms error over axes and both ends, °/h."
     )
-    return Table(title, ["", *(f"{d:g} °C" for d in DISTANCES_DEGC)], rows)
+    formats = ("", *[".1f"] * len(DISTANCES_DEGC))
+    return Table(title, ["", *(f"{d:g} °C" for d in DISTANCES_DEGC)], rows, formats=formats)
 
 
 def chamber(record: Record, share: float) -> Table:
@@ -108,12 +102,12 @@ def chamber(record: Record, share: float) -> Table:
         errors = {"constant": rms(value[inside] - constant)}
         errors |= {key: rms(value[inside] - curve.value(t[inside])) for key, curve in curves.items()}
         errors["chosen"] = rms(value[inside] - found.value(t[inside]))
-        white = rms(np.sqrt(rest.means.mean_variance(name)[rest.rest]))
-        cells = [axis, *(f"{np.rad2deg(error):.3f}" for error in errors.values())]
-        cells += [model.findings[name].choice.name, f"{np.rad2deg(found.residual_sd):.3f}"]
-        rows.append([*cells, f"{inside.mean():.0%}", f"{np.rad2deg(white):.4f}"])
+        white = np.rad2deg(rms(np.sqrt(rest.means.mean_variance(name)[rest.rest])))
+        cells = [axis, *np.rad2deg(list(errors.values())), model.findings[name].choice.name]
+        rows.append([*cells, np.rad2deg(found.residual_sd), inside.mean(), white])
     heads = ["axis", *errors, "what was chosen", "promised", "inside", "noise of a block"]
-    return Table(f"Fitted to the first {share:.0%} of the time:", heads, rows)
+    formats = ("", *[".3f"] * len(errors), "", ".3f", ".0%", ".4f")
+    return Table(f"Fitted to the first {share:.0%} of the time:", heads, rows, formats=formats)
 
 
 def tables(given: Options) -> Iterator[Table]:
