@@ -165,10 +165,12 @@ def draw(_: Options) -> Iterator[Path]:
     samples = without(record.samples, "mag")
     for stage in (RestAndBias(mode="learned"), AttitudeEstimate()):
         samples = samples.with_columns(stage.process(samples))
+    known = int(np.argmax(np.isfinite(samples["attitude_estimate_tilt_sd"]))) + 1
+    samples, truth = samples.rows(known, len(samples)), record.attitude[known:]
     q = np.column_stack([samples[f"attitude_estimate_{part}"] for part in "wxyz"])
     heading_sd = samples["attitude_estimate_heading_sd"]
-    tilt = np.linalg.norm(tilt_error(q, record.attitude), axis=1)
-    turn = np.abs(heading_error(q, record.attitude, int(np.argmax(np.isfinite(heading_sd))), True))
+    tilt = np.linalg.norm(tilt_error(q, truth), axis=1)
+    turn = np.abs(heading_error(q, truth, int(np.argmax(np.isfinite(heading_sd))), True))
     t = samples["device_time_ns"] * 1e-9
     title = "Turned by hand for 30 s, at rest for 10 s, and so on; no magnetometer"
     drawn = figures.axes(title, 2, x="s", size=(8.0, 5.0))

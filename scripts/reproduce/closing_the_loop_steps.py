@@ -66,9 +66,10 @@ def draw(_: Options) -> Iterator[Path]:
         axes[1].plot(minutes, before - after, "k-", lw=1.2, label=name)
         at += len(run)
     (test,) = verdict.channel.test
-    for score, label in ((verdict.test_before, "curve alone"), (verdict.test_after, "with the effect")):
+    scores = {"curve alone": (verdict.test_before, "C3."), "with the effect": (verdict.test_after, "C2.")}
+    for label, (score, style) in scores.items():
         name = f"{label}: {score.rms / DEG_PER_H:.3g} °/h"
-        axes[2].plot(test.time_s / MINUTE_S, score.residual[0] / DEG_PER_H, ".", ms=4, label=name)
+        axes[2].plot(test.time_s / MINUTE_S, score.residual[0] / DEG_PER_H, style, ms=4, label=name)
     floor = verdict.channel.floor.sd / DEG_PER_H
     for one, title in zip(axes, titles, strict=True):
         label = "white noise of a mean" if one is axes[2] else ""
