@@ -228,7 +228,7 @@ def tables(given: Options) -> Iterator[Table]:
         if only in setting.label
         for number in range(len(given.seeds) * (5 if setting.label.startswith("nothing") else 1))
     ]
-    results = list(spread(run_case, work, given.jobs))
+    results = list(spread(run_case, work[: 1 if given.quick else None], given.jobs))
     groups: dict[tuple[str, float], list[Session]] = {}
     for one in results:
         groups.setdefault((one.label, one.size), []).append(one)
