@@ -18,8 +18,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "scripts" / "reproduce"
 COMMANDS = sorted(path.name for path in FOLDER.iterdir() if path.is_file() and os.access(path, os.X_OK))
-SLOW = {"ablation", "plans"}
-"""Parts whose smallest run takes minutes."""
+LEFT_OUT = {"ablation", "plans", "measured"}
+"""Parts whose smallest run takes minutes, or wants a recording."""
 OWN = {"ablation", "field"}
 """Commands with a command line of their own."""
 NAMED = re.compile(r"scripts/(\w+(?:/\w+)?)(?:\.py)?")
@@ -34,7 +34,7 @@ def commands() -> list[tuple[str, ...]]:
         for command, known in study.STUDIES.items()
         for part in known
     ]
-    return [*((name,) for name in sorted(OWN)), *(one for one in parts if not SLOW & {*one})]
+    return [*((name,) for name in sorted(OWN)), *(one for one in parts if not LEFT_OUT & {*one})]
 
 
 @pytest.fixture(scope="module")
