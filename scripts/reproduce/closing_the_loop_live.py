@@ -11,6 +11,7 @@ import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -229,12 +230,10 @@ def tables(given: Options) -> Iterator[Table]:
         for number in range(len(given.seeds) * (5 if setting.label.startswith("nothing") else 1))
     ]
     results = list(spread(run_case, work[: 1 if given.quick else None], given.jobs))
-    groups: dict[tuple[str, float], list[Session]] = {}
-    for one in results:
-        groups.setdefault((one.label, one.size), []).append(one)
+    groups = groupby(results, key=lambda one: (one.label, one.size))
     seconds = [one.seconds for one in results]
     note = f"{np.median(seconds):.2f} s of a core for two hours (median; the longest {max(seconds):.2f} s)."
-    yield Table("", HEADS, [row(found) for found in groups.values()], note)
+    yield Table("", HEADS, [row(list(found)) for _, found in groups], note)
 
 
 STUDY = Study(tables, seeds=4, first=2500, page="appendix/closing-the-loop-live.md")

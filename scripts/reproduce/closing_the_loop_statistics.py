@@ -7,6 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
 from closing_the_loop_cases import Setting, make_case
@@ -59,8 +60,6 @@ class Result:
     after: float
     tracked: float
     seconds: float
-    left_out: tuple[str, ...] = ()
-    remark: str = ""
 
 
 def settings() -> list[Setting]:
@@ -136,8 +135,6 @@ def run_case(job: tuple[Setting, int]) -> list[Result]:
                 after.rms / case.floor,
                 after.estimated_rms / case.floor,
                 seconds,
-                tuple(item["name"] for item in verdict.left_out),
-                verdict.remark,
             )
         )
     return found
@@ -294,10 +291,8 @@ def tables(given: Options) -> Iterator[Table]:
         f" diagnosis takes {np.median(seconds):.1f} s (median; the longest {seconds[-1]:.1f} s) on one core."
     )
     yield Table("", ["claim", "channels"], rows, note)
-    groups: dict[tuple[str, float], list[Result]] = {}
-    for one in results:
-        groups.setdefault((one.label, one.size), []).append(one)
-    yield Table("", HEADS, [case_row(found) for found in groups.values()], formats=FORMATS)
+    groups = groupby(results, key=lambda one: (one.label, one.size))
+    yield Table("", HEADS, [case_row(list(found)) for _, found in groups], formats=FORMATS)
 
 
 STUDY = Study(tables, seeds=4, page="appendix/closing-the-loop-results.md")

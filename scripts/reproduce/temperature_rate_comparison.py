@@ -170,10 +170,8 @@ def _local_fit(
     h = np.column_stack([np.ones_like(u), u, np.exp(-u), u * np.exp(-u)])
     row = np.array([1.0, v, decay, v * decay])
     slope = np.array([0.0, 1.0, -decay, (1.0 - v) * decay]) / time_constant_s
-    left, singular, right = np.linalg.svd(h, full_matrices=False)
-    keep = singular > 1e-9 * singular[0]
-    inverse = right[keep].T / singular[keep]
-    x = inverse @ (left[:, keep].T @ values[inside])
+    inverse = np.linalg.pinv(h, rcond=1e-9)
+    x = inverse @ values[inside]
     sigma = step / 4
     return np.array(
         [row @ x, slope @ x, sigma * np.linalg.norm(row @ inverse), sigma * np.linalg.norm(slope @ inverse)]
