@@ -1,6 +1,7 @@
 """The runner of the studies: options, tables in Markdown, pages, figures, and comparison with a page.
 
-A study is a module with `STUDY`.  It yields tables; everything else is done here.
+A study is a module with `STUDY`, a `Study`.  It says which scenes, methods and errors make a table; all else is
+done here.
 """
 
 from __future__ import annotations
@@ -114,12 +115,13 @@ class Study:
     Parameters
     ----------
     tables : callable
+        Yields the tables.
     seeds, first : int
         Runs of each scene and their first seed, by default.
     page : str
-        Page below docs with the tables of `--write`, between markers with the study's name.
+        Page below docs with the tables of `--write`, between markers with the name of the study or its part.
     draw : callable, optional
-        Yields name and figure of all that goes to `figures`, a folder below docs/figures.
+        Draws the figures below docs/figures, and yields their paths.
     lists : dict
         Options of its own with lists of numbers, and their defaults.
     """
