@@ -43,6 +43,7 @@ STUDIES: Mapping[str, Mapping[str, str]] = {
     },
     "moving_bias": {"": "moving_bias_table"},
     "random_error": {"": "random_error_table"},
+    "rest_figure": {"": "rest_figure"},
     "smoothing": {"": "smoothing_table"},
     "tczupt": {"": "tczupt_table"},
     "temperature_rate": {"": "temperature_rate_figures"},
