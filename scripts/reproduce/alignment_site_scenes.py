@@ -229,7 +229,7 @@ CREEPS = (
     *(
         Scene(f"{angle:g}° in {seconds:g} s", turns=((turning, angle, 0, seconds),))
         for seconds in (20.0, 60.0, 200.0, 600.0)
-        for angle in (0.03, 0.3, 3, 30.0)
+        for angle in (0.03, 0.3, 3, 30)
     ),
     *(
         Scene(

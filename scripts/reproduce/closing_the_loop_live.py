@@ -19,9 +19,10 @@ from closing_the_loop_cases import DPH, EARTH_DPH, GRAVITY, Case, Setting, make_
 from closing_the_loop_physics import DRIVING
 from closing_the_loop_statistics import share
 from numpy.polynomial.chebyshev import chebvander
+from samples import sent
 from study import Options, Study, Table, spread
 
-from imumon.blocks import ColumnArray, SampleBlock
+from imumon.blocks import SampleBlock
 from imumon.lab.diagnosis.blocks import make_blocks
 from imumon.lab.diagnosis.channel import ordinary
 from imumon.lab.diagnosis.live import LiveDiagnosis
@@ -126,11 +127,14 @@ def plain_model(case: Case) -> BiasModel:
     return BiasModel(made_by="closing_the_loop", created="2026-01-01T00:00:00Z", channels=channels)
 
 
-def held(run: Run, seed: int) -> Run:
-    """Return a run as it would be had its temperature stayed where it began: its noise alone."""
-    rng = np.random.default_rng([seed, 5])
-    t = 25.0 + 0.2 * np.sin(2 * np.pi * run.time_s / 3000.0) + 0.01 * rng.standard_normal(len(run.time_s))
-    return replace(run, mean={**run.mean, "temperature": np.round(t * 16) / 16})
+def held(run: Run, model: BiasModel, seed: int) -> Run:
+    """Return a run as it would be had its temperature stayed at 25 °C: without the curve of the model."""
+    rng, n = np.random.default_rng([seed, 5]), len(run.time_s)
+    t = 25.0 + 0.2 * np.sin(2 * np.pi * run.time_s / 3000.0) + 0.01 * rng.standard_normal(n)
+    mean = {**run.mean, "temperature": np.round(t * 16) / 16}
+    for name, channel in model.channels.items():
+        mean[name] = mean[name] - channel.value(run.mean["temperature"]) + channel.value(np.full(n, 25.0))
+    return replace(run, mean=mean)
 
 
 def level_earth_rate(run: Run, latitude_deg: float, seed: int) -> Run:
@@ -150,17 +154,8 @@ def level_earth_rate(run: Run, latitude_deg: float, seed: int) -> Run:
 
 def blocks_of(run: Run) -> list[SampleBlock]:
     """Return a run as blocks of a sample a second."""
-    n = len(run.time_s)
-    columns: dict[str, ColumnArray] = {
-        "device_time_ns": np.round(run.time_s * 1e9).astype(np.int64),
-        "segment": np.zeros(n, np.int64),
-        "at_rest": np.rint(run.rest).astype(np.int64),
-        **{name: np.asarray(values) for name, values in run.mean.items()},
-    }
-    return [
-        SampleBlock({name: values[at : at + PIECE] for name, values in columns.items()})
-        for at in range(0, n, PIECE)
-    ]
+    samples = sent(run.time_s, at_rest=np.rint(run.rest), **run.mean)
+    return [samples.rows(at, at + PIECE) for at in range(0, len(samples), PIECE)]
 
 
 def run_case(job: tuple[Setting, int]) -> Session:
@@ -171,15 +166,7 @@ def run_case(job: tuple[Setting, int]) -> Session:
         case = replace(case, runs=[level_earth_rate(run, setting.latitude_deg, seed) for run in case.runs])
     model, last = plain_model(case), case.runs[2]
     if "constant" in setting.label:
-        temperature = case.runs[2].mean["temperature"]
-        last = held(last, seed)
-        change = {
-            name: last.mean[name]
-            - channel.value(temperature)
-            + channel.value(np.full(len(temperature), 25.0))
-            for name, channel in model.channels.items()
-        }
-        last = replace(last, mean={**last.mean, **change})
+        last = held(last, model, seed)
     stage, spent, since, texts = LiveDiagnosis(model), 0.0, np.nan, list[str]()
     for block in blocks_of(last):
         began = time.process_time()
