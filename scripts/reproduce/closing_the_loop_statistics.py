@@ -145,6 +145,13 @@ def is_outside(label: str) -> bool:
     return label in OUTSIDE or label.startswith(HIDDEN)
 
 
+def stray(result: Result) -> list[str]:
+    """Return the names that are not true, and in no set with one that is."""
+    truth = set(result.truth)
+    together = {name for group in result.sets if truth & {*group} for name in group}
+    return [name for name in result.named if name not in truth | together]
+
+
 def right(result: Result) -> bool:
     """Tell whether every effect of a channel is named, or is in a set of at most three, and no other is.
 
@@ -153,28 +160,13 @@ def right(result: Result) -> bool:
     """
     if is_outside(result.label):
         return result.unexplained and not result.named
-    allowed = [set(group) for group in result.sets]
-    names = set(result.named)
-    hit = all(name in names or any(name in group for group in allowed) for name in result.truth)
-    stray = [
-        name
-        for name in names
-        if name not in result.truth
-        and not any(name in group and group & set(result.truth) for group in allowed)
-    ]
-    return hit and not stray
+    named = {*result.named, *(name for group in result.sets for name in group)}
+    return set(result.truth) <= named and not stray(result)
 
 
 def false_drivers(result: Result) -> list[str]:
-    """Return the drivers that are named beyond what is true and what is reported as not separable from it."""
-    sets = [set(group) for group in result.sets]
-    return [
-        name
-        for name in result.named
-        if "(" in name
-        and name not in result.truth
-        and not any(name in group and group & set(result.truth) for group in sets)
-    ]
+    """Return the drivers that are named beyond what is true and what is not told apart from it."""
+    return [name for name in stray(result) if "(" in name]
 
 
 def interval(hits: int, count: int) -> tuple[float, float]:
