@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from study import Options, Study, Table, rms
+from study import Cell, Cells, Options, Study, Table, rms
 from thermal_calibration_data import AXES, DEG_H, INSIDE, Soak, chamber_cycle, during, simulated_soak
 from thermal_calibration_figures import PARTS, draw
 from thermal_calibration_study import (
@@ -40,7 +40,10 @@ PICTURE = "![{0}](../figures/thermal-calibration/{1}.png)"
 
 def sizes(rows: Sequence[SizeRow], title: str, note: str) -> Table:
     """What splits by sample say of networks of each size, and the truth."""
-    cells = [[row.neurons, *row.by_sample, row.levels_left_out, row.truth] for row in rows]
+    cells: list[Cells] = []
+    for row in rows:
+        left_out: Cell = row.levels_left_out if np.isfinite(row.levels_left_out) else ""
+        cells.append([row.neurons, *row.by_sample, left_out, row.truth])
     heads = ["neurons", *PARTS, "levels left out", "against the truth"]
     return Table(title, heads, cells, note, ("", ".2f", ".2f", ".2f", ".1f", ".2f"))
 
