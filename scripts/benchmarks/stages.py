@@ -18,7 +18,7 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.alignment.stage import Alignment
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.stage import GyroBias, RestDetector
-from imumon.estimation.temperature_rate.stage import MultipleModelRate
+from imumon.estimation.temperature_rate.method import MultipleModelRate
 from imumon.filters.rates import RateMethod
 from imumon.geodesy import EARTH_RATE
 from imumon.papers.dense_zupt import DenseSettings

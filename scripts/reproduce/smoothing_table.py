@@ -13,9 +13,8 @@ from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.stage import Alignment
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.smoothing.backward import backward
-from imumon.estimation.smoothing.heading import still_heading
 from imumon.estimation.smoothing.record import Record, Recorder
-from imumon.estimation.smoothing.stage import SmoothedEstimates
+from imumon.estimation.smoothing.stage import SmoothedEstimates, still_heading
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H
 from imumon.pipeline import Estimator

@@ -12,7 +12,7 @@ from temperature_rate_comparison import DifferenceRate, KalmanRate, estimate, re
 from temperature_rate_records import PER_HOUR, Record, heating, simulate
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.stage import MultipleModelRate
+from imumon.estimation.temperature_rate.method import MultipleModelRate
 from imumon.filters.rates import RateEstimate
 from imumon.papers.fir import FirRate, Params
 
