@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.filters.noise import INSTABILITY_PER_DECADE, BiasNoise
+from imumon.lab.diagnosis.whitening import INSTABILITY_PER_DECADE, BiasNoise
 
 
 def covariance(noise: BiasNoise, time_s: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
+ALIGNMENT = "appendix/alignment-details.md"
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 
 
@@ -46,7 +47,7 @@ def numbers_in(page: str, pattern: str) -> list[float]:
 
 @pytest.mark.parametrize(
     ("page", "appendix", "at_least"),
-    [("alignment.md", "alignment-site-results.md", 20), ("batch.md", "performance-table.md", 2)],
+    [(ALIGNMENT, "alignment-site-results.md", 20), ("batch.md", "performance-table.md", 2)],
 )
 def test_rows_of_a_page_are_those_of_the_appendix(page: str, appendix: str, at_least: int) -> None:
     source = {row[0]: numbers(row[1:]) for table in tables(f"appendix/{appendix}") for row in table[1:]}
@@ -59,7 +60,7 @@ def test_rows_of_a_page_are_those_of_the_appendix(page: str, appendix: str, at_l
 def test_kinds_of_sites_and_what_is_said_of_them() -> None:
     sites, _, creeps = tables("appendix/alignment-site-results.md")
     kinds = [len(sites) - 1, len(creeps) - 1]
-    assert numbers_in("alignment.md", r"runs (\d+) kinds of sites and (\d+) of creeps") == kinds
+    assert numbers_in(ALIGNMENT, r"runs (\d+) kinds of sites and (\d+) of creeps") == kinds
     assert numbers_in("appendix/README.md", r"on (\d+) kinds of sites and (\d+) of creeps") == kinds
     value = {name: [float(row[k].strip("% ")) for row in sites[1:]] for k, name in enumerate(sites[0]) if k}
     shown = [
@@ -74,7 +75,7 @@ def test_kinds_of_sites_and_what_is_said_of_them() -> None:
         r"Of (\d+) sites with a heading.* in (\d+) and (\d+); .* below 1.8 in (\d+) and all (\d+), "
         r"the largest below 5 in (\d+) and (\d+)"
     )
-    assert numbers_in("alignment.md", pattern) == [len(shown), *counts.values()]
+    assert numbers_in(ALIGNMENT, pattern) == [len(shown), *counts.values()]
 
 
 def test_number_of_simulated_cases() -> None:

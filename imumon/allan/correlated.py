@@ -21,7 +21,6 @@ from imumon.allan.problem import (
     Problem,
     Solution,
     inverse_information,
-    is_good,
 )
 from imumon.blocks import FloatArray
 
@@ -94,10 +93,9 @@ class Search:
         exponent += 0.5 * _top(left, float(likely[best]), right)
         covariances = self._family.at(2.0**exponent)
         solution = self._problem(covariances).fit(WITH_MARKOV)
-        free = max(1, len(self._variances) - int(np.count_nonzero(solution.coefficients)) - 1)
-        beside_white = bool(solution.coefficients[WHITE] > 0.0 and solution.coefficients[MARKOV] > 0.0)
-        gained = self._gain(solution.log_likelihood) >= self._needed
-        if not (gained and beside_white and is_good(solution, free)):
+        beside_white = solution.coefficients[WHITE] > 0.0 and solution.coefficients[MARKOV] > 0.0
+        is_likely = self._gain(solution.log_likelihood) >= self._needed
+        if not (is_likely and beside_white and solution.is_good(others=1)):
             return None
         return Correlated(2.0**exponent, covariances)
 

@@ -34,6 +34,8 @@ COEFFICIENTS: dict[Kind, tuple[float, ...]] = {
 }
 NORMS: dict[Kind, float] = {"allan": 2.0, "modified": 2.0, "hadamard": 6.0}
 
+FLOOR_PER_INSTABILITY = math.sqrt(2.0 * math.log(2.0) / math.pi)
+"""Flat part of the Allan deviation of flicker, over the bias instability B (IEEE Std 952, C.1.3)."""
 NOISES = ("white", "flicker", "walk", "quantization")
 """The stochastic terms, by what they are of the rate (quantization: white noise of the angle)."""
 SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
@@ -85,9 +87,8 @@ def markov(time: float) -> Autocovariance:
     would leave no digits.
     """
     scale = 0.25 / math.sinh(0.5 / time) ** 2
-    linear = (1.0 + 0.05 / time**2 * (1.0 + 1.0 / (42.0 * time**2))) / (
-        6.0 * time**3
-    )  # sinh(x) - x, x = 1 / time
+    # sinh(x) - x at x = 1 / time, by its series.
+    linear = (1.0 + 0.05 / time**2 * (1.0 + 1.0 / (42.0 * time**2))) / (6.0 * time**3)
 
     def g(k: FloatArray) -> FloatArray:
         x = np.abs(k) / time
@@ -125,7 +126,7 @@ class Runs:
         return np.maximum(self.lengths + 1.0 - span * m, 0.0)
 
 
-def lag_nodes(m_i: int, m_j: int, order: int, smoothing: int) -> tuple[FloatArray, FloatArray]:
+def lag_nodes(m_i: int, m_j: int, order: int, smoothing: bool) -> tuple[FloatArray, FloatArray]:
     """Return lags and weights for a sum over all integer lags between differences of m_i and m_j."""
     if smoothing:
         knots = {step * m_i for step in range(-order - 1, order + 2)}
@@ -154,12 +155,12 @@ def _correlations(
     kind: Kind, m_i: int, m_j: int, lags: FloatArray, covariances: Sequence[Autocovariance]
 ) -> FloatArray:
     """Return the covariance of scaled differences at these lags, one row per noise."""
-    smooth = _smoothed(m_i) if kind == "modified" else None
     shifts, weights = _differences(COEFFICIENTS[kind], m_i, m_j)
     shifted = lags + shifts[:, np.newaxis]
-    values = [
-        covariance(shifted) if smooth is None else smooth(covariance, shifted) for covariance in covariances
-    ]
+    if kind == "modified":
+        values = [_smoothed(covariance, m_i, shifted) for covariance in covariances]
+    else:
+        values = [covariance(shifted) for covariance in covariances]
     return np.array([weights @ value for value in values]) / (NORMS[kind] * m_i * m_j)
 
 
@@ -172,18 +173,13 @@ def _differences(coefficients: Sequence[float], m_i: int, m_j: int) -> tuple[Flo
     return np.array([*found], np.float64), np.array([*found.values()])
 
 
-def _smoothed(m: int) -> Callable[[Callable[[FloatArray], FloatArray], FloatArray], FloatArray]:
-    """Return what makes of G the autocovariance of the integral averaged over m samples."""
-    shifts, weights = lag_nodes(m, m, 0, smoothing=1) if m > 1 else (np.zeros(1), np.ones(1))
-    inside = np.abs(shifts) < m
-    shifts, weights = shifts[inside], weights[inside] * (m - np.abs(shifts[inside])) / m**2
-
-    def smooth(covariance: Callable[[FloatArray], FloatArray], lags: FloatArray) -> FloatArray:
-        if covariance is _quantization:
-            return np.where(np.abs(lags) < m, (m - np.abs(lags)) / (3.0 * m**2), 0.0)
-        return np.asarray(covariance(lags[..., np.newaxis] + shifts) @ weights)
-
-    return smooth
+def _smoothed(covariance: Autocovariance, m: int, lags: FloatArray) -> FloatArray:
+    """Return the autocovariance of the integral averaged over m samples, from its G."""
+    if covariance is _quantization:
+        return np.asarray(np.maximum(m - np.abs(lags), 0.0) / (3.0 * m**2))
+    shifts, weights = lag_nodes(m, m, 0, smoothing=True) if m > 1 else (np.zeros(1), np.ones(1))
+    weights = weights * np.maximum(m - np.abs(shifts), 0.0) / m**2
+    return np.asarray(covariance(lags[..., np.newaxis] + shifts) @ weights)
 
 
 def _pairs(first: FloatArray, second: FloatArray, weights: FloatArray, lags: FloatArray) -> FloatArray:
@@ -207,7 +203,7 @@ def cross_terms(
     order = len(COEFFICIENTS[kind]) - 1
     span = order + (1 if kind == "modified" else 0)
     first, second = runs.positions(m_i, span), runs.positions(m_j, span)
-    lags, weights = lag_nodes(m_i, m_j, order, smoothing=int(kind == "modified"))
+    lags, weights = lag_nodes(m_i, m_j, order, smoothing=kind == "modified")
     pairs = weights * _pairs(first, second, runs.weights, lags)
     pairs /= (runs.weights @ first) * (runs.weights @ second)
     rows = _correlations(kind, m_i, m_j, lags, covariances)

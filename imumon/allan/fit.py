@@ -4,9 +4,9 @@ The variances are a sum of known shapes with coefficients that are not negative.
 generalised least squares whose covariance matrix, over all averaging times together, is that of the fitted
 noise itself, until both agree: the quasi-likelihood of variances.  No slope is picked by eye.
 
-Of all sets of terms the smallest is fitted to which no further term would add by more than `FITTED` (or
-`SHORT_FITTED`) standard deviations, judged by the covariance without that term.  A term of it is in the
-result when it adds by more than `SHOWN`; the others keep what is there, but not certain, out of the rest.
+Of all sets of terms the smallest is fitted to which no further term would add by more than `FITTED` standard
+deviations, judged by the covariance without that term.  A term of it is in the result when it adds by more
+than `SHOWN`; the others keep what is there, but not certain, out of the rest.
 Flicker and random walk look alike in a short record.  Where one of them is fitted, so is the other, and each
 must be called for beside the other.
 
@@ -34,17 +34,17 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
-from scipy.special import gammainc
 
-from imumon.allan.correlated import SHOWN, Search
-from imumon.allan.covariance import SHAPES, Covariances, Family, markov_shape
+from imumon.allan.correlated import SHOWN, Correlated, Search
+from imumon.allan.covariance import FLOOR_PER_INSTABILITY, SHAPES, Covariances, Family, markov_shape
+from imumon.allan.parameters import NAMES
 from imumon.allan.problem import (
     COLUMNS,
     EVERY,
     FILTER,
-    GOOD,
     MARKOV,
     QUANTIZATION,
     RAMP,
@@ -52,25 +52,18 @@ from imumon.allan.problem import (
     WITH_MARKOV,
     Problem,
     Solution,
-    is_good,
     signed,
 )
 from imumon.blocks import FloatArray
-from imumon.filters.noise import FLOOR_PER_INSTABILITY
 
-FITTED = 2.0
-"""A term is in the fit when the data call for it by this many standard deviations."""
-SHORT_FITTED = 3.0
-"""The same for quantization and filter, which concern the short averaging times, where all is certain."""
-RAMP_SHOWN = 6.0
-"""The same for the ramp, which one realisation of a random walk resembles at the longest averaging times."""
+FITTED, SHORT_FITTED = 2.0, 3.0
+"""A term is in the fit when the data call for it by this many standard deviations; the second number is that
+of quantization and filter, at the short averaging times: with 2 the error of N in white noise is a quarter
+larger."""
 LONGEST_START_S = 1.0
 """The shortest averaging times are left out, up to this one, where a filter of the device has shaped them."""
 FILTERED = 1.02
 """A filter takes noise away: what is left out for it may not lie higher above what the terms say of it."""
-NEARLY_LEAST = 1.5
-"""Where no sum of the terms describes the curve, as many averaging times are kept as leave about the least
-model error."""
 NO_SUM = 0.4
 """With a larger model error nothing can be said of the terms from the whole curve: a sine of any size puts
 angle random walk or quantization in the place of its own bump."""
@@ -85,16 +78,14 @@ ALIKE = frozenset(map(COLUMNS.index, ("flicker", "walk")))
 Scale = Callable[[float], float]
 
 
-@dataclass(frozen=True, slots=True)
-class Term:
-    """A term, its square per unit of its coefficient, and by how many sigmas it must be called for.
+class Term(NamedTuple):
+    """A term, and its square per unit of its coefficient by the sample interval in s.
 
-    `per_unit` takes the sample interval in s; the coefficient is the Allan variance at one sample.
+    The coefficient is the Allan variance at one sample.
     """
 
     name: str
     per_unit: Scale
-    shown: float = SHOWN
 
 
 TERMS = (
@@ -102,17 +93,15 @@ TERMS = (
     Term("bias_instability", lambda _: FLOOR_PER_INSTABILITY**-2),
     Term("rate_random_walk", lambda dt: 3.0 / dt),
     Term("quantization", lambda dt: dt**2 / 3.0),
-    Term("rate_ramp", lambda dt: 2.0 / dt**2, RAMP_SHOWN),
+    Term("rate_ramp", lambda dt: 2.0 / dt**2),
     Term("correlated_noise", lambda _: 1.0),
 )
 """In the order of the columns of what is fitted."""
-CORRELATION_TIME = "correlation_time"
-NAMES = (*(term.name for term in TERMS), CORRELATION_TIME)
-AMBIGUOUS, CONTRADICTED, DIGITS = "ambiguous", "contradicted", "digits"
+CORRELATION_TIME = NAMES[-1]
+AMBIGUOUS, DIGITS = "ambiguous", "digits"
 
 
-@dataclass(frozen=True, slots=True)
-class Estimate:
+class Estimate(NamedTuple):
     """A number and its standard deviation."""
 
     value: float
@@ -140,9 +129,7 @@ class Fit:
     no term is reported."""
     withheld: str
     """`AMBIGUOUS`: bias instability and random walk are not reported, because noise that is correlated for a
-    while would be as likely.  `CONTRADICTED`: only the angle random walk is, because the curve lies below
-    what another term alone would make.  `DIGITS`: nothing is, because the steps of the readings hide the
-    noise."""
+    while would be as likely.  `DIGITS`: nothing is, because the steps of the readings hide the noise."""
 
     def less_certain(self, error: float) -> Fit:
         """Return the terms where rounding, or what is missing, may change the variance by this part: less
@@ -198,69 +185,56 @@ def fit_terms(variances: FloatArray, family: Family, interval_s: float, last: in
     problem = Problem(variances[start:stop], covariances.part(start, stop), error)
     smallest = _smallest(problem, EVERY if correlated is None else WITH_MARKOV)
     solution = problem.fit(_with_alike(smallest), ALIKE)
-    covariance, of_time = solution.covariance, 0.0
-    if correlated is not None:
-        covariance, of_time = correlated.uncertainty(problem, solution)
-    reported = _reported(problem, smallest, solution) if error <= NO_SUM else []
-    reported = reported if stop == n else [column for column in reported if column == WHITE]
-    withheld = ""
-    if correlated is None and error == 0.0 and ALIKE & frozenset(reported):
-        rest = tuple(c for c in np.flatnonzero(smallest.coefficients).tolist() if c not in ALIKE)
-        if search.stands_for(rest):
-            reported, withheld = [column for column in reported if column not in ALIKE], AMBIGUOUS
-    if _contradicted(problem, solution.coefficients, covariance, reported):
-        reported, withheld = [column for column in reported if column == WHITE], CONTRADICTED
-    terms: dict[str, Estimate | None] = dict.fromkeys(NAMES)
-    for column in reported:
-        coefficient, variance = float(solution.coefficients[column]), float(covariance[column, column])
-        terms[TERMS[column].name] = _estimate(coefficient, variance, TERMS[column].per_unit(interval_s))
-    if correlated is not None and MARKOV in reported:
-        time_s = correlated.time * interval_s
-        terms[CORRELATION_TIME] = Estimate(time_s, time_s * math.sqrt(of_time))
+    columns, withheld = _called_for(problem, smallest, solution), ""
+    rest = tuple(column for column in _columns_of(smallest) if column not in ALIKE)
+    if error > NO_SUM:
+        columns = []
+    elif stop < n:
+        columns = [column for column in columns if column == WHITE]
+    elif correlated is None and error == 0.0 and ALIKE & {*columns} and search.stands_for(rest):
+        columns, withheld = [column for column in columns if column not in ALIKE], AMBIGUOUS
+    terms = _estimates(problem, solution, columns, correlated, interval_s)
     time = np.nan if correlated is None else correlated.time
     return Fit(terms, signed(solution.coefficients), time, start, stop - 1, error, withheld)
 
 
-def _estimate(coefficient: float, variance: float, per_unit: float) -> Estimate:
-    value = math.sqrt(coefficient * per_unit)
-    return Estimate(value, 0.5 * value * math.sqrt(variance) / coefficient)
+def _estimates(
+    problem: Problem, solution: Solution, columns: list[int], correlated: Correlated | None, interval_s: float
+) -> dict[str, Estimate | None]:
+    """Return the terms of these columns, and None for every other."""
+    terms: dict[str, Estimate | None] = dict.fromkeys(NAMES)
+    covariance = solution.covariance
+    if correlated is not None:
+        covariance, of_time = correlated.uncertainty(problem, solution)
+        if MARKOV in columns:
+            time_s = correlated.time * interval_s
+            terms[CORRELATION_TIME] = Estimate(time_s, time_s * math.sqrt(of_time))
+    for column in columns:
+        coefficient, sd = float(solution.coefficients[column]), math.sqrt(covariance[column, column])
+        value = math.sqrt(coefficient * TERMS[column].per_unit(interval_s))
+        terms[TERMS[column].name] = Estimate(value, 0.5 * value * sd / coefficient)
+    return terms
 
 
-def _contradicted(
-    problem: Problem, coefficients: FloatArray, covariance: FloatArray, reported: list[int]
-) -> bool:
-    """Tell whether a term alone predicts more than the curve has, at some averaging time, beyond chance."""
-    for column in reported:
-        alone = np.zeros(len(COLUMNS))
-        alone[column] = max(coefficients[column] - math.sqrt(covariance[column, column]), 0.0)
-        alone[FILTER] = coefficients[FILTER] if column == WHITE else 0.0
-        predicted = problem.design @ alone
-        some = predicted > 0.0
-        spread = np.diag(problem.covariances.matrix(signed(alone))) + (problem.model_error * predicted) ** 2
-        some &= spread > 0.0
-        freedom = 2.0 * predicted[some] ** 2 / spread[some]
-        ratio = problem.variances[some] / predicted[some]
-        if (gammainc(0.5 * freedom, 0.5 * freedom * ratio) < GOOD).any():
-            return True
-    return False
+def _called_for(problem: Problem, smallest: Solution, solution: Solution) -> list[int]:
+    """Return the columns of the terms that the fit without them calls for, whatever may stand for them."""
+    found = []
+    for column in np.flatnonzero(solution.coefficients[: len(TERMS)]).tolist():
+        beside = _with_alike(smallest) if column in ALIKE else _columns_of(smallest)
+        others = tuple(other for other in beside if other != column)
+        alone = column == MARKOV or not others
+        if alone or problem.called_for(problem.fit(others), column) > SHOWN:
+            found.append(column)
+    return found
 
 
-def _reported(problem: Problem, smallest: Solution, solution: Solution) -> list[int]:
-    """Return the columns of the terms that the data show."""
-    found = np.flatnonzero(solution.coefficients[: len(TERMS)]).tolist()
-    return [column for column in found if column == MARKOV or _is_shown(problem, smallest, column)]
-
-
-def _is_shown(problem: Problem, solution: Solution, column: int) -> bool:
-    """Tell whether the fit without a term calls for it, whatever may stand in its place."""
-    beside = _with_alike(solution) if column in ALIKE else np.flatnonzero(solution.coefficients).tolist()
-    others = tuple(other for other in beside if other != column)
-    return not others or problem.called_for(problem.fit(others), column) > TERMS[column].shown
+def _columns_of(solution: Solution) -> tuple[int, ...]:
+    return tuple(np.flatnonzero(solution.coefficients).tolist())
 
 
 def _with_alike(solution: Solution) -> tuple[int, ...]:
     """Return the columns of a solution, with what is not called for, but could stand in their place."""
-    found = frozenset(np.flatnonzero(solution.coefficients).tolist())
+    found = frozenset(_columns_of(solution))
     return tuple(sorted(found | ALIKE if found & ALIKE else found))
 
 
@@ -279,8 +253,7 @@ def _range_and_error(
         if error == 0.0:
             return start, n, 0.0
         tried.append((error, start))
-    least = min(error for error, _ in tried)
-    error, start = next((error, start) for error, start in tried if error <= NEARLY_LEAST * least)
+    error, start = min(tried)
     if error > NO_SUM:
         stop = _good_beginning(variances, covariances)
         if stop:
@@ -306,26 +279,20 @@ def _good_beginning(variances: FloatArray, covariances: Covariances) -> int:
     chi-square does not see a disturbance that has only just begun.
     """
     for stop in range(len(variances) - 1, FEWEST_BEFORE, -1):
-        if is_good(*_everything(variances[:stop], covariances.part(0, stop), 0.0)):
+        if Problem(variances[:stop], covariances.part(0, stop)).fit(EVERY).is_good():
             return stop - 1
     return 0
 
 
-def _everything(variances: FloatArray, covariances: Covariances, error: float) -> tuple[Solution, int]:
-    """Return the fit of all terms and its degrees of freedom."""
-    solution = Problem(variances, covariances, error).fit(EVERY)
-    return solution, max(1, len(variances) - int(np.count_nonzero(solution.coefficients)))
-
-
 def _model_error(variances: FloatArray, covariances: Covariances) -> tuple[float, Solution]:
     """Return the relative error per variance that brings chi-square to its degrees of freedom, or 0."""
-    solution, free = _everything(variances, covariances, 0.0)
-    if is_good(solution, free):
+    solution = Problem(variances, covariances).fit(EVERY)
+    if solution.is_good():
         return 0.0, solution
     error = 1.0
     for _ in range(ROUNDS):
-        solution, free = _everything(variances, covariances, error)
-        change = math.sqrt(solution.chi_square / free)
+        solution = Problem(variances, covariances, error).fit(EVERY)
+        change = math.sqrt(solution.chi_square / solution.degrees_of_freedom())
         error = min(error * change, LARGEST_ERROR)
         if abs(change - 1.0) < CLOSE:
             break
@@ -338,29 +305,24 @@ def _smallest(problem: Problem, every: tuple[int, ...]) -> Solution:
     for size in range(1, len(every) - 1):
         found: list[Solution] = []
         for columns in combinations(every, size):
-            if not _is_sensible(columns, every):
-                continue
             solution = problem.fit(columns)
             if np.count_nonzero(solution.coefficients) < size:
                 continue
             others = [column for column in every if column not in columns]
-            if all(problem.called_for(solution, column) <= _needed(column) for column in others):
+            if not any(_is_missing(problem, solution, column) for column in others):
                 found.append(solution)
         if found:
             return max(found, key=_merit)
     return everything
 
 
-def _is_sensible(columns: tuple[int, ...], every: tuple[int, ...]) -> bool:
-    """Tell whether a set has the correlated noise that was found, and no filter without what it filters."""
-    filtered = FILTER not in columns or (QUANTIZATION not in columns and WHITE in columns)
-    return filtered and (MARKOV in columns or MARKOV not in every)
-
-
-def _needed(column: int) -> float:
-    return SHORT_FITTED if column in (QUANTIZATION, FILTER) else FITTED
+def _is_missing(problem: Problem, solution: Solution, column: int) -> bool:
+    """Return whether the data call for one more term."""
+    least = SHORT_FITTED if column in (QUANTIZATION, FILTER) else FITTED
+    return problem.called_for(solution, column) > least
 
 
 def _merit(solution: Solution) -> float:
-    """Return the logarithm of the likelihood; a ramp must be far more likely than another noise."""
-    return solution.log_likelihood - (0.5 * RAMP_SHOWN**2 if solution.coefficients[RAMP] else 0.0)
+    """Return the logarithm of the likelihood; one piece of a random walk resembles a ramp, which must be more
+    likely by as much as a term that is shown."""
+    return solution.log_likelihood - (0.5 * SHOWN**2 if solution.coefficients[RAMP] else 0.0)

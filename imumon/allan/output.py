@@ -2,85 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from imumon.allan.analysis import Deviations, Result
 from imumon.allan.confidence import CONFIDENCE
 from imumon.allan.fit import Estimate
+from imumon.allan.parameters import TERMS_OF
 from imumon.allan.recording import GROUPS, UNITS, group_of, rate_hz
-from imumon.blocks import FloatArray
 from imumon.config import dump_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.files import check_output, write_text
-from imumon.geodesy import MICRO_G
-
-_DEG = math.degrees(1.0)
-
-
-@dataclass(frozen=True, slots=True)
-class TermOfSensor:
-    """How a term of one sensor is reported."""
-
-    unit: str
-    key: str
-    """SI unit, and key in the noise section of a pipeline."""
-    title: str
-    shown: str
-    factor: float
-    """What a person reads: its name, its unit, and how many of it are one SI unit."""
-
-
-TERMS_OF = {
-    "gyro": {
-        "angle_random_walk": TermOfSensor(
-            "rad/sqrt(s)", "angle_random_walk_rad_per_sqrt_s", "angle random walk", "°/√h", 60.0 * _DEG
-        ),
-        "bias_instability": TermOfSensor(
-            "rad/s", "bias_instability_rad_per_s", "bias instability", "°/h", 3600.0 * _DEG
-        ),
-        "rate_random_walk": TermOfSensor(
-            "rad/s/sqrt(s)",
-            "rate_random_walk_rad_per_s_sqrt_s",
-            "rate random walk",
-            "°/h/√h",
-            60.0 * 3600.0 * _DEG,
-        ),
-        "quantization": TermOfSensor("rad", "quantization_rad", "quantization", "arcsec", 3600.0 * _DEG),
-        "rate_ramp": TermOfSensor("rad/s^2", "rate_ramp_rad_per_s2", "rate ramp", "°/h/h", 3600.0**2 * _DEG),
-        "correlated_noise": TermOfSensor(
-            "rad/s", "correlated_noise_rad_per_s", "correlated noise", "°/h", 3600.0 * _DEG
-        ),
-        "correlation_time": TermOfSensor("s", "correlation_time_s", "  correlated for", "s", 1.0),
-    },
-    "accel": {
-        "angle_random_walk": TermOfSensor(
-            "m/s/sqrt(s)", "velocity_random_walk_m_per_s_sqrt_s", "velocity random walk", "m/s/√h", 60.0
-        ),
-        "bias_instability": TermOfSensor(
-            "m/s^2", "bias_instability_m_per_s2", "bias instability", "µg", 1.0 / MICRO_G
-        ),
-        "rate_random_walk": TermOfSensor(
-            "m/s^2/sqrt(s)",
-            "acceleration_random_walk_m_per_s2_sqrt_s",
-            "accel. random walk",
-            "µg/√h",
-            60.0 / MICRO_G,
-        ),
-        "quantization": TermOfSensor("m/s", "quantization_m_per_s", "quantization", "mm/s", 1e3),
-        "rate_ramp": TermOfSensor(
-            "m/s^3", "acceleration_ramp_m_per_s3", "accel. ramp", "µg/h", 3600.0 / MICRO_G
-        ),
-        "correlated_noise": TermOfSensor(
-            "m/s^2", "correlated_noise_m_per_s2", "correlated noise", "µg", 1.0 / MICRO_G
-        ),
-        "correlation_time": TermOfSensor("s", "correlation_time_s", "  correlated for", "s", 1.0),
-    },
-}
-"""Every term of each sensor, by the names in `imumon.allan.fit.NAMES`."""
 
 
 def check_outputs(plot: Path | None, *files: Path | None) -> None:
@@ -105,19 +38,19 @@ def _channel(name: str, result: Result) -> dict[str, Any]:
     style, fit, series = TERMS_OF[group_of(name)], result.fit, result.series
     terms = {name: _estimate(fit.terms[name] if fit else None, term.unit) for name, term in style.items()}
     return {
-        "tau_s": _numbers(result.tau_s),
-        "oadev": _numbers(result.allan.values),
+        "tau_s": result.tau_s.tolist(),
+        "oadev": result.allan.values.tolist(),
         "unit": UNITS[group_of(name)],
         **terms,
         "longest_tau_s": result.longest_tau_s,
         "confidence": CONFIDENCE,
         "oadev_interval": _interval(result.allan),
-        "mdev": _numbers(result.modified.values),
+        "mdev": result.modified.values.tolist(),
         "mdev_interval": _interval(result.modified),
-        "ohdev": _numbers(result.hadamard.values),
+        "ohdev": result.hadamard.values.tolist(),
         "ohdev_interval": _interval(result.hadamard),
         "noise": list(result.noise),
-        "fit_tau_s": None if fit is None else _numbers(result.tau_s[[fit.first, fit.last]]),
+        "fit_tau_s": None if fit is None else result.tau_s[[fit.first, fit.last]].tolist(),
         "model_error": None if fit is None else fit.model_error,
         "withheld": None if fit is None else fit.withheld or None,
         "step": None if result.digits is None else result.digits.step,
@@ -135,12 +68,8 @@ def _estimate(estimate: Estimate | None, unit: str) -> dict[str, object] | None:
     return None if estimate is None else {"value": estimate.value, "sd": estimate.sd, "unit": unit}
 
 
-def _numbers(values: FloatArray) -> list[float]:
-    return [float(value) for value in values]
-
-
 def _interval(deviations: Deviations) -> dict[str, list[float]]:
-    return {"low": _numbers(deviations.low), "high": _numbers(deviations.high)}
+    return {"low": deviations.low.tolist(), "high": deviations.high.tolist()}
 
 
 def noise_section(results: Mapping[str, Result]) -> dict[str, dict[str, list[float | None]]]:

@@ -12,14 +12,12 @@ from matplotlib.figure import Figure
 
 from imumon.allan.analysis import Result
 from imumon.allan.fit import TERMS
+from imumon.allan.parameters import TERMS_OF
 from imumon.allan.recording import GROUPS, group_of
 from imumon.files import write_png
-from imumon.geodesy import MICRO_G
 from imumon.harmless import for_plot
 
 COLORS = {"x": "#d03c3c", "y": "#2a9a4f", "z": "#3b78d8"}
-SHOWN = {"gyro": (float(np.rad2deg(3600.0)), "°/h"), "accel": (1.0 / MICRO_G, "µg")}
-"""Factor and unit that a person reads."""
 TITLES = {"gyro": "Angular rate", "accel": "Specific force"}
 STYLES = {
     "angle_random_walk": ":",
@@ -47,16 +45,15 @@ def write_plot(path: Path, results: Mapping[str, Result], title: str) -> None:
 
 
 def _draw(axes: Any, group: str, results: Mapping[str, Result]) -> None:
-    factor, unit = SHOWN[group]
+    level = TERMS_OF[group]["bias_instability"]
+    factor, unit = level.factor, level.shown
     for name, result in results.items():
         axis = name[-1]
         color, tau, allan = COLORS[axis], result.tau_s, result.allan
         trusted = result.trusted
         axes.fill_between(tau, factor * allan.low, factor * allan.high, color=color, alpha=0.16, lw=0)
         axes.plot(tau[:trusted], factor * allan.values[:trusted], color=color, lw=1.8, label=axis)
-        axes.plot(
-            tau[max(0, trusted - 1) :], factor * allan.values[max(0, trusted - 1) :], color=color, lw=0.8
-        )
+        axes.plot(tau, factor * allan.values, color=color, lw=0.8)
         _draw_fit(axes, result, factor, color)
     longest = max((result.longest_tau_s for result in results.values() if result.trusted), default=None)
     if longest is not None:

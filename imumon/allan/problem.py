@@ -47,6 +47,14 @@ class Solution:
     factor: tuple[FloatArray, bool]
     residual: FloatArray
 
+    def degrees_of_freedom(self, others: int = 0) -> int:
+        """Return those that are left, one at least; `others` is how many other parameters were fitted."""
+        return max(1, len(self.residual) - int(np.count_nonzero(self.coefficients)) - others)
+
+    def is_good(self, others: int = 0) -> bool:
+        """Return whether chi-square is in order for its degrees of freedom."""
+        return float(gammaincc(0.5 * self.degrees_of_freedom(others), 0.5 * self.chi_square)) > GOOD
+
 
 class Problem:
     """Variances at some averaging times, and the covariance that goes with each set of coefficients."""
@@ -136,8 +144,3 @@ def signed(coefficients: FloatArray) -> FloatArray:
     signed = coefficients[:FILTER].copy()
     signed[QUANTIZATION] -= coefficients[FILTER]
     return signed
-
-
-def is_good(solution: Solution, free: int) -> bool:
-    """Tell whether chi-square is in order for so many degrees of freedom."""
-    return float(gammaincc(0.5 * free, 0.5 * solution.chi_square)) > GOOD

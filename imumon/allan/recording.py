@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from imumon.allan.series import PARTS, EvenSeries, even_channels
 from imumon.blocks import SampleBlock, join
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.rest.quiet import COARSEST_STEPS
+from imumon.estimation.rest.slots import COARSEST_STEPS
 from imumon.filters.rounding import digits
 from imumon.recordings.reader import Stages, no_stages, open_recording
 from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES
@@ -26,6 +26,8 @@ FEWEST_SAMPLES = 64
 LEAST_USED = 0.5
 """A recording of which less can be used has no even rate."""
 WARMING_DEGC = 0.5
+MOST_JITTER = 0.05
+"""Share of the interval: less variation of the time from sample to sample is not reported."""
 MOVING_SHARE = 0.01
 """Less is put down to the detector."""
 LEAST_FOR_MOTION_S = 10.0
@@ -77,7 +79,7 @@ def read_channels(path: Path, stages: Stages = no_stages) -> Channels:
         *([f"{', '.join(empty)}: fewer than two numbers; left out"] if empty else []),
         *_of_units(series),
         *_of_the_grid(series),
-        *_of_motion(samples, _hidden(series), declared="at_rest" in recording.columns),
+        *_of_motion(samples, series, declared="at_rest" in recording.columns),
         *_of_temperature(samples),
     ]
     return Channels(series, tuple(warnings))
@@ -129,52 +131,53 @@ def _refuse(path: Path, rows: int, names: list[str], series: dict[str, EvenSerie
 def _of_units(series: dict[str, EvenSeries]) -> list[str]:
     """Tell what looks like readings in other units."""
     remarks = []
-    fast = [
-        name
-        for name in series
-        if group_of(name) == "gyro" and np.median(np.abs(series[name].values)) > FASTEST_RAD_S
-    ]
+    fast = [name for name in GYRO if name in series and _median_size(series[name]) > FASTEST_RAD_S]
     if fast:
         remarks.append(f"{', '.join(fast)}: turns faster than any gyro measures: it is not in rad/s")
-    accel = [series[name] for name in series if group_of(name) == "accel"]
-    norm = float(np.linalg.norm([channel.values.mean() for channel in accel]))
-    if len(accel) == len("xyz") and not NORMAL_G[0] < norm < NORMAL_G[1]:
+    accel = [series[name].values.mean() for name in ACCEL if name in series]
+    norm = float(np.linalg.norm(accel))
+    if len(accel) == len(ACCEL) and not NORMAL_G[0] < norm < NORMAL_G[1]:
         remarks.append(
             f"the mean specific force is {norm:.4g} m/s^2, not gravity: it is not in m/s^2, or not whole"
         )
     return remarks
 
 
+def _median_size(channel: EvenSeries) -> float:
+    return float(np.median(np.abs(channel.values)))
+
+
 def _of_the_grid(series: dict[str, EvenSeries]) -> list[str]:
+    """Tell of gaps, pieces and uneven times, of channels together where they have the same."""
     channels: dict[str, list[str]] = {}
     for name, channel in series.items():
-        rate = 1.0 / channel.interval_s
-        lost, islands = int(channel.gap_lengths.sum()), len(channel.islands) - 1
-        texts = []
-        if lost:
-            texts.append(
-                f"{len(channel.gap_lengths):,} gaps, {lost:,} of {len(channel.values):,} samples missing: "
-                f"their neighbours' mean in averaging times {PARTS} times as long, crossed by no shorter one"
-            )
-        if islands > 1:
-            texts.append(
-                f"{islands} pieces that nothing crosses (restarts, long or uneven gaps): "
-                "the longest limits the averaging time"
-            )
-        if channel.used < channel.samples:
-            texts.append(
-                f"{channel.samples - channel.used:,} of {channel.samples:,} samples do not come at the even "
-                f"rate of {rate:.6g} Hz and are left out"
-            )
-        if channel.jitter > 0.05:
-            texts.append(f"time from sample to sample varies by {channel.jitter:.0%} rms; taken as even")
-        for text in texts:
+        for text in _of_one_grid(channel):
             channels.setdefault(text, []).append(name)
-    return [f"{_among(names, series)}{text}" for text, names in channels.items()]
+    return [
+        text if len(names) == len(series) else f"{', '.join(names)}: {text}"
+        for text, names in channels.items()
+    ]
 
 
-def _among(names: list[str], series: dict[str, EvenSeries]) -> str:
-    return "" if len(names) == len(series) else f"{', '.join(names)}: "
+def _of_one_grid(channel: EvenSeries) -> Iterator[str]:
+    lost, pieces = int(channel.gap_lengths.sum()), len(channel.islands) - 1
+    if lost:
+        yield (
+            f"{len(channel.gap_lengths):,} gaps, {lost:,} of {len(channel.values):,} samples missing: "
+            f"their neighbours' mean in averaging times {PARTS} times as long, crossed by no shorter one"
+        )
+    if pieces > 1:
+        yield (
+            f"{pieces} pieces that nothing crosses (restarts, long or uneven gaps): "
+            "the longest limits the averaging time"
+        )
+    if channel.used < channel.samples:
+        yield (
+            f"{channel.samples - channel.used:,} of {channel.samples:,} samples do not come at the even "
+            f"rate of {rate_hz(channel):.6g} Hz and are left out"
+        )
+    if channel.jitter > MOST_JITTER:
+        yield f"time from sample to sample varies by {channel.jitter:.0%} rms; taken as even"
 
 
 def _hidden(series: dict[str, EvenSeries]) -> list[str]:
@@ -188,7 +191,7 @@ def _hidden(series: dict[str, EvenSeries]) -> list[str]:
     ]
 
 
-def _of_motion(samples: SampleBlock, hidden: list[str], *, declared: bool) -> list[str]:
+def _of_motion(samples: SampleBlock, series: dict[str, EvenSeries], *, declared: bool) -> list[str]:
     """Tell the share of motion: by the column ``at_rest`` of a table, else by the rest detector."""
     time_ns = samples["device_time_ns"]
     short = time_ns[-1] - time_ns[0] < LEAST_FOR_MOTION_S * 1e9
@@ -199,7 +202,8 @@ def _of_motion(samples: SampleBlock, hidden: list[str], *, declared: bool) -> li
     share = float(np.mean(known != 1))
     if share <= MOVING_SHARE:
         return []
-    if hidden and not declared:
+    hidden = [] if declared else _hidden(series)
+    if hidden:
         return [f"whether the unit moved cannot be told: the steps of {', '.join(hidden)} are too coarse"]
     if not (at_rest == 1).any() and not declared:
         return [
@@ -214,17 +218,17 @@ def _of_motion(samples: SampleBlock, hidden: list[str], *, declared: bool) -> li
 
 
 def _of_temperature(samples: SampleBlock) -> list[str]:
-    for name in TEMPERATURES:
-        if name in samples and np.isfinite(samples[name]).any():
-            readings = samples[name][np.isfinite(samples[name])]
-            low, high = (float(value) for value in np.percentile(readings, [0.5, 99.5]))
-            if high - low > WARMING_DEGC:
-                return [
-                    f"the temperature moved between {low:.1f} and {high:.1f} °C: bias instability, "
-                    "random walk and ramp hold thermal drift"
-                ]
-            return []
-    return ["there is no temperature: thermal drift cannot be told from bias instability and random walk"]
+    there = [samples[name][np.isfinite(samples[name])] for name in TEMPERATURES if name in samples]
+    readings = next((part for part in there if len(part)), None)
+    if readings is None:
+        return ["there is no temperature: thermal drift cannot be told from bias instability and random walk"]
+    low, high = np.percentile(readings, [0.5, 99.5])
+    if high - low <= WARMING_DEGC:
+        return []
+    return [
+        f"the temperature moved between {low:.1f} and {high:.1f} °C: bias instability, random walk and ramp "
+        "hold thermal drift"
+    ]
 
 
 def rate_hz(series: EvenSeries) -> float:

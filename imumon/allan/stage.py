@@ -7,22 +7,19 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from imumon.allan.parameters import AllanParameters, SheetLine
+from imumon.allan.covariance import FLOOR_PER_INSTABILITY
+from imumon.allan.parameters import TERMS_OF, AllanParameters, SheetLine
 from imumon.allan.streaming import LiveCurve, StreamingAllan
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.charts import AXIS_COLORS, GREY, ORANGE, Axis, Chart, Curve
 from imumon.columns import Column
-from imumon.filters.noise import NoiseTerms
-from imumon.geodesy import MICRO_G
 
 TAB = "Allan"
-_GROUPS = {
-    "gyro": ("Allan deviation of the angular rate, at rest", "°/h", math.degrees(3600.0)),
-    "accel": ("Allan deviation of the specific force, at rest", "µg", 1.0 / MICRO_G),
+_TITLES = {
+    "gyro": "Allan deviation of the angular rate, at rest",
+    "accel": "Allan deviation of the specific force, at rest",
 }
-_WALKS = {"gyro": ("°/√h", math.degrees(60.0)), "accel": ("m/s/√h", 60.0)}
-"""Unit of the random walk, and how many of it one in SI units per √s is."""
-CHANNELS = tuple(f"{group}_{axis}" for group in _GROUPS for axis in AXIS_COLORS)
+CHANNELS = tuple(f"{group}_{axis}" for group in _TITLES for axis in AXIS_COLORS)
 
 
 class AllanStage:
@@ -36,16 +33,14 @@ class AllanStage:
         Lines of the data sheet to draw.
     """
 
+    columns: Sequence[Column] = ()
+    """None: a curve over averaging time is not a quantity of each sample."""
+
     def __init__(self, parameters: AllanParameters | None = None) -> None:
         parameters = parameters or AllanParameters()
         self._sheets = {"gyro": parameters.gyro_sheet, "accel": parameters.accel_sheet}
         self._channels: dict[str, StreamingAllan] = {}
         self._restarts = 0
-
-    @property
-    def columns(self) -> Sequence[Column]:
-        """No columns: a curve over averaging time is not a quantity of each sample."""
-        return ()
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Take the samples of a block; needs ``device_time_ns`` and ``segment``."""
@@ -65,22 +60,19 @@ class AllanStage:
         new, self._restarts = restarts > self._restarts, restarts
         return ["the sample rate changed: the Allan curves begin anew"] if new else []
 
-    def curves(self) -> dict[str, LiveCurve]:
-        """Return the curve of each channel so far."""
-        return {name: channel.curve() for name, channel in self._channels.items()}
-
     def charts(self) -> Sequence[Chart]:
         """Return one log-log chart per sensor; none while no averaging time can be trusted."""
         charts = []
-        for group, (title, unit, factor) in _GROUPS.items():
+        for group, title in _TITLES.items():
+            level = TERMS_OF[group]["bias_instability"]
             found = {
                 axis: self._channels[f"{group}_{axis}"].curve().trusted()
                 for axis in AXIS_COLORS
                 if f"{group}_{axis}" in self._channels
             }
-            curves = allan_curves(found, self._sheets[group], factor)
+            curves = allan_curves(found, self._sheets[group], level.factor)
             if curves:
-                x, y = Axis("averaging time [s]", log=True), Axis(f"[{unit}]", log=True)
+                x, y = Axis("averaging time [s]", log=True), Axis(f"[{level.shown}]", log=True)
                 notes = tuple(_note(axis, found[axis], group) for axis in found)
                 charts.append(Chart(f"allan_{group}", TAB, title, x, y, tuple(curves), notes=notes))
         return charts
@@ -106,18 +98,18 @@ def allan_curves(found: Mapping[str, LiveCurve], sheet: SheetLine | None, factor
 
 def _note(axis: str, curve: LiveCurve, group: str) -> str:
     """Return what can be read off a curve: at 1 s the random walk, with its interval, and the lowest."""
-    walk = least = "-"
+    text = least = "-"
     if len(curve.tau_s):
-        (_, unit, factor), (per_root_hour, walks) = _GROUPS[group], _WALKS[group]
+        level, walk = TERMS_OF[group]["bias_instability"], TERMS_OF[group]["angle_random_walk"]
         near = _at_1_s(curve)
         if 0.5 <= curve.tau_s[near] <= 2.0:
-            scale = walks * math.sqrt(curve.tau_s[near])
+            scale = walk.factor * math.sqrt(curve.tau_s[near])
             reach = 0.5 * (curve.high[near] - curve.low[near]) * scale
-            walk = f"{curve.deviation[near] * scale:.3g} ± {reach:.2g} {per_root_hour}"
+            text = f"{curve.deviation[near] * scale:.3g} ± {reach:.2g} {walk.shown}"
         lowest = int(np.argmin(curve.deviation))
         so_far = " so far" if lowest == len(curve.tau_s) - 1 else ""
-        least = f"{factor * curve.deviation[lowest]:.3g} {unit}{so_far}"
-    return f"{axis}  random walk {walk:24} lowest {least}"
+        least = f"{level.factor * curve.deviation[lowest]:.3g} {level.shown}{so_far}"
+    return f"{axis}  random walk {text:24} lowest {least}"
 
 
 def _at_1_s(curve: LiveCurve) -> int:
@@ -144,4 +136,5 @@ def _bars(curve: LiveCurve) -> tuple[FloatArray, FloatArray]:
 
 def sheet_deviation(sheet: SheetLine, tau_s: FloatArray) -> FloatArray:
     """Return the Allan deviation that a data sheet promises at these averaging times, (n,)."""
-    return np.sqrt(NoiseTerms(sheet.white, sheet.instability, sheet.walk).allan_variance(tau_s))
+    flat = FLOOR_PER_INSTABILITY * sheet.instability
+    return np.sqrt(sheet.white**2 / tau_s + flat**2 + sheet.walk**2 * tau_s / 3.0)

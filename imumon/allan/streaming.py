@@ -12,14 +12,11 @@ two: 18 kB for a channel, for averaging times of up to 2^35 samples.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
 from imumon.allan.confidence import TRUSTED_FREEDOM, intervals
-from imumon.allan.covariance import NOISES, Runs, freedom
 from imumon.allan.series import JITTER, nominal_interval_ns
 from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit, record
@@ -32,7 +29,7 @@ OCTAVES = RINGS + FIRST_RING
 LEARN = 64
 """Samples from which the interval is learned; as many steps in a row that do not fit it begin anew."""
 _SLOPES = np.array([-1.0, 0.0, 1.0, -2.0])
-"""Exponent of the Allan variance over tau for each of `NOISES`."""
+"""Exponent of the Allan variance over tau of white noise, flicker, random walk and quantization."""
 
 
 class _Run:
@@ -122,23 +119,14 @@ class StreamingAllan:
     """Allan deviation of one channel of a stream."""
 
     def __init__(self) -> None:
-        self._restarts = 0
+        self.restarts = 0
+        """How often the rate changed, and everything began anew."""
         self._begin()
 
     def _begin(self) -> None:
         self._waiting: list[tuple[int, int, float]] = []
         self._run = record(_Run, rings=(RINGS, RING), sums=OCTAVES, counts=OCTAVES)
         self._run.position = -1
-
-    @property
-    def interval_s(self) -> float:
-        """Time from sample to sample; 0 while it is being learned."""
-        return self._run.interval_ns * 1e-9
-
-    @property
-    def restarts(self) -> int:
-        """How often the rate changed, and everything began anew."""
-        return self._restarts
 
     def process(self, time_ns: IntArray, segment: IntArray, values: FloatArray) -> None:
         """Add samples, (n,) each; NaN where the channel has none.
@@ -153,7 +141,7 @@ class StreamingAllan:
                 start += stream(time_ns[start:], segment[start:], values[start:], self._run)
                 if start < len(values):
                     self._begin()
-                    self._restarts += 1
+                    self.restarts += 1
 
     def _learn(self, time_ns: IntArray, segment: IntArray, values: FloatArray, start: int) -> int:
         """Gather samples until the interval is known, then add them; return the next row."""
@@ -178,16 +166,15 @@ class StreamingAllan:
         stride = np.maximum(1.0, m / STRIDES_PER_TAU)
         variance = run.sums[:n] / run.counts[:n] / (2.0 * m**2)
         length = (run.counts[:n] - 1) * stride + 2.0 * m
-        names = identify(variance)
-        edf = np.array(
-            [_freedom(int(k), int(row), float(r)) for k, row, r in zip(m, names, length / m, strict=True)]
-        )
+        # Sixteen differences to an averaging time are those of an averaging factor of 16.
+        used = np.minimum(m, STRIDES_PER_TAU)
+        edf = degrees_of_freedom(identify(variance), used, used * length / m)
         tau_s = np.asarray(m * run.interval_ns * 1e-9, np.float64)
         return LiveCurve(tau_s, np.sqrt(variance), *intervals(variance, edf), edf)
 
 
 def identify(variance: FloatArray) -> IntArray:
-    """Return which of `NOISES` each octave is most like: by the slope of the curve around it."""
+    """Return which row of `_SLOPES` each octave is most like, (n,), by the slope of the curve around it."""
     if len(variance) < 2:
         return np.zeros(len(variance), np.int64)
     logs = np.log2(np.maximum(variance, 1e-300))
@@ -195,23 +182,21 @@ def identify(variance: FloatArray) -> IntArray:
     return np.asarray(np.abs(slope[:, np.newaxis] - _SLOPES).argmin(axis=1), np.int64)
 
 
-_LENGTHS = 2.0 ** np.arange(1, 12)
+def degrees_of_freedom(noise: IntArray, m: FloatArray, samples: FloatArray) -> FloatArray:
+    """Return those of overlapping Allan variances, (n,): Howe, Allan and Barnes 1981; NIST SP 1065, table 5.
 
-
-@lru_cache(maxsize=64)
-def _table(m: int, noise: int) -> FloatArray:
-    """Return the logarithm of the degrees of freedom for runs of 2, 4, 8, ... times m."""
-    mixture = np.eye(len(NOISES))[noise]
-    runs = (Runs(np.array([ratio * m]), np.ones(1)) for ratio in _LENGTHS)
-    return np.asarray(np.log([max(freedom("allan", m, run).of(mixture), 1e-3) for run in runs]))
-
-
-def _freedom(m: int, noise: int, ratio: float) -> float:
-    """Return the degrees of freedom at m of a run `ratio` times as long.
-
-    Above 16 they depend on the ratio alone (for quantization they are taken too low), and long runs have
-    them in proportion to their length.
+    Parameters
+    ----------
+    noise : array of int64, (n,)
+        Row of `_SLOPES`.
+    m, samples : array, (n,)
+        Averaging factor, and length of the record.
     """
-    table = _table(min(m, STRIDES_PER_TAU), noise)
-    beyond = max(1.0, ratio / float(_LENGTHS[-1]))
-    return beyond * math.exp(float(np.interp(math.log(ratio / beyond), np.log(_LENGTHS), table)))
+    n = samples + 1.0  # of the integrated signal
+    white = (1.5 * (n - 1.0) / m - 2.0 * (n - 2.0) / n) * 4.0 * m**2 / (4.0 * m**2 + 5.0)
+    flicker = np.where(
+        m == 1.0, 2.0 * (n - 2.0) ** 2 / (2.3 * n - 4.9), 5.0 * n**2 / (4.0 * m * (n + 3.0 * m))
+    )
+    walk = (n - 2.0) / m * ((n - 1.0) ** 2 - 3.0 * m * (n - 1.0) + 4.0 * m**2) / (n - 3.0) ** 2
+    quantization = (n + 1.0) * (n - 2.0 * m) / (2.0 * (n - m))
+    return np.asarray(np.choose(noise, [white, flicker, walk, quantization]))

@@ -74,7 +74,7 @@ def _for_odometry(
 
 def _of_the_fit(results: dict[str, Result]) -> list[str]:
     """Tell where the terms are from a part of the curve, or from none, and why."""
-    from imumon.allan.fit import AMBIGUOUS, CONTRADICTED, DIGITS, NO_SUM
+    from imumon.allan.fit import AMBIGUOUS, DIGITS, NO_SUM
 
     none = [name for name, result in results.items() if result.fit is None]
     still = [name for name in none if not results[name].allan.values.any()]
@@ -83,8 +83,7 @@ def _of_the_fit(results: dict[str, Result]) -> list[str]:
     cut = [f"{name} {results[name].tau_s[fit.first]:.2g} s" for name, fit in fits.items() if fit.first]
     off = {name: fit.model_error for name, fit in fits.items() if fit.model_error and fit.withheld != DIGITS}
     withheld = {
-        why: [name for name, fit in fits.items() if fit.withheld == why]
-        for why in (AMBIGUOUS, CONTRADICTED, DIGITS)
+        why: [name for name, fit in fits.items() if fit.withheld == why] for why in (AMBIGUOUS, DIGITS)
     }
     begun = [
         f"{name} {results[name].tau_s[fit.last]:.2g} s"
@@ -105,8 +104,6 @@ def _of_the_fit(results: dict[str, Result]) -> list[str]:
         ],
         "correlated noise describes the curve as well as bias instability or a random walk: neither is "
         "reported; record for longer": withheld[AMBIGUOUS],
-        "the curve lies below what a term that was fitted would make alone: only the angle random walk is "
-        "reported": withheld[CONTRADICTED],
         "the steps of the readings hide the noise: no term is reported": [
             _steps(name, results[name]) for name in withheld[DIGITS]
         ],
@@ -148,7 +145,7 @@ def _show(results: dict[str, Result]) -> None:
     from rich.box import SIMPLE
     from rich.table import Column, Table
 
-    from imumon.allan.output import TERMS_OF
+    from imumon.allan.parameters import TERMS_OF
 
     out = console()
     for group, terms in TERMS_OF.items():

@@ -1,1 +1,1 @@
-"""What several estimators share: slots of samples, turns followed by gyros, noise models, regressions."""
+"""What several rooms share: slots of samples, turns by gyros, multiple models, rounding, regressions."""

@@ -19,9 +19,6 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 
-LEAST_LOG_LIKELIHOOD = -60.0
-"""Least log likelihood relative to the best mode's: exp(-60) is 1e-26, so that no probability underflows."""
-
 
 class Mixed(NamedTuple):
     """Mean (n, ..., m), covariance (n, n, ..., m) and predicted probability (..., m) of each mode."""
@@ -56,7 +53,7 @@ def mix(mean: FloatArray, covariance: FloatArray, mu: FloatArray, transition: Fl
     return Mixed(mixed + centre, second - mixed[:, np.newaxis] * mixed, predicted)
 
 
-def mode_probabilities(mu: FloatArray, log_likelihood: FloatArray, least: float = 0.0) -> FloatArray:
+def mode_probabilities(mu: FloatArray, log_likelihood: FloatArray, least: float) -> FloatArray:
     """Return the probabilities given the likelihoods of a measurement, over all axes together.
 
     Parameters
@@ -66,8 +63,7 @@ def mode_probabilities(mu: FloatArray, log_likelihood: FloatArray, least: float 
     least : float
         No probability falls below this, so that none is lost for ever.
     """
-    relative = np.maximum(log_likelihood - log_likelihood.max(), LEAST_LOG_LIKELIHOOD)
-    posterior = mu * np.exp(relative)
+    posterior = mu * np.exp(log_likelihood - log_likelihood.max())
     return np.asarray(np.maximum(posterior / posterior.sum(), least))
 
 

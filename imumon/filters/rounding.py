@@ -29,6 +29,9 @@ TERMS = 60
 RATIOS = np.geomspace(0.02, 1.6, 45)
 """Noise in steps that is tried, 10 % apart; above the last, rounding leaves all but 1e-22."""
 PHASES = np.arange(-0.5, 0.5, 0.05)
+"""Means of a piece between two steps that are tried."""
+LEAST_CHANCE = 1e-12
+"""Of a step however far: a single outlier decides nothing."""
 
 
 def mean_error(step: float, ratio: float) -> float:
@@ -102,19 +105,15 @@ def digits(values: FloatArray) -> Digits | None:
     if step == 0.0 or spread > RATIOS[-1] * step:
         return None
     middle = np.sort(looked, axis=1)[:, BLOCK // 2, np.newaxis]  # one of the readings
-    places = np.rint((looked - middle) / step).astype(np.int64)
-    places = np.clip(places, -FARTHEST, FARTHEST) + FARTHEST
-    rows = np.arange(len(places))[:, np.newaxis] * (2 * FARTHEST + 1)
-    counts = np.bincount((places + rows).ravel(), minlength=len(places) * (2 * FARTHEST + 1))
-    likely = np.log(_chances()) @ counts.reshape(len(places), -1).T
+    steps = np.clip(np.rint((looked - middle) / step), -FARTHEST, FARTHEST)
+    counts = np.array([(steps == place).sum(axis=1) for place in range(-FARTHEST, FARTHEST + 1)])
+    likely = np.log(_chances()) @ counts
     best = likely.max(axis=1).sum(axis=1)
     return Digits(step, float(RATIOS[int(np.argmax(best))]))
 
 
 def _chances() -> FloatArray:
     """Return the probability of each step from the middle, (ratios, phases, steps)."""
-    edges = np.arange(-FARTHEST, FARTHEST) + 0.5
-    scaled = (edges - PHASES[:, np.newaxis]) / RATIOS[:, np.newaxis, np.newaxis]
-    below = ndtr(scaled)
-    ends = np.ones((*below.shape[:2], 1))
-    return np.maximum(np.diff(np.concatenate([0.0 * ends, below, ends], axis=-1), axis=-1), 1e-12)
+    edges = np.concatenate([[-np.inf], np.arange(-FARTHEST, FARTHEST) + 0.5, [np.inf]])
+    below = ndtr((edges - PHASES[:, np.newaxis]) / RATIOS[:, np.newaxis, np.newaxis])
+    return np.asarray(np.maximum(np.diff(below), LEAST_CHANCE))

@@ -29,7 +29,6 @@ class Breaks:
         times, labels = time_ns[dated], segment[dated]
         last_ns, last_label = self._last if self._last is not None else (times[0], labels[0])
         self._last = int(times[-1]), int(labels[-1])
-        begins = np.empty(len(dated), np.bool_)
-        begins[0] = labels[0] != last_label or times[0] < last_ns
-        begins[1:] = (labels[1:] != labels[:-1]) | (times[1:] < times[:-1])
+        begins = np.diff(labels, prepend=last_label) != 0
+        begins |= np.diff(times, prepend=last_ns) < 0
         return [int(row) for row in dated[begins]]

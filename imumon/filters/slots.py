@@ -8,7 +8,7 @@ sample of a segment.  A slot ends with the first sample behind it, so its result
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,7 +17,7 @@ import numpy.typing as npt
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
 from imumon.compiled import inner, njit
 from imumon.filters import turns as turning
-from imumon.filters.turns import Turns, add_rate, begin_segment, begin_turn, end_turn, turns_of
+from imumon.filters.turns import Turns, add_rate, apply_phi, begin_segment, begin_turn, turns_of
 
 Number = TypeVar("Number", np.float64, np.int64)
 
@@ -73,21 +73,19 @@ def _fields(names: str, kind: type) -> list[tuple[str, type]]:
     return [(name, kind) for name in names.split()]
 
 
-OPEN = np.dtype(_fields("begun begins segment origin_ns start_ns stop_ns last_ns samples", np.int64))
-"""The slot that is being filled; it lasts until `stop_ns`."""
-OPEN_COLUMN = np.dtype(
-    _fields("present step_count changes", np.int64)
-    + _fields("shift total squares smallest largest first last previous step_squares", np.float64)
-)
-"""A column of it; sums are of the differences from `shift`, the slot's first value."""
-ENDED = np.dtype(_fields("row segment begins start_ns end_ns samples", np.int64))
-ENDED_COLUMN = np.dtype(
+SLOT = np.dtype(_fields("row segment begins start_ns end_ns samples begun origin_ns stop_ns", np.int64))
+"""A slot as compiled code has it: fields of `Slots`; then whether a slot is being filled, the first time of
+its segment, and the time at which it ends."""
+COLUMN = np.dtype(
     _fields("count step_count changes", np.int64)
     + _fields("mean variance smallest largest first last step_squares", np.float64)
+    + _fields("total squares previous", np.float64)
 )
-"""Results of a slot, and of each of its columns: the fields of `Slots`."""
-
-
+"""A column of it: fields of `Slots`, sums of the differences from `first` and of their squares, and the value
+of the row before."""
+SLOT_FIELDS, COLUMN_FIELDS = (
+    [field.name for field in fields(Slots) if field.name in (dtype.names or ())] for dtype in (SLOT, COLUMN)
+)
 NO_RATES = -1
 
 
@@ -111,10 +109,13 @@ class SlotGatherer:
             raise ValueError(f"slots of {length_ns} ns")
         self.length_ns = length_ns
         self._columns = columns
-        self._open: RecordArray = np.zeros(1, OPEN)
-        self._open_columns: RecordArray = np.zeros(columns, OPEN_COLUMN)
         self._rates = NO_RATES if rates is None else rates
-        self._turn: RecordArray = np.zeros(1, turning.OPEN)
+        self._begin()
+
+    def _begin(self) -> None:
+        self._slot: RecordArray = np.zeros(1, SLOT)
+        self._slot_columns: RecordArray = np.zeros(self._columns, COLUMN)
+        self._turn: RecordArray = np.zeros(1, turning.RECORD)
 
     def process(self, time_ns: IntArray, segment: IntArray, values: FloatArray) -> Slots:
         """Return the slots that end within these rows.
@@ -130,23 +131,22 @@ class SlotGatherer:
         n = len(time_ns)
         if values.shape != (n, self._columns):
             raise ValueError(f"values of shape {values.shape} for {n} rows of {self._columns} columns")
-        slots, columns = np.empty(n, ENDED), np.empty((n, self._columns), ENDED_COLUMN)
-        turns = np.empty(n if self._rates >= 0 else 0, turning.ENDED)
+        slots, columns = np.empty(n, SLOT), np.empty((n, self._columns), COLUMN)
+        turns = np.empty(n if self._rates >= 0 else 0, turning.RECORD)
         values = np.ascontiguousarray(values, np.float64)
         m = _gather(
-            time_ns, segment, values, self.length_ns, self._rates, self._open, self._open_columns,
+            time_ns, segment, values, self.length_ns, self._rates, self._slot, self._slot_columns,
             self._turn, slots, columns, turns,
         )  # fmt: skip
-        results: dict[str, Any] = {name: slots[name][:m] for name in slots.dtype.names or ()}
-        results |= {name: columns[name][:m] for name in columns.dtype.names or ()}
+        results: dict[str, Any] = {name: slots[name][:m] for name in SLOT_FIELDS}
+        results |= {name: columns[name][:m] for name in COLUMN_FIELDS}
         return Slots(**(results | {"begins": results["begins"] == 1, "turns": turns_of(turns[:m])}))
 
     def finish(self) -> Slots:
         """Return the slot that is open at the end of the rows, if there is one; then begin as new."""
-        behind = self._open["segment"] + 1
+        behind = self._slot["segment"] + 1
         last = self.process(np.zeros(1, np.int64), behind, np.full((1, self._columns), np.nan))
-        self._open[:], self._open_columns[:] = np.zeros(1, OPEN), np.zeros(self._columns, OPEN_COLUMN)
-        self._turn = np.zeros(1, turning.OPEN)
+        self._begin()
         return last
 
 
@@ -174,51 +174,44 @@ def held(
 
 
 @inner
-def _begin(opened: Any, columns: Any, time_ns: int, length_ns: int) -> None:
+def _begin_slot(slot: Any, columns: Any, time_ns: int, length_ns: int) -> None:
     """Begin a slot with the row at this time, on the grid of its segment."""
-    slot = opened[0]
     slot.start_ns = time_ns
     slot.stop_ns = slot.origin_ns + ((time_ns - slot.origin_ns) // length_ns + 1) * length_ns
     slot.samples = 0
     for j in range(len(columns)):
         column = columns[j]
-        column.present = column.step_count = column.changes = 0
+        column.count = column.step_count = column.changes = 0
         column.total = column.squares = column.step_squares = 0.0
+        column.mean = column.variance = np.nan
+        column.smallest = column.largest = column.first = column.last = np.nan
 
 
 @inner
-def _close(opened: Any, columns: Any, row: int, ended: Any, ended_columns: Any) -> None:
-    """Write the slot into a row of the results."""
-    slot = opened[0]
-    ended.row, ended.segment, ended.begins = row, slot.segment, slot.begins
-    ended.start_ns, ended.end_ns, ended.samples = slot.start_ns, slot.last_ns, slot.samples
-    slot.begins = 0
+def _end_slot(slot: Any, columns: Any, row: int, ended_columns: Any) -> None:
+    """Complete the slot, and write its columns."""
+    slot.row = row
     for j in range(len(columns)):
-        column, out = columns[j], ended_columns[j]
-        out.count, out.step_count, out.changes = column.present, column.step_count, column.changes
-        out.step_squares = column.step_squares
-        if column.present == 0:
-            out.mean = out.variance = out.smallest = out.largest = out.first = out.last = np.nan
-            continue
-        offset = column.total / column.present
-        out.mean = column.shift + offset
-        out.variance = max(column.squares / column.present - offset * offset, 0.0)
-        out.smallest, out.largest = column.smallest, column.largest
-        out.first, out.last = column.first, column.last
+        column = columns[j]
+        if column.count > 0:
+            offset = column.total / column.count
+            column.mean = column.first + offset
+            column.variance = max(column.squares / column.count - offset * offset, 0.0)
+        ended_columns[j] = column
 
 
 @inner
-def _add(columns: Any, values: FloatArray, i: int) -> None:
+def _add_row(columns: Any, values: FloatArray, i: int) -> None:
     """Add a row; sums are taken from the slot's first value, so that a large mean costs no digits."""
     for j in range(len(columns)):
         column, x = columns[j], values[i, j]
         if not np.isfinite(x):
             column.previous = np.nan
             continue
-        if column.present == 0:
-            column.shift = column.smallest = column.largest = column.first = x
-        column.present += 1
-        offset = x - column.shift
+        if column.count == 0:
+            column.smallest = column.largest = column.first = x
+        column.count += 1
+        offset = x - column.first
         column.total += offset
         column.squares += offset * offset
         column.smallest = min(column.smallest, x)
@@ -244,26 +237,29 @@ def _gather(
         now = time_ns[i]
         if now == NO_INT:
             continue
-        anew = segment[i] != slot.segment or now < slot.last_ns
+        anew = segment[i] != slot.segment or now < slot.end_ns or not slot.begun
         if slot.begun and (anew or now >= slot.stop_ns):
-            _close(opened, columns, i, ended[m], ended_columns[m])
+            _end_slot(slot, columns, i, ended_columns[m])
+            ended[m] = slot
             if rates >= 0:
-                end_turn(turn[0], turns[m])
+                apply_phi(turn[0])
+                turns[m] = turn[0]
                 begin_turn(turn[0])
             m += 1
-            _begin(opened, columns, now, length_ns)
-        if anew or not slot.begun:
+            slot.begins = 0
+            _begin_slot(slot, columns, now, length_ns)
+        if anew:
             slot.begun = slot.begins = 1
             slot.segment = segment[i]
             slot.origin_ns = now
             for j in range(len(columns)):
                 columns[j].previous = np.nan
-            _begin(opened, columns, now, length_ns)
+            _begin_slot(slot, columns, now, length_ns)
             begin_segment(turn[0])
             begin_turn(turn[0])
-        slot.last_ns = now
+        slot.end_ns = now
         slot.samples += 1
-        _add(columns, values, i)
+        _add_row(columns, values, i)
         if rates >= 0:
-            add_rate(turn[0], now, values[i, rates], values[i, rates + 1], values[i, rates + 2])
+            add_rate(turn[0], now, (values[i, rates], values[i, rates + 1], values[i, rates + 2]))
     return m

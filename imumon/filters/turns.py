@@ -35,10 +35,6 @@ LATE = 1.5
 """Intervals after which a sample is missing."""
 SMALL = 1e-2
 """rad: of rotation vectors up to this the term of third order is below 1e-5 of the next angle."""
-HALF_CIRCLE = 3.0
-"""rad: near half a circle a matrix does not tell which way round."""
-SERIES = 1e-2
-"""Square of an angle, rad², below which four terms of sine and cosine are exact to 1e-10."""
 
 
 @dataclass(slots=True, eq=False)
@@ -68,10 +64,9 @@ class Turn:
         """Return the turn by rates without a constant bias, rad/s, (3,), to first order of its angle."""
         angle = self.by_bias @ bias
         rotation = rotation_by(-angle) @ self.rotation
-        return Turn(
-            rotation, self.by_bias, self.by_scale - self.by_bias[:, :, np.newaxis] * bias, self.coning,
-            self.fast, self.missed, self.seconds, angle_of(rotation),
-        )  # fmt: skip
+        by_scale = self.by_scale - self.by_bias[:, :, np.newaxis] * bias
+        sampling = self.coning, self.fast, self.missed
+        return Turn(rotation, self.by_bias, by_scale, *sampling, self.seconds, angle_of(rotation))
 
     def then(self, other: Turn) -> Turn:
         """Return this turn and another after it."""
@@ -115,84 +110,53 @@ class Turns:
 
     def at(self, k: int) -> Turn:
         """Return one."""
-        rotation = self.rotation[k]
-        return Turn(
-            rotation, self.by_bias[k], self.by_scale[k], self.coning[k], float(self.fast[k]),
-            float(self.missed[k]), float(self.seconds[k]), angle_of(rotation),
-        )  # fmt: skip
+        turn = Turn(*(getattr(self, one.name)[k] for one in fields(self)))
+        turn.path = angle_of(turn.rotation)
+        return turn
+
+
+Vector = tuple[float, float, float]
 
 
 def rotation_by(vector: FloatArray) -> FloatArray:
     """Return the matrix (3, 3) of a rotation vector, rad (Rodrigues)."""
     x, y, z = vector.tolist()
-    angle = math.sqrt(x * x + y * y + z * z)
-    first = math.sin(angle) / angle if angle > 0.0 else 1.0
-    second = 2.0 * (math.sin(0.5 * angle) / angle) ** 2 if angle > 0.0 else 0.5
-    xy, yz, zx = second * x * y, second * y * z, second * z * x
-    xx, yy, zz = second * x * x, second * y * y, second * z * z
-    x, y, z = first * x, first * y, first * z
-    return np.array(
-        [
-            [1.0 - yy - zz, xy - z, zx + y],
-            [xy + z, 1.0 - xx - zz, yz - x],
-            [zx - y, yz + x, 1.0 - xx - yy],
-        ]
-    )
+    first, second = _rodrigues(x * x + y * y + z * z)
+    crossed = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + first * crossed + second * (crossed @ crossed))
 
 
 def angle_of(rotation: FloatArray) -> float:
     """Return the angle of a rotation (3, 3), rad; small ones to full precision."""
-    (_, b, c), (d, _, f), (g, h, _) = rotation.tolist()
-    sine = math.sqrt((h - f) ** 2 + (c - g) ** 2 + (d - b) ** 2)
-    return math.atan2(sine, rotation[0, 0] + rotation[1, 1] + rotation[2, 2] - 1.0)
+    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
+    twice_sine = math.sqrt((h - f) ** 2 + (c - g) ** 2 + (d - b) ** 2)
+    return math.atan2(twice_sine, a + e + i - 1.0)
 
 
-def mean_rates(turns: Turns) -> FloatArray:
-    """Return the constant rates by which the same turns come about, rad/s, (m, 3); NaN without any time."""
-    c = turns.rotation
-    twice = np.stack([c[:, 2, 1] - c[:, 1, 2], c[:, 0, 2] - c[:, 2, 0], c[:, 1, 0] - c[:, 0, 1]], 1)
-    sine = 0.5 * np.sqrt((twice**2).sum(1))
-    angle = np.arctan2(sine, 0.5 * (np.trace(c, axis1=1, axis2=2) - 1.0))
-    longer = np.divide(angle, sine, out=np.ones_like(sine), where=sine > 0.0)
-    known = (turns.seconds > 0.0) & (angle < HALF_CIRCLE)
-    rate = np.full(len(sine), np.nan)
-    np.divide(0.5 * longer, turns.seconds, out=rate, where=known)
-    return np.asarray(rate[:, np.newaxis] * twice)
+def _fields(names: str, shape: tuple[int, ...]) -> list[tuple[str, type, tuple[int, ...]]]:
+    return [(name, np.float64, shape) for name in names.split()]
 
 
-_VECTOR, _MATRIX = (np.float64, (3,)), (np.float64, (3, 3))
-_RESULTS = [
-    ("rotation", *_MATRIX),
-    ("by_bias", *_MATRIX),
-    ("by_scale", np.float64, (3, 3, 3)),
-    ("coning", *_VECTOR),
-    *((name, np.float64, ()) for name in ("fast", "missed", "seconds")),
-]
-ENDED = np.dtype(_RESULTS)
-"""Results of a slot: the fields of `Turns`."""
-OPEN = np.dtype(
+RECORD = np.dtype(
     [
-        *_RESULTS,
-        *((name, *_VECTOR) for name in ("rate", "angle", "before", "phi", "angles", "between")),
-        *((name, np.float64, ()) for name in ("interval", "span")),
-        *((name, np.int64, ()) for name in ("present", "time_ns")),
+        *_fields("rotation by_bias", (3, 3)),
+        *_fields("by_scale", (3, 3, 3)),
+        *_fields("rate alpha before phi angles between coning", (3,)),
+        *_fields("span interval fast missed seconds", ()),
+        *((name, np.int64) for name in ("present", "time_ns")),
     ]
 )
-"""The turn of the slot that is being filled, and the samples before.
+"""A turn as compiled code has it: the fields of `Turns`, and the samples that are not in its rotation yet.
 
-Samples are first summed in a small rotation vector: `phi` after `span` seconds, the sum of its `angles`, and
-its part by turns `between` samples.  The rotation of the slot is advanced by it.
+Their rotation vector is `phi`, the sum of their angles `angles`, the coning terms among them `between`, their
+time `span` in s.  `rate` in rad/s, `alpha` in rad and `time_ns` are of the last sample, `before` is the alpha
+before it; `present` counts samples since the last pause, and `interval` is their usual distance in s.
 """
 
 
-def turns_of(ended: Any) -> Turns:
-    """Return turns that were written, without what they were written into."""
-    if not len(ended):
-        return NONE
-    return Turns(*(np.array(ended[one.name]) for one in fields(Turns)))
-
-
-NONE = Turns(*(np.empty((0, *shape)) for _, _, shape in _RESULTS))
+def turns_of(records: Any) -> Turns:
+    """Return the turns of records of compiled code, as copies."""
+    return Turns(*(np.array(records[one.name]) for one in fields(Turns)))
 
 
 @inner
@@ -200,7 +164,7 @@ def begin_segment(turn: Any) -> None:
     """Begin with the next sample: nothing is known of how the unit turned before it."""
     turn.present = 0
     turn.interval = 0.0
-    _begin_small(turn)
+    _clear_phi(turn)
 
 
 @inner
@@ -217,114 +181,126 @@ def begin_turn(turn: Any) -> None:
 
 
 @inner
-def end_turn(turn: Any, ended: Any) -> None:
-    """Write the turn of a slot into a row of the results."""
-    _settle(turn)
-    for a in range(3):
-        ended.coning[a] = turn.coning[a]
-        for i in range(3):
-            ended.rotation[a, i] = turn.rotation[a, i]
-            ended.by_bias[a, i] = turn.by_bias[a, i]
-            for j in range(3):
-                ended.by_scale[a, i, j] = turn.by_scale[a, i, j]
-    ended.fast, ended.missed, ended.seconds = turn.fast, turn.missed, turn.seconds
-
-
-@inner
-def add_rate(turn: Any, time_ns: int, x: float, y: float, z: float) -> None:
-    """Turn on by a sample of the rates, rad/s, which holds since the one before."""
+def add_rate(turn: Any, time_ns: int, rate: Vector) -> None:
+    """Turn on by a sample of the rates, rad/s, (3,), which holds since the one before."""
+    x, y, z = rate
     if not np.isfinite(x + y + z):
         return
     dt = (time_ns - turn.time_ns) * 1e-9
     turn.time_ns = time_ns
     if turn.present > 0 and dt > 0.0:
         usual = turn.interval if turn.interval > 0.0 else dt
-        turn.interval = dt
+        turn.interval = min(dt, LATE * usual)
         if dt > LATE * usual:
-            turn.interval = LATE * usual
-            _miss(turn, dt, usual, x, y, z)
+            _miss_samples(turn, dt, usual, rate)
         if turn.present > 0:
-            _turn_on(turn, x * dt, y * dt, z * dt, dt)
+            _add_angle(turn, (x * dt, y * dt, z * dt), dt)
     turn.present += 1
-    turn.rate[0], turn.rate[1], turn.rate[2] = x, y, z
+    _set(turn.rate, rate)
 
 
 @inner
-def _miss(turn: Any, dt: float, usual: float, x: float, y: float, z: float) -> None:
-    """Take account of missing samples before this one."""
-    change = math.sqrt((x - turn.rate[0]) ** 2 + (y - turn.rate[1]) ** 2 + (z - turn.rate[2]) ** 2)
+def _miss_samples(turn: Any, dt: float, usual: float, rate: Vector) -> None:
+    """Add the variance of the samples that are missing before this one."""
+    x, y, z = rate
+    change = _square((x - turn.rate[0], y - turn.rate[1], z - turn.rate[2]))
     if dt > PAUSE_S and dt > PAUSE_INTERVALS * usual:
-        # Nothing is known in between but rates before and behind: it may be all of these.
-        turn.missed += ((math.sqrt(x * x + y * y + z * z) + change) * dt) ** 2
+        # Of the pause only the rates before and after it are known: it may be all of these.
+        turn.missed += ((math.sqrt(_square(rate)) + math.sqrt(change)) * dt) ** 2
         turn.present = 0
     else:
-        turn.missed += (0.5 * change * (dt - usual)) ** 2
+        turn.missed += change * (0.5 * (dt - usual)) ** 2
 
 
 @inner
-def _turn_on(turn: Any, a: float, b: float, c: float, dt: float) -> None:
-    """Add the angles of a sample, rad, to a small rotation vector phi (Bortz 1971, to second order)."""
-    p, q, r = turn.angle[0], turn.angle[1], turn.angle[2]
-    if turn.present == 1:
-        p = q = r = 0.0
+def _add_angle(turn: Any, alpha: Vector, dt: float) -> None:
+    """Add the angles of a sample, rad, to phi (Bortz 1971, to second order)."""
+    a, b, c = alpha
+    p, q, r = _vector(turn.alpha) if turn.present > 1 else (0.0, 0.0, 0.0)
     if turn.present > 2:
-        e = a - 2.0 * p + turn.before[0]
-        f = b - 2.0 * q + turn.before[1]
-        g = c - 2.0 * r + turn.before[2]
-        turn.fast += FAST * (e * e + f * f + g * g)
-    turn.before[0], turn.before[1], turn.before[2] = p, q, r
-    turn.angle[0], turn.angle[1], turn.angle[2] = a, b, c
-    # The turn between samples.
-    u, v, w = MIDDLE * (q * c - r * b), MIDDLE * (r * a - p * c), MIDDLE * (p * b - q * a)
-    turn.between[0] += u
-    turn.between[1] += v
-    turn.between[2] += w
-    turn.angles[0] += a
-    turn.angles[1] += b
-    turn.angles[2] += c
-    x, y, z = turn.phi[0], turn.phi[1], turn.phi[2]
-    turn.phi[0] = x + a + u + 0.5 * (y * c - z * b)
-    turn.phi[1] = y + b + v + 0.5 * (z * a - x * c)
-    turn.phi[2] = z + c + w + 0.5 * (x * b - y * a)
+        k, m, n = _vector(turn.before)
+        turn.fast += FAST * _square((a - 2.0 * p + k, b - 2.0 * q + m, c - 2.0 * r + n))
+    _set(turn.before, (p, q, r))
+    _set(turn.alpha, alpha)
+    u, v, w = _cross((p, q, r), alpha)
+    x, y, z = _vector(turn.phi)
+    e, f, g = _cross((x, y, z), alpha)
+    phi = (
+        x + a + MIDDLE * u + 0.5 * e,
+        y + b + MIDDLE * v + 0.5 * f,
+        z + c + MIDDLE * w + 0.5 * g,
+    )
+    _set(turn.phi, phi)
+    _add(turn.angles, alpha)
+    _add(turn.between, (MIDDLE * u, MIDDLE * v, MIDDLE * w))
     turn.span += dt
-    if abs(turn.phi[0]) + abs(turn.phi[1]) + abs(turn.phi[2]) > SMALL:
-        _settle(turn)
+    if abs(phi[0]) + abs(phi[1]) + abs(phi[2]) > SMALL:
+        apply_phi(turn)
 
 
 @inner
-def _settle(turn: Any) -> None:
-    """Turn by the small rotation vector, and begin it anew."""
-    x, y, z = turn.phi[0], turn.phi[1], turn.phi[2]
-    square = x * x + y * y + z * z
-    if square < SERIES:
-        first = 1.0 - square / 6.0 * (1.0 - square / 20.0)
-        second = 0.5 - square / 24.0 * (1.0 - square / 30.0)
-    else:
-        angle = math.sqrt(square)
-        first = math.sin(angle) / angle
-        second = (1.0 - math.cos(angle)) / square
+def apply_phi(turn: Any) -> None:
+    """Advance the rotation by phi, C exp([phi x]), and clear phi."""
+    phi = _vector(turn.phi)
+    first, second = _rodrigues(_square(phi))
     for k in range(3):
-        # A row of C exp([phi x]), s + first s x phi + second (s x phi) x phi.
-        s, t, m = turn.rotation[k, 0], turn.rotation[k, 1], turn.rotation[k, 2]
-        e, f, g = t * z - m * y, m * x - s * z, s * y - t * x
-        e, f, g = (
-            first * e + second * (f * z - g * y),
-            first * f + second * (g * x - e * z),
-            first * g + second * (e * y - f * x),
+        row = _vector(turn.rotation[k])
+        once = _cross(row, phi)
+        x, y, z = _cross(once, phi)
+        half = (
+            0.5 * (first * once[0] + second * x),
+            0.5 * (first * once[1] + second * y),
+            0.5 * (first * once[2] + second * z),
         )
-        turn.rotation[k, 0], turn.rotation[k, 1], turn.rotation[k, 2] = s + e, t + f, m + g
-        middle = s + 0.5 * e, t + 0.5 * f, m + 0.5 * g
+        _add(turn.rotation[k], half)
         for i in range(3):
-            turn.coning[k] += middle[i] * turn.between[i]
-            turn.by_bias[k, i] += middle[i] * turn.span
+            middle = turn.rotation[k, i]
+            turn.coning[k] += middle * turn.between[i]
+            turn.by_bias[k, i] += middle * turn.span
             for j in range(3):
-                turn.by_scale[k, i, j] += middle[i] * turn.angles[j]
-    _begin_small(turn)
+                turn.by_scale[k, i, j] += middle * turn.angles[j]
+        _add(turn.rotation[k], half)
+    turn.seconds += turn.span
+    _clear_phi(turn)
 
 
 @inner
-def _begin_small(turn: Any) -> None:
+def _clear_phi(turn: Any) -> None:
     for i in range(3):
         turn.phi[i] = turn.angles[i] = turn.between[i] = 0.0
-    turn.seconds += turn.span
     turn.span = 0.0
+
+
+@inner
+def _rodrigues(square: float) -> tuple[float, float]:
+    """Return sin(x) / x and (1 - cos(x)) / x² of a squared angle, rad², by its half."""
+    half = 0.5 * math.sqrt(square)
+    ratio = math.sin(half) / half if half > 0.0 else 1.0
+    return ratio * math.cos(half), 0.5 * ratio * ratio
+
+
+@inner
+def _vector(a: Any) -> Vector:
+    return a[0], a[1], a[2]
+
+
+@inner
+def _set(a: Any, b: Vector) -> None:
+    a[0], a[1], a[2] = b
+
+
+@inner
+def _add(a: Any, b: Vector) -> None:
+    a[0] += b[0]
+    a[1] += b[1]
+    a[2] += b[2]
+
+
+@inner
+def _square(a: Vector) -> float:
+    return a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
+
+
+@inner
+def _cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

@@ -11,7 +11,7 @@ from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.smoothing.backward import backward
 from imumon.estimation.smoothing.record import Record, Recorder
-from imumon.estimation.smoothing.stage import Smoothed, SmoothedEstimates
+from imumon.estimation.smoothing.stage import Smoothed, SmoothedEstimates, still_heading
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.pipeline import Estimator, SampleSink
 from imumon.protocols.thermometer import TemperatureRateParameters
@@ -44,7 +44,6 @@ def _heading(record: Record, stages: Sequence[Estimator], setup: Setup) -> Smoot
     if setup.latitude_deg is None:
         return None
     from imumon.estimation.alignment.stage import Alignment
-    from imumon.estimation.smoothing.heading import still_heading
 
     stage = next(stage for stage in stages if isinstance(stage, Alignment))
     return still_heading(record, stage.finish())

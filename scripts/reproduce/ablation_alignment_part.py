@@ -15,7 +15,8 @@ from ablation_outcome import Outcome
 from alignment_site_scenes import CREEPS, SCENES, Record, Scene
 from alignment_site_scenes import record as record_of
 
-from imumon.estimation.alignment import aligner, cells, hypotheses, posterior, sensor_errors, sway
+from imumon.blocks import FloatArray
+from imumon.estimation.alignment import aligner, cells, hypotheses, sensor_errors, sway
 
 Change = Sequence[tuple[Any, str, Any]]
 """Module, constant, and what it is instead."""
@@ -34,8 +35,7 @@ VARIANTS: Mapping[str, Change] = {
     "settling: one exponential": [(hypotheses, "TILTS", hypotheses.tilt_hypotheses(1))],
     "settling: all exponentials": [(hypotheses, "TILTS", hypotheses.tilt_hypotheses(8))],
     "settling: prior of 0.03": [(hypotheses, "P_SETTLES", 0.03)],
-    "tempering": [(hypotheses, "TEMPER", 1.0)],
-    "averaging: the best hypothesis": [(posterior, "LIKELY", -1e-9)],
+    "averaging: the best hypothesis": [(hypotheses, "LIKELY", -1e-9)],
     "gyros worse than the others": [(sensor_errors, "P_WORSE", 1e-12)],
     "gyros worse than the others: no more where the unit creeps": [
         (sensor_errors, "P_WORSE_CREEPING", 0.003)
@@ -43,6 +43,13 @@ VARIANTS: Mapping[str, Change] = {
     "sigma of a heading that moves from fit to fit": [(aligner, "RECENT_SHARE", 0.0)],
 }
 """What is left out or set otherwise."""
+
+
+def _knock(t: FloatArray, rng: np.random.Generator) -> FloatArray:  # noqa: ARG001 - as all tilts
+    return np.asarray(np.outer(np.clip(2.0 * (t - 40.0), 0.0, 1.0), [1e-4, 1e-4]))
+
+
+KNOCKED = Scene("a knock that leaves 100 µrad, at 40 s", ((_knock,),))
 CHOSEN = (
     "quiet",
     "warm-up 83.7 µg, 150 s",
@@ -54,10 +61,12 @@ CHOSEN = (
     "settling 200 µrad, 20 s, warm-up",
     "sway, footsteps, settling 50 µrad, warm-up",
     "a door slams, 100 µrad, at 30 s",
+    KNOCKED.name,
     "accelerometers that jump by 30 µg",
     "bias of 0.05 °/h, not declared",
     "bias of 3 °/h of the gyro that points east",
     "3° in 200 s",
+    "3° in 200 s, biases of 0.5 °/h",
     "3° in 280 s, half a turn, 3° in 280 s, biases of 2 °/h",
 )
 
@@ -79,7 +88,7 @@ def _recorded(scene: Scene, seconds: float, seed: int) -> Record:
 
 def outcomes(change: Change | None, seeds: range, data: Path) -> Iterator[Outcome]:  # noqa: ARG001 - as all parts
     """Yield the outcome of every scene and time with a change; there are no measured data."""
-    scenes = {scene.name: scene for scene in (*SCENES, *CREEPS)}
+    scenes = {scene.name: scene for scene in (*SCENES, *CREEPS, KNOCKED)}
     with ExitStack() as stack:
         stack.enter_context(patch.object(alignment_site, "record", _recorded))
         for module, name, value in change or ():

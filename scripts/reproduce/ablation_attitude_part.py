@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cache
@@ -29,12 +29,17 @@ FREE = (
 MAGNETIC = ("by hand", "by hand, magnet on the body", "by hand, magnet put on", "at rest, magnet comes near")
 RATE_HZ, FLOOR_DEG = 50.0, 0.01
 TITLE = "Attitude, °: the angles are those of VQF in all rows, so the first columns are of the median sigma."
+_learned: Callable[[tilt_sigma.Gyros], float] = tilt_sigma.Gyros.variance.fget  # type: ignore[attr-defined]  # mypy takes the property for its value
 Change = tuple[Any, str, Any]
 """Object, name and what stands there instead."""
 
 
-def _prior(gyros: tilt_sigma.Gyros) -> float:
-    return gyros.prior
+def _prior(_: tilt_sigma.Gyros) -> float:
+    return tilt_sigma.SCALE_SD**2
+
+
+def _bounded(gyros: tilt_sigma.Gyros) -> float:
+    return min(_learned(gyros), tilt_sigma.SCALE_SD**2)
 
 
 def _nothing(*_: Any) -> float:
@@ -47,9 +52,10 @@ def _as_in_motion(tilt: tilt_sigma.TiltSigma, slot: tilt_sigma.Slot) -> float:
 
 
 VARIANTS: dict[str, list[Change]] = {
-    "lag 3 s": [(tilt_sigma, "LAG_S", 3.0)],
+    "lag 3 s, which confirms no gyro": [(tilt_sigma, "LAG_S", 3.0)],
     "lag 12 s": [(tilt_sigma, "LAG_S", 12.0)],
     "scale not learned": [(tilt_sigma.Gyros, "variance", property(_prior))],
+    "learned scale at most s0": [(tilt_sigma.Gyros, "variance", property(_bounded))],
     "s0 1 %": [(tilt_sigma, "SCALE_SD", 0.01)],
     "s0 4 %": [(tilt_sigma, "SCALE_SD", 0.04)],
     "g0 0.5 rad²": [(tilt_sigma, "SCALE_TURN", 0.5)],

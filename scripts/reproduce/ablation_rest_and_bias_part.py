@@ -17,7 +17,7 @@ from rest_detector_scenes import SENSORS, measure_with_bias, steady_turn
 from rest_detector_table import TURN_RATE_HZ
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
-from imumon.estimation.gyro_bias import bank, estimator, hypotheses, modes
+from imumon.estimation.gyro_bias import bank, hypotheses, modes
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.rest import odds, quiet
 from imumon.geodesy import DEG_PER_H
@@ -48,12 +48,12 @@ VARIANTS: dict[str, list[Change]] = {
     "a mean fits by 5.5 sigma, not 4.5": [(hypotheses, "FIT_SIGMAS", 5.5)],
     "a mean fits by 3.5 sigma, not 4.5": [(hypotheses, "FIT_SIGMAS", 3.5)],
     "no tight return": [(hypotheses, "RETURN_SIGMAS", hypotheses.FIT_SIGMAS)],
-    "a wide prediction is rest against gravity": [(estimator, "TURN_LOG_RATIO", 50.0)],
+    "a wide prediction is rest against gravity": [(hypotheses, "TURN_LOG_RATIO", 50.0)],
     "no test by gravity": [(odds, "OBLIQUE", 1e9)],
-    "gravity decides from 4, not 12": [(estimator, "CHANGE_LOG_RATIO", 4.0)],
+    "gravity decides from 4, not 12": [(hypotheses, "CHANGE_LOG_RATIO", 4.0)],
     "a contradiction outlives the motion it began with": [(hypotheses, "ONSET_S", 0.0)],
-    "a vague prediction does not explain a rate": [(estimator, "as_predicted", lambda *_: 0.0)],
-    "the first mean was no turn": [(estimator, "first_was_turn", lambda *_: 0.0)],
+    "a vague prediction does not explain a rate": [(hypotheses, "as_predicted", lambda *_: 0.0)],
+    "the first mean was no turn": [(hypotheses, "first_was_turn", lambda *_: 0.0)],
     "rest again after 3 s of one rate, not 16": [(hypotheses, "SETTLED_S", 3)],
     "rest again however likely a turn is": [(hypotheses, "LIKELY_TURN", 1.0)],
     "an oblique change excludes no turn about the vertical": [(odds, "LEVEL_RATIO", 1e9)],

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from ablation_outcome import Outcome
@@ -13,15 +16,14 @@ from thermometer_kinds import KINDS, Profile, constant, drifting, ramp, thermost
 from thermometers_table import errors, largest, rms
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate import thermometer
-from imumon.estimation.temperature_rate.model import CODE_MODELS, MEAN_MODELS, Params, code_model
-from imumon.estimation.temperature_rate.stage import MultipleModelRate
+from imumon.estimation.temperature_rate import filter as filter_module
+from imumon.estimation.temperature_rate import measurement, method, output, thermometer
+from imumon.estimation.temperature_rate.measurement import Correction, evaluate
+from imumon.estimation.temperature_rate.method import MultipleModelRate
+from imumon.estimation.temperature_rate.model import CODE_MODELS, MEAN_MODELS, Models, code_model
+from imumon.estimation.temperature_rate.thermometer import Slot, Thermometer
 
-TITLE = (
-    "Rate of temperature: kinds of thermometers, and a measured record in steps of 0, 1/16, 0.5 and 1 °C."
-    "  The outlier rule is for none of these scenes: without it a thermometer that reads 85 °C for 10 s from"
-    " power-on has a rate that errs by 502 °C/h instead of 4.6 (`field --part surprises`)."
-)
+TITLE = "Rate of temperature: kinds of thermometers, and a measured record in steps of 0, 1/16, 0.5 and 1 °C."
 FLOOR = 0.1
 SETTLED_S, RECORD_SETTLED_S, HALF_S = 600.0, 180.0, 60.0
 SCENES: list[tuple[str, str, Profile, float, float]] = [
@@ -36,79 +38,107 @@ SCENES: list[tuple[str, str, Profile, float, float]] = [
     ("refresh 10 s, 0.3 step", "2 °C/min", ramp(300.0), 600.0, 330.0),
     ("refresh 60 s, 0.3 step", "2 °C/min", ramp(300.0), 600.0, 380.0),
     ("1 °C, white 0.3 step", "2 °C/min", ramp(300.0), 600.0, 320.0),
+    ("hysteresis of a step, white 0.1", "5 °C/h", drifting, 1800.0, SETTLED_S),
     ("0.05 °C, 2 Hz stream, 0.3 step", "thermostat", thermostat(1.0, 900.0, 40.0), 5400.0, 1800.0),
     ("no steps, white 0.02 °C", "2 °C/min", ramp(300.0), 600.0, 320.0),
 ]
 STEPS_DEGC = (0.0, 0.0625, 0.5, 1.0)
 
-PARAMS = Params()
-VARIANTS: dict[str, Params | dict[str, float]] = {
-    "a code that stays is no evidence on slow errors": replace(PARAMS, renewal=0.0),
-    "no soft edges": replace(PARAMS, soft=0.0),
-    "no code is a surprise": replace(PARAMS, surprise=1e-300),
-    "a code never replaces a wide prediction": replace(PARAMS, wide=1e9),
-    "σ of a model exact": replace(PARAMS, spacing=0.0),
+MODELS = Models()
+Change = tuple[Any, str, Any]
+"""Object, name and what stands there instead."""
+SLOW_CODES = tuple(model for model in CODE_MODELS if model.slow)
+
+
+def _never(*_: Any) -> bool:
+    return False
+
+
+def _nothing(*_: Any) -> float:
+    return 0.0
+
+
+def _count(_: Thermometer, slot: Slot) -> float:
+    return float(slot.count)
+
+
+def _entering_only(*given: Any) -> tuple[Correction, None]:
+    return evaluate(*given)[0], None
+
+
+VARIANTS: dict[str, Models | list[Change]] = {
+    "a code that stays is no evidence on slow errors": [(measurement, "RENEWAL", 0.0)],
+    "no soft edges": [(measurement, "SOFT", 0.0)],
+    "no code is a surprise": [(measurement, "SURPRISE", 1e-300)],
+    "a code never replaces a wide prediction": [(measurement, "WIDE", 1e9)],
+    "a code that does not enter does not confine the output": [(method, "evaluate", _entering_only)],
+    "the scatter of readings is no evidence": [(measurement, "_scatter", _nothing)],
+    "σ of a model exact": [(measurement, "SPACING", 0.0)],
+    "all readings independent": [(Thermometer, "independent", _count)],
+    "no repeats known by a leap": [(Thermometer, "leaps", _never)],
+    "no repeats known": [(thermometer, "MOST_REPEAT_S", 0.0)],
     "7 white sigmas, not 13": replace(
-        PARAMS,
-        code_models=(
-            *(code_model(w) for w in (0.02, 0.06, 0.12, 0.2, 0.28, 0.36, 0.45)),
-            *(model for model in CODE_MODELS if model.slow_variance),
-        ),
+        MODELS,
+        code_models=(*(code_model(w) for w in (0.02, 0.06, 0.12, 0.2, 0.28, 0.36, 0.45)), *SLOW_CODES),
+    ),
+    "10 white sigmas, not 13": replace(
+        MODELS, code_models=(*(code_model(0.02 * 25.0 ** (i / 9.0)) for i in range(10)), *SLOW_CODES)
     ),
     "no code models with a slow error": replace(
-        PARAMS, code_models=tuple(model for model in CODE_MODELS if not model.slow_variance)
+        MODELS, code_models=tuple(model for model in CODE_MODELS if not model.slow)
     ),
-    "no mean models with a slow error": replace(PARAMS, mean_models=MEAN_MODELS[:1]),
+    "no mean models with a slow error": replace(MODELS, mean_models=MEAN_MODELS[:1]),
     "no 1/f models": replace(
-        PARAMS,
+        MODELS,
         code_models=tuple(model for model in CODE_MODELS if not model.walk_per_s),
         mean_models=tuple(model for model in MEAN_MODELS if not model.walk_per_s),
     ),
-    "5 jerk PSDs, not 9": replace(PARAMS, jerk_psds=PARAMS.jerk_psds[::2]),
-    "the jerk PSD changes once in 10,000 s, not 500": replace(PARAMS, change_per_s=1e-4),
-    "the jerk PSD changes once in 100 s, not 500": replace(PARAMS, change_per_s=1e-2),
-    "no ramp that may have begun": replace(PARAMS, memory_s=1e9),
-    "no output lag": replace(PARAMS, output_lag_s=1e-3),
-    "10 white sigmas, not 13": replace(
-        PARAMS,
-        code_models=(
-            *(code_model(0.02 * 25.0 ** (i / 9.0)) for i in range(10)),
-            *(model for model in CODE_MODELS if model.slow_variance),
-        ),
-    ),
-    "a code is a surprise below 10 %, not 2": replace(PARAMS, surprise=0.1),
-    "soft below 1 sigma, not 2": replace(PARAMS, soft=1.0),
-    "wide beyond 3 steps, not 1.5": replace(PARAMS, wide=3.0),
-    "renewal 0.03, not 0.1": replace(PARAMS, renewal=0.03),
-    "no outlier rule for ρ and the scatter": {"OUTLIER": 1e9},
-    "memory of 16 slots, not 32": {"MEMORY": 1.0 / 16.0},
-    "memory of 64 slots, not 32": {"MEMORY": 1.0 / 64.0},
+    "5 jerk PSDs, not 9": replace(MODELS, jerk_psds=MODELS.jerk_psds[::2]),
+    "the jerk PSD changes once in 10,000 s, not 500": replace(MODELS, change_per_s=1e-4),
+    "the jerk PSD changes once in 100 s, not 500": replace(MODELS, change_per_s=1e-2),
+    "least probability of a filter 1e-30": [(filter_module, "LEAST_PROBABILITY", 1e-30)],
+    "any acceleration at the start": [(filter_module, "LONG_S", 1e30)],
+    "no walk in the output": [(output, "LONG_S", 0.0)],
+    "mean of a slow error known": [(output, "SLOW_MEAN", 0.0)],
+    "edges known from the start": [(output, "HYSTERESIS", 0.05)],
+    "no ramp that may have begun": [(output, "RAMP_S", 1e9)],
+    "no output lag": [(output, "LAG_S", 1e-3)],
+    "a code is a surprise below 10 %, not 2": [(measurement, "SURPRISE", 0.1)],
+    "soft below 1 sigma, not 2": [(measurement, "SOFT", 1.0)],
+    "wide beyond 3 steps, not 1.5": [(measurement, "WIDE", 3.0)],
+    "renewal 0.03, not 0.1": [(measurement, "RENEWAL", 0.03)],
+    "memory of 16 slots, not 32": [(thermometer, "MEMORY_SLOTS", 16)],
+    "memory of 64 slots, not 32": [(thermometer, "MEMORY_SLOTS", 64)],
 }
-CONSTANTS = {"OUTLIER": thermometer.OUTLIER, "MEMORY": thermometer.MEMORY}
-"""Of the module `thermometer`; a variant may change them."""
 
 
-def outcomes(change: object, seeds: range, data: Path) -> Iterator[Outcome]:
+def outcomes(change: Models | list[Change] | None, seeds: range, data: Path) -> Iterator[Outcome]:
     """Yield the scenes, then the measured record where its folder exists."""
-    params = change if isinstance(change, Params) else PARAMS
-    for name, value in CONSTANTS.items():
-        setattr(thermometer, name, change.get(name, value) if isinstance(change, dict) else value)
+    models = change if isinstance(change, Models) else MODELS
+    with ExitStack() as patches:
+        for where, name, value in change if isinstance(change, list) else ():
+            patches.enter_context(patch.object(where, name, value))
+        yield from simulated(models, seeds)
+        path = data / "chamber-cycle" / "cooling-heating.csv"
+        if path.exists():
+            yield from measured(models, path)
+
+
+def simulated(models: Models, seeds: range) -> Iterator[Outcome]:
+    """Yield the simulated scenes."""
     kinds = {kind.name: kind for kind in KINDS}
     for name, what, profile, length_s, start_s in SCENES:
         runs = [
-            errors(kinds[name], profile, length_s, seed, lambda: MultipleModelRate(params=params))
+            errors(kinds[name], profile, length_s, seed, lambda: MultipleModelRate(models=models))
             for seed in seeds
         ]
         off, z = (
             np.concatenate([run[key][run["t"] > start_s] for run in runs]) for key in ("rate", "rate_z")
         )
         yield Outcome(f"{name}, {what}", rms(off), FLOOR, rms(z), largest(z))
-    path = data / "chamber-cycle" / "cooling-heating.csv"
-    if path.exists():
-        yield from measured(params, path)
 
 
-def measured(params: Params, path: Path) -> Iterator[Outcome]:
+def measured(models: Models, path: Path) -> Iterator[Outcome]:
     """Yield the chamber record at each step size, against a local cubic of the unrounded one."""
     table = np.genfromtxt(path, delimiter=",", names=True)
     time_ns = np.round(table["t_s"] * 1e9).astype(np.int64)
@@ -117,8 +147,8 @@ def measured(params: Params, path: Path) -> Iterator[Outcome]:
     late = (time_ns - time_ns[0]) * 1e-9 > RECORD_SETTLED_S
     for step in STEPS_DEGC:
         rounded = step * np.round(reading / step) if step else reading
-        method = MultipleModelRate(params=params)
-        found = method.process(time_ns, np.zeros(len(rounded), np.int64), rounded)
+        estimator = MultipleModelRate(models=models)
+        found = estimator.process(time_ns, np.zeros(len(rounded), np.int64), rounded)
         off = (found.rate - rate)[late]
         z = off / found.rate_sd[late]
         yield Outcome(f"chamber, steps of {step:g} °C", rms(off) * PER_HOUR, FLOOR, rms(z), largest(z))

@@ -44,7 +44,7 @@ def test_a_mode_changes_to_its_neighbours() -> None:
 
 def test_probabilities_follow_the_likelihoods_and_none_is_lost() -> None:
     mu = np.array([0.5, 0.3, 0.2])
-    found = mode_probabilities(mu, np.log([0.1, 0.4, 0.2]))
+    found = mode_probabilities(mu, np.log([0.1, 0.4, 0.2]), least=0.0)
     np.testing.assert_allclose(found, np.array([0.05, 0.12, 0.04]) / 0.21)
     floor = mode_probabilities(mu, np.array([0.0, -1e9, -1e9]), least=1e-12)
     np.testing.assert_allclose(floor, [1.0, 1e-12, 1e-12])

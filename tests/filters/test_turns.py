@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.filters.slots import SlotGatherer
-from imumon.filters.turns import Turn, Turns, mean_rates
+from imumon.filters.turns import Turn
 
 SLOT_NS = 250_000_000
 FINE = 64
@@ -134,13 +134,3 @@ def test_a_unit_at_rest_pays_nothing() -> None:
     noise = math.radians(0.3) / 60.0 * np.random.default_rng(3).normal(size=(60_000, 3)) * math.sqrt(1000.0)
     turn = turned(noise, 1000.0)
     assert max(turn.sampling_variance(axis) for axis in np.eye(3)) < 1e-6**2
-
-
-def test_mean_rates_turn_by_as_much() -> None:
-    rate = shaken(100.0, 4.0)
-    gatherer = SlotGatherer(3, SLOT_NS, rates=0)
-    turns = gatherer.process(np.arange(400) * 10_000_000, np.zeros(400, np.int64), rate).turns
-    again = Rotation.from_rotvec(mean_rates(turns) * turns.seconds[:, np.newaxis]).as_matrix()
-    np.testing.assert_allclose(again, turns.rotation, atol=1e-9)
-    still = Turns(*(np.zeros_like(part) for part in (getattr(turns, n) for n in Turns.__slots__)))
-    assert np.isnan(mean_rates(still)).all()

@@ -6,6 +6,7 @@ import pytest
 
 from imumon.errors import ImumonError
 from imumon.estimation.attitude.parameters import AttitudeParameters
+from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.protocols.ranges import Ranges
@@ -63,7 +64,7 @@ def test_the_thermal_mode_without_a_model_is_refused_with_what_to_do() -> None:
     [
         ("latitude_deg: 91.0", r"pipeline.yaml:2: latitude_deg"),
         ("latitude: 45.0", r"pipeline.yaml:2: latitude: unknown key"),
-        ("zupt: {zeroing_s: 1.0}", r"pipeline.yaml:2: zupt.zeroing_s"),
+        ("rest: {undecided_s: -1.0}", r"pipeline.yaml:2: rest.undecided_s"),
         ("published: [fir, kalman]", r"pipeline.yaml:2: published"),
         ("published: [fir, fir]", r"named twice"),
         ("model: missing.yaml", r"missing.yaml: cannot be read"),
@@ -130,6 +131,6 @@ def test_a_session_with_retired_probabilities_is_read_and_does_not_write_them_ag
 
 def test_a_session_that_names_the_one_form_of_the_thermal_mode_is_read() -> None:
     text = f"format: {FORMAT}\nzupt: {{zeroing_s: 30.0, thermal_form: increments}}\n"
-    assert parse_setup(text, "session.yaml").zupt.zeroing_s == 30.0
-    with pytest.raises(ImumonError, match="thermal_form: unknown key"):
+    assert parse_setup(text, "session.yaml").zupt == GyroBiasParameters()
+    with pytest.raises(ImumonError, match=r"session.yaml:2: zupt.thermal_form"):
         parse_setup(text.replace("increments", "slope_rate"), "session.yaml")

@@ -69,7 +69,7 @@ def test_the_device_file_chooses_the_method_and_its_step_is_checked() -> None:
     assert isinstance(stage, TemperatureRate)
     block = warming(6000, 0)
     stage.process(block)
-    assert isinstance(stage._methods["temperature_x"], FirRate)
+    assert isinstance(stage._channels["temperature_x"].method, FirRate)
     assert any("step_degc contradicts" in notice for notice in stage.notices())
     with pytest.raises(ImumonError, match=r"mine.yaml:\d+: temperature: method fir_expo"):
         parse_device(text + "temperature: {method: fir_exponential}\n", "mine.yaml")

@@ -6,35 +6,29 @@ import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.alignment.hypotheses import DRIFTS, Drift, fit_position
+from imumon.estimation.alignment.hypotheses import DRIFTS, Drift, PositionFit, fit_position
+from imumon.estimation.alignment.motion import CALM_SLOTS, LONGEST_MOTION_S, Motion, Outcome
 from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.positions import (
-    CALM_SLOTS,
-    LONGEST_MOTION_S,
-    NEW_POSITION,
-    Motion,
-    Outcome,
-    Position,
-)
 from imumon.estimation.alignment.posterior import HeadingPosterior, heading_posterior
 from imumon.estimation.alignment.record import (
     SLOT_S,
-    Levelled,
+    HorizontalRows,
     Record,
     Slot,
     direction_of,
     first_attitude,
-    levelled,
+    horizontal_rows,
     turned_about_vertical,
     upright,
 )
 from imumon.estimation.alignment.report import ANY_ANGLE_SD, Estimate, PositionHeading
 from imumon.estimation.alignment.sensor_errors import SensorErrors, sensor_errors
-from imumon.filters.turns import Turns
+from imumon.filters.turns import Turn, angle_of
 from imumon.geodesy import EARTH_RATE
 
 FIRST_FIT_S, LONGEST_REFIT_S = 10.0, 60.0
@@ -43,6 +37,8 @@ fitted anew when its time at rest has grown by a third, which lowers sigma by an
 RECENT_SHARE = 0.5
 """Sigma is at least the distance to the headings fitted in the last half of the time at rest in a position;
 ablation: without it, six of 41 sites were over 7 sigma off once, not two."""
+NEW_POSITION = 0.01
+"""rad: a turn by less does not separate the bias from the earth rate."""
 LONGEST_GAP_S = 30.0
 """A longer gap in the data restarts the alignment."""
 MOST_FITS = 400
@@ -50,16 +46,41 @@ MOST_FITS = 400
 
 
 @dataclass
+class Position:
+    """A rest in one attitude.
+
+    `attitude` (3, 3) is from body axes to forward, left and up of the first position, `azimuth_variance` that
+    of the angle about the vertical since then, rad².  `number` counts from 1 the attitudes that differ by
+    more than NEW_POSITION; `magnetic` (3,) is the sum of the magnetometer's means in body axes.
+    """
+
+    attitude: FloatArray
+    azimuth_variance: float
+    number: int
+    record: Record
+    fit: PositionFit | None = None
+    magnetic: FloatArray = field(default_factory=lambda: np.zeros(3))
+
+
+class Fitted(NamedTuple):
+    """A result of the latest fits: time at rest, s; direction of north, counter-clockwise, and sigma, rad."""
+
+    rest_s: float
+    north: float
+    sd: float
+
+
+@dataclass
 class SinceFit:
     """Rotations about the vertical since the last fit.
 
     `yaw` is the slow one (creep) by the vertical gyro, rad, counter-clockwise, followed for `creep_s`;
-    `turn_variance`, rad², is that of turns to other positions.
+    `azimuth_variance`, rad², is that of turns to other positions.
     """
 
     yaw: float = 0.0
     creep_s: float = 0.0
-    turn_variance: float = 0.0
+    azimuth_variance: float = 0.0
 
 
 @dataclass
@@ -73,10 +94,10 @@ class State:
     posterior: HeadingPosterior | None = None
     """Of the last fit; None before it."""
     since_fit: SinceFit = field(default_factory=SinceFit)
-    means: dict[str, Estimate] = field(default_factory=dict)
-    """Directions of north by means of the gyros, beside the joint fit."""
-    history: list[tuple[float, float, float]] = field(default_factory=list)
-    """Time at rest, s, direction of north and sigma, rad, of the latest fits."""
+    means: dict[str, Fitted] = field(default_factory=dict)
+    """By means of the gyros, beside the joint fit."""
+    history: list[Fitted] = field(default_factory=list)
+    """By the joint fit."""
     rest_s: float = 0.0
     """Time at rest."""
     due_s: float = FIRST_FIT_S
@@ -97,42 +118,39 @@ class Aligner:
     def __init__(self, parameters: AlignmentParameters, latitude_deg: float) -> None:
         self.parameters = parameters
         self.latitude = math.radians(latitude_deg)
-        self.level_rate = EARTH_RATE * math.cos(self.latitude)
+        self.earth_horizontal = EARTH_RATE * math.cos(self.latitude)
         self.earth_vertical = EARTH_RATE * math.sin(self.latitude)
         known = parameters.known_warm_up
-        self.known_tau_s = np.array(known.time_constant_s if known else [1.0] * 3)
-        self.known_g = np.array(known.amplitude_ug if known else [0.0] * 3) * 1e-6
-        """Time constant and amplitude of the accelerometers' declared warm-up, (3,)."""
-        remaining = known.amplitude_sd_g if known else None
-        self.drifts = DRIFTS if remaining is None else (Drift(1.0, DRIFTS[0].walk, remaining),)
+        self.drifts: Sequence[Drift] = DRIFTS
+        if known is not None and known.amplitude_sd_g is not None:
+            self.drifts = (Drift(1.0, DRIFTS[0].walk, known.amplitude_sd_g, known.time_constants_s),)
         self.state = State()
         self.earlier_headings: list[PositionHeading] = []
         """Headings of the positions before the last restart."""
-        self.run = self.restarts = 0
-        """Numbers of segments of the device, and of restarts."""
-        self.elapsed_s = self.disturbed_s = 0.0
-        """Times from the first sample of the segment to the end of the last slot, and of motion in it."""
+        self.run = 0
+        """Number of segments of the device."""
+        self.elapsed_s = 0.0
+        """Time from the first sample of the segment to the end of the last slot."""
         self.events: list[str] = []
         """Messages that were not reported yet."""
 
     def begin_run(self) -> None:
         """Begin a segment of the device."""
-        if self.state.positions:
-            self.restart("the device started anew")
-        self.state, self.elapsed_s, self.disturbed_s = State(), 0.0, 0.0
+        self.restart("the device started anew")
+        self.elapsed_s = 0.0
         self.run += 1
 
     def restart(self, why: str) -> None:
         """Drop all positions, and report the reason."""
-        self.earlier_headings = self.finish()
-        self.events.append(f"alignment: {why}: the alignment starts anew")
-        self.restarts += 1
+        if self.state.positions:
+            self.earlier_headings = self.finish()
+            self.events.append(f"alignment: {why}: the alignment starts anew")
         self.state = State()
 
-    def step(self, slot: Slot, magnetic: FloatArray, at_rest: bool, turns: Turns, k: int) -> None:
-        """Process a slot with its mean magnetic field, (3,), the rest detector's flag, and turn k."""
+    def step(self, slot: Slot, magnetic: FloatArray, at_rest: bool, turn: Turn) -> None:
+        """Process a slot with its mean magnetic field, (3,), the rest detector's flag, and its turn."""
         gap_s = slot.begun_s - self.elapsed_s
-        if self.state.positions and gap_s > LONGEST_GAP_S:
+        if gap_s > LONGEST_GAP_S:
             self.restart(f"samples are missing at {self.elapsed_s:.1f} s for {gap_s:.1f} s")
         self.elapsed_s = slot.begun_s + SLOT_S
         motion = self.state.motion
@@ -141,12 +159,11 @@ class Aligner:
             return
         if outcome is Outcome.FIRST_REST:
             rest = motion.end()
-            attitude = first_attitude(np.mean([one.values[3:] for one in rest], axis=0))
-            self._begin_position(attitude, 0.0, 1, rest)
+            self._begin_position(first_attitude(_mean_force(rest)), 0.0, 1, rest)
         elif outcome is Outcome.REST:
             self._add_rest_slot(slot)
         else:
-            self._follow_motion(outcome, turns, k)
+            self._follow_motion(outcome, turn)
         if self.resting:
             if np.isfinite(magnetic).all():
                 self.state.positions[-1].magnetic += magnetic
@@ -158,20 +175,13 @@ class Aligner:
         """Whether the unit rests in a position."""
         return bool(self.state.positions) and not self.state.motion.moving
 
-    @property
-    def _record(self) -> Record:
-        record = self.state.positions[-1].record
-        assert record is not None
-        return record
-
     def _add_rest_slot(self, slot: Slot) -> None:
         """Add a slot at rest to the record, and follow a creep by the vertical gyro."""
-        state = self.state
-        self._record.add(slot)
+        state, here = self.state, self.state.positions[-1]
+        here.record.add(slot)
         state.rest_s += slot.length_s
         state.motion.add_rest(slot.rate)
-        fit = state.positions[-1].fit
-        if fit is not None and fit.yaw:
+        if here.fit is not None and here.fit.creep_s:
             vertical = float(state.attitude[2] @ slot.rate)
             state.since_fit.yaw += slot.length_s * (vertical - self.earth_vertical)
             state.since_fit.creep_s += slot.length_s
@@ -186,17 +196,17 @@ class Aligner:
         slow = max(slot.samples for slot in rest) == 1
         record = Record(first.index, 1 << math.ceil(math.log2(2.0 * interval)) if slow else 1)
         state.attitude = attitude
-        state.positions.append(Position(attitude, variance, record, number, first.begun_s))
+        state.positions.append(Position(attitude, variance, number, record))
         state.due_s = state.rest_s + FIRST_FIT_S
         for slot in rest:
             self._add_rest_slot(slot)
 
-    def _follow_motion(self, outcome: Outcome, turns: Turns, k: int) -> None:
+    def _follow_motion(self, outcome: Outcome, turn: Turn) -> None:
         """Rotate the attitude by the slot's turn, and act on the end of the motion."""
         state, motion = self.state, self.state.motion
-        state.attitude = state.attitude @ motion.follow(turns.at(k))
+        state.attitude = state.attitude @ motion.follow(turn)
         if outcome is Outcome.LOST:
-            self.restart(f"the unit turned at {motion.held[0].begun_s:.1f} s for {LONGEST_MOTION_S:g} s")
+            self.restart(f"the unit turned at {motion.pending[0].begun_s:.1f} s for {LONGEST_MOTION_S:g} s")
         elif outcome is Outcome.SAME_ATTITUDE:
             state.attitude = state.positions[-1].attitude
             for slot in motion.end():
@@ -207,58 +217,60 @@ class Aligner:
     def _end_turn(self) -> None:
         """Begin a position after a turn; restart if the angle of the turn is unknown."""
         state, motion, errors = self.state, self.state.motion, self.errors
-        before, rest, begun_s = state.positions[-1], motion.held[-CALM_SLOTS:], motion.held[0].begun_s
-        force = np.mean([slot.values[3:] for slot in rest[CALM_SLOTS // 2 :]], axis=0)
+        before, rest, begun_s = state.positions[-1], motion.pending[-CALM_SLOTS:], motion.pending[0].begun_s
+        force = _mean_force(rest[CALM_SLOTS // 2 :])
         attitude, seconds = upright(state.attitude[0], force), rest[0].begun_s - begun_s
-        vertical, level_sd = force / math.sqrt(force @ force), math.sqrt(2.0) * errors.level
-        variance = motion.turn_variance(before.attitude, vertical, seconds, errors.scale, level_sd)
+        variance = motion.azimuth_variance(before.attitude, seconds, errors.scale)
+        variance += motion.unexplained_variance(
+            before.attitude, attitude[2], errors.scale, math.sqrt(2.0) * errors.accel_bias
+        )
         if variance > ANY_ANGLE_SD**2:
             self.restart(f"the unit turned at {begun_s:.1f} s by an angle that is not known")
             return
-        new = motion.angle > NEW_POSITION
+        new = angle_of(motion.turned.rotation) > NEW_POSITION
         angle = math.degrees(-turned_about_vertical(before.attitude, attitude))
         sd = math.degrees(math.sqrt(variance))
-        self.disturbed_s += seconds
         self.events.append(
             f"alignment: the unit turned at {begun_s:.1f} s for {seconds:.1f} s: left out; "
             f"{'a new position, ' if new else ''}turned by {angle:.2f}° ± {sd:.2f}° about the vertical"
         )
         self._fit_position()
-        before.record, before.ended_s = None, begun_s
+        before.record.sums = np.empty((0, 7))
         motion.end()
         motion.recent.clear()
-        state.since_fit.turn_variance += variance
-        self._begin_position(attitude, before.turn_variance + variance, before.number + new, rest)
+        state.since_fit.azimuth_variance += variance
+        self._begin_position(attitude, before.azimuth_variance + variance, before.number + new, rest)
 
     @property
     def errors(self) -> SensorErrors:
         """Standard deviations of the sensor errors, declared or from the noise of the quietest gyro."""
         fits = [one.fit for one in self.state.positions if one.fit is not None]
         noise = math.sqrt(min((fit.white for fit in fits), default=0.0))
-        return sensor_errors(noise, self.parameters, any(fit.yaw for fit in fits))
+        return sensor_errors(noise, self.parameters, any(fit.creep_s for fit in fits))
 
     def _fit_position(self) -> None:
         """Fit the present position, and its plain and Hann-weighted mean of the gyros."""
-        here, record = self.state.positions[-1], self._record
-        if record.rows()[0].any():
-            data = levelled(record, here.attitude, self.earth_vertical, self.known_tau_s, self.known_g)
+        here = self.state.positions[-1]
+        if here.record.rows()[0].any():
+            data = horizontal_rows(
+                here.record, here.attitude, self.earth_vertical, self.parameters.known_warm_up
+            )
             here.fit = fit_position(data, self.earth_vertical, self.drifts)
-            self._update_means(data)
+            if here.fit is not None:
+                self._update_means(data, here.fit.white)
 
-    def _update_means(self, data: Levelled) -> None:
+    def _update_means(self, data: HorizontalRows, white: float) -> None:
         """Update the directions of north by the plain and the Hann-weighted mean of the gyros."""
-        state, fit, rate = self.state, self.state.positions[-1].fit, data.rate[data.valid]
-        if fit is None:
-            return
+        state, rate, rest_s = self.state, data.rate[data.valid], self.state.positions[-1].record.rest_s
         bias = state.posterior.bias_size if state.posterior else 0.0
         for name, taper, factor in (("gyro_mean", np.ones, 1.0), ("hann_mean", np.hanning, 1.5)):
             mean = complex(taper(len(rate)) @ rate)
-            sd = math.sqrt(factor * fit.white / self._record.rest_s + bias**2) / self.level_rate
-            state.means[name] = Estimate(math.atan2(mean.imag, mean.real), min(sd, ANY_ANGLE_SD))
+            sd = math.sqrt(factor * white / rest_s + bias**2) / self.earth_horizontal
+            state.means[name] = Fitted(state.rest_s, cmath.phase(mean), min(sd, ANY_ANGLE_SD))
 
     def evaluate(self) -> None:
         """Fit the present position, and update the heading."""
-        state, rest_s = self.state, self._record.rest_s
+        state, rest_s = self.state, self.state.positions[-1].record.rest_s
         self._fit_position()
         if state.positions[-1].fit is not None:
             self._update_heading(rest_s)
@@ -266,19 +278,19 @@ class Aligner:
 
     def _update_heading(self, rest_s: float) -> None:
         """Update the heading from the fits of all positions, `rest_s` of which are in the present one."""
-        state = self.state
-        fitted = [(one.fit, one.turn_variance) for one in state.positions if one.fit]
+        state, yaw = self.state, self.state.since_fit.yaw
+        fitted = [(one.fit, one.azimuth_variance) for one in state.positions if one.fit]
         fits, variances = zip(*fitted, strict=True)
         about = cmath.phase(fits[-1].moments()[0][0])
         if state.posterior is not None:
-            about = state.posterior.north - state.since_fit.yaw
+            about = state.posterior.north - yaw
         new = heading_posterior(fits, np.array(variances), self.latitude, self.errors, about)
         # What no hypothesis explains shows as a heading that moves from fit to fit.
-        history = [(at_s, north - state.since_fit.yaw, sd) for at_s, north, sd in state.history]
-        recent = [north for at_s, north, _ in history if at_s >= state.rest_s - RECENT_SHARE * rest_s]
+        history = [one._replace(north=one.north - yaw) for one in state.history[-MOST_FITS:]]
+        recent = [one.north for one in history if one.rest_s >= state.rest_s - RECENT_SHARE * rest_s]
         moved = max((abs(math.remainder(new.north - north, 2.0 * math.pi)) for north in recent), default=0.0)
         sd = min(max(new.sd, moved), ANY_ANGLE_SD)
-        state.history = [*history[-MOST_FITS:], (state.rest_s, new.north, sd)]
+        state.history = [*history, Fitted(state.rest_s, new.north, sd)]
         state.posterior, state.since_fit = new._replace(sd=sd), SinceFit()
         # Settled when sigma falls to the wanted one, and no longer when it exceeds 1.25 times that.
         wanted = math.radians(self.parameters.settled_deg)
@@ -290,14 +302,14 @@ class Aligner:
     @property
     def heading_sd(self) -> float:
         """Standard deviation of the heading with what turned it since the last fit, rad; NaN before a fit."""
-        state, motion = self.state, self.state.motion
+        state = self.state
         if state.posterior is None:
             return math.nan
         creep = state.posterior.bias_size * state.since_fit.creep_s
-        variance = state.posterior.sd**2 + state.since_fit.turn_variance + creep**2
-        if motion.moving:
-            before, up = state.positions[-1].attitude, state.attitude[2]
-            variance += motion.turn_variance(before, up, motion.moving_s, self.errors.scale, 1.0)
+        variance = state.posterior.sd**2 + state.since_fit.azimuth_variance + creep**2
+        if state.motion.moving:
+            before, seconds = state.positions[-1].attitude, state.motion.moving_s
+            variance += state.motion.azimuth_variance(before, seconds, self.errors.scale)
         return min(math.sqrt(variance), ANY_ANGLE_SD)
 
     @property
@@ -311,10 +323,10 @@ class Aligner:
         state = self.state
         if state.posterior is None:
             return {}
-        joint = Estimate(state.posterior.north - state.since_fit.yaw, self.heading_sd)
+        joint = Fitted(state.rest_s, state.posterior.north - state.since_fit.yaw, self.heading_sd)
         direction = direction_of(state.attitude) if self.observable else math.nan
         return {
-            name: Estimate((one.heading - direction) % (2.0 * math.pi), one.sd)
+            name: Estimate((one.north - direction) % (2.0 * math.pi), one.sd)
             for name, one in {"joint": joint, **state.means}.items()
         }
 
@@ -335,11 +347,7 @@ class Aligner:
         wanted = math.radians(self.parameters.settled_deg)
         if self.heading_sd <= wanted:
             return 0.0
-        by_gyros, by_level = (
-            posterior.level_bias_sd / self.level_rate,
-            self.errors.level * math.tan(self.latitude),
-        )
-        left = wanted**2 - by_gyros**2 - by_level**2
+        left = wanted**2 - (posterior.horizontal_bias_sd / self.earth_horizontal) ** 2
         return max(state.rest_s * (posterior.noise_sd**2 / left - 1.0), 1.0) if left > 0.0 else None
 
     @property
@@ -354,16 +362,20 @@ class Aligner:
     def finish(self) -> list[PositionHeading]:
         """Fit the rest since the last fit; return the heading in each position."""
         state, found = self.state, []
-        if self.resting:
+        if state.positions:
             self.evaluate()
         if state.posterior is None:
             return self.earlier_headings
-        north, now = state.posterior.north, state.positions[-1].turn_variance
+        north, now = state.posterior.north, state.positions[-1].azimuth_variance
         for one in reversed(state.positions):
-            sd = min(math.sqrt(state.posterior.sd**2 + abs(now - one.turn_variance)), ANY_ANGLE_SD)
+            sd = min(math.sqrt(state.posterior.sd**2 + abs(now - one.azimuth_variance)), ANY_ANGLE_SD)
             shown = north if sd < math.radians(self.parameters.observable_deg) else math.nan
-            ended_s = one.ended_s if one.record is None else one.record.ended_s
             heading = (shown - direction_of(one.attitude)) % (2.0 * math.pi)
-            found.append(PositionHeading(self.run, one.begun_s, ended_s, heading, sd))
+            found.append(PositionHeading(self.run, one.record.begun_s, one.record.ended_s, heading, sd))
             north += one.fit.yaw if one.fit is not None else 0.0
         return self.earlier_headings + found[::-1]
+
+
+def _mean_force(slots: Sequence[Slot]) -> FloatArray:
+    """Return the mean specific force of slots, m/s², (3,)."""
+    return np.asarray(np.mean([slot.values[3:] for slot in slots], axis=0))

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import Field, field_validator
 
+from imumon.blocks import FloatArray
 from imumon.config import StrictModel
 from imumon.effects.warm_up import WarmUp
 from imumon.geodesy import MICRO_G
@@ -25,7 +27,7 @@ class KnownWarmUp(StrictModel):
         Final value in body axes, µg.
     time_constant_s : [x, y, z], or a float for all
     amplitude_sd_ug, time_constant_sd_s : float
-        Standard deviations, when they are known: a change of the level that they do not explain is then a
+        Standard deviations, when they are known: a change of the horizon that they do not explain is then a
         tilt of the unit.
     """
 
@@ -33,6 +35,17 @@ class KnownWarmUp(StrictModel):
     time_constant_s: Annotated[list[_Seconds], Field(min_length=3, max_length=3)]
     amplitude_sd_ug: float | None = Field(default=None, gt=0.0, le=1e5)
     time_constant_sd_s: float = Field(default=0.0, ge=0.0, le=1e5)
+
+    def bias_g(self, time_s: FloatArray) -> FloatArray:
+        """Return the bias at times since the first sample, s, (n,), in body axes, g, (n, 3)."""
+        course = -np.expm1(-time_s[:, None] / np.array(self.time_constant_s))
+        return np.asarray(1e-6 * course * np.array(self.amplitude_ug))
+
+    @property
+    def time_constants_s(self) -> tuple[float, ...]:
+        """Different time constants of the axes that warm up, s."""
+        pairs = zip(self.time_constant_s, self.amplitude_ug, strict=True)
+        return tuple(sorted({tau_s for tau_s, amplitude in pairs if amplitude}))
 
     @property
     def amplitude_sd_g(self) -> float | None:
@@ -70,7 +83,7 @@ class AlignmentParameters(StrictModel):
         Standard deviation of a gyro's scale factor and misalignment: the relative
         error of a turn between two positions.  Default: a regression on the noise, and 300 at least.
     accel_bias_sd_ug : float, optional
-        Standard deviation of the constant bias of an accelerometer; it tilts the level.  Default:
+        Standard deviation of the constant bias of an accelerometer; it tilts the horizon.  Default:
         a regression on the noise of the gyros, and 750 at least.
     known_warm_up : KnownWarmUp, optional
         Counted from the first sample of the device.

@@ -1,4 +1,4 @@
-"""What a unit at rest in one position measured, in rows of equal length, and the same in level axes."""
+"""What a unit at rest in one position measured, in rows of equal length, and the same in horizontal axes."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray
+from imumon.estimation.alignment.parameters import KnownWarmUp
 from imumon.geodesy import STANDARD_GRAVITY, forward
 
 SLOT_S = 0.25
@@ -93,43 +94,42 @@ class Record:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Levelled:
-    """The rows of a record in level axes; horizontal vectors are complex, forward + i left.
+class HorizontalRows:
+    """The rows of a record in horizontal axes, complex: forward + i left.
 
-    `rate` (n,) are the level gyros, rad/s, in axes that follow the level as the accelerometers measure it,
-    `vertical` (n,) is the vertical gyro, and `level` (n,) the tilt by the accelerometers, rad, whose
-    derivative is a part of the rate; `attitude` (3, 3) is from body to level axes by the mean specific force.
+    `rate` (n,) are the horizontal gyros, rad/s, in axes that follow the horizon of the accelerometers,
+    `vertical` (n,) is the vertical gyro, and `alpha` (n,) the tilt by the accelerometers, rad, whose
+    derivative is a part of the rate; `attitude` (3, 3) is from body axes by the mean specific force.
     """
 
     row_s: float
     valid: BoolArray
     rate: ColumnArray
     vertical: FloatArray
-    level: ColumnArray
+    alpha: ColumnArray
     attitude: FloatArray
 
 
-def levelled(
-    record: Record, attitude: FloatArray, earth_vertical: float, known_tau_s: FloatArray, known_g: FloatArray
-) -> Levelled:
-    """Return a record in level axes; of the attitude, body to reference frame, only the azimuth is used.
+def horizontal_rows(
+    record: Record, attitude: FloatArray, earth_vertical: float, known: KnownWarmUp | None
+) -> HorizontalRows:
+    """Return a record in horizontal axes; of the attitude, body to reference frame, only the azimuth is used.
 
-    `earth_vertical` is Ω sin L, rad/s; `known_tau_s` and `known_g` (3,) are time constant and amplitude of
-    the accelerometers' known warm-up since the first sample.
+    `earth_vertical` is Ω sin L, rad/s; a known warm-up of the accelerometers is subtracted.
     """
     valid, means = record.rows()
     attitude = upright(attitude[0], means[valid, 3:].mean(axis=0))
-    time_s = record.begun_s + record.row_s * (np.arange(len(means)) + 0.5)
-    warm_up = -np.expm1(-time_s[:, None] / known_tau_s) * known_g
-    force = (means[:, 3:] / STANDARD_GRAVITY - warm_up) @ attitude.T
+    time_s = np.asarray(record.begun_s + record.row_s * (np.arange(len(means)) + 0.5), np.float64)
+    bias_g = np.zeros((len(means), 3)) if known is None else known.bias_g(time_s)
+    force = (means[:, 3:] / STANDARD_GRAVITY - bias_g) @ attitude.T
     rate = means[:, :3] @ attitude.T
-    level = np.where(valid, force[:, 1] - 1j * force[:, 0], 0.0)
-    horizontal = rate[:, 0] + 1j * rate[:, 1] - 1j * level * earth_vertical
-    return Levelled(record.row_s, valid, horizontal, rate[:, 2], level, attitude)
+    alpha = np.where(valid, force[:, 1] - 1j * force[:, 0], 0.0)
+    horizontal = rate[:, 0] + 1j * rate[:, 1] - 1j * alpha * earth_vertical
+    return HorizontalRows(record.row_s, valid, horizontal, rate[:, 2], alpha, attitude)
 
 
 def upright(ahead: FloatArray, force: FloatArray) -> FloatArray:
-    """Return the attitude, body to level axes, (3, 3), with this specific force upward.
+    """Return the attitude, body to horizontal axes, (3, 3), with this specific force upward.
 
     `ahead` (3,) is the forward direction in body axes, of which only the horizontal part counts.
     """

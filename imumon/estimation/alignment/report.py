@@ -6,18 +6,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from imumon.geodesy import DEG_PER_H, EARTH_RATE
+from imumon.geodesy import DEG_PER_H
 
 ANY_ANGLE_SD = math.pi / math.sqrt(3.0)
 """Standard deviation of an angle that is uniform on the circle, rad."""
 HOPELESS_S = 120.0
 """Time at rest after which a bias that hides the north is reported as such."""
-START_S = 10.0
-"""Time at the start that is not reported as a disturbance: the rest detector takes some seconds."""
 LEAST_S, LONGEST_S = 20.0, 300.0
 """Shortest and longest time in one of several positions."""
-TILT_PROBABILITY = 0.5
-"""Probability of a tilt above which it is reported."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,16 +49,15 @@ class Status:
 
     `phase` is waiting, coarse, aligning, settled, not observable or disturbed.  `estimates` are the joint
     fit, which is the heading shown, and plain and Hann-weighted mean of the gyros; empty before the first
-    fit.
+    fit.  `substitute` is name and angle of what is shown where the heading is not observable.
 
-    `rest_s`, `disturbed_s` and `elapsed_s` are the time at rest, in motion, and since the first sample;
-    `settled_s` is the time from the first sample until the heading settled, None if it is not settled, and
-    `remaining_s` the predicted time until then, None if unknown or never.
+    `rest_s` and `elapsed_s` are the time at rest and since the first sample; `settled_s` is the time from the
+    first sample until the heading settled, None if it is not settled, and `remaining_s` the predicted time
+    until then, None if unknown or never; `wanted_sd` is the sigma wanted.
 
-    `magnetic` is the heading from magnetic north, `device_yaw` the last yaw that the device reported, in its
-    own convention.  `arw` is the angular random walk of the quietest gyro, rad/√s, `level_bias_sd` the
-    standard deviation of the gyros' bias in the level axes, and `accel_bias_sd` that of the accelerometers'
-    bias, g; `tilt_probability` is that of a tilt of the unit rather than a drift of an accelerometer.
+    `arw` is the angular random walk of the quietest gyro, rad/√s, `horizontal_bias_sd` the standard deviation
+    of the gyros' bias in horizontal axes; `tilt_probability` is that of a tilt of the unit rather than a
+    drift of an accelerometer.
 
     `positions` counts the positions, the present one included; `position_s` is the time at rest in it, and
     `position_sd` that of the heading by its white noise alone.  `turned` is the angle about the vertical
@@ -70,25 +65,19 @@ class Status:
     """
 
     phase: str
-    observable: bool
     estimates: Mapping[str, Estimate]
+    substitute: tuple[str, float]
     settled_s: float | None
     remaining_s: float | None
-    magnetic: float
-    device_yaw: float
+    wanted_sd: float
     rest_s: float
-    disturbed_s: float
     elapsed_s: float
     roll: float
     pitch: float
     arw: float
-    level_bias_sd: float
-    accel_bias_sd: float
+    horizontal_bias_sd: float
     bias_declared: bool
     tilt_probability: float
-    disturbances: int
-    restarts: int
-    wanted_sd: float
     horizontal_earth_rate: float
     positions: int
     position_s: float
@@ -101,18 +90,14 @@ class Status:
         return self.estimates.get("joint")
 
     @property
+    def observable(self) -> bool:
+        """Whether there is a heading that is known well enough to be shown."""
+        return self.shown is not None and math.isfinite(self.shown.heading)
+
+    @property
     def hopeless(self) -> bool:
         """Whether more time will not bring the wanted sigma, as the gyros' bias limits it."""
         return self.rest_s >= HOPELESS_S and self.remaining_s is None
-
-    @property
-    def substitute(self) -> tuple[str, float]:
-        """Name and angle, rad, of what is shown where the heading is not observable."""
-        if math.isfinite(self.device_yaw):
-            return "the device's own yaw", self.device_yaw
-        if math.isfinite(self.magnetic):
-            return "magnetic, not true north", self.magnetic
-        return "nothing", math.nan
 
 
 def heading_text(status: Status) -> str:
@@ -149,40 +134,18 @@ def rows(status: Status) -> dict[str, str]:
     if math.isfinite(status.arw):
         texts["gyro"] = (
             f"noise {_short(math.degrees(status.arw) * 60.0)} °/√h, "
-            f"σ of a horizontal bias {_short(status.level_bias_sd / DEG_PER_H)} °/h"
+            f"σ of a horizontal bias {_short(status.horizontal_bias_sd / DEG_PER_H)} °/h"
         )
-    if status.shown is not None and status.observable and status.positions == 1:
-        texts |= _conditions_of_one_position(status, status.shown)
-    texts["data"] = f"{min(status.rest_s, status.elapsed_s):.0f} of {status.elapsed_s:.0f} s counted"
-    if status.positions > 1:
-        texts["positions"] = f"{status.positions}, the last turned by {math.degrees(status.turned):.1f}°"
-    if status.disturbances or status.disturbed_s > START_S:
-        texts["disturbed"] = (
-            f"{status.disturbed_s:.1f} s; {status.disturbances} times, {status.restarts} times it began anew"
-        )
-    if status.tilt_probability > TILT_PROBABILITY:
-        texts["level"] = (
-            f"the unit is tilting (probability {status.tilt_probability:.2f}); its sigma allows for that"
-        )
-    return texts
-
-
-def _conditions_of_one_position(status: Status, shown: Estimate) -> dict[str, str]:
-    """Return texts of the biases up to which the sigma of one position holds."""
-    texts = {}
-    if not status.bias_declared:
-        holds = shown.sd * status.horizontal_earth_rate / DEG_PER_H
+    if status.shown is not None and status.observable and status.positions == 1 and not status.bias_declared:
+        holds = status.shown.sd * status.horizontal_earth_rate / DEG_PER_H
         texts["condition"] = (
             "the gyros' turn-on bias is not declared: sigma is right only if the bias of the gyro that "
             f"points east is below {_short(holds)} °/h, which turns the heading by one sigma; declare it "
             "(gyro_bias_sd_deg_per_h), or measure it with --positions 2"
         )
-    tan_latitude = math.sqrt(max((EARTH_RATE / status.horizontal_earth_rate) ** 2 - 1.0, 0.0))
-    texts["accelerometers"] = (
-        f"1 mg of bias of the one that points east turns the heading by "
-        f"{_short(math.degrees(1e-3 * tan_latitude))}°; sigma has it for "
-        f"{_short(1e3 * status.accel_bias_sd)} mg (accel_bias_sd_ug)"
-    )
+    texts["data"] = f"{min(status.rest_s, status.elapsed_s):.0f} of {status.elapsed_s:.0f} s counted"
+    if status.positions > 1:
+        texts["positions"] = f"{status.positions}, the last turned by {math.degrees(status.turned):.1f}°"
     return texts
 
 
@@ -230,14 +193,14 @@ class Guide:
         before, angle = self.instruction, 360.0 / self.positions
         at, last = status.positions, status.positions >= self.positions
         too_long = status.position_s >= LONGEST_S
-        held = too_long or (status.position_s >= LEAST_S and status.position_sd <= status.wanted_sd)
+        enough = too_long or (status.position_s >= LEAST_S and status.position_sd <= status.wanted_sd)
         if status.phase == "disturbed":
             if self._turn_from >= at and not last:  # shown on the status line only
                 self.instruction = before = (
                     f"turned by {math.degrees(status.turned):.0f}° so far; "
                     f"stop at about {angle:.0f}° and let it rest"
                 )
-        elif held and not last:
+        elif enough and not last:
             self.instruction = f"turn the unit now by about {angle:.0f}° about the vertical"
             self._turn_from = at
         elif last and (ended or too_long):

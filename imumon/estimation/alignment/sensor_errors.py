@@ -1,6 +1,7 @@
 """Prior of the errors of gyros and accelerometers: declared, or a regression on the gyros' noise.
 
-The regression is over the data sheets of docs/alignment.md, in powers of the angular random walk N.
+The regression is over the data sheets of docs/appendix/alignment-details.md, in powers of the angular
+random walk N.
 """
 
 from __future__ import annotations
@@ -30,11 +31,11 @@ class ByNoise(NamedTuple):
         return min(max(self.factor * math.pow(ratio, self.power), self.least), self.most)
 
 
-BIAS = ByNoise(2.0 * DEG_PER_H, 1.86, 0.0014 * DEG_PER_H, EARTH_RATE)
+GYRO_BIAS = ByNoise(2.0 * DEG_PER_H, 1.86, 0.0014 * DEG_PER_H, EARTH_RATE)
 """Bias of a gyro, rad/s: at least that of the quietest in the table, at most the earth rate."""
-SCALE = ByNoise(3e-4, 1.4, 3e-4, 0.03)
+GYRO_SCALE = ByNoise(3e-4, 1.4, 3e-4, 0.03)
 """Scale factor and misalignment of a gyro."""
-LEVEL = ByNoise(7.5e-4, 1.4, 7.5e-4, 0.04)
+ACCEL_BIAS = ByNoise(7.5e-4, 1.4, 7.5e-4, 0.04)
 """Bias of an accelerometer, g."""
 LOG_SIZES, LOG_SIZE_SD = np.linspace(-4.0, 4.0, 9), 1.5
 """Logarithms of the sizes of a bias over that of the regression, and their standard deviation."""
@@ -46,43 +47,48 @@ WORSE = np.array(
         if any(axes)
     ]
 )
-"""Factors by which some gyros or all are worse than that, (35, 3): up to 200 °/h for the best of them."""
-P_WORSE, P_WORSE_CREEPING, P_NOT_DECLARED = 0.003, 0.15, 0.001
-"""Prior probabilities that they are: as rare as a normal value beyond three sigmas; where the unit creeps, so
-that the vertical gyro does not show its bias; and against a declared bias (assumed).  Ablation: without the
-first, errors are up to 39 sigma."""
+"""Factors by which some gyros or all are worse than that, (35, 3): up to 31 °/h for the best of them."""
+P_WORSE = 0.003
+"""Prior probability of any of these factors (assumed), as rare as a normal value beyond three sigmas.
+Ablation: without it, errors are up to 39 sigma."""
+P_WORSE_CREEPING = 0.15
+"""The same where the unit creeps, so that the vertical gyro does not show its bias (assumed).  Ablation:
+with 0.003, errors of gyros of 0.5 °/h are up to 40 sigma, not 9."""
+P_WORSE_THAN_DECLARED = 0.001
+"""Prior probability that a declared bias is exceeded by any of these factors (assumed)."""
 
 
 class SensorErrors(NamedTuple):
     """Standard deviations of the errors of gyros and accelerometers.
 
     `sizes` (s, 3) of the gyros' biases, rad/s, have the log probabilities `log_prior` (s,); `flicker` is the
-    change of a bias from position to position, rad/s; `scale` is a ratio; `level` is in g.
+    change of a bias from position to position, rad/s; `scale` is a ratio; `accel_bias` is in g.
     """
 
     sizes: FloatArray
     log_prior: FloatArray
     flicker: float
     scale: float
-    level: float
+    accel_bias: float
 
 
 def sensor_errors(noise: float, parameters: AlignmentParameters, creeps: bool) -> SensorErrors:
     """Return the declared errors, and the regression on an angular random walk, rad/√s, for the others."""
     ppm, micro_g = parameters.gyro_scale_sd_ppm, parameters.accel_bias_sd_ug
     return SensorErrors(
-        *_bias_sizes(BIAS.at(noise), parameters.gyro_bias_sd_deg_per_h, creeps),
+        *_bias_sizes(GYRO_BIAS.at(noise), parameters.gyro_bias_sd_deg_per_h, creeps),
         flicker=(parameters.gyro_flicker_deg_per_h or 0.0) * DEG_PER_H,
-        scale=SCALE.at(noise) if ppm is None else ppm * 1e-6,
-        level=LEVEL.at(noise) if micro_g is None else micro_g * 1e-6,
+        scale=GYRO_SCALE.at(noise) if ppm is None else ppm * 1e-6,
+        accel_bias=ACCEL_BIAS.at(noise) if micro_g is None else micro_g * 1e-6,
     )
 
 
 def _bias_sizes(typical: float, declared: float | None, creeps: bool) -> tuple[FloatArray, FloatArray]:
     alike, share = typical * np.exp(LOG_SIZES), np.exp(-0.5 * (LOG_SIZES / LOG_SIZE_SD) ** 2)
-    worse = P_WORSE_CREEPING if creeps else P_WORSE
+    p_worse = P_WORSE_CREEPING if creeps else P_WORSE
     if declared is not None:
         alike = np.array([max(declared * DEG_PER_H, 1e-11)])  # a bias of zero has no logarithm
-        share, worse, typical = np.ones(1), P_NOT_DECLARED, max(typical, float(alike[0]))
+        share, p_worse, typical = np.ones(1), P_WORSE_THAN_DECLARED, max(typical, float(alike[0]))
     sizes = np.concatenate([np.tile(alike[:, None], (1, 3)), typical * WORSE])
-    return sizes, np.log(np.r_[(1.0 - worse) * share / share.sum(), np.full(len(WORSE), worse / len(WORSE))])
+    prior = np.r_[(1.0 - p_worse) * share / share.sum(), np.full(len(WORSE), p_worse / len(WORSE))]
+    return sizes, np.log(prior)

@@ -11,14 +11,13 @@ from typing import Any, Literal
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
-from imumon.charts import GREEN, GREY, ORANGE, RED, Axis, Chart, Curve
+from imumon.charts import GREEN, GREY, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.estimation.alignment.aligner import Aligner
+from imumon.estimation.alignment.motion import CALM_SLOTS
 from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.positions import CALM_SLOTS
 from imumon.estimation.alignment.record import SLOT_S, Slot
 from imumon.estimation.alignment.report import (
-    TILT_PROBABILITY,
     PositionHeading,
     Status,
     heading_text,
@@ -28,12 +27,10 @@ from imumon.filters.slots import SlotGatherer, Slots, held
 from imumon.geodesy import DEG_PER_H
 from imumon.lane import LaneState, Level
 
-MEANS = ("gyro_mean", "hann_mean")
-"""Estimators beside the joint fit."""
 NOT_OBSERVABLE_S = 30.0
 """Time at rest after which "not observable" is reported."""
-PLACE, COLORS = "Alignment", (GREEN, RED, ORANGE)
-"""The tab of the charts, and the colours of joint fit, plain and Hann mean."""
+TILT_PROBABILITY, CONTRADICTION = 0.5, 3.0
+"""Probability of a tilt above which it is reported, and the size of a bias over the declared one."""
 MOST_EMPTY_SLOTS = 8
 """A device sends a sample in 2 s at least: a longer time without samples is no rest."""
 _INPUTS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel", "mag") for axis in "xyz")
@@ -101,9 +98,9 @@ class Alignment:
             "pitch_drift": "change of pitch since the first rest",
             "heading_magnetic": "heading of the body x axis from magnetic north",
         }
-        for name in MEANS:
-            texts[f"heading_{name}"] = f"heading by the {name.replace('_', ' ')}"
-            texts[f"heading_{name}_sd"] = "its standard deviation"
+        for name in ("gyro mean", "hann mean"):
+            column = f"heading_{name.replace(' ', '_')}"
+            texts |= {column: f"heading by the {name}", f"{column}_sd": "its standard deviation"}
         return [Column(name, "rad", description=text) for name, text in texts.items()]
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
@@ -159,7 +156,7 @@ class Alignment:
             self._force.append(mean[3:6].copy())
             at_rest = bool(slots.smallest[k, -1] > 0.0)
             slot = Slot(index, length_s, samples, mean[:6].copy())
-            self._aligner.step(slot, mean[6:9], at_rest, slots.turns, k)
+            self._aligner.step(slot, mean[6:9], at_rest, slots.turns.at(k))
 
     def _make_row(self) -> dict[str, float]:
         """Return the columns by name."""
@@ -208,32 +205,33 @@ class Alignment:
         aligner, state = self._aligner, self._aligner.state
         last = state.positions[-1] if state.positions else None
         fit, posterior = None if last is None else last.fit, state.posterior
-        roll, pitch = (self._row[self._prefix + name] for name in ("roll", "pitch"))
+        roll, pitch = (
+            self._row[self._prefix + name] if aligner.resting else math.nan for name in ("roll", "pitch")
+        )
+        substitutes = {
+            "the device's own yaw": self._yaw,
+            "magnetic, not true north": self._row["heading_magnetic"],
+        }
+        known = (pair for pair in substitutes.items() if math.isfinite(pair[1]))
         return Status(
             phase=self._phase(),
-            observable=aligner.observable,
             estimates=aligner.estimates,
+            substitute=next(known, ("nothing", math.nan)),
             settled_s=state.settled_s,
             remaining_s=aligner.remaining_s,
-            magnetic=aligner.magnetic_heading,
-            device_yaw=self._yaw,
+            wanted_sd=math.radians(self._parameters.settled_deg),
             rest_s=state.rest_s,
-            disturbed_s=aligner.disturbed_s,
             elapsed_s=aligner.elapsed_s,
-            roll=roll if aligner.resting else math.nan,
-            pitch=pitch if aligner.resting else math.nan,
+            roll=roll,
+            pitch=pitch,
             arw=math.nan if fit is None else math.sqrt(fit.white),
-            level_bias_sd=math.nan if posterior is None else posterior.level_bias_sd,
-            accel_bias_sd=aligner.errors.level,
+            horizontal_bias_sd=math.nan if posterior is None else posterior.horizontal_bias_sd,
             bias_declared=self._parameters.gyro_bias_sd_deg_per_h is not None,
             tilt_probability=0.0 if posterior is None else posterior.settling,
-            disturbances=max(len(state.positions) - 1, 0),
-            restarts=aligner.restarts,
-            wanted_sd=math.radians(self._parameters.settled_deg),
-            horizontal_earth_rate=aligner.level_rate,
+            horizontal_earth_rate=aligner.earth_horizontal,
             positions=0 if last is None else last.number,
-            position_s=0.0 if fit is None else fit.seconds,
-            position_sd=math.inf if fit is None else math.sqrt(fit.variance.min()) / aligner.level_rate,
+            position_s=0.0 if last is None else last.record.rest_s,
+            position_sd=math.inf if fit is None else math.sqrt(fit.variance.min()) / aligner.earth_horizontal,
             turned=aligner.turned,
         )
 
@@ -255,40 +253,26 @@ class Alignment:
         if status.phase == "not observable":
             not_observable = LaneState("not observable with this gyro")
             return {"alignment": not_observable, "heading by": LaneState(status.substitute[0])}
-        shown = status.shown is not None and status.observable
-        by = LaneState("joint fit" if shown else "none yet")
+        by = LaneState("joint fit" if status.observable else "none yet")
         return {"alignment": LaneState(status.phase, LEVELS.get(status.phase, Level.PLAIN)), "heading by": by}
 
     def charts(self) -> Sequence[Chart]:
-        """Return the estimators beside each other, and sigma against time."""
-        if len(self._aligner.state.history) < 2 or self.status.shown is None:
+        """Return sigma against time."""
+        if len(self._aligner.state.history) < 2:
             return []
-        return [self._headings_chart(self.status, self.status.shown.heading), self._sigma_chart(self.status)]
-
-    def _headings_chart(self, status: Status, shown: float) -> Chart:
-        names = tuple(name.replace("_", " ") for name in status.estimates)
-        curves = []
-        for k, (name, one, color) in enumerate(zip(names, status.estimates.values(), COLORS, strict=True)):
-            off = math.degrees(math.remainder(one.heading - shown, 2.0 * math.pi))
-            ends = off + 2.0 * math.degrees(one.sd) * np.array([-1.0, 1.0])
-            x, y = np.array([k, k, np.nan, k - 0.1, k + 0.1]), np.array([*ends, np.nan, off, off])
-            curves.append(Curve(name, x, y, color, width=3.0, listed=False))
-        return Chart(
-            "alignment_headings", PLACE, "Headings of all estimators, 2σ", Axis("estimator", names=names),
-            Axis("heading less the one shown [°]"), tuple(curves), headline=heading_text(status),
-        )  # fmt: skip
-
-    def _sigma_chart(self, status: Status) -> Chart:
         time_s, _, sd = np.array(self._aligner.state.history).T
-        wanted = np.full(2, math.degrees(status.wanted_sd))
+        wanted_s = np.array([max(time_s[0], 1.0), max(time_s[-1], 10.0)])
         curves = (
             Curve("σ", time_s, np.degrees(sd), GREEN, width=2.0),
-            Curve("wanted", np.array([max(time_s[0], 1.0), max(time_s[-1], 10.0)]), wanted, GREY),
+            Curve("wanted", wanted_s, np.full(2, self._parameters.settled_deg), GREY),
         )
-        return Chart(
-            "alignment_progress", PLACE, "Sigma of the heading shown", Axis("observed time [s]", log=True),
-            Axis("σ [°]", log=True), curves, headline=to_go_text(status),
-        )  # fmt: skip
+        return [
+            Chart(
+                "alignment_progress", "Alignment", "Sigma of the heading shown",
+                Axis("observed time [s]", log=True), Axis("σ [°]", log=True), curves,
+                headline=f"{heading_text(self.status)}; {to_go_text(self.status)}",
+            )
+        ]  # fmt: skip
 
     def notices(self) -> list[str]:
         """Return, once each, motions and restarts, and conditions that limit the heading."""
@@ -300,25 +284,28 @@ class Alignment:
     def _conditions(self) -> dict[str, bool]:
         status, posterior = self.status, self._aligner.state.posterior
         declared = self._parameters.gyro_bias_sd_deg_per_h
-        level = self._aligner.level_rate / DEG_PER_H
-        one_position = status.phase in ("aligning", "settled") and status.positions == 1
+        horizontal = status.horizontal_earth_rate / DEG_PER_H
+        tilts = status.tilt_probability > TILT_PROBABILITY and status.observable
+        depends = status.phase in ("aligning", "settled") and status.positions == 1 and declared is None
+        contradicted = (
+            declared is not None
+            and posterior is not None
+            and posterior.bias_size > CONTRADICTION * max(declared, 0.01) * DEG_PER_H
+        )
         return {
-            "alignment: the level changes as the gyros turn: the unit is tilting (a tripod that settles?)": (
-                status.tilt_probability > TILT_PROBABILITY and status.observable
-            ),
+            "alignment: the level changes as the gyros turn: the unit is tilting (a tripod that settles?); "
+            "its sigma allows for that": tilts,
             "heading not observable with this gyro: its bias is not small beside the earth's horizontal "
-            f"rate of {level:.1f} °/h; a turn by half a circle, and a rest, separate them; or an axis is "
-            "swapped or reversed, or the unit of the gyros or the latitude is wrong": (
+            f"rate of {horizontal:.1f} °/h; a turn by half a circle, and a rest, separate them; or an axis "
+            "is swapped or reversed, or the unit of the gyros or the latitude is wrong": (
                 status.phase == "not observable"
             ),
             "alignment: the gyros' turn-on bias is not declared (gyro_bias_sd_deg_per_h), and from one "
             "position it cannot be separated from the earth's rotation: sigma takes it for that of gyros of "
             "such noise, and is too small where it is larger; a turn by half a circle and a rest remove it": (
-                one_position and declared is None
+                depends
             ),
             "alignment: the rates contradict the declared bias of the gyros, or the latitude is wrong": (
-                declared is not None
-                and posterior is not None
-                and posterior.bias_size > 3.0 * max(declared, 0.01) * DEG_PER_H
+                contradicted
             ),
         }

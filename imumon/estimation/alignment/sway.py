@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,21 +21,14 @@ FEW_PERIODS, RESIDUAL_SHARE = 5.0, 0.3
 all frequencies, too."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sway:
-    """Fitted lines of a record of n rows.
+def without_sway(
+    rate: ColumnArray, alpha: ColumnArray, valid: BoolArray, slow: FloatArray
+) -> tuple[ColumnArray, FloatArray]:
+    """Return rates, rad/s, and α, rad, of horizontal axes, (n,) each, without their lines, (2, n).
 
-    `columns` (n, 4 l) are the basis functions of each line times its amplitude, rad/s; `rate` and `level`
-    (n,) the sway of gyros and accelerometers, rad/s and rad, complex as in `record.Levelled`.
+    Lines are found in the rate; they are fitted beside slow functions of time, (n, m).  The second result,
+    (n, 4 l), are the basis functions of each line times its amplitude, rad/s: its uncertainty.
     """
-
-    columns: FloatArray
-    rate: ColumnArray
-    level: ColumnArray
-
-
-def find_sway(rate: ColumnArray, level: ColumnArray, valid: BoolArray, slow: FloatArray) -> Sway:
-    """Return the sway of level rates and level, (n,), beside slow functions of time, (n, m)."""
     n = len(rate)
     slow = slow / np.sqrt(np.sum(slow**2, axis=0)) * valid[:, None]
     inverse = np.linalg.inv(slow.T @ slow + 1e-9 * np.eye(slow.shape[1]))
@@ -46,9 +38,9 @@ def find_sway(rate: ColumnArray, level: ColumnArray, valid: BoolArray, slow: Flo
         values = values * valid[:, None]
         return np.asarray(values - slow @ (inverse @ (slow.T @ values)))
 
-    data, taper = beside(np.column_stack([rate, level])), np.hanning(n + 2)[1:-1]
-    left, sways = data[:, 0], np.zeros((n, 2), complex)
-    columns, size = np.zeros((n, 0)), np.zeros(0)
+    given = np.column_stack([rate, alpha])
+    data, taper = beside(given), np.hanning(n + 2)[1:-1]
+    columns, left, found, size = np.zeros((n, 0)), data[:, 0], given, np.zeros(0)
     for _ in range(min(MAX_LINES, n // ROWS_PER_LINE)):
         start = _strongest(left * taper)
         if start is None:
@@ -61,10 +53,10 @@ def find_sway(rate: ColumnArray, level: ColumnArray, valid: BoolArray, slow: Flo
         reduced = np.vdot(remains, remains).real < RESIDUAL_SHARE * np.vdot(left, left).real
         if (omega * n < FEW_PERIODS * math.tau and not reduced) or abs(omega - start) * n > math.tau:
             break
-        columns, left, sways = basis, remains, basis @ amplitudes
+        columns, left, found = basis, remains, given - basis @ amplitudes
         swing = columns[:, -4:] @ amplitudes[-4:, 0]
         size = np.r_[size, np.full(4, math.sqrt(2.0 * float(np.mean(np.abs(swing) ** 2))))]
-    return Sway(columns * size, sways[:, 0], sways[:, 1])
+    return np.asarray(found.T), columns * size
 
 
 def _line(n: int, omega: float) -> FloatArray:

@@ -24,25 +24,24 @@ count, and at 50 Hz the attitude begins after 0.3 s."""
 TAU_ACC_S, TAU_MAG_S = 3.0, 9.0
 """VQF's defaults, s: so slowly the vertical follows the accelerometers, and the heading the magnetometer."""
 ROW = np.dtype(
-    [(name, np.float64, (3,)) for name in ("angle", "accel", "mag", "field", "bias_sd", "path")]
+    [(name, np.float64, (3,)) for name in ("angle", "path", "bias_sd", "field")]
     + [(name, np.float64, (4,)) for name in ("quat6d", "acc_quat", "gyr_quat")]
-    + [(name, np.float64) for name in ("low_force", "delta", "follow_rate")]
-    + [("north", np.int64)]
+    + [(name, np.float64) for name in ("low_force", "delta")]
+    + [(name, np.int64) for name in ("north", "follows")]
 )
 """A sample and what the filter makes of it; NaN before it has begun.
 
 angle : turn since the sample before, rad, zero at rest
-accel, mag : m/s² and any unit, zero where there is none
-field : latest of mag; NaN before the first
-bias_sd : standard deviation of the gyro bias, rad/s
 path : running sum of the angles, rad
+bias_sd : standard deviation of the gyro bias, rad/s
+field : latest magnetic field, any unit; NaN before the first
 quat6d, acc_quat, gyr_quat : VQF's quaternions w, x, y, z, from body to level axes without north; from
     gyro-carried to level; from body to gyro-carried
 low_force : magnitude of the low-passed specific force, m/s²
 delta : counterclockwise angle from quat6d to the attitude, rad: VQF's by the field, or that to the declared
     heading
-follow_rate : how fast the heading follows the field: 1 as usual, 0 not at all while VQF rejects the field
-north : whether the field has shown north
+north, follows : whether the field has shown north, and whether the heading follows it: VQF rejects a
+    disturbed field for some time
 """
 Rows = npt.NDArray[np.void]
 
@@ -115,16 +114,30 @@ class Fusion:
         """Whether there is an attitude."""
         return not math.isnan(self._delta)
 
-    def process(self, rows: Rows, time_ns: IntArray, has_mag: BoolArray, bias_known: bool) -> None:
-        """Follow rows, (n,), and fill in what is found."""
-        start = self._learn_rate(rows, time_ns, has_mag)
+    def process(
+        self, rows: Rows, time_ns: IntArray, accel: FloatArray, has_mag: BoolArray, bias_known: bool
+    ) -> None:
+        """Follow rows, (n,), and fill in what is found.
+
+        Parameters
+        ----------
+        accel : array (n, 3)
+            Specific force, m/s², zero where there is none.
+        has_mag : array of bool, (n,)
+            Where `field` is of this very row.
+        bias_known : bool
+            Whether the angles are without a bias; else VQF estimates it.
+        """
+        start = self._learn_rate(time_ns, accel, has_mag)
         if start == len(rows) or self._vqf is None:
             return
         self._estimate_bias(self._vqf, not bias_known)
-        rows, has_mag = rows[start:], has_mag[start:]
-        gyro, accel = rows["angle"] * (1.0 / self._interval_s), rows["accel"].copy()
+        rows, accel, has_mag = rows[start:], accel[start:], has_mag[start:]
+        inputs = [rows["angle"] * (1.0 / self._interval_s), accel]
         with_mag = self.north or bool(has_mag.any())
-        found = self._vqf.updateBatchFullState(gyro, accel, *([rows["mag"].copy()] if with_mag else []))
+        if with_mag:
+            inputs.append(np.where(has_mag[:, np.newaxis], rows["field"], 0.0))
+        found = self._vqf.updateBatchFullState(*inputs)
         for name, of_vqf in (("quat6d", "quat6D"), ("acc_quat", "accQuat"), ("gyr_quat", "gyrQuat")):
             rows[name] = found[of_vqf]
         rows["low_force"] = np.sqrt((found["lastAccLp"] ** 2).sum(1))
@@ -137,23 +150,22 @@ class Fusion:
     def _follow_field(
         self, rows: Rows, found: dict[str, Any], has_mag: BoolArray, given: dict[str, Any]
     ) -> None:
-        """Fill in where north is, and how fast the heading follows the field."""
+        """Fill in where north is, and whether the heading follows the field."""
         north = self.north | np.logical_or.accumulate(has_mag)
         rows["north"], rows["delta"] = north, np.where(north, found["delta"], self._delta)
         # Before it has taken a field as its reference VQF calls every field disturbed, and follows it.
         disturbed = found["magDistDetected"] & (found["magRefNorm"] > 0.0)
         rejected = found["magRejectT"] <= given["magMaxRejectionTime"]
-        slower = np.where(rejected, 0.0, 1.0 / given["magRejectionFactor"])
-        rows["follow_rate"] = np.where(disturbed, slower, 1.0)
+        rows["follows"] = ~(disturbed & rejected)
         self.north, self.disturbed = True, bool(disturbed[-1])
 
-    def _learn_rate(self, rows: Rows, time_ns: IntArray, has_mag: BoolArray) -> int:
+    def _learn_rate(self, time_ns: IntArray, accel: FloatArray, has_mag: BoolArray) -> int:
         """Take the rate from the first intervals; return the first row that the filter may have."""
         start = 0
-        while self._vqf is None and start < len(rows):
+        while self._vqf is None and start < len(time_ns):
             self._first.append(int(time_ns[start]))
             self._mags += bool(has_mag[start])
-            if len(self._first) > RATE_SAMPLES and rows["accel"][start].any():
+            if len(self._first) > RATE_SAMPLES and accel[start].any():
                 self._interval_s = max(float(np.median(np.diff(self._first))), 1.0) * 1e-9
                 mag_s = self._interval_s * (len(self._first) / self._mags if self._mags else 1.0)
                 self._vqf = VQF(self._interval_s, magTs=mag_s, tauAcc=TAU_ACC_S, tauMag=TAU_MAG_S)

@@ -1,9 +1,19 @@
-"""Standard deviation of the heading, relative or by the magnetometer, by (H1) to (H5) of docs/attitude.md.
+"""Standard deviation of the heading, relative or by the magnetometer; the table is in docs/attitude.md.
 
-A relative heading turns wrong by scale errors of what was turned about the vertical (u J of `tilt_sigma`),
-by gyros that are not confirmed, and by the bias, which each rest measures anew: (H1).  A calibrated
-magnetometer ties it down: VQF follows the field with tau_mag and forgets older parts of (H1).  What
-calibration, tilt and iron leave of the field's direction is (H2) to (H5).
+A relative heading turns wrong by scale errors of what was turned about the vertical, u J of `tilt_sigma`, by
+gyros that are not confirmed, and by the bias, which each rest measures anew::
+
+    h = s² |Σ u J|² + (Σ u J_ii)² of gyros not confirmed + Σ over motions (bias sigma · seconds)² + missed
+
+A calibrated magnetometer ties it down: VQF follows the field with τ = 9 s and forgets older parts of h.  H
+and V are the horizontal and the vertical field, B its calibrated strength, c the error of the calibration, i
+the iron that came after it, p the angle by which the field has turned the heading against the gyros::
+
+    variance = (c² + i² + V² tilt) / H² + h
+    i² = (i0 B)² + 2 · largest (along² + across²) of the last half minute
+    along = strength - B;  across² = (H p)² - H² h - (c² + (i0 B)² + V² tilt), if positive
+
+The 2 is a margin for the component of the iron that a pose does not show.
 """
 
 from __future__ import annotations
@@ -19,11 +29,10 @@ from imumon.estimation.attitude.tilt_sigma import SLOT_S, Gyros, Slot
 from imumon.models.magnetometer import MagnetometerModel
 
 IRON = 0.025
-"""i0, share of the field: iron that came after the calibration and has not shown yet.  A prior, as
-`ACCEL_SD`: a single pose shows one of three components."""
+"""i0, share of the field.  A prior, as `ACCEL_SD`: a single pose shows one of three components."""
 IRON_MEMORY_S = 30.0
 """Time in which iron that has shown is forgotten, s: it may have been a magnet in the room, and the next pose
-shows it again."""
+shows it again.  Ablation."""
 
 
 @dataclass(slots=True)
@@ -43,18 +52,18 @@ class HeadingSigma:
     gyros: Gyros
     magnetometer: MagnetometerModel | None
     earth_rate: float
-    iron: float = 0.0
-    """Largest (along² + across²) of (H3), in the square of the field's unit."""
     about_up: FloatArray = field(default_factory=lambda: np.zeros(9))
     """Sum of u J: turn about the vertical for each element of scale and misalignment, rad."""
     earlier: float = 0.0
-    """Variance by the bias in the motions before, and by lost samples, rad²."""
+    """Variance by the bias in the motions before, and by missing samples, rad²."""
     moving_s: float = 0.0
     """Duration of this motion, s."""
     field_correction: float = 0.0
-    """p: angle by which the field has turned the heading, forgotten with tau_mag, rad."""
+    """p, forgotten with τ, rad."""
     delta: float = math.nan
     """That of the last slot, rad."""
+    iron: float = 0.0
+    """Largest along² + across², in the square of the field's unit."""
 
     def step(self, slot: Slot, end: Rows, tilt_variance: float) -> float:
         """Take a slot; return the variance of the heading, or of its change where it is relative, rad².
@@ -74,31 +83,25 @@ class HeadingSigma:
         else:
             self.moving_s += SLOT_S
             self.about_up += slot.up @ slot.sensitivity
-            self.earlier += slot.lost
-        if end["north"]:
-            self._forget(float(end["follow_rate"]), float(end["delta"]))
-        relative = self._relative(bias_sd)
+            self.earlier += slot.missed
+        if end["north"] and end["follows"]:
+            self._forget()
+        relative = self.gyros.error(self.about_up**2) + self.earlier + (bias_sd * self.moving_s) ** 2
         return self._magnetic(slot.up_body, end, tilt_variance, relative) if end["north"] else relative
 
-    def _relative(self, bias_sd: float) -> float:
-        """(H1): scale, unconfirmed gyros, earlier motions and lost samples, bias in this motion."""
-        squares = self.about_up**2
-        scale = min(self.gyros.variance, self.gyros.prior) * float(squares.sum())
-        unconfirmed = float(squares[::4] @ ~self.gyros.confirmed)
-        return scale + unconfirmed + self.earlier + (bias_sd * self.moving_s) ** 2
-
-    def _forget(self, follow_rate: float, delta: float) -> None:
-        """Forget what VQF has corrected by the field, and take by how much that was."""
-        keep = math.exp(-follow_rate * SLOT_S / TAU_MAG_S)
+    def _forget(self) -> None:
+        """Forget what VQF corrects by the field."""
+        keep = math.exp(-SLOT_S / TAU_MAG_S)
         self.about_up *= keep
         self.moving_s *= keep
         self.earlier *= keep * keep
-        # At first the field shows where north is: that is no change.
-        change = 0.0 if math.isnan(self.delta) else math.remainder(delta - self.delta, 2.0 * math.pi)
-        self.field_correction, self.delta = keep * self.field_correction + change, delta
+        self.field_correction *= keep
 
     def _magnetic(self, up_body: FloatArray, end: Rows, tilt_variance: float, relative: float) -> float:
-        """(H2): (c² + i² + (V tilt)²) / H² and what is not forgotten of (H1)."""
+        """Return the variance of a heading by the field, NaN where the magnetometer is not calibrated."""
+        # At first the field shows where north is: that is no change.
+        change = 0.0 if math.isnan(self.delta) else math.remainder(end["delta"] - self.delta, 2.0 * math.pi)
+        self.field_correction, self.delta = self.field_correction + change, float(end["delta"])
         magnetometer = self.magnetometer
         strength, vertical = float(np.linalg.norm(end["field"])), float(end["field"] @ up_body)
         horizontal2 = max(strength**2 - vertical**2, 0.0)
@@ -107,7 +110,6 @@ class HeadingSigma:
         prior = magnetometer.error_sd**2 + (IRON * magnetometer.field) ** 2 + vertical**2 * tilt_variance
         across2 = horizontal2 * (self.field_correction**2 - relative) - prior
         self.iron *= math.exp(-SLOT_S / IRON_MEMORY_S)
-        if end["follow_rate"] and math.isfinite(across2):
+        if end["follows"] and math.isfinite(across2):
             self.iron = max(self.iron, (strength - magnetometer.field) ** 2 + max(across2, 0.0))
-        # The 2 is a margin for the component of the iron that this pose does not show.
         return (prior + 2.0 * self.iron) / horizontal2 + relative

@@ -10,7 +10,6 @@ from imumon.config import StrictModel
 
 Retired = Annotated[None, BeforeValidator(lambda _: None)]
 """A key of earlier versions: any value is read and dropped, and a session does not write it again."""
-RETIRED = ("accel_error_probability", "axes_error_probability", "magnet_error_probability")
 
 
 def _retired(sensor: str) -> Any:
@@ -45,4 +44,4 @@ class AttitudeParameters(StrictModel):
     @property
     def retired(self) -> list[str]:
         """The keys that were given and are not used any more."""
-        return [name for name in RETIRED if name in self.model_fields_set]
+        return sorted(name for name in self.model_fields_set if name.endswith("_error_probability"))

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 
-from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock, missing
 from imumon.columns import Column
 from imumon.estimation.attitude.fusion import ROW, Fusion, Rows, heading, matrices
 from imumon.estimation.attitude.heading_sigma import HeadingSigma
@@ -39,11 +40,9 @@ COLUMNS = (
     Column("attitude_estimate_north", "1", "int64", "1: heading from magnetic north, 0: relative heading"),
 )
 SLOT_END = np.dtype(
-    [("tilt", np.float64), ("heading", np.float64)]
-    + [(name, np.float64, (3,)) for name in ("path", "up", "gyros")]
+    [("tilt", np.float64), ("heading", np.float64), ("path", np.float64, (3,)), ("gyros", np.float64, (3,))]
 )
-"""End of the latest slot: variances, rad²; path as of `ROW`; u; variance of each gyro's turn over its square:
-of its scale, and 1 where it is not confirmed."""
+"""End of the latest slot: variances, rad²; path as of `ROW`; `Gyros.turn_variance`."""
 
 
 class AttitudeEstimate:
@@ -107,85 +106,71 @@ class AttitudeEstimate:
         if gyro is None or block.accel is None:
             return {}
         self._device_has_attitude |= "q_w" in block or "roll" in block
-        usable = (block["device_time_ns"] != NO_INT) & _finite(gyro)
-        if not usable.all():
+        found = {column.name: missing(len(block), column.dtype) for column in COLUMNS}
+        usable = np.flatnonzero((block["device_time_ns"] != NO_INT) & _finite(gyro))
+        if len(usable):
             block = SampleBlock({name: values[usable] for name, values in block.columns.items()})
-        found: dict[str, ColumnArray] = {}
-        for column, values in zip(COLUMNS, self._estimate(block), strict=True):
-            unknown = NO_INT if values.dtype == np.int64 else math.nan
-            found[column.name] = np.full(len(usable), unknown, values.dtype)
-            found[column.name][usable] = values
+            begins, interval_s = self._intervals(block["device_time_ns"], block["segment"])
+            changes = np.flatnonzero(begins | np.diff(_corrected(block)[1], prepend=False))
+            for start, stop in pairwise(sorted({0, len(block), *changes.tolist()})):
+                part = block.rows(start, stop)
+                values = self._estimate(part, interval_s[start:stop], bool(begins[start]))
+                for name, each in zip(found, values, strict=True):
+                    found[name][usable[start:stop]] = each
         return found
 
-    def _estimate(self, block: SampleBlock) -> list[ColumnArray]:
-        """Run the filter over a block; return the columns."""
-        rows, has_mag, bias_known, slots, begins = self._rows(block)
-        time_ns, n = block["device_time_ns"], len(block)
-        learned = np.flatnonzero(bias_known[1:] != bias_known[:-1]) + 1
-        edges = sorted({0, n, *begins, *learned.tolist()})
-        # A slot ends before the row behind it, at which the attitude may be reinitialized.
-        ended = [0, *np.searchsorted(slots.row, edges, side="right").tolist()]
-        ends: list[tuple[int, Rows]] = [(0, self._slot_end)]
-        for j, start in enumerate(edges):
-            for k in range(ended[j], ended[j + 1]):
-                self._end_slot(rows[slots.row[k]], slots, k)
-                ends.append((int(slots.row[k]), self._slot_end))
-            if start == n:
-                break
-            if start in begins:
-                self._reinitialize()
-                ends.append((start, self._slot_end))
-            part = slice(start, edges[j + 1])
-            self._fusion.process(rows[1:][part], time_ns[part], has_mag[part], bool(bias_known[start]))
-        self._last = rows[-1:].copy()
-        first_rows = np.array([row for row, _ in ends] + [n])
-        latest = np.repeat(np.concatenate([end for _, end in ends]), np.diff(first_rows))
-        return self._output(rows[1:], latest)
-
-    def _rows(self, block: SampleBlock) -> tuple[Rows, BoolArray, BoolArray, Slots, list[int]]:
-        """Gather what the filter and the sigmas take.
-
-        Returns the samples as `ROW`, (n + 1,), behind the last one of the block before; whether each has a
-        field and a known bias, (n,); the slots that end; and the rows to reinitialize at.
-        """
-        n, gyro, accel, mag = len(block), block.gyro, block.accel, block.mag
-        assert gyro is not None
-        assert accel is not None
-        rows = np.zeros(n + 1, ROW)
-        rows[0], sent = self._last[0], rows[1:]
-        begins, interval_s = self._intervals(block["device_time_ns"], block["segment"])
-        corrected, bias_sd = block.vector("gyro_corrected"), block.vector("gyro_bias_sd")
-        known = np.zeros(n, bool) if corrected is None else _finite(corrected)
-        rate = gyro if corrected is None else np.where(known[:, np.newaxis], corrected, gyro)
-        rest = known & np.asarray(block.columns.get("at_rest", np.zeros(n, np.int64)) == 1)
-        slots = self._slots.process(
-            block["device_time_ns"], block["segment"], np.column_stack([rate, accel, rest])
-        )
-        sent["angle"] = sent["path"] = np.where(rest[:, np.newaxis], 0.0, rate * interval_s[:, np.newaxis])
-        rows["path"] = np.cumsum(rows["path"], axis=0)  # a running sum, the same whatever the blocks
-        sent["accel"] = np.where(_finite(accel)[:, np.newaxis], accel, 0.0)
-        sent["bias_sd"] = math.nan if bias_sd is None else bias_sd
-        sent["field"], has_mag = rows["field"][0], np.zeros(n, bool)
-        if mag is not None and self._parameters.use_magnetometer:
-            field = mag if self._magnetometer is None else self._magnetometer.corrected(mag)
-            has_mag = _finite(field)
-            sent["mag"] = np.where(has_mag[:, np.newaxis], field, 0.0)
-            latest = np.maximum.accumulate(np.where(has_mag, np.arange(1, n + 1), 0))
-            sent["field"] = np.where((latest > 0)[:, np.newaxis], rows["mag"][latest], rows["field"][0])
-        for name in ("quat6d", "acc_quat", "gyr_quat", "low_force"):
-            sent[name] = math.nan
-        return rows, has_mag, known, slots, begins
-
-    def _intervals(self, time_ns: IntArray, segment: IntArray) -> tuple[list[int], FloatArray]:
-        """Return the rows to reinitialize at (restart or gap), and the time since the row before, s."""
-        if not len(time_ns):
-            return [], np.empty(0)
+    def _intervals(self, time_ns: IntArray, segment: IntArray) -> tuple[BoolArray, FloatArray]:
+        """Return whether an attitude begins (restart, gap), and the time since the row before, s; (n,)."""
         last_ns, last_segment = self._last_time or (int(time_ns[0]), int(segment[0]))
         self._last_time = int(time_ns[-1]), int(segment[-1])
         interval = np.diff(time_ns, prepend=last_ns)
-        changed = np.diff(segment, prepend=last_segment) != 0
-        begins = np.flatnonzero(changed | (interval > GAP_NS) | (interval < 0))
-        return begins.tolist(), np.asarray(interval * 1e-9)
+        restarted = np.diff(segment, prepend=last_segment) != 0
+        return restarted | (interval > GAP_NS) | (interval < 0), np.asarray(interval * 1e-9)
+
+    def _estimate(self, block: SampleBlock, interval_s: FloatArray, begins: bool) -> list[ColumnArray]:
+        """Return the columns of rows of one attitude, which may begin with the first of them."""
+        rate, bias_known = _corrected(block)
+        accel = np.asarray(block.accel)
+        rest = bias_known & np.asarray(block.columns.get("at_rest", np.zeros(len(block), np.int64)) == 1)
+        slots = self._slots.process(
+            block["device_time_ns"], block["segment"], np.column_stack([rate, accel, rest])
+        )
+        angle = np.where(rest[:, np.newaxis], 0.0, rate * interval_s[:, np.newaxis])
+        rows, has_mag = self._rows(block, angle)
+        # A slot that ends with the first row is of the attitude before it.
+        earlier = int(np.count_nonzero(slots.row == 0))
+        if earlier:
+            self._end_slot(rows[0], slots, 0)
+        if begins:
+            self._reinitialize()
+        accel = np.where(_finite(accel)[:, np.newaxis], accel, 0.0)
+        self._fusion.process(rows[1:], block["device_time_ns"], accel, has_mag, bool(bias_known[0]))
+        ends = [self._slot_end]
+        for k in range(earlier, len(slots)):
+            self._end_slot(rows[slots.row[k]], slots, k)
+            ends.append(self._slot_end)
+        self._last = rows[-1:].copy()
+        lengths = np.diff([0, *slots.row[earlier:], len(block)])
+        return self._output(rows[1:], np.repeat(np.concatenate(ends), lengths))
+
+    def _rows(self, block: SampleBlock, angle: FloatArray) -> tuple[Rows, BoolArray]:
+        """Return the samples behind the last one of before, (n + 1,), and whether each has a field, (n,)."""
+        rows = np.zeros(len(block) + 1, ROW)
+        rows[0], sent = self._last[0], rows[1:]
+        sent["angle"] = sent["path"] = angle
+        rows["path"] = np.cumsum(rows["path"], axis=0)  # a running sum, the same whatever the blocks
+        bias_sd = block.vector("gyro_bias_sd")
+        sent["bias_sd"] = math.nan if bias_sd is None else bias_sd
+        mag = block.mag if self._parameters.use_magnetometer else None
+        field = np.full_like(angle, math.nan) if mag is None else mag
+        if self._magnetometer is not None:
+            field = self._magnetometer.corrected(field)
+        has_mag = _finite(field)
+        latest = np.maximum.accumulate(np.where(has_mag, np.arange(1, len(rows)), 0))
+        sent["field"] = np.concatenate([rows["field"][:1], field])[latest]
+        for name in ("quat6d", "acc_quat", "gyr_quat", "low_force"):
+            sent[name] = math.nan
+        return rows, has_mag
 
     def _reinitialize(self) -> None:
         """Begin another attitude; what is known of the sensors stays."""
@@ -193,35 +178,29 @@ class AttitudeEstimate:
         self._fusion = Fusion(self._heading)
         self._tilt_sigma = TiltSigma(self._tilt_sigma.accelerometers, self._tilt_sigma.gyros)
         sigma = self._heading_sigma
-        self._heading_sigma = HeadingSigma(sigma.gyros, sigma.magnetometer, sigma.earth_rate, sigma.iron)
+        self._heading_sigma = HeadingSigma(sigma.gyros, sigma.magnetometer, sigma.earth_rate)
         self._slot_end = np.full(1, math.nan, SLOT_END)
 
     def _end_slot(self, end: Rows, slots: Slots, k: int) -> None:
         """Estimate how far the attitude is off at the end of a slot, from its last row."""
-        if not self._fusion.begun or np.isnan(end["quat6d"][0]):
+        if np.isnan(end["quat6d"][0]):
             return
-        slot = self._slot(end, slots, k)
-        tilt = self._tilt_sigma.step(slot)
-        heading_variance = self._heading_sigma.step(slot, end, tilt)
-        gyros = self._tilt_sigma.gyros
-        of_gyros = gyros.variance + np.where(gyros.confirmed, 0.0, 1.0)
-        self._slot_end = np.array([(tilt, heading_variance, end["path"], slot.up, of_gyros)], SLOT_END)
-
-    def _slot(self, end: Rows, slots: Slots, k: int) -> Slot:
-        """Return a slot for the sigmas, from its last row."""
         turns = slots.turns
         body, leveled, carried = matrices(np.array([end["quat6d"], end["acc_quat"], end["gyr_quat"]]))
         force = carried @ slots.mean[k, 3:6]
-        lost = turns.fast[k] ** 2 + turns.missed[k] + turns.coning[k] @ turns.coning[k] / 3.0
-        return Slot(
+        slot = Slot(
             rest=bool(slots.smallest[k, 6] == 1.0 and force @ force > 0.0),
             up=leveled[2],
             up_body=body[2],
             force=force,
             low_force=float(end["low_force"]) or math.nan,
             sensitivity=carried @ turns.rotation[k].T @ turns.by_scale[k].reshape(3, 9),
-            lost=float(lost),
+            missed=float(turns.missed[k]),
         )
+        tilt = self._tilt_sigma.step(slot)
+        heading_variance = self._heading_sigma.step(slot, end, tilt)
+        values = (tilt, heading_variance, end["path"], self._tilt_sigma.gyros.turn_variance)
+        self._slot_end = np.array([values], SLOT_END)
 
     def _output(self, rows: Rows, latest: Rows) -> list[ColumnArray]:
         """Return the columns of rows from the filter and the end of the latest slot before each, (n,)."""
@@ -233,8 +212,7 @@ class AttitudeEstimate:
         # interval before or that of the moment.
         since = ((rows["path"] - latest["path"]) ** 2 * latest["gyros"]).sum(1)
         since += (rows["angle"] ** 2).sum(1) / 12.0
-        moved2 = ((matrices(rows["acc_quat"])[:, 2] - latest["up"]) ** 2).sum(1)
-        tilt = latest["tilt"] + since + 0.5 * moved2
+        tilt = latest["tilt"] + since
         heading_variance = latest["heading"] + since + tilt_into_heading(up, tilt)
         # More than a radian is no small angle, and its standard deviation means nothing.
         tilt_sd, heading_sd = (
@@ -307,6 +285,13 @@ def tilt_into_heading(up: FloatArray, tilt_variance: FloatArray) -> FloatArray:
     slope2 = rise2 / np.maximum(1.0 - rise2, LEAST_HORIZONTAL**2)
     is_open = np.abs(level - LEAST_HORIZONTAL) < 3.0 * np.sqrt(tilt_variance)
     return np.where(is_open, np.inf, slope2 * tilt_variance)
+
+
+def _corrected(block: SampleBlock) -> tuple[FloatArray, BoolArray]:
+    """Return the rates, without the bias where it is known, rad/s, (n, 3), and where it is known, (n,)."""
+    gyro, corrected = np.asarray(block.gyro), block.vector("gyro_corrected")
+    known = np.zeros(len(block), bool) if corrected is None else _finite(corrected)
+    return (gyro if corrected is None else np.where(known[:, np.newaxis], corrected, gyro)), known
 
 
 def _finite(vectors: FloatArray) -> BoolArray:

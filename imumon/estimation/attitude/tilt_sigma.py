@@ -1,10 +1,21 @@
-"""Standard deviation of VQF's vertical about each level axis, by (T1) to (T7) of docs/attitude.md.
+"""Standard deviation of VQF's vertical about each level axis; the table is in docs/attitude.md.
 
 VQF turns the specific force into axes that only the gyros carry, low-passes it there with the time constant
-tau, and takes what is left for up, u.  True up stands still in these axes.  So an error of the tilt shows as
-a change of u, whether accelerations or gyros cause it.  J, (3, 9), is the integral of C (x) rate over a slot,
-with C from body to gyro-carried axes: column 3 i + j is the rotation vector that a unit element (i, j) of the
-gyros' matrix of scale and misalignment adds, so 0, 4 and 8 are the turns about the gyros' own axes.
+τ = 3 s, and takes what is left for up, u.  True up stands still in these axes.  So an error of the tilt shows
+as a change of u, whether accelerations or gyros cause it.  J, (3, 9), is the integral of C (x) rate over a
+slot, with C from body to gyro-carried axes: column 3 i + j is the rotation vector that a unit element (i, j)
+of the gyros' matrix of scale and misalignment adds, so 0, 4 and 8 are the turns about the gyros' own axes.
+With tilt²(J) = |J|² - (u J)²::
+
+    d  = |u(t) - u(t - 6 s)|²                             change of u, the sum of two axes
+    m  = mean of d/4 over 18 s of motion                  u is off at both moments
+    s² = (g0 s0² + sum of d) / (g0 + sum of tilt²(J))     the gyros' scale errors
+    l  = (s² sum of tilt²(J) + tilt²(J_ii) of gyros not confirmed) / 2, J of the last 3 s: not followed yet
+    a² = a0² + 2 mean z², z = |low-passed force| - g      the accelerometers' error
+
+    variance = max(m, d/2, l) + a²/g² in motion, |u - f/|f||² / 2 + a²/g² at rest
+
+d/2 is there because u was right where a motion begins, so all of its change is error.
 """
 
 from __future__ import annotations
@@ -20,22 +31,21 @@ from imumon.estimation.attitude.fusion import TAU_ACC_S
 from imumon.geodesy import STANDARD_GRAVITY
 
 SLOT_S = 0.5
-"""Length of a slot, s: short beside tau."""
+"""Length of a slot, s: short beside τ."""
 LAG_S = 2.0 * TAU_ACC_S
-"""Lag of (T1), s, after which VQF's low-pass has forgotten; (T2) averages over three lags.  Ablation: with a
-lag of 3 s z has an rms of 1.5, with 12 s sigma is 14 % wider."""
+"""Lag of d, s, after which VQF's low-pass has forgotten; m is the mean over three.  Ablation."""
 ACCEL_SD = 0.075
 """a0 of accelerometers that are not declared, m/s²: 7.5 mg, between 5 and 10 mg of a calibrated unit.  A
 prior that a single pose cannot correct: it does not tell 5 mg from 40."""
 SCALE_SD = 0.02
 """s0 of gyros that are not declared: between 1 % of a calibrated unit and 3 % of an MPU-6050."""
 SCALE_TURN = 2.0
-"""g0, rad²: s0 counts like so much turn.  Ablation: 0.5 and 8 change sigma by 2 and 6 %."""
+"""g0, rad²: s0 counts like so much turn.  Ablation."""
 CONFIRMING_TURN = 0.05
 """rad² of tilt by turns about its own axis that confirm a gyro: 13°.  With 0.1 sigma is up to 2.8 times as
 wide, with 0.03 a gyro that is reversed may be confirmed."""
 LARGEST_CHANGE = 0.05
-"""Share of that tilt by which u may change.  Ablation: 1 and 10 % change sigma by at most 2 %."""
+"""Share of that tilt by which u may change.  Ablation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,20 +56,20 @@ class Slot:
     """Whether the unit was at rest for the whole slot."""
     up: FloatArray
     up_body: FloatArray
-    """VQF's up at its end, in gyro-carried and in body axes, (3,)."""
+    """u at its end, in gyro-carried and in body axes, (3,)."""
     force: FloatArray
     """Mean specific force, m/s², (3,); NaN where there is none."""
     low_force: float
     """Magnitude of the low-passed specific force at its end, m/s²."""
     sensitivity: FloatArray
     """J, rad, (3, 9)."""
-    lost: float
-    """Variance of the angle by samples that are missing or too slow, rad²."""
+    missed: float
+    """Variance of the angle by samples that are missing, rad²."""
 
 
 @dataclass(slots=True)
 class Accelerometers:
-    """Size of the accelerometers' error, by the magnitude of gravity in each pose: a² of (T5)."""
+    """Size of the accelerometers' error, by the magnitude of gravity in each pose."""
 
     declared: float | None
     face_s: FloatArray = field(default_factory=lambda: np.zeros(6))
@@ -76,7 +86,7 @@ class Accelerometers:
 
     @property
     def variance(self) -> float:
-        """a0² + 2 mean of z², (m/s²)²; the 2 is a margin, as z shows one of three components."""
+        """a², (m/s²)²; the 2 in it is a margin, as z shows one of three components."""
         if self.declared is not None:
             return self.declared**2
         z = self.face_sum / np.maximum(self.face_s, SLOT_S)
@@ -95,40 +105,47 @@ class Gyros:
     own_change: FloatArray = field(default_factory=lambda: np.zeros(3))
     own_turned: FloatArray = field(default_factory=lambda: np.zeros(3))
     """The same of each gyro about its own axis."""
-    confirmed: BoolArray = field(default_factory=lambda: np.zeros(3, bool))
-    """Which gyros have turned the vertical as they should."""
 
     def learn(self, change: float, sensitivities: FloatArray, up: FloatArray) -> None:
         """Take d, rad², and J, (n, 3, 9), of the slots of the last lag."""
         share = SLOT_S / LAG_S  # successive lags overlap
-        turned = tilt_squared(sensitivities.sum(0), up)
         # Only turns that the low-pass has followed confirm a gyro.
         followed = sensitivities[: -round(TAU_ACC_S / SLOT_S)].sum(0)
         # A turn counts as a quarter of a circle at most: by half a circle each way the vertical is the same.
         circle = np.maximum((followed[:, ::4] ** 2).sum(0) / (0.5 * math.pi) ** 2, 1.0)
         own = tilt_squared(followed, up)[::4] / circle
         self.change += share * change
-        self.turned += share * float(turned.sum())
+        self.turned += share * float(tilt_squared(sensitivities.sum(0), up).sum())
         self.own_turned += share * own
         self.own_change += share * change * own / max(float(own.sum()), 1e-12)
-        self.confirmed = (self.own_turned > CONFIRMING_TURN) & (
-            self.own_change < LARGEST_CHANGE * self.own_turned
+
+    @property
+    def confirmed(self) -> BoolArray:
+        """Which gyros have turned the vertical as they should, (3,)."""
+        return np.asarray(
+            (self.own_turned > CONFIRMING_TURN) & (self.own_change < LARGEST_CHANGE * self.own_turned)
         )
-
-    @property
-    def prior(self) -> float:
-        """s0²."""
-        return (SCALE_SD if self.declared is None else self.declared) ** 2
-
-    @property
-    def variance(self) -> float:
-        """s² = (g0 s0² + sum of d) / (g0 + sum of tilt²(J)) (T4)."""
-        return (SCALE_TURN * self.prior + self.change) / (SCALE_TURN + self.turned)
 
     @property
     def contradicted(self) -> bool:
         """Whether a gyro has turned enough and the vertical does not confirm it."""
         return bool(((self.own_turned > CONFIRMING_TURN) & ~self.confirmed).any())
+
+    @property
+    def variance(self) -> float:
+        """s²; no more than is declared, since accelerations change u, too."""
+        prior = (SCALE_SD if self.declared is None else self.declared) ** 2
+        learned = (SCALE_TURN * prior + self.change) / (SCALE_TURN + self.turned)
+        return learned if self.declared is None else min(learned, prior)
+
+    @property
+    def turn_variance(self) -> FloatArray:
+        """Variance of a turn of each gyro over its square, (3,): s², and 1 where it is not confirmed."""
+        return np.asarray(self.variance + ~self.confirmed)
+
+    def error(self, squares: FloatArray) -> float:
+        """Return s² times the sum of squared turns, rad², (9,), and those of gyros not confirmed in full."""
+        return self.variance * float(squares.sum()) + float(squares[::4] @ ~self.confirmed)
 
 
 @dataclass(slots=True)
@@ -141,11 +158,9 @@ class TiltSigma:
     sensitivities: deque[FloatArray] = field(default_factory=lambda: deque(maxlen=round(LAG_S / SLOT_S)))
     """u and J of the last lag."""
     mean: float = 0.0
-    """m of (T2), rad²."""
+    """m, rad²."""
     late: FloatArray = field(default_factory=lambda: np.zeros((3, 9)))
-    """J of (T3), rad."""
-    lost: float = 0.0
-    """Variance by lost samples, rad², forgotten within tau as J of (3)."""
+    """J that is forgotten within τ, rad."""
     rested: bool = False
     """Whether the unit has been at rest since the attitude began."""
 
@@ -161,13 +176,13 @@ class TiltSigma:
         return variance + self.accelerometers.variance / STANDARD_GRAVITY**2
 
     def _at_rest(self, slot: Slot) -> float:
-        """|u - f / |f||² / 2 (T7): how far the specific force is from u."""
+        """Return how far the specific force is from u, rad²."""
         self.rested = True
-        self.late[:] = self.lost = 0.0
+        self.late[:] = 0.0
         return 0.5 * float(((slot.up - slot.force / np.linalg.norm(slot.force)) ** 2).sum())
 
     def _in_motion(self, slot: Slot, change: float) -> float:
-        """max(m, d / 2, l) (T6); d / 2 where u was right before, so that all of the change is error."""
+        """Return max(m, d/2, l), rad²."""
         self.mean += SLOT_S / (3.0 * LAG_S) * (0.25 * change - self.mean)
         delay = self._delay(slot)
         if not self.rested and SLOT_S * len(self.sensitivities) < LAG_S:
@@ -175,15 +190,11 @@ class TiltSigma:
         return max(self.mean, 0.5 * change, delay)
 
     def _delay(self, slot: Slot) -> float:
-        """l of (T3), not yet corrected by VQF's low-pass: scale, unconfirmed gyros and lost samples."""
-        forget = math.exp(-SLOT_S / TAU_ACC_S)
-        self.late = forget * self.late + slot.sensitivity
-        self.lost = forget**2 * self.lost + slot.lost
-        tilted = tilt_squared(self.late, slot.up)
-        unconfirmed = float(tilted[::4] @ ~self.gyros.confirmed)
-        return 0.5 * (self.gyros.variance * float(tilted.sum()) + unconfirmed) + self.lost
+        """Return l, rad²."""
+        self.late = math.exp(-SLOT_S / TAU_ACC_S) * self.late + slot.sensitivity
+        return 0.5 * self.gyros.error(tilt_squared(self.late, slot.up))
 
 
 def tilt_squared(sensitivity: FloatArray, up: FloatArray) -> FloatArray:
-    """Return |J|² - (u J)², rad², (9,): the squared tilt by a unit element of scale and misalignment."""
+    """Return tilt²(J), rad², (9,): the squared tilt by a unit element of scale and misalignment."""
     return np.asarray((sensitivity * sensitivity).sum(0) - (up @ sensitivity) ** 2)

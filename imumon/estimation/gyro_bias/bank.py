@@ -9,6 +9,7 @@ of each axis: its noise and slope.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -22,14 +23,15 @@ from imumon.estimation.gyro_bias.modes import (
     WALK,
     Modes,
     measurement_row,
-    propagate,
+    propagated,
 )
 from imumon.estimation.gyro_bias.prediction import Prediction
+from imumon.estimation.rest.slots import Second
 
 MEMORY_S = 600.0
 """Over which σ² is averaged."""
 LEAST_WEIGHT = float(np.log(1e-4))
-PRIOR_COUNT, KNOWN_COUNT = 3.0, 1e6
+PRIOR_COUNT, DECLARED_COUNT = 3.0, 0.5 * MEMORY_S
 """a of a σ² that second differences of 16 slots have shown, and of one that is declared."""
 UNKNOWN = 1e8
 """Prior variance of w over σ²: turn-on biases of any gyro."""
@@ -37,7 +39,7 @@ LARGEST_SURPRISE = 25.0
 """A squared innovation over its variance counts as no more for σ²: a knock is no noise."""
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Bank:
     """The filters at a time, (3 axes, F modes, ...)."""
 
@@ -49,140 +51,103 @@ class Bank:
     shape: float
     scale: FloatArray
     """a, and β, (3, F)."""
-    known_noise: bool
-    """Whether σ² is declared."""
-    force: FloatArray
-    """f0: specific force at the first rest, (3,)."""
     time_s: float
     degc: FloatArray
     """(3,)."""
-    prediction: Prediction
-    """Of the mixture, after the last update."""
 
-    def copy(self) -> Bank:
-        """Return a bank that goes its own way."""
+    def after(self, now: Second, jumped: bool = False) -> Bank:
+        """Return the filters after a second at rest.
+
+        Parameters
+        ----------
+        jumped : bool
+            Whether the bias may be any, so that the second is no evidence of modes and σ².
+        """
+        dt, warming = now.end_s - self.time_s, now.degc - self.degc
+        mean, covariance = propagated(self.mean, self.covariance, self.modes.process, dt, warming)
+        if jumped:
+            covariance[..., WALK, WALK] += UNKNOWN
+        h = measurement_row(now.force)
+        cross = (covariance.reshape(-1, STATES) @ h).reshape(mean.shape)  # P Hᵀ
+        spread = cross @ h + 1.0 / now.seconds  # S
+        innovation = now.rate[:, np.newaxis] - mean @ h
+        gain = cross / spread[..., np.newaxis]
+        mean += gain * innovation[..., np.newaxis]
+        covariance -= gain[..., np.newaxis] * cross[..., np.newaxis, :]
+        degc = np.where(np.isfinite(now.degc), now.degc, self.degc)
+        bank = replace(self, mean=mean, covariance=covariance, time_s=now.end_s, degc=degc)
+        return bank if jumped else bank._weighed(innovation**2 / spread, spread)
+
+    def _weighed(self, square: FloatArray, spread: FloatArray) -> Bank:
+        """Take the likelihood of innovations, whose squares over S are given, and learn σ² from them."""
+        a, variance = self.shape, self.scale / self.shape
+        likelihood = 0.5 * np.log(spread * variance) + (a + 0.5) * np.log1p(square / (2.0 * a * variance))
+        weight = self.log_weight - likelihood
+        weight = np.maximum(weight - weight.max(1, keepdims=True), LEAST_WEIGHT)
+        fade = min(1.0, 0.5 * MEMORY_S / (a + 0.5))
+        scale = fade * (self.scale + 0.5 * np.minimum(square, LARGEST_SURPRISE * variance))
+        return replace(self, log_weight=weight, shape=fade * (a + 0.5), scale=scale)
+
+    @property
+    def mode_probabilities(self) -> FloatArray:
+        """Probability of each mode, (3, F).
+
+        The flicker level of the unit is the parent of its axes' levels: exact messages on a tree.
+        """
+        levels, w = self.modes.levels, np.exp(self.log_weight)
+        message = w.reshape(3, len(levels), -1).sum(2) @ levels
+        others = (message.prod(0) / message) @ levels.T
+        w *= np.repeat(others, self.modes.count // len(levels), axis=1)
+        return np.asarray(w / w.sum(1, keepdims=True))
+
+    @cached_property
+    def prediction(self) -> Prediction:
+        """Mean and covariance over all modes, in absolute units."""
+        modes, w = self.modes, self.mode_probabilities
+        white = w * self.scale / max(self.shape - 1.0, 1.0)
+        mean = (w[:, np.newaxis] @ self.mean)[:, 0]
+        off = self.mean - mean[:, np.newaxis]
+        flat = self.covariance.reshape(3, modes.count, -1)
+        within = (white[:, np.newaxis] @ flat).reshape(3, STATES, STATES)
+        covariance = within + (off * w[..., np.newaxis]).transpose(0, 2, 1) @ off
+        process = (white[:, np.newaxis] @ modes.process)[:, 0]
+        fast = (white * modes.fast).sum(1)
+        return Prediction(mean, covariance, process, fast, white.sum(1), self.time_s, self.degc)
+
+    def wider(self, variance: FloatArray) -> Bank:
+        """Let the bias have changed by an unknown amount of this variance, (rad/s)², (3,)."""
+        covariance = self.covariance.copy()
+        covariance[..., WALK, WALK] += variance[:, np.newaxis] * self.shape / self.scale
+        return replace(self, covariance=covariance)
+
+    def with_noise_of(self, other: Bank) -> Bank:
+        """Take what another bank of the same gyros has learned of σ² and the modes; what is known of the bias
+        stays as it is."""
+        ratio = self.scale / self.shape * other.shape / other.scale
+        covariance = self.covariance * ratio[..., np.newaxis, np.newaxis]
         return replace(
-            self, mean=self.mean.copy(), covariance=self.covariance.copy(),
-            log_weight=self.log_weight.copy(), scale=self.scale.copy(),
-        )  # fmt: skip
+            self, covariance=covariance, log_weight=other.log_weight, shape=other.shape, scale=other.scale
+        )
+
+    def with_white(self, white: FloatArray) -> Bank:
+        """Take another white noise of a second, (3,), as of a fan that starts."""
+        scale = np.repeat(PRIOR_COUNT * white[:, np.newaxis], self.modes.count, 1)
+        return self.with_noise_of(replace(self, shape=PRIOR_COUNT, scale=scale))
 
 
-def start(
-    modes: Modes, white: FloatArray, known_noise: bool, force: FloatArray, time_s: float, degc: FloatArray
-) -> Bank:
-    """Return filters that know nothing of the bias; `white`, (3,), is the variance of the mean of a
-    second."""
+def start(modes: Modes, white: FloatArray, count: float, first: Second) -> Bank:
+    """Return filters that know nothing of the bias before a second at rest.
+
+    Parameters
+    ----------
+    white : array (3,)
+        Variance of the mean rate of a second, (rad/s)², with `count` as its a.
+    """
     covariance = np.zeros((3, modes.count, STATES, STATES))
     diagonal = np.einsum("...ii->...i", covariance)
     diagonal[:] = modes.process
     diagonal[..., WALK], diagonal[..., SLOPE] = UNKNOWN, modes.process[..., SLOPE] * SLOPE_DEGC
     diagonal[..., SENSITIVITY] = (SENSITIVITY_SD**2 / white)[:, np.newaxis, np.newaxis]
-    mean = np.zeros((3, modes.count, STATES))
-    count = KNOWN_COUNT if known_noise else PRIOR_COUNT
     scale = np.repeat(count * white[:, np.newaxis], modes.count, 1)
-    prediction = Prediction.of(np.zeros(3), np.full(3, UNKNOWN), 0.0, force, time_s)
-    return Bank(
-        modes,
-        mean,
-        covariance,
-        np.zeros((3, modes.count)),
-        count,
-        scale,
-        known_noise,
-        force,
-        time_s,
-        degc,
-        prediction,
-    )
-
-
-def rescale(bank: Bank, white: FloatArray) -> None:
-    """Take another white noise, (3,), as of a fan that starts; what is known of the bias stays as it is."""
-    scale = np.repeat(PRIOR_COUNT * white[:, np.newaxis], bank.modes.count, 1)
-    bank.covariance *= (bank.scale / bank.shape * PRIOR_COUNT / scale)[..., np.newaxis, np.newaxis]
-    bank.shape, bank.scale = PRIOR_COUNT, scale
-    bank.prediction = prediction_of(bank)
-
-
-def take_noise(bank: Bank, other: Bank) -> None:
-    """Take what another bank has learned of the noise of the same gyros: σ², and the weights of the modes."""
-    ratio = bank.scale / bank.shape * other.shape / other.scale
-    bank.covariance *= ratio[..., np.newaxis, np.newaxis]
-    bank.shape, bank.scale, bank.log_weight = other.shape, other.scale.copy(), other.log_weight.copy()
-
-
-def predict(bank: Bank, time_s: float, degc: FloatArray) -> None:
-    """Bring the filters to a time and temperatures, (3,); NaN is no change."""
-    warming = degc - bank.degc
-    propagate(bank.mean, bank.covariance, bank.modes.process, time_s - bank.time_s, warming)
-    bank.time_s = time_s
-    bank.degc = np.where(np.isfinite(degc), degc, bank.degc)
-
-
-def update(bank: Bank, rate: FloatArray, force: FloatArray, seconds: float, weigh: bool = True) -> None:
-    """Take the mean rate, (3,), of so many seconds at rest at a specific force.
-
-    Parameters
-    ----------
-    weigh : bool
-        Whether it weighs the modes and σ²: not where the bias has jumped.
-    """
-    h = measurement_row(force - bank.force)
-    cross = (bank.covariance.reshape(-1, STATES) @ h).reshape(bank.mean.shape)  # P Hᵀ
-    spread = cross @ h + 1.0 / seconds  # S
-    innovation = rate[:, np.newaxis] - bank.mean @ h
-    gain = cross / spread[..., np.newaxis]
-    bank.mean += gain * innovation[..., np.newaxis]
-    bank.covariance -= gain[..., np.newaxis] * cross[..., np.newaxis, :]
-    if weigh:
-        _weigh(bank, innovation**2 / spread, spread)
-    bank.prediction = prediction_of(bank)
-
-
-def _weigh(bank: Bank, square: FloatArray, spread: FloatArray) -> None:
-    """Take the likelihood of innovations, whose squares over S are given, and learn σ² from them."""
-    a, variance = bank.shape, bank.scale / bank.shape
-    bank.log_weight -= 0.5 * np.log(spread * variance) + (a + 0.5) * np.log1p(square / (2.0 * a * variance))
-    bank.log_weight -= bank.log_weight.max(1, keepdims=True)
-    np.maximum(bank.log_weight, LEAST_WEIGHT, out=bank.log_weight)
-    if not bank.known_noise:
-        fade = min(1.0, 0.5 * MEMORY_S / (a + 0.5))
-        bank.scale = fade * (bank.scale + 0.5 * np.minimum(square, LARGEST_SURPRISE * variance))
-        bank.shape = fade * (a + 0.5)
-
-
-def mode_probabilities(bank: Bank) -> FloatArray:
-    """Return the probability of each mode, (3, F).
-
-    The flicker level of the unit is the parent of its axes' levels: messages on a tree, so they are exact.
-    """
-    modes, w = bank.modes, np.exp(bank.log_weight)
-    kinds = len(modes.levels)
-    message = w.reshape(3, kinds, -1).sum(2) @ modes.levels
-    others = (message.prod(0) / message) @ modes.levels.T
-    w *= np.repeat(others, modes.count // kinds, axis=1)
-    return np.asarray(w / w.sum(1, keepdims=True))
-
-
-def prediction_of(bank: Bank) -> Prediction:
-    """Return mean and covariance over all modes, in absolute units."""
-    modes, w = bank.modes, mode_probabilities(bank)
-    white = w * bank.scale / max(bank.shape - 1.0, 1.0)
-    mean = (w[:, np.newaxis] @ bank.mean)[:, 0]
-    off = bank.mean - mean[:, np.newaxis]
-    within = (white[:, np.newaxis] @ bank.covariance.reshape(3, modes.count, -1)).reshape(3, STATES, STATES)
-    covariance = within + (off * w[..., np.newaxis]).transpose(0, 2, 1) @ off
-    process = (white[:, np.newaxis] @ modes.process)[:, 0]
-    fast = (white * modes.fast).sum(1)
-    return Prediction(mean, covariance, process, fast, white.sum(1), bank.force, bank.time_s, bank.degc)
-
-
-def widen(bank: Bank, variance: FloatArray) -> None:
-    """Let the bias have changed by an unknown amount of this variance, (rad/s)², (3,)."""
-    bank.covariance[..., WALK, WALK] += variance[:, np.newaxis] * bank.shape / bank.scale
-    bank.prediction = bank.prediction.wider(variance)
-
-
-def forget(bank: Bank) -> None:
-    """Let the bias be any."""
-    bank.covariance[..., WALK, WALK] += UNKNOWN
+    mean, log_weight = np.zeros((3, modes.count, STATES)), np.zeros((3, modes.count))
+    return Bank(modes, mean, covariance, log_weight, count, scale, first.end_s - first.seconds, first.degc)

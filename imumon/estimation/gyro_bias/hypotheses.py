@@ -4,24 +4,31 @@ Two hypotheses of the bias are filtered side by side: H0, *nominal*, the bias as
 while no mean contradicts it, and H1, *changed*, a bias that is another since a mean did.  A mean fits one of
 them if the means of the last 1, 4 and 16 s lie within `FIT_SIGMAS` of its prediction on each axis.  Nominal
 is compared as it was 16 to 32 s ago, when it had not learned the beginning of a slow turn.  `ROWS` is the
-decision, first match; the docs print the same table.  Between H1 and a turn decides the caller's test.
+decision, first match; the docs print the same table.  Between H1 and a turn decide gravity, a compass, the
+first mean and time (`imumon.estimation.rest.odds`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.gyro_bias import bank as filter_bank
 from imumon.estimation.gyro_bias.bank import Bank
-from imumon.estimation.gyro_bias.modes import Modes
 from imumon.estimation.gyro_bias.prediction import Prediction
-from imumon.estimation.rest.quiet import Second
+from imumon.estimation.rest.odds import (
+    as_predicted,
+    by_compass,
+    by_gravity,
+    first_was_turn,
+    probability_of_turn,
+)
+from imumon.estimation.rest.parameters import RestParameters
+from imumon.estimation.rest.slots import Second
 
 FIT_SIGMAS = 4.5
 """Sigmas of an axis within which a mean fits; with 4, drifts of a warm-up contradicted the bias."""
@@ -34,217 +41,298 @@ SETTLED_S = 16
 LIKELY_TURN = 0.75
 """Probability of a turn above which it is not rest again: with 1, the slow end of a turn was off by 62 sigma;
 with 0.5, a tactical gyro was found at rest after one for 63 to 73 % of the time, not 92 %."""
+CHANGE_LOG_RATIO = 12.0
+"""Log likelihood ratio of a changed bias over a turn from which on the bias has changed."""
+TURN_LOG_RATIO = 2.0
+"""The same of a turn over a changed bias, from which on a mean that fits a wide prediction is no rest."""
 LAG_S = 16.0
 """Age of the nominal prediction that is compared, at least; twice as much at most."""
 ONSET_S = 4.0
-"""A contradiction that motion follows sooner was how the motion began."""
+"""A contradiction that motion follows sooner was how the motion began; a rate is as old when the first mean
+of the recording is called in question."""
+PATIENCE_S = 60.0
+"""Where rest is given, rest at another rate for so long is rest with another bias."""
 NEW_POSE = 0.3
 """m/s²: a specific force that differs by more from the first one is that of another pose."""
-LEAST_WHITE = 1e-18
-"""Variance of the mean of a second, (rad/s)²: less than any gyro has, and more than none."""
-
-
-class Evidence(NamedTuple):
-    """What a test has found about a mean and its difference from the nominal bias."""
-
-    turns: bool = False
-    """The log ratio is for a turn: no mean fits the nominal bias, however wide its prediction is."""
-    changed: bool = False
-    """It does not turn: the bias has changed."""
-    probability: float = 0.0
-    """That the difference is a turn, while neither is certain.  It decides what is shown, and whether that is
-    rest; `turns` decides only what the filters learn."""
-
-
-Test = Callable[[Prediction, FloatArray, bool], Evidence]
-"""Of the prediction of the nominal bias, the difference from it, rad/s, (3,), and whether that fits."""
-
-
-@dataclass(slots=True, eq=False)
-class State:
-    """Both hypotheses, and what is known about the choice between them."""
-
-    nominal: Bank | None = None
-    nominal_undo: Bank | None = None
-    """Nominal before the last second, which is taken back where motion follows at once."""
-    nominal_lagged: tuple[Bank, ...] = ()
-    """Nominal as it was, the first 16 to 32 s ago; empty while it is contradicted."""
-    changed: Bank | None = None
-    changed_lagged: tuple[Prediction, ...] = ()
-    """Predictions of changed, the first 4 to 8 s ago: a rate that drifts on does not fit them."""
-    nominal_at_onset: Prediction | None = None
-    """Of nominal, when changed began: as time goes on it becomes vague, and would fit a steady turn."""
-    fits_s: float = 0.0
-    """How long the changed one has fitted, s."""
-    since_s: float = math.nan
-    """Since when the nominal bias was contradicted last."""
-    probability: float = 0.0
-    """That the present rate is a turn."""
-    changes: int = 0
-    """How often the rate has changed since then."""
-    first: FloatArray | None = None
-    """Mean rate of the first rest, (3,); None once the unit has been in another pose."""
-    pose: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
-    """Specific force at the first rest, (3,)."""
-    moved: bool = False
-    """Whether it has moved since the last second that was decided on."""
-    jumped: int = 0
-    """How often the bias has changed."""
-    recent: list[Second] = field(default_factory=list)
-    """Seconds of this rest, 16 at most."""
-    alike: int = 0
-    """How many of them are of the present rate.  At the first contradiction it goes on, as the onset is not
-    known; it begins anew when the rate changes once more."""
-
-    @property
-    def contradicted(self) -> bool:
-        """Whether the rate contradicts the nominal bias."""
-        return self.changed is not None
-
-    @property
-    def turning(self) -> bool:
-        """Whether a turn is more likely than a changed bias."""
-        return self.probability > 0.5
+LEAST_SECONDS = 3
+"""Least number of seconds over which gravity is compared."""
 
 
 class Facts(NamedTuple):
-    """The predicates of the table."""
+    """The predicates of the table, and the probability of a turn while none is certain."""
 
     fits_nominal: bool
-    """And the test finds no turn."""
+    """And gravity and compass show no turn, however wide the prediction is."""
     fits_changed: bool
     contradicted: bool
     settled: bool
     """Whether the last 16 s are of one rate: that of a turn which comes to its end goes on changing."""
     accepted: bool
-    """Whether the test has decided for a change of the bias."""
-    likely_turn: bool
-    """Whether the test finds that a turn is likely."""
+    """Whether it does not turn: the bias has changed."""
+    probability: float
+
+    @property
+    def likely_turn(self) -> bool:
+        """Whether a turn is likely."""
+        return self.probability > LIKELY_TURN
 
 
-Action = Callable[[State, Second, Bank], None]
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """Filters, as they are and as they were."""
+
+    bank: Bank
+    older: Bank
+    newer: Bank
+    """`older` is from once to twice the lag ago, `newer` is the next one to be compared."""
+
+    @classmethod
+    def of(cls, bank: Bank) -> Track:
+        """Return a track that begins."""
+        return cls(bank, bank, bank)
+
+    def after(self, now: Second, lag_s: float) -> Track:
+        """Return the track after a second at rest."""
+        bank = self.bank.after(now)
+        if now.end_s - self.newer.time_s < lag_s:
+            return Track(bank, self.older, self.newer)
+        return Track(bank, self.newer, bank)
+
+    def changed(self, change: Callable[[Bank], Bank]) -> Track:
+        """Return the track with another variance or noise."""
+        return Track(change(self.bank), change(self.older), change(self.newer))
 
 
-def _learn(state: State, now: Second, _: Bank) -> None:
-    """H0 holds, or holds again: nominal learns."""
-    state.nominal_undo = _nominal(state)
-    state.nominal = nominal = _updated(state.nominal_undo, now)
-    state.changed, state.changes, state.probability = None, 0, 0.0
-    if state.moved or not state.nominal_lagged:
-        state.nominal_lagged = (nominal,) * 2
-    elif nominal.time_s - state.nominal_lagged[1].time_s >= LAG_S:
-        state.nominal_lagged = (state.nominal_lagged[1], nominal)
+@dataclass(slots=True, eq=False)
+class Changed:
+    """H1, since the rate contradicts the nominal bias."""
+
+    track: Track
+    """Compared as 4 to 8 s ago: a rate that drifts on does not fit it."""
+    at_onset: Prediction
+    """Of nominal, when this rate began: as time goes on it becomes vague, and would fit a steady turn."""
+    fits_s: float
+    """How long this rate has lasted, s."""
+    changes: int
+    """How often the rate has changed since the nominal bias was contradicted."""
+    probability: float = 0.0
+    """That the present rate is a turn."""
 
 
-def _accept(state: State, now: Second, compared: Bank) -> None:
-    """H1 holds: the changed bias becomes the nominal one."""
-    state.nominal, state.first, state.nominal_lagged = state.changed, None, ()
-    state.jumped += 1
-    _learn(state, now, compared)
+@dataclass(slots=True, eq=False)
+class Hypotheses:
+    """Both hypotheses, and what is known about the choice between them."""
+
+    nominal: Track
+    """H0; compared as 16 to 32 s ago, and while it is contradicted as it was then."""
+    undo: Track | None
+    """Nominal before the last second, which is taken back where motion follows at once."""
+    recent: list[Second]
+    """Seconds of this rest, 16 at most."""
+    alike: int
+    """How many of them are of the present rate.  At the first contradiction it goes on, as the onset is not
+    known; it begins anew when the rate changes once more."""
+    first: FloatArray | None
+    """Mean rate of the first rest, (3,); None once the unit has been in another pose."""
+    pose: FloatArray
+    """Specific force at the first rest, (3,)."""
+    limits: RestParameters
+    rest_given: bool
+    changed: Changed | None = None
+    moved: bool = False
+    """Whether it has moved since the last second that was decided on."""
+
+    @property
+    def turning(self) -> bool:
+        """Whether a turn is more likely than a changed bias."""
+        return self.changed is not None and self.changed.probability > 0.5
+
+    def decide(self, now: Second, slots: Sequence[Second], added: FloatArray, accel_noise: float) -> str:
+        """Decide on a quiet second; return the name of the row.
+
+        Parameters
+        ----------
+        slots : sequence of Second
+            Of which the second consists; needed in the first seconds of a rest.
+        added : array (3,)
+            What has been added to the variance of the bias meanwhile, (rad/s)².
+        accel_noise : float
+            Variance of the mean force of a second, (m/s²)².
+        """
+        if added.any():
+            self._change(lambda bank: bank.wider(added))
+        if self.moved and np.linalg.norm(now.force - self.pose) > NEW_POSE:
+            self.first = None  # it was in a hand, and not on a turntable
+        if self.moved and self.changed is None:
+            self.nominal = Track.of(self.nominal.bank)
+        self.recent = [*self.recent[1 - SPANS[-1] :], now]
+        self.alike = min(self.alike + 1, len(self.recent))
+        facts = self._facts(now, slots, accel_noise)
+        name, _, action = next(row for row in ROWS if row[1](facts))
+        action(self, now)
+        if self.changed is not None:
+            self.changed.probability = facts.probability
+        self.moved = False
+        return name
+
+    def _facts(self, now: Second, slots: Sequence[Second], accel_noise: float) -> Facts:
+        prediction = self.nominal.older.prediction.at(now.end_s, now.degc)
+        alike = self.recent[-self.alike :]
+        changed, fits_changed, limits, sigmas = self.changed, False, prediction, FIT_SIGMAS
+        if changed is not None:
+            older = changed.track.older.prediction.at(now.end_s, now.degc)
+            # The first of this rate were before it began, as the onset is not known.
+            learned = alike[-max(int(changed.fits_s), 1) - 1 :]
+            fits_changed, _ = _fit(FIT_SIGMAS, older, learned)
+            if fits_changed:
+                limits, sigmas = replace(prediction, covariance=changed.at_onset.covariance), RETURN_SIGMAS
+        fits, difference = _fit(sigmas, limits, alike)
+        facts = Facts(fits, fits_changed, changed is not None, self.alike >= SETTLED_S, False, 0.0)
+        # In the first seconds of a rest a wide prediction fits a turn as well.
+        if fits and changed is None and len(self.recent) > SPANS[1]:
+            return facts
+        if self.rest_given:
+            impatient = changed is not None and changed.fits_s > PATIENCE_S
+            return facts._replace(accepted=impatient, probability=0.5)
+        if fits and self.alike >= LEAST_SECONDS:
+            seconds: Sequence[Second] = alike
+        else:  # the rate may just have changed
+            seconds = self.recent if len(self.recent) >= LEAST_SECONDS else slots
+        return self._weigh(facts, prediction, difference, seconds, accel_noise)
+
+    def _weigh(
+        self,
+        facts: Facts,
+        prediction: Prediction,
+        change: FloatArray,
+        seconds: Sequence[Second],
+        accel_noise: float,
+    ) -> Facts:
+        """Weigh a turn against a changed bias: a rate that differs by `change`, rad/s, (3,)."""
+        now, limits = self.recent[-1], self.limits
+        bias, variance = prediction.bias(now.force, of_mean=True)
+        largest, noise = float(variance.max()), accel_noise / seconds[0].seconds
+        ratio = by_gravity(seconds, bias, change, largest, noise, limits.accel_drift)
+        ratio += by_compass(seconds, bias)
+        others, fits_s, changes = as_predicted(change, variance), 0.0, 0
+        if self.changed is not None:
+            fits_s, changes = self.changed.fits_s, self.changed.changes
+        if self.first is not None and fits_s >= ONSET_S:
+            others += first_was_turn(self.first, now.rate)
+        steady = fits_s > limits.undecided_s and math.sqrt(change @ change) <= limits.largest_jump
+        turns = ratio < -TURN_LOG_RATIO
+        return facts._replace(
+            fits_nominal=facts.fits_nominal and not turns,
+            accepted=ratio > CHANGE_LOG_RATIO or (steady and not turns),
+            probability=probability_of_turn(change, ratio, others, limits.largest_jump, changes),
+        )
+
+    def learn(self, now: Second) -> None:
+        """H0 holds, or holds again: nominal learns."""
+        anew = self.moved or self.changed is not None
+        self.undo, self.nominal, self.changed = self.nominal, self.nominal.after(now, LAG_S), None
+        if anew:
+            self.nominal = Track.of(self.nominal.bank)
+
+    def accept(self, now: Second) -> None:
+        """H1 holds: the changed bias becomes the nominal one."""
+        assert self.changed is not None
+        self.nominal, self.first = self.changed.track, None
+        self.learn(now)
+
+    def go_on(self, now: Second) -> None:
+        """The rate is the same since it changed; H1 or a turn is not decided."""
+        assert self.changed is not None
+        self.changed.track = self.changed.track.after(now, ONSET_S)
+        self.changed.fits_s += now.seconds
+
+    def begin(self, now: Second) -> None:
+        """The rate is another: H1 begins, or begins anew with what it has learned of the noise."""
+        bank, before, changes = self.nominal.older, self.changed, 0
+        at_onset = bank.prediction.at(now.end_s, now.degc)
+        if before is None:
+            self.nominal, self.undo = Track.of(bank), None
+        else:
+            changes, self.alike = before.changes + 1, 1
+            bank = bank.with_noise_of(before.track.bank)
+        track = Track.of(bank.after(now, jumped=True))
+        self.changed = Changed(track, at_onset, now.seconds, changes)
+
+    def move(self, undo: bool) -> None:
+        """Note that the unit moves: a contradiction of a few seconds was how the motion began.
+
+        Parameters
+        ----------
+        undo : bool
+            Whether the last second is taken back: what moves the unit may begin before it is noticed.
+        """
+        if undo and self.undo is not None:
+            self.nominal = self.undo
+        self.undo = None
+        changed = self.changed
+        if changed is not None and changed.changes == 0 and changed.fits_s < ONSET_S:
+            self.changed = None
+        self.moved, self.recent, self.alike = True, [], 0
+
+    def _change(self, change: Callable[[Bank], Bank]) -> None:
+        """Give all filters another variance or noise."""
+        self.nominal = self.nominal.changed(change)
+        self.undo = None if self.undo is None else self.undo.changed(change)
+        if self.changed is not None:
+            self.changed.track = self.changed.track.changed(change)
+
+    def restart_noise(self, white: FloatArray) -> None:
+        """Take another white noise of a second, (3,), as of a fan that starts."""
+        self._change(lambda bank: bank.with_white(white))
+
+    def prediction(self, now_s: float, degc: FloatArray, force: FloatArray) -> tuple[Prediction, FloatArray]:
+        """Return the more likely prediction at a time, and what the other adds to sigma, rad/s, (3,)."""
+        nominal = self.nominal.bank.prediction.at(now_s, degc)
+        if self.changed is None:
+            return nominal, np.zeros(3)
+        changed, probability = self.changed.track.bank.prediction.at(now_s, degc), self.changed.probability
+        bias, variance = changed.bias(force)
+        nominal_bias, nominal_variance = nominal.bias(force)
+        difference = bias - nominal_bias
+        if self.turning:
+            return nominal, math.sqrt(1.0 - probability) * difference
+        # The variance of the mixture: that of the nominal bias, which may be vague by then, counts as well.
+        excess = np.maximum(nominal_variance - variance, 0.0)
+        return changed, np.copysign(np.sqrt(probability * (difference**2 + excess)), difference)
 
 
-def _continue(state: State, now: Second, _: Bank) -> None:
-    """The rate is the same since it changed; H1 or a turn is not decided."""
-    assert state.changed is not None
-    state.changed = _updated(state.changed, now)
-    state.fits_s += now.seconds
-    if now.end_s - state.changed_lagged[1].time_s >= ONSET_S:
-        state.changed_lagged = (state.changed_lagged[1], state.changed.prediction)
-
-
-def _begin(state: State, now: Second, compared: Bank) -> None:
-    """The rate is another: H1 begins, or begins anew."""
-    changed = compared.copy()
-    state.nominal_at_onset = compared.prediction.at(now.end_s, now.degc)
-    if state.changed is None:
-        state.since_s, state.nominal_lagged, state.nominal, state.nominal_undo = now.end_s, (), compared, None
-    else:
-        state.changes, state.alike = state.changes + 1, 1
-        filter_bank.take_noise(changed, state.changed)
-    filter_bank.predict(changed, now.end_s, now.degc)
-    filter_bank.forget(changed)
-    filter_bank.update(changed, now.rate, now.force, now.seconds, weigh=False)
-    state.changed, state.fits_s, state.changed_lagged = changed, now.seconds, (changed.prediction,) * 2
-
-
-ROWS: tuple[tuple[str, Callable[[Facts], bool], Action], ...] = (
-    ("rest", lambda f: f.fits_nominal and not f.contradicted, _learn),
-    ("rest again", lambda f: f.fits_nominal and f.settled and not f.likely_turn, _learn),
-    ("changed bias", lambda f: f.fits_changed and f.accepted, _accept),
-    ("undecided", lambda f: f.fits_changed, _continue),
-    ("another rate", lambda _: True, _begin),
+CHANGED_BIAS = "changed bias"
+ROWS: tuple[tuple[str, Callable[[Facts], bool], Callable[[Hypotheses, Second], None]], ...] = (
+    ("rest", lambda f: f.fits_nominal and not f.contradicted, Hypotheses.learn),
+    ("rest again", lambda f: f.fits_nominal and f.settled and not f.likely_turn, Hypotheses.learn),
+    (CHANGED_BIAS, lambda f: f.fits_changed and f.accepted, Hypotheses.accept),
+    ("undecided", lambda f: f.fits_changed, Hypotheses.go_on),
+    ("another rate", lambda _: True, Hypotheses.begin),
 )
 """Name, condition and action; the first that holds.  In the last two the probability of a turn sets which
 bias is shown, and whether it is rest."""
 
 
-def decide(state: State, now: Second, added: FloatArray, test: Test) -> None:
-    """Decide on a quiet second.
-
-    Parameters
-    ----------
-    added : array (3,)
-        What has been added to the variance of the bias meanwhile, (rad/s)².
-    """
-    _widen(state, added)
-    if state.moved:
-        if np.linalg.norm(now.force - state.pose) > NEW_POSE:
-            state.first = None  # it was in a hand, and not on a turntable
-        if not state.contradicted:
-            state.nominal_lagged = (_nominal(state),) * 2
-    state.recent = [*state.recent[1 - SPANS[-1] :], now]
-    state.alike = min(state.alike + 1, len(state.recent))
-    compared = _nominal(state) if state.contradicted else state.nominal_lagged[0]
-    facts, probability = _facts(state, now, compared, test)
-    action = next(row[2] for row in ROWS if row[1](facts))
-    action(state, now, compared)
-    if state.contradicted:
-        state.probability = probability
-    state.moved = False
-
-
-def _nominal(state: State) -> Bank:
-    assert state.nominal is not None
-    return state.nominal
-
-
-def _facts(state: State, now: Second, compared: Bank, test: Test) -> tuple[Facts, float]:
-    """Return the predicates, and the probability of a turn, if the rate is not the nominal bias."""
-    prediction = compared.prediction.at(now.end_s, now.degc)
-    alike = state.recent[-state.alike :]
-    fits_changed, limits, sigmas = False, prediction, FIT_SIGMAS
-    if state.changed is not None:
-        lately = alike[-max(int(state.fits_s), 1) - 1 :]
-        fits_changed, _ = _fit(FIT_SIGMAS, state.changed_lagged[0].at(now.end_s, now.degc), now, lately)
-        if fits_changed and state.nominal_at_onset is not None:
-            limits, sigmas = replace(prediction, covariance=state.nominal_at_onset.covariance), RETURN_SIGMAS
-    fits, difference = _fit(sigmas, limits, now, alike)
-    evidence = Evidence()
-    # In the first seconds of a rest a wide prediction fits a turn as well.
-    if not fits or state.contradicted or len(state.recent) <= SPANS[1]:
-        evidence = test(prediction, difference, fits)
-    facts = Facts(
-        fits_nominal=fits and not evidence.turns,
-        fits_changed=fits_changed,
-        contradicted=state.contradicted,
-        settled=len(alike) >= SETTLED_S,
-        accepted=evidence.changed,
-        likely_turn=evidence.probability > LIKELY_TURN,
+def begun(bank: Bank, seconds: Sequence[Second], limits: RestParameters, rest_given: bool) -> Hypotheses:
+    """Return the hypotheses after the first seconds at rest, by filters that know nothing of the bias."""
+    for now in seconds:
+        bank = bank.after(now)
+    first = np.mean([one.rate for one in seconds], axis=0)
+    return Hypotheses(
+        Track.of(bank), None, list(seconds), len(seconds), first, seconds[0].force, limits, rest_given
     )
-    return facts, evidence.probability
 
 
-def _fit(
-    sigmas: float, prediction: Prediction, now: Second, recent: Sequence[Second]
-) -> tuple[bool, FloatArray]:
+def _fit(sigmas: float, prediction: Prediction, recent: Sequence[Second]) -> tuple[bool, FloatArray]:
     """Compare the means of the last seconds with a prediction; the difference is that of up to 4 s."""
-    bias, of_second = prediction.bias(now.force)
-    _, of_mean = prediction.bias(now.force, of_mean=True)
+    force = recent[-1].force
+    bias, of_second = prediction.bias(force)
+    _, of_mean = prediction.bias(force, of_mean=True)
     fits, difference = True, np.zeros(3)
     for span in SPANS:
-        if len(recent) < span and span != SPANS[1]:
-            continue
         part = recent[-span:]
+        if len(part) < span > SPANS[1]:
+            break
         seconds = sum(one.seconds for one in part)
         off = sum((one.seconds * one.rate for one in part), np.zeros(3)) / seconds - bias
         spread = (of_second if len(part) == 1 else of_mean) + prediction.white / seconds
@@ -252,80 +340,3 @@ def _fit(
         if span <= SPANS[1]:
             difference = off
     return fits, difference
-
-
-def _banks(state: State) -> list[Bank]:
-    """Return each bank once: an older one may be the nominal one itself."""
-    banks = (state.nominal, state.nominal_undo, state.changed, *state.nominal_lagged)
-    return list({id(bank): bank for bank in banks if bank is not None}.values())
-
-
-def _widen(state: State, variance: FloatArray) -> None:
-    """Add to the variance of the bias, (3,)."""
-    if variance.any():
-        for bank in _banks(state):
-            filter_bank.widen(bank, variance)
-        state.changed_lagged = tuple(prediction.wider(variance) for prediction in state.changed_lagged)
-
-
-def _updated(bank: Bank, now: Second) -> Bank:
-    """Return the filters after a second at rest."""
-    bank = bank.copy()
-    if np.isnan(bank.force[0]):
-        bank.force = now.force  # accelerometers that come late
-    filter_bank.predict(bank, now.end_s, now.degc)
-    filter_bank.update(bank, now.rate, now.force, now.seconds)
-    return bank
-
-
-def begin(
-    state: State, modes: Modes, seconds: Sequence[Second], white: FloatArray, known_noise: bool = False
-) -> None:
-    """Begin with the first seconds at rest; white, (3,), is the variance of the mean rate of a second."""
-    first = seconds[0]
-    state.nominal = filter_bank.start(
-        modes, white, known_noise, first.force, first.end_s - first.seconds,
-        first.degc,
-    )  # fmt: skip
-    for now in seconds:
-        _learn(state, now, state.nominal)
-    state.nominal_lagged, state.nominal_undo, state.moved = (state.nominal,) * 2, None, False
-    state.recent, state.alike = list(seconds), len(seconds)
-    state.first, state.pose = np.mean([one.rate for one in seconds], axis=0), first.force
-
-
-def move(state: State, undo: bool) -> None:
-    """Note that the unit moves: a contradiction of a few seconds was how the motion began.
-
-    Parameters
-    ----------
-    undo : bool
-        Whether the last second is taken back: what moves the unit may begin before it is noticed.
-    """
-    if undo and state.nominal_undo is not None:
-        state.nominal = state.nominal_undo
-    state.nominal_undo = None
-    if state.changed is not None and state.changed.time_s - state.since_s < ONSET_S:
-        state.changed, state.nominal_lagged, state.probability = None, (), 0.0
-    state.moved, state.recent, state.alike = True, [], 0
-
-
-def take_noise(state: State, white: FloatArray) -> None:
-    """Take another white noise, (3,), as of a fan that starts."""
-    for bank in _banks(state):
-        if not bank.known_noise:
-            filter_bank.rescale(bank, white)
-
-
-def shown(state: State, now_s: float, degc: FloatArray, force: FloatArray) -> tuple[Prediction, FloatArray]:
-    """Return the more likely prediction at a time, and what the other adds to sigma, rad/s, (3,)."""
-    nominal = _nominal(state).prediction.at(now_s, degc)
-    if state.changed is None:
-        return nominal, np.zeros(3)
-    changed = state.changed.prediction.at(now_s, degc)
-    difference = changed.bias(force)[0] - nominal.bias(force)[0]
-    if state.turning:
-        return nominal, math.sqrt(1.0 - state.probability) * difference
-    # The variance of the mixture: that of the nominal bias, which may be vague by then, counts as well.
-    excess = np.maximum(nominal.bias(force)[1] - changed.bias(force)[1], 0.0)
-    return changed, np.copysign(np.sqrt(state.probability * (difference**2 + excess)), difference)

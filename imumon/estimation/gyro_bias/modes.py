@@ -9,7 +9,7 @@ Per axis the state is::
     s   slope over temperature      s' = s + N(0, σs² |dT| / 30 °C)
     m   sensitivity to the specific force, rad/s per m/s², constant
 
-    bias = w + g1 + g2 + g3 + m (f - f0) = H x
+    bias = w + g1 + g2 + g3 + m f = H x
 
 All variances are in units of the variance σ² of the mean of one second of white noise, which is not known.
 Three Gauss-Markov processes of one variance, a decade and a half apart, are flicker noise of coefficient B:
@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
@@ -76,46 +75,38 @@ class Modes:
         return int(self.fast.shape[1])
 
 
-def unknown_modes(slope_per_sigma: tuple[float, ...]) -> Modes:
-    """Return the modes of a gyro of unknown noise; slopes (sd over σ), 1/°C."""
-    flicker = [1.0 / (FLOOR_OF_FLICKER * math.sqrt(c)) for c in FLICKER_CORNERS_S]
+def unknown_modes(slopes: tuple[float, ...]) -> Modes:
+    """Return the modes of a gyro of unknown noise; `slopes` are the modes' standard deviations of the slope
+    over σ, 1/°C."""
+    flicker = [1.0 / (FLOOR_OF_FLICKER * math.sqrt(corner)) for corner in FLICKER_CORNERS_S]
     b = np.tile([*flicker, 0.05 * flicker[0]], (3, 1))
-    walk = np.zeros_like(b)
-    walk[:, -1] = math.sqrt(3.0) / WALK_CORNER_S
-    count = b.shape[1]
-    apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    k = np.zeros_like(b)
+    k[:, -1] = math.sqrt(3.0) / WALK_CORNER_S
+    kinds = np.arange(b.shape[1])
+    apart = np.abs(kinds[:, np.newaxis] - kinds)
     other = (1.0 - SAME_LEVEL) / 3.0
-    levels = np.where(apart == 0, SAME_LEVEL, np.where(apart == 1, other, other / count))
-    return _modes(b, walk, slope_per_sigma, levels / levels.sum(axis=0))
+    levels = np.where(apart == 0, SAME_LEVEL, np.where(apart == 1, other, other / len(kinds)))
+    return modes_of(b, k, slopes, levels / levels.sum(axis=0))
 
 
-def known_modes(
-    instability: FloatArray, walk: FloatArray, slope_per_sigma: tuple[float, ...], white: FloatArray
-) -> Modes:
-    """Return the modes of declared noise: B and K, rad/s and rad/s/√s, over the white noise of 1 s, (3,)
-    each."""
-    b, k = (np.asarray(one / white)[:, np.newaxis] for one in (instability, walk))
-    return _modes(b, k, slope_per_sigma, np.ones((1, 1)))
-
-
-def _modes(b: FloatArray, walk: FloatArray, slopes: tuple[float, ...], levels: FloatArray) -> Modes:
-    """Return all combinations; B and K over σ, (3, kinds)."""
-    kind, slope = (np.array(one) for one in zip(*product(range(b.shape[1]), slopes), strict=True))
-    variance = (b[:, kind] ** 2) * math.log(TAUS_S[2] / TAUS_S[1]) / math.pi
-    process = np.zeros((3, len(kind), STATES))
-    process[..., WALK] = walk[:, kind] ** 2 + BEYOND_SLOWEST**2 * variance
+def modes_of(b: FloatArray, k: FloatArray, slopes: tuple[float, ...], levels: FloatArray) -> Modes:
+    """Return each kind of noise with each slope; B and K over σ, 1 and 1/√s, (3, kinds)."""
+    b, k = (np.repeat(one, len(slopes), axis=1) for one in (b, k))
+    variance = b**2 * math.log(TAUS_S[2] / TAUS_S[1]) / math.pi
+    process = np.zeros((*b.shape, STATES))
+    process[..., WALK] = k**2 + BEYOND_SLOWEST**2 * variance
     process[..., FLICKER] = variance[..., np.newaxis]
-    process[..., SLOPE] = slope**2 / SLOPE_DEGC
+    process[..., SLOPE] = np.tile(slopes, len(levels)) ** 2 / SLOPE_DEGC
     # What is faster than the fastest process, and that process at the end of a second less its mean over it:
     # 1 + 0.736 - 2 x 0.632 of its variance.
-    fast = b[:, kind] ** 2 / math.pi * math.log(TAUS_S[0] / FASTEST_S) + 0.47 * variance
+    fast = b**2 / math.pi * math.log(TAUS_S[0] / FASTEST_S) + 0.47 * variance
     return Modes(process, fast, levels)
 
 
-def propagate(
+def propagated(
     mean: FloatArray, covariance: FloatArray, process: FloatArray, dt: float, warming: FloatArray
-) -> None:
-    """Do x = F x and P = F P Fᵀ + Q in place, over dt seconds and `warming` °C, (3,); NaN is no change.
+) -> tuple[FloatArray, FloatArray]:
+    """Return F x and F P Fᵀ + Q, over dt seconds and `warming` °C, (3,); NaN is no change.
 
     Parameters
     ----------
@@ -123,25 +114,23 @@ def propagate(
         Of three axes, and any number of modes; the process noise is that of `Modes.process`.
     """
     warming = np.where(np.isnan(warming), 0.0, warming)
-    axes = (3, *(1,) * (mean.ndim - 1))
-    by = warming.reshape(axes)
-    if warming.any():
-        mean[..., WALK] += by[..., 0] * mean[..., SLOPE]
-        covariance[..., WALK, :] += by * covariance[..., SLOPE, :]
-        covariance[..., :, WALK] += by * covariance[..., :, SLOPE]
     keeps = np.ones(STATES)
     keeps[FLICKER] = np.exp(-dt / TAUS_S)
-    mean *= keeps
-    covariance *= keeps[:, np.newaxis] * keeps
-    grows = np.zeros(mean.shape)
-    grows[..., WALK], grows[..., FLICKER] = dt, 1.0 - keeps[FLICKER] ** 2
-    grows[..., SLOPE] = np.abs(by[..., 0])
+    f = np.zeros((3, STATES, STATES))
+    f[:] = np.diag(keeps)
+    f[:, WALK, SLOPE] = warming
+    grows = np.zeros((3, STATES))
+    grows[:, WALK], grows[:, FLICKER], grows[:, SLOPE] = dt, 1.0 - keeps[FLICKER] ** 2, np.abs(warming)
+    modes = (1,) * (mean.ndim - 2)
+    f, grows = f.reshape(3, *modes, STATES, STATES), grows.reshape(3, *modes, STATES)
+    covariance = f @ covariance @ f.swapaxes(-1, -2)
     np.einsum("...ii->...i", covariance)[...] += process * grows
+    return (f @ mean[..., np.newaxis])[..., 0], covariance
 
 
-def measurement_row(offset: FloatArray) -> FloatArray:
-    """Return H, (8,), at a specific force of so much more than f0, m/s², (3,); NaN is f0."""
+def measurement_row(force: FloatArray) -> FloatArray:
+    """Return H, (8,), at a specific force, m/s², (3,); zero where it is not known."""
     h = np.ones(STATES)
     h[SLOPE] = 0.0
-    h[SENSITIVITY] = np.where(np.isnan(offset), 0.0, offset)
+    h[SENSITIVITY] = force
     return h

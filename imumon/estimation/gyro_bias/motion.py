@@ -17,12 +17,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.rest.quiet import SLOT_S
+from imumon.estimation.rest.slots import SLOT_S
 from imumon.filters.turns import STILL, Turn, rotation_by
 from imumon.geodesy import DEG_PER_H
 
 PART_S, PARTS = 5.0, 12
 """A window is a minute: a bias of a degree per second turns it by a radian."""
+WINDOW_S = PARTS * PART_S
 UNKNOWN_RATE = math.radians(3.0)
 """Standard deviation of the bias before anything is known: turn-on of consumer gyros."""
 PRIOR_SD = np.repeat([UNKNOWN_RATE, 0.03, 0.4], [3, 9, 3])
@@ -32,7 +33,7 @@ ALIKE = 6.0
 """Factor of the variance: accelerations of successive parts are alike, where the speed changes slowly."""
 BIAS_WALK = 30.0 * DEG_PER_H
 """Random walk of the bias, rad/s/sqrt(s): 230 °/h a minute, as 100 °/h/°C at 2 °C/min makes it."""
-RATE = slice(0, 3)
+RATE, SCALE, FORCE = slice(0, 3), slice(3, 12), slice(12, 15)
 
 
 @dataclass(slots=True, eq=False)
@@ -46,14 +47,11 @@ class Motion:
     parts : list of (Turn, array (3,))
         Of the present window, the last one growing, with the integral of the specific force in the axes of
         its beginning, m/s.
-    force : array (3,)
-        Mean specific force of the last window, m/s².
     """
 
     mean: FloatArray = field(default_factory=lambda: np.zeros(len(PRIOR_SD)))
     covariance: FloatArray = field(default_factory=lambda: np.diag(PRIOR_SD**2))
     parts: list[tuple[Turn, FloatArray]] = field(default_factory=list)
-    force: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     def interrupt(self) -> None:
         """Begin the window anew: it rested, or readings are missing."""
@@ -61,11 +59,12 @@ class Motion:
 
     def take(self, turn: Turn, force: FloatArray) -> bool:
         """Take a slot in motion and its mean specific force, m/s²; return whether a window has ended."""
-        if not self.parts or self.parts[-1][0].seconds >= PART_S - 0.5 * SLOT_S:
+        full_s = PART_S - 0.5 * SLOT_S
+        if not self.parts or self.parts[-1][0].seconds >= full_s:
             self.parts.append((STILL, np.zeros(3)))
         whole, velocity = self.parts[-1]
         self.parts[-1] = whole.then(turn), velocity + whole.rotation @ (turn.by_bias @ force)
-        if len(self.parts) < PARTS or self.parts[-1][0].seconds < PART_S - 0.5 * SLOT_S:
+        if len(self.parts) < PARTS or self.parts[-1][0].seconds < full_s:
             return False
         self._fit()
         self.interrupt()
@@ -74,11 +73,10 @@ class Motion:
     def _fit(self) -> None:
         """Take the window."""
         seconds = sum(turn.seconds for turn, _ in self.parts)
-        total = sum((turn.rotation.T @ v for turn, v in self.parts), np.zeros(3))
-        self.force = np.asarray(total / seconds)
+        velocity = sum((turn.rotation.T @ v for turn, v in self.parts), np.zeros(3))
+        vertical = velocity / np.linalg.norm(velocity)
         self.covariance[RATE, RATE] += np.eye(3) * BIAS_WALK**2 * seconds
-        known, variance = np.asarray(np.linalg.inv(self.covariance)), 1.0
-        mean = self.mean
+        known, variance, mean = np.asarray(np.linalg.inv(self.covariance)), 1.0, self.mean
         for _ in range(10):
             measured, design = self._linear(mean)
             normal = design.T @ design / variance
@@ -90,7 +88,6 @@ class Motion:
             free = len(left) - float(np.trace(np.linalg.solve(information, normal)))
             variance, mean = ALIKE * max(float(left @ left) / free, 1e-4), found[3:]
         self.mean, self.covariance = mean, np.asarray(np.linalg.inv(information)[3:, 3:])
-        vertical = self.force / np.linalg.norm(self.force)
         self.mean[RATE] -= (vertical @ self.mean[RATE]) * vertical
         lacking = UNKNOWN_RATE**2 - float(vertical @ self.covariance[RATE, RATE] @ vertical)
         self.covariance[RATE, RATE] += max(lacking, 0.0) * np.outer(vertical, vertical)
@@ -103,11 +100,11 @@ class Motion:
             excess = turn.by_bias @ at[RATE]
             added = axes @ rotation_by(-0.5 * excess) @ velocity
             turned = np.zeros_like(angle)
-            turned[:, RATE], turned[:, 3:12] = axes @ turn.by_bias, axes @ turn.by_scale.reshape(3, 9)
+            turned[:, RATE], turned[:, SCALE] = axes @ turn.by_bias, axes @ turn.by_scale.reshape(3, 9)
             # An angle too much turns the force, the half of it within the part.
             by_states = np.cross(angle + 0.5 * turned, added[:, np.newaxis], axis=0)
             measured.append(added + by_states[:, RATE] @ at[RATE])
-            by_states[:, 12:] += axes @ turn.by_bias
+            by_states[:, FORCE] += axes @ turn.by_bias
             design.append(np.hstack([turn.seconds * np.eye(3), by_states]))
             angle = angle + turned
             axes = axes @ rotation_by(-excess) @ turn.rotation
@@ -116,8 +113,8 @@ class Motion:
     @property
     def bias(self) -> tuple[FloatArray, FloatArray]:
         """Return bias and variance until the next window ends, (3,) each; NaN where little is known."""
-        variance = np.diag(self.covariance)[RATE] + BIAS_WALK**2 * PART_S * PARTS
+        variance = np.diag(self.covariance)[RATE] + BIAS_WALK**2 * WINDOW_S
         # A bias that turns a window by half a turn may be a wrong minimum of the fit.
         known = variance < (0.5 * UNKNOWN_RATE) ** 2
-        known &= float(np.linalg.norm(self.mean[RATE])) * PART_S * PARTS < math.pi
+        known &= float(np.linalg.norm(self.mean[RATE])) * WINDOW_S < math.pi
         return np.where(known, self.mean[RATE], np.nan), np.where(known, variance, np.nan)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from imumon.config import StrictModel
+from imumon.estimation.rest.parameters import Retired
 
 _Positive = Annotated[float, Field(gt=0.0, le=10.0)]
 _NotNegative = Annotated[float, Field(ge=0.0, le=10.0)]
@@ -26,30 +27,16 @@ class GyroBiasParameters(StrictModel):
         Flicker coefficient B (floor of the Allan deviation 0.664 B) and bias random walk K.  When one is
         given, both hold, the other being zero, in proportion to the white noise of the first rest.  When
         neither is, how much the bias wanders is learned from the innovations.
-    velocity_random_walk_m_per_s_per_sqrt_s : float, optional
-        The same for the accelerometers.  Not used: it is measured at rest.
-    zeroing_s : float
-        Not used any more: nothing is filtered twice.
     assume_at_rest : bool
         Whether data without the column at_rest are taken as at rest throughout.
+    velocity_random_walk_m_per_s_per_sqrt_s, zeroing_s, thermal_form
+        Not used any more: the first is measured at rest, and nothing is filtered twice.
     """
 
     angle_random_walk_rad_per_sqrt_s: _PerAxis | None = None
     bias_instability_rad_per_s: _PerAxisOrNone | None = None
     rate_random_walk_rad_per_s_per_sqrt_s: _PerAxisOrNone | None = None
-    velocity_random_walk_m_per_s_per_sqrt_s: _Positive | None = None
-    zeroing_s: float = Field(default=60.0, ge=5.0, le=240.0)
     assume_at_rest: bool = False
-
-    @property
-    def retired(self) -> set[str]:
-        """Keys that were given and are not used any more."""
-        return self.model_fields_set & {"zeroing_s"}
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_today(cls, given: Any) -> Any:
-        """Take what sessions of before say by default: what is added was chosen once."""
-        if isinstance(given, dict) and given.get("thermal_form") == "increments":
-            return {key: value for key, value in given.items() if key != "thermal_form"}
-        return given
+    velocity_random_walk_m_per_s_per_sqrt_s: Retired = None
+    zeroing_s: Retired = None
+    thermal_form: Literal["increments"] = Field(default="increments", exclude=True)

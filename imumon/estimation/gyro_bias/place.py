@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias.modes import SENSITIVITY
 from imumon.estimation.gyro_bias.prediction import Prediction
-from imumon.filters.turns import Turn
+from imumon.filters.turns import STILL, Turn
 from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL, STANDARD_GRAVITY, earth_rate_along, north_in_body
 
 SCALE_SD = 0.01
@@ -24,107 +25,101 @@ LOST_SD = 1.0
 """Error of a heading that is not known, rad; the sine of larger ones is no larger."""
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Latitude and first heading, rad; NaN when they are not known."""
+@dataclass(slots=True, eq=False)
+class Attitude:
+    """Up, north and earth rate at the last rest, body axes, and the turn since then."""
 
-    latitude: float
-    heading: float
+    latitude: float | None
+    heading: float | None
+    """Of the first rest, rad; None when they are not known."""
+    up: FloatArray = field(default_factory=partial(np.zeros, 3))
+    north: FloatArray = field(default_factory=partial(np.zeros, 3))
+    """Unit vectors, (3,); zero where not known."""
+    earth: FloatArray = field(default_factory=partial(np.zeros, 3))
+    """What is known of the earth rate, rad/s, (3,)."""
+    heading_variance: float = 0.0
+    """Of the heading, where the place is known, rad²."""
+    turn: Turn = STILL
+    lost: bool = False
+    """Whether readings were missing since the last rest."""
 
     @property
     def oriented(self) -> bool:
         """Whether the earth rate is known in all three axes."""
-        return math.isfinite(self.heading) and math.isfinite(self.latitude)
+        return self.heading is not None and self.latitude is not None
 
     @property
     def horizontal(self) -> float:
         """Horizontal earth rate, rad/s; the most it can be where the latitude is not known."""
-        return EARTH_RATE * (math.cos(self.latitude) if math.isfinite(self.latitude) else 1.0)
+        return EARTH_RATE * (1.0 if self.latitude is None else math.cos(self.latitude))
 
+    def follow(self, turn: Turn, bias: FloatArray) -> None:
+        """Turn on; `bias` is that of the rates, rad/s, (3,)."""
+        self.turn = self.turn.then(turn.less(bias))
 
-@dataclass(slots=True, eq=False)
-class Attitude:
-    """Up, north and earth rate at the last rest, body axes."""
+    @property
+    def uncertain_earth(self) -> FloatArray:
+        """Variance of the earth rate that is known, or taken for bias, (rad/s)², (3,)."""
+        known = self.horizontal**2 * self.heading_variance * (1.0 - self.up**2)
+        return np.asarray(known + self._turned_earth() if self.turn.seconds else known)
 
-    up: FloatArray = field(default_factory=lambda: np.zeros(3))
-    north: FloatArray = field(default_factory=lambda: np.zeros(3))
-    """Unit vectors, (3,); zero where not known."""
-    earth: FloatArray = field(default_factory=lambda: np.zeros(3))
-    """What is known of the earth rate, rad/s, (3,)."""
-    heading_variance: float = 0.0
-    """Of the heading, where the place is known, rad²."""
+    def _turned_earth(self) -> FloatArray:
+        """Return the variance of what the turn does to the earth rate that is taken for bias, (3,).
 
-    def uncertain_earth(self, place: Place) -> FloatArray:
-        """Return the variance of the known earth rate by the error of the heading, (rad/s)², (3,)."""
-        return np.asarray(place.horizontal**2 * self.heading_variance * (1.0 - self.up**2))
+        Its direction is not known.
+        """
+        if self.oriented:
+            return np.zeros(3)
+        change = self.turn.rotation.T - np.eye(3)
+        square = (change * change) @ np.ones(3)
+        if self.latitude is None:
+            return np.asarray(EARTH_RATE**2 / 3.0 * square)
+        return np.asarray(0.5 * self.horizontal**2 * (square - (change @ self.up) ** 2))
 
-    def come_to_rest(
-        self, force: FloatArray, place: Place, turn: Turn, prediction: Prediction | None
-    ) -> FloatArray:
+    def come_to_rest(self, force: FloatArray, prediction: Prediction | None) -> FloatArray:
         """Take the attitude of a new rest; return what that adds to the variance of the bias, (3,).
 
         Parameters
         ----------
         force : array (3,)
             Mean specific force, m/s²; NaN or zero without one.
-        turn : Turn
-            Since the last rest.
         prediction : Prediction or None
-            Of the bias meanwhile; None where the angle turned is not known, as readings were missing.
+            Of the bias meanwhile; None before the first rest.
         """
-        size = float(np.linalg.norm(force))
-        if not size > 0.0:
-            return turned_earth(self.up, place, turn)
-        before, self.up = self.up, force / size
-        placed, added = before.any(), np.zeros(3)
-        if placed and not place.oriented:
-            added = turned_earth(before, place, turn)
-        elif placed:
-            northward = self.north @ turn.rotation
-            northward -= (northward @ self.up) * self.up
-            length = float(np.linalg.norm(northward))
-            variance = LOST_SD**2
-            if prediction is not None and length > LEAST_HORIZONTAL:
-                self.north, variance = (
-                    northward / length,
-                    min(heading_variance(before, turn, prediction), variance),
-                )
-            else:
-                self.north = north_in_body(self.up, place.heading)
-            added = place.horizontal**2 * variance * (1.0 - self.up**2)
-            self.heading_variance = min(LOST_SD**2, self.heading_variance + variance)
-        elif place.oriented:
-            self.north = north_in_body(self.up, place.heading)
-        if math.isfinite(place.latitude):
-            self.earth = earth_rate_along(self.up, self.north, place.latitude)
+        added, size = self._turned_earth(), float(np.linalg.norm(force))
+        if size > 0.0:
+            before, self.up = self.up, force / size
+            if self.oriented:
+                added = self._find_north(before, None if self.lost else prediction)
+            if self.latitude is not None:
+                self.earth = earth_rate_along(self.up, self.north, self.latitude)
+        self.turn, self.lost = STILL, False
         return added
 
+    def _find_north(self, before: FloatArray, prediction: Prediction | None) -> FloatArray:
+        """Find north where the place is known; `before` is up, (3,), at the last rest, or zero."""
+        assert self.heading is not None
+        northward = self.north @ self.turn.rotation
+        northward -= (northward @ self.up) * self.up
+        length, variance = float(np.linalg.norm(northward)), LOST_SD**2
+        if prediction is not None and length > LEAST_HORIZONTAL:
+            self.north = northward / length
+            variance = min(variance, self._heading_variance(before, prediction))
+        else:
+            self.north = north_in_body(self.up, self.heading)
+        if not before.any():
+            return np.zeros(3)
+        self.heading_variance = min(LOST_SD**2, self.heading_variance + variance)
+        return np.asarray(self.horizontal**2 * variance * (1.0 - self.up**2))
 
-def heading_variance(up: FloatArray, turn: Turn, prediction: Prediction) -> float:
-    """Return the variance of the angle by which the gyros estimate to have turned about the vertical, rad².
+    def _heading_variance(self, up: FloatArray, prediction: Prediction) -> float:
+        """Return the variance of the angle by which the gyros seem to have turned about the vertical, rad².
 
-    By the bias at f0, by the sensitivity to a gravity that turns in body axes, by scale and misalignment, and
-    for want of more samples; `up` (3,) is that before the turn.
-    """
-    upright_s = up @ turn.by_bias
-    turned2 = max(turn.seconds**2 - float(upright_s @ upright_s), 0.0)
-    sensitivity = float(np.einsum("aii->", prediction.covariance[:, SENSITIVITY, SENSITIVITY])) / 9.0
-    by_bias = (
-        float(upright_s**2 @ prediction.bias(prediction.force)[1])
-        + turned2 * STANDARD_GRAVITY**2 * sensitivity
-    )
-    return by_bias + SCALE_SD**2 * float(np.sum(turn.scale_about(up) ** 2)) + turn.sampling_variance(up)
-
-
-def turned_earth(up: FloatArray, place: Place, turn: Turn) -> FloatArray:
-    """Return the variance of what a turn does to the earth rate that is taken for bias, (3,).
-
-    Its direction is not known; `up` (3,) is that before the turn.
-    """
-    if place.oriented:
-        return np.zeros(3)
-    change = turn.rotation.T - np.eye(3)
-    square = (change * change) @ np.ones(3)
-    if math.isfinite(place.latitude):
-        return np.asarray(0.5 * place.horizontal**2 * (square - (change @ up) ** 2))
-    return np.asarray(place.horizontal**2 / 3.0 * square)
+        By the bias, whose sensitivity meets a gravity that turns in body axes, by scale and misalignment, and
+        for want of more samples; `up` (3,) is that before the turn.
+        """
+        _, bias = prediction.bias(STANDARD_GRAVITY * up)
+        sensitivity = np.einsum("aii->a", prediction.covariance[:, SENSITIVITY, SENSITIVITY]) / 3.0
+        by_bias = float((up @ self.turn.by_bias) ** 2 @ (bias + STANDARD_GRAVITY**2 * sensitivity))
+        by_scale = SCALE_SD**2 * float(np.sum(self.turn.scale_about(up) ** 2))
+        return by_bias + by_scale + self.turn.sampling_variance(up)

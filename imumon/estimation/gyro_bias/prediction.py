@@ -12,10 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray, IntArray
-from imumon.estimation.gyro_bias.modes import SENSITIVITY, STATES, WALK, measurement_row, propagate
-
-_FAST = 1
-"""The flicker process of a second: the mean of some seconds does not have it."""
+from imumon.estimation.gyro_bias.modes import FLICKER, SENSITIVITY, STATES, WALK, measurement_row, propagated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,28 +26,17 @@ class Prediction:
     fast: FloatArray
     white: FloatArray
     """Variance of the flicker of single samples, and of the white noise of a second, (rad/s)², (3,)."""
-    force: FloatArray
-    """f0, m/s², (3,)."""
     time_s: float
     degc: FloatArray
-
-    @classmethod
-    def of(
-        cls, bias: FloatArray, variance: FloatArray, sensitivity: float, force: FloatArray, time_s: float
-    ) -> Prediction:
-        """Return a constant bias, (3,), with its variance and that of the sensitivity, at f0."""
-        mean, covariance = np.zeros((3, STATES)), np.zeros((3, STATES, STATES))
-        mean[:, WALK], covariance[:, WALK, WALK] = bias, variance
-        covariance[:, SENSITIVITY, SENSITIVITY] = sensitivity * np.eye(3)
-        none = np.zeros(3)
-        return cls(mean, covariance, np.zeros((3, STATES)), none, none, force, time_s, np.full(3, np.nan))
+    """°C, (3,)."""
 
     def at(self, time_s: float, degc: FloatArray) -> Prediction:
-        """Return the prediction at a later time and temperatures, (3,)."""
+        """Return the prediction at a later time and temperatures, (3,); NaN is no change."""
         if time_s <= self.time_s:
             return self
-        mean, covariance = self.mean.copy(), self.covariance.copy()
-        propagate(mean, covariance, self.process, time_s - self.time_s, degc - self.degc)
+        mean, covariance = propagated(
+            self.mean, self.covariance, self.process, time_s - self.time_s, degc - self.degc
+        )
         known = np.where(np.isfinite(degc), degc, self.degc)
         return replace(self, mean=mean, covariance=covariance, time_s=time_s, degc=known)
 
@@ -68,10 +54,10 @@ class Prediction:
         of_mean : bool
             Of a mean over some seconds, which has none of the fastest flicker.
         """
-        h = measurement_row(force - self.force)
+        h = measurement_row(force)
         mean = self.mean @ h
         if of_mean:
-            h[_FAST] = 0.0
+            h[FLICKER.start] = 0.0
         return mean, np.maximum(self.covariance @ h @ h, 0.0)
 
     def shown(self, added: FloatArray, force: FloatArray) -> Shown:
@@ -80,32 +66,36 @@ class Prediction:
         select[0], select[1:, SENSITIVITY] = measurement_row(np.zeros(3)), np.eye(3)
         covariance = select @ self.covariance @ select.T
         covariance[:, 0, 0] += self.fast + added
-        offset = np.nan_to_num(force - self.force)
-        return Shown(self.mean @ select.T, covariance, self.force, offset)
+        return Shown(self.mean @ select.T, covariance, force)
 
 
 class Shown(NamedTuple):
     """A prediction from the end of a slot on; NaN where nothing is known."""
 
     terms: FloatArray
-    """Bias at f0 and its sensitivity, t, (3, 4)."""
+    """Bias without specific force, and its sensitivity, t, (3, 4)."""
     covariance: FloatArray
     """Theirs, C, (3, 4, 4)."""
-    reference: FloatArray
-    """f0, (3,)."""
-    offset: FloatArray
-    """Specific force of the slot less f0, (3,)."""
+    force: FloatArray
+    """Of the slot, (3,)."""
+
+    @classmethod
+    def constant(cls, bias: FloatArray, variance: FloatArray) -> Shown:
+        """Return a bias of any pose, (3,), with its variance."""
+        terms, covariance = np.zeros((3, 4)), np.zeros((3, 4, 4))
+        terms[:, 0], covariance[:, 0, 0] = bias, variance
+        return cls(terms, covariance, np.zeros(3))
 
 
-NOTHING = Shown(*(np.full(shape, np.nan) for shape in ((3, 4), (3, 4, 4), (3,), (3,))))
+NOTHING = Shown.constant(np.full(3, np.nan), np.full(3, np.nan))
 
 
 def at_samples(
     rows: IntArray, every: list[Shown], force: FloatArray, moving: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return bias t (1, d) and variance (1, d) C (1, d) of samples, (n, 3) each.
+    """Return bias t (1, f) and variance (1, f) C (1, f) of samples, (n, 3) each.
 
-    d is the specific force of the sample less f0; at rest, where its noise is no change of pose, and without
+    f is the specific force of the sample; at rest, where its noise is no change of pose, and without
     accelerometers, that of the slot.  The sums are of few terms each, so they are the same whatever the
     division into blocks.
 
@@ -118,11 +108,7 @@ def at_samples(
     moving : array of bool (n,)
     """
     which = np.searchsorted(rows, np.arange(len(moving)), side="right")
-    terms, covariance, reference, offset = (np.array(one) for one in zip(*every, strict=True))
-    d = force - reference[which]
-    used = moving & np.isfinite(d).all(1)
-    row = np.ones((len(d), 1, 4))
-    row[:, 0, 1:] = np.where(used[:, np.newaxis], d, offset[which])
-    bias = (terms[which] * row).sum(2)
-    part = (covariance[which] * row[:, np.newaxis]).sum(3)
-    return bias, np.maximum((part * row).sum(2), 0.0)
+    terms, covariance, of_slot = (np.array(one)[which] for one in zip(*every, strict=True))
+    row = np.ones((len(force), 1, 4))
+    row[:, 0, 1:] = np.where((moving & np.isfinite(force).all(1))[:, np.newaxis], force, of_slot)
+    return (terms * row).sum(2), np.maximum(((covariance * row[:, np.newaxis]).sum(3) * row).sum(2), 0.0)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -14,26 +12,27 @@ from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, 
 from imumon.charts import Chart
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.gyro_bias.estimator import Params, Slot, State, miss, restarted, shown, step
-from imumon.estimation.gyro_bias.inputs import heading_of, readings_of, slots_of
+from imumon.estimation.gyro_bias.estimator import Estimator, Settings
 from imumon.estimation.gyro_bias.modes import SLOPE_LEFT_PER_SIGMA, SLOPE_PER_SIGMA
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
-from imumon.estimation.gyro_bias.place import Place
 from imumon.estimation.gyro_bias.prediction import NOTHING, Shown, at_samples
-from imumon.estimation.gyro_bias.thermal_input import ThermalInput, unseen_lag
-from imumon.estimation.gyro_bias.timing import Timing
+from imumon.estimation.gyro_bias.thermal_input import ThermalInput, ThermalVariance, trust_in, unseen_lag
 from imumon.estimation.gyro_bias.trail import BiasTrail
-from imumon.estimation.rest import quiet
-from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.quiet import ACCEL, AXES, GYRO, SLOT_S
+from imumon.estimation.rest.parameters import RestParameters, retired
+from imumon.estimation.rest.slots import (
+    ACCEL,
+    GATHERED,
+    GYRO,
+    SLOT_S,
+    Timing,
+    heading_of,
+    readings_of,
+)
 from imumon.filters.segments import Breaks
 from imumon.filters.slots import SlotGatherer, Slots, held
 from imumon.models.model import BiasModel
 
 Mode = Literal["standard", "thermal", "learned"]
-HEADING, MODELLED, DEGC, INITIAL_SD = (slice(AXES + 3 * i, AXES + 3 * i + 3) for i in range(4))
-GIVEN, GATHERED = AXES + 12, AXES + 13
-"""Columns of the gatherer, behind the readings."""
 LONGEST_PAUSE_S = 2.5
 """A rest goes on over a pause as long as this; it holds as long where readings are missing."""
 SHOWN_S = 1.0 - 1e-6
@@ -93,8 +92,8 @@ class RestAndBias:
         What a resting unit may do.
     """
 
-    _detects = True
-    """Whether rest is detected here, and not given by a column."""
+    _rest_given = False
+    """Whether rest is given by a column, and not detected here."""
 
     def __init__(
         self,
@@ -111,40 +110,36 @@ class RestAndBias:
                 "the thermal mode needs a bias model and has none",
                 "give a model, or take the mode learned",
             )
-        self._parameters = parameters or GyroBiasParameters()
+        self._parameters, rest = parameters or GyroBiasParameters(), rest or RestParameters()
         self._thermal = ThermalInput(model)
         slopes = (0.0, SLOPE_LEFT_PER_SIGMA if model else SLOPE_PER_SIGMA) if mode == "learned" else (0.0,)
-        place = Place(_angle(latitude_deg), _angle(heading_deg))
-        self._params = _params(self._parameters, slopes, place, rest)
-        self._state = State()
+        latitude, heading = (
+            None if one is None else math.radians(one) for one in (latitude_deg, heading_deg)
+        )
+        white_sd, wander = _declared(self._parameters)
+        self._trust = None if model is None else trust_in(model)
+        settings = Settings(white_sd, wander, latitude, heading, slopes, rest, self._rest_given)
+        self._estimator = Estimator(settings, ThermalVariance(self._trust))
         self._timing = Timing()
         self._slots = SlotGatherer(GATHERED, round(SLOT_S * 1e9), rates=GYRO.start)
         self._shown: Shown = NOTHING
-        self._growth = np.zeros(3)
+        self._turn = np.zeros(3)
+        self._shown_s, self._shown_revision = -math.inf, -1
+        self._at_rest = 0
         self._trail = BiasTrail(model)
         self._breaks = Breaks()
-        self._pending = _notices_at_start(latitude_deg, heading_deg)
-        self._pending += [f"the gyro bias does not use {key} any more" for key in self._parameters.retired]
-        self._pending += _retired(rest)
-        self._reported: set[str] = set()
+        self._last_ns = NO_INT
+        keys = retired(self._parameters) + retired(rest)
+        self._notices = _notices_of_place(latitude_deg, heading_deg)
+        self._notices += [f"{key} is not used any more" for key in keys]
+        self._reported: list[str] = []
         self._lacks_rest = False
-        self._jumped = 0
-        self._now_s = 0.0
-        self._last_ns, self._last_segment = NO_INT, 0
-        self._at_rest = 0
+        self._jumps = 0
 
     @property
     def columns(self) -> Sequence[Column]:
         """The columns that `process` adds."""
         return [*REST, *BIAS]
-
-    def snapshot(self) -> dict[str, object]:
-        """Return a copy of all that is carried from block to block."""
-        return copy.deepcopy({name: value for name, value in vars(self).items() if name != "_params"})
-
-    def restore(self, saved: Mapping[str, object]) -> None:
-        """Go on from what `snapshot` returned."""
-        vars(self).update(copy.deepcopy(dict(saved)))
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; NaN where there is no estimate.
@@ -153,149 +148,96 @@ class RestAndBias:
         accel_{x,y,z} in m/s², of mag_{x,y,z}, yaw or q_{w,x,y,z}, and of temperature_estimate or temperature
         in °C.
         """
-        n = len(block)
-        dated = np.asarray(block["device_time_ns"] != NO_INT)
-        readings = readings_of(block, dated)
+        n, time_ns, segment = len(block), block["device_time_ns"], block["segment"]
+        readings = readings_of(block, np.asarray(time_ns != NO_INT))
         usable = np.asarray(np.isfinite(readings).any(1))
-        first = 0
-        if not self._breaks.begun:
-            first = int(np.argmax(usable)) if usable.any() else n
-        rest, turn = np.zeros(n, np.int64), np.zeros((n, 3))
-        result = np.full((len(BIAS) // 3, 3, n), np.nan)
-        if first < n:
-            later = block.rows(first, n) if first else block
-            parts = result[:, :, first:].swapaxes(1, 2)
-            self._follow(later, readings[first:], usable[first:], rest[first:], turn[first:], parts)
-        values = [rest, *turn.T, *result.reshape(len(BIAS), n)]
-        added = dict(zip((column.name for column in (*REST, *BIAS)), values, strict=True))
+        temperature, given = self._thermal.temperature(block), self._given_rest(block)
+        breaks = self._breaks.rows(time_ns, segment)
+        total, curve, power_on_sd = self._thermal.process(block, temperature, breaks)
+        values = np.column_stack([readings, total, temperature, power_on_sd, heading_of(block), given])
+        slots = self._slots.process(np.where(usable, time_ns, NO_INT), segment, values)
+        rest, innovation = np.zeros(n, np.int64), np.full((n, 3), np.nan)
+        rows, every, turns = self._follow(block, slots, readings, temperature, rest, innovation)
+        self._expire(rest, time_ns, usable)
+        turn = held(rows, np.array(turns[1:]).reshape(-1, 3), turns[0], n)
+        if self._rest_given:
+            rest[:] = given
+            reported = block.vector("turn_hypothesis")
+            if reported is not None:
+                turn = np.maximum(np.abs(turn), np.abs(np.nan_to_num(reported)))
+        bias, variance = at_samples(rows, every, readings[:, ACCEL], rest == 0)
+        sd = np.sqrt(variance + turn**2)
+        bias += total
+        ended = slots.row[slots.row < n]
+        self._trail.add(temperature[ended], bias[ended])
+        vectors = bias, sd, readings[:, GYRO] - bias, innovation, bias - curve, sd
+        results = [rest, *turn.T, *(axis for vector in vectors for axis in vector.T)]
+        added = dict(zip((column.name for column in (*REST, *BIAS)), results, strict=True))
         return {column.name: added[column.name] for column in self.columns}
 
     def _follow(
         self,
         block: SampleBlock,
+        slots: Slots,
         readings: FloatArray,
-        usable: BoolArray,
+        temperature: FloatArray,
         rest: IntArray,
-        turn: FloatArray,
-        result: FloatArray,
-    ) -> None:
-        """Fill at_rest, turn, and bias, sd, corrected rate, innovation, drift and its sd, (6, n, 3)."""
-        bias, sd, corrected, innovation, drift, drift_sd = result
-        n, temperature, given = len(block), self._thermal.temperature(block), self._given_rest(block)
-        time_ns, segment = block["device_time_ns"], block["segment"]
-        total, curve, initial_sd = self._model_input(block, temperature, self._breaks.rows(time_ns, segment))
-        values = np.column_stack([readings, heading_of(block), total, temperature, initial_sd, given])
-        slots = self._slots.process(np.where(usable, time_ns, NO_INT), segment, values)
-        rows, every, turns = [], [self._shown], [self._state.turn_rate]
-        each, start = slots_of(slots), 0
-        for k, row in enumerate(slots.row.tolist()):
+        innovation: FloatArray,
+    ) -> tuple[IntArray, list[Shown], list[FloatArray]]:
+        """Take slots; fill in at_rest and innovations, and return from which rows on another prediction and
+        hypothesis of a turn hold, and these, with those that held before."""
+        rows: list[int] = []
+        every, turns, start = [self._shown], [self._turn], 0
+        for k, slot in enumerate(self._timing.slots(slots)):
+            row = int(slots.row[k])
             self._hold(rest, readings, start, row)
-            found = self._step(slots, each[k], k)
+            found = self._estimator.step(slot) if slot.seconds > 0.0 else None
             if found is not None:
                 innovation[row] = found
-            self._look_ahead(block, slots, k, temperature)
-            if self._now_s - self._state.shown_s >= SHOWN_S:
+            now_s = self._look_ahead(block, slots, k, temperature[row])
+            revision = self._estimator.revision
+            if revision != self._shown_revision or now_s - self._shown_s >= SHOWN_S:
+                self._shown_s, self._shown_revision = now_s, revision
                 rows.append(row)
-                every.append(self._present())
-            self._at_rest, start = int(self._state.at_rest), row
-            turns.append(self._state.turn_rate)
-        self._hold(rest, readings, start, n)
-        turn[:] = held(slots.row, np.array(turns[1:]).reshape(-1, 3), turns[0], n)
-        self._expire(rest, time_ns, segment, usable)
-        self._shown = every[-1]
-        if not self._detects:
-            rest[:] = given
-            reported = block.vector("turn_hypothesis")
-            if reported is not None:
-                np.maximum(np.abs(turn), np.abs(np.nan_to_num(reported)), out=turn)
-        force = np.where(np.isfinite(readings[:, ACCEL].sum(1))[:, np.newaxis], readings[:, ACCEL], np.nan)
-        bias[:], variance = at_samples(np.array(rows, np.int64), every, force, rest == 0)
-        np.sqrt(variance + turn**2, out=sd)
-        bias += total
-        drift_sd[:] = sd
-        np.subtract(readings[:, GYRO], bias, out=corrected)
-        np.subtract(bias, curve, out=drift)
-        ended = slots.row[slots.row < n]
-        self._trail.add(temperature[ended], bias[ended])
+                every.append(self._estimator.shown(now_s))
+                turns.append(self._estimator.turn_hypothesis)
+            self._at_rest, start = int(self._estimator.at_rest), row
+        self._hold(rest, readings, start, len(rest))
+        self._shown, self._turn = every[-1], turns[-1]
+        return np.array(rows, np.int64), every, turns
 
-    def _step(self, slots: Slots, readings: quiet.Slot, k: int) -> FloatArray | None:
-        """Take a slot; return the innovations."""
-        begins, samples = bool(slots.begins[k]), int(slots.count[k, GYRO].max()) or int(slots.samples[k])
-        span = self._timing.next(int(slots.start_ns[k]), int(slots.end_ns[k]), samples, begins)
-        if begins:
-            self._thermal.variance.begin()
-            self._growth = np.zeros(3)
-        self._now_s = span.end_s
-        if not span.seconds > 0.0:
-            return None
-        growth = self._thermal.variance.step(slots.last[k, DEGC], slots.last[k, INITIAL_SD])
-        self._growth, added = growth, growth - self._growth
-        mean = slots.mean[k]
-        slot = Slot(
-            span, readings._replace(seconds=span.seconds), mean[MODELLED], mean[DEGC], added, mean[HEADING],
-            slots.turns.at(k), None if self._detects else bool(slots.smallest[k, GIVEN] == 1.0),
-        )  # fmt: skip
-        return step(self._state, self._params, slot)
-
-    def _look_ahead(self, block: SampleBlock, slots: Slots, k: int, degc: FloatArray) -> None:
-        """Detect a restart or a gap by the first sample behind a slot."""
+    def _look_ahead(self, block: SampleBlock, slots: Slots, k: int, degc: FloatArray) -> float:
+        """Detect a restart or a gap by the first sample behind a slot; return up to when all is known, s."""
         row = int(slots.row[k])
-        time_ns, segment = block["device_time_ns"][row], block["segment"][row]
+        time_ns, segment = int(block["device_time_ns"][row]), block["segment"][row]
         if segment != slots.segment[k] or time_ns < slots.end_ns[k]:
-            self._state = restarted(self._state)
-            return
-        behind_s = 1e-9 * (int(time_ns) - self._timing.origin_ns)
-        gap_s = self._timing.pause(behind_s)
-        if gap_s:
-            lag = unseen_lag(gap_s, self._thermal.rate_sd(block.rows(row, row + 1))[0])
-            self._thermal.variance.miss(lag)
-            self._state.degc = np.where(np.isfinite(degc[row]), degc[row], self._state.degc)
-            growth = self._thermal.variance.step(degc[row], np.full(3, np.nan))
-            self._state.added = self._state.added + growth - self._growth
-            self._growth, self._now_s = growth, behind_s
-            miss(self._state, lag, gap_s > max(LONGEST_PAUSE_S, 3.0 * self._timing.interval_s))
+            self._estimator = self._estimator.restarted()
+            return self._timing.end_s
+        behind_s = self._timing.since_origin_s(time_ns)
+        gap_s = self._timing.gap_s(behind_s)
+        if not gap_s:
+            return self._timing.end_s
+        lag = unseen_lag(gap_s, self._thermal.rate_sd(block.rows(row, row + 1))[0])
+        self._estimator.miss(degc, lag, gap_s > max(LONGEST_PAUSE_S, 3.0 * self._timing.interval_s))
+        return behind_s
 
     def _hold(self, rest: IntArray, readings: FloatArray, start: int, stop: int) -> None:
         """Fill in rows of the slot that is open: a sample outside the band of a unit at rest ends it
         there."""
         rest[start:stop] = self._at_rest
-        if self._at_rest and start < stop and self._detects:
-            low, high = self._state.quiet.band
+        if self._at_rest and start < stop and not self._rest_given:
+            low, high = self._estimator.quiet.band
             outside = ((readings[start:stop] < low) | (readings[start:stop] > high)).any(1)
             if outside.any():
                 rest[start + int(np.argmax(outside)) : stop] = self._at_rest = 0
-                self._state.quiet.disturbed = True
+                self._estimator.quiet.disturbed = True
 
-    def _expire(self, rest: IntArray, time_ns: IntArray, segment: IntArray, usable: BoolArray) -> None:
-        """End rest where readings are missing for long, behind their segment, and at unknown times."""
-        if not usable.all():
-            latest = np.maximum.accumulate(np.where(usable, np.arange(len(usable)), -1))
-            last_ns = np.where(latest < 0, self._last_ns, time_ns[latest])
-            last_segment = np.where(latest < 0, self._last_segment, segment[latest])
-            expired = (time_ns == NO_INT) | (segment != last_segment)
-            rest[expired | (time_ns - last_ns > int(LONGEST_PAUSE_S * 1e9))] = 0
-        if usable.any():
-            last = int(np.flatnonzero(usable)[-1])
-            self._last_ns, self._last_segment = int(time_ns[last]), int(segment[last])
-
-    def _present(self) -> Shown:
-        """Return the prediction from now on."""
-        prediction, added = shown(self._state, self._params, self._now_s)
-        return NOTHING if prediction is None else prediction.shown(added, self._state.force)
-
-    def _model_input(
-        self, block: SampleBlock, temperature: FloatArray, breaks: Sequence[int]
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return `ThermalInput.process` of each run of the unit."""
-        edges = [0, *(row for row in breaks if row > 0), len(block)]
-        parts = []
-        for start, stop in pairwise(edges):
-            if start in breaks:
-                self._thermal.begin()
-            rows = block if stop - start == len(block) else block.rows(start, stop)
-            parts.append(self._thermal.process(rows, temperature[start:stop]))
-        total, curve, initial_sd = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-        return total, curve, initial_sd
+    def _expire(self, rest: IntArray, time_ns: IntArray, usable: BoolArray) -> None:
+        """End rest where readings are missing for long, and at unknown times."""
+        latest = np.maximum.accumulate(np.where(usable, np.arange(len(usable)), -1))
+        latest_ns = np.where(latest < 0, self._last_ns, time_ns[latest])
+        rest[(time_ns == NO_INT) | (time_ns - latest_ns > int(LONGEST_PAUSE_S * 1e9))] = 0
+        self._last_ns = int(latest_ns[-1]) if len(latest_ns) else self._last_ns
 
     def charts(self) -> Sequence[Chart]:
         """Return the bias over temperature, beside the model's curve where there is a model."""
@@ -304,24 +246,22 @@ class RestAndBias:
     def _given_rest(self, block: SampleBlock) -> BoolArray:
         if "at_rest" in block:
             return np.asarray(block["at_rest"] == 1)
-        self._lacks_rest |= not (self._parameters.assume_at_rest or self._detects)
+        self._lacks_rest |= self._rest_given and not self._parameters.assume_at_rest
         return np.full(len(block), self._parameters.assume_at_rest)
 
     def notices(self) -> list[str]:
         """Return, once each, what is missing, assumed, or out of range; for the log."""
-        texts, self._pending = self._pending, []
         conditions = {
             "no column at_rest: the bias is not estimated (a rest detector gives it; assume_at_rest does "
             "without)": self._lacks_rest,
             "the bias model lacks its temperature: the bias is taken as constant": self._thermal.lacking,
-            _outside(self._thermal.ranges_degc): self._thermal.outside,
+            _outside(self._trust): self._thermal.outside,
         }
-        for text, true in conditions.items():
-            if true and text not in self._reported:
-                self._reported.add(text)
-                texts.append(text)
-        if self._state.decision.jumped > self._jumped:
-            self._jumped = self._state.decision.jumped
+        found = [text for text, true in conditions.items() if true and text not in self._reported]
+        self._reported += found
+        texts, self._notices = [*self._notices, *found], []
+        if self._estimator.jumps > self._jumps:
+            self._jumps = self._estimator.jumps
             texts.append(
                 "at rest the rate contradicted the bias, so it has jumped: the bias is estimated anew"
             )
@@ -335,7 +275,7 @@ class GyroBias(RestAndBias):
     ``turn_hypothesis_{x,y,z}`` are in the variance.
     """
 
-    _detects = False
+    _rest_given = True
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -354,7 +294,6 @@ class RestDetector(RestAndBias):
 
     def __init__(self, parameters: RestParameters | None = None) -> None:
         super().__init__(mode="learned", rest=parameters)
-        self._pending = _retired(parameters)
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -363,41 +302,27 @@ class RestDetector(RestAndBias):
 
     def notices(self) -> list[str]:
         """Return, once, which parameters are not used any more."""
-        texts, self._pending = self._pending, []
-        return texts
-
-    def charts(self) -> Sequence[Chart]:
-        """Return none."""
-        return []
+        return [text for text in super().notices() if "any more" in text]
 
 
-def _retired(rest: RestParameters | None) -> list[str]:
-    keys = sorted(rest.retired) if rest is not None else []
-    return [f"the rest detector does not use {' and '.join(keys)} any more"] if keys else []
-
-
-def _angle(degrees: float | None) -> float:
-    return math.nan if degrees is None else math.radians(degrees)
-
-
-def _params(
+def _declared(
     parameters: GyroBiasParameters,
-    slopes: tuple[float, ...],
-    place: Place,
-    rest: RestParameters | None,
-) -> Params:
-    def axes(value: float | list[float] | None, absent: float) -> FloatArray:
-        return np.array(np.broadcast_to(absent if value is None else value, 3), np.float64)
+) -> tuple[FloatArray | None, tuple[FloatArray, FloatArray] | None]:
+    """Return the white noise that is declared, and B and K, (3,) each; None where they are not."""
+    white, b, k = (
+        None if value is None else np.array(np.broadcast_to(value, 3), np.float64)
+        for value in (
+            parameters.angle_random_walk_rad_per_sqrt_s,
+            parameters.bias_instability_rad_per_s,
+            parameters.rate_random_walk_rad_per_s_per_sqrt_s,
+        )
+    )
+    if b is None and k is None:
+        return white, None
+    return white, (np.zeros(3) if b is None else b, np.zeros(3) if k is None else k)
 
-    instability = parameters.bias_instability_rad_per_s
-    walk = parameters.rate_random_walk_rad_per_s_per_sqrt_s
-    absent = math.nan if instability is None and walk is None else 0.0
-    white = axes(parameters.angle_random_walk_rad_per_sqrt_s, math.nan)
-    b, k = axes(instability, absent), axes(walk, absent)
-    return Params(white, b, k, place, slopes, rest or RestParameters())
 
-
-def _notices_at_start(latitude_deg: float | None, heading_deg: float | None) -> list[str]:
+def _notices_of_place(latitude_deg: float | None, heading_deg: float | None) -> list[str]:
     if latitude_deg is None:
         return [
             "the latitude is not known: the earth rate, up to 15 °/h, is taken as part of the gyro bias"
@@ -412,9 +337,11 @@ def _notices_at_start(latitude_deg: float | None, heading_deg: float | None) -> 
     return []
 
 
-def _outside(ranges_degc: FloatArray) -> str:
-    low, high = ranges_degc[:, 0].max(), ranges_degc[:, 1].min()
+def _outside(trust: FloatArray | None) -> str:
+    if trust is None:
+        return ""
+    _, _, low, high = trust
     return (
-        f"the temperature is outside the range of the bias model, {low:.1f} to {high:.1f} °C: the bias is "
-        "extrapolated and its standard deviation widened"
+        f"the temperature is outside the range of the bias model, {low.max():.1f} to {high.min():.1f} °C: "
+        "the bias is extrapolated and its standard deviation widened"
     )

@@ -1,6 +1,7 @@
 """Is the unit at rest?
 
-`quiet` tests, slot by slot, whether anything moves; `odds` weighs a turn against a bias that has changed.
+`slots` are what rest and bias read; `quiet` tests, slot by slot, whether anything moves; `odds` weighs a turn
+against a bias that has changed.
 Start with `imumon.estimation.gyro_bias.estimator`, which puts both together: rest and bias are one estimator.
 Nothing is imported here, so that parameters can be read without loading the rest.
 """

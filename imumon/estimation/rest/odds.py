@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.rest.quiet import Second
+from imumon.estimation.rest.slots import Second
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
 
 USUAL_CHANGE = 50.0 * DEG_PER_H
@@ -23,8 +23,6 @@ EXCLUDED_SIGMAS = 6.0
 half as many: a chamber on a cycle, measured, is rest for 95 % of its time without, and for 98 % with it."""
 LEVEL_RATIO = 3.0
 """The level part of a change over the vertical one from which on that decides for the whole."""
-NOT_OBLIQUE = 3.0
-"""Log likelihood ratio against an oblique turn from which on only the vertical part may be a turn."""
 COMPASS_ERROR = 0.15
 """Error of a change of heading over that change: hard and soft iron.  Assumed."""
 COMPASS_NOISE = 0.01
@@ -68,14 +66,13 @@ def as_predicted(difference: FloatArray, variance: FloatArray) -> float:
 
 def by_gravity(
     seconds: Sequence[Second],
+    bias: FloatArray,
     change: FloatArray,
-    turn: FloatArray,
     variance: float,
     noise: float,
     drift: float,
-) -> tuple[float, FloatArray]:
-    """Return the log likelihood ratio of a changed bias over a turn by how gravity moved, and the part of the
-    change that may be a turn, rad/s, (3,).
+) -> float:
+    """Return the log likelihood ratio of a changed bias over a turn by how gravity moved.
 
     A turn is about the vertical, or oblique.  An oblique one tilts the unit by the angle turned, a change of
     the bias does not.  In one about the vertical the level axes show the noise of the bias alone.
@@ -84,34 +81,35 @@ def by_gravity(
     ----------
     seconds : sequence of Second
         Up to 16 s of rest.
-    change, turn : array (3,)
-        By how much the rate differs from the bias, rad/s, and the angle by which it has turned since the
-        first of the seconds if that is a turn, rad; `variance` is that of an axis of the difference.
+    bias, change : array (3,)
+        The bias, and by how much the rate differs from it, rad/s; `variance` is that of an axis.
     noise, drift : float
-        Variance of the mean force of a second, (m/s²)², and drift of the accelerometers, m/s³.
+        Variance of the mean force of each of the seconds, (m/s²)², and drift of the accelerometers, m/s³.
     """
     force = seconds[-1].force
     gravity = math.sqrt(float(force @ force))
     if len(seconds) < 3 or not gravity > 0.5 * STANDARD_GRAVITY:
-        return 0.0, change
+        return 0.0
     up = force / gravity
-    across = change - (change @ up) * up
-    if float(across @ across) < OBLIQUE**2 * float(change @ change):
-        return 0.0, change
-    elapsed = sum(one.seconds for one in seconds[1:])
-    turn = turn - (turn @ up) * up
-    tilt = np.cross(force, seconds[0].force) / (gravity * gravity)
+    upright2 = float(change @ up) ** 2
+    level2 = float(change @ change) - upright2
+    if level2 < OBLIQUE**2 * (level2 + upright2):
+        return 0.0
+    later = seconds[1:]
+    elapsed = sum(one.seconds for one in later)
+    turn = sum((one.seconds * (one.rate - bias) for one in later), np.zeros(3))
+    turn -= (turn @ up) * up
+    tilt = np.cross(force, seconds[0].force) / gravity**2
     of_tilt = ((math.sqrt(2.0 * noise) + drift * elapsed) / gravity) ** 2
-    of_turn = of_tilt + variance * elapsed * elapsed
-    oblique = 0.5 * (float((tilt - turn) @ (tilt - turn)) / of_turn - float(tilt @ tilt) / of_tilt)
-    level2 = float(across @ across)
-    excluded = float(turn @ turn) > EXCLUDED_SIGMAS**2 * of_tilt > 4.0 * float(tilt @ tilt)
-    if excluded and level2 > LEVEL_RATIO**2 * float(change @ up) ** 2:
-        return MOST_LOG_RATIO, change
+    turn2, tilt2 = float(turn @ turn), float(tilt @ tilt)
+    excluded = turn2 > EXCLUDED_SIGMAS**2 * of_tilt > 4.0 * tilt2
+    if excluded and level2 > LEVEL_RATIO**2 * upright2:
+        return MOST_LOG_RATIO
+    left = tilt - turn
+    oblique = 0.5 * (float(left @ left) / (of_tilt + variance * elapsed**2) - tilt2 / of_tilt)
     # About the vertical: what the level axes show is noise of the bias, or a change of it.
     upright = 0.5 * level2 / variance + math.log(variance * USUAL_CHANGE / (USUAL_CHANGE**2 + level2) ** 1.5)
-    ratio = math.log(2.0) - float(np.logaddexp(-oblique, -max(upright, 0.0)))
-    return ratio, change - across if oblique > NOT_OBLIQUE else change
+    return math.log(2.0) - float(np.logaddexp(-oblique, -max(upright, 0.0)))
 
 
 def by_compass(seconds: Sequence[Second], bias: FloatArray) -> float:
@@ -121,7 +119,7 @@ def by_compass(seconds: Sequence[Second], bias: FloatArray) -> float:
     Both hypotheses give the angle by which the heading has turned since the first of the seconds, with one
     variance; its sense is not compared, for not all devices count the yaw alike.
     """
-    seconds = [one for one in seconds if np.isfinite(one.heading[0] + one.force[0])]
+    seconds = [one for one in seconds if np.isfinite(one.heading[0]) and one.force.any()]
     if len(seconds) < 4:
         return 0.0
     heading, force = (

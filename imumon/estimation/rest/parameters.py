@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from imumon.blocks import FloatArray
 from imumon.config import StrictModel
+
+Retired = Annotated[None, BeforeValidator(lambda _: None), Field(exclude=True)]
+"""A key of earlier versions: any value is read and dropped, and a session does not write it again."""
+
+
+def retired(given: StrictModel) -> list[str]:
+    """Return the keys that were given and are not used any more."""
+    fields = type(given).model_fields
+    return [name for name in fields if fields[name].exclude and name in given.model_fields_set]
 
 
 class RestParameters(StrictModel):
@@ -20,29 +30,24 @@ class RestParameters(StrictModel):
         Fastest change of a gyro's bias that is still rest, rad/s²: 1e-4 is 21 deg/h each second.
     accel_drift : float
         Fastest change of an accelerometer's bias that is still rest, m/s³; a slower tilt than accel_drift / g
-        (32 deg/h by default) cannot be told from it.
+        (32 deg/h by default) cannot be distinguished from it.
     undecided_s : float
         A steady gyro mean that differs from that of the last rest is a turn about the vertical for so long,
         and bias from then on, if it differs by no more than largest_jump and nothing decides before.
     largest_jump : float
         Largest change of a gyro's bias within one run of the unit, rad/s.
-    begins_turning, gyro_g_sensitivity, gyro_walk : float
+    begins_turning, gyro_g_sensitivity, gyro_walk
         Not used any more: a recording that begins in a turn is found by a magnetometer or a yaw alone, and
         the others are learned.
     """
 
     gyro_drift: float = Field(default=1e-4, ge=0.0, le=1.0)
     accel_drift: float = Field(default=1.5e-3, ge=0.0, le=10.0)
-    gyro_g_sensitivity: float = Field(default=1.8e-4, ge=0.0, le=0.1)
-    gyro_walk: float = Field(default=8.7e-4, ge=0.0, le=1.0)
     undecided_s: float = Field(default=14400.0, ge=0.0, le=86400.0)
     largest_jump: float = Field(default=0.017, ge=0.0, le=10.0)
-    begins_turning: float = Field(default=0.0, ge=0.0, le=0.9)
-
-    @property
-    def retired(self) -> set[str]:
-        """Keys that were given and are not used any more."""
-        return self.model_fields_set & {"begins_turning", "gyro_g_sensitivity", "gyro_walk"}
+    begins_turning: Retired = None
+    gyro_g_sensitivity: Retired = None
+    gyro_walk: Retired = None
 
     @cached_property
     def drift(self) -> FloatArray:

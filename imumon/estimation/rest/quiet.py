@@ -9,21 +9,21 @@ bias is needed: whether a steady mean is the bias or a turn is not decided here.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from functools import partial
 
 import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray
+from imumon.estimation.rest.slots import ACCEL, AXES, Slot
 
-AXES = 6
-"""Gyro x, y, z in rad/s, then accelerometer x, y, z in m/s²."""
-GYRO, ACCEL = slice(0, 3), slice(3, 6)
-SLOT_S = 0.25
 TRIAL = 16
 """Slots of a trial."""
+LEAST_SLOTS = 4
+"""Quiet slots in a row before it is rest."""
+SHORT_RESTS = 2
+"""Short rests from which on it is rest after a trial's length; without, a turn of 0.5 °/s about a level axis
+was rest for half of the time for a gyro of 1.8 °/√h, its bias 14 sigma off."""
 LENGTHS = 2 ** np.arange(7)
-RING = 160
-"""Slots that are remembered: two of the longest windows, and more."""
 CHI_SQUARE = 42.0
 """Three axes together: once in 2e8 for Gaussian noise of known variance."""
 QUIET = np.repeat([3.5e-4, 5e-3], 3)
@@ -42,283 +42,216 @@ COLOUR = 5.0
 """In a trial: largest variance of means of 4 and 8 slots over that of white noise."""
 HALVES, HALVES_OFFSET = 5.0, 20.0
 """In a trial: largest noise of one half over the other, and what is added to it."""
-BUMP = 20.0
-"""In a trial: largest difference of a slot from its neighbours' mean, squared, over its variance."""
-SLOWER = 16.0
-"""In a trial: largest variance of slot means over that which their samples explain: more is slow motion."""
 ANOTHER = 2.5
 """Factor of the variance from which on a trial has found another noise."""
+SLOWER = 16.0
+"""In a trial: largest variance of slot means over that which their samples explain: more is slow motion."""
 SPIKE_SIGMAS = 8.0
 """A single sample so far from the mean at rest ends it."""
 TINY = 1e-24
-COARSEST_STEPS = (0.035, 0.16)
-"""No gyro (rad/s) and no accelerometer (m/s²) reads in coarser steps: 2 °/s is what may shake at rest."""
 DITHER = 2.0 * np.pi**2
 """Noise of variance v lets a mean err by exp(-DITHER v) half steps of the sensor, v in steps squared
 (Widrow)."""
 
 
-class Second(NamedTuple):
-    """Means over about a second in which the unit was quiet."""
-
-    end_s: float
-    seconds: float
-    """What its samples cover: the white noise is that of so long."""
-    rate: FloatArray
-    """rad/s, (3,)."""
-    force: FloatArray
-    """m/s², (3,); NaN without accelerometers."""
-    degc: FloatArray
-    """Temperature of each gyro, (3,); NaN without one."""
-    heading: FloatArray = np.full(3, np.nan)
-    """A vector that turns with the heading, (3,), by a magnetometer or the device; NaN without one."""
-
-
-class Slot(NamedTuple):
-    """One slot of samples of the six axes, (6,) each; NaN where an axis has none."""
-
-    seconds: float
-    samples: FloatArray
-    mean: FloatArray
-    variance: FloatArray
-    """About the mean (n - 1)."""
-    step: FloatArray
-    """Step of the sensor, if its readings were mostly equal and some differed by one; else infinite."""
-
-
 @dataclass(slots=True, eq=False)
-class State:
-    """The latest slots, and the noise at rest."""
+class QuietDetector:
+    """The latest slots, the latest one last, and the noise at rest."""
 
-    total: FloatArray = field(default_factory=lambda: np.zeros((RING, AXES)))
+    mean: FloatArray = field(default_factory=partial(np.zeros, (TRIAL, AXES)))
+    within: FloatArray = field(default_factory=partial(np.full, (TRIAL, AXES), np.nan))
+    """Variance of their samples."""
+    total: FloatArray = field(default_factory=partial(np.zeros, (2 * LENGTHS[-1] + 1, AXES)))
     """Sum of the means up to each slot."""
-    mean: FloatArray = field(default_factory=lambda: np.zeros((RING, AXES)))
-    within: FloatArray = field(default_factory=lambda: np.full((RING, AXES), np.nan))
     slots: int = 0
-    """Since the start."""
-    begun: int = 0
-    """How many there were when it began anew."""
+    """Since it began, or began anew."""
     run: int = 0
     """Quiet slots in a row; 0 while it moves, or nothing is known."""
     unquiet: int = 0
     """Slots that were not, since the last rest of a trial's length."""
+    pause: int = 0
+    """Slots that were not quiet since the last one that was."""
+    short_rests: int = 0
+    """Rests in a row that were shorter than a trial, with pauses of a second at most."""
     known: bool = False
-    noise: FloatArray = field(default_factory=lambda: np.zeros(AXES))
+    """Whether the noise is."""
+    noise: FloatArray = field(default_factory=partial(np.zeros, AXES))
     """Variance of the mean of a slot at rest, (6,)."""
-    sample_noise: FloatArray = field(default_factory=lambda: np.zeros(AXES))
+    sample_noise: FloatArray = field(default_factory=partial(np.zeros, AXES))
     """Variance of its samples at rest, (6,)."""
     learned: float = 0.0
+    """Slots that the noise has been learned from."""
     disturbed: bool = False
     """Whether a single sample of the present slot was outside `band`."""
     another: bool = False
-    """Whether a trial has found another noise with this slot."""
+    """Whether another noise has been found with this slot."""
     present: BoolArray = field(default_factory=lambda: np.zeros(AXES, np.bool_))
     """Axes that have readings, (6,)."""
     absent: int = 0
     """Slots for which one of them had none."""
-    step: FloatArray = field(default_factory=lambda: np.repeat(np.inf, AXES))
-    """Step of the sensor, (6,); infinite while it is not known."""
-    seconds: float = SLOT_S
-
-    def means(self, count: int) -> FloatArray:
-        """Return the means of the latest slots, oldest first, (count, 6)."""
-        return self.mean[np.arange(self.slots - count, self.slots) % RING]
+    step: FloatArray = field(default_factory=partial(np.zeros, AXES))
+    """Step of the sensor, (6,); 0 while it is not known."""
 
     @property
     def rounding(self) -> FloatArray:
         """Variance that rounding gives a mean which the noise does not reach, (6,)."""
-        found: FloatArray = np.where(np.isfinite(self.step), self.step, 0.0) ** 2 / 12.0
-        return found
+        return np.asarray(self.step**2 / 12.0)
 
     @property
     def rounding_error(self) -> FloatArray:
         """Largest error of a mean by rounding to steps of the sensor, (6,)."""
-        step = np.where(np.isfinite(self.step), self.step, 0.0)
-        noise = np.maximum(self.sample_noise / (step * step + TINY) - 1.0 / 12.0, 0.0)
-        return np.asarray(0.5 * step * np.exp(-DITHER * noise))
+        noise = np.maximum(self.sample_noise / (self.step**2 + TINY) - 1.0 / 12.0, 0.0)
+        return np.asarray(0.5 * self.step * np.exp(-DITHER * noise))
 
     @property
     def band(self) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest reading of a unit at rest, (6,) each; infinite while it is not."""
+        """Lowest and highest reading of a unit at rest, (6,) each; infinite of absent axes."""
         width = np.where(self.present, SPIKE_SIGMAS * np.sqrt(self.sample_noise + self.noise), np.inf)
-        width = width + 4.0 * QUIET + np.where(np.isfinite(self.step), 1.5 * self.step, 0.0)
-        centre = self.means(4).mean(0)
+        width = width + 4.0 * QUIET + 1.5 * self.step
+        centre = self.mean[-4:].mean(0)
         return centre - width, centre + width
 
+    def begin(self) -> None:
+        """Begin anew, after a gap or a restart: the noise is what it was."""
+        self.slots = self.run = self.unquiet = self.short_rests = 0
 
-def begin(state: State) -> None:
-    """Begin anew, after a gap or a restart: the noise is what it was."""
-    state.begun, state.run, state.unquiet = state.slots, 0, 0
+    @property
+    def is_rest(self) -> bool:
+        """Whether it has been quiet for long enough: a slow tilt is quiet for a second, again and again."""
+        return self.run >= (TRIAL if self.short_rests >= SHORT_RESTS else LEAST_SLOTS)
 
+    def take(self, slot: Slot, drift: FloatArray) -> None:
+        """Take a slot; `drift`, (6,), is what is permitted at rest, rad/s² and m/s³."""
+        self._note(slot)
+        step = np.minimum(np.where(self.step > 0.0, self.step, np.inf), slot.step)
+        step = np.where(np.isfinite(step), step, 0.0)
+        # The first step of a coarse sensor is outside a band that knew none.
+        self.disturbed &= not ((step > 0.0) & (self.step == 0.0)).any()
+        self.step = step
+        if self.known:
+            self.run += 1
+            if self.disturbed or self._moves(slot, drift):
+                self._interrupt()
+            else:
+                self.pause = 0
+                self._learn(slot)
+        self.disturbed = False
+        needed = not self.known or (self.unquiet >= 4 and self.run < TRIAL)
+        if needed and self.slots >= TRIAL and self.slots % 4 == 0:
+            self._try(slot.samples)
 
-def step(state: State, slot: Slot, drift: FloatArray, at_rest: bool | None = None) -> int:
-    """Take a slot; return how many have been quiet in a row.
-
-    Parameters
-    ----------
-    drift : array (6,)
-        Permitted at rest, rad/s² and m/s³.
-    at_rest : bool or None
-        Whether the unit was at rest, where another detector decides; only the noise is learned then.
-    """
-    mean = _completed(state, slot)
-    j = state.slots % RING
-    state.total[j], state.mean[j], state.within[j] = state.total[j - 1] + mean, mean, slot.variance
-    state.slots += 1
-    state.seconds, state.another = slot.seconds, False
-    if at_rest is not None:
-        _learn_at_given_rest(state, slot, at_rest)
-        return state.run
-    first_step = bool((np.isfinite(slot.step) & ~np.isfinite(state.step)).any())
-    state.disturbed &= not first_step  # the first step of a coarse sensor is outside a band that knew none
-    state.step = np.minimum(state.step, slot.step)
-    if state.known:
-        state.run += 1
-        if _moves(state, slot, drift) or state.disturbed:
-            state.run, state.unquiet = 0, state.unquiet + 1
+    def take_given(self, slot: Slot) -> None:
+        """Take a slot whose rest is given: it is counted, and its noise learned."""
+        self._note(slot)
+        if not slot.at_rest:
+            self.run = 0
+            return
+        self.run += 1
+        if self.known or self.run < TRIAL:
+            self._learn(slot)
         else:
-            _learn(state, slot)
-    state.disturbed = False
-    needed = not state.known or (state.unquiet >= 4 and state.run < TRIAL)
-    if needed and state.slots - state.begun >= TRIAL and state.slots % 4 == 0:
-        _try(state, slot)
-    return state.run
+            noise = noise_of(self.mean)
+            self._found(noise, noise * slot.samples)
 
+    def _note(self, slot: Slot) -> None:
+        """Append the means: the last one of an axis that pauses, and 0 of one that is absent."""
+        there = np.isfinite(slot.mean)
+        came = bool((there > self.present).any())
+        self.absent = self.absent + 1 if (there < self.present).any() else 0
+        if came or self.absent > TRIAL:
+            self.known, self.absent = False, 0
+            self.present = self.present | there if came else there
+            self.begin()
+        mean = np.where(there, slot.mean, np.where(self.present, self.mean[-1], 0.0))
+        for latest, value in (
+            (self.mean, mean),
+            (self.within, slot.variance),
+            (self.total, self.total[-1] + mean),
+        ):
+            latest[:-1] = latest[1:]
+            latest[-1] = value
+        self.slots, self.another = self.slots + 1, False
 
-def _completed(state: State, slot: Slot) -> FloatArray:
-    """Return the means, with the last one of an axis that pauses, and 0 of one that is absent; note which
-    are there."""
-    there = np.isfinite(slot.mean)
-    if (there > state.present).any():
-        state.known, state.present = False, state.present | there
-        begin(state)
-    state.absent = state.absent + 1 if (there < state.present).any() else 0
-    if state.absent > TRIAL:
-        state.known, state.present, state.absent = False, there, 0
-        begin(state)
-    return np.where(there, slot.mean, np.where(state.present, state.mean[(state.slots - 1) % RING], 0.0))
+    def _interrupt(self) -> None:
+        """End the present rest, if there is one, with a slot that is not quiet."""
+        self.pause += 1
+        self.short_rests = 0 if self.pause > LEAST_SLOTS else self.short_rests + (1 < self.run <= TRIAL)
+        self.run, self.unquiet = 0, self.unquiet + 1
 
-
-def _moves(state: State, slot: Slot, drift: FloatArray) -> bool:
-    """Return whether windows, or the samples of the slot, differ by more than noise and drift."""
-    lengths = LENGTHS[state.run >= 2 * LENGTHS]
-    if len(lengths):
-        j, width = state.slots - 1, lengths[:, np.newaxis]
-        now, then, before = (
-            state.total[j % RING],
-            state.total[(j - lengths) % RING],
-            state.total[(j - 2 * lengths) % RING],
-        )
-        excess = np.maximum(np.abs(now - 2.0 * then + before) / width - drift * state.seconds * width, 0.0)
+    def _moves(self, slot: Slot, drift: FloatArray) -> bool:
+        """Return whether windows, or the samples of the slot, differ by more than noise and drift."""
+        lengths = LENGTHS[self.run >= 2 * LENGTHS]
+        width = lengths[:, np.newaxis]
+        change = self.total[-1] - 2.0 * self.total[-1 - lengths] + self.total[-1 - 2 * lengths]
+        excess = np.maximum(np.abs(change) / width - drift * slot.seconds * width, 0.0)
         # A shorter window has a smaller floor: a disturbance has had less time to act.
-        floor = QUIET**2 / np.maximum(1.0, 4.0 / width) + state.rounding
-        square = excess**2 / (2.0 * np.maximum(state.noise / width, floor))
+        floor = QUIET**2 / np.maximum(1.0, 4.0 / width) + self.rounding
+        square = excess**2 / (2.0 * np.maximum(self.noise / width, floor))
         if (square.reshape(-1, 2, 3).sum(2) > CHI_SQUARE).any():
             return True
-    return bool((slot.variance > _largest_variance(state, slot.samples)).any())
+        # Wilson and Hilferty's chi-square, of three samples and more.
+        k = 2.0 / (9.0 * np.maximum(0.5 * (slot.samples - 1.0), 1.0))
+        factor = VARIANCE_FACTOR * (1.0 - k + VARIANCE_SIGMAS * np.sqrt(k)) ** 3
+        limit = np.maximum(factor * self.sample_noise, 1e-12) + 12.0 * self.rounding
+        return bool(((slot.variance > limit) & (slot.samples >= 3.0)).any())
 
+    def _learn(self, slot: Slot) -> None:
+        """Learn the noise from second differences, in which a drift cancels."""
+        if self.run < 3:
+            return
+        gain = max(1.0 / MEMORY_SLOTS, 1.0 / (self.learned + 1.0))
+        self.learned += 1.0
+        first, second, third = self.mean[-3:]
+        square = (third - 2.0 * second + first) ** 2 / 6.0
+        self.noise = self.noise + gain * (np.minimum(square, 9.0 * self.noise) - self.noise)
+        within = np.minimum(slot.variance, 4.0 * self.sample_noise)
+        within = np.where(slot.samples >= 3.0, within, self.sample_noise)
+        self.sample_noise = self.sample_noise + gain * (within - self.sample_noise)
+        if self.run >= TRIAL:
+            self.unquiet = self.short_rests = 0
 
-def _largest_variance(state: State, count: FloatArray) -> FloatArray:
-    """Return the largest variance of so many samples at rest, (6,); infinite of fewer than three."""
-    k = 2.0 / (9.0 * np.maximum(0.5 * (count - 1.0), 1.0))
-    factor = VARIANCE_FACTOR * (1.0 - k + VARIANCE_SIGMAS * np.sqrt(k)) ** 3
-    limit = np.maximum(factor * state.sample_noise, 1e-12) + 12.0 * state.rounding
-    return np.where(count >= 3.0, limit, np.inf)
+    def _try(self, samples: FloatArray) -> None:
+        """Take the noise of the last slots, if they look like a constant with noise, and like another one."""
+        found = self._trial(samples)
+        if found is None:
+            return
+        pairs = zip(found, (self.noise, self.sample_noise), strict=True)
+        other = any((new > ANOTHER * old + self.rounding).any() for new, old in pairs)
+        if other or not self.known:
+            self.run, self.unquiet, self.short_rests = TRIAL, 0, 0
+            self._found(*found)
 
+    def _found(self, noise: FloatArray, sample_noise: FloatArray) -> None:
+        self.known, self.another, self.learned = True, True, TRIAL - 2.0
+        self.noise, self.sample_noise = noise, sample_noise
 
-def _learn(state: State, slot: Slot) -> None:
-    """Learn the noise from second differences, in which a drift cancels."""
-    if state.run < 3:
-        return
-    first, second, third = state.means(3)
-    gain = max(1.0 / MEMORY_SLOTS, 1.0 / (state.learned + 1.0))
-    state.learned += 1.0
-    square = (third - 2.0 * second + first) ** 2 / 6.0
-    state.noise = state.noise + gain * (np.minimum(square, 9.0 * state.noise) - state.noise)
-    enough = slot.samples >= 3.0
-    if enough.any():
-        within = np.where(enough, np.minimum(slot.variance, 4.0 * state.sample_noise), state.sample_noise)
-        state.sample_noise = state.sample_noise + gain * (within - state.sample_noise)
-    if state.run >= TRIAL:
-        state.unquiet = 0
-
-
-def _learn_at_given_rest(state: State, slot: Slot, at_rest: bool) -> None:
-    """Count slots at rest, and learn their noise, once there are enough of them."""
-    state.run = state.run + 1 if at_rest else 0
-    if state.run >= TRIAL and not state.known:
-        state.known, state.learned = True, TRIAL - 2.0
-        state.noise = noise_of(state.means(TRIAL))
-        state.sample_noise = state.noise * slot.samples
-    elif at_rest:
-        _learn(state, slot)
+    def _trial(self, count: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+        """Return the variance of slot means and of samples, (6,) each; None of what moves."""
+        noise = noise_of(self.mean)
+        enough = np.isfinite(self.within).all(0) & (count >= 3.0)
+        samples = np.where(enough, np.where(enough, self.within, 0.0).mean(0), noise * count)
+        # Where the noise at rest is known, what is far above it is suspicious, too.
+        quiet2 = np.minimum(QUIET**2, 9.0 * self.noise) if self.known else QUIET**2
+        least = quiet2 + self.rounding
+        for length in (4, 8):  # noise averages out
+            means = self.mean.reshape(-1, length, AXES).mean(1)
+            ratio = means.var(0, ddof=1) / np.maximum(noise / length, least)
+            if (ratio.reshape(2, 3).mean(1) > COLOUR).any():
+                return None
+        # A hand is slow within a slot and fast between slots.
+        slow = enough & (noise * count > SLOWER * samples) & (noise > least)
+        second = np.diff(self.mean, 2, axis=0) ** 2 / np.maximum(noise, least)
+        first, last = (half.reshape(-1, 2, 3).sum((0, 2)) for half in (second[:7], second[7:]))
+        uneven = np.maximum(first, last) > HALVES * np.minimum(first, last) + HALVES_OFFSET
+        # Single samples are as loud as they are, and a gyro may be noisy: its samples are then white.
+        loud = np.maximum(self.mean.var(0), noise).reshape(2, 3).mean(1) > ROAD**2
+        road = loud & (count.reshape(2, 3).max(1) >= 3.0)
+        white = (noise * count < 1.5 * samples) & (np.arange(AXES) < ACCEL.start)
+        shaken = (samples > VIBRATION**2) | np.repeat(road, 3)
+        moves = slow.any() or uneven.any() or (shaken & ~white).any()
+        return None if moves else (noise, samples)
 
 
 def noise_of(mean: FloatArray) -> FloatArray:
-    """Return the variance of slot means by their second differences, (6,)."""
+    """Return the variance of slot means, (n, 6), by their second differences, (6,)."""
     return np.asarray(np.maximum((np.diff(mean, 2, axis=0) ** 2).mean(0) / 6.0, TINY))
-
-
-def _try(state: State, slot: Slot) -> None:
-    """Take the noise of the last slots, if they look like a constant with noise, and like another one."""
-    found = trial(
-        state.means(TRIAL),
-        state.within[np.arange(state.slots - TRIAL, state.slots) % RING],
-        slot.samples,
-        state,
-    )
-    if found is None:
-        return
-    noise, within = found
-    other = (noise > ANOTHER * state.noise + state.rounding) | (
-        within > ANOTHER * state.sample_noise + state.rounding
-    )
-    if state.known and not other.any():
-        return
-    state.another, state.known = True, True
-    state.noise, state.sample_noise = noise, within
-    state.learned, state.run, state.unquiet = TRIAL - 2.0, TRIAL, 0
-
-
-def trial(
-    mean: FloatArray, within: FloatArray, count: FloatArray, state: State
-) -> tuple[FloatArray, FloatArray] | None:
-    """Return the variance of slot means and of samples, (6,) each; None of what moves.
-
-    Parameters
-    ----------
-    mean, within : array (16, 6)
-        Means of slots, and variances of their samples.
-    """
-    second, noise = np.diff(mean, 2, axis=0), noise_of(mean)
-    enough = np.isfinite(within).all(0) & (count >= 3.0)
-    samples = np.where(enough, np.where(enough, within, 0.0).mean(0), noise * count)
-    quiet2 = (np.minimum(QUIET**2, 9.0 * state.noise) if state.known else QUIET**2) + state.rounding
-    floor = np.maximum(noise, quiet2)
-    if _is_road(mean, noise, samples, count):
-        return None
-    for length in (4, 8):  # noise averages out
-        means = mean.reshape(-1, length, AXES).mean(1)
-        ratio = means.var(0, ddof=1) / np.maximum(noise / length, quiet2)
-        if (ratio.reshape(2, 3).mean(1) > COLOUR).any() or (ratio > 2.0 * COLOUR).any():
-            return None
-    if (enough & (noise * count > SLOWER * samples) & (noise > quiet2)).any():
-        return None  # a hand is slow within a slot and fast between slots
-    halves = np.stack([(second[:7] ** 2).sum(0), (second[7:] ** 2).sum(0)]) / floor
-    by_sensor = halves.reshape(2, 2, 3).sum(2)
-    if (by_sensor.max(0) > HALVES * by_sensor.min(0) + HALVES_OFFSET).any():
-        return None
-    if (second**2 / 6.0 > BUMP * floor).any():
-        return None
-    return noise, samples
-
-
-def _is_road(mean: FloatArray, noise: FloatArray, samples: FloatArray, count: FloatArray) -> bool:
-    """Return whether it shakes more than any sensor's noise does."""
-    white = noise * count < 1.5 * samples
-    loud = np.maximum(mean.var(0), noise).reshape(2, 3).mean(1) > ROAD**2
-    loud &= count.reshape(2, 3).max(1) >= 3.0  # single samples are as loud as they are
-    shakes = samples > VIBRATION**2
-    if loud[1] or shakes[ACCEL].any():
-        return True
-    return bool((loud[0] and not white[GYRO].all()) or (shakes & ~white)[GYRO].any())

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.smoothing.record import READINGS, SUFFIXES, Record
+from imumon.blocks import ColumnArray, FloatArray, SampleBlock
+from imumon.estimation.smoothing.record import QUANTITIES, READINGS, Record, value_and_sd
 from imumon.pipeline import Estimator
+
+REVERSED = {"temperature_estimate": 1.0, "temperature_rate": -1.0, "gyro_bias": -1.0}
+"""Sign of each quantity when time is reversed."""
 
 
 def backward(record: Record, temperature: Estimator, bias: Estimator) -> dict[str, FloatArray]:
@@ -27,7 +30,7 @@ def backward(record: Record, temperature: Estimator, bias: Estimator) -> dict[st
     model = record.vector("gyro_bias") - record.vector("gyro_random_error")
     modelled = (np.nan_to_num(model) != 0.0).any(0)
     model = np.where(np.isfinite(model) | modelled, model, 0.0)
-    columns = {
+    columns: dict[str, ColumnArray] = {
         "device_time_ns": last_ns - record.middle_ns,
         "segment": record.run.max(initial=0) - record.run,
     }
@@ -38,13 +41,11 @@ def backward(record: Record, temperature: Estimator, bias: Estimator) -> dict[st
     block = SampleBlock({name: np.ascontiguousarray(values[::-1]) for name, values in columns.items()})
     block = block.with_columns(temperature.process(block))
     block = block.with_columns(bias.process(block))
-    found: dict[str, FloatArray] = {}
-    for suffix in SUFFIXES:
-        if f"temperature_estimate{suffix}" in block:
-            for name, sign in (("temperature_estimate", 1.0), ("temperature_rate", -1.0)):
-                found[f"{name}{suffix}"] = sign * block[f"{name}{suffix}"][::-1]
-                found[f"{name}_sd{suffix}"] = block[f"{name}_sd{suffix}"][::-1]
+    found = {}
+    for quantity, suffix in QUANTITIES:
+        value, sd = value_and_sd(quantity, suffix)
+        if value in block:
+            found[value], found[sd] = REVERSED[quantity] * block[value][::-1], block[sd][::-1]
     for j, axis in enumerate("xyz"):
-        found[f"gyro_bias_{axis}"] = model[:, j] - block[f"gyro_bias_{axis}"][::-1]
-        found[f"gyro_bias_sd_{axis}"] = block[f"gyro_bias_sd_{axis}"][::-1]
+        found[f"gyro_bias_{axis}"] += model[:, j]
     return found

@@ -1,4 +1,4 @@
-"""Samples and estimates of the forward run as means over short slots: the input of the backward run."""
+"""Samples and estimates of the forward run over short slots: the input of the backward run."""
 
 from __future__ import annotations
 
@@ -6,28 +6,38 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imumon.blocks import NO_INT, FloatArray, IntArray, SampleBlock
+from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray, SampleBlock
 from imumon.filters.slots import SlotGatherer, Slots
-from imumon.filters.turns import mean_rates
 
 SLOT_NS = 31_250_000
 """Half of the shortest slot over which a stage integrates rotations."""
 SUFFIXES = ("", "_x", "_y", "_z")
-"""Of the columns of a thermometer."""
-READINGS = tuple(f"temperature{suffix}" for suffix in SUFFIXES)
+"""Of the columns of a thermometer: of the unit, and of the sensors of its axes."""
+QUANTITIES = (
+    *(("temperature_estimate", suffix) for suffix in SUFFIXES),
+    *(("temperature_rate", suffix) for suffix in SUFFIXES),
+    *(("gyro_bias", suffix) for suffix in SUFFIXES[1:]),
+)
+"""What is smoothed: a quantity, and the suffix of its columns."""
 SENSORS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
-_THERMAL = ("temperature_estimate", "temperature_estimate_sd", "temperature_rate", "temperature_rate_sd")
-_BIAS = ("gyro_bias", "gyro_bias_sd", "gyro_random_error")
+READINGS = tuple(f"temperature{suffix}" for suffix in SUFFIXES)
+
+
+def value_and_sd(quantity: str, suffix: str = "") -> tuple[str, str]:
+    """Return the names of the columns of a quantity and of its standard deviation."""
+    return f"{quantity}{suffix}", f"{quantity}_sd{suffix}"
+
+
 NAMES = (
     *SENSORS,
     *READINGS,
     "at_rest",
-    *(f"{name}{suffix}" for name in _THERMAL for suffix in SUFFIXES),
-    *(f"{name}_{axis}" for name in _BIAS for axis in "xyz"),
+    *(name for quantity in QUANTITIES for name in value_and_sd(*quantity)),
+    *(f"gyro_random_error_{axis}" for axis in "xyz"),
     "attitude_estimate_heading",
     "heading",
-    "heading_sd",
 )
+"""Columns of a record."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,8 +51,7 @@ class Record:
     middle_ns: IntArray
     """Device time, (n,)."""
     columns: dict[str, FloatArray]
-    """Means of the sensors, (n,) each; the last value of temperatures, rest and estimates.  In motion the
-    gyros have the constant rate whose rotation over the slot is that of the samples."""
+    """Means of the sensors, (n,) each; the last value of temperatures, rest and estimates."""
 
     def vector(self, name: str) -> FloatArray:
         """Return the three axes of a column, (n, 3)."""
@@ -53,42 +62,27 @@ class Recorder:
     """Averages the blocks of a run into slots; the result does not depend on the division into blocks."""
 
     def __init__(self) -> None:
-        self._slots = SlotGatherer(len(NAMES), SLOT_NS, rates=0)
+        self._slots = SlotGatherer(len(NAMES), SLOT_NS)
         self._rows = 0
-        self._parts: list[tuple[IntArray, Slots]] = []
+        self._parts: list[tuple[IntArray, BoolArray, IntArray, FloatArray]] = []
 
     def add(self, block: SampleBlock) -> None:
         """Take the next rows."""
         n = len(block)
-        values = np.full((n, len(NAMES)), np.nan)
-        for j, name in enumerate(NAMES):
-            if name in block:
-                values[:, j] = block[name]
-        time_ns = block["device_time_ns"] if "device_time_ns" in block else np.full(n, NO_INT)
-        slots = self._slots.process(time_ns, block["segment"], values)
-        self._parts.append((slots.row + self._rows, slots))
+        missing = np.full(n, np.nan)
+        values = np.column_stack([block.columns.get(name, missing) for name in NAMES])
+        time_ns = block.columns.get("device_time_ns", np.full(n, NO_INT))
+        self._keep(self._slots.process(time_ns, block["segment"], values))
         self._rows += n
+
+    def _keep(self, slots: Slots) -> None:
+        """Keep copies: what the gatherer returns holds the memory of all its results."""
+        values = np.hstack([slots.mean[:, : len(SENSORS)], slots.last[:, len(SENSORS) :]])
+        self._parts.append((slots.row + self._rows, slots.begins, slots.middle_ns, values))
 
     def finish(self) -> Record:
         """Return the record of all rows."""
-        last = self._slots.finish()
-        rows, parts = zip(*self._parts, (last.row + self._rows, last), strict=True)
-        begins, middle_ns, final = (
-            np.concatenate([getattr(slots, name) for slots in parts])
-            for name in ("begins", "middle_ns", "last")
-        )
-        mean = np.concatenate([_means(slots) for slots in parts])
-        columns = {
-            name: np.ascontiguousarray((mean if name in SENSORS else final)[:, j])
-            for j, name in enumerate(NAMES)
-        }
-        return Record(np.concatenate(rows), np.cumsum(begins), middle_ns, columns)
-
-
-def _means(slots: Slots) -> FloatArray:
-    """Return the means of slots, (m, columns); in motion, gyros as in `Record.columns`."""
-    rate = mean_rates(slots.turns)
-    use = np.isfinite(rate[:, 0]) & (slots.last[:, NAMES.index("at_rest")] != 1.0)
-    mean = slots.mean.copy()
-    mean[use, :3] = rate[use]
-    return mean
+        self._keep(self._slots.finish())
+        stop, begins, middle_ns, values = (np.concatenate(part) for part in zip(*self._parts, strict=True))
+        columns = np.ascontiguousarray(values.T)
+        return Record(stop, np.cumsum(begins), middle_ns, dict(zip(NAMES, columns, strict=True)))

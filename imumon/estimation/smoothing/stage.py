@@ -20,18 +20,14 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.columns import Column
-from imumon.estimation.smoothing.record import SUFFIXES, Record
+from imumon.estimation.alignment.report import PositionHeading
+from imumon.estimation.smoothing.record import QUANTITIES, Record, value_and_sd
 
 SUSPECT = 2.0
 """A standard normal value exceeds this in magnitude with a probability of 5 %."""
 MEDIAN = 0.6745
 """Median of the magnitude of a standard normal value."""
-QUANTITIES = (
-    *((f"temperature_estimate{s}", f"temperature_estimate_sd{s}", "degC") for s in SUFFIXES),
-    *((f"temperature_rate{s}", f"temperature_rate_sd{s}", "degC/s") for s in SUFFIXES),
-    *((f"gyro_bias_{a}", f"gyro_bias_sd_{a}", "rad/s") for a in "xyz"),
-)
-"""Columns, their standard deviations, and the unit of both."""
+UNITS = {"temperature_estimate": "degC", "temperature_rate": "degC/s", "gyro_bias": "rad/s", "heading": "rad"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,8 +63,28 @@ def combine(
     return Smoothed(value, sd, r)
 
 
+def still_heading(record: Record, positions: Sequence[PositionHeading]) -> Smoothed:
+    """Return the heading of each slot in which the unit stood still, rad, (n,); NaN elsewhere.
+
+    It is a constant, so it is the result of one fit to all samples of the interval, and no backward filter is
+    needed: warm-up and a settling tripod are models that only run forward.
+
+    Parameters
+    ----------
+    positions : sequence of PositionHeading
+        As the alignment of the whole recording left them.
+    """
+    value, sd = np.full((2, len(record.run)), np.nan)
+    for position in positions:
+        run = np.flatnonzero(record.run == position.run)
+        since_s = 1e-9 * (record.middle_ns[run] - record.middle_ns[run[:1]])
+        rows = run[(since_s >= position.begun_s) & (since_s <= position.ended_s)]
+        value[rows], sd[rows] = position.heading, position.sd
+    return Smoothed(value, sd, math.nan)
+
+
 class SmoothedEstimates:
-    """Estimates from forward and backward filters; the columns are named as in `smoothed`.
+    """Estimates from forward and backward filters; ``gyro_bias_sd_x`` becomes ``gyro_bias_smoothed_sd_x``.
 
     Parameters
     ----------
@@ -77,7 +93,7 @@ class SmoothedEstimates:
     backward : dict of str to array (n,)
         As from `imumon.estimation.smoothing.backward.backward`.
     heading : Smoothed, optional
-        As from `imumon.estimation.smoothing.heading.still_heading`.
+        As from `still_heading`.
     """
 
     def __init__(
@@ -85,30 +101,30 @@ class SmoothedEstimates:
     ) -> None:
         self._stop = record.stop
         self._rows = 0
-        self._reported = False
         self._values: dict[str, FloatArray] = {}
-        columns: list[Column] = []
-        self.columns: Sequence[Column] = columns
+        self.columns: tuple[Column, ...] = ()
         """The columns that `process` adds."""
         self.residuals: dict[str, float] = {}
         """r of `combine`, by quantity."""
-        forward = record.columns
-        found = {
-            each: combine(forward[each[0]], forward[each[1]], backward[each[0]], backward[each[1]])
-            for each in QUANTITIES
-            if each[0] in backward
-        }
+        for quantity, suffix in QUANTITIES:
+            names = value_and_sd(quantity, suffix)
+            if names[0] in backward:
+                directions = [of[name] for of in (record.columns, backward) for name in names]
+                self._add(quantity, suffix, combine(*directions))
         if heading is not None:
-            found["heading", "heading_sd", "rad"] = heading
-        for (value, sd, unit), of in found.items():
-            if math.isfinite(of.residual):
-                self.residuals[value] = of.residual
-            if np.isfinite(of.sd).any():
-                self._values |= {smoothed(value): of.value, smoothed(sd): of.sd}
-                columns.append(Column(smoothed(value), unit, description="with what came later"))
-                columns.append(
-                    Column(smoothed(sd), unit, description="standard deviation with what came later")
-                )
+            self._add("heading", "", heading)
+        self._notices = self._contradictions()
+
+    def _add(self, quantity: str, suffix: str, found: Smoothed) -> None:
+        """Add the columns of a quantity, if it is known anywhere."""
+        if math.isfinite(found.residual):
+            self.residuals[f"{quantity}{suffix}"] = found.residual
+        if np.isfinite(found.sd).any():
+            value, sd = value_and_sd(f"{quantity}_smoothed", suffix)
+            self._values |= {value: found.value, sd: found.sd}
+            text, unit = "with what came later", UNITS[quantity]
+            self.columns += (Column(value, unit, description=text),)
+            self.columns += (Column(sd, unit, description=f"standard deviation {text}"),)
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; the blocks must be the rows of the first run, in their order."""
@@ -119,19 +135,15 @@ class SmoothedEstimates:
 
     def notices(self) -> list[str]:
         """Return, once, the quantities in which forward and backward contradict each other."""
+        notices, self._notices = self._notices, []
+        return notices
+
+    def _contradictions(self) -> list[str]:
         suspect = [f"{name} ({r:.1f} σ)" for name, r in self.residuals.items() if r > SUSPECT]
-        if self._reported or not suspect:
+        if not suspect:
             return []
-        self._reported = True
         return [
             f"forward and backward contradict each other in {', '.join(suspect)}: something changed abruptly "
             "that the filter takes for smooth, or its model lacks an effect (of a bias, imumon diagnose may "
             "name it); the smoothed sigma is widened by that"
         ]
-
-
-def smoothed(name: str) -> str:
-    """Return the name of the smoothed column: ``gyro_bias_sd_x`` becomes ``gyro_bias_smoothed_sd_x``."""
-    for quantity in ("temperature_estimate", "temperature_rate", "gyro_bias", "heading"):
-        name = name.replace(quantity, f"{quantity}_smoothed")
-    return name

@@ -17,7 +17,7 @@ SPAN_S = 30.0
 """Length of the window of samples, s, and the most samples in it: above 1.09 kHz it is shorter."""
 MOST_SAMPLES = 32768
 PARTS = 7
-"""A segment is two of so many parts of the span, or a little less: six overlap by half."""
+"""A segment is two of so many parts of the span: six overlap by half."""
 FEWEST = 256
 """Samples that are needed: with fewer a segment has too few bins for a floor beside a line."""
 GAP = 20.0
@@ -36,28 +36,25 @@ class LiveSpectrum:
     """None: a spectrum is not a quantity of each sample."""
 
     def __init__(self) -> None:
-        self._blocks: deque[tuple[IntArray, dict[str, FloatArray]]] = deque()
-        self._held = 0
+        self._blocks: deque[tuple[IntArray, FloatArray]] = deque(maxlen=MOST_SAMPLES)
+        """Device time, (n,), and `CHANNELS`, (n, 6), NaN where there is no value."""
         self._segment: int | None = None
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Take the samples of a block; needs ``device_time_ns`` and ``segment``."""
-        names = [name for name in CHANNELS if name in block]
-        if not len(block) or not names:
+        if not len(block) or not any(name in block for name in CHANNELS):
             return {}
         segment = int(block["segment"][-1])
         rows = np.flatnonzero(block["segment"] == segment)
         if segment != self._segment or len(rows) < len(block):
             self._blocks.clear()
-            self._held, self._segment = 0, segment
-        times = np.asarray(block["device_time_ns"][rows], np.int64)
-        self._blocks.append((times, {name: np.asarray(block[name][rows], np.float64) for name in names}))
-        self._held += len(rows)
-        while len(self._blocks) > 1:
-            oldest = self._blocks[0][0]
-            if times[-1] - oldest[-1] <= SPAN_S * 1e9 and self._held - len(oldest) <= MOST_SAMPLES:
-                break
-            self._held -= len(self._blocks.popleft()[0])
+            self._segment = segment
+        missing = np.full(len(block), np.nan)
+        values = np.column_stack([block.columns.get(name, missing)[rows] for name in CHANNELS])
+        time_ns = block["device_time_ns"][rows]
+        self._blocks.append((time_ns, values))
+        while self._blocks[0][0][-1] < time_ns[-1] - SPAN_S * 1e9:
+            self._blocks.popleft()
         return {}
 
     def notices(self) -> list[str]:
@@ -66,40 +63,35 @@ class LiveSpectrum:
 
     def charts(self) -> Sequence[Chart]:
         """Return one chart per sensor; none while there are too few samples."""
-        if self._held < FEWEST:
+        if not self._blocks:
             return []
-        times = np.concatenate([block for block, _ in self._blocks])
-        interval = float(np.median(np.diff(times)))
-        if interval <= 0:
+        time_ns, values = (np.concatenate(part)[-MOST_SAMPLES:] for part in zip(*self._blocks, strict=True))
+        interval_ns = float(np.median(np.diff(time_ns))) if len(time_ns) > 1 else 0.0
+        if interval_ns <= 0.0:
             return []
-        breaks = np.flatnonzero(np.diff(times) > GAP * interval)
-        first = int(breaks[-1]) + 1 if len(breaks) else 0
-        if len(times) - first < FEWEST:
+        start = int(np.flatnonzero(np.diff(time_ns, prepend=-np.inf) > GAP * interval_ns)[-1])
+        time_ns, values = time_ns[start:], values[start:]
+        if len(time_ns) < FEWEST:
             return []
-        even = np.arange(times[first], times[-1], interval)
-        found = {}
-        for name in CHANNELS:
-            if all(name in columns for _, columns in self._blocks):
-                values = np.concatenate([columns[name] for _, columns in self._blocks])[first:]
-                found[name] = _spectrum(even, times[first:], values, interval * 1e-9)
+        found = {
+            name: spectrum
+            for name, channel in zip(CHANNELS, values.T, strict=True)
+            if (spectrum := _spectrum(time_ns, channel, interval_ns)) is not None
+        }
         return [chart for group in _GROUPS if (chart := _chart(group, found)) is not None]
 
 
-def _spectrum(even: FloatArray, times: IntArray, values: FloatArray, interval_s: float) -> Spectrum | None:
+def _spectrum(time_ns: IntArray, values: FloatArray, interval_ns: float) -> Spectrum | None:
     """Return the spectrum on an even grid: a lost packet is a straight line; None with few values."""
     known = np.isfinite(values)
     if known.mean() < 0.5:
         return None
-    from scipy.fft import prev_fast_len  # 0.2 s, which no command spends before the first spectrum
-
-    return welch(
-        np.interp(even, times[known], values[known]),
-        interval_s,
-        2 * prev_fast_len(max(len(even) // PARTS, 1)),
-    )
+    even = np.arange(time_ns[0], time_ns[-1], interval_ns)
+    filled = np.interp(even, time_ns[known], values[known])
+    return welch(filled, interval_ns * 1e-9, 2 * max(len(even) // PARTS, 1))
 
 
-def _chart(group: str, found: Mapping[str, Spectrum | None]) -> Chart | None:
+def _chart(group: str, found: Mapping[str, Spectrum]) -> Chart | None:
     title, unit, factor = _GROUPS[group]
     curves, notes = [], []
     for axis, color in AXIS_COLORS.items():

@@ -7,7 +7,9 @@ import, in the middle of a measurement.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +19,7 @@ MOST_PEAKS = 3
 FALSE_ALARM = 0.01
 """Chance that white noise shows a peak anywhere in a spectrum."""
 FLOOR_BINS = 15
-"""The floor under a line is the median over so many bins on one side, beyond the line itself."""
+"""The floor under a line is the median over so many bins on one side, beyond the bin itself."""
 HALF_LINE = 2
 """A line of a Hann window has its power in its bin and so many on either side."""
 OVERLAP_COST = 19.0 / 18.0
@@ -34,8 +36,7 @@ class Spectrum:
     segments: int
 
 
-@dataclass(frozen=True, slots=True)
-class Peak:
+class Peak(NamedTuple):
     """A line: where it is, and the rms of what oscillates there."""
 
     frequency_hz: float
@@ -59,13 +60,13 @@ def peaks(spectrum: Spectrum) -> list[Peak]:
     density, frequency = spectrum.density, spectrum.frequency_hz
     if len(density) < 2 * FLOOR_BINS:
         return []
-    from scipy.ndimage import median_filter  # with special 0.2 s, which no command spends before a spectrum
-    from scipy.special import gammaincinv
+    from scipy.special import gammaincinv  # 0.1 s, which no command spends before the first spectrum
 
+    # A mean of so many exponential variables has a gamma distribution of this shape.
     shape = spectrum.segments / OVERLAP_COST
     # The first bins are left out: subtracting the mean of a segment has lowered them.
-    medians = median_filter(density[HALF_LINE:], FLOOR_BINS, mode="nearest")
-    medians = np.pad(medians, (HALF_LINE + FLOOR_BINS // 2 + 1, FLOOR_BINS // 2 + 1), "edge")
+    padded = np.pad(density[HALF_LINE:], (HALF_LINE + FLOOR_BINS, FLOOR_BINS), "edge")
+    medians = np.median(np.lib.stride_tricks.sliding_window_view(padded, FLOOR_BINS), axis=1)
     # The higher of the medians below and above each bin, so that the flank of a steep floor is no line.
     sides = np.maximum(medians[: len(density)], medians[-len(density) :])
     floor = sides * shape / float(gammaincinv(shape, 0.5))
@@ -76,7 +77,6 @@ def peaks(spectrum: Spectrum) -> list[Peak]:
     for at in inner[top & (density[inner] > limit * floor[inner])].tolist():
         line = slice(at - HALF_LINE, at + HALF_LINE + 1)
         power = np.maximum(density[line] - floor[line], 0.0)
-        if power.sum() > 0:
-            middle = float(power @ frequency[line] / power.sum())
-            found.append(Peak(middle, float(np.sqrt(power.sum() * frequency[1]))))
+        middle = float(power @ frequency[line] / power.sum())
+        found.append(Peak(middle, math.sqrt(power.sum() * frequency[1])))
     return sorted(found, key=lambda peak: -peak.rms)[:MOST_PEAKS]

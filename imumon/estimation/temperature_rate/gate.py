@@ -1,19 +1,4 @@
-"""The gate before the filters: what of a thermometer is a fault and not a temperature.
-
-One decision table, evaluated top down, per slot:
-
-| the slot | outcome |
-|---|---|
-| shows that noise of more than a step has stopped: a dead sensor | PREDICT |
-| spans more than any noise: a spike | PREDICT |
-| comes where there is no estimate, and is not stuck | RESTART |
-| is where a temperature may be by now, and not stuck | USE |
-| is an outlier, and the reading had never changed: the code before was a value at power-on | RESTART |
-| is an outlier, and just proves that readings are repeated, which were taken for new ones | RESTART |
-| is an outlier for less than three slots | PREDICT |
-| is an outlier, and the same since the leap: stuck (85 °C of a restart) | PREDICT |
-| is an outlier otherwise: a new temperature | RESTART |
-"""
+"""The gate before the filters: what of a thermometer is a fault and not a temperature."""
 
 from __future__ import annotations
 
@@ -22,22 +7,21 @@ from dataclasses import dataclass
 from enum import Enum, auto
 
 from imumon.estimation.temperature_rate.model import SLOT_S
-from imumon.estimation.temperature_rate.thermometer import COARSEST_DEGC, Reading, Thermometer
+from imumon.estimation.temperature_rate.thermometer import Slot, Thermometer
 from imumon.filters.rates import FASTEST_RATE
 
 GATE_SIGMA, GATE_STEPS, GATE_SLOTS = 8.0, 5.0, 3
 """A slot is an outlier that lies so many sigmas, so many steps, and farther than a temperature moves from the
 prediction; after so many slots it may be the truth.  Assumed: wide, as the filters weigh what is nearer."""
-
-NEIGHBOUR_S, LATE_INTERVALS = 10.0, 3.0
-"""Readings are neighbours that are no farther apart than this, s, or than so many usual intervals."""
+SPIKE_DEGC, SPIKE_STEPS = 8.0, 8.0
+"""A slot has a spike that spans more than so many °C and more than so many steps.  Assumed."""
 
 
 class Outcome(Enum):
     """What is done with a slot."""
 
     PREDICT = auto()
-    """Nothing is measured."""
+    """Nothing is measured, and nothing is learned of the thermometer."""
     USE = auto()
     """The slot is a measurement."""
     RESTART = auto()
@@ -50,58 +34,53 @@ class Gate:
 
     used_s: float = -math.inf
     """Time of the last slot that was a temperature, s."""
-    interval_s: float = 0.0
-    """Time from the one before to it, s."""
-    has_changed: bool = False
-    """Whether the reading has changed in this segment."""
     rejected: int = 0
     """Outliers in a row."""
     outlier_degc: float = math.nan
-    """Last reading of the first of them, °C."""
-    constant: bool = False
-    """Whether the reading is the same since."""
+    """The one reading of all of them, °C; NaN if they differ."""
 
-    def decide(
-        self, reading: Reading, thermometer: Thermometer, expected: tuple[float, float] | None
-    ) -> Outcome:
-        """Return the outcome of a slot that has readings.
+    @property
+    def sticks(self) -> bool:
+        """Whether the thermometer has stuck at one reading since a leap."""
+        return self.rejected >= GATE_SLOTS and math.isfinite(self.outlier_degc)
+
+    def decide(self, slot: Slot, thermometer: Thermometer, expected: tuple[float, float] | None) -> Outcome:
+        """Return the outcome of a slot that has readings: that of the first row that holds.
 
         Parameters
         ----------
         expected : tuple of float, optional
             Mean and variance of the predicted reading, °C and °C²; None without an estimate.
         """
-        widest = max(thermometer.step, COARSEST_DEGC, math.sqrt(thermometer.scatter))
-        if thermometer.is_dead(reading.time_s) or reading.high - reading.low > GATE_SIGMA * widest:
-            return Outcome.PREDICT
-        same = reading.low == reading.high == self.outlier_degc
-        sticks = self.rejected > 0 and self.constant and same
-        if expected is None:
-            return Outcome.PREDICT if sticks else Outcome.RESTART
-        mean, variance = expected
+        dead = thermometer.is_dead(slot)
+        spike = slot.high - slot.low > max(SPIKE_DEGC, SPIKE_STEPS * thermometer.step)
+        stuck = slot.low == slot.high == self.outlier_degc
+        near = expected is not None and self._is_near(slot, thermometer, *expected)
+        power_on = math.isnan(thermometer.change)
+        repeats = not thermometer.repeat_s and thermometer.leaps(slot)
+        lasts = self.rejected + 1 >= GATE_SLOTS
+        table = (
+            (dead, Outcome.PREDICT),  # noise of more than a step has stopped
+            (spike, Outcome.PREDICT),
+            (stuck, Outcome.PREDICT),  # the same reading since a leap, as 85 °C of a restart
+            (expected is None, Outcome.RESTART),
+            (near, Outcome.USE),  # a temperature may be there by now
+            (power_on, Outcome.RESTART),  # the reading had never changed: it was a value at power-on
+            (repeats, Outcome.RESTART),  # repeated readings were taken for new ones
+            (lasts, Outcome.RESTART),  # a new temperature
+            (True, Outcome.PREDICT),
+        )
+        outcome = next(outcome for holds, outcome in table if holds)
+        if outcome is not Outcome.PREDICT:
+            self.used_s, self.rejected, self.outlier_degc = slot.time_s, 0, math.nan
+        elif not (dead or spike):
+            self.outlier_degc = slot.last if stuck or not self.rejected else math.nan
+            self.rejected += 1
+        return outcome
+
+    def _is_near(self, slot: Slot, thermometer: Thermometer, mean: float, variance: float) -> bool:
+        """Return whether a temperature may have got there since it was last observed."""
         noise = variance + thermometer.step**2 + thermometer.scatter + thermometer.rho
-        moved = FASTEST_RATE * (reading.time_s - self.used_s + SLOT_S)
+        moved = FASTEST_RATE * (slot.time_s - self.used_s + SLOT_S)
         reach = max(GATE_STEPS * thermometer.step, moved, GATE_SIGMA * math.sqrt(noise))
-        # What has not been observed for long could be anywhere, but no more where the thermometer sticks.
-        if max(reading.high - mean, mean - reading.low) < reach and not sticks:
-            self.accept(reading)
-            self.has_changed |= reading.changes > 0
-            return Outcome.USE
-        if not self.rejected:
-            self.outlier_degc, self.constant = reading.last, True
-        else:
-            self.constant &= same
-        self.rejected += 1
-        lasts = self.rejected >= GATE_SLOTS and not self.constant
-        return Outcome.RESTART if lasts or not self.has_changed else Outcome.PREDICT
-
-    def accept(self, reading: Reading) -> None:
-        """Note a slot that is a temperature."""
-        if math.isfinite(self.used_s):
-            self.interval_s = reading.time_s - self.used_s
-        self.used_s, self.rejected = reading.time_s, 0
-
-    @property
-    def neighbour_s(self) -> float:
-        """Readings farther apart than this are no neighbours, s."""
-        return max(NEIGHBOUR_S, LATE_INTERVALS * self.interval_s)
+        return max(slot.high - mean, mean - slot.low) < reach

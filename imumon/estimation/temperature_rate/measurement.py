@@ -1,17 +1,18 @@
-"""What the readings of a slot say of y = T + e, for all filters at once: one decision table.
+"""What the readings of a slot show of y = T + e, for all filters at once: one decision table.
 
-d is the step, n the number of independent readings, p the share of readings above an edge, φ the normal
+d is the step, n the number of independent readings, p the share of readings above an edge, f the normal
 density at Φ⁻¹(p).  s² = σ² + (r² + P_rr) Δ²/12 is the noise of a model and the motion within the slot, Δ the
-spacing of slots.  Rows are evaluated top down; the last reading before the slot counts as one of its own.
+spacing of slots, β = exp(-2π²σ²/d²).  Rows are evaluated top down; the last reading before the slot counts as
+one of its own.
 
 | the slot | filters | what enters the state |
 |---|---|---|
+| one code in it, more than a step from the last reading | code models | as one code |
 | more than two codes | code models | z = mean less ripple, R = max(s², variance)/n + (β d/π)²/8 |
-| more than two codes, a single reading | code models | as one code |
-| two codes | code models | z = edge + s Φ⁻¹(p), R = s² p(1-p)/(n φ²) + (0.1 s Φ⁻¹(p))² |
+| two codes | code models | z = edge + s Φ⁻¹(p), R = s² p(1-p)/(n f²) + (0.1 s Φ⁻¹(p))² |
 | one code: edge soft, a surprise, or prediction wide | code models | y is in the code: truncated Gaussian |
 | one code | code models | nothing; the code only confines the output |
-| any | mean models | z = mean, R = share of ρ + (d/n)²/2π + (β d/π)²/2 |
+| any | mean models | z = mean, R = share of ρ + (d/n)²/2π |
 
 "y is in the code" is one statement, however often it is read.  Of n readings the extreme one has the sigma
 s_n = s/√(1 + 2 ln n), which is how sharp the edge of a code is.  An edge is *soft* for a filter that predicts
@@ -31,30 +32,35 @@ import numpy as np
 from scipy.special import log_ndtr, ndtr, ndtri
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.model import ERROR, TEMPERATURE, Params
-from imumon.estimation.temperature_rate.thermometer import Reading, Thermometer
+from imumon.estimation.temperature_rate.model import Models
+from imumon.estimation.temperature_rate.thermometer import Slot, Thermometer
 
 ROOT_2_PI = math.sqrt(2.0 * math.pi)
+SOFT = 2.0
+"""An edge is soft for a filter whose prediction has a sigma below so many of the edge's.  Ablation."""
+SURPRISE = 0.02
+"""A code is a surprise for a filter that gave it less than this probability.  Ablation."""
+WIDE = 1.5
+"""A prediction is wide whose sigma exceeds so many steps.  Ablation."""
+SPACING = 0.1
+"""Relative standard deviation of the σ of a code model: half the distance of two models.  Ablation."""
+RENEWAL = 0.1
+"""Share of the log likelihood of a code that stays, per renewal of the slow error.  Ablation."""
 
 
 class Predicted(NamedTuple):
-    """The reading y = H x, H = [1, 0, 0, 1], as every filter predicts it, (k, m)."""
+    """The reading y = H x, H = [1, 0, 0, 1], before its white noise and steps, of every filter, (k, m)."""
 
     mean: FloatArray
     variance: FloatArray
     gain: FloatArray
     """P Hᵀ / (H P Hᵀ), (4, k, m): how the state follows y."""
-
-
-def predicted_reading(x: FloatArray, p: FloatArray) -> Predicted:
-    """Return the prediction of the reading before its white noise and steps."""
-    cross = p[:, TEMPERATURE] + p[:, ERROR]
-    variance = cross[TEMPERATURE] + cross[ERROR]
-    return Predicted(x[TEMPERATURE] + x[ERROR], variance, cross / variance)
+    square_rate: FloatArray
+    """Mean square of the rate, r² + P_rr, (°C/s)²."""
 
 
 class Correction(NamedTuple):
-    """Evidence of a slot on y, for some or all filters."""
+    """Evidence of a slot on y, (k, m)."""
 
     mean_change: FloatArray
     """Change of the mean of y, °C."""
@@ -63,50 +69,45 @@ class Correction(NamedTuple):
     log_likelihood: FloatArray
 
 
-class Slot(NamedTuple):
+class Codes(NamedTuple):
     """A slot as the code models take it."""
 
-    reading: Reading
+    slot: Slot
     step: float
     """d, °C."""
     n: float
     """Independent readings, 1 at least."""
     sigma: FloatArray
     """s, °C, (code models, m)."""
+    mean: FloatArray
+    variance: FloatArray
+    """Of y as these models predict it, °C and °C², (code models, m)."""
 
 
 def evaluate(
-    params: Params, thermometer: Thermometer, reading: Reading, y: Predicted, square_rate: FloatArray
+    models: Models, thermometer: Thermometer, slot: Slot, y: Predicted
 ) -> tuple[Correction, Correction | None]:
     """Return the evidence of a slot with readings for all filters, by the table above.
 
     The second is for the output only, of a code that does not enter the states; None where there is none.
-
-    Parameters
-    ----------
-    y : Predicted
-        The reading as predicted for the middle of the slot.
-    square_rate : array, (k, m)
-        Mean square of the rate, r² + P_rr, (°C/s)².
     """
-    white, step, n = params.models[0], thermometer.step, thermometer.independent(reading)
-    codes, means = slice(0, len(params.code_models)), slice(len(params.code_models), None)
-    motion = square_rate[codes] * reading.spacing_s**2 / 12.0
-    slot = Slot(reading, step, n, np.sqrt((white[codes] * step) ** 2 + motion))
-    mean, variance = y.mean[codes], y.variance[codes]
-    span = (reading.highest - reading.lowest) / step
+    white, step, n = models.noise[0], thermometer.step, thermometer.independent(slot)
+    code, mean = models.code, models.mean
+    motion = y.square_rate[code] * slot.spacing_s**2 / 12.0
+    sigma = np.sqrt(white[code] * step**2 + motion)
+    codes = Codes(slot, step, n, sigma, y.mean[code], y.variance[code])
+    span = (slot.highest - slot.lowest) / step
     output_only = None
-    if span > 1.5 and reading.count > 1:
-        of_codes = _many_codes(slot, mean, variance, white[codes])
+    if span > 1.5 and slot.high > slot.low:
+        of_codes = _many_codes(codes, white[code])
     elif 0.5 <= span <= 1.5:
-        of_codes = _two_codes(slot, mean, variance, params.spacing)
+        of_codes = _two_codes(codes)
     else:
-        of_codes, rest = _one_code(slot, mean, variance, params)
-        output_only = Correction(*(np.concatenate([part, np.zeros_like(y.mean[means])]) for part in rest))
-    # The mean of a slot is on a lattice of d/n, and follows the ripple of the steps.
-    noise = white[means] * thermometer.variance + (step / n) ** 2 / (2.0 * math.pi)
-    noise = noise + thermometer.ripple_variance
-    of_means = _gaussian(y.mean[means], y.variance[means], reading.mean, noise, step / n)
+        of_codes, confined = _one_code(codes, models.noise[2, code])
+        output_only = Correction(*(np.concatenate([part, np.zeros_like(y.mean[mean])]) for part in confined))
+    # The mean of a slot is on a lattice of d/n.
+    noise = white[mean] * thermometer.variance + (step / n) ** 2 / (2.0 * math.pi)
+    of_means = _gaussian(y.mean[mean], y.variance[mean], slot.mean, noise, step / n)
     return Correction(*map(np.concatenate, zip(of_codes, of_means, strict=True))), output_only
 
 
@@ -124,41 +125,46 @@ def _gaussian(
     return Correction(variance * innovation / total, -(variance**2) / total, log)
 
 
-def _many_codes(slot: Slot, mean: FloatArray, variance: FloatArray, white: FloatArray) -> Correction:
+def _many_codes(codes: Codes, white: FloatArray) -> Correction:
     """Correct by the mean: with white noise, E[mean] = x - β/π sin 2πx in steps, β = exp(-2π²σ²).
 
     Widrow and Kollar, Quantization Noise (2008), ch. 4.
     """
-    reading, step, n, sigma = slot
-    ripple = np.exp(-2.0 * np.pi**2 * white**2)
-    offset = (reading.mean - reading.low) / step
+    slot, step, n, sigma, mean, variance = codes
+    ripple = np.exp(-2.0 * np.pi**2 * white)
+    offset = (slot.mean - slot.low) / step
     place = np.full_like(ripple, offset)
     for _ in range(4):  # solve for x
         place = offset + np.minimum(ripple, 0.4) / math.pi * np.sin(2.0 * math.pi * place)
+    noise = np.maximum(sigma**2, slot.variance) / n + (ripple * step / math.pi) ** 2 / 8.0
+    found = _gaussian(mean, variance, slot.low + step * place, noise, step / n)
+    return found._replace(log_likelihood=found.log_likelihood + _scatter(codes, white, place))
+
+
+def _scatter(codes: Codes, white: FloatArray, place: FloatArray) -> FloatArray:
+    """Return the log likelihood of readings that scatter more than noise and rounding: χ² of n.
+
+    Rounded readings have the variance s² + d²/12 and its first harmonic in the place, both in steps.
+    """
+    ripple = np.exp(-2.0 * np.pi**2 * white)
     cosine, sine = ripple * np.cos(2.0 * math.pi * place), ripple * np.sin(2.0 * math.pi * place)
-    noise = np.maximum(sigma**2, reading.variance) / n + (ripple * step / math.pi) ** 2 / 8.0
-    found = _gaussian(mean, variance, reading.low + step * place, noise, step / n)
-    # Rounded readings have the variance s² + d²/12 and its first harmonic.  Of readings that scatter more:
-    # the likelihood of their variance (χ² of n).  In the mean it is zero: half the time it is -χ²/2, -1/4.
-    harmonic = -cosine * (1.0 / math.pi**2 + 4.0 * white**2) - (sine / math.pi) ** 2
-    rounded = sigma**2 + step**2 * np.maximum(1.0 / 12.0 + harmonic, 0.0)
-    excess = np.maximum(reading.variance / rounded, 1.0)
-    scatter = 0.25 - 0.5 * n * (excess - 1.0 - np.log(excess))
-    return found._replace(log_likelihood=found.log_likelihood + scatter)
+    harmonic = -cosine * (1.0 / math.pi**2 + 4.0 * white) - (sine / math.pi) ** 2
+    rounded = codes.sigma**2 + codes.step**2 * np.maximum(1.0 / 12.0 + harmonic, 0.0)
+    excess = np.maximum(codes.slot.variance / rounded, 1.0)
+    # In the mean it is zero: half the time it is -χ²/2, -1/4.
+    return np.asarray(0.25 - 0.5 * codes.n * (excess - 1.0 - np.log(excess)))
 
 
-def _two_codes(slot: Slot, mean: FloatArray, variance: FloatArray, spacing: float) -> Correction:
-    reading, step, n, sigma = slot
-    jumped = reading.before != reading.first
-    count = reading.count + jumped
-    average = (reading.count * reading.mean + jumped * reading.before) / count
-    share = (average - reading.lowest) / (reading.highest - reading.lowest)
-    share = min(max(share, 0.5 / count), 1.0 - 0.5 / count)
+def _two_codes(codes: Codes) -> Correction:
+    """Correct by the share of readings above the edge between the two codes."""
+    slot, step, n, sigma, mean, variance = codes
+    share = (slot.mean - slot.lowest) / (slot.highest - slot.lowest)
+    share = min(max(share, 0.5 / slot.count), 1.0 - 0.5 / slot.count)
     quantile = float(ndtri(share))
     density = math.exp(-0.5 * quantile**2) / ROOT_2_PI
     binomial = share * (1.0 - share) / (n * density**2)
-    noise = sigma**2 * (binomial + (spacing * quantile) ** 2)
-    z = 0.5 * (reading.lowest + reading.highest) + sigma * quantile
+    noise = sigma**2 * (binomial + (SPACING * quantile) ** 2)
+    z = 0.5 * (slot.lowest + slot.highest) + sigma * quantile
     found = _gaussian(mean, variance, z, noise, sigma / (density * n))
     # All n readings are of these two codes: models of more noise would have read a third.
     apart = step / sigma
@@ -166,26 +172,23 @@ def _two_codes(slot: Slot, mean: FloatArray, variance: FloatArray, spacing: floa
     return found._replace(log_likelihood=found.log_likelihood + within)
 
 
-def _one_code(
-    slot: Slot, mean: FloatArray, variance: FloatArray, params: Params
-) -> tuple[Correction, Correction]:
+def _one_code(codes: Codes, slow_s: FloatArray) -> tuple[Correction, Correction]:
     """Confine y to the code; its edges are as soft as the extreme of n readings, moved in by its median.
 
     Returns what enters the states, and what does not.
     """
-    reading, step, n, sigma = slot
+    slot, step, n, sigma, mean, variance = codes
     extreme = float(ndtri(2.0 ** (-1.0 / n)))
-    edge_sd = sigma / math.sqrt(1.0 + 2.0 * math.log(n))
+    softness = sigma / math.sqrt(1.0 + 2.0 * math.log(n))
     half = np.maximum(0.5 * step - extreme * sigma, 0.1 * step)
-    total = np.sqrt(variance + edge_sd**2)
-    off = mean - reading.last
+    total = np.sqrt(variance + softness**2)
+    off = mean - slot.last
     shift, kept, log_mass = truncated((-half - off) / total, (half - off) / total)
     sd = np.sqrt(variance)
-    is_soft, is_wide = sd < params.soft * edge_sd, sd > params.wide * step
-    enters = is_soft | is_wide | (log_mass < math.log(params.surprise))
+    enters = (sd < SOFT * softness) | (sd > WIDE * step) | (log_mass < math.log(SURPRISE))
     # A slow error is renewed with its correlation time: to that share, a code that stays is new evidence.
-    renewed = 1.0 - np.exp(-reading.spacing_s / params.models[2, : len(params.code_models)])
-    log = np.where(enters, log_mass, params.renewal * renewed * log_mass)
+    renewed = 1.0 - np.exp(-slot.spacing_s / slow_s)
+    log = np.where(enters, log_mass, RENEWAL * renewed * log_mass)
     gain = variance / total
     change, narrowing = gain * shift, gain**2 * (kept - 1.0)
     return (

@@ -22,7 +22,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from imumon.blocks import BoolArray, FloatArray
+from imumon.blocks import NO_INT, FloatArray
 
 SLOT_S, BLOCK = 1.0, 10
 """Length of a slot at rest, s, and how many make a step of the tests."""
@@ -32,12 +32,10 @@ CLIP = 4.0
 """An innovation counts as no more than this many standard deviations: a knock is no effect."""
 TOLERANCE, KAPPA = 0.03, 1.1
 """Mean of an innovation per unit of a regressor, and variance, that are still as the filter expects."""
-THETAS = np.array([0.12, 0.35, 1.0, -0.12, -0.35, -1.0])
+THETAS = (0.12, 0.35, 1.0, -0.12, -0.35, -1.0)
 """Means that are tested for, per unit of a regressor; the best is at most 1.7 times off in between."""
 LAMBDAS = np.array([0.1, 0.3])
 """Of (2): best for variances of 1.4 and 3."""
-SCALE_S = 3600.0
-"""A regressor is in units of its largest value, which is forgotten within about an hour."""
 
 
 class Pattern(StrEnum):
@@ -50,58 +48,59 @@ class Pattern(StrEnum):
     VARIANCE = "exceed their standard deviation"
 
 
-THERMAL = (
-    (Pattern.TEMPERATURE, 300.0, 0.2),
-    (Pattern.RATE, math.inf, 0.003),
-    (Pattern.RATE, 100.0, 0.003),
-)
-"""Temperature and its rate: time constant of a high-pass, s, and the least change that is not noise of the
-thermometer, °C and °C/s."""
+REGRESSORS = (
+    Pattern.TEMPERATURE, Pattern.RATE, Pattern.RATE, Pattern.TIME, Pattern.TIME,
+    Pattern.AUTOCORRELATION, Pattern.AUTOCORRELATION,
+)  # fmt: skip
+"""r: the temperature and twice its rate behind high-passes, `DECAYS_S`, and means of earlier innovations."""
+HIGH_PASS_S = np.array([300.0, math.inf, 100.0])
+LEAST_CHANGE = np.array([0.2, 0.003, 0.003])
+"""Time constants of the high-passes, s, and the least changes that are not noise of the thermometer, °C and
+°C/s."""
+SCALE_S = 3600.0
+"""These regressors are in units of their largest value, which is forgotten within about an hour."""
 DECAYS_S = np.array([math.inf, 600.0])
 """A constant and a warm-up: their time constants."""
-PAST_S = np.array([1.0, 10.0])
-"""Means of earlier innovations: their time constants, s."""
-PATTERNS = np.array(
-    [pattern for pattern, *_ in THERMAL]
-    + [Pattern.TIME] * len(DECAYS_S)
-    + [Pattern.AUTOCORRELATION] * len(PAST_S)
-    + [Pattern.VARIANCE]
-)
-"""Of each regressor in their order, and of (2) at the end."""
-_SECONDS, _LEAST = np.array([each[1:] for each in THERMAL]).T
-_OF_RATE: BoolArray = PATTERNS[: len(THERMAL)] == Pattern.RATE
-_KEEP = np.where(PAST_S > SLOT_S, np.exp(-SLOT_S / PAST_S), 0.0)  # by slots: a pause holds none
+KEPT = np.array([0.0, math.exp(-SLOT_S / 10.0)])
+"""What a slot leaves of the means of earlier innovations: the last one, and those of about 10 s."""
+PAST_SCALE = 3.0 * np.sqrt((1.0 - KEPT) / (1.0 + KEPT))
+"""Three of their standard deviations."""
+
+_TESTS = [
+    (row, theta, pattern)
+    for row, pattern in enumerate(REGRESSORS)
+    for theta in THETAS
+    # A negative correlation with the past is no fault: the filter's sigma is too large.
+    if theta > 0.0 or pattern is not Pattern.AUTOCORRELATION
+]
+_ROWS = [row for row, _, _ in _TESTS]
+_THETA = np.array([theta for _, theta, _ in _TESTS])
+PATTERNS = np.array([pattern for _, _, pattern in _TESTS] + [Pattern.VARIANCE] * len(LAMBDAS))
+"""Of each test, those of (1) and then those of (2), (t,)."""
 
 
 class State:
-    """All that is carried from slot to slot, by axis and regressor."""
+    """All that is carried from slot to slot, by axis."""
 
     def __init__(self) -> None:
-        thermal, regressors = len(THERMAL), len(PATTERNS) - 1
-        self.low = np.full((3, thermal), np.nan)
-        """Low-passes of temperature and rate."""
-        self.scale = np.zeros((3, thermal))
+        self.low = np.full((3, len(HIGH_PASS_S)), np.nan)
+        """Low-passes of temperature and rate, °C and °C/s."""
+        self.scale = np.zeros((3, len(HIGH_PASS_S)))
         """Their largest high-passed values."""
-        self.past = np.zeros((3, len(PAST_S)))
+        self.past = np.zeros((3, len(KEPT)))
         """Means of earlier innovations."""
-        self.product, self.absolute, self.power = np.zeros((3, 3, regressors))
-        """Sums of r v, |r| and r² over the block."""
-        self.square = np.zeros((3, 1))
-        """Sum of v² over the block."""
-        self.tests, self.sizes = np.zeros((3, regressors, len(THETAS))), np.zeros((3, len(LAMBDAS)))
-        """CUSUM of each test."""
-        self.peaks = np.zeros((3, len(PATTERNS)))
-        """Their largest values since the start."""
-        self.first_s = self.last_s = 0.0
-        """Time of the first and the last slot, s."""
+        self.gain, self.cusum, self.peaks = np.zeros((3, 3, len(PATTERNS)))
+        """Of each test: the sum of log e over the block, the CUSUM, and its largest value since the start."""
         self.slots = 0
-        self.alarm = False
+        self.first_ns, self.last_s = NO_INT, 0.0
+        """Time of the first slot, ns, and of the last one since then, s."""
+        self.suspect_segment = NO_INT
+        """Segment in which the filter was caught at being wrong."""
 
 
 def limit(false_alarm_hours: float) -> float:
     """Return the value at which a CUSUM alarms, for a mean time at rest to a false alarm of so many hours."""
-    tests = 3 * ((len(PATTERNS) - 1) * len(THETAS) + len(LAMBDAS))
-    return math.log(tests * false_alarm_hours * 3600.0 / (BLOCK * SLOT_S))
+    return math.log(3 * len(PATTERNS) * false_alarm_hours * 3600.0 / (BLOCK * SLOT_S))
 
 
 def step(
@@ -112,56 +111,42 @@ def step(
     Parameters
     ----------
     now_s : float
-        Time, s.
+        Time since the first slot, s.
     innovation : array (3,)
         Over its standard deviation.
     temperature, rate : array (3,)
         degC and degC/s of each gyro; NaN where unknown.
     """
-    if state.slots == 0:
-        state.first_s = state.last_s = now_s
     dt, state.last_s = now_s - state.last_s, now_s
     state.slots += 1
     v = np.clip(innovation, -CLIP, CLIP)[:, np.newaxis]
-    decay = np.tile(np.exp((state.first_s - now_s) / DECAYS_S), (3, 1))
-    # Over three of their standard deviations.
-    past = np.clip(state.past / (3.0 * np.sqrt((1.0 - _KEEP) / (1.0 + _KEEP))), -1.0, 1.0)
-    state.past = _KEEP * state.past + (1.0 - _KEEP) * v
-    r = np.hstack([_thermal(state, dt, temperature, rate), decay, past])
+    thermal = _high_pass(state, dt, np.column_stack([temperature, rate, rate]))
+    decay = np.tile(np.exp(-now_s / DECAYS_S), (3, 1))
+    past = np.clip(state.past / PAST_SCALE, -1.0, 1.0)
+    state.past = KEPT * state.past + (1.0 - KEPT) * v
     counted = state.slots - LEARNING
     if counted <= 0:
         return 0.0
-    state.product += r * v
-    state.absolute += np.abs(r)
-    state.power += r * r
-    state.square += v * v
-    return _end_block(state) if counted % BLOCK == 0 else 0.0
-
-
-def _thermal(state: State, dt: float, temperature: FloatArray, rate: FloatArray) -> FloatArray:
-    """Return temperature and rate behind their high-passes, between -1 and 1; 0 where unknown."""
-    value = np.where(_OF_RATE, rate[:, np.newaxis], temperature[:, np.newaxis])
-    state.low = np.where(np.isnan(state.low), np.where(np.isinf(_SECONDS), 0.0, value), state.low)
-    state.low += -np.expm1(-dt / _SECONDS) * np.nan_to_num(value - state.low)
-    change = value - state.low
-    largest = np.fmax(np.fmax(np.abs(change), math.exp(-dt / SCALE_S) * state.scale), _LEAST)
-    state.scale = np.where(np.isnan(change), state.scale, largest)
-    return np.asarray(np.nan_to_num(change / np.maximum(state.scale, _LEAST)))
-
-
-def _end_block(state: State) -> float:
-    """Bring every test on, and return the highest."""
-    cost = TOLERANCE * state.absolute[..., np.newaxis] * np.abs(THETAS)
-    cost = cost + 0.5 * KAPPA * state.power[..., np.newaxis] * THETAS**2
-    gain = state.product[..., np.newaxis] * THETAS - cost
-    # A negative correlation with the past is no fault: the filter's sigma is too large.  These 18 of 132
-    # tests count in the limit, which they raise by 0.15.
-    gain[:, PATTERNS[:-1] == Pattern.AUTOCORRELATION, len(THETAS) // 2 :] = 0.0
-    state.tests = np.maximum(state.tests, 0.0) + gain
-    large = LAMBDAS * state.square + 0.5 * BLOCK * np.log(1.0 - 2.0 * LAMBDAS * KAPPA)
-    state.sizes = np.maximum(state.sizes, 0.0) + large
-    now = np.hstack([state.tests.max(-1), state.sizes.max(-1, keepdims=True)])
-    state.peaks = np.maximum(state.peaks, now)
-    for sums in (state.product, state.absolute, state.power, state.square):
-        sums[:] = 0.0
+    theta_r = _THETA * np.hstack([thermal, decay, past])[:, _ROWS]
+    state.gain += np.hstack(
+        [
+            theta_r * v - TOLERANCE * np.abs(theta_r) - 0.5 * KAPPA * theta_r**2,
+            LAMBDAS * v**2 + 0.5 * np.log(1.0 - 2.0 * LAMBDAS * KAPPA),
+        ]
+    )
+    if counted % BLOCK:
+        return 0.0
+    state.cusum = np.maximum(state.cusum, 0.0) + state.gain
+    state.gain[:] = 0.0
+    state.peaks = np.maximum(state.peaks, state.cusum)
     return float(state.peaks.max())
+
+
+def _high_pass(state: State, dt: float, value: FloatArray) -> FloatArray:
+    """Return temperature and rates behind their high-passes, between -1 and 1, (3, 3); 0 where unknown."""
+    state.low = np.where(np.isnan(state.low), np.where(np.isinf(HIGH_PASS_S), 0.0, value), state.low)
+    state.low += -np.expm1(-dt / HIGH_PASS_S) * np.nan_to_num(value - state.low)
+    change = value - state.low
+    largest = np.fmax(np.fmax(np.abs(change), math.exp(-dt / SCALE_S) * state.scale), LEAST_CHANGE)
+    state.scale = np.where(np.isnan(change), state.scale, largest)
+    return np.asarray(np.nan_to_num(change / np.maximum(state.scale, LEAST_CHANGE)))

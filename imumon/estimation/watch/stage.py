@@ -39,9 +39,8 @@ class ModelWatch:
         self._alarm_at = limit(given.false_alarm_hours)
         self._modelled = modelled
         self._state = State()
-        self._breaks, self._origin_ns = Breaks(), NO_INT
-        self._suspect_segment = NO_INT
-        self._reported: dict[str, bool] = {}
+        self._breaks = Breaks()
+        self._texts: dict[str, bool] = {}
         """Lines for the log, and whether `notices` has returned them."""
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
@@ -53,27 +52,28 @@ class ModelWatch:
         segment, innovations = block["segment"], block.vector("zupt_innovation")
         if innovations is None:
             return {SUSPECT.name: np.zeros(len(block), np.int64)}
-        suspect = np.asarray(segment == self._suspect_segment).astype(np.int64)
+        suspect = (segment == self._state.suspect_segment).astype(np.int64)
         slots = np.flatnonzero(np.isfinite(innovations).all(1))
         time_ns, segments = block["device_time_ns"][slots], segment[slots]
         temperature, rate = (_of_axes(block, f"temperature_{name}", slots) for name in ("estimate", "rate"))
         breaks = set(self._breaks.rows(time_ns, segments))
         for k, row in enumerate(slots.tolist()):
             if k in breaks:
-                self._state, self._suspect_segment, suspect[row:] = State(), NO_INT, 0
-            if k in breaks or self._origin_ns == NO_INT:
-                self._origin_ns = int(time_ns[k])
-            now_s = 1e-9 * (int(time_ns[k]) - self._origin_ns)
-            highest = step(self._state, now_s, innovations[row], temperature[k], rate[k])
-            if highest >= self._alarm_at and not self._state.alarm:
-                self._state.alarm, self._suspect_segment = True, int(segments[k])
-                suspect[row:] = segment[row:] == self._suspect_segment
-                self._reported.setdefault(interpret(self._state.peaks, self._modelled)[1], False)
+                self._state, suspect[row:] = State(), 0
+            state = self._state
+            if state.slots == 0:
+                state.first_ns = int(time_ns[k])
+            now_s = 1e-9 * (int(time_ns[k]) - state.first_ns)
+            highest = step(state, now_s, innovations[row], temperature[k], rate[k])
+            if highest >= self._alarm_at and state.suspect_segment == NO_INT:
+                state.suspect_segment = int(segments[k])
+                suspect[row:] = segment[row:] == state.suspect_segment
+                self._texts.setdefault(interpret(state.peaks, self._modelled)[1], False)
         return {SUSPECT.name: suspect}
 
     def lanes(self) -> Mapping[str, LaneState]:
         """Return the lane ``model``: MODEL OK, MODEL SUSPECT with the reason, waiting, or no model."""
-        if self._state.alarm:
+        if self._state.suspect_segment != NO_INT:
             reason = interpret(self._state.peaks, self._modelled)[0]
             return {"model": LaneState(f"MODEL SUSPECT: {reason}", Level.BAD)}
         if self._state.slots < LEARNING + BLOCK:
@@ -84,8 +84,8 @@ class ModelWatch:
 
     def notices(self) -> list[str]:
         """Return, once each, what is suspected and which command tells more; for the log."""
-        texts = [text for text, returned in self._reported.items() if not returned]
-        self._reported.update(dict.fromkeys(texts, True))
+        texts = [text for text, returned in self._texts.items() if not returned]
+        self._texts.update(dict.fromkeys(texts, True))
         return texts
 
 
@@ -105,7 +105,7 @@ def interpret(peaks: FloatArray, modelled: bool) -> tuple[str, str]:
 
     Parameters
     ----------
-    peaks : array (3, k)
+    peaks : array (3, t)
         Of `State`.
     """
     least = EXPLAINING_SHARE * float(peaks.max())

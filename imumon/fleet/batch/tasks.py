@@ -209,7 +209,7 @@ def _samples(
 
 def _allan(path: Path, _: Job) -> Iterator[Row]:
     from imumon.allan.analysis import analyse
-    from imumon.allan.output import TERMS_OF
+    from imumon.allan.parameters import TERMS_OF
     from imumon.allan.recording import UNITS, group_of, rate_hz, read_channels
     from imumon.estimation.gyro_bias.stage import RestDetector
 

@@ -1,7 +1,7 @@
 """Whether a magnetometer has the gyros' axes: the field of a recording beside how the gyros say it turned.
 
-`imumon.filters.mounting` says which of the 24 ways it is; from there Gauss and Newton find the rotation, with
-what else may be between the two: a constant bias of the gyros and a time by which the magnetometer is late.
+`mounting` says which of the 24 ways it is; from there Gauss and Newton find the rotation, with what else may
+be between the two: a constant bias of the gyros and a time by which the magnetometer is late.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray, SampleBlock
 from imumon.errors import ImumonError, Reason
-from imumon.filters.mounting import WAYS, Mounting, are_known, named
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.filters.turns import PAUSE_S, rotation_by
+from imumon.lab.calibration.mounting import WAYS, Mounting, are_known, named
 from imumon.models.magnetometer import MagnetometerModel
 
 SLOT_NS = 500_000_000

@@ -1,6 +1,6 @@
 """The likelihood of every candidate at once: generalised least squares for a grid of noise parameters.
 
-The covariance of a run is s² [W + r F + q R], as `imumon.filters.noise` has it: W of the white noise of each
+The covariance of a run is s² [W + r F + q R], as `whitening` has it: W of the white noise of each
 block, F the mean of exp(-|lag|/tau) over `TAUS_S`, which is close to flicker, R = min(ti, tj) over 2 h.
 """
 
@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import BoolArray, FloatArray, IntArray
-from imumon.filters.noise import BiasNoise, Whitener, whitener
 from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.candidates import Pool, Term
+from imumon.lab.diagnosis.whitening import BiasNoise, Whitener, whitener
 
 Noise = tuple[float, float]
 """Flicker r and random walk q, variances over that of the white noise of a full block."""

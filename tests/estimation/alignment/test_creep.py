@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray
-from tests.estimation.alignment.units import aligned, samples, scenario
+from tests.estimation.alignment.units import UP, aligned, error_deg, samples, scenario, sent
 
 ARW = 1e-3
 HALF_TURN = {"kind": "turn", "at_s": 50.0, "duration_s": 6.0, "heading_deg": 180.0}
@@ -37,10 +38,13 @@ def turned_sd() -> float:
 
 
 @pytest.mark.parametrize(
-    ("degrees", "seconds"), [(0.3, 20.0), (0.3, 200.0), (1.0, 60.0), (10.0, 20.0), (10.0, 200.0)]
+    ("degrees", "begin_s", "seconds"),
+    [(0.3, 60.0, 20.0), (0.3, 60.0, 200.0), (1.0, 60.0, 60.0), (10.0, 60.0, 200.0), (10.0, 0.0, 20.0)],
 )
-def test_the_heading_goes_along_with_a_head_that_creeps(degrees: float, seconds: float) -> None:
-    off, sd = found(300.0, degrees, crept(degrees, 60.0, seconds))
+def test_the_heading_goes_along_with_a_head_that_creeps(
+    degrees: float, begin_s: float, seconds: float
+) -> None:
+    off, sd = found(300.0, degrees, crept(degrees, begin_s, seconds))
     assert abs(off) < 4.0 * sd
     assert sd < 0.5
 
@@ -66,10 +70,29 @@ def test_a_creep_all_along_at_a_changing_rate_is_told_by_the_rate_of_the_earth(d
     assert abs(off) < min(4.0 * sd, 0.2)
 
 
-def test_a_creep_that_began_with_the_record_and_is_over_hides_no_north() -> None:
-    off, sd = found(80.0, 10.0, crept(10.0, 0.0, 20.0))
-    assert abs(off) < 4.0 * sd
-    assert sd < 0.5
+def test_a_creep_of_a_head_that_leans_turns_the_tilt_too() -> None:
+    t, hz = np.arange(400 * 20) / 20.0, 20.0
+    share = np.clip(t / 200.0, 0.0, 1.0)
+    angle = math.radians(10.0) * share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+    errors = []
+    for seed in range(4):
+        lean = Rotation.from_rotvec(math.radians(1.0) * np.array([math.cos(seed), math.sin(seed), 0.0]))
+        block, heading = sent(lean * Rotation.from_rotvec(np.outer(angle, UP)), hz, seed=seed)
+        stage, _ = aligned(block, {"accel_bias_sd_ug": 30.0})
+        assert stage.status.shown is not None
+        errors.append(error_deg(stage.status.shown.heading, heading))
+    assert np.sqrt(np.mean(np.square(errors))) < 0.5
+
+
+def test_a_recording_that_ends_in_a_turn_has_the_creep_before_it() -> None:
+    away = {"kind": "turn", "at_s": 230.0, "duration_s": 10.0, "heading_deg": 90.0}
+    motion = [crept(5.0, 20.0, 300.0), away]
+    plan = scenario(234.0, arw=ARW, rate_hz=50.0, warm_up=(0.0, 100.0), motion=motion)
+    stage, _ = aligned(samples(plan), {"accel_bias_sd_ug": 30.0})
+    (position,) = stage.finish()
+    share = 210.0 / 300.0
+    truth = 30.0 + 5.0 * share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+    assert abs(error_deg(position.heading, truth)) < 0.3
 
 
 def test_a_creep_all_along_at_a_constant_rate_is_in_the_sigma() -> None:

@@ -1,11 +1,12 @@
-"""The direction that each hypothesis makes likeliest."""
+"""The directions that each hypothesis makes likeliest."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import i0e
 
-from imumon.estimation.alignment.posterior import _peaks
+from imumon.estimation.alignment.posterior import peaks
 
 AROUND = np.linspace(0.0, 2.0 * np.pi, 1441)
 WAVES = np.stack([np.cos(AROUND), np.sin(AROUND), np.cos(2.0 * AROUND), np.sin(2.0 * AROUND)])
@@ -16,12 +17,26 @@ def test_no_direction_is_likelier_than_the_one_that_is_found(of_second: float) -
     waves = np.random.default_rng(1).normal(size=(500, 4)) * [1e4, 1e4, 1e4 * of_second, 1e4 * of_second]
     c2, s2 = waves[:, 2:].T
     matrix = np.array([[-2.0 * c2, -2.0 * s2], [-2.0 * s2, 2.0 * c2]]).transpose(2, 0, 1)
-    angle, height, sharpness = _peaks(waves[:, :2], matrix)
-    values = waves @ WAVES
+    index, angle, height, sharpness = peaks(matrix, waves[:, :2])
     at = np.stack([np.cos(angle), np.sin(angle), np.cos(2.0 * angle), np.sin(2.0 * angle)], axis=-1)
-    known = np.isfinite(height)
-    np.testing.assert_allclose(height[known], np.sum(at * waves, axis=-1)[known])
-    assert (height.max(axis=0) > values.max(axis=1) - 1e-6).all()
-    assert known[0].all()
-    assert known[1].any() == (of_second > 0.1)
-    assert (sharpness[known] > 0.0).all()
+    np.testing.assert_allclose(height, np.sum(at * waves[index], axis=-1), atol=1e-6)
+    assert set(index.tolist()) == set(range(500))
+    highest = np.array([height[index == k].max() for k in range(500)])
+    assert (highest > (waves @ WAVES).max(axis=1) - 1e-6).all()
+    assert (np.bincount(index).max() == 2) == (of_second > 0.1)
+    assert (sharpness > 0.0).all()
+
+
+@pytest.mark.parametrize("apart_deg", [0.0, 0.5, 2.0, 5.0])
+def test_two_peaks_that_merge_are_one_direction_and_not_any(apart_deg: float) -> None:
+    # North within a few degrees of the axis of a gyro that may have any bias.
+    half, east = np.radians(0.5 * apart_deg), 1e6
+    matrix, vector = np.diag([0.0, east]), np.array([0.0, east * np.cos(half)])
+    _, angle, height, sharpness = peaks(matrix[None], vector[None])
+    around = 0.5 * np.pi + np.linspace(-0.5, 0.5, 200001)
+    z = np.stack([np.cos(around), np.sin(around)])
+    exact = vector @ z - 0.5 * east * z[1] ** 2
+    mass = np.sum(np.exp(exact - exact.max())) * (around[1] - around[0])
+    approximate = np.sum(np.exp(height - exact.max()) * 2.0 * np.pi * i0e(sharpness))
+    assert 0.4 < approximate / mass < 2.5
+    assert np.abs(angle - 0.5 * np.pi).max() < half + 0.02

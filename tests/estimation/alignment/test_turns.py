@@ -11,15 +11,11 @@ from scipy.spatial.transform import Rotation
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.stage import Alignment
-from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 from imumon.pipeline import Pipeline
 from imumon.protocols.ranges import Ranges
-from tests.estimation.alignment.units import aligned, error_deg, samples, scenario
+from tests.estimation.alignment.units import UP, aligned, error_deg, samples, scenario, sent
 
-LATITUDE = math.radians(36.0)
-EARTH = EARTH_RATE * np.array([0.0, math.cos(LATITUDE), math.sin(LATITUDE)])
 BEGIN_S, REST_S = 60.0, 60.0
-UP = np.array([0.0, 0.0, 1.0])
 
 
 def edges(t: FloatArray, seconds: float) -> FloatArray:
@@ -48,26 +44,6 @@ def wobbling(t: FloatArray, seconds: float, degrees: float, frequency: float, an
 
 def times(seconds: float, hz: float) -> FloatArray:
     return np.arange(round((BEGIN_S + seconds + REST_S) * hz) + 1) / hz
-
-
-def sent(turned: Rotation, hz: float, scale: float = 0.0, seed: int = 0) -> tuple[SampleBlock, float]:
-    """Return what a fibre-optic unit sends that has these attitudes, east-north-up, and its last heading."""
-    rng = np.random.default_rng(seed)
-    attitude = turned * Rotation.from_euler("ZYX", [0.7, -0.01, 0.02])
-    rate = (attitude[:-1].inv() * attitude[1:]).as_rotvec() * hz + attitude[1:].inv().apply(EARTH)
-    rate = rate @ (np.eye(3) + scale * rng.normal(size=(3, 3))).T
-    rate += math.radians(1e-3) / 60.0 * math.sqrt(hz) * rng.normal(size=rate.shape)
-    force = attitude[1:].inv().apply(STANDARD_GRAVITY * UP) + 3e-4 * rng.normal(size=3)
-    force += 5e-5 * math.sqrt(hz) * rng.normal(size=rate.shape)
-    n = len(rate)
-    columns = {
-        "device_time_ns": np.round(np.arange(n) * 1e9 / hz).astype(np.int64),
-        "segment": np.zeros(n, np.int64),
-        **{f"gyro_{axis}": rate[:, j] for j, axis in enumerate("xyz")},
-        **{f"accel_{axis}": force[:, j] for j, axis in enumerate("xyz")},
-    }
-    ahead = attitude[-1].apply([1.0, 0.0, 0.0])
-    return SampleBlock(columns), math.degrees(math.atan2(ahead[0], ahead[1]))
 
 
 def error_and_sd(stage: Alignment, heading: float) -> tuple[float, float]:
@@ -119,6 +95,19 @@ def test_half_a_turn_of_a_table_whose_axis_leans(heading_deg: float) -> None:
     block, truth = sent(Rotation.from_rotvec(math.radians(heading_deg) * UP) * turned, 100.0)
     error, sd = error_and_sd(aligned(block)[0], truth)
     assert abs(error) < 4.0 * sd < 4.0
+
+
+def test_half_a_turn_removes_the_bias_of_the_accelerometers() -> None:
+    t = times(6.0, 50.0)
+    half = Rotation.from_rotvec(math.pi * np.outer(np.clip((t - BEGIN_S) / 6.0, 0.0, 1.0), UP))
+    block, heading = sent(half, 50.0, force_bias=2e-2)
+    one_position, _ = sent(half[:2900], 50.0, force_bias=2e-2)
+    declared = {"accel_bias_sd_ug": 2000.0}
+    error, sd = error_and_sd(aligned(block, declared)[0], heading)
+    assert abs(error) < 3.0 * sd
+    assert sd < 0.06
+    _, sd = error_and_sd(aligned(one_position, declared)[0], heading)
+    assert sd > math.degrees(2e-3 * math.tan(math.radians(36.0)))
 
 
 def test_the_heading_says_while_it_is_waved_how_far_it_may_be_off() -> None:

@@ -6,7 +6,7 @@ from imumon.effects.stress_relaxation import StressRelaxation
 from imumon.effects.warm_up import WarmUp
 from imumon.estimation.alignment.parameters import known_warm_up
 from imumon.estimation.alignment.stage import Alignment
-from imumon.estimation.smoothing.stage import smoothed
+from imumon.estimation.smoothing.record import value_and_sd
 from imumon.geodesy import MICRO_G
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
@@ -91,6 +91,6 @@ def test_the_panels_draw_columns_that_the_stage_has() -> None:
     bands = [panel for panel in PANELS if panel.place == ALIGNMENT]
     stages = [_alignment(Setup(latitude_deg=36.0), device) for device in (None, "ax1")]
     there = {column.name for stage in stages if stage is not None for column in stage.columns}
-    there |= {smoothed(name) for name in ("heading", "heading_sd")}
+    there |= set(value_and_sd("heading_smoothed"))
     assert bands
     assert all(set(panel.columns) <= there for panel in bands)

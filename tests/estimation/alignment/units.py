@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from imumon.blocks import ColumnArray, SampleBlock, join
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.stage import Alignment
+from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 from imumon.simulation.unit import SimulatedUnit
 from imumon.simulation.unit.scenario import Scenario
 
 NAVIGATION_ARW = 2.43e-4
 """deg/√h: 1e-6 rad/s per sample at 200 Hz."""
 MEMS_ARW = 0.28
+LATITUDE = math.radians(36.0)
+EARTH = EARTH_RATE * np.array([0.0, math.cos(LATITUDE), math.sin(LATITUDE)])
+UP = np.array([0.0, 0.0, 1.0])
 INPUTS = ("device_time_ns", "segment", *(f"{s}_{a}" for s in ("gyro", "accel") for a in "xyz"))
 
 
@@ -78,3 +84,28 @@ def in_pieces(stage: Alignment, block: SampleBlock, cuts: Sequence[int]) -> Mapp
 def error_deg(heading: float, truth_deg: float) -> float:
     """Return the error of a heading in rad, in degrees, -180 to 180."""
     return float((np.rad2deg(heading) - truth_deg + 180.0) % 360.0 - 180.0)
+
+
+def sent(
+    turned: Rotation, hz: float, scale: float = 0.0, seed: int = 0, force_bias: float = 3e-4
+) -> tuple[SampleBlock, float]:
+    """Return what a fibre-optic unit sends that has these attitudes, east-north-up, and its last heading.
+
+    `scale` and `force_bias`, m/s², are standard deviations.
+    """
+    rng = np.random.default_rng(seed)
+    attitude = turned * Rotation.from_euler("ZYX", [0.7, -0.01, 0.02])
+    rate = (attitude[:-1].inv() * attitude[1:]).as_rotvec() * hz + attitude[1:].inv().apply(EARTH)
+    rate = rate @ (np.eye(3) + scale * rng.normal(size=(3, 3))).T
+    rate += math.radians(1e-3) / 60.0 * math.sqrt(hz) * rng.normal(size=rate.shape)
+    force = attitude[1:].inv().apply(STANDARD_GRAVITY * UP) + force_bias * rng.normal(size=3)
+    force += 5e-5 * math.sqrt(hz) * rng.normal(size=rate.shape)
+    n = len(rate)
+    columns = {
+        "device_time_ns": np.round(np.arange(n) * 1e9 / hz).astype(np.int64),
+        "segment": np.zeros(n, np.int64),
+        **{f"gyro_{axis}": rate[:, j] for j, axis in enumerate("xyz")},
+        **{f"accel_{axis}": force[:, j] for j, axis in enumerate("xyz")},
+    }
+    ahead = attitude[-1].apply([1.0, 0.0, 0.0])
+    return SampleBlock(columns), math.degrees(math.atan2(ahead[0], ahead[1]))

@@ -9,9 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from imumon.blocks import NO_INT, FloatArray, SampleBlock, join
 from imumon.config import parse_yaml
+from imumon.estimation.attitude.fusion import ROW
+from imumon.estimation.attitude.heading_sigma import HeadingSigma
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.stage import AttitudeEstimate, tilt_into_heading
-from imumon.estimation.attitude.tilt_sigma import Accelerometers
+from imumon.estimation.attitude.tilt_sigma import Accelerometers, Gyros, Slot
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.models.magnetometer import MagnetometerModel
@@ -374,6 +376,19 @@ def test_a_reversed_gyro_is_not_confirmed_before_the_filter_has_followed_its_tur
     known = np.isfinite(sd)
     assert known[0]
     assert np.abs((off - off[0]) / sd)[known].max() < 4.0
+
+
+@pytest.mark.parametrize(("declared", "expected"), [(None, 0.1), (0.01, 0.01)])
+def test_gyros_that_were_shown_to_be_bad_widen_the_heading_up_to_what_is_declared(
+    declared: float | None, expected: float
+) -> None:
+    learned = Gyros(declared, change=0.2, turned=18.0, own_change=np.zeros(3), own_turned=np.ones(3))
+    sensitivity = np.zeros((3, 9))
+    sensitivity[2, 8] = 1.0  # a radian about the vertical, by the third gyro
+    up = np.array([0.0, 0.0, 1.0])
+    slot = Slot(False, up, up, STANDARD_GRAVITY * up, STANDARD_GRAVITY, sensitivity, 0.0)
+    variance = HeadingSigma(learned, None, 0.0).step(slot, np.zeros(1, ROW)[0], 0.0)
+    assert np.sqrt(variance) == pytest.approx(expected, rel=0.01)
 
 
 def test_an_attitude_that_begins_in_motion_has_no_tilt_sigma_for_six_seconds() -> None:

@@ -9,11 +9,10 @@ from scipy.stats import chi2
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.filters.noise import INSTABILITY_PER_DECADE
+from imumon.lab.diagnosis.whitening import INSTABILITY_PER_DECADE
 from tests.estimation.gyro_bias.records import (
     ARW,
     DPH,
-    VRW,
     Truth,
     markov,
     record,
@@ -42,7 +41,6 @@ def test_with_known_noise_errors_and_innovations_are_within_chi_square_bounds() 
     known = GyroBiasParameters(
         angle_random_walk_rad_per_sqrt_s=ARW,
         bias_instability_rad_per_s=2.0 * DPH * INSTABILITY_PER_DECADE,
-        velocity_random_walk_m_per_s_per_sqrt_s=VRW,
     )
     errors, innovations = runs(Truth(rate_hz=10.0, low_pass_hz=None), known)
     low, high = chi2.ppf([0.001, 0.999], 3 * RUNS) / (3 * RUNS)

@@ -8,9 +8,7 @@ import pytest
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias, Mode
 from tests.estimation.gyro_bias.records import (
-    ARW,
     DPH,
-    VRW,
     Truth,
     record,
     slope_model,
@@ -20,7 +18,6 @@ from tests.estimation.gyro_bias.records import (
 
 SLOW = Truth(rate_hz=10.0)
 SLOPE = 60.0
-KNOWN = {"angle_random_walk_rad_per_sqrt_s": ARW, "velocity_random_walk_m_per_s_per_sqrt_s": VRW}
 
 
 def warming(
@@ -52,14 +49,6 @@ def test_on_calibrated_data_and_thermal_it_is_one_filter() -> None:
     assert rms(block, bias, GyroBias(model=model, mode="thermal")).max() < 4.5
     # Without the model the same filter follows a ramp of 120 deg/h per minute as best it can.
     assert rms(block, bias, GyroBias()).min() > 6.0
-
-
-def test_a_model_without_its_temperature_says_so() -> None:
-    block, _ = warming(triangle(540.0))
-    none = SampleBlock({k: v for k, v in block.columns.items() if not k.startswith("temperature")})
-    stage = GyroBias(model=slope_model(SLOPE), mode="thermal")
-    stage.process(none)
-    assert any("lacks its temperature" in text for text in stage.notices())
 
 
 def test_zeroing_on_a_ramp_refers_to_its_end() -> None:

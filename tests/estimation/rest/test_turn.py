@@ -287,19 +287,6 @@ def test_a_turn_that_makes_the_bias_look_smaller_is_a_turn_still(sense: float) -
     assert not found(block(t, gyro, accel))[1][t > BEGIN_S + 0.5].any()
 
 
-def test_a_stage_goes_on_from_a_snapshot() -> None:
-    samples, _ = turn(0.5, 1.0, 5.0)
-    whole, first, second = RestDetector(), RestDetector(), RestDetector()
-    expected = whole.process(samples)
-    half = len(samples) // 2
-    first.process(samples.rows(0, half))
-    second.restore(first.snapshot())
-    first.process(samples.rows(half, len(samples)))
-    got = second.process(samples.rows(half, len(samples)))
-    for name, values in got.items():
-        np.testing.assert_array_equal(values, expected[name][half:])
-
-
 def test_a_quiet_gyro_whose_bias_moves_by_less_than_any_turn_is_at_rest() -> None:
     """2 °/h about the vertical, fifty times the noise of a mean over 16 s."""
     t, gyro, accel = noise(300.0, gyro_sd=2e-6, accel_sd=1e-4)

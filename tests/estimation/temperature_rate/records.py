@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 
 PER_HOUR = 3600.0
 
@@ -12,6 +12,14 @@ PER_HOUR = 3600.0
 def clock(n: int, rate_hz: float = 10.0) -> tuple[IntArray, IntArray]:
     """Return device time and segment of n samples."""
     return np.arange(n, dtype=np.int64) * int(1e9 / rate_hz), np.zeros(n, np.int64)
+
+
+def block(time_ns: IntArray | None = None, **columns: ColumnArray) -> SampleBlock:
+    """Return a block of one segment, at 10 Hz where no times are given."""
+    n = len(next(iter(columns.values())))
+    usual_ns, segment = clock(n)
+    times = usual_ns if time_ns is None else time_ns
+    return SampleBlock({"device_time_ns": times, "segment": segment, **columns})
 
 
 def quantized(temperature: FloatArray, noise: float, seed: int = 3, step: float = 0.05) -> FloatArray:

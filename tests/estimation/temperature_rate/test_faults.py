@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 
-from imumon.blocks import FloatArray, SampleBlock
+from imumon.blocks import ColumnArray, FloatArray
 from imumon.estimation.temperature_rate.stage import TemperatureRate
+from tests.estimation.temperature_rate.records import block, quantized
 
 POWER_ON_DEGC = 85.0
 
 
-def block(t: FloatArray, reading: FloatArray) -> SampleBlock:
-    columns = {"device_time_ns": np.round(t * 1e9).astype(np.int64), "temperature": reading}
-    return SampleBlock({**columns, "segment": np.zeros(len(t), np.int64)})
+def process(stage: TemperatureRate, t: FloatArray, reading: FloatArray) -> Mapping[str, ColumnArray]:
+    return stage.process(block(np.round(t * 1e9).astype(np.int64), temperature=reading))
 
 
-def read(truth: FloatArray, step: float, seed: int = 0) -> FloatArray:
-    noise = 0.3 * step * np.random.default_rng(seed).normal(size=len(truth))
-    return np.asarray(np.round((truth + noise) / step) * step)
+def read(truth: FloatArray, step: float) -> FloatArray:
+    return quantized(truth, 0.3 * step, 0, step)
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 10.0, 100.0])
@@ -30,7 +31,7 @@ def test_a_value_that_sticks_after_a_leap_is_passed_over(rate_hz: float, stuck_s
     sticks = (t >= 700.0) & (t < 700.0 + stuck_s)
     reading[sticks] = POWER_ON_DEGC
     stage = TemperatureRate()
-    found = stage.process(block(t, reading))
+    found = process(stage, t, reading)
     off = np.abs(found["temperature_estimate"] - truth)[t > 600.0]
     assert off.max() < 1.0
     assert (off / found["temperature_estimate_sd"][t > 600.0]).max() < 5.0
@@ -47,7 +48,7 @@ def test_a_spike_before_it_sticks_makes_no_difference() -> None:
     reading = read(truth, 0.0625)
     reading[(t >= 700.0) & (t < 708.0)] = POWER_ON_DEGC
     reading[[6995, 7033, 7034]] = -127.0
-    found = TemperatureRate().process(block(t, reading))["temperature_estimate"]
+    found = process(TemperatureRate(), t, reading)["temperature_estimate"]
     assert np.abs(found - truth)[t > 600.0].max() < 1.0
 
 
@@ -55,7 +56,7 @@ def test_where_it_never_comes_back_nothing_is_said_after_ten_minutes_until_it_mo
     t = np.arange(0.0, 2400.0, 0.1)
     reading = read(np.full(len(t), 25.0) + t / 360.0, 0.0625)
     reading[(t >= 600.0) & (t < 1800.0)] = POWER_ON_DEGC
-    found = TemperatureRate().process(block(t, reading))["temperature_estimate"]
+    found = process(TemperatureRate(), t, reading)["temperature_estimate"]
     assert np.isnan(found[(t > 1210.0) & (t < 1799.0)]).all()
     assert np.abs(found[t > 1810.0] - (25.0 + t[t > 1810.0] / 360.0)).max() < 0.2
 
@@ -64,7 +65,7 @@ def test_a_leap_to_readings_that_move_is_believed() -> None:
     t = np.arange(0.0, 900.0, 0.1)
     truth = np.where(t < 600.0, 25.0, 45.0)
     stage = TemperatureRate()
-    found = stage.process(block(t, read(truth, 0.0625)))["temperature_estimate"]
+    found = process(stage, t, read(truth, 0.0625))["temperature_estimate"]
     assert np.abs(found - truth)[t > 620.0].max() < 0.2
     assert stage.notices() == []
 
@@ -76,7 +77,7 @@ def test_the_value_at_power_on_is_doubted_and_left(stuck_s: float, step: float, 
     t = np.arange(0.0, 120.0, 0.1)
     measured = read(np.full(len(t), 25.03), step) if noisy else step * np.round(25.03 / step)
     reading = np.where(t < stuck_s, POWER_ON_DEGC, measured)
-    found = TemperatureRate().process(block(t, reading))
+    found = process(TemperatureRate(), t, reading)
     behind = t >= stuck_s + 1.0
     off = np.abs(found["temperature_estimate"] - 25.03)
     assert np.nanmax((off / found["temperature_estimate_sd"])[behind]) < 4.0

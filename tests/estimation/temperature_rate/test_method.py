@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,8 +11,12 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.model import Params
-from imumon.estimation.temperature_rate.stage import MultipleModelRate
+from imumon.estimation.temperature_rate import measurement
+from imumon.estimation.temperature_rate.filter import start as start_filters
+from imumon.estimation.temperature_rate.measurement import evaluate
+from imumon.estimation.temperature_rate.method import MultipleModelRate
+from imumon.estimation.temperature_rate.model import RATE, Models
+from imumon.estimation.temperature_rate.thermometer import Slot, StepFinder, Thermometer
 from imumon.filters.rates import RateEstimate
 from tests.estimation.temperature_rate.records import PER_HOUR, clock, quantized, self_heating, steady
 
@@ -92,7 +95,7 @@ def test_the_step_is_found_whatever_was_declared(step: float, declared: float | 
     time_ns, segment = clock(len(reading))
     method = MultipleModelRate(declared)
     method.process(time_ns, segment, reading)
-    assert method.state.thermometer.finder.confirmed_step == pytest.approx(step, rel=1e-3)
+    assert method.thermometer.finder.confirmed_step == pytest.approx(step, rel=1e-3)
 
 
 def test_a_sensor_without_steps_is_estimated_from_its_noise() -> None:
@@ -156,6 +159,30 @@ def test_spikes_are_passed_over() -> None:
     reading[::1009] += 20.0
     error = (run(reading).rate - clean)[SETTLED]
     assert np.abs(error).max() * PER_HOUR < 1.0
+
+
+def test_a_spike_at_the_end_of_a_silent_slot_restarts_nothing() -> None:
+    temperature = steady(2.0, 0.4)
+    reading = quantized(temperature, 0.0, step=0.0625)
+    changes = np.flatnonzero(np.diff(reading))
+    spike = (changes[changes < 12000][-1] + 700) // 10 * 10 + 9
+    assert np.ptp(reading[spike - 650 : spike]) == 0.0
+    reading[spike] += 20.0
+    result = run(reading)
+    assert np.abs(result.temperature - temperature)[spike:].max() < 0.1
+
+
+def test_equal_readings_two_codes_from_the_last_are_known_to_a_code_not_better() -> None:
+    models, thermometer = Models(), Thermometer(StepFinder(0.1), slots=1)
+    slot = Slot(
+        time_s=0.5, end_s=1.0, count=2, mean=25.2, variance=0.0, low=25.2, high=25.2, before=25.0, first=25.2,
+        last=25.2, changes=1, step_squares=0.04, gap_s=0.5, spacing_s=1.0,
+    )  # fmt: skip
+    filters = start_filters(models, thermometer, slot)
+    filters.p[RATE, RATE] = 0.0
+    found, _ = evaluate(models, thermometer, slot, filters.reading)
+    sd = np.sqrt(filters.reading.variance + found.variance_change)[models.code]
+    assert sd.min() > 0.25 * 0.1
 
 
 def test_a_jump_that_lasts_is_followed_with_a_wide_band() -> None:
@@ -282,18 +309,13 @@ def run_at(reading: FloatArray, rate_hz: float) -> RateEstimate:
     return MultipleModelRate().process(time_ns, segment, reading)
 
 
-def dithered(temperature: FloatArray, noise: float, step: float = 1.0) -> FloatArray:
-    noisy = temperature + noise * np.random.default_rng(7).standard_normal(len(temperature))
-    return np.asarray(step * np.round(noisy / step), np.float64)
-
-
 @pytest.mark.parametrize(("noise", "offset"), [(0.17, 0.03), (0.25, 0.0), (0.25, 0.03), (0.4, 0.0)])
 def test_the_ripple_of_a_dithered_quantizer_is_no_temperature(noise: float, offset: float) -> None:
     """A slow drift through the levels, of any phase: the mean of the readings alone is off by 0.05 step."""
     rate_hz, rate, step = 400.0, 5.0, 0.0625
     t = np.arange(int(900 * rate_hz)) / rate_hz
     temperature = 25.0 + rate / PER_HOUR * t
-    result = run_at(dithered(temperature, noise * step, step) + offset, rate_hz)
+    result = run_at(quantized(temperature, noise * step, 7, step) + offset, rate_hz)
     late = t > 600.0
     assert np.abs(result.temperature - temperature - offset)[late].max() < 0.04 * step
     assert np.abs(result.rate * PER_HOUR - rate)[late].max() < 0.5
@@ -307,7 +329,7 @@ def test_a_thermostat_that_switches_again_and_again_is_expected_to_switch() -> N
     swing = np.where(phase < 0.3, phase / 0.3, (1.0 - phase) / 0.7)
     keep = np.exp(-1.0 / (40.0 * rate_hz))
     temperature = 25.0 + lfilter([1.0 - keep], [1.0, -keep], swing)
-    result = run_at(dithered(temperature, 0.1 * step, step), rate_hz)
+    result = run_at(quantized(temperature, 0.1 * step, 7, step), rate_hz)
     z = ((result.rate - np.gradient(temperature, t)) / result.rate_sd)[t > 1800.0]
     assert np.sqrt(np.mean(z**2)) < 1.2
     assert np.abs(z).max() < 20.0
@@ -369,7 +391,9 @@ def test_a_thermometer_read_every_minute_is_within_its_sigma(interval_s: float) 
     assert abs(result.rate[-1] * PER_HOUR - 5.0) < 2.0 * min(result.rate_sd[-1] * PER_HOUR, 1.5)
 
 
-def test_a_swing_behind_steps_of_a_degree_is_not_taken_for_a_slow_error() -> None:
+def test_a_swing_behind_steps_of_a_degree_is_not_taken_for_a_slow_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A swing of 10 °C in 20 min: an error renewed every few seconds would not stay on a level."""
     rate_hz = 2.0
     t = np.arange(int(3600 * rate_hz)) / rate_hz
@@ -379,11 +403,13 @@ def test_a_swing_behind_steps_of_a_degree_is_not_taken_for_a_slow_error() -> Non
     time_ns, segment = clock(len(reading), rate_hz)
     late = t > 600.0
 
-    def rms(params: Params) -> float:
-        result = MultipleModelRate(params=params).process(time_ns, segment, reading)
+    def rms() -> float:
+        result = MultipleModelRate().process(time_ns, segment, reading)
         z = (result.rate - rate)[late] / result.rate_sd[late]
         assert np.sqrt(np.mean(z**2)) < 1.8
         return float(np.sqrt(np.mean((result.rate - rate)[late] ** 2))) * PER_HOUR
 
-    assert rms(Params()) < 12.0
-    assert rms(Params()) < 0.7 * rms(replace(Params(), renewal=0.0))
+    usual = rms()
+    assert usual < 12.0
+    monkeypatch.setattr(measurement, "RENEWAL", 0.0)
+    assert usual < 0.7 * rms()

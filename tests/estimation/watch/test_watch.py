@@ -12,7 +12,6 @@ from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.watch import evidence
 from imumon.estimation.watch.evidence import Pattern
-from imumon.estimation.watch.parameters import WatchParameters
 from imumon.estimation.watch.stage import ModelWatch
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
@@ -67,18 +66,14 @@ def test_the_evidence_is_the_largest_sum_of_logarithms_of_e_factors() -> None:
     past = np.clip(
         np.clip(innovation, -evidence.CLIP, evidence.CLIP)[evidence.LEARNING - 1 : -1, 1] / 3, -1, 1
     )
-    constant, first_past = (
-        np.argmax(each == evidence.PATTERNS) for each in (Pattern.TIME, Pattern.AUTOCORRELATION)
-    )
-    for place, r in ((constant, np.ones(len(v))), (first_past, past)):
-        gains = [
-            theta * (r * v - evidence.TOLERANCE * np.abs(r)) - theta**2 * r**2 * evidence.KAPPA / 2
-            for theta in evidence.THETAS[:3]
-        ]
-        blocks = [gain[: len(v) // 10 * 10].reshape(-1, 10).sum(1) for gain in gains]
-        expected = max(highest_sum(block) for block in blocks)
-        assert state.peaks[1, place] == pytest.approx(max(expected, 0.0), rel=1e-9, abs=1e-9)
-    assert state.peaks[1, constant] > 50.0
+    for pattern, r in ((Pattern.TIME, np.ones(len(v))), (Pattern.AUTOCORRELATION, past)):
+        first = int(np.argmax(pattern == evidence.PATTERNS))
+        for k, theta in enumerate(evidence.THETAS[:3]):
+            gains = theta * (r * v - evidence.TOLERANCE * np.abs(r)) - theta**2 * r**2 * evidence.KAPPA / 2
+            blocks = gains[: len(v) // 10 * 10].reshape(-1, 10).sum(1)
+            expected = max(highest_sum(blocks), 0.0)
+            assert state.peaks[1, first + k] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    assert state.peaks[1].max() > 50.0
 
 
 def test_a_pause_forgets_the_extremes_of_the_temperature() -> None:
@@ -219,4 +214,3 @@ def test_a_lag_that_the_model_lacks_is_suspected_whatever_the_blocks() -> None:
 
 def test_rarer_false_alarms_take_more_evidence() -> None:
     assert evidence.limit(100.0) > evidence.limit(1.0)
-    assert WatchParameters().false_alarm_hours == 24.0

@@ -12,9 +12,8 @@ from enum import Enum
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.alignment.hypotheses import PositionFit
-from imumon.estimation.alignment.record import SLOT_S, Record, Slot
-from imumon.filters.turns import STILL, Turn
+from imumon.estimation.alignment.record import SLOT_S, Slot
+from imumon.filters.turns import STILL, Turn, angle_of
 from imumon.geodesy import EARTH_RATE
 
 MOTION_RATE, LIMIT_FACTOR = 1e-3, 5.0
@@ -24,30 +23,10 @@ SWAYING_RATE = 20e-3
 """rad/s: at the start, a rate that varies by less for 10 s is taken for rest."""
 CALM_SLOTS, SWAYING_SLOTS, MEDIAN_SLOTS = 8, 40, 120
 """Slots: 2 s of calm are a rest, 10 s of sway at the start; the rate at rest is the median of 30 s."""
-SAME_ATTITUDE, NEW_POSITION = 1e-4, 0.01
-"""rad: a turn by less leaves the position as it is, or does not separate the bias from the earth rate."""
+SAME_ATTITUDE = 1e-4
+"""rad: a turn by less leaves the attitude as it is."""
 LONGEST_MOTION_S = 120.0
 """After a longer motion the alignment starts anew."""
-
-
-@dataclass
-class Position:
-    """A position: an attitude in which the unit rests.
-
-    `attitude` (3, 3) is from body axes to forward, left and up of the first position, `turn_variance` that
-    of the angle about the vertical since then, rad².  The record goes when the unit leaves the position.
-    `number` counts positions whose orientation differs by more than NEW_POSITION; `magnetic` (3,) is the sum
-    of the magnetometer's means in body axes.
-    """
-
-    attitude: FloatArray
-    turn_variance: float
-    record: Record | None
-    number: int
-    begun_s: float
-    ended_s: float = 0.0
-    fit: PositionFit | None = None
-    magnetic: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
 class Outcome(Enum):
@@ -75,34 +54,35 @@ class Motion:
     since_update: int = 0
     """Slots at rest since the median was updated, in earlier positions, too: a strong sway is taken for turns
     until then."""
-    held: list[Slot] = field(default_factory=list)
+    pending: list[Slot] = field(default_factory=list)
     """Slots of the motion; before the first rest, those that may belong to it."""
     turned: Turn = STILL
     """Since the motion began."""
 
     def classify(self, slot: Slot, at_rest: bool) -> Outcome:
-        """Classify a slot by the table of docs/alignment.md, evaluated top down."""
+        """Classify a slot by the table of docs/appendix/alignment-details.md, evaluated top down."""
         if self.rest_rate is None:
-            self.held = [*self.held[1 - 4 * MEDIAN_SLOTS :], slot]
+            self.pending = [*self.pending[1 - 4 * MEDIAN_SLOTS :], slot]
             return Outcome.FIRST_REST if at_rest and self._first_rest() else Outcome.WAITING
         if not (self.moving or self._is_motion(slot)):
             return Outcome.REST
-        self.held.append(slot)
+        self.pending.append(slot)
         if self.moving_s > LONGEST_MOTION_S:
             return Outcome.LOST
-        if any(self._is_motion(one) for one in self.held[-CALM_SLOTS:]):
+        if any(self._is_motion(one) for one in self.pending[-CALM_SLOTS:]):
             return Outcome.TURNING
-        return Outcome.SAME_ATTITUDE if self.angle <= max(SAME_ATTITUDE, 6.0 * self.noise) else Outcome.TURNED
+        same = angle_of(self.turned.rotation) <= max(SAME_ATTITUDE, 6.0 * self._noise)
+        return Outcome.SAME_ATTITUDE if same else Outcome.TURNED
 
     def _first_rest(self) -> bool:
-        """Return whether the unit rests for the first time; if so, drop the held slots before that rest."""
-        rates = np.array([one.rate for one in self.held[-SWAYING_SLOTS:]])
+        """Return whether the unit rests for the first time; if so, drop the slots before that rest."""
+        rates = np.array([one.rate for one in self.pending[-SWAYING_SLOTS:]])
         calm = len(rates) >= CALM_SLOTS and np.ptp(rates[-CALM_SLOTS:], axis=0).max() < MOTION_RATE
         if not (calm or (len(rates) == SWAYING_SLOTS and np.ptp(rates, axis=0).max() < SWAYING_RATE)):
             return False
         self._update_rest_rate(rates[-CALM_SLOTS:] if calm else rates)
-        while any(self._is_motion(one) for one in self.held):
-            del self.held[0]
+        while any(self._is_motion(one) for one in self.pending):
+            del self.pending[0]
         return True
 
     def _is_motion(self, slot: Slot) -> bool:
@@ -131,50 +111,52 @@ class Motion:
 
     def end(self) -> list[Slot]:
         """End the motion; return its slots."""
-        held, self.held, self.turned = self.held, [], STILL
-        return held
+        pending, self.pending, self.turned = self.pending, [], STILL
+        return pending
 
     @property
     def moving(self) -> bool:
         """Whether the unit moves, or came to rest less than 2 s ago."""
-        return self.rest_rate is not None and bool(self.held)
+        return self.rest_rate is not None and bool(self.pending)
 
     @property
     def moving_s(self) -> float:
         """Length of the motion, with the calm after it."""
-        return SLOT_S * (self.held[-1].index + 1 - self.held[0].index)
+        return SLOT_S * (self.pending[-1].index + 1 - self.pending[0].index)
 
     @property
-    def angle(self) -> float:
-        """Angle between the attitudes before and now, rad."""
-        return math.sqrt(max(3.0 - float(np.trace(self.turned.rotation)), 0.0))
-
-    @property
-    def noise(self) -> float:
-        """Noise of that angle, rad: of the slots, and of the rate at rest."""
+    def _noise(self) -> float:
+        """Standard deviation of the angle of the turn by noise of the slots and of the rate at rest, rad."""
         if len(self.recent) < 2:
             return SAME_ATTITUDE
-        spread = float(np.std(np.array(self.recent), axis=0).max()) * self.held[-1].length_s
-        return spread * math.sqrt(len(self.held) + len(self.held) ** 2 / len(self.recent))
+        spread = float(np.std(np.array(self.recent), axis=0).max()) * self.pending[-1].length_s
+        return spread * math.sqrt(len(self.pending) + len(self.pending) ** 2 / len(self.recent))
 
-    def turn_variance(
-        self, before: FloatArray, after: FloatArray, seconds: float, scale_sd: float, level_sd: float
-    ) -> float:
+    def azimuth_variance(self, before: FloatArray, seconds: float, scale_sd: float) -> float:
         """Return the variance of the angle about the vertical by which the unit has turned, rad².
 
-        `before` (3, 3) is the attitude at the beginning, `after` (3,) the vertical by the accelerometers
-        after `seconds`; `scale_sd` is that of scale factor and misalignment of the gyros, and `level_sd` that
-        of the vertical, rad.
+        `before` (3, 3) is the attitude at the beginning, `seconds` the length of the turn, and `scale_sd`
+        that of scale factor and misalignment of the gyros.
         """
-        # Of the angles about forward, left and up.
-        forward, left, up = (
-            scale_sd**2 * float(np.sum(self.turned.scale_about(axis) ** 2))
-            + self.turned.sampling_variance(axis)
-            for axis in before
-        )
         # The earth rate turns against the body: up to all of it is wrong while it turns by a radian.
         drift = EARTH_RATE * seconds * min(self.turned.path, 1.0)
-        # Errors of the level beyond that, as gravity shows them, are as likely in the vertical axis.
-        ahead_off, left_off, _ = before @ (self.turned.rotation @ after)
-        unexplained = 0.5 * (ahead_off**2 + left_off**2 - forward - left) - level_sd**2
-        return up + self.noise**2 + drift**2 + max(float(unexplained), 0.0)
+        return self._gyro_variance(before[2], scale_sd) + self._noise**2 + drift**2
+
+    def unexplained_variance(
+        self, before: FloatArray, vertical: FloatArray, scale_sd: float, vertical_sd: float
+    ) -> float:
+        """Return the variance of each axis by which the turn is more wrong than its gyros explain, rad².
+
+        Gravity shows it in the horizontal axes; it is as likely in the vertical one.  `vertical` (3,) is the
+        direction up by the accelerometers after the turn, in body axes, with the standard deviation
+        `vertical_sd` of the change of its error, rad.
+        """
+        ahead_off, left_off, _ = before @ (self.turned.rotation @ vertical)
+        explained = sum(self._gyro_variance(axis, scale_sd) for axis in before[:2])
+        unexplained = 0.5 * (ahead_off**2 + left_off**2 - explained) - vertical_sd**2
+        return max(float(unexplained), 0.0)
+
+    def _gyro_variance(self, axis: FloatArray, scale_sd: float) -> float:
+        """Return the variance of the angle about an axis, (3,), by scale errors and between samples, rad²."""
+        by_scale = scale_sd**2 * float(np.sum(self.turned.scale_about(axis) ** 2))
+        return by_scale + self.turned.sampling_variance(axis)

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray
-from imumon.filters.mounting import WAYS, Mounting, named
+from imumon.lab.calibration.mounting import WAYS, Mounting, named
 
 FIELD = np.array([0.4, 0.1, -0.9])
 

@@ -5,7 +5,7 @@ As a state space, x is the walk and the m processes, the bias their sum::
     x(t + dt) = F x(t) + w,   F = diag(1, exp(-dt/tau_i)),   Q = diag(K² dt, sd_i² (1 - exp(-2 dt/tau_i)))
 
 Processes whose correlation times lie evenly on a logarithmic scale have a spectrum close to 1/f between them.
-The Allan variance is that of N, B and K.  Leading axes of the parameters are filters side by side.
+Leading axes of the parameters are filters side by side.
 """
 
 from __future__ import annotations
@@ -18,8 +18,6 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.compiled import njit
 
-FLOOR_PER_INSTABILITY = math.sqrt(2.0 * math.log(2.0) / math.pi)
-"""Floor of the Allan deviation of flicker, over the bias instability B (IEEE Std 952, C.1.3)."""
 INSTABILITY_PER_DECADE = math.sqrt(math.pi / math.log(10.0))
 """B over the standard deviation per decade of correlation time: the processes, sd² in a
 decade, have together the density sd² pi / (2 pi f ln 10), which is to be that of flicker, B² / (2 pi f)."""
@@ -35,15 +33,6 @@ class BiasNoise:
     """Standard deviation of each process, in the unit of the bias."""
     walk: FloatArray
     """K, per sqrt(s)."""
-
-    def decay(self, dt: float) -> FloatArray:
-        """Return the diagonal of F, (m + 1,)."""
-        return np.asarray(np.concatenate([[1.0], np.exp(-dt / self.taus_s)]))
-
-    def growth(self, dt: float) -> FloatArray:
-        """Return the diagonal of Q, (..., m + 1)."""
-        markov = self.markov_sd**2 * -np.expm1(-2.0 * dt / self.taus_s)
-        return np.asarray(np.concatenate([self.walk[..., np.newaxis] ** 2 * dt, markov], -1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,12 +98,15 @@ def whitener(noise: BiasNoise, elapsed_s: FloatArray, white: FloatArray, level: 
     level : array (f,)
         Variance of the walk at the first mean, and wherever it begins anew.
     """
-    start = np.concatenate([level[:, np.newaxis], noise.markov_sd**2], 1)
-    decay, growth = np.zeros((len(elapsed_s), start.shape[1])), np.empty((len(elapsed_s), *start.shape))
-    for k, dt in enumerate(elapsed_s.tolist()):
-        growth[k] = start
-        if k and np.isfinite(dt):
-            decay[k], growth[k] = noise.decay(dt), noise.growth(dt)
+    begins = ~np.isfinite(elapsed_s)
+    begins[0] = True
+    dt = np.where(begins, 0.0, elapsed_s)[:, np.newaxis]
+    decay = np.column_stack([np.ones(len(dt)), np.exp(-dt / noise.taus_s)])
+    walk = noise.walk[:, np.newaxis] ** 2 * dt[:, np.newaxis]
+    markov = noise.markov_sd**2 * -np.expm1(-2.0 * dt / noise.taus_s)[:, np.newaxis]
+    growth = np.concatenate([walk, markov], axis=2)
+    decay[begins] = 0.0
+    growth[begins] = np.column_stack([level, noise.markov_sd**2])
     gain, sd = _filtered(decay, growth, np.asarray(white, np.float64))
     return Whitener(decay, gain, sd)
 
@@ -144,18 +136,3 @@ def _filtered(decay: FloatArray, growth: FloatArray, white: FloatArray) -> tuple
                 for j in range(states):
                     covariance[i, j] -= spread[i] * spread[j] / variance
     return gain, sd
-
-
-@dataclass(frozen=True, slots=True)
-class NoiseTerms:
-    """White noise N, bias instability B and rate random walk K of a sensor, as IEEE Std 952 has them."""
-
-    white: float
-    instability: float
-    walk: float
-    """rad/sqrt(s), rad/s and rad/s/sqrt(s), or of any unit; zero where there is none."""
-
-    def allan_variance(self, tau_s: FloatArray) -> FloatArray:
-        """Return the Allan variance at averaging times."""
-        flicker = (FLOOR_PER_INSTABILITY * self.instability) ** 2
-        return np.asarray(self.white**2 / tau_s + flicker + self.walk**2 * tau_s / 3.0)

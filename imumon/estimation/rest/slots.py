@@ -1,0 +1,175 @@
+"""What rest and bias are estimated from: slots of a quarter of a second, and means over a second of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from imumon.blocks import BoolArray, FloatArray, SampleBlock
+from imumon.filters.slots import Slots
+from imumon.filters.turns import Turn
+
+SLOT_S = 0.25
+AXES = 6
+"""Gyro x, y, z in rad/s, then accelerometer x, y, z in m/s²."""
+GYRO, ACCEL = slice(0, 3), slice(3, 6)
+READINGS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
+MODELLED, DEGC, POWER_ON_SD, HEADING = (slice(AXES + 3 * i, AXES + 3 * i + 3) for i in range(4))
+GIVEN, GATHERED = AXES + 12, AXES + 13
+"""Columns of the gatherer, behind the readings: one whether rest is given, and how many there are."""
+COARSEST_STEPS = (0.035, 0.16)
+"""No gyro (rad/s) and no accelerometer (m/s²) reads in coarser steps: 2 °/s is what may shake at rest."""
+GAP_S, GAP_INTERVALS = 0.25, 3.0
+"""A pause between samples is a gap when it is longer than this and than so many usual intervals."""
+
+
+class Slot(NamedTuple):
+    """A slot of samples; of what is missing the value is NaN."""
+
+    end_s: float
+    """Since the first sample of its segment."""
+    seconds: float
+    """From the end of the slot before, or of the gap before it, to its last sample."""
+    covered_s: float
+    """What its samples cover at the shortest interval so far: lost ones leave more noise."""
+    gap_s: float
+    """Length of the gap before it; 0 without one."""
+    samples: FloatArray
+    """Of each of the six axes, (6,)."""
+    mean: FloatArray
+    variance: FloatArray
+    """Of the samples, (6,) each, about the mean (n - 1)."""
+    step: FloatArray
+    """Step of the sensor, (6,), if its readings were mostly equal and some differed by one; else infinite."""
+    modelled: FloatArray
+    """What the thermal model has added to the bias, rad/s, (3,)."""
+    degc: FloatArray
+    """Temperature of each gyro, (3,)."""
+    power_on_sd: FloatArray
+    """Of the unknown state of the thermal model at power-on, rad/s, (3,)."""
+    heading: FloatArray
+    """A vector that turns with the heading, (3,)."""
+    turn: Turn
+    at_rest: bool
+    """Whether it was at rest throughout, where that is given."""
+
+
+class Second(NamedTuple):
+    """Means over about a second in which the unit was quiet; NaN of what is missing."""
+
+    end_s: float
+    seconds: float
+    """What its samples cover: the white noise is that of so long."""
+    rate: FloatArray
+    """Less what model and earth add, rad/s, (3,)."""
+    force: FloatArray
+    """m/s², (3,); the last one where it is missing, zero before the first."""
+    degc: FloatArray
+    """Temperature of each gyro, (3,)."""
+    heading: FloatArray
+    """(3,), as in `Slot`."""
+
+
+def second_of(slots: Sequence[Slot], earth: FloatArray, force: FloatArray) -> Second:
+    """Return the means of slots.
+
+    Parameters
+    ----------
+    earth, force : array (3,)
+        What is known of the earth rate, rad/s; and the specific force where it is missing, m/s².
+    """
+    covered = np.array([one.covered_s for one in slots])
+    total = float(covered.sum())
+    mean, modelled, degc, heading = (
+        covered / total @ np.array(part)
+        for part in zip(*((one.mean, one.modelled, one.degc, one.heading) for one in slots), strict=True)
+    )
+    force = np.where(np.isfinite(mean[ACCEL]), mean[ACCEL], force)
+    degc = np.where(np.isfinite(degc), degc, slots[-1].degc)
+    return Second(slots[-1].end_s, total, mean[GYRO] - modelled - earth, force, degc, heading)
+
+
+@dataclass(slots=True)
+class Timing:
+    """The slot before: its end, its interval, and the shortest interval so far, s."""
+
+    origin_ns: int = 0
+    end_s: float = 0.0
+    interval_s: float = 0.0
+    shortest_s: float = math.inf
+
+    def slots(self, ended: Slots) -> Iterator[Slot]:
+        """Yield slots that ended, one after the other; a first sample alone covers no time."""
+        count = ended.count[:, :AXES].astype(np.float64)
+        several = np.where(count > 1.0, count, np.nan)
+        variance = ended.variance[:, :AXES] * several / (several - 1.0)
+        steps, turns = _steps(ended), ended.turns
+        for k, mean in enumerate(ended.mean):
+            spans = self._spans(ended, k)
+            yield Slot(
+                *spans, count[k], mean[:AXES], variance[k], steps[k], mean[MODELLED], mean[DEGC],
+                mean[POWER_ON_SD], mean[HEADING], turns.at(k), bool(ended.smallest[k, GIVEN] == 1.0),
+            )  # fmt: skip
+
+    def _spans(self, ended: Slots, k: int) -> tuple[float, float, float, float]:
+        """Return end, length, what its samples cover and the gap before it, s."""
+        samples = int(ended.count[k, GYRO].max()) or int(ended.samples[k])
+        begins = bool(ended.begins[k])
+        if begins:
+            self.origin_ns, self.end_s = int(ended.start_ns[k]), 0.0
+            self.interval_s, self.shortest_s = 0.0, math.inf
+        start, end = self.since_origin_s(int(ended.start_ns[k])), self.since_origin_s(int(ended.end_ns[k]))
+        gap = 0.0 if begins else self.gap_s(start)
+        if begins or gap:
+            start -= (end - start) / (samples - 1) if samples > 1 else self.interval_s
+        else:
+            start = self.end_s
+        seconds = end - start
+        if seconds > 0.0:
+            self.interval_s = seconds / samples
+            self.shortest_s = min(self.shortest_s, self.interval_s)
+        self.end_s = end
+        return end, seconds, min(seconds, samples * self.shortest_s) if seconds > 0.0 else 0.0, gap
+
+    def since_origin_s(self, time_ns: int) -> float:
+        """Return the seconds since the first sample of the segment."""
+        return 1e-9 * (time_ns - self.origin_ns)
+
+    def gap_s(self, start_s: float) -> float:
+        """Return the length of the gap before a sample; 0 if it follows."""
+        pause = start_s - self.end_s
+        return pause if pause > max(GAP_S, GAP_INTERVALS * self.interval_s) and self.interval_s else 0.0
+
+
+def _steps(ended: Slots) -> FloatArray:
+    """Return the steps of the sensors, (m, 6): rms change of readings that rarely change; else infinite."""
+    changes, pairs = ended.changes[:, :AXES], ended.step_count[:, :AXES]
+    rare = (changes > 0) & (2 * changes <= pairs)
+    step = np.where(rare, np.sqrt(ended.step_squares[:, :AXES] / np.maximum(changes, 1)), np.inf)
+    return np.where(step <= np.repeat(COARSEST_STEPS, 3), step, np.inf)
+
+
+def readings_of(block: SampleBlock, dated: BoolArray) -> FloatArray:
+    """Return rates and specific forces, rad/s and m/s², (n, 6); NaN where there is none or no time."""
+    none = np.full(len(block), np.nan)
+    readings = np.column_stack([block.columns.get(name, none) for name in READINGS]).astype(np.float64)
+    readings[~dated] = np.nan
+    return readings
+
+
+def heading_of(block: SampleBlock) -> FloatArray:
+    """Return a vector that turns with the heading, (n, 3): the magnetic field in body axes, else cosine and
+    sine of the yaw and zero, else NaN."""
+    if block.mag is not None:
+        return block.mag
+    yaw, q = block.columns.get("yaw"), block.quaternion
+    if yaw is None and q is not None:
+        w, x, y, z = q.T
+        yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    if yaw is None:
+        return np.full((len(block), 3), np.nan)
+    return np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(block))])

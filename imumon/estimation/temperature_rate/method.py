@@ -1,0 +1,144 @@
+"""The multiple-model method: samples to slots, gate, thermometer, filters, output, and back to samples."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from imumon.blocks import NO_INT, FloatArray, IntArray
+from imumon.estimation.temperature_rate.filter import Filters, correct, predict, start
+from imumon.estimation.temperature_rate.gate import Gate, Outcome
+from imumon.estimation.temperature_rate.measurement import evaluate
+from imumon.estimation.temperature_rate.model import SLOT_S, Models
+from imumon.estimation.temperature_rate.output import Output, extrapolate, output
+from imumon.estimation.temperature_rate.thermometer import (
+    UNKNOWN_STEP_DEGC,
+    Slot,
+    StepFinder,
+    Thermometer,
+)
+from imumon.filters.rates import RateEstimate
+from imumon.filters.slots import SlotGatherer, Slots, held
+
+GAP_S = 600.0
+"""After so long without a reading, or of a sensor that is dead or sticks, there is no estimate, s.  Assumed:
+in that time a board goes through half a warm-up."""
+
+
+class MultipleModelRate:
+    """Temperature and rate of one thermometer by a multiple-model Kalman filter.
+
+    Parameters
+    ----------
+    step_degc : float, optional
+        Quantization step in °C, if it is declared; it holds until the first change of the readings.
+    models : Models, optional
+        Models of the sensor noise and of the temperature.
+    """
+
+    def __init__(self, step_degc: float | None = None, models: Models | None = None) -> None:
+        self._models = models or Models()
+        self.thermometer = Thermometer(StepFinder(step_degc or UNKNOWN_STEP_DEGC))
+        self.stuck_degc = math.nan
+        """Where readings stuck last after a leap that no temperature makes, °C; NaN if they never did."""
+        self._gatherer = SlotGatherer(1, round(SLOT_S * 1e9))
+        self._begin(0)
+        self._output_ns: IntArray = np.array(0, np.int64)
+        self._segment: IntArray = np.array(NO_INT, np.int64)
+
+    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
+        """Return the estimates of samples that follow those of the last call; the same in blocks of any size.
+
+        Parameters
+        ----------
+        time_ns, segment : array, (n,)
+            Device time and the number of its segment; a new segment starts anew but keeps what is known of
+            the sensor.
+        reading : array, (n,)
+            °C; NaN where there is none.
+        """
+        n, before = len(reading), np.array(self._output)
+        slots = self._gatherer.process(time_ns, segment, reading[:, np.newaxis])
+        outputs = np.array([self._update(slots, i) for i in range(len(slots))]).reshape(-1, len(before))
+        output_ns = held(slots.row, slots.end_ns, self._output_ns, n)
+        output_segment = held(slots.row, slots.segment, self._segment, n)
+        if len(slots):
+            self._output_ns, self._segment = np.array(slots.end_ns[-1]), np.array(slots.segment[-1])
+        age = np.asarray((time_ns - output_ns) * 1e-9, np.float64)
+        known = (segment == output_segment) & (age >= 0.0)
+        return extrapolate(age, known, reading, Output(*held(slots.row, outputs, before, n).T))
+
+    def _begin(self, origin_ns: int) -> None:
+        """Begin a segment; what is known of the sensor stays."""
+        self.thermometer.begin()
+        self._gate, self._output = Gate(), Output()
+        self._filters: Filters | None = None
+        self._fault = False
+        """Whether the readings before were taken for a fault."""
+        self._origin_ns, self._end_s = origin_ns, 0.0
+        self._last, self._last_s = math.nan, -math.inf
+
+    def _update(self, slots: Slots, i: int) -> Output:
+        """Take a slot; return the output from its end on."""
+        if slots.begins[i]:
+            self._begin(int(slots.start_ns[i]))
+        slot = self._slot(slots, i)
+        if slot.end_s - self._gate.used_s > GAP_S:
+            self._filters, self._output = None, Output()
+        if self._filters is not None:
+            self._filters = predict(self._models, self.thermometer, self._filters, slot.time_s)
+        shown = self._measure(slot)
+        if shown is not None:
+            self._output = output(self._models, self.thermometer, shown, self._output, slot.end_s)
+        return self._output
+
+    def _measure(self, slot: Slot) -> Filters | None:
+        """Let the filters take the new readings of a slot; return those to show, None without an estimate."""
+        thermometer, filters = self.thermometer, self._filters
+        new = thermometer.unrepeated(slot)
+        if new is None:
+            return filters
+        if self._fault:
+            new = new.alone()
+        outcome = self._gate.decide(new, thermometer, filters.expected if filters else None)
+        self._fault = outcome is Outcome.PREDICT
+        if self._gate.sticks:
+            self.stuck_degc = self._gate.outlier_degc
+        if outcome is Outcome.PREDICT:
+            return filters
+        thermometer.learn(new, anew=outcome is Outcome.RESTART)
+        if outcome is Outcome.RESTART or filters is None:
+            self._filters, self._output = start(self._models, thermometer, new), Output()
+            return self._filters
+        entering, confining = evaluate(self._models, thermometer, new, filters.reading)
+        self._filters = correct(filters, entering)
+        return correct(self._filters, confining) if confining else self._filters
+
+    def _slot(self, slots: Slots, i: int) -> Slot:
+        """Return the readings of a slot."""
+        start_s, end_s = (int(ns[i] - self._origin_ns) * 1e-9 for ns in (slots.start_ns, slots.end_ns))
+        first = float(slots.first[i, 0])
+        is_neighbour = start_s - self._last_s < self.thermometer.neighbour_s
+        before = self._last if is_neighbour else first
+        gap_s = (end_s - self._end_s) / int(slots.samples[i])
+        slot = Slot(
+            time_s=0.5 * (start_s + end_s),
+            end_s=end_s,
+            count=int(slots.count[i, 0]),
+            mean=float(slots.mean[i, 0]),
+            variance=float(slots.variance[i, 0]),
+            low=float(slots.smallest[i, 0]),
+            high=float(slots.largest[i, 0]),
+            before=before,
+            first=first,
+            last=float(slots.last[i, 0]),
+            changes=max(int(slots.changes[i, 0]), int(before != first)),
+            step_squares=float(slots.step_squares[i, 0]),
+            gap_s=gap_s,
+            spacing_s=max(SLOT_S, gap_s),
+        )
+        if slot.count:
+            self._last, self._last_s = slot.last, end_s
+        self._end_s = end_s
+        return slot
