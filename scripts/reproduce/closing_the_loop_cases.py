@@ -108,7 +108,26 @@ POSES = np.array([[0, 0, 1], [0, 0, -1], [0, 1, 0], [0, -1, 0], [1, 0, 0], [-1, 
 def make_case(setting: Setting, seed: int) -> Case:
     """Return the case of a setting and a seed; with ten further columns where it has a driver."""
     case = _thermal_case(setting, seed)
+    if setting.latitude_deg is not None:
+        case = replace(
+            case, runs=[_with_level_earth_rate(run, setting.latitude_deg, seed) for run in case.runs]
+        )
     return _with_columns(case, setting, seed) if setting.driver else case
+
+
+def _with_level_earth_rate(run: Run, latitude_deg: float, seed: int) -> Run:
+    """Return a run with the horizontal earth rate, too, another heading in each pose."""
+    rng = np.random.default_rng([seed, 6])
+    up = np.column_stack([run.mean[f"accel_{axis}"] for axis in "xyz"]) / GRAVITY
+    turns = np.flatnonzero(np.abs(np.diff(up, axis=0)).max(axis=1) > 0.5) + 1
+    changed = dict(run.mean)
+    for rows in np.split(np.arange(len(up)), turns):
+        across = np.cross(up[rows[0]].round(), rng.normal(size=3))
+        level = EARTH_DPH * np.cos(np.radians(latitude_deg)) * DPH * across / np.linalg.norm(across)
+        for at, axis in enumerate("xyz"):
+            changed[f"gyro_{axis}"] = changed[f"gyro_{axis}"].copy()
+            changed[f"gyro_{axis}"][rows] += level[at]
+    return replace(run, mean=changed)
 
 
 def _with_columns(case: Case, setting: Setting, seed: int) -> Case:

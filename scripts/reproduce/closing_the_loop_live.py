@@ -15,7 +15,7 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
-from closing_the_loop_cases import DPH, EARTH_DPH, GRAVITY, Case, Setting, make_case
+from closing_the_loop_cases import Case, Setting, make_case
 from closing_the_loop_physics import DRIVING
 from closing_the_loop_statistics import share
 from numpy.polynomial.chebyshev import chebvander
@@ -137,21 +137,6 @@ def held(run: Run, model: BiasModel, seed: int) -> Run:
     return replace(run, mean=mean)
 
 
-def level_earth_rate(run: Run, latitude_deg: float, seed: int) -> Run:
-    """Return a run with the horizontal earth rate, too, another heading in each pose."""
-    rng = np.random.default_rng([seed, 6])
-    up = np.column_stack([run.mean[f"accel_{axis}"] for axis in AXES]) / GRAVITY
-    turns = np.flatnonzero(np.abs(np.diff(up, axis=0)).max(axis=1) > 0.5) + 1
-    changed = dict(run.mean)
-    for rows in np.split(np.arange(len(up)), turns):
-        across = np.cross(up[rows[0]].round(), rng.normal(size=3))
-        level = EARTH_DPH * np.cos(np.radians(latitude_deg)) * DPH * across / np.linalg.norm(across)
-        for at, axis in enumerate(AXES):
-            changed[f"gyro_{axis}"] = changed[f"gyro_{axis}"].copy()
-            changed[f"gyro_{axis}"][rows] += level[at]
-    return replace(run, mean=changed)
-
-
 def blocks_of(run: Run) -> list[SampleBlock]:
     """Return a run as blocks of a sample a second."""
     samples = sent(run.time_s, at_rest=np.rint(run.rest), **run.mean)
@@ -162,8 +147,6 @@ def run_case(job: tuple[Setting, int]) -> Session:
     """Return what is reported of the third run of a case."""
     setting, seed = job
     case = make_case(setting, seed)
-    if setting.latitude_deg is not None:
-        case = replace(case, runs=[level_earth_rate(run, setting.latitude_deg, seed) for run in case.runs])
     model, last = plain_model(case), case.runs[2]
     if "constant" in setting.label:
         last = held(last, model, seed)
