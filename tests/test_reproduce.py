@@ -1,4 +1,4 @@
-"""The scripts that make the figures of the docs still run: each imports, and small runs go to their end."""
+"""The scripts of the docs still run: each imports, small runs go to their end, pages name what exists."""
 
 from __future__ import annotations
 
@@ -13,48 +13,43 @@ from importlib import import_module
 from pathlib import Path
 from unittest.mock import patch
 
-import matplotlib
 import pytest
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "scripts" / "reproduce"
 COMMANDS = sorted(path.name for path in FOLDER.iterdir() if path.is_file() and os.access(path, os.X_OK))
-
-QUICK = (
-    "ablation", "alignment", "attitude", "bias_race", "field", "random_error", "rest_detector", "smoothing",
-    "tczupt", "temperature_rate", "thermal_calibration",
-)  # fmt: skip
-SMALL: dict[str, list[str]] = {
-    "allan_terms": ["1"],
-    "bias_sigma": ["--seeds", "1", "--only", "tactical"],
-    "moving_bias": ["--seeds", "1", "--only", "rover", "--minutes", "3"],
-    "alignment_site": ["1", "--only", "0.03"],
-    "thermometers": ["--seeds", "1", "--kinds", "white 0.25 step, 10 Hz", "--holds", "60", "--part", "bias"],
-    **{name: ["--quick"] for name in QUICK},
-}
-"""Arguments of a run of some seconds."""
-FORKING = "closing_the_loop"
-"""Starts processes of its own, as this one with the threads of other tests must not."""
+LEFT_OUT = {"ablation", "plans", "measured"}
+"""Parts whose smallest run takes minutes, or wants a recording."""
+OWN = {"ablation", "field"}
+"""Commands with a command line of their own."""
+NAMED = re.compile(r"scripts/(\w+(?:/\w+)?)(?:\.py)?")
 
 
-def planted(folder: Path, python: str) -> Path:
-    """Return a tree with the scripts, whose docs may be written, where this text is Python."""
-    for name in ("configs", "tests"):
-        (folder / name).symlink_to(ROOT / name)
-    shutil.copytree(ROOT / "scripts", folder / "scripts")
-    for name in ("appendix", "figures"):
-        (folder / "docs" / name).mkdir(parents=True)
-    program = folder / ".venv" / "bin" / "python"
-    program.parent.mkdir(parents=True)
-    program.write_text(f"#!/bin/sh\n{python}\n")
-    program.chmod(0o755)
-    return folder
+def commands() -> list[tuple[str, ...]]:
+    """Return the small run of each command and part, of some seconds."""
+    import study
+
+    parts = [
+        (command, *(["--part", part] if part else []))
+        for command, known in study.STUDIES.items()
+        for part in known
+    ]
+    return [*((name,) for name in sorted(OWN)), *(one for one in parts if not LEFT_OUT & {*one})]
 
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A tree whose Python says what it would run."""
-    return planted(tmp_path_factory.mktemp("tree"), "printf '%s\\n' \"$@\"")
+    """A tree with the scripts, whose docs may be written, and whose Python says what it would run."""
+    folder = tmp_path_factory.mktemp("tree")
+    for name in ("configs", "tests"):
+        (folder / name).symlink_to(ROOT / name)
+    shutil.copytree(ROOT / "scripts", folder / "scripts", symlinks=True)
+    shutil.copytree(ROOT / "docs", folder / "docs")
+    program = folder / ".venv" / "bin" / "python"
+    program.parent.mkdir(parents=True)
+    program.write_text("#!/bin/sh\nprintf '%s\\n' \"$@\"\n")
+    program.chmod(0o755)
+    return folder
 
 
 @pytest.fixture
@@ -62,7 +57,7 @@ def scripts(tree: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The folder of the scripts, which may be imported, and leave settings as they were."""
     folder = tree / "scripts" / "reproduce"
     monkeypatch.syspath_prepend(folder)
-    with matplotlib.rc_context(), patch.dict(os.environ):
+    with patch.dict(os.environ):
         yield folder
 
 
@@ -80,23 +75,62 @@ def test_every_script_imports(scripts: Path) -> None:
         import_module(name)
 
 
-@pytest.mark.parametrize("name", SMALL)
+@pytest.mark.parametrize("command", commands(), ids=" ".join)
 def test_a_small_run_goes_to_its_end(
-    name: str, scripts: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    command: tuple[str, ...],
+    scripts: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    arguments = run(scripts / name, *SMALL[name]).splitlines()
-    assert arguments[1:] == SMALL[name]
+    arguments = run(scripts / command[0], *command[1:], "--quick").splitlines()
+    assert arguments[-1] == "--quick"
     monkeypatch.setattr(sys, "argv", arguments)
     runpy.run_path(arguments[0], run_name="__main__")
     assert re.search(r"\d", capsys.readouterr().out)
 
 
-def test_a_small_run_in_processes_of_its_own(tmp_path: Path) -> None:
-    tree = planted(tmp_path, f'exec "{sys.executable}" "$@"')
-    assert re.search(r"\d", run(tree / "scripts" / "reproduce" / FORKING, "--quick"))
+def test_every_study_has_a_command() -> None:
+    import study
+
+    assert {*study.STUDIES, *OWN, "study"} == set(COMMANDS)
+    assert all((FOLDER / name).resolve() == FOLDER / "study" for name in study.STUDIES)
 
 
-def test_every_script_is_started_by_a_command_of_its_own() -> None:
-    assert {*SMALL, FORKING} == set(COMMANDS)
-    for name in COMMANDS:
-        assert list(FOLDER.glob(f"{name}*.py")), name
+def test_pages_have_the_markers_of_their_studies(scripts: Path) -> None:
+    import study
+
+    for command, parts in study.STUDIES.items():
+        for part, module in parts.items():
+            page = import_module(module).STUDY.page
+            text = (scripts.parents[1] / "docs" / page).read_text(encoding="utf-8") if page else ""
+            assert not page or f"<!-- end {part or command} -->" in text, page
+
+
+def test_commands_that_the_docs_name_exist() -> None:
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    for page in pages:
+        for name in NAMED.findall(page.read_text(encoding="utf-8")):
+            paths = [ROOT / "scripts" / name, ROOT / "scripts" / f"{name}.py"]
+            assert any(path.exists() for path in paths), f"{page.name}: scripts/{name}"
+
+
+def test_parts_that_the_docs_name_exist() -> None:
+    import study
+
+    for page in (ROOT / "docs").rglob("*.md"):
+        for part in re.findall(r"closing_the_loop(?:` \()? --part (\w+)", page.read_text(encoding="utf-8")):
+            assert part in study.STUDIES["closing_the_loop"], f"{page.name}: --part {part}"
+
+
+def test_tables_are_written_between_markers_and_compared(tmp_path: Path) -> None:
+    import study
+
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- one -->\nold\n<!-- end one -->\nafter\n", encoding="utf-8")
+    table = study.Table("Title", ["a", "b"], [["1", "2"]]).markdown()
+    study.write_between(page, "one", table)
+    assert page.read_text(encoding="utf-8") == (
+        "before\n<!-- one -->\nTitle\n\n| a | b |\n|---|---|\n| 1 | 2 |\n<!-- end one -->\nafter\n"
+    )
+    assert not list(study.differences(table, page.read_text(encoding="utf-8")))
+    assert "+| 1 | 3 |" in study.differences(table.replace("2", "3"), page.read_text(encoding="utf-8"))

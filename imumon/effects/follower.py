@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict
-from itertools import combinations
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -17,8 +15,6 @@ from imumon.effects.temperature_curve import MORE_DEGREES
 SHORTEST_S = 20.0
 """A lag or delay that is shorter is a rate in means of 30 s."""
 HIGHEST_ORDER = 9
-MOST_IN_SUMS = 9
-"""Parameters of which sums are tried."""
 
 
 class Follower(ScaledEffect):
@@ -50,14 +46,6 @@ class Follower(ScaledEffect):
         orders = [order for order in every if order <= HIGHEST_ORDER]
         linear = [one for one in cls.grid(survey) if one.order == 1] if may_sum(survey, 2) else []
         return [one.model_copy(update={"order": order}) for order in orders for one in linear]
-
-    @staticmethod
-    def _sums_of(chosen: Sequence[Follower], sizes: Sequence[int]) -> list[tuple[Any, ...]]:
-        """Return sums of so many of the chosen effects, or of some spread over them where they are many."""
-        count = min(MOST_IN_SUMS, len(chosen))
-        spread = np.unique(np.linspace(0, len(chosen) - 1, count).round().astype(int))
-        few = [chosen[index] for index in spread.tolist()]
-        return [group for size in sizes for group in combinations(few, size)]
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return what follows the driver, (n,), and carry the memory along."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from itertools import combinations
 from typing import ClassVar, Literal, Self, get_args
 
 import numpy as np
@@ -14,6 +15,8 @@ from imumon.effects.follower import Follower
 
 SHARES = (0.05, 0.1, 0.2, 0.4)
 """Half widths of a loop of another driver, of its span."""
+MOST_IN_SUMS = 9
+"""Widths of which sums are tried."""
 SLACK_DEGC = 0.15
 """Way of the thermometer that its noise and its steps make up."""
 
@@ -67,11 +70,14 @@ class Hysteresis(Follower):
 
     @classmethod
     def sums(cls, grid: Sequence[Self]) -> list[tuple[Self, ...]]:
-        """Return sums of two and three backlashes, and of two smooth loops."""
-        plays, smooth = (
-            [loop for loop in grid if loop.order == 1 and loop.shape == shape] for shape in get_args(Shape)
-        )
-        return [*cls._sums_of(plays, (2, 3)), *cls._sums_of(smooth, (2,))]
+        """Return sums of two and three backlashes, and of two smooth loops, of widths over the whole grid."""
+        found = list[tuple[Self, ...]]()
+        for shape, sizes in (("play", (2, 3)), ("smooth", (2,))):
+            loops = [loop for loop in grid if loop.order == 1 and loop.shape == shape]
+            spread = np.linspace(0, len(loops) - 1, min(MOST_IN_SUMS, len(loops))).round().astype(int)
+            few = [loops[index] for index in np.unique(spread).tolist()]
+            found += [group for size in sizes for group in combinations(few, size)]
+        return found
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return what is dragged along."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import ClassVar, Literal, Self
 
@@ -54,13 +54,6 @@ class ThermalLag(Follower):
         scale = asdict(survey.others[driver])
         times = logarithmic(SHORTEST_S, survey.shortest_s / 4, RATIO**2)
         return [cls(driver=driver, time_constant_s=tau, start_sd=0.0, **scale) for tau in times]
-
-    @classmethod
-    def sums(cls, grid: Sequence[Self]) -> list[tuple[Self, ...]]:
-        """Return sums of two lags, none of which is a rate."""
-        return cls._sums_of(
-            [lag for lag in grid if lag.order == 1 and lag.time_constant_s >= 2 * UNTOLD_S], (2,)
-        )
 
     def follow(self, memory: Memory, drive: Drive) -> FloatArray:
         """Return the lagged driver."""

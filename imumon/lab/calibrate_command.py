@@ -21,7 +21,7 @@ from imumon.lab.diagnose_command import chosen_drivers, read
 
 if TYPE_CHECKING:
     from imumon.lab.calibration.calibration import Calibration, Finding
-    from imumon.lab.diagnosis.driven import Driven
+    from imumon.lab.diagnosis.extended import Driven
 
 NO_DRIVER = {"drivers": "none of those recorded is proven"}
 
@@ -75,10 +75,10 @@ def command(
         result = calibrate(records, latitude, heading, serial, tell)
         result.warnings[:0] = warnings
         if chosen != []:
-            from imumon.lab.diagnosis.driven import with_drivers
+            from imumon.lab.diagnosis.extended import model_with_drivers
 
             runs = [read(path, None, at_rest=False) for path in sessions]
-            driven = with_drivers(result.model, runs, chosen, tell)
+            driven = model_with_drivers(result.model, runs, chosen, tell)
     model = result.model if driven is None else driven.model
     if parameters is not None:
         from imumon.lab.calibration.refuted import check_last

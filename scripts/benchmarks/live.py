@@ -61,7 +61,7 @@ def run() -> tuple[list[Table], list[Bar]]:
     table.notes += [
         f"{MEASURED_S:g} s, after {SETTLING_S:g} s; the virtual device and the viewer, drawing by software, "
         f"have the {os.cpu_count()} cores, too, and do not count",
-        "age: of the newest sample that the viewer has since its arrival, asked about 50 times a second",
+        "age: of the newest sample that the viewer has since its arrival, read about 50 times a second",
     ]
     return [table], bars
 
@@ -112,11 +112,11 @@ def _viewer() -> Iterator[tuple[ViewerClient, psutil.Process]]:
 
 @contextmanager
 def monitored(port: str, folder: Path, view: str) -> Iterator[subprocess.Popen[bytes]]:
-    """Monitor a port; what is said goes to the file ``said`` of a folder, the recording to ``session``."""
+    """Monitor a port; its log goes to the file ``log`` of a folder, the recording to ``session``."""
     program = [sys.executable, "-c", "from imumon.cli import main; main()", "monitor", port]
     options = ["--device", DEVICE, "--baud", str(BAUDRATE), "--view", view, "--out", str(folder / "session")]
-    with (folder / "said").open("wb") as said:
-        process = subprocess.Popen([*program, *options], stdout=subprocess.DEVNULL, stderr=said)
+    with (folder / "log").open("wb") as log:
+        process = subprocess.Popen([*program, *options], stdout=subprocess.DEVNULL, stderr=log)
     try:
         yield process
     finally:

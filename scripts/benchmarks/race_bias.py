@@ -8,8 +8,8 @@ from time import perf_counter
 from types import MappingProxyType
 
 import numpy as np
-from bias_race_runners import DEFAULTS, FUSION_GRID, VQF_GRID, Method, Run, imumon, simulate, with_rests
-from bias_race_table import ATHERMAL, RAMP, TUNING_SEED, WARM_UP, best, scenario_of, score
+from bias_race_runners import DEFAULTS, Method, Run, imumon, simulate, with_rests
+from bias_race_table import ATHERMAL, RAMP, TUNING_SEED, WARM_UP, scenario_of, score, tuned, with_settings
 
 from benchmarks.measure import Table
 from benchmarks.peers import faster, named
@@ -38,7 +38,7 @@ def table(
     costs, errors = defaultdict[str, list[float]](list), defaultdict[tuple[str, str], list[float]](list)
     for scene in scenes:
         scenario = scenario_of(scene).model_copy(update=dict(changes))
-        entered = DEFAULTS | (_tuned(simulate(scenario, TUNING_SEED)) if tune else {}) | OWN
+        entered = DEFAULTS | (with_settings(tuned(simulate(scenario, TUNING_SEED))) if tune else {}) | OWN
         for seed in range(seeds):
             run = simulate(scenario, seed)
             for name, method in entered.items():
@@ -73,11 +73,6 @@ def table(
         f"*Faster* and *better* are against “{FIRST}”."
     )
     return result
-
-
-def _tuned(run: Run) -> dict[str, Method]:
-    fusion, vqf = best(FUSION_GRID, run), best(VQF_GRID, run)
-    return {"imufusion Bias, tuned": FUSION_GRID[fusion], "VQF, tuned": VQF_GRID[vqf]}
 
 
 def timed(method: Method, run: Run, own: bool) -> tuple[float, float]:

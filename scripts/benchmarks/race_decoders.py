@@ -131,7 +131,7 @@ def _mavlink(common: Any, data: bytes, _: int) -> Sequence[float]:
 
 
 class _Port:
-    """Bytes as a port of pyserial; the receiver is told to end with the last."""
+    """Bytes as a port of pyserial; the receiver ends with the last."""
 
     def __init__(self, data: bytes, receiver: Any) -> None:
         self._data = io.BytesIO(data)

@@ -29,7 +29,7 @@ CASES: tuple[tuple[str, str, float | None], ...] = (
     ("at rest, latitude known", "self-heating", LATITUDE_DEG),
     ("handled, rests of 10 s", "warm-up", None),
 )
-"""What it is called, the scenario, and the latitude that the pipeline is told."""
+"""What it is called, the scenario, and the latitude that the pipeline knows."""
 
 
 @dataclass

@@ -25,13 +25,13 @@ SECTIONS = {
     "pipeline": "benchmarks.path",
     "replay": "benchmarks.replay",
     "live": "benchmarks.live",
-    "temperature": "benchmarks.temperature",
-    "rest": "benchmarks.rest",
-    "zupt": "benchmarks.zupt",
-    "random_error": "benchmarks.random_error",
+    "temperature": "benchmarks.stages:temperature",
+    "rest": "benchmarks.stages:rest",
+    "zupt": "benchmarks.stages:zupt",
+    "random_error": "benchmarks.stages:random_error",
     "allan": "benchmarks.allan",
     "batch": "benchmarks.batch",
-    "alignment": "benchmarks.alignment",
+    "alignment": "benchmarks.stages:alignment",
 }
 RACE = {"race": "benchmarks.race"}
 """It wants packages of others, which `scripts/environment race` installs."""
@@ -59,7 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error(f"no section {', '.join(sorted(unknown))}; there are: {', '.join(every)}")
     host, tables, bars = machine(), [], []
     for name in wanted or SECTIONS:
-        new_tables, new_bars = import_module(every[name]).run()
+        module, _, function = every[name].partition(":")
+        new_tables, new_bars = getattr(import_module(module), function or "run")()
         tables += new_tables
         bars += new_bars
         if not options.json:

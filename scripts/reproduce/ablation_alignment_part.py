@@ -49,7 +49,7 @@ def _knock(t: FloatArray, rng: np.random.Generator) -> FloatArray:  # noqa: ARG0
     return np.asarray(np.outer(np.clip(2.0 * (t - 40.0), 0.0, 1.0), [1e-4, 1e-4]))
 
 
-KNOCKED = Scene("a knock that leaves 100 µrad, at 40 s", tilt=_knock)
+KNOCKED = Scene("a knock that leaves 100 µrad, at 40 s", ((_knock,),))
 CHOSEN = (
     "quiet",
     "warm-up 83.7 µg, 150 s",

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import math
+from collections.abc import Iterator
 
 import numpy as np
-from alignment_runs import ACCEL_BIAS_UG
-from alignment_site_scenes import CREEPS, SCENES, Scene, mean_heading, record
+from alignment_site_scenes import ACCEL_BIAS_UG, CREEPS, SCENES, Scene, mean_heading, record
+from study import Cell, Cells, Options, Study, Table, largest, worst_first
+from study import rms as rms
 
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment.parameters import AlignmentParameters
@@ -23,12 +24,6 @@ RATIO, RMS_Z, MAX_Z, SHOWN = 1.5, 1.8, 5.0, 0.9
 def off_deg(heading: float, truth: float) -> float:
     """Return the difference of two headings in rad, as degrees."""
     return math.degrees(math.remainder(heading - truth, 2.0 * math.pi))
-
-
-def rms(values: FloatArray) -> float:
-    """Return the root of the mean square of what is known."""
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if len(known) else math.nan
 
 
 def outcome(scene: Scene, seed: int) -> tuple[FloatArray, FloatArray]:
@@ -52,47 +47,37 @@ def outcome(scene: Scene, seed: int) -> tuple[FloatArray, FloatArray]:
     return np.array(rows), (off / out["heading_sd"])[:: round(scene.rate_hz)]
 
 
-def row(scene: Scene, seeds: range) -> tuple[float, str]:
+NAMES = ("rms error °", "over the better mean", "σ", "shown", "rms z", "max z")
+HEADS = (*(f"{name}, {second} s" for second in AT_S for name in NAMES), "max z, any second", "beyond 5 σ")
+FORMATS = ("", *(".4f", ".2f", ".4f", "", ".2f", ".1f") * len(AT_S), ".1f", "")
+
+
+def row(scene: Scene, seeds: range) -> tuple[float, Cells]:
     """Return by how much a scene is worse than the bars, and its row of the table."""
     outcomes = [outcome(scene, seed) for seed in seeds]
-    found, always = np.array([rows for rows, _ in outcomes]), np.abs([z for _, z in outcomes])
-    cells, worse = [scene.name], 0.0
+    found, always = np.array([rows for rows, _ in outcomes]), np.array([z for _, z in outcomes])
+    cells: list[Cell] = [scene.name]
+    past = []
     for k, second in enumerate(AT_S):
         error, sd, plain, hann = found[:, k].T
-        shown = np.isfinite(error)
-        z = error / sd
+        shown, z = float(np.isfinite(error).mean()), error / sd
         ratio = rms(error) / min(rms(plain), rms(hann))
-        largest = float(np.abs(z[shown]).max()) if shown.any() else math.nan
-        past = [rms(z) / RMS_Z, largest / MAX_Z]
+        past += [rms(z) / RMS_Z, largest(z) / MAX_Z]
         if second >= FROM_S:
-            past += [ratio / RATIO, SHOWN / max(float(shown.mean()), 0.01)]
-        worse = max([worse, *(value for value in past if math.isfinite(value))])
-        cells += [
-            f"{rms(error):.4f}", f"{ratio:.2f}", f"{np.median(sd):.4f}", f"{100 * shown.mean():.0f} %",
-            f"{rms(z):.2f}", f"{largest:.1f}",
-        ]  # fmt: skip
+            past += [ratio / RATIO, SHOWN / max(shown, 0.01)]
+        cells += [rms(error), ratio, float(np.median(sd)), f"{100 * shown:.0f} %", rms(z), largest(z)]
     known = always[np.isfinite(always)]
-    largest, lies = (float(known.max()), float(np.mean(known > MAX_Z))) if len(known) else (math.nan, 0.0)
-    return worse, f"| {' | '.join(cells)} | {largest:.1f} | {100 * lies:.1f} % |"
+    beyond = float(np.mean(np.abs(known) > MAX_Z)) if len(known) else 0.0
+    return float(np.nanmax(past)), [*cells, largest(known), f"{100 * beyond:.1f} %"]
 
 
-def main() -> None:
-    """Print the tables, the worst row first."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("runs", nargs="?", type=int, default=10)
-    parser.add_argument("--first", type=int, default=0, help="first seed")
-    parser.add_argument("--only", default="", help="part of a scene's name")
-    given = parser.parse_args()
-    names = ["rms error °", "over the better mean", "σ", "shown", "rms z", "max z"]
-    heads = [f"{name}, {second} s" for second in AT_S for name in names]
-    seeds = range(given.first, given.first + given.runs)
+def tables(given: Options) -> Iterator[Table]:
+    """Yield the tables, the worst row first."""
     for title, scenes in (("site", SCENES), ("creep about the vertical", CREEPS)):
-        rows = [row(scene, seeds) for scene in scenes if given.only in scene.name]
-        if rows:
-            print(f"| {title} | {' | '.join(heads)} | max z, any second | beyond 5 σ |")
-            print("|---" * (3 + len(heads)) + "|")
-            print("\n".join(text for _, text in sorted(rows, reverse=True)), flush=True)
+        chosen = [scene for scene in scenes if given.only in scene.name][: 1 if given.quick else None]
+        if chosen:
+            rows = worst_first(row(scene, given.seeds) for scene in chosen)
+            yield Table("", [title, *HEADS], rows, formats=FORMATS)
 
 
-if __name__ == "__main__":
-    main()
+STUDY = Study(tables, seeds=10)

@@ -5,17 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from alignment_site_tilts import (
-    Tilt,
-    Turn,
     creeping,
     door,
     footsteps,
     gusts,
     in_hand,
-    in_turn,
     lorry,
     lorry_once,
     settling,
@@ -24,10 +22,10 @@ from alignment_site_tilts import (
     sway,
     swelling,
     swinging,
-    together,
     turning,
     wind,
 )
+from samples import gauss_markov, sent
 from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray, SampleBlock
@@ -39,6 +37,8 @@ VRW = 5e-5
 """m/s/√s."""
 PAPER_ARW, SITE_ARW, TACTICAL_ARW = 2.43e-4, 1e-3, 0.01
 """deg/√h: of the paper, of a fibre-optic gyro, and of a tactical one."""
+ACCEL_BIAS_UG = 30.0
+"""Of accelerometers of navigation grade, as they are declared."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,8 @@ class Scene:
     ----------
     arw : float
         deg/√h.
-    tilt : Tilt
-        How the unit moves.
-    turn : Turn
-        How it turns about the vertical.
+    tilts, turns : tuple of tuple
+        How the unit moves, and turns about the vertical: functions of alignment_site_tilts and numbers.
     warm_up : (float, float)
         µg of both level accelerometers, and s.
     bias_deg_per_h : float
@@ -76,8 +74,8 @@ class Scene:
     """
 
     name: str
+    tilts: tuple[tuple[Any, ...], ...] = ()
     arw: float = SITE_ARW
-    tilt: Tilt | None = None
     warm_up: tuple[float, float] = (0.0, 150.0)
     bias_deg_per_h: float = 0.0
     east_bias_deg_per_h: float = 0.0
@@ -89,206 +87,179 @@ class Scene:
     latitude_deg: float = LATITUDE_DEG
     rate_hz: float = RATE_HZ
     any_attitude: bool = False
-    turn: Turn | None = None
+    turns: tuple[tuple[Any, ...], ...] = ()
     lean_deg: float = 0.0
     parameters: Mapping[str, float | None] = field(default_factory=dict)
 
 
-MICRO = 1e-6
 ANY = {"accel_bias_sd_ug": None}
 """Accelerometers that nobody has declared."""
+WARM_UP = (83.7, 150.0)
+"""Of the paper: µg and s."""
 SCENES = (
-    Scene("quiet, noise of the paper", PAPER_ARW),
-    Scene("quiet", SITE_ARW),
-    Scene("warm-up 83.7 µg, 300 s, noise of the paper", PAPER_ARW, None, (83.7, 300.0)),
-    Scene("warm-up 83.7 µg, 150 s", SITE_ARW, None, (83.7, 150.0)),
-    Scene("sway 20 µrad at 0.2 Hz", SITE_ARW, sway(20 * MICRO, 0.2)),
-    Scene(
-        "sway 20 µrad at 0.2 Hz, noise of the paper, warm-up", PAPER_ARW, sway(20 * MICRO, 0.2), (83.7, 150.0)
-    ),
-    Scene("sway 200 µrad at 0.07 Hz", SITE_ARW, sway(200 * MICRO, 0.07)),
-    Scene("sway 5 µrad at 1.3 Hz", SITE_ARW, sway(5 * MICRO, 1.3)),
-    Scene("wind, 20 µrad at 0.25 Hz", SITE_ARW, wind(20 * MICRO, 0.25, 0.05)),
-    Scene("footsteps of 2 µrad every 8 s", SITE_ARW, footsteps(2 * MICRO, 8.0)),
-    Scene("footsteps of 20 µrad every 3 s", SITE_ARW, footsteps(20 * MICRO, 3.0)),
-    Scene(
-        "footsteps of 2 µrad, noise of the paper, warm-up",
-        PAPER_ARW,
-        footsteps(2 * MICRO, 8.0),
-        (83.7, 150.0),
-    ),
-    Scene("settling 50 µrad, 60 s", SITE_ARW, settling(50 * MICRO, 60.0)),
-    Scene("settling 200 µrad, 60 s", SITE_ARW, settling(200 * MICRO, 60.0)),
-    Scene("settling 50 µrad, 120 s, noise of the paper", PAPER_ARW, settling(50 * MICRO, 120.0)),
-    Scene("settling 200 µrad, 20 s, warm-up", SITE_ARW, settling(200 * MICRO, 20.0), (83.7, 150.0)),
-    Scene("settling 50 µrad, 300 s, warm-up", SITE_ARW, settling(50 * MICRO, 300.0), (83.7, 150.0)),
-    Scene("creeping 100 µrad", SITE_ARW, creeping(100 * MICRO, 20.0)),
+    Scene("quiet, noise of the paper", arw=PAPER_ARW),
+    Scene("quiet"),
+    Scene("warm-up 83.7 µg, 300 s, noise of the paper", arw=PAPER_ARW, warm_up=(83.7, 300.0)),
+    Scene("warm-up 83.7 µg, 150 s", warm_up=WARM_UP),
+    Scene("sway 20 µrad at 0.2 Hz", ((sway, 20, 0.2),)),
+    Scene("sway 20 µrad at 0.2 Hz, noise of the paper, warm-up", ((sway, 20, 0.2),), PAPER_ARW, WARM_UP),
+    Scene("sway 200 µrad at 0.07 Hz", ((sway, 200, 0.07),)),
+    Scene("sway 5 µrad at 1.3 Hz", ((sway, 5, 1.3),)),
+    Scene("wind, 20 µrad at 0.25 Hz", ((wind, 20, 0.25, 0.05),)),
+    Scene("footsteps of 2 µrad every 8 s", ((footsteps, 2, 8),)),
+    Scene("footsteps of 20 µrad every 3 s", ((footsteps, 20, 3),)),
+    Scene("footsteps of 2 µrad, noise of the paper, warm-up", ((footsteps, 2, 8),), PAPER_ARW, WARM_UP),
+    Scene("settling 50 µrad, 60 s", ((settling, 50, 60),)),
+    Scene("settling 200 µrad, 60 s", ((settling, 200, 60),)),
+    Scene("settling 50 µrad, 120 s, noise of the paper", ((settling, 50, 120),), PAPER_ARW),
+    Scene("settling 200 µrad, 20 s, warm-up", ((settling, 200, 20),), warm_up=WARM_UP),
+    Scene("settling 50 µrad, 300 s, warm-up", ((settling, 50, 300),), warm_up=WARM_UP),
+    Scene("creeping 100 µrad", ((creeping, 100, 20),)),
     Scene(
         "sway, footsteps, settling 50 µrad, warm-up",
-        SITE_ARW,
-        together(sway(20 * MICRO, 0.2), footsteps(2 * MICRO, 8.0), settling(50 * MICRO, 60.0)),
-        (83.7, 150.0),
+        ((sway, 20, 0.2), (footsteps, 2, 8), (settling, 50, 60)),
+        warm_up=WARM_UP,
     ),
-    Scene("sway 2 µrad at 0.05 Hz", SITE_ARW, sway(2 * MICRO, 0.05)),
-    Scene("sway 200 µrad at 0.05 Hz", SITE_ARW, sway(200 * MICRO, 0.05)),
-    Scene("sway 200 µrad at 0.5 Hz", SITE_ARW, sway(200 * MICRO, 0.5)),
-    Scene("sway 200 µrad at 1.97 Hz", SITE_ARW, sway(200 * MICRO, 1.97)),
-    Scene("sway 20 µrad at 1.97 Hz, noise of the paper", PAPER_ARW, sway(20 * MICRO, 1.97)),
-    Scene("wind, 200 µrad at 0.5 Hz", SITE_ARW, wind(200 * MICRO, 0.5, 0.02)),
-    Scene("wind, 5 µrad at 0.1 Hz, noise of the paper", PAPER_ARW, wind(5 * MICRO, 0.1, 0.2)),
-    Scene("traffic, 1 µrad about 12 Hz", SITE_ARW, wind(MICRO, 12.0, 0.1)),
-    Scene("footsteps of 0.2 µrad every 1 s", SITE_ARW, footsteps(0.2 * MICRO, 1.0)),
-    Scene("footsteps of 20 µrad every 1 s", SITE_ARW, footsteps(20 * MICRO, 1.0)),
-    Scene("footsteps of 20 µrad every 60 s", SITE_ARW, footsteps(20 * MICRO, 60.0)),
-    Scene("footsteps of 5 µrad every 5 s, noise of the paper", PAPER_ARW, footsteps(5 * MICRO, 5.0)),
-    Scene("settling 5 µrad, 60 s", SITE_ARW, settling(5 * MICRO, 60.0)),
-    Scene("settling 500 µrad, 10 s", SITE_ARW, settling(500 * MICRO, 10.0)),
-    Scene("settling 500 µrad, 100 s", SITE_ARW, settling(500 * MICRO, 100.0)),
-    Scene("settling 500 µrad, 600 s", SITE_ARW, settling(500 * MICRO, 600.0)),
-    Scene("settling 20 µrad, 600 s, noise of the paper", PAPER_ARW, settling(20 * MICRO, 600.0)),
-    Scene("tactical", TACTICAL_ARW),
-    Scene("tactical, wind, 20 µrad at 0.25 Hz", TACTICAL_ARW, wind(20 * MICRO, 0.25, 0.05)),
-    Scene("bias of 3 °/h, not declared", SITE_ARW, bias_deg_per_h=3.0),
-    Scene("bias of 0.05 °/h, not declared", SITE_ARW, bias_deg_per_h=0.05),
-    Scene("flicker of 0.01 °/h", SITE_ARW, flicker_deg_per_h=0.01),
-    Scene("bias of 3 °/h of the gyro that points east", SITE_ARW, east_bias_deg_per_h=3.0),
-    Scene("sway 2000 µrad at 0.01 Hz", SITE_ARW, sway(2000 * MICRO, 0.01)),
-    Scene("sway 50 µrad at 0.01 Hz", SITE_ARW, sway(50 * MICRO, 0.01)),
-    Scene("sway 500 µrad at 0.02 Hz, noise of the paper", PAPER_ARW, sway(500 * MICRO, 0.02)),
-    Scene("sway 50 µrad at 0.03 Hz, warm-up", SITE_ARW, sway(50 * MICRO, 0.03), (83.7, 150.0)),
-    Scene("sway 2000 µrad at 0.1 Hz", SITE_ARW, sway(2000 * MICRO, 0.1)),
-    Scene("sway 200 µrad at 0.08 Hz, 3 m above its pivot", SITE_ARW, sway(200 * MICRO, 0.08), lever_m=3.0),
-    Scene("sway 100 µrad at 4.3 Hz, 1 m above its pivot", SITE_ARW, sway(100 * MICRO, 4.3), lever_m=1.0),
-    Scene("sway 100 µrad at 0.06 Hz, dying in 40 s", SITE_ARW, sway(100 * MICRO, 0.06, 40.0)),
-    Scene("sway 100 µrad at 0.15 Hz, swelling", SITE_ARW, swelling(100 * MICRO, 0.15)),
-    Scene("sway 100 µrad at 0.15 Hz, its frequency ±10 %", SITE_ARW, sway(100 * MICRO, 0.15, modulation=0.1)),
-    Scene(
-        "sway 100 µrad at 0.04 Hz and 30 µrad at 0.11 Hz",
-        SITE_ARW,
-        together(sway(100 * MICRO, 0.04), sway(30 * MICRO, 0.11)),
-    ),
-    Scene(
-        "sway 100 µrad at 0.05 Hz, settling 100 µrad, 200 s",
-        SITE_ARW,
-        together(sway(100 * MICRO, 0.05), settling(100 * MICRO, 200.0)),
-    ),
-    Scene("wind, 50 µrad at 0.03 Hz", SITE_ARW, wind(50 * MICRO, 0.03, 0.2)),
-    Scene("wind, 10 µrad at 0.01 Hz", SITE_ARW, wind(10 * MICRO, 0.01, 0.5)),
-    Scene("footsteps of 200 µrad every 5 s", SITE_ARW, footsteps(200 * MICRO, 5.0)),
-    Scene("footsteps of 100 µrad every 0.5 s", SITE_ARW, footsteps(100 * MICRO, 0.5)),
-    Scene("footsteps of 100 µrad every 20 s", SITE_ARW, footsteps(100 * MICRO, 20.0)),
-    Scene("lorries, 30 µrad every 40 s", SITE_ARW, lorry(30 * MICRO, 40.0)),
-    Scene("lorries, 5 µrad every 15 s", SITE_ARW, lorry(5 * MICRO, 15.0)),
-    Scene("settling 2000 µrad, 100 s", SITE_ARW, settling(2000 * MICRO, 100.0)),
-    Scene("settling 2000 µrad, 3000 s", SITE_ARW, settling(2000 * MICRO, 3000.0)),
-    Scene("settling 100 µrad, 5 s", SITE_ARW, settling(100 * MICRO, 5.0)),
-    Scene("settling 10 µrad, 30 s", SITE_ARW, settling(10 * MICRO, 30.0)),
-    Scene("settling 100 µrad, 100 s, tactical", TACTICAL_ARW, settling(100 * MICRO, 100.0)),
-    Scene("quiet, accelerometers ten times as noisy", SITE_ARW, vrw=10 * VRW),
-    Scene(
-        "sway 200 µrad at 0.05 Hz, accelerometers ten times as noisy",
-        SITE_ARW,
-        sway(200 * MICRO, 0.05),
-        vrw=10 * VRW,
-    ),
-    Scene("sway 200 µrad at 0.05 Hz, tactical", TACTICAL_ARW, sway(200 * MICRO, 0.05)),
+    Scene("sway 2 µrad at 0.05 Hz", ((sway, 2, 0.05),)),
+    Scene("sway 200 µrad at 0.05 Hz", ((sway, 200, 0.05),)),
+    Scene("sway 200 µrad at 0.5 Hz", ((sway, 200, 0.5),)),
+    Scene("sway 200 µrad at 1.97 Hz", ((sway, 200, 1.97),)),
+    Scene("sway 20 µrad at 1.97 Hz, noise of the paper", ((sway, 20, 1.97),), PAPER_ARW),
+    Scene("wind, 200 µrad at 0.5 Hz", ((wind, 200, 0.5, 0.02),)),
+    Scene("wind, 5 µrad at 0.1 Hz, noise of the paper", ((wind, 5, 0.1, 0.2),), PAPER_ARW),
+    Scene("traffic, 1 µrad about 12 Hz", ((wind, 1, 12, 0.1),)),
+    Scene("footsteps of 0.2 µrad every 1 s", ((footsteps, 0.2, 1),)),
+    Scene("footsteps of 20 µrad every 1 s", ((footsteps, 20, 1),)),
+    Scene("footsteps of 20 µrad every 60 s", ((footsteps, 20, 60),)),
+    Scene("footsteps of 5 µrad every 5 s, noise of the paper", ((footsteps, 5, 5),), PAPER_ARW),
+    Scene("settling 5 µrad, 60 s", ((settling, 5, 60),)),
+    Scene("settling 500 µrad, 10 s", ((settling, 500, 10),)),
+    Scene("settling 500 µrad, 100 s", ((settling, 500, 100),)),
+    Scene("settling 500 µrad, 600 s", ((settling, 500, 600),)),
+    Scene("settling 20 µrad, 600 s, noise of the paper", ((settling, 20, 600),), PAPER_ARW),
+    Scene("tactical", arw=TACTICAL_ARW),
+    Scene("tactical, wind, 20 µrad at 0.25 Hz", ((wind, 20, 0.25, 0.05),), TACTICAL_ARW),
+    Scene("bias of 3 °/h, not declared", bias_deg_per_h=3),
+    Scene("bias of 0.05 °/h, not declared", bias_deg_per_h=0.05),
+    Scene("flicker of 0.01 °/h", flicker_deg_per_h=0.01),
+    Scene("bias of 3 °/h of the gyro that points east", east_bias_deg_per_h=3),
+    Scene("sway 2000 µrad at 0.01 Hz", ((sway, 2000, 0.01),)),
+    Scene("sway 50 µrad at 0.01 Hz", ((sway, 50, 0.01),)),
+    Scene("sway 500 µrad at 0.02 Hz, noise of the paper", ((sway, 500, 0.02),), PAPER_ARW),
+    Scene("sway 50 µrad at 0.03 Hz, warm-up", ((sway, 50, 0.03),), warm_up=WARM_UP),
+    Scene("sway 2000 µrad at 0.1 Hz", ((sway, 2000, 0.1),)),
+    Scene("sway 200 µrad at 0.08 Hz, 3 m above its pivot", ((sway, 200, 0.08),), lever_m=3),
+    Scene("sway 100 µrad at 4.3 Hz, 1 m above its pivot", ((sway, 100, 4.3),), lever_m=1),
+    Scene("sway 100 µrad at 0.06 Hz, dying in 40 s", ((sway, 100, 0.06, 40),)),
+    Scene("sway 100 µrad at 0.15 Hz, swelling", ((swelling, 100, 0.15),)),
+    Scene("sway 100 µrad at 0.15 Hz, its frequency ±10 %", ((sway, 100, 0.15, math.inf, 0.1),)),
+    Scene("sway 100 µrad at 0.04 Hz and 30 µrad at 0.11 Hz", ((sway, 100, 0.04), (sway, 30, 0.11))),
+    Scene("sway 100 µrad at 0.05 Hz, settling 100 µrad, 200 s", ((sway, 100, 0.05), (settling, 100, 200))),
+    Scene("wind, 50 µrad at 0.03 Hz", ((wind, 50, 0.03, 0.2),)),
+    Scene("wind, 10 µrad at 0.01 Hz", ((wind, 10, 0.01, 0.5),)),
+    Scene("footsteps of 200 µrad every 5 s", ((footsteps, 200, 5),)),
+    Scene("footsteps of 100 µrad every 0.5 s", ((footsteps, 100, 0.5),)),
+    Scene("footsteps of 100 µrad every 20 s", ((footsteps, 100, 20),)),
+    Scene("lorries, 30 µrad every 40 s", ((lorry, 30, 40),)),
+    Scene("lorries, 5 µrad every 15 s", ((lorry, 5, 15),)),
+    Scene("settling 2000 µrad, 100 s", ((settling, 2000, 100),)),
+    Scene("settling 2000 µrad, 3000 s", ((settling, 2000, 3000),)),
+    Scene("settling 100 µrad, 5 s", ((settling, 100, 5),)),
+    Scene("settling 10 µrad, 30 s", ((settling, 10, 30),)),
+    Scene("settling 100 µrad, 100 s, tactical", ((settling, 100, 100),), TACTICAL_ARW),
+    Scene("quiet, accelerometers ten times as noisy", vrw=10 * VRW),
+    Scene("sway 200 µrad at 0.05 Hz, accelerometers ten times as noisy", ((sway, 200, 0.05),), vrw=10 * VRW),
+    Scene("sway 200 µrad at 0.05 Hz, tactical", ((sway, 200, 0.05),), TACTICAL_ARW),
     Scene(
         "settling 50 µrad, 100 s, accelerometers of a tenth of the noise",
-        SITE_ARW,
-        settling(50 * MICRO, 100.0),
+        ((settling, 50, 100),),
         vrw=VRW / 10,
     ),
-    Scene("accelerometers that jump by 30 µg", SITE_ARW, steps_ug=30.0),
-    Scene("gyros of a tenth of the noise", SITE_ARW / 10),
+    Scene("accelerometers that jump by 30 µg", steps_ug=30),
+    Scene("gyros of a tenth of the noise", arw=SITE_ARW / 10),
     Scene(
         "at 0°, any attitude, 10 Hz, sway 20 µrad at 0.2 Hz",
-        SITE_ARW,
-        sway(20 * MICRO, 0.2),
-        latitude_deg=0.0,
-        rate_hz=10.0,
+        ((sway, 20, 0.2),),
+        latitude_deg=0,
+        rate_hz=10,
         any_attitude=True,
     ),
     Scene(
         "at 60°, any attitude, settling 50 µrad, 60 s",
-        SITE_ARW,
-        settling(50 * MICRO, 60.0),
-        latitude_deg=60.0,
+        ((settling, 50, 60),),
+        latitude_deg=60,
         any_attitude=True,
     ),
     Scene(
         "at -75°, any attitude, sway 100 µrad at 0.05 Hz",
-        SITE_ARW,
-        sway(100 * MICRO, 0.05),
-        latitude_deg=-75.0,
+        ((sway, 100, 0.05),),
+        latitude_deg=-75,
         any_attitude=True,
     ),
-    Scene("in the hand for 3 s", SITE_ARW, in_hand(3.0)),
-    Scene("in the hand for 25 s", SITE_ARW, in_hand(25.0)),
-    Scene("one lorry, 30 µrad at 1.3 Hz, at 30 s", SITE_ARW, lorry_once(30 * MICRO, 1.3, 30.0)),
-    Scene("one lorry, 30 µrad at 1.3 Hz, at 300 s", SITE_ARW, lorry_once(30 * MICRO, 1.3, 300.0)),
-    Scene("one lorry, 1000 µrad at 0.5 Hz, at 300 s", SITE_ARW, lorry_once(1000 * MICRO, 0.5, 300.0)),
-    Scene("one lorry, 300 µrad, at 300 s, tactical", TACTICAL_ARW, lorry_once(300 * MICRO, 3.0, 300.0)),
-    Scene("a door slams, 100 µrad, at 30 s", SITE_ARW, door(100 * MICRO, 30.0)),
-    Scene("a door slams, 100 µrad, at 300 s", SITE_ARW, door(100 * MICRO, 300.0)),
-    Scene("a door slams, 10 µrad, at 540 s, noise of the paper", PAPER_ARW, door(10 * MICRO, 540.0)),
-    Scene("gusts, 10 µrad, 1 s", SITE_ARW, gusts(10 * MICRO, 1.0)),
-    Scene("gusts, 100 µrad, 3 s", SITE_ARW, gusts(100 * MICRO, 3.0)),
-    Scene(
-        "swell, 1000 µrad at 14 and 15 s",
-        SITE_ARW,
-        together(sway(1000 * MICRO, 1 / 14), sway(1000 * MICRO, 1 / 15)),
-    ),
-    Scene("accelerometers off by 100 µg, not declared", SITE_ARW, force_ug=100.0, parameters=ANY),
-    Scene("accelerometers off by 1000 µg, not declared", SITE_ARW, force_ug=1000.0, parameters=ANY),
+    Scene("in the hand for 3 s", ((in_hand, 3),)),
+    Scene("in the hand for 25 s", ((in_hand, 25),)),
+    Scene("one lorry, 30 µrad at 1.3 Hz, at 30 s", ((lorry_once, 30, 1.3, 30),)),
+    Scene("one lorry, 30 µrad at 1.3 Hz, at 300 s", ((lorry_once, 30, 1.3, 300),)),
+    Scene("one lorry, 1000 µrad at 0.5 Hz, at 300 s", ((lorry_once, 1000, 0.5, 300),)),
+    Scene("one lorry, 300 µrad, at 300 s, tactical", ((lorry_once, 300, 3, 300),), TACTICAL_ARW),
+    Scene("a door slams, 100 µrad, at 30 s", ((door, 100, 30),)),
+    Scene("a door slams, 100 µrad, at 300 s", ((door, 100, 300),)),
+    Scene("a door slams, 10 µrad, at 540 s, noise of the paper", ((door, 10, 540),), PAPER_ARW),
+    Scene("gusts, 10 µrad, 1 s", ((gusts, 10, 1),)),
+    Scene("gusts, 100 µrad, 3 s", ((gusts, 100, 3),)),
+    Scene("swell, 1000 µrad at 14 and 15 s", ((sway, 1000, 1 / 14), (sway, 1000, 1 / 15))),
+    Scene("accelerometers off by 100 µg, not declared", force_ug=100, parameters=ANY),
+    Scene("accelerometers off by 1000 µg, not declared", force_ug=1000, parameters=ANY),
     Scene(
         "accelerometers off by 100 µg, not declared, noise of the paper",
-        PAPER_ARW,
-        force_ug=100.0,
+        arw=PAPER_ARW,
+        force_ug=100,
         parameters=ANY,
     ),
     Scene(
-        "tactical, accelerometers off by 1000 µg, not declared", TACTICAL_ARW, force_ug=1000.0, parameters=ANY
+        "tactical, accelerometers off by 1000 µg, not declared",
+        arw=TACTICAL_ARW,
+        force_ug=1000,
+        parameters=ANY,
     ),
-    Scene("at 80°, quiet, 200 Hz", SITE_ARW, latitude_deg=80.0, rate_hz=200.0),
+    Scene("at 80°, quiet, 200 Hz", latitude_deg=80, rate_hz=200),
 )
-
-DEGREE = math.pi / 180.0
-HALF_TURN = turning(math.pi, 300.0, 308.0)
+HALF_TURN = (turning, 180, 300, 308)
 CREEPS = (
     *(
-        Scene(f"{angle:g}° in {seconds:g} s", turn=turning(angle * DEGREE, 0.0, seconds))
+        Scene(f"{angle:g}° in {seconds:g} s", turns=((turning, angle, 0, seconds),))
         for seconds in (20.0, 60.0, 200.0, 600.0)
-        for angle in (0.03, 0.3, 3.0, 30.0)
+        for angle in (0.03, 0.3, 3, 30)
     ),
     *(
         Scene(
             f"3° in {seconds:g} s, biases of {bias:g} °/h",
             bias_deg_per_h=bias,
-            turn=turning(3.0 * DEGREE, 0.0, seconds),
+            turns=((turning, 3, 0, seconds),),
         )
         for seconds in (200.0, 600.0)
         for bias in (0.01, 0.1, 0.5, 2.0)
     ),
     Scene(
         "3° in 200 s, tactical, biases of 0.03 °/h",
-        TACTICAL_ARW,
+        arw=TACTICAL_ARW,
         bias_deg_per_h=0.03,
-        turn=turning(3.0 * DEGREE, 0.0, 200.0),
+        turns=((turning, 3, 0, 200),),
     ),
-    Scene("3° from 60 to 300 s", turn=turning(3.0 * DEGREE, 60.0, 300.0)),
-    Scene("0.3° in 600 s, steadily", turn=steadily(0.3 * DEGREE, 600.0)),
-    Scene("3° in 600 s, steadily", turn=steadily(3.0 * DEGREE, 600.0)),
-    Scene("3° in 300 s, steadily", turn=steadily(3.0 * DEGREE, 300.0)),
-    Scene("3°, slowing down in 30 s", turn=slowing(3.0 * DEGREE, 30.0)),
-    Scene("3°, slowing down in 300 s", turn=slowing(3.0 * DEGREE, 300.0)),
-    Scene("to and fro by 0.1° in 100 s", turn=swinging(0.1 * DEGREE, 100.0)),
-    Scene("to and fro by 1° in 400 s", turn=swinging(DEGREE, 400.0)),
-    Scene("half a turn, biases of 2 °/h", bias_deg_per_h=2.0, turn=HALF_TURN),
+    Scene("3° from 60 to 300 s", turns=((turning, 3, 60, 300),)),
+    Scene("0.3° in 600 s, steadily", turns=((steadily, 0.3, 600),)),
+    Scene("3° in 600 s, steadily", turns=((steadily, 3, 600),)),
+    Scene("3° in 300 s, steadily", turns=((steadily, 3, 300),)),
+    Scene("3°, slowing down in 30 s", turns=((slowing, 3, 30),)),
+    Scene("3°, slowing down in 300 s", turns=((slowing, 3, 300),)),
+    Scene("to and fro by 0.1° in 100 s", turns=((swinging, 0.1, 100),)),
+    Scene("to and fro by 1° in 400 s", turns=((swinging, 1, 400),)),
+    Scene("half a turn, biases of 2 °/h", bias_deg_per_h=2, turns=(HALF_TURN,)),
     *(
         Scene(
             f"half a turn about an axis that leans by {lean:g}°, biases of {bias:g} °/h",
             bias_deg_per_h=bias,
-            turn=HALF_TURN,
+            turns=(HALF_TURN,),
             lean_deg=lean,
         )
         for lean in (0.6, 1.3, 3.0)
@@ -298,13 +269,11 @@ CREEPS = (
         Scene(
             f"{first:g}° in 280 s, half a turn, {then:g}° in 280 s, biases of {bias:g} °/h",
             bias_deg_per_h=bias,
-            turn=in_turn(
-                turning(first * DEGREE, 10.0, 290.0), HALF_TURN, turning(then * DEGREE, 315.0, 595.0)
-            ),
+            turns=((turning, first, 10, 290), HALF_TURN, (turning, then, 315, 595)),
         )
         for first, then, bias in ((0, 10, 30), (10, 0, 30), (3, -3, 2), (3, 3, 2), (0, 3, 0), (1, 0, 0.5))
     ),
-)  # fmt: skip
+)
 """Turns about the vertical, each from the first sample on, but where it says otherwise."""
 
 
@@ -322,19 +291,19 @@ def record(scene: Scene, seconds: float, seed: int) -> Record:
     rng = np.random.default_rng([seed, sum(map(ord, scene.name))])
     n = round(seconds * scene.rate_hz)
     heading = np.full(n, rng.uniform(0.0, 2.0 * math.pi))
-    if scene.turn is not None:
-        heading += scene.turn(np.asarray(np.arange(n) / scene.rate_hz, np.float64))
+    for turn, *numbers in scene.turns:
+        heading += turn(np.arange(n) / scene.rate_hz, *numbers)
     attitude = _attitude(scene, heading, rng)
     gyro, accel = _at_rest(scene, heading, attitude, rng)
-    if scene.tilt is not None:
+    if scene.tilts:
         step = 1.0 / scene.rate_hz
-        angle = scene.tilt(np.asarray(step * np.arange(n), np.float64), rng)
+        angle = sum(tilt(step * np.arange(n), rng, *numbers) for tilt, *numbers in scene.tilts)
         gyro[1:, :2] += np.diff(angle, axis=0) / step
         # Turned by a about its axes, the body sees the vector f as f - a x f; above its pivot, it swings.
         swing = scene.lever_m * np.gradient(np.gradient(angle, step, axis=0), step, axis=0)
-        seen = angle * STANDARD_GRAVITY + swing
-        accel[:, 0] += seen[:, 1]
-        accel[:, 1] -= seen[:, 0]
+        force = angle * STANDARD_GRAVITY + swing
+        accel[:, 0] += force[:, 1]
+        accel[:, 1] -= force[:, 0]
     ahead = attitude.apply([1.0, 0.0, 0.0])
     heading = np.arctan2(ahead[:, 1], ahead[:, 0])
     level = (Rotation.from_rotvec(np.outer(heading, [0.0, 0.0, -1.0])) * attitude).apply(gyro)[:, :2]
@@ -345,10 +314,7 @@ def record(scene: Scene, seconds: float, seed: int) -> Record:
         x, y, _ = body.T @ forward(body @ np.array([0.0, 0.0, -1.0]))
         heading += math.atan2(y, x)
         level = level @ np.array([[x, -y], [y, x]])
-    columns = {f"gyro_{a}": gyro[:, j].copy() for j, a in enumerate("xyz")}
-    columns |= {f"accel_{a}": accel[:, j].copy() for j, a in enumerate("xyz")}
-    time_ns = (np.arange(n) * (1e9 / scene.rate_hz)).astype(np.int64)
-    block = SampleBlock({"device_time_ns": time_ns, "segment": np.zeros(n, np.int64), **columns})
+    block = sent(np.arange(n) / scene.rate_hz, gyro=gyro, accel=accel)
     return Record(block, heading, level)
 
 
@@ -369,21 +335,16 @@ def _at_rest(
     """Return what gyros and accelerometers of a unit at rest in these attitudes send, (n, 3) each."""
     n, step, latitude = len(heading), 1.0 / scene.rate_hz, math.radians(scene.latitude_deg)
     east = np.array([math.sin(heading[0]), math.cos(heading[0]), 0.0])
-    seen = attitude.inv()
+    to_body = attitude.inv()
     gyro = rng.normal(size=(n, 3)) * math.radians(scene.arw) / 60.0 / math.sqrt(step)
-    gyro += EARTH_RATE * seen.apply([math.cos(latitude), 0.0, -math.sin(latitude)])
+    gyro += EARTH_RATE * to_body.apply([math.cos(latitude), 0.0, -math.sin(latitude)])
     gyro[1:, 2] += np.diff(heading) / step
     gyro += scene.bias_deg_per_h * DEG_PER_H * rng.choice([-1.0, 1.0], 3)
     gyro += scene.east_bias_deg_per_h * DEG_PER_H * rng.choice([-1.0, 1.0]) * east
     if scene.flicker_deg_per_h:
-        from scipy.signal import lfilter
-
-        keep = math.exp(-step / 100.0)
-        noise = rng.normal(size=(n, 3)) * math.sqrt(1.0 - keep**2)
-        noise[0] = rng.normal(size=3)
-        gyro += scene.flicker_deg_per_h * DEG_PER_H * np.asarray(lfilter([1.0], [1.0, -keep], noise, axis=0))
+        gyro += gauss_markov(rng, n, scene.rate_hz, 100.0, scene.flicker_deg_per_h * DEG_PER_H)
     accel = rng.normal(size=(n, 3)) * scene.vrw / math.sqrt(step)
-    accel -= STANDARD_GRAVITY * seen.apply([0.0, 0.0, 1.0])
+    accel -= STANDARD_GRAVITY * to_body.apply([0.0, 0.0, 1.0])
     amplitude, tau = scene.warm_up
     accel[:, :2] -= amplitude * MICRO_G * np.expm1(-step * np.arange(n) / tau)[:, None]
     if scene.force_ug:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Iterator
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+from study import Options, Study, Table
 
 from imumon.allan.analysis import analyse
 from imumon.allan.fit import TERMS, Fit
@@ -50,53 +49,44 @@ SINES = (
 SINE_SEEDS = 6
 
 
-def main() -> None:
-    """Print the tables."""
-    seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 150
-    heads = (
-        "noise",
-        "term",
-        "shown",
-        "value / truth",
-        "mean",
-        "rms",
-        "within 1 sd",
-        "within 2 sd",
-        "others shown",
-    )
-    table = Table(*heads)
-    for truth in CASES:
-        fits = _fits(truth, seeds)
+HEADS = (
+    "noise", "term", "shown", "value / truth", "mean", "rms", "within 1 sd", "within 2 sd", "others shown",
+)  # fmt: skip
+SINE_HEADS = ("Hz", "rad/s", "N reported", "value / truth", "median sd / truth", "other terms reported")
+
+
+def tables(given: Options) -> Iterator[Table]:
+    """Yield the fits of noise terms, and those of white noise beside a sine."""
+    rows = []
+    for truth in CASES[: 1 if given.quick else None]:
+        fits = _fits(truth, len(given.seeds))
         false = sum(
             fit.terms[term.name] is not None for fit in fits for term in TERMS if term.name not in truth
         )
         for name, value in truth.items():
-            table.add_row(_text(truth), LETTERS[name], *_row(fits, name, value), f"{false / len(fits):.1%}")
-    Console(width=140).print(table)
-    Console(width=140).print(_sines(min(seeds, SINE_SEEDS)))
+            rows.append([_text(truth), LETTERS[name], *_row(fits, name, value), f"{false / len(fits):.1%}"])
+    yield Table("", HEADS, rows)
+    seeds = min(len(given.seeds), SINE_SEEDS)
+    yield Table("", SINE_HEADS, [_sine(*sine, seeds) for sine in SINES[: 1 if given.quick else None]])
 
 
-def _sines(seeds: int) -> Table:
-    """Return what is told of white noise beside a sine."""
-    table = Table("Hz", "rad/s", "N reported", "value / truth", "median sd / truth", "other terms reported")
+def _sine(hertz: float, size: float, seeds: int) -> list[str]:
+    """Return what is reported of white noise beside a sine."""
     t = np.arange(SAMPLES) / RATE_HZ
-    for hertz, size in SINES:
-        channels = {
-            str(seed): noise(seed, SAMPLES, 1 / RATE_HZ, white=WHITE)
-            + size * np.sin(2 * np.pi * hertz * t + seed)
-            for seed in range(seeds)
-        }
-        series = even_channels(
-            np.arange(SAMPLES) * (1_000_000_000 // RATE_HZ), np.zeros(SAMPLES, np.int64), channels
-        )
-        fits = [result.fit for result in analyse(series).values() if result.fit is not None]
-        told = [estimate for fit in fits if (estimate := fit.terms["angle_random_walk"]) is not None]
-        others = sum(value is not None for fit in fits for value in fit.terms.values()) - len(told)
-        ratios = [estimate.value / WHITE for estimate in told]
-        spread = f"{np.median([estimate.sd for estimate in told]) / WHITE:.3f}" if told else "-"
-        span = f"{min(ratios):.3f} to {max(ratios):.3f}" if told else "-"
-        table.add_row(f"{hertz:.3g}", f"{size:g}", f"{len(told)} of {len(fits)}", span, spread, str(others))
-    return table
+    channels = {
+        str(seed): noise(seed, SAMPLES, 1 / RATE_HZ, white=WHITE)
+        + size * np.sin(2 * np.pi * hertz * t + seed)
+        for seed in range(seeds)
+    }
+    time_ns = np.arange(SAMPLES) * (1_000_000_000 // RATE_HZ)
+    series = even_channels(time_ns, np.zeros(SAMPLES, np.int64), channels)
+    fits = [result.fit for result in analyse(series).values() if result.fit is not None]
+    found = [estimate for fit in fits if (estimate := fit.terms["angle_random_walk"]) is not None]
+    others = sum(value is not None for fit in fits for value in fit.terms.values()) - len(found)
+    ratios = [estimate.value / WHITE for estimate in found]
+    spread = f"{np.median([estimate.sd for estimate in found]) / WHITE:.3f}" if found else "-"
+    span = f"{min(ratios):.3f} to {max(ratios):.3f}" if found else "-"
+    return [f"{hertz:.3g}", f"{size:g}", f"{len(found)} of {len(fits)}", span, spread, str(others)]
 
 
 def _fits(truth: dict[str, float], seeds: int) -> list[Fit]:
@@ -129,5 +119,4 @@ def _text(truth: dict[str, float]) -> str:
     return ", ".join(f"{LETTERS[name]} {value:g}" for name, value in truth.items())
 
 
-if __name__ == "__main__":
-    main()
+STUDY = Study(tables, seeds=150)

@@ -12,7 +12,9 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from samples import sent
 from scipy.spatial.transform import Rotation
+from study import Cells, largest, rms
 
 from imumon.blocks import BoolArray, FloatArray, SampleBlock
 from imumon.estimation.attitude.parameters import AttitudeParameters
@@ -23,6 +25,7 @@ HEADS = (
     "trial, during motion", "tilt °", "z rms", "max", "σ °", "free heading °", "z rms", "max", "σ °",
     "claimed %",
 )  # fmt: skip
+FORMATS = ("", ".2f", ".2f", ".1f", ".2f", ".2f", ".2f", ".1f", ".2f", ".0f")
 UP = np.array([0.0, 0.0, 1.0])
 TRUTH_SD = np.radians(0.05)
 """Of the optical heading, rad."""
@@ -39,10 +42,10 @@ class Trial:
     turn_sd: FloatArray
 
 
-def measured_rows(folder: Path, given: AttitudeParameters) -> Iterator[list[str]]:
+def measured_rows(folder: Path, given: AttitudeParameters) -> Iterator[Cells]:
     """Yield the cells of each trial in a folder."""
     for trial in measured(folder, given):
-        claimed = f"{100.0 * np.isfinite(trial.turn_sd).mean():.0f}"
+        claimed = 100.0 * float(np.isfinite(trial.turn_sd).mean())
         yield [trial.name, *_row(trial.tilt, trial.tilt_sd), *_row(trial.turn, trial.turn_sd), claimed]
 
 
@@ -71,29 +74,15 @@ def measured(folder: Path, given: AttitudeParameters) -> Iterator[Trial]:
 def _trial(path: Path) -> tuple[SampleBlock, FloatArray, BoolArray]:
     """Return a trial as the stages before leave it, the true attitude and which rows are scored."""
     with np.load(path) as data:
-        samples, truth = _samples(data), data["opt_quat"]
+        gyro, accel = (data[name].astype(np.float64) for name in ("gyr", "acc"))
+        samples = sent(np.arange(len(gyro)) / float(data["sampling_rate"]), gyro=gyro, accel=accel)
+        truth = data["opt_quat"]
         scored = data["movement"] & np.isfinite(truth).all(1)
     samples = samples.with_columns(RestAndBias(mode="learned").process(samples))
     return samples, truth, scored
 
 
-def _samples(data: dict[str, FloatArray]) -> SampleBlock:
-    n, rate_hz = len(data["gyr"]), float(data["sampling_rate"])
-    columns = {
-        "device_time_ns": np.round(np.arange(n) * 1e9 / rate_hz).astype(np.int64),
-        "segment": np.zeros(n, np.int64),
-    }
-    for name, sent in (("gyro", data["gyr"]), ("accel", data["acc"])):
-        columns |= {f"{name}_{axis}": sent[:, j].astype(np.float64) for j, axis in enumerate("xyz")}
-    return SampleBlock(columns)
-
-
-def _row(error: FloatArray, sd: FloatArray) -> list[str]:
-    """Return rms error, rms and largest error over sigma, and median sigma, as text."""
-    known = np.isfinite(sd)
-    if not known.any():
-        return ["-"] * 4
-    ratio = error[known] / sd[known]
-    degrees = np.degrees([np.sqrt(np.mean(error**2)), np.median(sd[known])])
-    z = float(np.sqrt(np.mean(ratio**2)))
-    return [f"{degrees[0]:.2f}", f"{z:.2f}", f"{np.abs(ratio).max():.1f}", f"{degrees[1]:.2f}"]
+def _row(error: FloatArray, sd: FloatArray) -> list[float]:
+    """Return rms error, rms and largest error over sigma, and median sigma."""
+    ratio = error / sd
+    return [float(np.degrees(rms(error))), rms(ratio), largest(ratio), float(np.degrees(np.nanmedian(sd)))]

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from bias_sigma_records import SENSORS, waves
+from samples import sent
 from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray, SampleBlock
@@ -25,7 +26,7 @@ FIELD_UT = np.array([0.0, 20.0, -43.0])
 ACCEL_SD, SCALE_SD = 0.05, 0.01
 """Turn-on error of the accelerometers, m/s², scale and misalignment of the gyros: as the stage takes them."""
 CONSUMER_SD, CONSUMER_SCALE_SD = 0.4, 0.03
-"""The same of the BMI160, 40 mg, and the MPU-6050; the stage is not told."""
+"""The same of the BMI160, 40 mg, and the MPU-6050; the stage does not know."""
 Z_REVERSED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0))
 HARD_UT, SOFT, MAG_NOISE_UT = 0.3, 3e-3, 0.2
 """What a calibration leaves of hard and soft iron, and noise."""
@@ -188,9 +189,9 @@ def simulate(scene: Scene, rate_hz: float, seed: int, seconds: float = SECONDS) 
     force = np.einsum("nij,ni->nj", poses, acceleration)
     rate, force = (values.reshape(n, each, 3).mean(1) for values in (rate, force))
     at = slice(each - 1, None, each)
-    sent = _sent(scene, rng, t[1:][at], rate, force, poses[at])
+    samples = _sent(scene, rng, t[1:][at], rate, force, poses[at])
     rest = (much[1:][at] == 0.0) | (scene.moves is still)
-    return Record(SampleBlock(sent), poses[at], rest, "FRD" if seed % 2 else "FLU")
+    return Record(samples, poses[at], rest, "FRD" if seed % 2 else "FLU")
 
 
 def _sent(
@@ -200,8 +201,8 @@ def _sent(
     rate: FloatArray,
     force: FloatArray,
     poses: FloatArray,
-) -> dict[str, npt.NDArray[np.float64] | npt.NDArray[np.int64]]:
-    """Return the columns that a device sends: an industrial sensor."""
+) -> SampleBlock:
+    """Return what a device sends: an industrial sensor."""
     sensor, n, dt = SENSORS["industrial"], len(t), t[1] - t[0]
     degc = 25.0 + (20.0 * -np.expm1(-t / 400.0) if scene.warms else np.zeros(n))
     bias = np.radians(rng.normal(0.0, sensor.turn_on, 3))
@@ -219,15 +220,8 @@ def _sent(
     if scene.magnet in ("body", "put on"):
         there = t > (60.0 if scene.magnet == "put on" else 0.0)
         mag += np.outer(there, _any_direction(rng) * rng.uniform(5.0, 20.0))
-    vectors = {"gyro": gyro, "accel": accel, "mag": mag}
-    return {
-        "device_time_ns": np.round(t * 1e9).astype(np.int64),
-        "segment": np.zeros(n, np.int64),
-        "temperature": np.round((degc + 0.02 * rng.normal(size=n)) * 16.0) / 16.0,
-        **{
-            f"{name}_{axis}": values[:, j] for name, values in vectors.items() for j, axis in enumerate("xyz")
-        },
-    }
+    temperature = np.round((degc + 0.02 * rng.normal(size=n)) * 16.0) / 16.0
+    return sent(t, temperature=temperature, gyro=gyro, accel=accel, mag=mag)
 
 
 def _near(scene: Scene, rng: np.random.Generator, t: FloatArray) -> FloatArray:
@@ -249,7 +243,7 @@ def _symmetric(rng: np.random.Generator) -> FloatArray:
 
 
 def calibrated() -> MagnetometerModel:
-    """Return what the calibration said of the magnetometer."""
+    """Return the model of the magnetometer that a calibration has found."""
     strength = float(np.linalg.norm(FIELD_UT))
     return MagnetometerModel(
         unit="uT",

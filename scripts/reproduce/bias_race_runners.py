@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 
 import imufusion
 import numpy as np
 import numpy.typing as npt
+from study import matrix
 from vqf import VQF
 
 from imumon.blocks import FloatArray, SampleBlock
@@ -61,17 +62,13 @@ def simulate(scenario: Scenario, seed: int) -> Run:
     return Run(scenario, samples, bias, rate[last], samples["device_time_ns"] * 1e-9, rest)
 
 
-def _raw(run: Run, sensor: str) -> FloatArray:
-    return np.ascontiguousarray(np.column_stack([run.samples[f"{sensor}_{axis}"] for axis in "xyz"]))
-
-
 def averaging(run: Run) -> FloatArray:
     """Return the mean rate of each rest, from its third second on, held until the next has lasted as long.
 
     Rests are those that `RestDetector` finds.
     """
     at_rest = run.samples["at_rest"] == 1
-    gyro, result = _raw(run, "gyro"), np.full((len(at_rest), 3), np.nan)
+    gyro, result = matrix(run.samples, "gyro"), np.full((len(at_rest), 3), np.nan)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], at_rest.view(np.int8), [0]])))
     least = int(LEAST_MEAN_S * run.scenario.rate_hz)
     known = np.zeros(len(at_rest), np.int64)
@@ -82,14 +79,15 @@ def averaging(run: Run) -> FloatArray:
     return result[np.maximum.accumulate(known)]
 
 
-def fusion(threshold_dps: float, period_s: float) -> Method:
-    """Return imufusion's `Bias` with these settings; it takes and returns degrees per second."""
+def fusion(**settings: float) -> Method:
+    """Return imufusion's `Bias` with a threshold, deg/s, and a period, s; it takes and returns deg/s."""
 
     def method(run: Run) -> FloatArray:
         bias = imufusion.Bias()
-        bias.set_settings(imufusion.BiasSettings(run.scenario.rate_hz, threshold_dps, period_s))
+        chosen = settings["threshold"], settings["period"]
+        bias.set_settings(imufusion.BiasSettings(run.scenario.rate_hz, *chosen))
         result = np.empty((len(run.time_s), 3))
-        for i, rate in enumerate(np.rad2deg(_raw(run, "gyro"))):
+        for i, rate in enumerate(np.rad2deg(matrix(run.samples, "gyro"))):
             bias.update(rate)
             result[i] = bias.get_offset()
         return np.deg2rad(result)
@@ -97,40 +95,35 @@ def fusion(threshold_dps: float, period_s: float) -> Method:
     return method
 
 
-def vqf(
-    rest_th_gyr: float, rest_min_t: float, forgetting_s: float, sigma_rest: float, motion: bool
-) -> Method:
-    """Return VQF's bias with these settings: deg/s, s, s, deg/s, and whether it estimates while it moves."""
+def vqf(**settings: float) -> Method:
+    """Return VQF's bias with these of its settings."""
 
     def method(run: Run) -> FloatArray:
-        filter_ = VQF(
-            1.0 / run.scenario.rate_hz,
-            restThGyr=rest_th_gyr,
-            restMinT=rest_min_t,
-            biasForgettingTime=forgetting_s,
-            biasSigmaRest=sigma_rest,
-            motionBiasEstEnabled=motion,
-        )
-        state = filter_.updateBatchFullState(_raw(run, "gyro"), _raw(run, "accel"))
+        filter_ = VQF(1.0 / run.scenario.rate_hz, **settings)
+        state = filter_.updateBatchFullState(matrix(run.samples, "gyro"), matrix(run.samples, "accel"))
         return np.asarray(state["bias"], np.float64)
 
     return method
 
 
-FUSION_GRID = {
-    f"threshold {threshold:g} deg/s, period {period:g} s": fusion(threshold, period)
-    for threshold, period in product((0.3, 1.0, 3.0), (0.25, 1.0, 3.0))
-}
-VQF_GRID = {
-    f"restThGyr {th:g}, restMinT {t:g}, biasForgettingTime {forgetting:g}, biasSigmaRest {sigma:g}, "
-    f"motion {'on' if motion else 'off'}": vqf(th, t, forgetting, sigma, motion)
-    for th, t, forgetting, sigma, motion in product(
-        (0.3, 2.0), (0.5, 1.5), (10.0, 100.0, 1000.0), (0.01, 0.03), (True, False)
-    )
-}
+def grid(make: Callable[..., Method], **choices: Sequence[float]) -> dict[str, Method]:
+    """Return a method with each combination of settings, by their text."""
+    every = [dict(zip(choices, values, strict=True)) for values in product(*choices.values())]
+    return {", ".join(f"{name} {value}" for name, value in one.items()): make(**one) for one in every}
+
+
+FUSION_GRID = grid(fusion, threshold=(0.3, 1.0, 3.0), period=(0.25, 1.0, 3.0))
+VQF_GRID = grid(
+    vqf,
+    restThGyr=(0.3, 2.0),
+    restMinT=(0.5, 1.5),
+    biasForgettingTime=(10.0, 100.0, 1000.0),
+    biasSigmaRest=(0.01, 0.03),
+    motionBiasEstEnabled=(True, False),
+)
 DEFAULTS = {
-    "imufusion Bias, its defaults": fusion(3.0, 3.0),
-    "VQF, its defaults": vqf(2.0, 1.5, 100.0, 0.03, True),
+    "imufusion Bias, its defaults": fusion(threshold=3.0, period=3.0),
+    "VQF, its defaults": vqf(),
 }
 
 
@@ -141,10 +134,10 @@ def imumon(mode: Mode, model: BiasModel | None, knows_place: bool) -> Method:
         latitude = run.scenario.latitude_deg if knows_place else None
         heading = run.scenario.attitude.heading_deg if knows_place else None
         stage = GyroBias(GyroBiasParameters(), model, mode, latitude, heading)
-        parts = []
-        for begin in range(0, len(run.time_s), BLOCK):
-            columns = stage.process(run.samples.rows(begin, min(begin + BLOCK, len(run.time_s))))
-            parts.append(np.column_stack([columns[f"gyro_bias_{axis}"] for axis in "xyz"]))
+        parts = [
+            matrix(SampleBlock(stage.process(run.samples.rows(begin, begin + BLOCK))), "gyro_bias")
+            for begin in range(0, len(run.time_s), BLOCK)
+        ]
         bias = np.concatenate(parts)
         return bias + run.earth if knows_place else bias
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
-import sys
-import time
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -20,13 +17,13 @@ from bias_race_runners import (
     imumon,
     simulate,
 )
+from study import Options, Study, Table
+from thermal_calibration_data import simulated_soak
 
-from imumon.blocks import FloatArray, SampleBlock
+from imumon.blocks import FloatArray
 from imumon.lab.calibration.calibration import calibrate
-from imumon.lab.calibration.record import record_of
 from imumon.models.model import BiasModel
 from imumon.simulation.unit.scenario import Chamber, Scenario, Step, load_scenario
-from imumon.simulation.unit.unit import SimulatedUnit
 
 WARM_UP, RAMP, ATHERMAL = "warm-up", "ramp", "warm-up-athermal"
 TITLES = {
@@ -53,15 +50,7 @@ def scenario_of(name: str) -> Scenario:
 def calibrated() -> BiasModel:
     """Return the model that `imumon calibrate` makes of the soak test of the same unit, with other noise."""
     scenario = load_scenario("crs05-soak")
-    unit = SimulatedUnit(scenario, SOAK_SEED)
-
-    def blocks() -> Iterator[SampleBlock]:
-        left = scenario.samples
-        while left > 0:
-            yield unit.run(min(left, 50_000))[0]
-            left -= 50_000
-
-    record = record_of(blocks(), "soak", "0" * 64, axes=scenario.axes)
+    record = simulated_soak(SOAK_SEED).record
     return calibrate([record], scenario.latitude_deg, scenario.attitude.heading_deg).model
 
 
@@ -86,67 +75,80 @@ def best(grid: Mapping[str, Method], run: Run) -> str:
     return min(errors, key=lambda name: errors[name])
 
 
-def methods(scenario: str, model: BiasModel) -> dict[str, Method]:
-    """Return the competitors for a scenario."""
-    run = simulate(scenario_of(scenario), TUNING_SEED)
-    tuned_fusion, tuned_vqf = best(FUSION_GRID, run), best(VQF_GRID, run)
-    print(f"Tuned: imufusion {tuned_fusion}; VQF {tuned_vqf}\n", flush=True)
-    entered: dict[str, Method] = {
-        "mean of each rest": averaging,
-        **DEFAULTS,
-        "imufusion Bias, tuned": FUSION_GRID[tuned_fusion],
-        "VQF, tuned": VQF_GRID[tuned_vqf],
-        "imumon standard, place unknown": imumon("standard", None, False),
-        "imumon standard": imumon("standard", None, True),
-        "imumon learned": imumon("learned", None, True),
+def tuned(run: Run) -> dict[str, str]:
+    """Return the settings of the others with the least error in a run."""
+    return {"imufusion": best(FUSION_GRID, run), "VQF": best(VQF_GRID, run)}
+
+
+def with_settings(names: Mapping[str, str]) -> dict[str, Method]:
+    """Return the others with settings that `tuned` has found."""
+    return {
+        "imufusion Bias, tuned": FUSION_GRID[names["imufusion"]],
+        "VQF, tuned": VQF_GRID[names["VQF"]],
     }
-    if scenario != ATHERMAL:
-        entered["imumon standard, model"] = imumon("standard", model, True)
-        entered["imumon thermal"] = imumon("thermal", model, True)
-        entered["imumon learned, model"] = imumon("learned", model, True)
-        entered["imumon thermal, place unknown"] = imumon("thermal", model, False)
-    return entered
 
 
-def main() -> None:
-    """Print the tables and whether the bars are met."""
-    parser = argparse.ArgumentParser(prog="scripts/reproduce/bias_race", description=__doc__)
-    parser.add_argument("--seeds", type=int, default=10, help="runs of each scene (default: %(default)s)")
-    parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
-    given = parser.parse_args()
-    seeds = given.seeds
-    if given.quick:
-        run = simulate(scenario_of(ATHERMAL), 0)
-        print(f"imumon learned: {score(run, imumon('learned', None, True)(run))[0]:.1f} deg/h")
-        return
-    begun = time.monotonic()
-    model = calibrated()
-    print(f"Model from the soak test ({time.monotonic() - begun:.0f} s).\n", file=sys.stderr)
-    results: dict[tuple[str, str], FloatArray] = {}
+OWN = {
+    "imumon standard, place unknown": imumon("standard", None, False),
+    "imumon standard": imumon("standard", None, True),
+    "imumon learned": imumon("learned", None, True),
+}
+
+
+def with_model(model: BiasModel) -> dict[str, Method]:
+    """Return imumon's with the model of a calibration."""
+    return {
+        "imumon standard, model": imumon("standard", model, True),
+        "imumon thermal": imumon("thermal", model, True),
+        "imumon learned, model": imumon("learned", model, True),
+        "imumon thermal, place unknown": imumon("thermal", model, False),
+    }
+
+
+HEADS = ("method", "rms", "worst seed", "rms at the ends of rests", "rms while it moves", "largest")
+FORMATS = ("", ".1f", ".1f", ".1f", ".1f", ".0f")
+
+
+def tables(given: Options) -> Iterator[Table]:
+    """Yield a table for each scenario, and whether the bars are met."""
+    model = None if given.quick else calibrated()
+    rms_of: dict[tuple[str, str], FloatArray] = {}
     for scenario, title in TITLES.items():
-        print(f"## {title}\n")
-        entered = methods(scenario, model)
+        if given.quick and scenario != ATHERMAL:
+            continue
+        entered: dict[str, Method] = {"mean of each rest": averaging, **DEFAULTS}
+        if model is not None:
+            names = tuned(simulate(scenario_of(scenario), TUNING_SEED))
+            title += f"\n\nTuned: imufusion {names['imufusion']}; VQF {names['VQF']}"
+            entered |= with_settings(names)
+        entered |= OWN
+        if model is not None and scenario != ATHERMAL:
+            entered |= with_model(model)
         scores: dict[str, list[tuple[float, ...]]] = {name: [] for name in entered}
-        for seed in range(seeds):
+        for seed in given.seeds:
             run = simulate(scenario_of(scenario), seed)
             for name, method in entered.items():
                 scores[name].append(score(run, method(run)))
-        print(f"{seeds} seeds; deg/h after the third rest\n")
-        print("| method | rms | worst seed | rms at the ends of rests | rms while it moves | largest |")
-        print("|---|---|---|---|---|---|")
-        for name, rows in scores.items():
-            table = results[scenario, name] = np.array(rows)
-            rms = np.sqrt((table[:, :3] ** 2).mean(0))
-            numbers = f"{rms[0]:.1f} | {table[:, 0].max():.1f} | {rms[1]:.1f} | {rms[2]:.1f}"
-            print(f"| {name} | {numbers} | {table[:, 3].max():.0f} |", flush=True)
-        print(flush=True)
-    for scenario in (WARM_UP, RAMP):
-        worst = results[scenario, "imumon thermal"][:, 0].max()
-        print(f"Thermal, {scenario}, worst of the seeds: {worst:.1f} deg/h (bar {BAR_DEG_PER_H:.0f}).")
-    ratio = results[ATHERMAL, "imumon learned"][:, 0] / results[ATHERMAL, "imumon standard"][:, 0]
-    print(f"Learned over standard without thermal effect: mean {ratio.mean():.3f}, ", end="")
-    print(f"worst {ratio.max():.3f} (bar {BAR_RATIO}).")
+        rows = []
+        for name, found in scores.items():
+            table = np.array(found)
+            rms_of[scenario, name] = table[:, 0]
+            whole, ends, moving = np.sqrt((table[:, :3] ** 2).mean(0))
+            rows.append([name, whole, table[:, 0].max(), ends, moving, table[:, 3].max()])
+        yield Table(
+            f"### {title}\n\n{len(given.seeds)} seeds; deg/h after the third rest",
+            HEADS,
+            rows,
+            formats=FORMATS,
+        )
+    lines = [
+        f"Thermal, {scenario}, worst of the seeds: {found.max():.1f} deg/h (bar {BAR_DEG_PER_H:.0f})."
+        for (scenario, name), found in rms_of.items()
+        if name == "imumon thermal"
+    ]
+    ratio = rms_of[ATHERMAL, "imumon learned"] / rms_of[ATHERMAL, "imumon standard"]
+    means = f"mean {ratio.mean():.3f}, worst {ratio.max():.3f} (bar {BAR_RATIO})"
+    yield Table("", (), (), "\n".join([*lines, f"Learned over standard without thermal effect: {means}."]))
 
 
-if __name__ == "__main__":
-    main()
+STUDY = Study(tables, seeds=10, page="bias-race.md")

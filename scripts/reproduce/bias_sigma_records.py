@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import lfilter
+from samples import gauss_markov, sent
 from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray, SampleBlock
@@ -57,7 +57,7 @@ class Case:
     temperature : str
         "constant", "ramp" (2 °C/min) or "warm-up" (20 °C, time constant 400 s).
     place : bool
-        Whether the estimator is told latitude and heading.
+        Whether the estimator knows latitude and heading.
     motion : str
         "hand": turned to any pose and shaken; "rover" and "car": driven about on the level.
     """
@@ -123,13 +123,6 @@ def _temperature(case: Case, t: FloatArray) -> FloatArray:
     return np.full(len(t), 25.0)
 
 
-def _markov(rng: np.random.Generator, n: int, tau: float, sd: float) -> FloatArray:
-    decay = math.exp(-1.0 / (RATE_HZ * tau))
-    drive = rng.normal(size=(n, 3)) * sd * math.sqrt(1.0 - decay * decay)
-    drive[0] = rng.normal(size=3) * sd
-    return np.asarray(lfilter([1.0], [1.0, -decay], drive, axis=0))
-
-
 def simulate(case: Case, seed: int) -> Record:
     """Return a record."""
     rng = np.random.default_rng(seed)
@@ -163,7 +156,7 @@ def _sensed(
     t = np.arange(n) / RATE_HZ
     degc = _temperature(case, t)
     bias = np.radians(sensor.turn_on) * rng.normal(size=3)
-    bias = bias + sum(_markov(rng, n, tau, sensor.flicker_dph * DEG_PER_H) for tau in TAUS_S)
+    bias = bias + sum(gauss_markov(rng, n, RATE_HZ, tau, sensor.flicker_dph * DEG_PER_H) for tau in TAUS_S)
     bias = bias + sensor.thermal * SLOPES_DPH * DEG_PER_H * (degc - 25.0)[:, np.newaxis]
     matrix = rng.uniform(-1.0, 1.0, (3, 3))
     matrix *= math.radians(case.per_g) / STANDARD_GRAVITY / np.abs(matrix).max()
@@ -172,14 +165,7 @@ def _sensed(
     gyro = rate + bias + math.radians(sensor.angle_walk) / 60.0 * white
     accel = force + sensor.velocity_walk * shaking
     read = np.round((degc + 0.02 * rng.normal(size=n)) / SENSOR_STEP_DEGC) * SENSOR_STEP_DEGC
-    columns = {
-        "device_time_ns": np.round(t * 1e9).astype(np.int64),
-        "segment": np.zeros(n, np.int64),
-        "temperature": read,
-        **{f"gyro_{axis}": gyro[:, j] for j, axis in enumerate("xyz")},
-        **{f"accel_{axis}": accel[:, j] for j, axis in enumerate("xyz")},
-    }
-    return SampleBlock(columns), bias
+    return sent(t, temperature=read, gyro=gyro, accel=accel), bias
 
 
 def varied(**changes: object) -> Case:

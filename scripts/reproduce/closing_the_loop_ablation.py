@@ -1,12 +1,9 @@
-"""What each mechanism of the diagnosis is worth: simulated cases and the measured chamber without it.
-
-Usage: closing_the_loop --part ablation [--repeat N] [--first SEED] [--jobs N] [DATA_FOLDER]
-"""
+"""What each mechanism of the diagnosis is worth: simulated cases and the measured chamber without it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +14,7 @@ import numpy as np
 from ablation_table import PAGE, write
 from closing_the_loop_measured import chamber_run, split
 from closing_the_loop_statistics import Result, is_outside, jobs, right, run_case
+from study import Options, Study, Table, spread
 
 from imumon.lab.diagnosis import axes, candidates, claims, likelihood, search
 from imumon.lab.diagnosis.candidates import Candidate
@@ -67,7 +65,6 @@ MECHANISMS: Mapping[str, Change] = {
     "pairs of effects at once": [(search.Search, "_beside_partner", lambda _self, _scored, best: best)],
     "exchange at the end": [(search.Search, "_refine", lambda self, exchange=False: _refine(self))],  # noqa: ARG005
     "dropping what later effects replace": [(search.Search, "_drop_needless", lambda _self: None)],
-    "jumps in several runs as one": [(search, "joined_events", lambda _scored: [])],
     "refinement of parameters": [(search, "REFINEMENTS", 0)],
     "least share of the largest effect": [(search, "SECOND_SHARE", 0.0)],
     "flicker in the noise": _noise((0.0,), likelihood.WALK),
@@ -105,9 +102,8 @@ def _case(job: tuple[str, Any]) -> list[Result]:
         return run_case(job[1])
 
 
-def _chamber(job: tuple[str, Path]) -> list[float]:
+def _chamber(name: str, folder: Path) -> list[float]:
     """Return what x and z are left with, °/s, and x by the whole record on the same course once more."""
-    name, folder = job
     run = chamber_run(folder)
     with _changed(name):
         found = [diagnose(*split(run, share), sensors=("gyro",)).verdicts for share in SHARES]
@@ -119,7 +115,7 @@ def _chamber(job: tuple[str, Path]) -> list[float]:
     return [x, z, float(np.degrees(whole.test_after.rms))]
 
 
-def _row(name: str, found: Sequence[Result], base: Sequence[Result], chamber: Sequence[float]) -> str:
+def _row(name: str, found: Sequence[Result], base: Sequence[Result], chamber: Sequence[float]) -> list[str]:
     empty = [one for one in found if not one.truth or is_outside(one.label)]
     false = sum(bool(one.named) for one in empty)
     ratios = np.array([one.after / other.after for one, other in zip(found, base, strict=True)])
@@ -127,29 +123,33 @@ def _row(name: str, found: Sequence[Result], base: Sequence[Result], chamber: Se
     at = int(np.argmax(np.abs(np.log(ratios))))
     worst = f"{ratios[at]:.2f} ({found[at].label}, {found[at].size:g})"
     mean = float(np.exp(np.mean(np.log(ratios))))
-    cells = [f"{sum(map(right, found))}/{len(found)}", f"{false}/{len(empty)}", f"{mean:.3f}", worst]
-    return f"| {' | '.join([name, *cells, *(f'{value:.3f}' for value in chamber)])} |"
+    cells = [name, f"{sum(map(right, found))}/{len(found)}", f"{false}/{len(empty)}", f"{mean:.3f}", worst]
+    return [*cells, *(f"{value:.3f}" for value in chamber)]
 
 
-def ablation(repeat: int, first: int, processes: int, data: Path, quick: bool = False) -> int:
-    """Print a row for each mechanism, and write the table into the page of all ablations."""
+HEADS = ("without", "right", "false", "left, ×", "worst, ×", "chamber x", "z", "whole x")
+
+
+def tables(given: Options) -> Iterator[Table]:
+    """Yield the table, and write it into the page of all ablations."""
     cases = [
         case
-        for case in jobs(repeat, "lag and" if quick else None, first)
+        for case in jobs(len(given.seeds), "lag and" if given.quick else "", given.seeds[0])
         if case[0].size in SIZES and not case[0].driver and "one axis" not in case[0].label
     ]
-    names = ["none", *MECHANISMS][: 2 if quick else None]
-    lines = ["| without | right | false | left, × | worst, × | chamber x | z | whole x |", "|---" * 8 + "|"]
-    print("\n".join(lines), flush=True)
+    rows: list[list[str]] = []
     base: list[Result] = []
-    with ProcessPoolExecutor(processes) as pool:
-        for name in names:
-            chamber = pool.submit(_chamber, (name, data / "chamber-cycle"))
-            each = pool.map(_case, [(name, case) for case in cases])
-            found = [result for results in each for result in results]
-            base = base or found
-            lines.append(_row(name, found, base, chamber.result()))
-            print(lines[-1], flush=True)
-    if not quick:
-        write("diagnosis", f"{TITLE}  {len(cases)} cases, first seed {first}.", lines, PAGE)
-    return 0
+    for name in ["none", *MECHANISMS][: 2 if given.quick else None]:
+        each = spread(_case, [(name, case) for case in cases], given.jobs)
+        found = [result for results in each for result in results]
+        base = base or found
+        rows.append(_row(name, found, base, _chamber(name, given.data / "chamber-cycle")))
+        print(*rows[-1], sep=" | ", file=sys.stderr, flush=True)
+    table = Table("", HEADS, rows)
+    if not given.quick:
+        title = f"{TITLE}  {len(cases)} cases, first seed {given.seeds[0]}."
+        write("diagnosis", title, table.markdown().splitlines(), PAGE)
+    yield table
+
+
+STUDY = Study(tables, seeds=4, first=900)

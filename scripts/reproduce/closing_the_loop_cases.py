@@ -1,24 +1,20 @@
-"""Runs of a unit whose bias has something that its declared model lacks; the physics is not that of the
-regressors.
+"""Runs of a unit whose bias has something that its declared model lacks.
 
-A lag comes from a two-node thermal network, a loop from Bouc and Wen's equation or from relays (Preisach),
-a warm-up from two exponentials, a period from a triangle wave whose frequency wanders, a jump takes
-seconds.  Everything is in means of one second, as `imumon.lab.diagnosis.runs` makes them, and fixed by the
-seed.
+Everything is in means of one second, as `imumon.lab.diagnosis.runs` makes them, and fixed by the seed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from closing_the_loop_physics import DRIVING, IRRELEVANT, NAMED, PHYSICS, SECONDS, Generator, Thermal
+from study import rms
 
 from imumon.blocks import FloatArray
 from imumon.lab.diagnosis.runs import Run
 
 DPH = np.pi / 180 / 3600
-SECONDS = 7200
 BLOCK = 30
 SAMPLES = 100.0
 WHITE_DPH = 1.6
@@ -29,17 +25,6 @@ CURVES = ((30.0, 20.0, -8.0, 3.0), (-10.0, -30.0, 5.0, 2.0), (5.0, 12.0, 10.0, -
 SIGNS = (1.0, -1.0, 1.0)
 EARTH_DPH = 15.04
 GRAVITY = 9.81
-
-Generator = np.random.Generator
-
-
-@dataclass(frozen=True, slots=True)
-class Thermal:
-    """Temperatures of a run: of the thermometer's node and of the die behind it."""
-
-    time_s: FloatArray
-    board: FloatArray
-    die: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +44,7 @@ class Setting:
     late: bool = False
     """The whole curve is over the temperature of the die, and is bent beyond a cubic."""
     driver: str = ""
-    """Which further column drives the bias, of `closing_the_loop_drivers`; "none" for columns alone."""
+    """Which further column drives the bias, of `closing_the_loop_physics`; "none" for columns alone."""
     label: str = ""
 
 
@@ -106,7 +91,7 @@ class Network:
         return cls(rng.uniform(150, 220), rng.uniform(170, 280), rng.uniform(0.05, 0.2), rng.uniform(0.5, 2))
 
     def run(self, air: FloatArray, start_off_degc: float) -> Thermal:
-        """Return the temperatures of a run from near equilibrium, or from as much off as is said."""
+        """Return the temperatures of a run from near equilibrium, or from so far off it."""
         board, die = np.empty(len(air)), np.empty(len(air))
         b = air[0] + start_off_degc + 0.5 * self.heat_degc
         d = air[0] + 0.2 * start_off_degc + 1.5 * self.heat_degc
@@ -117,184 +102,60 @@ class Network:
         return Thermal(np.arange(len(air), dtype=np.float64) + 0.5, board, die)
 
 
-def bouc_wen(rng: Generator, temperature: FloatArray) -> FloatArray:
-    """Return z of Bouc and Wen's equation with a width of 2 to 6 °C and a random sharpness."""
-    width, power, share = rng.uniform(2, 6), rng.uniform(1.0, 2.0), rng.uniform(0.55, 0.9)
-    z, out = 0.0, np.empty(len(temperature))
-    for at, step in enumerate(np.diff(temperature, prepend=temperature[0])):
-        pull = abs(z) ** power * (share * np.sign(step * z) + (1 - share))
-        z += step / width * (1 - pull)
-        out[at] = z
-    return out
-
-
-def relays(rng: Generator, temperature: FloatArray) -> FloatArray:
-    """Return the mean of relays with random thresholds (Preisach)."""
-    centre = rng.normal(25, 9, 400)
-    half = rng.gamma(2.0, 1.5, 400)
-    state = np.where(temperature[0] > centre, 1.0, -1.0)
-    out = np.empty(len(temperature))
-    for at, value in enumerate(temperature):
-        state[value > centre + half] = 1.0
-        state[value < centre - half] = -1.0
-        out[at] = state.mean()
-    return out
-
-
-Physics = Callable[[Generator, list[Thermal], int], list[FloatArray]]
-
-
-def _rate(_: Generator, runs: list[Thermal], __: int) -> list[FloatArray]:
-    return [np.gradient(run.board) for run in runs]
-
-
-def _lag(_: Generator, runs: list[Thermal], __: int) -> list[FloatArray]:
-    return [run.die - run.board for run in runs]
-
-
-def _hysteresis(rng: Generator, runs: list[Thermal], axis: int) -> list[FloatArray]:
-    seed = int(rng.integers(2**31))
-    model = bouc_wen if seed % 2 else relays
-    return [model(np.random.default_rng(seed + axis), run.board) for run in runs]
-
-
-def _warm_up(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
-    fast, slow, share = rng.uniform(20, 60), rng.uniform(300, 700), rng.uniform(0.0, 0.12)
-    return [(1 - share) * np.exp(-run.time_s / slow) + share * np.exp(-run.time_s / fast) for run in runs]
-
-
-def _drift(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
-    power = rng.uniform(0.95, 1.05)
-    return [(run.time_s / SECONDS) ** power for run in runs]
-
-
-def _periodic(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
-    period, phase = rng.uniform(130, 900), rng.uniform(0, 1)
-    found = []
-    for run in runs:
-        wander = np.cumsum(rng.standard_normal(len(run.time_s))) * 2e-4
-        turn = run.time_s / period + phase + wander
-        found.append(2 * np.abs(2 * (turn - np.floor(turn + 0.5))) - 1)
-    return found
-
-
-def _step(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
-    return [0.5 + 0.5 * np.tanh((run.time_s - rng.uniform(1500, 5500)) / 4) for run in runs]
-
-
-def _curve(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
-    at, width = rng.uniform(20, 32), rng.uniform(5, 8)
-    return [np.tanh((run.board - at) / width) for run in runs]
-
-
-def _bent(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
-    """Return a curve over the die's temperature."""
-    at, width = rng.uniform(20, 32), rng.uniform(5, 8)
-    return [np.tanh((run.die - at) / width) for run in runs]
-
-
-def _offset(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
-    levels = (0.0, rng.choice([-1.0, 1.0]), rng.uniform(-1, 1))
-    return [np.full(len(run.time_s), level) for run, level in zip(runs, levels, strict=True)]
-
-
-def _telegraph(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
-    hold = rng.uniform(400, 900)
-    return [np.where(np.cumsum(rng.random(len(run.time_s)) < 1 / hold) % 2 == 0, 1.0, -1.0) for run in runs]
-
-
-def _wander(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
-    tau = rng.uniform(300, 900)
-    return [_relaxing(rng, len(run.time_s), tau) for run in runs]
-
-
-def _relaxing(rng: Generator, n: int, tau: float) -> FloatArray:
-    from scipy.signal import lfilter
-
-    decay = np.exp(-1 / tau)
-    noise = rng.standard_normal(n) * np.sqrt(1 - decay**2)
-    noise[0] = rng.standard_normal()
-    return np.asarray(lfilter([1.0], [1.0, -decay], noise))
-
-
-def _bursts(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
-    found = []
-    for run in runs:
-        out = np.zeros(len(run.time_s))
-        for start in rng.uniform(0, SECONDS, rng.integers(10, 25)):
-            length = rng.uniform(20, 250)
-            out += rng.normal() * ((run.time_s > start) & (run.time_s < start + length))
-        found.append(out)
-    return found
-
-
-def _supply(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
-    """Return a supply that a load switches at odd times and that sags and recovers between."""
-    found = []
-    for run in runs:
-        level, target, out = 0.0, 0.0, np.empty(len(run.time_s))
-        tau = rng.uniform(60, 200)
-        for at in range(len(out)):
-            if rng.random() < 1 / 500:
-                target = rng.normal()
-            level += (target - level) / tau
-            out[at] = level
-        found.append(out)
-    return found
-
-
-def _relaxation(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
-    """Return a package whose stress creeps away through thirty barriers of random heights."""
-    taus = 10.0 ** rng.uniform(0.5, rng.uniform(4.0, 5.0), 30)
-    weights = rng.uniform(0.5, 1.5, 30)
-    return [np.exp(-run.time_s[:, np.newaxis] / taus) @ weights for run in runs]
-
-
-def _dead_time(rng: Generator, runs: list[Thermal], _: int) -> list[FloatArray]:
-    """Return what heat does that goes through twenty layers one after another."""
-    layers, total = 20, rng.uniform(60, 300)
-    found = []
-    for run in runs:
-        value = run.board
-        for _ in range(layers):
-            value = _behind(value, total / layers)
-        found.append(run.board - value)
-    return found
-
-
-def _behind(value: FloatArray, tau: float) -> FloatArray:
-    from scipy.signal import lfilter
-
-    decay = np.exp(-1 / tau)
-    return np.asarray(lfilter([1 - decay], [1.0, -decay], value, zi=[decay * value[0]])[0])
-
-
-PHYSICS: dict[str, Physics] = {
-    "stress_relaxation": _relaxation,
-    "dead_time": _dead_time,
-    "temperature_rate": _rate,
-    "thermal_lag": _lag,
-    "bent": _bent,
-    "hysteresis": _hysteresis,
-    "warm_up": _warm_up,
-    "drift": _drift,
-    "periodic": _periodic,
-    "step": _step,
-    "temperature_curve": _curve,
-    "run_offset": _offset,
-    "telegraph": _telegraph,
-    "slow wander": _wander,
-    "bursts": _bursts,
-    "supply": _supply,
-}
-NAMED = {"bent": "thermal_lag"}
-"""What an effect is called that has another name here."""
-OUTSIDE = ("telegraph", "slow wander", "bursts", "supply")
 POSES = np.array([[0, 0, 1], [0, 0, -1], [0, 1, 0], [0, -1, 0], [1, 0, 0], [-1, 0, 0]], float) * GRAVITY
 
 
 def make_case(setting: Setting, seed: int) -> Case:
-    """Return the case of a setting and a seed."""
+    """Return the case of a setting and a seed; with ten further columns where it has a driver."""
+    case = _thermal_case(setting, seed)
+    if setting.latitude_deg is not None:
+        case = replace(
+            case, runs=[_with_level_earth_rate(run, setting.latitude_deg, seed) for run in case.runs]
+        )
+    return _with_columns(case, setting, seed) if setting.driver else case
+
+
+def _with_level_earth_rate(run: Run, latitude_deg: float, seed: int) -> Run:
+    """Return a run with the horizontal earth rate, too, another heading in each pose."""
+    rng = np.random.default_rng([seed, 6])
+    up = np.column_stack([run.mean[f"accel_{axis}"] for axis in "xyz"]) / GRAVITY
+    turns = np.flatnonzero(np.abs(np.diff(up, axis=0)).max(axis=1) > 0.5) + 1
+    changed = dict(run.mean)
+    for rows in np.split(np.arange(len(up)), turns):
+        across = np.cross(up[rows[0]].round(), rng.normal(size=3))
+        level = EARTH_DPH * np.cos(np.radians(latitude_deg)) * DPH * across / np.linalg.norm(across)
+        for at, axis in enumerate("xyz"):
+            changed[f"gyro_{axis}"] = changed[f"gyro_{axis}"].copy()
+            changed[f"gyro_{axis}"][rows] += level[at]
+    return replace(run, mean=changed)
+
+
+def _with_columns(case: Case, setting: Setting, seed: int) -> Case:
+    """Return a case with columns that do not matter, and one that drives the bias, if any does."""
+    rng, driving, runs = np.random.default_rng([seed, 77]), DRIVING.get(setting.driver), []
+    for run in case.runs:
+        mean = dict(run.mean)
+        for name, column in IRRELEVANT.items():
+            mean[name] = column(rng, run)
+        if driving is not None:
+            mean[driving.column] = driving.made(rng, run)
+        runs.append(replace(run, mean=mean))
+    if driving is None:
+        return replace(case, runs=runs)
+    for axis, letter in enumerate("xyz"):
+        # The physics of an axis is the same in every run.
+        parts = [
+            driving.does(np.random.default_rng([seed, axis]), run.mean[driving.column], run) for run in runs
+        ]
+        temperatures = [run.mean["temperature"] for run in runs]
+        factor = _factor(parts, temperatures, axis, setting.size * case.floor)
+        for run, part in zip(runs, parts, strict=True):
+            run.mean[f"gyro_{letter}"] = run.mean[f"gyro_{letter}"] + factor * part
+    return replace(case, runs=runs, truth=[{*truth, driving.truth} for truth in case.truth])
+
+
+def _thermal_case(setting: Setting, seed: int) -> Case:
+    """Return the case without further columns."""
     rng = np.random.default_rng(seed)
     network = Network.drawn(rng)
     thermal = [
@@ -336,12 +197,16 @@ def _scaled(
         parts = PHYSICS[name](rng, thermal, axis)
     if setting.unequal:
         parts = [part * factor for part, factor in zip(parts, (0.3, 1.0, 0.6), strict=True)]
-    board = np.concatenate([_means(run.board) for run in thermal[:2]])
-    columns = ((board - 25) / 20)[:, np.newaxis] ** np.arange(4)
-    left = np.concatenate([_means(part) for part in parts[:2]])
-    left = left - columns @ np.linalg.lstsq(columns, left, rcond=None)[0]
-    factor = SIGNS[axis] * setting.size * noise_rms / float(np.sqrt(np.mean(left**2)))
+    factor = _factor(parts, [run.board for run in thermal], axis, setting.size * noise_rms)
     return [part * factor for part in parts]
+
+
+def _factor(parts: list[FloatArray], temperatures: list[FloatArray], axis: int, left_rms: float) -> float:
+    """Return the factor with which a cubic over temperature leaves so much of two runs for training."""
+    temperature, part = (np.concatenate([_means(one) for one in of[:2]]) for of in (temperatures, parts))
+    columns = ((temperature - 25) / 20)[:, np.newaxis] ** np.arange(4)
+    left = part - columns @ np.linalg.lstsq(columns, part, rcond=None)[0]
+    return SIGNS[axis] * left_rms / rms(left)
 
 
 def _means(values: FloatArray) -> FloatArray:

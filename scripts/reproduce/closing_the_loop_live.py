@@ -3,40 +3,32 @@
 A curve is fitted to two runs of a unit whose bias has an undeclared effect, so that the model's `residual_sd`
 covers it; a third run from another power-on goes sample by sample through the stage that says MODEL CAN BE
 BETTER.
-
-Usage: closing_the_loop --part live [--repeat N] [--first SEED] [--only KIND] [--least FLOORS] [--jobs N]
-       [--results FILE] [--out PAGE]
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
 import re
-import sys
 import time
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import Any
 
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-    os.environ.setdefault(name, "1")
+import numpy as np
+from closing_the_loop_cases import Case, Setting, make_case
+from closing_the_loop_physics import DRIVING
+from closing_the_loop_statistics import share
+from numpy.polynomial.chebyshev import chebvander
+from samples import sent
+from study import Options, Study, Table, spread
 
-import closing_the_loop_drivers as drivers  # noqa: E402
-import numpy as np  # noqa: E402 - the number of threads is read when it is imported
-from closing_the_loop_cases import DPH, EARTH_DPH, GRAVITY, Case, Setting, make_case  # noqa: E402
-from closing_the_loop_statistics import share  # noqa: E402
-from numpy.polynomial.chebyshev import chebvander  # noqa: E402
-
-from imumon.blocks import ColumnArray, SampleBlock  # noqa: E402
-from imumon.lab.diagnosis.blocks import make_blocks  # noqa: E402
-from imumon.lab.diagnosis.channel import ordinary  # noqa: E402
-from imumon.lab.diagnosis.live import LiveDiagnosis  # noqa: E402
-from imumon.lab.diagnosis.runs import Run  # noqa: E402
-from imumon.models.curves.polynomial import PolynomialCurve  # noqa: E402
-from imumon.models.model import BiasModel, ChannelModel  # noqa: E402
+from imumon.blocks import SampleBlock
+from imumon.lab.diagnosis.blocks import make_blocks
+from imumon.lab.diagnosis.channel import ordinary
+from imumon.lab.diagnosis.live import LiveDiagnosis
+from imumon.lab.diagnosis.runs import Run
+from imumon.models.curves.polynomial import PolynomialCurve
+from imumon.models.model import BiasModel, ChannelModel
 
 AXES = "xyz"
 DEGREE = 3
@@ -57,24 +49,31 @@ EFFECTS = (
 SIZES = (1.0, 2.0, 5.0, 10.0)
 BEYOND = "beyond the calibration"
 """Label of the sessions that leave the middle half of the temperatures, which the calibration is cut to."""
-HEAD = (
-    "# Closing the loop: live sessions\n\n"
-    "Made by `scripts/reproduce/closing_the_loop_live.py`. Right is what is named last when the effect"
-    " is among the three best on every axis that is named; `named` counts sessions in which anything was"
-    " named by any search. Wilson's 95 % interval.\n\n"
-)
-SAID = re.compile(r"MODEL CAN BE BETTER: (.*?): ([\d.e+-]+) become ([\d.e+-]+) °/h")
+NOISES = ("white", "flicker", "walk")
+POSES: Mapping[str, Any] = {"poses": True, "latitude_deg": 50.0}
+NOTHING: Mapping[str, tuple[Sequence[str], Mapping[str, Any]]] = {
+    "nothing": (NOISES, {}),
+    "nothing, constant": (NOISES, {}),
+    "nothing, poses": (NOISES, {"poses": True}),
+    "nothing, poses, earth rate": (NOISES, POSES),
+    "nothing, ten columns": (NOISES, {"driver": "none"}),
+    f"nothing, {BEYOND}": (NOISES[:2], {}),
+}
+"""Sessions of which nothing is missing: noises, and what else a setting has."""
+QUICK = "driven: load"
+HEADS = ("effect", "floors", "named", "right", "first named, min, median", "°/h before", "after")
+REPORT = re.compile(r"MODEL CAN BE BETTER: (.*?): ([\d.e+-]+) become ([\d.e+-]+) °/h")
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
-    """What was said of a session, last: the effects, the axes, when first, and what it cost."""
+class Session:
+    """The last report of a session: the effects, the axes, when first, and what it cost."""
 
     label: str
     size: float
     seed: int
     truth: tuple[str, ...]
-    said: tuple[tuple[tuple[str, ...], str], ...]
+    named: tuple[tuple[tuple[str, ...], str], ...]
     since_s: float
     before: float
     after: float
@@ -89,37 +88,12 @@ def settings() -> list[Setting]:
         for name in EFFECTS
         for size in SIZES
     ]
-    found += [
-        Setting((), size, driver=name, label=f"driven: {name}") for name in drivers.DRIVING for size in SIZES
-    ]
-    found += [
-        Setting((), 0.0, noise=noise, label=f"nothing, {noise}") for noise in ("white", "flicker", "walk")
-    ]
-    found += [
-        Setting((), 0.0, noise=noise, label=f"nothing, constant, {noise}")
-        for noise in ("white", "flicker", "walk")
-    ]
-    found += [
-        Setting((), 0.0, noise=noise, poses=True, label=f"nothing, poses, {noise}")
-        for noise in ("white", "flicker", "walk")
-    ]
-    found += [
-        Setting(
-            (), 0.0, noise=noise, poses=True, latitude_deg=50.0, label=f"nothing, poses, earth rate, {noise}"
-        )
-        for noise in ("white", "flicker", "walk")
-    ]
-    found += [
-        Setting(("g_sensitivity",), size, poses=True, latitude_deg=50.0, label="g_sensitivity, earth rate")
-        for size in (10.0, 50.0)
-    ]
-    found += [
-        Setting((), 0.0, noise=noise, driver="none", label=f"nothing, ten columns, {noise}")
-        for noise in ("white", "flicker", "walk")
-    ]
-    found += [
-        Setting((), 0.0, noise=noise, label=f"nothing, {BEYOND}, {noise}") for noise in ("white", "flicker")
-    ]
+    found += [Setting((), size, driver=name, label=f"driven: {name}") for name in DRIVING for size in SIZES]
+    for label, (noises, more) in NOTHING.items():
+        found += [Setting((), 0.0, noise=noise, label=f"{label}, {noise}", **more) for noise in noises]
+        if more == POSES:
+            beside = "g_sensitivity, earth rate"
+            found += [Setting(("g_sensitivity",), size, label=beside, **POSES) for size in (10.0, 50.0)]
     found += [Setting((), 0.0, turn_on_dph=8.0, label="nothing, turn-on offsets")]
     return found
 
@@ -153,60 +127,29 @@ def plain_model(case: Case) -> BiasModel:
     return BiasModel(made_by="closing_the_loop", created="2026-01-01T00:00:00Z", channels=channels)
 
 
-def held(run: Run, seed: int) -> Run:
-    """Return a run as it would be had its temperature stayed where it began: its noise alone."""
-    rng = np.random.default_rng([seed, 5])
-    t = 25.0 + 0.2 * np.sin(2 * np.pi * run.time_s / 3000.0) + 0.01 * rng.standard_normal(len(run.time_s))
-    return replace(run, mean={**run.mean, "temperature": np.round(t * 16) / 16})
-
-
-def level_earth_rate(run: Run, latitude_deg: float, seed: int) -> Run:
-    """Return a run with the horizontal earth rate, too, another heading in each pose."""
-    rng = np.random.default_rng([seed, 6])
-    up = np.column_stack([run.mean[f"accel_{axis}"] for axis in AXES]) / GRAVITY
-    turns = np.flatnonzero(np.abs(np.diff(up, axis=0)).max(axis=1) > 0.5) + 1
-    changed = dict(run.mean)
-    for rows in np.split(np.arange(len(up)), turns):
-        across = np.cross(up[rows[0]].round(), rng.normal(size=3))
-        level = EARTH_DPH * np.cos(np.radians(latitude_deg)) * DPH * across / np.linalg.norm(across)
-        for at, axis in enumerate(AXES):
-            changed[f"gyro_{axis}"] = changed[f"gyro_{axis}"].copy()
-            changed[f"gyro_{axis}"][rows] += level[at]
-    return replace(run, mean=changed)
+def held(run: Run, model: BiasModel, seed: int) -> Run:
+    """Return a run as it would be had its temperature stayed at 25 °C: without the curve of the model."""
+    rng, n = np.random.default_rng([seed, 5]), len(run.time_s)
+    t = 25.0 + 0.2 * np.sin(2 * np.pi * run.time_s / 3000.0) + 0.01 * rng.standard_normal(n)
+    mean = {**run.mean, "temperature": np.round(t * 16) / 16}
+    for name, channel in model.channels.items():
+        mean[name] = mean[name] - channel.value(run.mean["temperature"]) + channel.value(np.full(n, 25.0))
+    return replace(run, mean=mean)
 
 
 def blocks_of(run: Run) -> list[SampleBlock]:
     """Return a run as blocks of a sample a second."""
-    n = len(run.time_s)
-    columns: dict[str, ColumnArray] = {
-        "device_time_ns": np.round(run.time_s * 1e9).astype(np.int64),
-        "segment": np.zeros(n, np.int64),
-        "at_rest": np.rint(run.rest).astype(np.int64),
-        **{name: np.asarray(values) for name, values in run.mean.items()},
-    }
-    return [
-        SampleBlock({name: values[at : at + PIECE] for name, values in columns.items()})
-        for at in range(0, n, PIECE)
-    ]
+    samples = sent(run.time_s, at_rest=np.rint(run.rest), **run.mean)
+    return [samples.rows(at, at + PIECE) for at in range(0, len(samples), PIECE)]
 
 
-def run_case(job: tuple[Setting, int]) -> Said:
-    """Return what is said of the third run of a case."""
+def run_case(job: tuple[Setting, int]) -> Session:
+    """Return what is reported of the third run of a case."""
     setting, seed = job
-    case = drivers.make(setting, seed) if setting.driver else make_case(setting, seed)
-    if setting.latitude_deg is not None:
-        case = replace(case, runs=[level_earth_rate(run, setting.latitude_deg, seed) for run in case.runs])
+    case = make_case(setting, seed)
     model, last = plain_model(case), case.runs[2]
     if "constant" in setting.label:
-        temperature = case.runs[2].mean["temperature"]
-        last = held(last, seed)
-        change = {
-            name: last.mean[name]
-            - channel.value(temperature)
-            + channel.value(np.full(len(temperature), 25.0))
-            for name, channel in model.channels.items()
-        }
-        last = replace(last, mean={**last.mean, **change})
+        last = held(last, model, seed)
     stage, spent, since, texts = LiveDiagnosis(model), 0.0, np.nan, list[str]()
     for block in blocks_of(last):
         began = time.process_time()
@@ -215,15 +158,15 @@ def run_case(job: tuple[Setting, int]) -> Said:
         for text in stage.notices():
             since = since if np.isfinite(since) else float(block["device_time_ns"][-1]) * 1e-9
             texts.append(text)
-    state = SAID.search(stage.state)
-    said = tuple(_groups(state.group(1))) if state else ()
+    state = REPORT.search(stage.state)
+    named = tuple(_groups(state.group(1))) if state else ()
     numbers = (float(state.group(2)), float(state.group(3))) if state else (np.nan, np.nan)
     truth = tuple(sorted(set().union(*case.truth)))
-    return Said(setting.label, setting.size, seed, truth, said, since, *numbers, spent, " | ".join(texts))
+    return Session(setting.label, setting.size, seed, truth, named, since, *numbers, spent, " | ".join(texts))
 
 
 def _groups(text: str) -> list[tuple[tuple[str, ...], str]]:
-    """Return effects and axes of what was said."""
+    """Return effects and axes of a report."""
     found = []
     for part in re.split(r"; ", text):
         what, _, axes = part.rpartition(" on ")
@@ -231,89 +174,36 @@ def _groups(text: str) -> list[tuple[tuple[str, ...], str]]:
     return found
 
 
-def right(one: Said) -> bool:
+def right(one: Session) -> bool:
     """Tell whether the effect is named, alone or in a set of at most three, on any axis and none but it."""
-    return bool(one.said) and all(set(names) & set(one.truth) for names, _ in one.said)
+    return bool(one.named) and all(set(names) & set(one.truth) for names, _ in one.named)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the sessions and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repeat", type=int, default=4)
-    parser.add_argument("--first", type=int, default=2500)
-    parser.add_argument("--only", default="")
-    parser.add_argument("--least", type=float, default=0.0, help="size in floors of the smallest effect")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--list", action="store_true")
-    parser.add_argument("--results", type=Path, help="file of sessions that are done, which grows by these")
-    parser.add_argument("--out", type=Path, help="page to write the table to")
-    given = parser.parse_args(arguments)
+def row(found: Sequence[Session]) -> list[str]:
+    """Return the row of one kind of sessions."""
+    first, sessions = found[0], [one for one in found if one.named]
+    cells = [first.label, f"{first.size:g}", share(sum(bool(one.text) for one in found), len(found))]
+    cells.append(share(sum(map(right, found)), len(found)) if first.truth else "")
+    if not sessions:
+        return [*cells, "", "", ""]
+    since, before, after = np.median([(one.since_s / 60, one.before, one.after) for one in sessions], axis=0)
+    return [*cells, f"{since:.0f}", f"{before:.3g}", f"{after:.3g}"]
+
+
+def tables(given: Options) -> Iterator[Table]:
+    """Yield the sessions by kind and size; five times as many of those with nothing missing."""
+    only = QUICK if given.quick else given.only
     work = [
-        (setting, 1000 * at + given.first + number)
+        (setting, 1000 * at + given.seeds[0] + number)
         for at, setting in enumerate(settings())
-        if given.only in setting.label and setting.size >= given.least
-        for number in range(given.repeat * (5 if setting.label.startswith("nothing") else 1))
+        if only in setting.label
+        for number in range(len(given.seeds) * (5 if setting.label.startswith("nothing") else 1))
     ]
-    results = kept(given.results)
-    done = {(one.label, one.size, one.seed) for one in results}
-    work = [job for job in work if (job[0].label, job[0].size, job[1]) not in done]
-    with ProcessPoolExecutor(given.jobs) as pool:
-        for one in pool.map(run_case, work):
-            results.append(one)
-            if given.results is not None:
-                with given.results.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(asdict(one)) + "\n")
-    if given.list:
-        for one in results:
-            mark = "" if right(one) or not one.truth else "BAD "
-            print(f"{mark}{one.label} {one.size:g} #{one.seed} {one.since_s:.0f} s: {one.text}")
-    text = table(results)
-    print(text)
-    if given.out is not None:
-        given.out.write_text(HEAD + text + "\n", encoding="utf-8")
-    return 0
-
-
-def kept(path: Path | None) -> list[Said]:
-    """Return the sessions that earlier runs left in a file."""
-    if path is None or not path.exists():
-        return []
-    found = []
-    for line in path.read_text(encoding="utf-8").splitlines():
-        one = json.loads(line)
-        said = tuple((tuple(names), axes) for names, axes in one["said"])
-        found.append(Said(**(one | {"truth": tuple(one["truth"]), "said": said})))
-    return found
-
-
-def table(results: Sequence[Said]) -> str:
-    """Return what was said, as Markdown."""
-    lines = [
-        "| effect | floors | named | right | first named, min, median | °/h before | after |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    labels = list(dict.fromkeys(one.label for one in results))
-    kinds = {(one.label, one.size) for one in results}
-    for label, size in sorted(kinds, key=lambda kind: (labels.index(kind[0]), kind[1])):
-        found = [one for one in results if (one.label, one.size) == (label, size)]
-        said = [one for one in found if one.said]
-        ever = sum(bool(one.text) for one in found)
-        good = share(sum(map(right, found)), len(found)) if found[0].truth else ""
-        when = f"{np.median([one.since_s for one in said]) / 60:.0f}" if said else ""
-        numbers = [
-            f"{np.median([getattr(one, key) for one in said]):.3g}" if said else ""
-            for key in ("before", "after")
-        ]
-        lines.append(
-            f"| {label} | {size:g} | {share(ever, len(found))} | {good} | {when} | {' | '.join(numbers)} |"
-        )
+    results = list(spread(run_case, work[: 1 if given.quick else None], given.jobs))
+    groups = groupby(results, key=lambda one: (one.label, one.size))
     seconds = [one.seconds for one in results]
-    lines += [
-        "",
-        f"{np.median(seconds):.2f} s of a core for two hours (median; the longest {max(seconds):.2f} s).",
-    ]
-    return "\n".join(lines)
+    note = f"{np.median(seconds):.2f} s of a core for two hours (median; the longest {max(seconds):.2f} s)."
+    yield Table("", HEADS, [row(list(found)) for _, found in groups], note)
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+STUDY = Study(tables, seeds=4, first=2500, page="appendix/closing-the-loop-live.md")

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-import os
 import time
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from closing_the_loop_cases import Setting, make_case
+from study import Cells, Options, Study, Table, spread
 
+from imumon.lab.diagnosis.alternatives import NOTHING
 from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.planning import MARGIN, Plan, Report, open_questions, plan, recorded, scenario
-from imumon.lab.diagnosis.questions import NOTHING
 from imumon.lab.diagnosis.report import report
 
 KINDS = (
@@ -28,7 +28,7 @@ OUTSIDE = ("slow wander", "supply")
 SIZES = (1.0, 3.0, 10.0)
 MOST_S = 8 * 3600.0
 FRESH = 100
-"""First seed of the units that a plan is proven on: no plan has seen them."""
+"""First seed of the units that a plan is proven on: no plan was made for them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,24 +83,24 @@ def _reached(known: Report, made: Plan, seed: int) -> float:
     return 0.0
 
 
-def plans(repeat: int, first: int, workers: int, *, quick: bool = False) -> int:
-    """Print what was expected and reached, case by case and in all; quick: of one case."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    every = [
-        (kind, size, first + at) for kind in (*KINDS, *OUTSIDE) for size in SIZES for at in range(repeat)
-    ]
-    every = every[:1] if quick else every
-    with ProcessPoolExecutor(workers) as pool:
-        found = [one for group in pool.map(planned, every) for one in group]
-    print("| case | open | hours | expected | needed | reached | s |\n|---|---|---|---|---|---|---|")
+def tables(given: Options) -> Iterator[Table]:
+    """Yield what was expected and reached, question by question and in all."""
+    work = [(kind, size, seed) for kind in (*KINDS, *OUTSIDE) for size in SIZES for seed in given.seeds]
+    groups = spread(planned, work[: 1 if given.quick else None], given.jobs)
+    found = [one for group in groups for one in group]
+    rows: list[Cells] = []
     for one in found:
-        numbers = (one.hours, one.expected, one.needed, one.reached, one.seconds)
-        cells = " | ".join("-" if math.isnan(value) else f"{value:.1f}" for value in numbers)
-        print(f"| {one.label} | {one.question} | {cells} |")
-    tell = [one for one in found if one.expected >= MARGIN * one.needed]
-    within = sum(0.5 <= one.reached / one.expected <= 2.0 for one in tell)
-    enough = sum(one.reached >= one.needed for one in tell)
+        rows.append([one.label, one.question, one.hours, one.expected, one.needed, one.reached, one.seconds])
+    able = [one for one in found if one.expected >= MARGIN * one.needed]
+    within = sum(0.5 <= one.reached / one.expected <= 2.0 for one in able)
+    enough = sum(one.reached >= one.needed for one in able)
     made = sum(not math.isnan(one.hours) for one in found)
-    print(f"\n{len(found)} questions; {made} with a profile; {len(tell)} of them expected to tell.")
-    print(f"Of those reached within a factor of 2: {within} of {len(tell)}; enough: {enough} of {len(tell)}.")
-    return 0
+    note = (
+        f"{len(found)} questions; {made} with a profile; {len(able)} of them expected to tell."
+        f"  Reached within a factor of 2: {within} of {len(able)}; enough: {enough} of {len(able)}."
+    )
+    heads = ["case", "open", "hours", "expected", "needed", "reached", "s"]
+    yield Table("", heads, rows, note, ("", "", *[".1f"] * 5))
+
+
+STUDY = Study(tables, seeds=4, first=900)

@@ -12,8 +12,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from samples import sent
+from study import matrix
 
-from imumon.blocks import FloatArray, SampleBlock
+from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.geodesy import DEG_PER_H
 
@@ -32,21 +34,12 @@ def errors(path: Path) -> tuple[FloatArray, FloatArray, float]:
     with np.load(path) as data:
         rate_hz, moving = float(data["sampling_rate"]), data["movement"]
         gyro, accel = (data[name].astype(np.float64) for name in ("gyr", "acc"))
-    n = len(gyro)
-    columns = {
-        "device_time_ns": np.rint(np.arange(n) * 1e9 / rate_hz).astype(np.int64),
-        "segment": np.zeros(n, np.int64),
-        **{f"gyro_{axis}": gyro[:, j].copy() for j, axis in enumerate("xyz")},
-        **{f"accel_{axis}": accel[:, j].copy() for j, axis in enumerate("xyz")},
-    }
-    samples = SampleBlock(columns)
+    samples = sent(np.arange(len(gyro)) / rate_hz, gyro=gyro, accel=accel)
     samples = samples.with_columns(RestAndBias().process(samples))
     end = int(np.flatnonzero(moving)[-1])
     after = slice(end + round(SETTLED_S * rate_hz), end + round((SETTLED_S + REST_S) * rate_hz))
     truth = gyro[after].mean(0)
-    bias, sd = (
-        np.array([samples[f"{name}_{axis}"][end] for axis in "xyz"]) for name in ("gyro_bias", "gyro_bias_sd")
-    )
+    bias, sd = (matrix(samples, name)[end] for name in ("gyro_bias", "gyro_bias_sd"))
     return bias - truth, (bias - truth) / sd, 100.0 * float(samples["at_rest"][moving].mean())
 
 

@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 import numpy.typing as npt
+from samples import sent
 from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray, SampleBlock
@@ -191,14 +192,9 @@ def samples_of(scene: Truth, rng: np.random.Generator) -> tuple[SampleBlock, Flo
     accel = accel + 1e-3 / math.sqrt(dt) * rng.normal(size=(n, 3))
     reading = np.round((scene.degc + scene.noise_degc * rng.normal(size=n)) / scene.step_degc)
     reading = np.where(np.isnan(scene.misread), reading * scene.step_degc, scene.misread)
-    columns = {
-        "device_time_ns": np.round(scene.t * 1e9).astype(np.int64),
-        "segment": np.zeros(n, np.int64),
-        "temperature": reading,
-    }
-    columns |= {f"gyro_{axis}": gyro[:, j] for j, axis in enumerate("xyz")}
-    columns |= {f"accel_{axis}": accel[:, j] for j, axis in enumerate("xyz")}
-    return SampleBlock({name: values[scene.kept] for name, values in columns.items()}), bias[scene.kept]
+    samples = sent(scene.t, temperature=reading, gyro=gyro, accel=accel)
+    kept = {name: values[scene.kept] for name, values in samples.columns.items()}
+    return SampleBlock(kept), bias[scene.kept]
 
 
 @dataclass(frozen=True, eq=False)

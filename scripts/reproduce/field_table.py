@@ -30,10 +30,11 @@ from rest_detector_table import (
     TURNS,
     Tally,
     bias_over_sigma,
-    matrix,
+    the_same,
     vqf_rest,
 )
 from scipy.signal import savgol_filter
+from study import largest, matrix, rms
 from thermometer_kinds import KINDS, PER_HOUR, Kind, Profile, constant, drifting, ramp
 from thermometers_table import ONSET_S, SETTLED_S, STEADY_S, errors
 
@@ -69,8 +70,7 @@ class Row:
     @property
     def largest(self) -> float:
         """Largest error over sigma."""
-        known = np.abs(self.ratios[np.isfinite(self.ratios)])
-        return float(known.max()) if len(known) else np.nan
+        return largest(self.ratios)
 
     def saved(self, cpu_s: float) -> dict[str, Any]:
         """Return what `--out` writes of the row; `cpu_s` is what it cost, peers and simulation included."""
@@ -96,24 +96,12 @@ class Row:
         return [self.part, self.kind, *numbers, f"{self.rms:.2f}", f"{self.largest:.1f}"]
 
 
-def rms(values: FloatArray) -> float:
-    """Return the root mean square of what is known."""
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
-
-
-def turn(rate_dps: float, minutes: float, begun_s: float, tilt_deg: float, seed: int) -> Scene:
-    """Return a steady turn, which is the same for every seed."""
-    del seed
-    return steady_turn(TURN_RATE_HZ, rate_dps, minutes, begun_s, tilt_deg)
-
-
 def rest_rows(seeds: range) -> Iterator[Row]:
     """Steady turns, slow tilts, hands and cars, with six grades of sensors: motion taken for rest."""
     scenes: list[tuple[str, Callable[[int], Scene]]] = [
         (
             f"turn of {rate:g} °/s for {minutes:g} min, begun in {begun:g} s, {tilt:g}° off the vertical",
-            partial(turn, rate, minutes, begun, tilt),
+            partial(the_same, steady_turn(TURN_RATE_HZ, rate, minutes, begun, tilt)),
         )
         for rate, minutes, begun, tilt in TURNS
     ]
@@ -205,13 +193,13 @@ def bias_rows(seeds: range) -> Iterator[Row]:
         peers: dict[str, list[FloatArray]] = {peer: [] for peer in DEFAULTS}
         for seed in seeds:
             record = simulate(case, seed)
-            error, sd, told = estimated(case, record)
+            error, sd, estimates = estimated(case, record)
             where = places(record.rest)
-            seen = np.concatenate([where.ends, where.before, where.motion[:: round(RATE_HZ)]])
-            ratios.append((error / sd)[seen].ravel())
+            rows = np.concatenate([where.ends, where.before, where.motion[:: round(RATE_HZ)]])
+            ratios.append((error / sd)[rows].ravel())
             mistakes.append(error[where.motion].ravel())
-            time_s = told.samples["device_time_ns"] * 1e-9
-            run = Run(scenario, told.samples, record.bias, record.earth, time_s, record.rest)
+            time_s = estimates.samples["device_time_ns"] * 1e-9
+            run = Run(scenario, estimates.samples, record.bias, record.earth, time_s, record.rest)
             for peer, method in DEFAULTS.items():
                 peers[peer].append((method(run) - record.bias - record.earth)[where.motion].ravel())
         others = {peer: rms(np.concatenate(parts)) / DEG_PER_H for peer, parts in peers.items()}

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import argparse
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from attitude_scenes import ACCEL_SD, SCALE_SD, turned
 from bias_sigma_records import LATITUDE_DEG, SENSORS, TAUS_S, waves
-from scipy.signal import lfilter
+from samples import gauss_markov, sent
 from scipy.spatial.transform import Rotation
+from study import Cell, Cells, Options, Study, Table, largest, matrix, over_bar, rms, worst_first
 from vqf import VQF
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
 
-RMS_BAR, LARGEST_BAR = 1.8, 7.0
 PER_G_DPS = 0.02
 """Largest sensitivity to the specific force, °/s/g."""
 SETTLED_S = 70.0
@@ -26,6 +26,7 @@ SETTLED_S = 70.0
 HEADS = (
     "scene", "Hz", "min", "z rms", "max", "°/h", "VQF, the same axes", "σ °/h", "claimed %", "VQF, all axes",
 )  # fmt: skip
+FORMATS = ("", ".0f", "g", ".2f", ".1f", ".0f", ".0f", ".0f", ".0f", ".0f")
 Moves = tuple[FloatArray, FloatArray, FloatArray]
 """Roll, pitch and yaw, rad, velocity, m/s, and what shakes, m/s², east, north, up; (n, 3) each."""
 
@@ -101,92 +102,51 @@ def simulate(vehicle: Vehicle, rate_hz: float, seconds: float, seed: int) -> tup
     earth = EARTH_RATE * np.array([0.0, math.cos(latitude), math.sin(latitude)]) @ middle
     sensitive = rng.uniform(-1.0, 1.0, (3, 3))
     sensitive *= math.radians(PER_G_DPS) / STANDARD_GRAVITY / np.abs(sensitive).max()
-    seen = np.radians(rng.normal(0.0, sensor.turn_on, 3)) + force @ sensitive.T + earth
-    for tau in TAUS_S:
-        decay = math.exp(-1.0 / (rate_hz * tau))
-        drive = rng.normal(size=(n, 3)) * math.sqrt(1.0 - decay * decay)
-        drive[0] = rng.normal(size=3)
-        seen += sensor.flicker_dph * DEG_PER_H * lfilter([1.0], [1.0, -decay], drive, axis=0)
+    bias = np.radians(rng.normal(0.0, sensor.turn_on, 3)) + force @ sensitive.T + earth
+    for tau_s in TAUS_S:
+        bias += gauss_markov(rng, n, rate_hz, tau_s, sensor.flicker_dph * DEG_PER_H)
     white, jolts = rng.normal(size=(2, n, 3)) * math.sqrt(rate_hz)
     gyro = (
         rate
         + rate @ rng.normal(0.0, SCALE_SD, (3, 3))
-        + seen
+        + bias
         + math.radians(sensor.angle_walk) / 60.0 * white
     )
     accel = force + rng.normal(0.0, ACCEL_SD, 3) + sensor.velocity_walk * jolts
-    vectors = {"gyro": gyro, "accel": accel}
-    columns = {
-        "device_time_ns": np.round(np.arange(1, n + 1) / rate_hz * 1e9).astype(np.int64),
-        "segment": np.zeros(n, np.int64),
-        **{
-            f"{name}_{axis}": values[:, j] for name, values in vectors.items() for j, axis in enumerate("xyz")
-        },
-    }
-    return SampleBlock(columns), seen
+    return sent(np.arange(1, n + 1) / rate_hz, gyro=gyro, accel=accel), bias
 
 
-def _vectors(samples: SampleBlock, name: str) -> FloatArray:
-    return np.column_stack([samples[f"{name}_{axis}"] for axis in "xyz"])
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
-
-
-def row(name: str, rate_hz: float, minutes: float, seeds: range) -> tuple[float, str]:
+def row(name: str, rate_hz: float, minutes: float, seeds: range) -> tuple[float, Cells]:
     """Return how bad a row is, and the row: values of each second from the first window on."""
-    each = round(rate_hz)
-    ours, ratios, same, every, sigma, claimed = [], [], [], [], [], []
+    late = slice(round(SETTLED_S * rate_hz), None, round(rate_hz))
+    errors, sigmas, others = [], [], []
     for seed in seeds:
-        samples, seen = simulate(VEHICLES[name], rate_hz, 60.0 * minutes, seed)
-        gyro, accel = _vectors(samples, "gyro"), _vectors(samples, "accel")
-        theirs = VQF(1.0 / rate_hz).updateBatchFullState(gyro, accel)["bias"] - seen
+        samples, truth = simulate(VEHICLES[name], rate_hz, 60.0 * minutes, seed)
+        full = VQF(1.0 / rate_hz).updateBatchFullState(matrix(samples, "gyro"), matrix(samples, "accel"))
+        others.append((full["bias"] - truth)[late])
         samples = samples.with_columns(RestAndBias(mode="learned").process(samples))
-        late = slice(round(SETTLED_S * rate_hz), None, each)
-        error, sd, other = (
-            (_vectors(samples, "gyro_bias") - seen)[late],
-            _vectors(samples, "gyro_bias_sd")[late],
-            theirs[late],
-        )
-        known = np.isfinite(error)
-        ours.append(error[known])
-        sigma.append(sd[known])
-        ratios.append(error[known] / sd[known])
-        same.append(other[known])
-        every.append(other.ravel())
-        claimed.append(known.ravel())
-    z, error = np.concatenate(ratios), np.concatenate(ours)
-    largest = float(np.abs(z).max(initial=0.0))
-    in_dph = [_rms(error), _rms(np.concatenate(same)), float(np.median(np.concatenate(sigma)))]
-    cells = [name, f"{rate_hz:.0f}", f"{minutes:g}", f"{_rms(z):.2f}", f"{largest:.1f}"]
-    cells += [f"{value / DEG_PER_H:.0f}" for value in in_dph]
-    cells += [
-        f"{100.0 * np.mean(np.concatenate(claimed)):.0f}",
-        f"{_rms(np.concatenate(every)) / DEG_PER_H:.0f}",
+        errors.append((matrix(samples, "gyro_bias") - truth)[late])
+        sigmas.append(matrix(samples, "gyro_bias_sd")[late])
+    error, sd, other = (np.concatenate(parts) for parts in (errors, sigmas, others))
+    known = np.isfinite(error)
+    ratios = error / sd
+    in_dph = [rms(error), rms(other[known]), float(np.median(sd[known]))]
+    cells: list[Cell] = [
+        name,
+        rate_hz,
+        minutes,
+        rms(ratios),
+        largest(ratios),
+        *(value / DEG_PER_H for value in in_dph),
     ]
-    return max(_rms(z) / RMS_BAR, largest / LARGEST_BAR), f"| {' | '.join(cells)} |"
+    return over_bar(ratios), [*cells, 100.0 * float(known.mean()), rms(other) / DEG_PER_H]
 
 
-def main() -> None:
-    """Print the table, worst row first."""
-    parser = argparse.ArgumentParser(prog="scripts/reproduce/moving_bias", description=__doc__)
-    parser.add_argument("--seeds", type=int, default=5, help="runs of each scene (default: %(default)s)")
-    parser.add_argument("--first", type=int, default=500, help="first seed (default: %(default)s)")
-    parser.add_argument("--only", choices=list(VEHICLES), help="one vehicle")
-    parser.add_argument("--rates", type=float, nargs="+", default=[50.0], help="sample rates, Hz")
-    parser.add_argument("--minutes", type=float, nargs="+", default=[10.0], help="lengths")
-    given = parser.parse_args()
-    seeds = range(given.first, given.first + given.seeds)
-    rows = [
-        row(name, rate_hz, minutes, seeds)
-        for name, rate_hz, minutes in product(VEHICLES, given.rates, given.minutes)
-        if given.only in (None, name)
-    ]
-    print(f"| {' | '.join(HEADS)} |\n{'|---' * len(HEADS)}|")
-    print("\n".join(text for _, text in sorted(rows, reverse=True)))
-    print(f"\nWorst over its bar (rms {RMS_BAR}, largest {LARGEST_BAR:.0f}): {max(rows)[0]:.2f}.")
+def tables(given: Options) -> Iterator[Table]:
+    """Yield one table, the worst row first."""
+    kinds = product(VEHICLES, given.lists["rates"], given.lists["minutes"])
+    chosen = [kind for kind in kinds if given.only in kind[0]][: 1 if given.quick else None]
+    yield Table("", HEADS, worst_first(row(*kind, given.seeds) for kind in chosen), formats=FORMATS)
 
 
-if __name__ == "__main__":
-    main()
+STUDY = Study(tables, 5, 500, lists={"rates": [50.0], "minutes": [10.0]})

@@ -6,18 +6,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import allantools
-import matplotlib as mpl
+import figures
 import numpy as np
-from random_error_methods import FITTED, PUBLISHED, fit_record, published, slow
-from random_error_records import RATE_HZ, VARIANCE, Record, simulate, without_temperature
+from matplotlib.axes import Axes
+from random_error_methods import DELTAS, FITTED, PUBLISHED, fit_record, published, slow
+from random_error_records import RATE_HZ, Record, measured, simulate, without_temperature
+from study import Options
 
 from imumon.blocks import FloatArray
-from imumon.papers.sigma_points import ModelNL, SigmaPointFilter
-
-mpl.use("Agg")
-from matplotlib import pyplot as plt
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 HOUR = 3600.0
 DELTA = 1e-2
@@ -25,37 +21,24 @@ DELTA = 1e-2
 METHODS = tuple(name for name in PUBLISHED if name != "SR-RSUKF 0.5")
 
 
-def draw_all(folder: Path, records: Sequence[Record]) -> Iterator[Path]:
-    """Write the figures as PNG and yield their paths."""
+def draw(given: Options) -> Iterator[Path]:
+    """Draw the figures; the last one where there are measured recordings."""
     minute = simulate(60.0, 1)
-    yield _save(_series(minute), folder / "figure-1-series.png")
-    yield _save(_deviations(minute), folder / "figure-2-allan.png")
-    yield _save(_truth(simulate(HOUR, 101)), folder / "figure-3-true-drift.png")
-    yield _save(_rotation(minute), folder / "figure-4-rotation.png")
-    yield _save(_escape(minute), folder / "figure-5-phi.png")
-    if records:
-        yield _save(_measured(records), folder / "figure-6-measured.png")
+    drawn = {
+        "figure-1-series": _series(minute),
+        "figure-2-allan": _deviations(minute),
+        "figure-3-true-drift": _truth(simulate(HOUR, 101)),
+        "figure-4-rotation": _rotation(minute),
+    }
+    if records := measured(given.data):
+        drawn["figure-6-measured"] = _measured(records)
+    for name, axes in drawn.items():
+        yield figures.save(axes, "random-error", name)
 
 
-def _save(figure: Figure, path: Path) -> Path:
-    figure.tight_layout()
-    figure.savefig(path)
-    plt.close(figure)
-    return path
-
-
-def _grid(title: str, rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
-    figure, axes = plt.subplots(rows, columns, figsize=size, dpi=80, squeeze=False)
-    figure.suptitle(title, fontsize=10)
-    for ax in axes.flat:
-        ax.grid(alpha=0.3)
-    return figure, list(axes.flat)
-
-
-def _series(record: Record) -> Figure:
-    figure, axes = _grid(
-        f"1. Raw and compensated, δ¹ = {DELTA:g} deg/s: (a) raw less prediction, (b) estimate", 3, 2, (10, 8)
-    )
+def _series(record: Record) -> list[Axes]:
+    title = f"1. Raw and compensated, δ¹ = {DELTA:g} deg/s: (a) raw less prediction, (b) estimate"
+    axes = figures.axes(title, 3, 2, size=(10.0, 8.0))
     t = np.arange(len(record.reading)) / RATE_HZ
     for row, name in enumerate(METHODS):
         output = published(name, record.reading, DELTA)
@@ -66,8 +49,7 @@ def _series(record: Record) -> Figure:
             ax.plot(t, record.reading, lw=0.3, color="0.7", label="raw")
             ax.plot(t, values, lw=0.4, label=f"{name} ({meaning})")
             ax.set(xlabel="s", ylabel="deg/s", ylim=(-1.4, 1.4))
-            ax.legend(fontsize=8, loc="upper right")
-    return figure
+    return axes
 
 
 def _curve(ax: Axes, name: str, values: FloatArray, rate: float, **style: object) -> None:
@@ -75,9 +57,9 @@ def _curve(ax: Axes, name: str, values: FloatArray, rate: float, **style: object
     ax.loglog(taus, deviations * HOUR, label=name, **style)
 
 
-def _deviations(record: Record) -> Figure:
-    figure, axes = _grid("2. Overlapping Allan deviation, 60 s", 2, 3, (12, 7))
-    for column, delta in enumerate((3.9e-5, 1e-3, 1e-2)):
+def _deviations(record: Record) -> list[Axes]:
+    axes = figures.axes("2. Overlapping Allan deviation, 60 s", 2, 3, size=(12.0, 7.0))
+    for column, delta in enumerate(DELTAS):
         for row, meaning in enumerate("ab"):
             ax = axes[3 * row + column]
             _curve(ax, "raw", record.reading, RATE_HZ, color="0.4")
@@ -86,12 +68,12 @@ def _deviations(record: Record) -> Figure:
                 values = record.reading - output.predicted if meaning == "a" else output.estimate
                 _curve(ax, name, values, RATE_HZ)
             ax.set(title=f"({meaning}), δ¹ = {delta:g} deg/s", xlabel="τ, s", ylabel="°/h", ylim=(1, 2000))
-            ax.legend(fontsize=7)
-    return figure
+    return axes
 
 
-def _truth(record: Record) -> Figure:
-    figure, (ax,) = _grid("3. True drift, the default estimate with its 2σ band, and others", 1, 1, (9, 4.5))
+def _truth(record: Record) -> list[Axes]:
+    axes = figures.axes("3. True drift, the default estimate with its 2σ band, and others", size=(9.0, 4.5))
+    ax = axes[0]
     every = slice(60 * RATE_HZ, None, RATE_HZ)
     t = np.arange(len(record.reading))[every] / RATE_HZ / 60
     default = slow("drift", record)
@@ -108,50 +90,28 @@ def _truth(record: Record) -> Figure:
     for (name, values), colour in zip(curves.items(), colours, strict=True):
         ax.plot(t, values[every] * HOUR, lw=0.9, color=colour, label=name)
     ax.set(xlabel="min", ylabel="°/h", ylim=(-120, 120))
-    ax.legend(fontsize=8)
-    return figure
+    return axes
 
 
-def _rotation(record: Record) -> Figure:
-    figure, axes = _grid(
-        "4. A true turn of 10 deg: angle from the rate less the prediction (a)", 1, 3, (12, 4)
-    )
+def _rotation(record: Record) -> list[Axes]:
+    title = "4. A true turn of 10 deg: angle from the rate less the prediction (a)"
+    axes = figures.axes(title, 1, 3, size=(12.0, 4.0))
     t = np.arange(len(record.reading)) / RATE_HZ
     turn = np.where((t >= 20) & (t < 40), 0.5, 0.0)
-    for ax, delta in zip(axes, (3.9e-5, 1e-3, 1e-2), strict=True):
+    for ax, delta in zip(axes, DELTAS, strict=True):
         ax.plot(t, np.cumsum(turn) / RATE_HZ, color="0.4", lw=1.5, label="true")
         ax.plot(t, np.cumsum(record.reading + turn) / RATE_HZ, color="0.7", lw=0.8, label="raw")
         for name in METHODS:
             output = published(name, record.reading + turn, delta)
             ax.plot(t, np.cumsum(record.reading + turn - output.predicted) / RATE_HZ, lw=1.0, label=name)
         ax.set(title=f"δ¹ = {delta:g} deg/s", xlabel="s", ylabel="deg")
-        ax.legend(fontsize=7)
-    return figure
+    return axes
 
 
-def _escape(record: Record) -> Figure:
-    figure, (ax,) = _grid(
-        "5. φ while the unit moves from 20 to 40 s (50 deg/s at 2 Hz), δ¹ = 0.001 deg/s", 1, 1, (9, 3.5)
-    )
-    t = np.arange(len(record.reading)) / RATE_HZ
-    moving = (t >= 20) & (t < 40)
-    z = record.reading + np.where(moving, 50 * np.sin(4 * np.pi * t), 0.0)
-    model = ModelNL((0.0, 0.0, 0.0, 1e-3, 0.0), (1e-3, 1e-3, 0.1, 0.0, 0.0), VARIANCE)
-    runs = {
-        "as published": SigmaPointFilter(model).process(z),
-        "clamped at ±0.9": SigmaPointFilter(model, phi_limit=0.9).process(z),
-        "frozen in motion": SigmaPointFilter(model, phi_limit=0.9).process(z, ~moving),
-    }
-    for name, result in runs.items():
-        ax.plot(t, result.phi, lw=0.8, label=name)
-    ax.set(xlabel="s", ylabel="φ")
-    ax.legend(fontsize=8)
-    return figure
-
-
-def _measured(records: Sequence[Record]) -> Figure:
+def _measured(records: Sequence[Record]) -> list[Axes]:
     shown = [record for record in records if record.name.endswith((" x", " z"))][:6]
-    figure, axes = _grid("6. Measured, static, δ¹ and R fitted: overlapping Allan deviation", 2, 3, (12, 7))
+    title = "6. Measured, static, δ¹ and R fitted: overlapping Allan deviation"
+    axes = figures.axes(title, 2, 3, size=(12.0, 7.0))
     for ax, record in zip(axes, shown, strict=False):
         reading = without_temperature(record)
         _curve(ax, "raw", record.reading, record.rate_hz, color="0.4")
@@ -161,5 +121,4 @@ def _measured(records: Sequence[Record]) -> Figure:
             output = published(name, reading, delta, noise)
             _curve(ax, f"{name} (a)", reading - output.predicted, record.rate_hz)
         ax.set(title=record.name, xlabel="τ, s", ylabel="°/h")
-        ax.legend(fontsize=7)
-    return figure
+    return axes

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from noise_fit import NoiseTerms, fit_noise
 from random_error_records import RATE_HZ, VARIANCE, Record
 from scipy.signal import lfilter
 
@@ -14,7 +13,7 @@ from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.papers.linear import LinearFilter, ModelL
 from imumon.papers.local_level import fit_local_level, means_of
-from imumon.papers.rest_means import ExponentialMean, RestMean, hold
+from imumon.papers.rest_means import ExponentialMean, hold
 from imumon.papers.sigma_points import ModelNL, SigmaPointFilter
 
 FITTED, DELTAS = 3.9e-5, (3.9e-5, 1e-3, 1e-2)
@@ -98,10 +97,3 @@ def fit_record(record: Record, reading: FloatArray) -> tuple[float, float]:
     return float(np.degrees(np.sqrt(walk * interval))), float(
         np.degrees(np.degrees(level.best.noise_variance(interval)))
     )
-
-
-def fitted_noise(means: Sequence[RestMean]) -> NoiseTerms:
-    """Return white noise, flicker and walk by likelihood, rad and s."""
-    elapsed = [np.inf if mean.begins else mean.elapsed_s for mean in means]
-    covered = np.array([mean.covered_s or 1.0 for mean in means])
-    return fit_noise(np.array(elapsed), np.array([mean.mean for mean in means]), covered)

@@ -19,8 +19,6 @@ FLICKER = 12.0 / 3600.0
 """deg/s, of each process."""
 VARIANCE = 0.1103
 """(deg/s)² of a sample."""
-THERMAL_RAMP = 0.05
-"""deg/s that the bias moves while the temperature rises from 37.8 to 40.1 °C in 60 s: not random at all."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,7 +32,7 @@ class Record:
     temperature: FloatArray
 
 
-def simulate(seconds: float, seed: int, ramp: float = 0.0) -> Record:
+def simulate(seconds: float, seed: int) -> Record:
     """Return MTi-28A noise at rest: white noise through a low-pass, and flicker that starts at zero."""
     rng = np.random.default_rng(seed)
     n = int(seconds * RATE_HZ)
@@ -50,7 +48,7 @@ def simulate(seconds: float, seed: int, ramp: float = 0.0) -> Record:
         drift += lfilter([1.0], [1.0, -decay], drive)
     t = np.arange(n) / (n - 1)
     temperature = 37.8 + 2.3 * t
-    return Record(f"simulated, {seconds:g} s", RATE_HZ, white + drift + ramp * t, drift, temperature)
+    return Record(f"simulated, {seconds:g} s", RATE_HZ, white + drift, drift, temperature)
 
 
 def measured(folder: Path) -> list[Record]:

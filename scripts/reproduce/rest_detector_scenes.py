@@ -1,4 +1,4 @@
-"""Scenes for the rest detector: what a unit does, seen through sensors of different grades."""
+"""Scenes for the rest detector: what a unit does, and what sensors of different grades read."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from samples import sent
 from scipy.signal import butter, lfilter, sosfilt
 from scipy.spatial.transform import Rotation
 
-from imumon.blocks import ColumnArray, FloatArray, SampleBlock
+from imumon.blocks import FloatArray, SampleBlock
 
 GRAVITY = 9.80665
 DEG = np.pi / 180.0
@@ -31,15 +32,6 @@ class Grade:
     gyro_step: float = 0.0
     accel_step: float = 0.0
     gyro_flicker: float = 0.0
-
-
-GRADES = (
-    Grade("consumer", 0.3 * DEG, 0.05, 2e-6),
-    Grade("consumer, coarse steps", 0.02 * DEG, 0.004, 2e-6, 0.0625 * DEG, 0.0383),
-    Grade("industrial", 0.05 * DEG, 0.01, 5e-7),
-    Grade("tactical", 3e-5, 2e-3, 5e-8),
-    Grade("navigation", 1e-6, 2e-4, 1e-9),
-)
 
 
 def _sensor(name: str, arw: float, flicker: float, micro_g: float, steps: tuple[float, float]) -> Grade:
@@ -77,92 +69,21 @@ class Scene:
     rest: npt.NDArray[np.bool_]
 
 
-def still(rate_hz: float, seconds: float) -> Scene:
+def still(rate_hz: float, seconds: float, _: int = 0) -> Scene:
     """Return a scene in which nothing happens."""
     n = int(seconds * rate_hz)
     zero = np.zeros((n, 3))
-    return Scene(
-        np.arange(n) / rate_hz,
-        zero + np.array([0.03, -0.02, 0.7]),
-        zero.copy(),
-        zero.copy(),
-        np.ones(n, bool),
-    )
+    angles = zero + np.array([0.03, -0.02, 0.7])
+    return Scene(np.arange(n) / rate_hz, angles, zero.copy(), zero.copy(), np.ones(n, bool))
 
 
-def smooth(t: FloatArray, start: float, duration: float) -> FloatArray:
-    """Return a minimum-jerk step from 0 to 1."""
-    s = np.clip((t - start) / duration, 0.0, 1.0)
-    step: FloatArray = s**3 * (10 - 15 * s + 6 * s**2)
-    return step
-
-
-def ramp(rate_hz: float, seconds: float) -> Scene:
-    """Bias drifts: 70 deg/h/degC and 0.5 mg/degC at 2 degC/min."""
-    scene = still(rate_hz, seconds)
-    scene.gyro_extra[:] = np.outer(scene.t, np.array([70.0, -70.0, 40.0]) * DEG_PER_H * 2 / 60)
-    scene.acceleration[:] = np.outer(scene.t, np.array([1.0, -1.0, 1.0]) * 0.5e-3 * GRAVITY * 2 / 60)
-    return scene
-
-
-def tilt(rate_hz: float, seconds: float, rate_dps: float = 0.1) -> Scene:
-    """Rest, then a slow roll until half of the time is over, then rest."""
-    scene = still(rate_hz, seconds)
-    begin, end = 0.25 * seconds, 0.5 * seconds
-    scene.angles[:, 0] += rate_dps * DEG * (np.clip(scene.t, begin, end) - begin)
-    scene.rest[(scene.t > begin) & (scene.t <= end)] = False
-    return scene
-
-
-def tilt_from_start(rate_hz: float, seconds: float) -> Scene:
-    """Roll slowly all the time."""
-    scene = still(rate_hz, seconds)
-    scene.angles[:, 0] += 0.1 * DEG * scene.t
-    scene.rest[:] = False
-    return scene
-
-
-def yaw(rate_hz: float, seconds: float, rate_dps: float = 1.0) -> Scene:
-    """Rest, then a level yaw at a constant rate for 30 s."""
-    scene = still(rate_hz, seconds)
-    scene.angles[:, :2] = 0.0
-    begin = 0.25 * seconds
-    scene.angles[:, 2] += rate_dps * DEG * (np.clip(scene.t, begin, begin + 30.0) - begin)
-    scene.rest[(scene.t > begin) & (scene.t <= begin + 30.0)] = False
-    return scene
-
-
-def turns(rate_hz: float, seconds: float) -> Scene:
-    """Guided turns of 90 deg in 3 s, about the vertical and in roll; rests of 12 s after one of 30 s."""
-    scene = still(rate_hz, seconds)
-    for number, start in enumerate(np.arange(30.0, seconds - 3.0, 15.0)):
-        scene.angles[:, 2 if number % 2 == 0 else 0] += (
-            (-1) ** (number // 2) * 90 * DEG * smooth(scene.t, start, 3.0)
-        )
-        scene.rest[(scene.t > start) & (scene.t <= start + 3.0)] = False
-    return scene
-
-
-def fan(rate_hz: float, seconds: float) -> Scene:
+def fan(rate_hz: float, seconds: float, _: int = 0) -> Scene:
     """Steady vibration of 23 Hz and 0.5 m/s² from a third of the time on: still rest."""
     scene = still(rate_hz, seconds)
     on = scene.t > seconds / 3
     scene.acceleration[on, 2] += 0.5 * np.sin(2 * np.pi * 23.17 * scene.t[on])
     scene.acceleration[on, 0] += 0.2 * np.sin(2 * np.pi * 23.17 * scene.t[on] + 1)
     scene.gyro_extra[on, 0] += 0.3 * DEG * np.sin(2 * np.pi * 23.17 * scene.t[on])
-    return scene
-
-
-def bump(rate_hz: float, seconds: float) -> Scene:
-    """A knock on the table every 20 s that rings at 17 Hz for a second."""
-    scene = still(rate_hz, seconds)
-    for start in np.arange(15.0, seconds - 5.0, 20.0):
-        t = np.maximum(scene.t - start, 0.0)
-        ring = np.exp(-t / 0.2) * np.sin(2 * np.pi * 17.0 * t)
-        scene.acceleration[:, 2] += 3.0 * ring
-        scene.acceleration[:, 0] += 1.0 * ring
-        scene.gyro_extra[:, 1] += 2.0 * DEG * ring
-        scene.rest[(scene.t > start) & (t < 0.6)] = False
     return scene
 
 
@@ -183,18 +104,6 @@ def hand(rate_hz: float, seconds: float, seed: int = 0) -> Scene:
     scene.angles[:] += 0.4 * DEG * _wander(rng, n, rate_hz, 0.5)
     scene.acceleration[:] += 0.05 * _wander(rng, n, rate_hz, 9.0)
     scene.rest[:] = False
-    return scene
-
-
-def walk_then_rest(rate_hz: float, seconds: float, seed: int = 0) -> Scene:
-    """Walked about with for half of the time, then put down."""
-    scene = still(rate_hz, seconds)
-    rng = np.random.default_rng([seed, 2])
-    n = len(scene.t)
-    share = (1 - smooth(scene.t, seconds / 2, 1.0))[:, np.newaxis]
-    scene.angles[:] += 10 * DEG * share * _wander(rng, n, rate_hz, 0.8)
-    scene.acceleration[:] += 1.5 * share * _wander(rng, n, rate_hz, 3.0)
-    scene.rest[scene.t < seconds / 2 + 1.0] = False
     return scene
 
 
@@ -219,43 +128,7 @@ def _turn(scene: Scene, rate: FloatArray, tilt_deg: float = 0.0) -> None:
     scene.angles[:] = placed.as_euler("ZYX")[:, ::-1]
 
 
-def turn_from_start(rate_hz: float, turn_dps: float) -> Scene:
-    """A turn from the start that stops after 200 s, rest of 100 s, and both again for 100 s each."""
-    scene = still(rate_hz, 500.0)
-    turns = (scene.t < 200.0) | ((scene.t >= 300.0) & (scene.t < 400.0))
-    width = round(rate_hz)  # it takes a second to stop, and to begin
-    eased = np.convolve(np.concatenate([np.ones(width), turns]), np.ones(width) / width)[width:]
-    rate = turn_dps * DEG * eased[: len(scene.t)]
-    _turn(scene, rate)
-    scene.rest[rate > 1e-9] = False
-    return scene
-
-
-def rest_after_turn(rate_hz: float, turn_dps: float, ramp_s: float) -> Scene:
-    """Rest of 150 s, a turn of 5 min that may be wander of the bias, and an hour of rest."""
-    scene = still(rate_hz, 150.0 + 300.0 + 3600.0)
-    since = scene.t - 150.0
-    rate = turn_dps * DEG * np.clip(np.minimum(since, 300.0 - since) / ramp_s, 0.0, 1.0)
-    _turn(scene, rate)
-    scene.rest[(since > 0.0) & (since <= 300.0)] = False
-    return scene
-
-
-def swing(rate_hz: float, axis: int, degrees: float, period_s: float, arm_m: float = 0.0) -> Scene:
-    """Rest of 150 s, then a swing of 150 s, or of three periods, about an axis of the unit (0 to 2).
-
-    It hangs on an arm, so that the specific force turns less than the unit; 0 is rocking about the unit.
-    """
-    scene = still(rate_hz, 150.0 + max(150.0, 3.0 * period_s))
-    since = np.maximum(scene.t - 150.0, 0.0)
-    angle = degrees * DEG * np.sin(2 * np.pi * since / period_s)
-    scene.angles[:, axis] += angle
-    scene.acceleration[:, 1] -= arm_m * np.gradient(np.gradient(angle, scene.t), scene.t)
-    scene.rest[since > 0.0] = False
-    return scene
-
-
-def slow_tilt(rate_hz: float, seconds: float) -> Scene:
+def slow_tilt(rate_hz: float, seconds: float, _: int = 0) -> Scene:
     """Rest, then tilted slowly by a hand from half of the time on: ±1° in 60 s."""
     scene = still(rate_hz, seconds)
     since = np.maximum(scene.t - seconds / 2, 0.0)
@@ -280,56 +153,57 @@ def breathing(rate_hz: float, seconds: float, seed: int = 0) -> Scene:
 def idling(rate_hz: float, seconds: float, seed: int = 0) -> Scene:
     """A car that stands with its engine running: 25 Hz and its harmonics, 0.2 m/s² and 0.2 °/s."""
     scene = still(rate_hz, seconds)
-    rng = np.random.default_rng([seed, 4])
-    _idle(scene, np.ones(len(scene.t)), rng, rate_hz)
+    _idle(scene, np.random.default_rng([seed, 4]), rate_hz)
     return scene
 
 
-def _idle(scene: Scene, share: FloatArray, rng: np.random.Generator, rate_hz: float) -> None:
+def _idle(scene: Scene, rng: np.random.Generator, rate_hz: float) -> None:
     """Add the vibration of an engine at 750 revolutions a minute: second order and twice that."""
     for order, size in ((25.3, 1.0), (50.6, 0.4)):
         if order < 0.45 * rate_hz:
-            phase = rng.uniform(0, 2 * np.pi, 6)
-            angle = 2 * np.pi * order * scene.t[:, np.newaxis] + phase
-            scene.acceleration[:] += (
-                0.2 * size * share[:, np.newaxis] * np.array([0.4, 0.6, 1.0]) * np.sin(angle[:, :3])
-            )
-            scene.gyro_extra[:] += (
-                0.2 * DEG * size * share[:, np.newaxis] * np.array([1.0, 0.6, 0.3]) * np.sin(angle[:, 3:])
-            )
-    scene.acceleration[:] += 0.01 * share[:, np.newaxis] * rng.standard_normal((len(scene.t), 3))
+            angle = 2 * np.pi * order * scene.t[:, np.newaxis] + rng.uniform(0, 2 * np.pi, 6)
+            scene.acceleration[:] += 0.2 * size * np.array([0.4, 0.6, 1.0]) * np.sin(angle[:, :3])
+            scene.gyro_extra[:] += 0.2 * DEG * size * np.array([1.0, 0.6, 0.3]) * np.sin(angle[:, 3:])
+    scene.acceleration[:] += 0.01 * rng.standard_normal((len(scene.t), 3))
 
 
-def driving(rate_hz: float, seconds: float, seed: int = 0, roughness: float = 1.0) -> Scene:
+def _road(
+    scene: Scene,
+    rng: np.random.Generator,
+    share: FloatArray,
+    force: tuple[float, float],
+    rate: tuple[float, float],
+) -> None:
+    """Shake a car: the body bounces and pitches at 1.5 Hz, the wheels up to 30 Hz; m/s² and °/s of each."""
+    n, rate_hz = len(scene.t), 1.0 / (scene.t[1] - scene.t[0])
+    shake = share[:, np.newaxis]
+    for values, axes, (body, wheels) in (
+        (scene.acceleration, np.array([0.2, 0.5, 1.0]), force),
+        (scene.gyro_extra, DEG * np.array([1.0, 1.0, 0.3]), rate),
+    ):
+        values += (
+            shake * axes * (body * _wander(rng, n, rate_hz, 1.5) + wheels * _wander(rng, n, rate_hz, 30.0))
+        )
+
+
+def driving(rate_hz: float, seconds: float, seed: int = 0) -> Scene:
     """A car in town: it stands for a third of every 90 s, engine idling, and drives between.
 
-    On the road the body bounces and pitches at 1.5 Hz (0.3 m/s², 1 °/s), the wheels shake it up to 30 Hz
-    (0.4 m/s², 0.7 °/s; all rms, smooth asphalt), it accelerates and brakes, and turns now and then.
+    On the road (rms of smooth asphalt) it accelerates and brakes, and turns now and then.
     """
     scene = still(rate_hz, seconds)
     rng = np.random.default_rng([seed, 5])
-    n, t = len(scene.t), scene.t
+    t = scene.t
     cycle = t % 90.0
     speed = np.clip((cycle - 30.0) / 10.0, 0.0, 1.0) * np.clip((89.0 - cycle) / 8.0, 0.0, 1.0)
     speed = speed**2 * (3.0 - 2.0 * speed)
     scene.acceleration[:, 0] += 14.0 * np.gradient(speed, t)
-    shake = (roughness * np.sqrt(speed))[:, np.newaxis]
-    scene.acceleration[:] += (
-        shake
-        * np.array([0.2, 0.5, 1.0])
-        * (0.3 * _wander(rng, n, rate_hz, 1.5) + 0.4 * _wander(rng, n, rate_hz, 30.0))
-    )
-    scene.gyro_extra[:] += (
-        DEG
-        * shake
-        * np.array([1.0, 1.0, 0.3])
-        * (_wander(rng, n, rate_hz, 1.5) + 0.7 * _wander(rng, n, rate_hz, 30.0))
-    )
+    _road(scene, rng, np.sqrt(speed), (0.3, 0.4), (1.0, 0.7))
     bends = np.sin(2 * np.pi * t / 37.0) > 0.7
     yaw_rate = 10.0 * DEG * speed * bends + 0.5 * DEG * speed * np.sin(2 * np.pi * t / 53.0)
     scene.angles[:, 2] += np.cumsum(yaw_rate) / rate_hz
     scene.acceleration[:, 1] += 14.0 * speed * yaw_rate
-    _idle(scene, np.ones(n), rng, rate_hz)
+    _idle(scene, rng, rate_hz)
     scene.rest[speed > 0.0] = False
     return scene
 
@@ -337,37 +211,16 @@ def driving(rate_hz: float, seconds: float, seed: int = 0, roughness: float = 1.
 def motorway(rate_hz: float, seconds: float, seed: int = 0) -> Scene:
     """A car on a smooth road at a constant speed, nearly straight on: a third of the vibration in town."""
     scene = still(rate_hz, seconds)
-    rng = np.random.default_rng([seed, 6])
-    n = len(scene.t)
-    scene.acceleration[:] += np.array([0.2, 0.5, 1.0]) * (
-        0.1 * _wander(rng, n, rate_hz, 1.5) + 0.15 * _wander(rng, n, rate_hz, 30.0)
-    )
-    scene.gyro_extra[:] += (
-        DEG
-        * np.array([1.0, 1.0, 0.3])
-        * (0.3 * _wander(rng, n, rate_hz, 1.5) + 0.25 * _wander(rng, n, rate_hz, 30.0))
-    )
+    _road(scene, np.random.default_rng([seed, 6]), np.ones(len(scene.t)), (0.1, 0.15), (0.3, 0.25))
     scene.angles[:, 2] += 0.3 * DEG * 53.0 / (2 * np.pi) * np.sin(2 * np.pi * scene.t / 53.0)
     scene.rest[:] = False
     return scene
 
 
-def _fixed(make: Callable[[float, float], Scene]) -> Callable[[float, float, int], Scene]:
-    return lambda rate_hz, seconds, _: make(rate_hz, seconds)
-
-
 SCENES: dict[str, Callable[[float, float, int], Scene]] = {
-    "still": _fixed(still),
-    "temperature ramp": _fixed(ramp),
-    "tilt of 0.1 deg/s": _fixed(tilt),
-    "tilt from the start": _fixed(tilt_from_start),
-    "yaw of 1 deg/s": _fixed(yaw),
-    "guided turns": _fixed(turns),
-    "fan": _fixed(fan),
-    "bumps": _fixed(bump),
+    "fan": fan,
     "held in a hand": hand,
-    "walk, then rest": walk_then_rest,
-    "tilted slowly, 1 deg in 60 s": _fixed(slow_tilt),
+    "tilted slowly, 1 deg in 60 s": slow_tilt,
     "breathing, 0.1 deg/s": breathing,
     "idling engine": idling,
     "driving in town": driving,
@@ -376,13 +229,8 @@ SCENES: dict[str, Callable[[float, float, int], Scene]] = {
 """From rate, seconds and seed."""
 
 
-def measure(scene: Scene, grade: Grade, seed: int) -> SampleBlock:
-    """Return what sensors of a grade read of a scene, at the rate of the scene."""
-    return measure_with_bias(scene, grade, seed)[0]
-
-
 def measure_with_bias(scene: Scene, grade: Grade, seed: int) -> tuple[SampleBlock, FloatArray]:
-    """Return the same, and the bias of the gyros without what the scene adds, (n, 3)."""
+    """Return what sensors of a grade read of a scene, and the bias of the gyros less the scene's, (n, 3)."""
     rng = np.random.default_rng(seed)
     n, rate_hz = len(scene.t), 1.0 / (scene.t[1] - scene.t[0])
     scale = np.sqrt(rate_hz / 100.0)
@@ -403,23 +251,4 @@ def measure_with_bias(scene: Scene, grade: Grade, seed: int) -> tuple[SampleBloc
     if grade.gyro_step:
         gyro = np.round(gyro / grade.gyro_step) * grade.gyro_step
         accel = np.round(accel / grade.accel_step) * grade.accel_step
-    columns: dict[str, ColumnArray] = {
-        "device_time_ns": np.rint(scene.t * 1e9).astype(np.int64),
-        "segment": np.zeros(n, np.int64),
-    }
-    for i, name in enumerate("xyz"):
-        columns |= {f"gyro_{name}": gyro[:, i].copy(), f"accel_{name}": accel[:, i].copy()}
-    return SampleBlock(columns), BIAS + walk
-
-
-def averaged(samples: SampleBlock, count: int) -> SampleBlock:
-    """Return means of count samples each, dated by the last: how a device lowers its rate."""
-    n = len(samples) // count * count
-    return SampleBlock(
-        {
-            name: values[count - 1 : n : count]
-            if values.dtype == np.int64
-            else values[:n].reshape(-1, count).mean(1)
-            for name, values in samples.columns.items()
-        }
-    )
+    return sent(scene.t, gyro=gyro, accel=accel), BIAS + walk

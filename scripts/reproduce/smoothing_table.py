@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 
 import numpy as np
-from alignment_runs import ACCEL_BIAS_UG
+from alignment_site_scenes import ACCEL_BIAS_UG
+from study import Cell, Options, Study, Table, largest, rms
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.alignment.parameters import AlignmentParameters
@@ -32,34 +32,30 @@ CASES = (
 )
 """Scenario and seconds."""
 RATE_HZ = 100
-FIRST_SEED = 100
 PIECE_S = 60
 HEADINGS = 4
 """Sessions of the alignment for one of the others: they are short."""
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--quick", action="store_true", help="one seed of the shortest session")
-    given = parser.parse_args()
-    print("| scenario | forward [°/h] | smoothed [°/h] | error over sigma, rms | largest | residual r |")
-    print("|---|---|---|---|---|---|")
-    for name, seconds in CASES[:1] if given.quick else CASES:
-        seeds = range(FIRST_SEED, FIRST_SEED + (1 if given.quick else given.seeds))
-        found = np.array([measured(name, seconds, seed) for seed in seeds])
-        forward, smoothed, z = (_three(found[:, :, k].mean(0)) for k in (0, 1, 2))
+HEADS = ("error over sigma, rms", "largest", "residual r")
+
+
+def tables(given: Options) -> Iterator[Table]:
+    """Yield the bias of each scenario, and the heading."""
+    rows = []
+    for name, seconds in CASES[: 1 if given.quick else None]:
+        found = np.array([measured(name, seconds, seed) for seed in given.seeds])
+        cells = [_three(found[:, :, k].mean(0)) for k in (0, 1, 2)]
         apart = f"{found[:, :, 4].min():.2f} to {found[:, :, 4].max():.2f}"
-        label = f"{name}, {seconds / 60:g} min"
-        print(
-            f"| {label} | {forward} | {smoothed} | {z} | {found[:, :, 3].max():.1f} | {apart} |", flush=True
-        )
-    seeds = range(FIRST_SEED, FIRST_SEED + (1 if given.quick else HEADINGS * given.seeds))
+        rows.append([f"{name}, {seconds / 60:g} min", *cells, f"{found[:, :, 3].max():.1f}", apart])
+    yield Table("", ["scenario", "forward [°/h]", "smoothed [°/h]", *HEADS], rows)
+    count = len(given.seeds) * (1 if given.quick else HEADINGS)
+    seeds = range(given.seeds[0], given.seeds[0] + count)
     error, z, live, apart_by = np.array([heading(seed) for seed in seeds]).T
-    print("| heading | forward, median [°] | smoothed [°] | error over sigma, rms | largest | residual r |")
-    print("|---|---|---|---|---|---|")
-    values = f"{_rms(live):.4f} | {_rms(error):.4f} | {_rms(z):.2f} | {np.abs(z).max():.1f}"
-    print(f"| alignment, 5 min | {values} | {apart_by.min():.2f} to {apart_by.max():.2f} |")
+    apart = f"{apart_by.min():.2f} to {apart_by.max():.2f}"
+    row: list[Cell] = ["alignment, 5 min", rms(live), rms(error), rms(z), largest(z), apart]
+    heads = ["heading", "forward, median [°]", "smoothed [°]", *HEADS]
+    yield Table("", heads, [row], formats=("", ".4f", ".4f", ".2f", ".1f"))
 
 
 def measured(name: str, seconds: int, seed: int) -> FloatArray:
@@ -77,7 +73,7 @@ def measured(name: str, seconds: int, seed: int) -> FloatArray:
     result = np.empty((3, 5))
     for j, axis in enumerate("xyz"):
         true = np.concatenate([truth[:, j] for truth in truths])[rows]
-        result[j] = _judged(record, smoothed, axis, true, stage.residuals[f"gyro_bias_{axis}"])
+        result[j] = _scores(record, smoothed, axis, true, stage.residuals[f"gyro_bias_{axis}"])
     return result
 
 
@@ -99,10 +95,6 @@ def heading(seed: int) -> tuple[float, float, float, float]:
     return error, error / float(np.degrees(found.sd[middle])), live, found.residual
 
 
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
 def played(name: str, seconds: int, seed: int) -> Iterator[tuple[SampleBlock, FloatArray]]:
     """Yield samples behind the stages, and the bias with the earth rate of the latest rest, (n, 3)."""
     unit = SimulatedUnit(load_scenario(name).played(RATE_HZ, "FRD"), seed)
@@ -121,19 +113,18 @@ def played(name: str, seconds: int, seed: int) -> Iterator[tuple[SampleBlock, Fl
         yield block, bias + rates[latest]
 
 
-def _judged(
+def _scores(
     record: Record, smoothed: dict[str, FloatArray], axis: str, true: FloatArray, apart: float
 ) -> list[float]:
     error = smoothed[f"gyro_bias_smoothed_{axis}"] - true
     before = record.columns[f"gyro_bias_{axis}"] - true
     z = error / smoothed[f"gyro_bias_smoothed_sd_{axis}"]
-    rms = [float(np.sqrt(np.nanmean(part**2))) / DEG_PER_H for part in (before, error)]
-    return [*rms, float(np.sqrt(np.nanmean(z**2))), float(np.nanmax(np.abs(z))), apart]
+    errors = [rms(before) / DEG_PER_H, rms(error) / DEG_PER_H]
+    return [*errors, rms(z), largest(z), apart]
 
 
 def _three(values: FloatArray) -> str:
     return ", ".join(f"{value:.3g}" if value >= 10 else f"{value:.2f}" for value in values)
 
 
-if __name__ == "__main__":
-    main()
+STUDY = Study(tables, seeds=5, first=100)

@@ -6,12 +6,14 @@ of the soak, and temperature and rate are those of the thermometer of the ramp.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from study import rms
 from tczupt_records import DPH, Calibration, Filter, curves, slopes
 from thermal_calibration_data import AXES, Soak, simulated_soak
-from thermal_calibration_study import Trained, differences, means_of_levels, published, rms
+from thermal_calibration_study import Trained, differences, means_of_levels, published
 
 from imumon.blocks import BoolArray, FloatArray
 from imumon.models.curves.points import Points
@@ -28,7 +30,7 @@ EVERY = 10
 AGREE_DEGC = 0.2
 """Wall and case agree: two steps of their logger."""
 WINDOW = 31
-"""Entries of the log whose median is compared, five minutes: its noise is a tenth of what is asked."""
+"""Entries of the log whose median is compared, five minutes: its noise is a tenth of the limit."""
 ON_THE_RAMP = np.linspace(27.28, 34.08, 137)
 """°C."""
 
@@ -109,7 +111,7 @@ def settled(seed: int, count: int) -> BoolArray:
     return np.asarray((at >= 0) & agree[at])
 
 
-def calibration_errors(chains: list[Chain]) -> list[list[str]]:
+def calibration_errors(chains: Sequence[Chain]) -> list[list[str]]:
     """Return rows: rms errors on the temperatures of the ramp, over all chains."""
     truth, slope = curves(ON_THE_RAMP), slopes(ON_THE_RAMP)
     rows = []

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
 
-import matplotlib as mpl
+import figures
 import numpy as np
+from matplotlib.axes import Axes
 from scipy.signal import butter, lfilter
+from study import Options
 from tczupt_records import (
     DPH,
     HIGHEST,
+    LATITUDE_DEG,
     LOWEST,
     RATE_HZ,
     RESIDUAL,
@@ -20,34 +23,23 @@ from tczupt_records import (
     curves,
     moving_average,
     run,
+    simulate,
     true_model,
 )
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias.stage import GyroBias
 
-mpl.use("Agg")
-from matplotlib import pyplot as plt
-from matplotlib.axes import Axes
-
 EVERY = slice(None, None, 50)
 ZUPT, TCZUPT = Filter("calibrated"), Filter("rate", k=0.5)
 
 
 def _axes(title: str, rows: int = 1, x: str = "s after the zeroing", y: str = "deg/h") -> list[Axes]:
-    figure, axes = plt.subplots(rows, 1, figsize=(8, 2.6 * rows + 1.0), dpi=80, squeeze=False)
-    figure.suptitle(title, fontsize=10)
-    for ax in axes[:, 0]:
-        ax.set_xlabel(x)
-        ax.set_ylabel(y)
-        ax.grid(alpha=0.3)
-    return list(axes[:, 0])
+    return figures.axes(title, rows, x=x, y=y)
 
 
-def _save(folder: Path, name: str) -> None:
-    plt.tight_layout()
-    plt.savefig(folder / f"{name}.png")
-    plt.close()
+def _save(drawn: list[Axes], name: str) -> Path:
+    return figures.save(drawn, "tczupt", name)
 
 
 def _smooth(values: FloatArray) -> FloatArray:
@@ -56,21 +48,19 @@ def _smooth(values: FloatArray) -> FloatArray:
     return np.asarray(lfilter(b, a, values - start, axis=0) + start)
 
 
-def _inputs(folder: Path, record: Record) -> None:
+def _inputs(record: Record) -> Iterator[Path]:
     levels = np.append(np.arange(LOWEST, HIGHEST - 5.0, 5.0), HIGHEST)
     axes = _axes("5. Bias at the levels of the soak test, and the curve", 3, "degC", "deg/s")
     fine = np.linspace(LOWEST, HIGHEST, 300)
     for j, ax in enumerate(axes):
         ax.plot(fine, np.degrees(curves(fine)[:, j]), lw=0.9)
         ax.plot(levels, np.degrees(curves(levels)[:, j]), "o", ms=4, label="xyz"[j])
-        ax.legend(fontsize=8)
-    _save(folder, "figure-05")
+    yield _save(axes, "figure-05")
     axes = _axes("6. Ramp test: raw rate (1 Hz low-pass) over temperature", 3, "degC", "deg/s")
     raw = np.degrees(_smooth(record.gyro))
     for j, ax in enumerate(axes):
         ax.plot(record.temperature[EVERY], raw[EVERY, j], lw=0.6, label="xyz"[j])
-        ax.legend(fontsize=8)
-    _save(folder, "figure-06")
+    yield _save(axes, "figure-06")
     calibrated = record.gyro - curves(record.temperature)
     for number, name, data in (
         (9, "calibrated data, for ZUPT", calibrated),
@@ -79,16 +69,15 @@ def _inputs(folder: Path, record: Record) -> None:
         axes = _axes(f"{number}. Input (1 Hz low-pass): {name}", 3, y="deg/s")
         for j, ax in enumerate(axes):
             ax.plot(record.seconds[EVERY], np.degrees(_smooth(data))[EVERY, j], lw=0.6, label="xyz"[j])
-            ax.legend(fontsize=8)
-        _save(folder, f"figure-{number:02d}")
+        yield _save(axes, f"figure-{number:02d}")
 
 
-def _biases(folder: Path, record: Record) -> None:
+def _biases(record: Record) -> Iterator[Path]:
     average = moving_average(record)[ZEROING:]
     seconds = record.seconds[ZEROING:]
     for first, residual in ((11, 0.0), (14, RESIDUAL)):
         found = {
-            name: (run(record, chosen, residual)[0] + record.bias[ZEROING:] / DPH)
+            name: run(record, chosen, residual) + record.bias[ZEROING:] / DPH
             for name, chosen in (("ZUPT", ZUPT), ("TCZUPT", TCZUPT))
         }
         for j, axis in enumerate("xyz"):
@@ -103,29 +92,26 @@ def _biases(folder: Path, record: Record) -> None:
             for name, bias in found.items():
                 axes[0].plot(seconds[EVERY], bias[EVERY, j], lw=0.8, label=name)
                 axes[1].plot(seconds[EVERY], bias[EVERY, j] - truth[EVERY], lw=0.9, label=name)
-            for ax in axes:
-                ax.legend(fontsize=8)
-            _save(folder, f"figure-{first + j:02d}")
+            yield _save(axes, f"figure-{first + j:02d}")
 
 
-def _equal_terms(folder: Path, record: Record) -> None:
+def _equal_terms(record: Record) -> Iterator[Path]:
     (ax,) = _axes("Residual of 15 deg/h, y axis: equal K and p0 make one filter of the two")
     seconds = record.seconds[ZEROING:]
     for k, p0 in ((0.1, 2.2), (0.5, 2.2), (0.1, 15.0)):
         for name, thermal, style in (("ZUPT", "calibrated", "-"), ("TCZUPT", "increments", ":")):
-            error = run(record, Filter(thermal, k=k, p0=p0), RESIDUAL)[0]
+            error = run(record, Filter(thermal, k=k, p0=p0), RESIDUAL)
             width = 1.0 if style == "-" else 2.2
             ax.plot(seconds[EVERY], error[EVERY, 1], style, lw=width, label=f"{name}, K {k}, p0 {p0:.1f}")
-    ax.legend(fontsize=8)
-    _save(folder, "equal-terms")
+    yield _save([ax], "equal-terms")
 
 
-def _in_motion(folder: Path, record: Record) -> None:
+def _in_motion(record: Record) -> Iterator[Path]:
     (ax,) = _axes("No update from 330 s on: bias of y less the truth, with 2σ")
     block = record.block.with_columns({"at_rest": (record.seconds < 330.0).astype(np.int64)})
     for name, stage in (
-        ("held (standard)", GyroBias(latitude_deg=40.93, heading_deg=0.0)),
-        ("thermal", GyroBias(None, true_model(), "thermal", 40.93, 0.0)),
+        ("held (standard)", GyroBias(latitude_deg=LATITUDE_DEG, heading_deg=0.0)),
+        ("thermal", GyroBias(None, true_model(), "thermal", LATITUDE_DEG, 0.0)),
     ):
         added = stage.process(block)
         error = (added["gyro_bias_y"] - record.bias[:, 1]) / DPH
@@ -133,13 +119,11 @@ def _in_motion(folder: Path, record: Record) -> None:
         part = slice(ZEROING, None, 50)
         ax.plot(record.seconds[part], error[part], lw=1.0, label=name)
         ax.fill_between(record.seconds[part], (error - 2 * sd)[part], (error + 2 * sd)[part], alpha=0.2, lw=0)
-    ax.legend(fontsize=8)
-    _save(folder, "in-motion")
+    yield _save([ax], "in-motion")
 
 
-def draw_all(folder: Path, record: Record) -> None:
+def draw(_: Options) -> Iterator[Path]:
     """Draw all figures from one record of the ramp test."""
-    folder.mkdir(parents=True, exist_ok=True)
-    sections: tuple[Callable[[Path, Record], None], ...] = (_inputs, _biases, _equal_terms, _in_motion)
-    for section in sections:
-        section(folder, record)
+    record = simulate("crs05-ramp", 0)
+    for section in (_inputs, _biases, _equal_terms, _in_motion):
+        yield from section(record)

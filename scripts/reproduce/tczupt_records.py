@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from curve_slopes import curve_slope
-from dense_record import DenseRun, dense_filter
+from dense_record import dense_filter
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.geodesy import EARTH_RATE, body_to_ned
@@ -23,6 +23,7 @@ from imumon.simulation.unit.unit import SimulatedUnit
 DPH = math.radians(1.0) / 3600.0
 """One degree per hour, rad/s."""
 RATE_HZ = 100
+LATITUDE_DEG = 40.93
 ZEROING = 60 * RATE_HZ
 STEP = 10
 """Samples to a step of the filter: as good as one, see tests/papers/test_dense_zupt.py."""
@@ -127,8 +128,8 @@ class Filter:
     calibration: Calibration = TRUE
 
 
-def run(record: Record, chosen: Filter, residual: float = 0.0) -> tuple[FloatArray, DenseRun]:
-    """Return the error of the bias after the zeroing, deg/h, (n, 3), and the run of the filter."""
+def run(record: Record, chosen: Filter, residual: float = 0.0) -> FloatArray:
+    """Return the error of the bias after the zeroing, deg/h, (n, 3)."""
     temperature = record.temperature
     if chosen.temperature == "reading":
         temperature = record.block["temperature"]
@@ -140,7 +141,7 @@ def run(record: Record, chosen: Filter, residual: float = 0.0) -> tuple[FloatArr
     settings = replace(DenseSettings(1.0 / RATE_HZ), bias_random_walk=chosen.k * DPH, bias_sd=chosen.p0 * DPH)
     result = dense_filter(settings, gyro[part], record.accel[part], start, drift, UP, STEP)
     bias = result.bias + (thermal[part] if chosen.thermal == "calibrated" else 0.0)
-    return (bias - record.bias[part]) / DPH, result
+    return np.asarray((bias - record.bias[part]) / DPH)
 
 
 def _drift(record: Record, chosen: Filter, temperature: FloatArray, thermal: FloatArray) -> FloatArray | None:

@@ -1,21 +1,20 @@
-"""Tables of the published comparison of ZUPT and TCZUPT, of that at equal terms, and of what lies beyond."""
+"""ZUPT and TCZUPT as published, at equal terms, and beside the stage of imumon: errors of the bias, deg/h."""
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
+from itertools import product
 
 import numpy as np
-from dense_record import dense_filter
+from study import Options, Study, Table
 from tczupt_chain import Chain, calibration_errors, run_chain
-from tczupt_figures import draw_all
+from tczupt_figures import draw
 from tczupt_records import (
     DPH,
+    LATITUDE_DEG,
     RATE_HZ,
     RESIDUAL,
-    STEP,
     ZEROING,
     Filter,
     Record,
@@ -32,20 +31,22 @@ from thermal_calibration_study import RESTARTS
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias.stage import GyroBias, Mode
-from imumon.papers.dense_zupt import DenseSettings
 
-FIGURES = Path(__file__).resolve().parents[2] / "docs" / "figures" / "tczupt"
-ZUPT, TCZUPT = Filter("calibrated"), Filter("rate", k=0.5)
+ARW = 0.28
+"""deg/√h."""
 COVERED = 15.0
+"""Start covariance that covers the residual, deg/h."""
+FIRST_S = 30.0
 SOAKS = 1000
 """Seed of the first soak: its noise is not that of the ramp."""
-
-
-def table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a Markdown table."""
-    print(f"\n{title}\n\n| {' | '.join(headings)} |\n|{'---|' * len(headings)}")
-    for row in rows:
-        print(f"| {' | '.join(row)} |")
+DESCENT_S = 264
+PREDICTED_S = (66, 204)
+EFFECTS = {"none": "crs05-ramp", "hysteresis": "crs05-ramp-hysteresis", "lag 30 s": "crs05-ramp-lag"}
+"""What the curve lacks, and the scenario that has it."""
+MODES: Mapping[str, Mode] = {"standard": "standard", "learned": "learned", "thermal": "thermal"}
+HEADS = (
+    "filter", "K", "p0", "residual 0: 30 s", "all", "residual 15: 30 s", "all", "converged, s", "records",
+)  # fmt: skip
 
 
 def three(values: FloatArray, digits: int = 2) -> str:
@@ -53,286 +54,145 @@ def three(values: FloatArray, digits: int = 2) -> str:
     return " ".join(f"{value:.{digits}f}" for value in values)
 
 
-def rms(
-    errors: Sequence[FloatArray] | FloatArray, start_s: float = 0.0, stop_s: float | None = None
-) -> FloatArray:
+def rms(errors: Sequence[FloatArray], stop_s: float | None = None) -> FloatArray:
     """Return the root mean square over all records, deg/h, (3,)."""
     stop = None if stop_s is None else round(stop_s * RATE_HZ)
-    parts = [error[round(start_s * RATE_HZ) : stop] for error in errors]
-    return np.asarray(np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)))
+    return np.asarray(np.sqrt(np.mean(np.concatenate([error[:stop] for error in errors]) ** 2, axis=0)))
 
 
-Rows = dict[str, list[Filter]]
-"""For each filter of a table its setting for each record: a soak has its own error of calibration."""
+def compared(name: str, records: Sequence[Record], chosen: Sequence[Filter]) -> list[str]:
+    """Return the row of a filter, which has a setting for each record: a soak has its own calibration.
+
+    Converged is within 1.00e-5 rad/s for 5 s, the median over the records and how many of them get there.
+    """
+    cells = [name, f"{chosen[0].k}", f"{chosen[0].p0}"]
+    for residual in (0.0, RESIDUAL):
+        errors = [run(record, one, residual) for record, one in zip(records, chosen, strict=True)]
+        cells += [three(rms(errors, FIRST_S)), three(rms(errors))]
+    times = np.array([convergence_s(error) for error in errors])
+    middle = np.median(np.nan_to_num(times, nan=np.inf), axis=0)
+    return [*cells, three(middle, 0), " ".join(map(str, np.isfinite(times).sum(0)))]
 
 
-def published(records: Sequence[Record], chains: list[Chain]) -> None:
-    """Tables 5 to 12: each filter with its own bias instability, start covariance from the zeroing."""
-    off = [(moving_average(r) - r.bias)[ZEROING:] / DPH for r in records]
-    raw = [(r.gyro - r.earth - moving_average(r))[ZEROING:].mean(0) / DPH for r in records]
-    table(
-        "Table 5: the moving average, deg/h, x y z",
-        ["mean residual about it", "its rms error against the truth", "60 ARW/sqrt(30 s)"],
-        [[three(np.mean(raw, axis=0), 3), three(rms(off)), f"{60 * 0.28 / np.sqrt(30):.2f}"]],
-    )
-    settings: Rows = {
-        "ZUPT, true curve": [ZUPT] * len(records),
-        "TCZUPT, true curve": [TCZUPT] * len(records),
-        **{f"{name}, whole chain": [one.filters[name] for one in chains] for name in chains[0].filters},
-    }
-    rows = {
-        (name, residual): [run(r, one, residual)[0] for r, one in zip(records, chosen, strict=True)]
-        for residual in (0.0, RESIDUAL)
-        for name, chosen in settings.items()
-    }
-    for number, residual in ((6, 0.0), (7, RESIDUAL)):
-        lines = []
-        for name in settings:
-            errors = rows[name, residual]
-            against = [e - o for e, o in zip(errors, off, strict=True)]
-            lines.append([name, *(three(rms(x, 0, t)) for x in (errors, against) for t in (30.0, None))])
-        table(
-            f"Table {number}: rms with a residual of {residual:.0f} deg/h, deg/h, x y z",
-            ["filter", "truth: 30 s", "truth: all", "average: 30 s", "average: all"],
-            lines,
-        )
-    for numbers, residual in (("8 and 9", 0.0), ("10 and 11", RESIDUAL)):
-        lines = []
-        for name in settings:
-            sets = np.array([rms([e], 0.0, 300.0) for e in rows[name, residual][:5]])
-            lines.append([name, *map(three, sets), three(sets.mean(0)), three(sets.std(0, ddof=1))])
-        table(
-            f"Tables {numbers}: five sets of 5 min, residual {residual:.0f} deg/h, rms, deg/h, x y z",
-            ["filter", "1", "2", "3", "4", "5", "mean", "sd"],
-            lines,
-        )
-    times = {name: [convergence_s(e) for e in rows[name, RESIDUAL]] for name in settings}
-    # A record that never converges is at the end of the order, not left out of it.
-    middle = {name: np.median(np.nan_to_num(all_of, nan=np.inf), axis=0) for name, all_of in times.items()}
-    table(
-        "Table 12: time until within 1.00e-5 rad/s for 5 s, median, s, x y z; how many records get there",
-        ["filter", "s", "records"],
-        [
-            [name, three(middle[name], 0), " ".join(map(str, np.isfinite(times[name]).sum(0)))]
-            for name in settings
-        ],
-    )
-    claims(rows, middle)
-
-
-def claims(rows: dict[tuple[str, float], list[FloatArray]], middle: dict[str, FloatArray]) -> None:
-    """What the text of the paper says of its tables, as ratios of TCZUPT to ZUPT."""
-    lines = []
-    for part in ("true curve", "whole chain"):
-        zupt, tczupt = f"ZUPT, {part}", f"TCZUPT, {part}"
-        for claim, residual, stop in (
-            ("nominal: alike, all", 0.0, None),
-            ("15 deg/h: smaller rms in the first 30 s", RESIDUAL, 30.0),
-            ("15 deg/h: smaller rms over all", RESIDUAL, None),
-        ):
-            ratio = rms(rows[tczupt, residual], 0, stop) / rms(rows[zupt, residual], 0, stop)
-            lines.append([claim, part, three(ratio)])
-        lines.append(["15 deg/h: converges sooner", part, three(middle[tczupt] / middle[zupt])])
-    table("What the text of the paper says: TCZUPT over ZUPT, x y z", ["claim", "with", "ratio"], lines)
-
-
-def calibrated(chains: list[Chain]) -> None:
-    """What the networks of the soaks got wrong, which the filters of the whole chain have to live with."""
-    residual = np.sqrt(np.mean(np.square([[t.residual for t in one.bias] for one in chains]), axis=0)) / DPH
-    bad = np.sum([[t.bad for t in one.bias] for one in chains], axis=0)
-    print(
-        f"\nWhole chain: {len(chains)} soaks of their own noise, {chains[0].samples} settled means of 30 s;"
-        f" rms residual of training, validation and test means, deg/h: "
-        f"{'; '.join(f'{axis} {three(row)}' for axis, row in zip('xyz', residual, strict=True))}; "
-        f"starts that ended badly: {' '.join(map(str, bad))} of {RESTARTS * len(chains)}."
-    )
-    rows = calibration_errors(chains)
-    table("Errors of the calibration between 27.28 and 34.08 degC, rms", ["error", "x", "y", "z"], rows)
-
-
-def equal_in_the_chain(records: Sequence[Record], chains: list[Chain]) -> None:
-    """Both filters of the whole chain at the same K and p0."""
-    lines = []
-    for k, p0 in ((0.1, 2.2), (0.5, 2.2), (0.1, COVERED), (0.5, COVERED)):
-        for name in ("ZUPT", "TCZUPT"):
-            chosen = [replace(one.filters[name], k=k, p0=p0) for one in chains]
-            cells = []
-            for residual in (0.0, RESIDUAL):
-                errors = [run(r, one, residual)[0] for r, one in zip(records, chosen, strict=True)]
-                cells += [three(rms(errors, 0, 30)), three(rms(errors))]
-            lines.append([name, f"{k}", f"{p0}", *cells])
-    table(
-        "The whole chain at equal K and p0: rms, deg/h, x y z",
-        ["filter", "K", "p0", "nominal: 30 s", "nominal: all", "15: 30 s", "15: all"],
-        lines,
-    )
-
-
-def responses() -> None:
-    """What a residual does, without noise: K and p0 decide, and nothing else."""
-    n, seconds = 40000, (10, 30, 60, 120, 240)
-    lines = []
-    for k, p0 in ((0.0, 2.2), (0.1, 2.2), (0.5, 2.2), (0.1, 15.0), (0.5, 15.0)):
-        settings = replace(DenseSettings(1.0 / RATE_HZ), bias_random_walk=k * DPH, bias_sd=p0 * DPH)
-        latitude = np.radians(40.93)
-        earth = 7.292115e-5 * np.array([np.cos(latitude), 0.0, -np.sin(latitude)])
-        accel = np.tile([0.0, 0.0, -9.80665], (n, 1))
-        start = np.array([RESIDUAL * DPH, 0.0, 0.0])
-        result = dense_filter(settings, np.tile(earth, (n, 1)), accel, start, every=STEP)
-        left = result.bias[:, 0] / DPH
-        below = (np.flatnonzero(left < 1e-5 / DPH)[0] + 1) / RATE_HZ
-        lines.append([f"{k}", f"{p0}", *(f"{left[t * RATE_HZ - 1]:.2f}" for t in seconds), f"{below:.1f} s"])
-    headings = ["K", "p0", *(f"{t} s" for t in seconds), "below 2.063 at"]
-    table("Response of either filter to 15 deg/h, x axis, deg/h, no noise", headings, lines)
-
-
-def honest(records: Sequence[Record]) -> None:
-    """Both filters at the same K and p0, in both forms of the thermal term."""
-    lines = []
-    limit = 60 * 0.28
-    for k, p0 in ((0.1, 2.2), (0.5, 2.2), (0.1, COVERED), (0.5, COVERED)):
-        results = {}
+def comparison(records: Sequence[Record], chains: Sequence[Chain]) -> Table:
+    """All filters at equal K and p0; as published, ZUPT has a K of 0.1, TCZUPT of 0.5, and p0 is 2.2."""
+    entered = {
+        f"{name}, true curve": [Filter(thermal)] * len(records)
         for name, thermal in (
             ("ZUPT", "calibrated"),
             ("TCZUPT", "rate"),
-            ("TCZUPT, increments", "increments"),
-        ):
-            chosen = Filter(thermal, k=k, p0=p0)
-            nominal = [run(r, chosen)[0] for r in records]
-            errors = results[name] = [run(r, chosen, RESIDUAL)[0] for r in records]
-            times = np.nanmedian([convergence_s(e) for e in errors], axis=0)
-            lines.append(
-                [name, f"{k}", f"{p0}", three(rms(nominal)), three(rms(errors, 0, 30)), three(rms(errors)),
-                 three(times, 0)]
-            )  # fmt: skip
-        apart = max(
-            float(np.abs(a - b).max())
-            for a, b in zip(results["ZUPT"], results["TCZUPT, increments"], strict=True)
+            ("TCZUPT by increments", "increments"),
         )
-        print(f"\nK {k}, p0 {p0}: ZUPT and TCZUPT with increments differ by at most {apart:.1e} deg/h")
-    table(
-        "At equal K and p0: rms, deg/h, x y z",
-        ["filter", "K", "p0", "nominal, all", "15: first 30 s", "15: all", "15: converged, s"],
-        lines,
-    )
-    after_s = (10, 30, 60, 120, 300)
-    table(
-        "Information limit of the noise alone, 60 ARW/sqrt(t), deg/h",
-        [f"{t} s" for t in after_s],
-        [[f"{limit / np.sqrt(t):.2f}" for t in after_s]],
-    )
-
-
-def raw_streams(records: Sequence[Record]) -> None:
-    """Where the thermal term pays: raw data, against the truth."""
-    lines = []
-    few = records[:4]
-    cases: dict[str, Filter] = {
-        "raw, no thermal term": Filter(None),
-        "increments, true temperature": Filter("increments"),
-        "increments, reading (0.05 degC steps)": Filter("increments", temperature="reading"),
-        "slope x FIR rate": Filter("fir"),
     }
-    for name, chosen in cases.items():
-        cells = [three(rms([run(r, replace(chosen, k=k, p0=COVERED))[0] for r in few])) for k in (0.1, 0.5)]
-        lines.append([name, *cells])
-    table("Raw data, p0 15: rms, deg/h, x y z", ["thermal term", "K 0.1", "K 0.5"], lines)
-    lines = []
-    begin = ZEROING + 264 * RATE_HZ
-    for seconds in (66, 204):
-        record = records[0]
-        stop = min(begin + seconds * RATE_HZ, len(record.gyro) - 1)
-        thermal = curves(record.temperature)[:, 1] / DPH
-        truth = thermal[stop] - thermal[begin]
-        slope = slopes(record.temperature)[:, 1]
-        by_rate = float(np.sum(slope[begin:stop] * fir_rate(record)[begin:stop])) / RATE_HZ / DPH
-        reading = curves(record.block["temperature"])[:, 1] / DPH
-        lines.append(
-            [
-                f"{seconds} s",
-                f"{-truth:.1f}",
-                f"{by_rate - truth:.1f}",
-                f"{reading[stop] - reading[begin] - truth:.1f}",
-            ]
+    entered |= {
+        f"{name}, whole chain": [one.filters[name] for one in chains]
+        for name in (chains[0].filters if chains else ())
+    }
+    rows = []
+    for (k, p0), (name, chosen) in product(product((0.1, 0.5), (2.2, COVERED)), entered.items()):
+        rows.append(compared(name, records, [replace(one, k=k, p0=p0) for one in chosen]))
+    apart = max(
+        float(
+            np.abs(
+                run(record, Filter("calibrated"), RESIDUAL) - run(record, Filter("increments"), RESIDUAL)
+            ).max()
         )
-    table(
-        "Predicted without updates, descent, y axis: error, deg/h",
-        ["for", "held", "slope x FIR rate", "increments of the reading"],
-        lines,
+        for record in records
+    )
+    limit = ", ".join(f"{60 * ARW / np.sqrt(t):.2f} after {t} s" for t in (10, 30, 60, 120, 300))
+    note = (
+        f"At equal K and p0 ZUPT and TCZUPT by increments differ by at most {apart:.1e} deg/h.  Information"
+        f" limit of the noise alone, 60 ARW/√t: {limit}."
+    )
+    return Table(
+        "Tables 6, 7 and 12 (ZUPT with K 0.1, TCZUPT with 0.5, p0 2.2), and equal terms: rms, deg/h, x y z",
+        HEADS,
+        rows,
+        note,
     )
 
 
-def lacking(runs: int) -> None:
-    """Effects that the curve lacks: hysteresis, and gyros that lag their thermometers."""
-    lines = []
-    for name, scenario in (
-        ("none", "crs05-ramp"),
-        ("hysteresis", "crs05-ramp-hysteresis"),
-        ("lag 30 s", "crs05-ramp-lag"),
-    ):
-        records = [simulate(scenario, seed) for seed in range(runs)]
-        for filter_name, thermal in (("ZUPT", "calibrated"), ("TCZUPT", "increments")):
-            cells = [
-                three(rms([run(r, Filter(thermal, k=k, p0=COVERED))[0] for r in records])) for k in (0.1, 0.5)
-            ]
-            lines.append([name, filter_name, *cells])
-        stage = three(rms([stage_error(r, "thermal") for r in records]))
-        lines.append([name, "stage, noise and wander learned", stage, stage])
-    table("Effects that the curve lacks: rms, deg/h, x y z", ["effect", "filter", "K 0.1", "K 0.5"], lines)
+def averages(records: Sequence[Record]) -> Table:
+    """Table 5: the moving average that the paper takes for the truth."""
+    off = [(moving_average(r) - r.bias)[ZEROING:] / DPH for r in records]
+    raw = [(r.gyro - r.earth - moving_average(r))[ZEROING:].mean(0) / DPH for r in records]
+    heads = ["mean residual about it", "its rms error against the truth", "60 ARW/√(30 s)"]
+    cells = [three(np.mean(raw, axis=0), 3), three(rms(off)), f"{60 * ARW / np.sqrt(30):.2f}"]
+    return Table("Table 5: the moving average of 30 s, deg/h, x y z", heads, [cells])
+
+
+def calibrated(chains: Sequence[Chain]) -> Table:
+    """What the networks of the soaks got wrong, which the filters of the whole chain have to live with."""
+    residual = np.sqrt(np.mean(np.square([[t.residual for t in one.bias] for one in chains]), axis=0)) / DPH
+    bad = np.sum([[t.bad for t in one.bias] for one in chains], axis=0)
+    rows = "; ".join(f"{axis} {three(row)}" for axis, row in zip("xyz", residual, strict=True))
+    note = (
+        f"{len(chains)} soaks of their own noise, {chains[0].samples} settled means of 30 s; rms residual of"
+        f" training, validation and test means, deg/h: {rows}; starts that ended badly:"
+        f" {' '.join(map(str, bad))} of {RESTARTS * len(chains)}."
+    )
+    title = "Errors of the calibration between 27.28 and 34.08 degC, rms"
+    return Table(title, ["error", "x", "y", "z"], calibration_errors(chains), note)
 
 
 def stage_error(record: Record, mode: Mode) -> FloatArray:
     """Return the error of the stage after the zeroing, deg/h, (n, 3)."""
     model = true_model() if mode == "thermal" else None
-    latitude = 40.93
-    added = GyroBias(None, model, mode, latitude, 0.0).process(record.block)
+    added = GyroBias(None, model, mode, LATITUDE_DEG, 0.0).process(record.block)
     bias = np.column_stack([added[f"gyro_bias_{axis}"] for axis in "xyz"])
     return np.asarray((bias - record.bias)[ZEROING:] / DPH)
 
 
-def production(records: Sequence[Record]) -> None:
-    """The stage of imumon, nothing told but place and model."""
-    modes: tuple[tuple[str, Mode], ...] = (
-        ("standard, raw", "standard"),
-        ("learned, raw", "learned"),
-        ("thermal", "thermal"),
-    )
-    lines = []
-    for name, mode in modes:
-        errors = [stage_error(r, mode) for r in records]
-        lines.append([name, three(rms(errors, 0, 30)), three(rms(errors))])
-    table("The stage on the ramp: rms, deg/h, x y z", ["mode", "first 30 s", "all"], lines)
+def thermal_terms(count: int) -> Table:
+    """Where the thermal term pays, and what it does to effects that the curve lacks."""
+    terms = {
+        "raw, no thermal term": Filter(None),
+        "ZUPT": Filter("calibrated"),
+        "TCZUPT by increments": Filter("increments"),
+        "increments of the reading (0.05 degC steps)": Filter("increments", temperature="reading"),
+        "slope x FIR rate": Filter("fir"),
+    }
+    rows = []
+    for effect, scenario in EFFECTS.items():
+        records = [simulate(scenario, seed) for seed in range(count)]
+        for name, one in terms.items():
+            errors = [[run(r, replace(one, k=k, p0=COVERED)) for r in records] for k in (0.1, 0.5)]
+            rows.append([effect, name, *(three(rms(each)) for each in errors)])
+        for name, mode in MODES.items():
+            rows.append([effect, f"imumon {name}", three(rms([stage_error(r, mode) for r in records])), ""])
+    title = f"Thermal terms, p0 15, {count} records: rms, deg/h, x y z; imumon finds K by itself"
+    return Table(title, ["effect beside the curve", "thermal term", "K 0.1", "K 0.5"], rows)
 
 
-def main() -> None:
-    """Print all tables, and draw the figures."""
-    parser = argparse.ArgumentParser(prog="scripts/reproduce/tczupt")
-    parser.add_argument("--runs", type=int, default=8, help="records of the ramp test, at least 5")
-    parser.add_argument("--no-figures", action="store_true")
-    parser.add_argument("--quick", action="store_true", help="a few seconds: the first of everything")
-    options = parser.parse_args()
-    if options.quick:
-        responses()
+def predicted(record: Record) -> Table:
+    """What the bias of y moves by without updates in the descent, and what predictions of that err by."""
+    rows = []
+    begin = ZEROING + DESCENT_S * RATE_HZ
+    thermal, reading = (curves(t)[:, 1] / DPH for t in (record.temperature, record.block["temperature"]))
+    by_rate = np.cumsum(slopes(record.temperature)[:, 1] * fir_rate(record)) / RATE_HZ / DPH
+    for seconds in PREDICTED_S:
+        stop = min(begin + seconds * RATE_HZ, len(record.gyro) - 1)
+        truth = thermal[stop] - thermal[begin]
+        errors = (-truth, by_rate[stop] - by_rate[begin] - truth, reading[stop] - reading[begin] - truth)
+        rows.append([f"{seconds} s", *(f"{error:.1f}" for error in errors)])
+    heads = ["for", "held", "slope x FIR rate", "increments of the reading"]
+    return Table("Predicted without updates, descent, y axis: error, deg/h", heads, rows)
+
+
+def tables(given: Options) -> Iterator[Table]:
+    """Yield all tables; the quick one is without the whole chain."""
+    records = [simulate("crs05-ramp", seed) for seed in given.seeds]
+    yield averages(records)
+    if given.quick:
+        yield predicted(records[0])
         return
-    records = [simulate("crs05-ramp", seed) for seed in range(max(5, options.runs))]
-    print("# ZUPT and TCZUPT: tables\n\nMade by `scripts/reproduce/tczupt`;", end=" ")
-    print(f"{len(records)} records of the ramp test.")
-    chains = [run_chain(SOAKS + seed, record.earth) for seed, record in enumerate(records)]
-    sections: list[Callable[[], None]] = [
-        lambda: calibrated(chains),
-        lambda: published(records, chains),
-        lambda: equal_in_the_chain(records, chains),
-        responses,
-        lambda: honest(records),
-        lambda: raw_streams(records),
-        lambda: lacking(4),
-        lambda: production(records),
+    chains = [
+        run_chain(SOAKS + seed, record.earth) for seed, record in zip(given.seeds, records, strict=True)
     ]
-    for section in sections:
-        section()
-    if not options.no_figures:
-        draw_all(FIGURES, records[0])
+    yield calibrated(chains)
+    yield comparison(records, chains)
+    yield thermal_terms(min(len(records), 4))
+    yield predicted(records[0])
 
 
-if __name__ == "__main__":
-    main()
+STUDY = Study(tables, seeds=8, page="appendix/tczupt-results.md", draw=draw)

@@ -6,12 +6,26 @@ Equation numbers are those of Kozlov and Tarygin, Sensors 2020, 20(5), 1299.
 from __future__ import annotations
 
 import math
+from typing import Protocol
 
 import numpy as np
+from temperature_rate_records import Record
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.filters.rates import RateEstimate
 from imumon.papers.fir import model_row
+
+
+class Method(Protocol):
+    """What estimates the rate of temperature."""
+
+    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
+        """Return the estimates at the samples."""
+
+
+def estimate(method: Method, record: Record) -> RateEstimate:
+    """Return the estimates of a record."""
+    return method.process(record.time_ns, np.zeros(len(record.reading), np.int64), record.reading)
 
 
 class DifferenceRate:
@@ -156,10 +170,8 @@ def _local_fit(
     h = np.column_stack([np.ones_like(u), u, np.exp(-u), u * np.exp(-u)])
     row = np.array([1.0, v, decay, v * decay])
     slope = np.array([0.0, 1.0, -decay, (1.0 - v) * decay]) / time_constant_s
-    left, singular, right = np.linalg.svd(h, full_matrices=False)
-    keep = singular > 1e-9 * singular[0]
-    inverse = right[keep].T / singular[keep]
-    x = inverse @ (left[:, keep].T @ values[inside])
+    inverse = np.linalg.pinv(h, rcond=1e-9)
+    x = inverse @ values[inside]
     sigma = step / 4
     return np.array(
         [row @ x, slope @ x, sigma * np.linalg.norm(row @ inverse), sigma * np.linalg.norm(slope @ inverse)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -93,43 +92,6 @@ def simulate(
     temperature, rate = SHAPES[shape](time_ns.astype(np.float64) * 1e-9)
     noisy = temperature + noise * np.random.default_rng(seed).standard_normal(n)
     return Record(f"{shape}, noise {noise:g} °C", time_ns, step * np.round(noisy / step), temperature, rate)
-
-
-def measured(folder: Path) -> list[Record]:
-    """Return the temperature records of the data folder; the truth is that of `centred`."""
-    records = []
-    chamber = folder / "chamber-cycle" / "cooling-heating.csv"
-    if chamber.exists():
-        table = np.genfromtxt(chamber, delimiter=",", names=True)
-        time_ns = np.round(table["t_s"] * 1e9).astype(np.int64)
-        reading = np.asarray(table["temperature"], np.float64)
-        truth = centred(time_ns, reading, 20.0)
-        records.append(Record("chamber-cycle", time_ns, reading, *truth))
-        for step in (0.05, 0.2):
-            coarse = np.asarray(step * np.round(reading / step), np.float64)
-            records.append(Record(f"chamber-cycle, rounded to {step:g} °C", time_ns, coarse, *truth))
-    for name in ("cold", "hot"):
-        path = folder / "two-levels" / f"{name}.csv"
-        if path.exists():
-            reading = _column_of_faulty_text(path)
-            # The file has no times; at 10 Hz its rates are in proportion, not in truth.
-            time_ns = np.arange(len(reading), dtype=np.int64) * 100_000_000
-            truth = centred(time_ns, reading, 60.0)
-            records.append(Record(f"two-levels, {name} (10 Hz assumed)", time_ns, reading, *truth))
-    return records
-
-
-def _column_of_faulty_text(path: Path) -> FloatArray:
-    """Return the first column of the lines that have all seven numbers; the rest is a terminal's banner."""
-    values = []
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-        try:
-            row = [float(part) for part in line.split(",")]
-        except ValueError:
-            continue
-        if len(row) == 7:
-            values.append(row[0])
-    return np.array(values)
 
 
 def centred(time_ns: IntArray, reading: FloatArray, half_s: float) -> tuple[FloatArray, FloatArray]:

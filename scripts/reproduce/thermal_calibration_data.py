@@ -28,14 +28,6 @@ DWELLING_DEGC = 0.1
 EVERY = 4
 """So many means on a level are one for the network: 75 of 300 on each show the same, in less time."""
 _AT_ONCE = 200_000
-TWO_LEVELS_MAP = """
-rate_hz: 10
-temperature: {columns: [t], unit: degC}
-accel: {columns: [ax, ay, az], unit: g}
-gyro: {columns: [gx, gy, gz], unit: deg/s}
-csv: {header: false, skip_rows: 1, columns: [t, ax, ay, az, gx, gy, gz]}
-bad_rows: drop
-"""
 
 Function = Callable[[FloatArray], FloatArray]
 
@@ -97,15 +89,6 @@ def chamber_cycle(data: Path, scratch: Path) -> Record:
     folder = data / "chamber-cycle"
     import_table(folder / "cooling-heating.csv", folder / "map.yaml", scratch / "chamber-cycle")
     return read_session(scratch / "chamber-cycle")[0]
-
-
-def two_levels(data: Path, scratch: Path) -> list[Record]:
-    """Return the two measured levels; the rate of 10 Hz is an assumption, for the logs have no time."""
-    map_path = scratch / "two-levels.yaml"
-    map_path.write_text(TWO_LEVELS_MAP, encoding="utf-8")
-    for name in ("cold", "hot"):
-        import_table(data / "two-levels" / f"{name}.csv", map_path, scratch / name)
-    return [read_session(scratch / name)[0] for name in ("cold", "hot")]
 
 
 def during(record: Record, first: float, last: float) -> Record:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from study import rms
 from thermal_calibration_data import DEG_H, DWELLING_DEGC, INSIDE, Function, Soak
 
-from imumon.blocks import FloatArray
+from imumon.blocks import BoolArray, FloatArray
 from imumon.lab.calibration.calibration import knots_of
+from imumon.lab.calibration.cells import Channel
 from imumon.lab.calibration.selection import choose, held_out, slow_variance
 from imumon.models.curves.network import NetworkCurve
 from imumon.models.curves.points import Points
@@ -19,7 +22,8 @@ from imumon.models.curves.training import Scaling, fit_network, mean_square, sta
 
 SIZES = (1, 2, 3, 4, 5)
 RESTARTS = 20
-LEAST_STEP_DEGC = 0.2
+SEED = 1
+"""Of the simulated soak."""
 BAD = 1.5
 """A start ended badly when its error is more than this much above that of the best."""
 
@@ -37,73 +41,57 @@ class Trained:
     bad: int
 
 
+def split(count: int, random: np.random.Generator) -> tuple[BoolArray, BoolArray, BoolArray]:
+    """Return which samples are for training, validation and test: 65/20/15 %, drawn at random."""
+    place = (random.permutation(count) + 0.5) / count
+    return place < 0.65, (place >= 0.65) & (place < 0.85), place >= 0.85
+
+
 def published(points: Points, neurons: int, seed: int, restarts: int = RESTARTS) -> Trained:
-    """Train with 65/20/15 % of the samples, drawn at random; the start with the best validation is kept."""
+    """Train with a split by sample; the start with the best validation is kept."""
     random = np.random.default_rng(seed)
-    place = (random.permutation(len(points)) + 0.5) / len(points)
-    parts = (place < 0.65, (place >= 0.65) & (place < 0.85), place >= 0.85)
+    parts = split(len(points), random)
     scaling = Scaling.of(points)
     training, validation = (scaling.apply(points.only(part)) for part in parts[:2])
     weights = [train(start, training, validation) for start in starts(neurons, restarts, random)]
     error = np.sqrt([mean_square(one, validation) for one in weights])
     curve = scaling.curve(weights[np.argmin(error)])
     residual = points.value - curve.value(points.temperature)
-    rms = [float(np.sqrt(np.mean(residual[part] ** 2))) for part in parts]
-    return Trained(curve, (rms[0], rms[1], rms[2]), int(np.sum(error > BAD * error.min())))
-
-
-def rms(values: FloatArray) -> float:
-    """Return the root mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
-def over_axes(values: list[float]) -> float:
-    """Return S_r: the root mean square over the three axes (equation 12 is not in the text of the paper)."""
-    return rms(np.array(values))
+    of_training, of_validation, of_test = (rms(residual[part]) for part in parts)
+    return Trained(curve, (of_training, of_validation, of_test), int(np.sum(error > BAD * error.min())))
 
 
 @dataclass(frozen=True, slots=True)
 class SizeRow:
-    """S_r of one size of network, °/h or °/h/°C."""
+    """S_r of one size of network: the rms over the axes, °/h or °/h/°C."""
 
     neurons: int
-    by_sample: tuple[float, float, float]
+    by_sample: list[float]
     """Of training, validation and test samples."""
     levels_left_out: float
     truth: float
 
 
-def _by_part(residuals: list[tuple[float, float, float]]) -> tuple[float, float, float]:
-    training, validation, test = (over_axes([r[k] for r in residuals]) / DEG_H for k in range(3))
-    return training, validation, test
-
-
 def size_study(soak: Soak) -> list[SizeRow]:
     """Figure 7: networks on b(T), trained on 30 s means at the levels; what splits say, and the truth."""
-    rows = []
-    for n in SIZES:
-        trained, apart, true = [], [], []
-        for axis, channel in enumerate(soak.channels):
-            points = soak.halfminutes(axis)
-            found = published(points.only(soak.dwelling(points)), n, seed=n)
-            trained.append(found.residual)
-            true.append(rms(found.curve.value(INSIDE) - soak.bias[:, axis]))
-            residual = held_out(channel.points(), lambda p, n=n: fit_network(p, n, restarts=3))  # type: ignore[misc]  # mypy cannot infer a lambda with a default
-            apart.append(rms(residual[np.isfinite(residual)]))
-        rows.append(SizeRow(n, _by_part(trained), over_axes(apart) / DEG_H, over_axes(true) / DEG_H))
-    return rows
+    points = [soak.halfminutes(axis) for axis in range(3)]
+    return _sizes([one.only(soak.dwelling(one)) for one in points], soak.bias, soak.channels)
 
 
 def slope_size_study(soak: Soak) -> list[SizeRow]:
     """Figure 8: networks on differences of levels, and the truth."""
+    return _sizes([level_differences(soak, axis) for axis in range(3)], soak.slope, [])
+
+
+def _sizes(points: list[Points], truth: FloatArray, channels: list[Channel]) -> list[SizeRow]:
     rows = []
     for n in SIZES:
-        trained, true = [], []
-        for axis in range(3):
-            found = published(level_differences(soak, axis), n, seed=n)
-            trained.append(found.residual)
-            true.append(rms(found.curve.value(INSIDE) - soak.slope[:, axis]))
-        rows.append(SizeRow(n, _by_part(trained), np.nan, over_axes(true) / DEG_H))
+        found = [published(one, n, seed=n) for one in points]
+        by_sample = [rms([one.residual[k] for one in found]) / DEG_H for k in range(3)]
+        true = rms(np.column_stack([one.curve.value(INSIDE) for one in found]) - truth)
+        fit = partial(fit_network, neurons=n, restarts=3)
+        apart = rms([rms(held_out(channel.points(), fit)) for channel in channels])
+        rows.append(SizeRow(n, by_sample, apart / DEG_H, true / DEG_H))
     return rows
 
 
@@ -133,16 +121,6 @@ def differences(means: Points) -> Points:
     return Points(middle, slope, np.ones(len(slope)), means.level[1:])
 
 
-def block_differences(soak: Soak, axis: int) -> Points:
-    """Return slopes from each 30 s mean to the next, where the temperature moves."""
-    points = soak.halfminutes(axis)
-    step = np.diff(points.temperature)
-    moving = np.abs(step) > LEAST_STEP_DEGC
-    middle = 0.5 * (points.temperature[1:] + points.temperature[:-1])
-    slope = np.diff(points.value)[moving] / step[moving]
-    return Points(middle[moving], slope, np.ones(len(slope)), points.level[1:][moving])
-
-
 def slope_methods(soak: Soak, axis: int) -> dict[str, Function]:
     """Return db/dT by each method."""
     channel, all_points = soak.channels[axis], soak.halfminutes(axis)
@@ -152,7 +130,6 @@ def slope_methods(soak: Soak, axis: int) -> dict[str, Function]:
     return {
         "derivative of the published b(T) network": published(all_points, 2, 1).curve.slope,
         "network on differences of levels": published(level_differences(soak, axis), 2, 1).curve.value,
-        "network on differences of 30 s means": published(block_differences(soak, axis), 2, 1).curve.value,
         "cubic spline through the level means": CubicSpline(means.temperature, means.value).derivative(),
         "imumon: smoothing spline": fit_spline(points, knots).slope,
         "imumon: network 2": fit_network(points, 2).slope,
@@ -161,28 +138,13 @@ def slope_methods(soak: Soak, axis: int) -> dict[str, Function]:
     }
 
 
-def on_level_means(soak: Soak, axis: int) -> tuple[float, float]:
-    """Return the largest error, rad/s, of a 1-2-2-1 network and of a spline, both on 15 level means alone."""
-    means = level_means(soak, axis)
-    scaling = Scaling.of(means)
-    given = scaling.apply(means)
-    begun = starts(2, RESTARTS, np.random.default_rng(1))
-    weights = [train(start, given, decay=0.0, evaluations=300) for start in begun]
-    network = scaling.curve(min(weights, key=lambda one: mean_square(one, given)))
-    inside = (means.temperature[0] <= INSIDE) & (means.temperature[-1] >= INSIDE)
-    spline = CubicSpline(means.temperature, means.value)(INSIDE)
-    errors = [network.value(INSIDE) - soak.bias[:, axis], spline - soak.bias[:, axis]]
-    return float(np.abs(errors[0][inside]).max()), float(np.abs(errors[1][inside]).max())
-
-
 def polynomial_leak(soak: Soak) -> tuple[float, float, float, float]:
     """Return residuals of a split by sample and the true error, rad/s, of 13 coefficients on 15 levels; z."""
     points = soak.halfminutes(2)
     points = points.only(soak.dwelling(points))
-    place = (np.random.default_rng(1).permutation(len(points)) + 0.5) / len(points)
-    curve = fit_polynomial(points.only(place < 0.65), 12)
+    parts = split(len(points), np.random.default_rng(1))
+    curve = fit_polynomial(points.only(parts[0]), 12)
     residual = points.value - curve.value(points.temperature)
-    parts = (place < 0.65, (place >= 0.65) & (place < 0.85), place >= 0.85)
     training, validation, test = (rms(residual[part]) for part in parts)
     return training, validation, test, rms(curve.value(INSIDE) - soak.bias[:, 2])
 
@@ -190,7 +152,7 @@ def polynomial_leak(soak: Soak) -> tuple[float, float, float, float]:
 def beyond_the_range(soak: Soak, distances: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return rms errors over axes and both ends, rad/s, of following the tangent and of holding the value.
 
-    The curve is fitted to levels 2 to 14 of 15; it is asked `distances` °C outside.
+    The curve is fitted to levels 2 to 14 of 15; it is evaluated `distances` °C outside.
     """
     tangent, hold = [], []
     for axis, channel in enumerate(soak.channels):

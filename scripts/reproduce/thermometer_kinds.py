@@ -192,7 +192,7 @@ def thermostat(swing: float, period_s: float, lag_s: float = 0.0) -> Profile:
     def profile(t: FloatArray, start: float) -> tuple[FloatArray, FloatArray]:
         triangle = np.abs(2.0 * (t / period_s % 1.0) - 1.0) - 0.5
         keep = np.exp(-(t[1] - t[0]) / lag_s) if lag_s else 0.0
-        seen = lfilter([1.0 - keep], [1.0, -keep], triangle - triangle[0])
-        return start + swing * seen, np.gradient(swing * seen, t)
+        follows = lfilter([1.0 - keep], [1.0, -keep], triangle - triangle[0])
+        return start + swing * follows, np.gradient(swing * follows, t)
 
     return profile

@@ -3,33 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from imumon.clock.channel import CLOCK
 from imumon.effects.base import Survey
-from imumon.geodesy import DEG_PER_H
+from imumon.geodesy import EARTH_RATE
 from imumon.lab.diagnosis.blocks import RunBlocks, at_poses, make_blocks, survey, white_floor
 from imumon.lab.diagnosis.candidates import Pool
-from imumon.lab.diagnosis.channel import Channel, Declared, Own
-from imumon.lab.diagnosis.earth import EarthRate, earth_rate, turned, without
+from imumon.lab.diagnosis.channel import Channel, Declared, Own, ordinary
+from imumon.lab.diagnosis.choice import PROVEN
+from imumon.lab.diagnosis.drivers import with_drivers
 from imumon.lab.diagnosis.known import effects_of
 from imumon.lab.diagnosis.runs import Run, unit_of
+from imumon.lab.diagnosis.search import Search
 from imumon.lab.diagnosis.usable import faults
 from imumon.models.model import BiasModel
 
-MOST_SEARCH_BLOCKS = 700
+MOST_SEARCH_BLOCKS = 1200
 """Longer runs are searched in longer blocks; they are scored in blocks of 30 s all the same."""
 SHORTER, LEAST_SEARCH_BLOCKS = (1, 2, 3), 200
 """Shorter runs in blocks of a half or a third: of few blocks the one with a jump in it decides."""
 
 
+EARTH_SPREAD = 2.1 * EARTH_RATE
+"""rad/s: most that the constants of a gyro in two poses differ by the earth rate, and by 5 % of its scale."""
+
+
 @dataclass(frozen=True, slots=True)
 class Assumed:
-    """The declared model: the temperature of each channel, the degree, and what has an offset of its own."""
+    """The declared model: the temperature of each channel, the degree, and what has an offset of its own.
+
+    `search_s` is the length of the blocks that are searched.
+    """
 
     temperatures: dict[str, str]
     degree: int
     own: Own
+    search_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,14 +49,67 @@ class Axes:
     """The axes of one sensor: `channels` in blocks of the usual length, which are scored, `searched` in those
     that are searched.
 
-    `blocks` are the training of the latter, `survey` is what they can show; `caveats` say what was taken off.
+    `survey` is what the training can show; `assumed` is the base that the effects are searched beside.
     """
 
     channels: list[Channel]
     searched: list[Channel]
-    blocks: list[RunBlocks]
     survey: Survey
-    caveats: list[str]
+    assumed: Assumed
+
+
+Searched = tuple[Axes, list[Search]]
+"""Axes over one base, and what the search found in each beside it."""
+
+
+def axes_over_bases(
+    train: Sequence[Run],
+    blocks: Sequence[RunBlocks],
+    tested: Sequence[RunBlocks],
+    group: Sequence[str],
+    assumed: Assumed,
+    model: BiasModel | None = None,
+) -> list[Axes]:
+    """Return the axes of a sensor over each base that is possible.
+
+    In each pose, and each day, other sensors than gyros have another part of gravity, field or weather, which
+    nobody knows: they have a constant in each.  So may gyros have, by the earth rate.
+    """
+    by_pose = replace(assumed, own="pose")
+    if not group[0].startswith(("gyro", CLOCK)):
+        return [make_axes(train, blocks, tested, group, by_pose, model)]
+    found = [make_axes(train, blocks, tested, group, assumed, model)]
+    if group[0].startswith("gyro") and any(run.pose.max() > run.pose.min() for run in blocks):
+        found.append(make_axes(train, blocks, tested, group, by_pose, model))
+    return found
+
+
+def likeliest(searched: Sequence[Searched]) -> Searched:
+    """Return the axes over the base that is likeliest with what was found beside it.
+
+    What constants in each pose explain as well is not told from the earth rate.  Larger ones are not its.
+    """
+
+    def order(one: Searched) -> float:
+        by_pose = one[0].assumed.own == "pose" and len(searched) > 1
+        if by_pose and max(map(_spread_of_constants, one[1])) > EARTH_SPREAD:
+            return -np.inf
+        return total_score(one) + PROVEN * by_pose
+
+    return max(searched, key=order)
+
+
+def _spread_of_constants(found: Search) -> float:
+    """Return by how much the constants of a channel differ from pose to pose, beside what was found."""
+    channel = found.channel
+    coefficients = ordinary(channel.design(found.found), channel.values)
+    more = coefficients[channel.declared.degree + 1 : channel.base.shape[1]]
+    return float(np.ptp(np.append(more, 0.0)))
+
+
+def total_score(searched: Searched) -> float:
+    """Return the sum of the scores of all axes."""
+    return sum(one.score() for one in searched[1])
 
 
 def make_axes(
@@ -55,28 +120,17 @@ def make_axes(
     assumed: Assumed,
     model: BiasModel | None = None,
 ) -> Axes:
-    """Return the axes of a sensor; `blocks` are those of `train`, the earth rate is taken from the gyros.
-
-    In each pose, and each day, other sensors have another part of gravity, field or weather, which nobody
-    knows: they have an offset in each.
-    """
-    temperatures, block_s, caveats = assumed.temperatures, blocks[0].block_s, list[str]()
-    own, earth = assumed.own, None
-    if not group[0].startswith(("gyro", CLOCK)):
-        own, blocks, tested = "pose", at_poses(blocks), at_poses(tested)
-    models = {name: Declared.over(blocks, temperatures[name], assumed.degree, own) for name in group}
-    if group[0].startswith("gyro") and turned(blocks):
-        earth = earth_rate(blocks, group, temperatures, models[group[0]])
-        caveats.append(_earth_caveat(earth))
-    if earth is not None:
-        blocks, tested = without(blocks, group, earth), without(tested, group, earth)
+    """Return the axes of a sensor over one base; `blocks` are those of `train`."""
+    temperatures, block_s, own = assumed.temperatures, blocks[0].block_s, assumed.own
+    if own == "pose":
+        blocks, tested = at_poses(blocks), at_poses(tested)
     pools = _pools(blocks, group, temperatures)
     channels = [
         Channel(
             name,
             unit_of(name),
             floor,
-            models[name],
+            Declared.over(blocks, temperatures[name], assumed.degree, own),
             pools[temperatures[name]],
             tested,
             faults(train, name, temperatures[name], floor.sd),
@@ -85,15 +139,15 @@ def make_axes(
         for name in group
         for floor in [white_floor(train, name, block_s).of_blocks(blocks)]
     ]
-    search_s = _search_block(blocks)
+    search_s = assumed.search_s
     if search_s != block_s:
         blocks = _blocks_again(train, blocks, assumed, search_s)
-        blocks = blocks if earth is None else without(blocks, group, earth)
         blocks = at_poses(blocks) if own == "pose" else blocks
         pools = _pools(blocks, group, temperatures)
     searched = [channel.in_blocks(pools[channel.temperature], block_s / search_s) for channel in channels]
-    shown = survey(blocks, temperatures[group[0]], assumed.degree, search_s)
-    return Axes(channels, searched, list(blocks), shown, caveats)
+    temperature = temperatures[group[0]]
+    shown = with_drivers(survey(blocks, temperature, assumed.degree, search_s), blocks, temperature)
+    return Axes(channels, searched, shown, assumed)
 
 
 def _pools(
@@ -119,27 +173,7 @@ def _blocks_again(
     ]
 
 
-def _earth_caveat(earth: EarthRate | None) -> str:
-    if earth is None:
-        return (
-            "several poses: what is named g_sensitivity holds the vertical earth rate as well, up to"
-            " 15.04 °/h per g on the diagonal; the horizontal earth rate of each pose is not told from"
-            " an offset"
-        )
-    parts = [f"{earth.up / DEG_PER_H:+.2f} °/h up"] if earth.upright else []
-    parts += [f"{earth.across / DEG_PER_H:.2f} °/h level"] if earth.level else []
-    rest = (
-        ""
-        if earth.level
-        else "; its horizontal part is another offset in each pose, which a magnetometer would tell"
-    )
-    return (
-        f"several poses: the gyros have {' and '.join(parts)} in common; it is taken for the earth rate"
-        f" (latitude {earth.latitude_deg:+.0f}°) and subtracted{rest}"
-    )
-
-
-def _search_block(blocks: Sequence[RunBlocks]) -> float:
+def search_block(blocks: Sequence[RunBlocks]) -> float:
     """Return the length in seconds of the blocks that these, of the usual length, are searched in."""
     longest = max(map(len, blocks))
     shorter = next((part for part in SHORTER if part * longest >= LEAST_SEARCH_BLOCKS), SHORTER[-1])

@@ -54,6 +54,11 @@ class Candidate:
         return self.parts[0].effect.scope
 
     @property
+    def is_plain(self) -> bool:
+        """Whether it is one part with no free start, of no other driver than the temperature."""
+        return len(self.parts) == 1 and not (self.free_start or self.choice)
+
+    @property
     def carries(self) -> bool:
         """Whether its coefficients are shared by all runs."""
         return not any(part.runs for part in self.parts)

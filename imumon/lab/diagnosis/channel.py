@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
-from numpy.polynomial import Polynomial
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.effects.base import Effect
@@ -42,11 +41,6 @@ class Declared:
         """Return 1, u, ... u^degree, (n, degree + 1), or so many of these."""
         u = (temperature - self.middle_degc) / self.half_span_degc
         return np.asarray(u[:, np.newaxis] ** np.arange(powers or self.degree + 1))
-
-    def powers(self, curve: Polynomial) -> FloatArray:
-        """Return the coefficients of 1, u, u^2, ... of a curve over temperature."""
-        ends = self.middle_degc - self.half_span_degc, self.middle_degc + self.half_span_degc
-        return np.asarray(curve.convert(domain=ends).coef)
 
     def training(self, runs: Sequence[RunBlocks], temperature: str) -> FloatArray:
         """Return the columns over all training runs, with a constant for each further run or pose where it

@@ -21,8 +21,6 @@ CLOSE = 10.0
 CLOSE_SHARE = 0.15
 """Nor those that differ by less than this share of the best gain: no regressor has exactly the shape of the
 physics, and with a large effect the shape decides."""
-PAIR_LIST = 4
-"""Best candidates of each family that are tried in pairs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +56,7 @@ class Lack:
     gain: float
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Finding:
     """An effect that was chosen for a channel."""
 
@@ -99,15 +97,6 @@ class Finding:
 def proof(effects: int, channels: int) -> float:
     """Return the gain that proves one of so many effects on any set of channels."""
     return PROVEN + 2.0 * float(np.log(max(1, effects) * (2**channels - 1)))
-
-
-def lacks(tables: Mapping[str, Table], least: float) -> list[Lack]:
-    """Return what channels lack whose gains add up to more than `least`; each lacks one effect."""
-    found, left = list[Lack](), dict(tables)
-    while (lack := first_lack(left, least, {})) is not None:
-        found.append(lack)
-        left = {name: table for name, table in left.items() if name not in lack.channels}
-    return found
 
 
 def first_lack(tables: Mapping[str, Table], least: float, there: Mapping[str, Sequence[str]]) -> Lack | None:
@@ -155,11 +144,6 @@ def _near(gain: float, best: float) -> bool:
     return best - gain < max(CLOSE, CLOSE_SHARE * best)
 
 
-def best_of_each(scored: Sequence[Scored]) -> dict[str, Scored]:
-    """Return the best candidate of each family."""
-    return {one.family: one for one in sorted(scored, key=gain_of)}
-
-
 def gain_in(table: Table, name: str) -> float:
     """Return what a family gains, minus infinity where it is not in the table."""
     return table[name].gain if name in table else -np.inf
@@ -168,26 +152,3 @@ def gain_in(table: Table, name: str) -> float:
 def gain_of(one: Scored) -> float:
     """Return the gain, to sort by."""
     return one.gain
-
-
-def best_few(scored: Sequence[Scored]) -> dict[str, list[Scored]]:
-    """Return the best few candidates of each family."""
-    found: dict[str, list[Scored]] = {}
-    for one in sorted(scored, key=gain_of, reverse=True):
-        if len(found.setdefault(one.family, [])) < PAIR_LIST:
-            found[one.family].append(one)
-    return found
-
-
-def joined_events(scored: Sequence[Scored]) -> list[Candidate]:
-    """Return events in several runs at once, made of the best of each run."""
-    best: dict[str, dict[int, Scored]] = {}
-    for one in sorted(scored, key=gain_of):
-        if one.candidate.scope == "event":
-            best.setdefault(one.family, {})[one.candidate.parts[0].runs[0]] = one
-    found = []
-    for name, runs in best.items():
-        largest = sorted(runs.values(), key=gain_of, reverse=True)
-        parts = [one.candidate.parts[0] for one in largest]
-        found += [Candidate(name, tuple(parts[:count])) for count in range(2, len(parts) + 1)]
-    return found

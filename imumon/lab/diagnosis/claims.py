@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from imumon.lab.diagnosis.alternatives import questions, ranking, runs_left
 from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.channel import Channel
 from imumon.lab.diagnosis.choice import Finding
@@ -29,8 +30,6 @@ from imumon.lab.diagnosis.fit import (
     score,
     sigmas,
 )
-from imumon.lab.diagnosis.questions import questions
-from imumon.lab.diagnosis.ranking import ranking, runs_left
 from imumon.lab.diagnosis.search import MOST_NAMES, Search, Step
 from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim, SlowNoise
 
@@ -41,27 +40,19 @@ effects that are not in the library, took out at most 5.4, true ones of a chambe
 
 
 @dataclass(frozen=True, slots=True)
-class _Kept:
-    """The findings that stay, the model with them, why no others do, and those that the test refutes."""
+class _Model:
+    """Findings, the model with them, what the given model and this one leave of the test (None without one),
+    and why nothing else is claimed."""
 
     findings: list[Finding]
     after: Fit
-    remark: str
-    refuted: list[dict[str, Any]]
+    tests: tuple[TestScore, TestScore] | None
+    remark: str = ""
 
     @property
     def claims(self) -> bool:
-        """Whether any of them is not of a model that was given."""
+        """Whether any of the findings is not of a model that was given."""
         return any(not one.known for one in self.findings)
-
-
-def _shows(before: TestScore, after: TestScore, floor: float) -> bool:
-    """Tell whether a test, too, is explained; one that cannot be scored is not.
-
-    What is estimated in the test counts only where nothing is left: a level and a jump take away some of
-    whatever is slow.
-    """
-    return np.isfinite(after.rms) and (after.left < CLEAN * floor or explains(before.rms, after.rms, floor))
 
 
 def settle(channel: Channel, found: Search) -> ChannelVerdict:
@@ -69,9 +60,8 @@ def settle(channel: Channel, found: Search) -> ChannelVerdict:
     shape = replace(channel.declared, degree=found.channel.declared.degree)
     channel = replace(channel, declared=shape, kept=found.channel.kept)
     given, floor = fit_given(channel), channel.limit  # what digits make of a smooth bias is no structure
-    kept = _kept(channel, found, given, floor)
-    after = kept.after
-    both = _scores(channel, given, after)
+    kept, refuted = _claimed(channel, found, given, floor)
+    after, both = kept.after, kept.tests
     predicts = not after.parts or after.carries
     if both is not None:
         # Jumps of the test itself may make the prediction worse, whatever else was found.
@@ -91,8 +81,8 @@ def settle(channel: Channel, found: Search) -> ChannelVerdict:
         claims=_claims(channel, given, after, kept.findings, spread),
         unexplained=unexplained,
         explained=explained_share(given.train_rms, after.train_rms, floor) if kept.claims else 0.0,
-        noise=found.null()[1],
-        left_out=kept.refuted,
+        noise=found.noise()[:2],
+        left_out=refuted,
         remark=kept.remark,
         predicts=predicts,
         slow=SlowNoise.of(found),
@@ -105,44 +95,56 @@ def settle(channel: Channel, found: Search) -> ChannelVerdict:
     )
 
 
-def _kept(channel: Channel, found: Search, given: Fit, floor: float) -> _Kept:
-    """Return what of the findings stays: what training or the test proves, and the test does not refute."""
+def _claimed(
+    channel: Channel, found: Search, given: Fit, floor: float
+) -> tuple[_Model, list[dict[str, Any]]]:
+    """Return what of the findings stays, and those that the test refutes.
+
+    That is what training or the test proves, and the test does not refute.
+    """
     # A jump that is too small to matter beside the rest is not told from the steps of a walk.
     lasting = [one for one in found.findings if one.candidate.scope != "event"]
     small = found.many_events or _fit(channel, lasting).train_rms < MATERIAL * channel.floor.sd
-    findings = lasting if small else list(found.findings)
-    refit = [one for one in findings if one.known]
-    before = _fit(channel, refit) if found.refit else given
-    stay, refuted = _not_worse(channel, findings)
-    kept = _Kept(stay, _fit(channel, stay), "", refuted)
-    if found.many_events:
-        kept = replace(kept, remark="there is more than one jump in a run")
-    both = _scores(channel, given, kept.after)
-    if kept.claims and both is not None and not np.isfinite(both[1].rms):
-        nothing = {"test_rms_with": UNKNOWN, "test_rms_without": UNKNOWN}
-        refuted += [{"name": one.name, **nothing} for one in kept.findings if not one.known]
-        kept = _Kept(refit, before, kept.remark, refuted)
-    elif kept.claims and (why := _too_little(given, kept.after, both, floor)):
+    stay, refuted = _not_worse(channel, lasting if small else found.findings)
+    known = [one for one in found.findings if one.known]
+    before = _fit(channel, known) if found.refit else given
+    nothing = _Model(known, before, _scores(channel, given, before))
+    after = _fit(channel, stay)
+    kept = _Model(stay, after, _scores(channel, given, after))
+    if kept.claims and kept.tests is not None and not np.isfinite(kept.tests[1].rms):
+        refuted += [
+            {"name": one.name, "test_rms_with": UNKNOWN, "test_rms_without": UNKNOWN}
+            for one in stay
+            if not one.known
+        ]
+        kept = nothing
+    elif kept.claims and (why := _too_little(given, after, kept.tests, floor)):
         best = max(found.findings, key=lambda finding: finding.gain)
-        kept = _Kept(refit, before, f"the best of the known effects is {best.name}, but {why}", refuted)
-    both = _scores(channel, given, kept.after)
-    left = both[1].left if kept.claims and both is not None else np.inf
+        kept = replace(nothing, remark=f"the best of the known effects is {best.name}, but {why}")
+    if found.many_events and not kept.remark:
+        kept = replace(kept, remark="there is more than one jump in a run")
+    left = kept.tests[1].left if kept.claims and kept.tests is not None else np.inf
     wanting = not kept.claims or (kept.after.carries and left >= CLEAN * floor)
     if wanting and before.train_rms >= CLEAN * floor:
-        one = _proven_by_test(channel, found, before, refit)
+        one = _proven_by_test(channel, found, before, known)
         if one is not None:
-            by_test = _Kept([*refit, one], _fit(channel, [*refit, one]), "", refuted)
+            after = _fit(channel, [*known, one])
+            by_test = _Model([*known, one], after, _scores(channel, given, after))
             # What training proves goes first unless it leaves twice as much of the test.
-            if 2.0 * score(channel, by_test.after).rms < left:
-                return by_test
-    return kept
+            if by_test.tests is not None and 2.0 * by_test.tests[1].rms < left:
+                return by_test, refuted
+    return kept, refuted
 
 
 def _too_little(given: Fit, after: Fit, both: tuple[TestScore, TestScore] | None, floor: float) -> str:
-    """Return what is too little of training, or of the test, to claim anything; empty where it is enough."""
+    """Return what is too little of training, or of the test, to claim anything; empty where it is enough.
+
+    What is estimated in the test counts only where nothing is left: a level and a jump take away some of
+    whatever is slow.
+    """
     what, before, left = "the training", given.train_rms, after.train_rms
     if explains(before, left, floor):
-        if both is None or _shows(*both, floor):
+        if both is None or both[1].left < CLEAN * floor or explains(both[0].rms, both[1].rms, floor):
             return ""
         what, before, left = "the test", both[0].rms, both[1].rms
     share = max(0.0, explained_share(before, left, floor))

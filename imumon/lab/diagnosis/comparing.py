@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 
 from imumon.errors import ImumonError, Reason
 from imumon.files import write_text
+from imumon.lab.diagnosis.better import residual
 from imumon.lab.diagnosis.blocks import BLOCK_S, RunBlocks
 from imumon.lab.diagnosis.figures import AFTER, BEFORE, HOUR_S, shown, svg
 from imumon.lab.diagnosis.known import temperature_of
 from imumon.lab.diagnosis.page import environment
-from imumon.lab.diagnosis.residual import residual
 from imumon.lab.diagnosis.runs import Run, unit_of
 from imumon.models.model import BiasModel
 

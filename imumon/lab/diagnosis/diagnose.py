@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +12,7 @@ from imumon.effects.base import LEAST_SPAN_DEGC, Survey
 from imumon.effects.library import effects_for
 from imumon.errors import ImumonError, Reason
 from imumon.lab.calibration.gravity import Length
-from imumon.lab.diagnosis.axes import Assumed, make_axes
+from imumon.lab.diagnosis.axes import Assumed, axes_over_bases, likeliest, search_block
 from imumon.lab.diagnosis.blocks import (
     LEAST_BLOCKS,
     RunBlocks,
@@ -22,7 +22,7 @@ from imumon.lab.diagnosis.blocks import (
 )
 from imumon.lab.diagnosis.channel import Declared
 from imumon.lab.diagnosis.claims import settle
-from imumon.lab.diagnosis.drivers import recorded, shadows, with_drivers
+from imumon.lab.diagnosis.drivers import recorded, shadows
 from imumon.lab.diagnosis.known import (
     check_range,
     modelled,
@@ -32,13 +32,12 @@ from imumon.lab.diagnosis.known import (
     without_curve,
 )
 from imumon.lab.diagnosis.runs import SENSORS, STRETCHES, Run, channels_of, divided, in_order
-from imumon.lab.diagnosis.search import search
+from imumon.lab.diagnosis.search import Progress, search
 from imumon.lab.diagnosis.usable import (
-    Names,
-    blocks_of_test,
-    blocks_of_training,
+    check_training,
     sound,
     temperature_of_axis,
+    usable_blocks,
     usable_channels,
 )
 from imumon.lab.diagnosis.verdict import ChannelVerdict
@@ -46,8 +45,6 @@ from imumon.models.curves.polynomial import CUBIC
 from imumon.models.model import BiasModel
 
 HIGHEST_DEGREE = 8
-
-Progress = Callable[[str], None]
 
 
 @dataclass(slots=True)
@@ -119,17 +116,20 @@ def diagnose(
         degree = max(order_of(model.channels[name]) for name in channels)
         drivers = with_needed(drivers, model, temperatures)
     used = list(dict.fromkeys(temperatures.values()))
-    names = Names(channels, used, recorded(train, test, [*used, *channels], drivers, caveats))
+    others = recorded(train, test, [*used, *channels], drivers, caveats)
     block_s = common_block_s([*train, *test])
-    blocks = blocks_of_training(train, names, block_s, caveats)
-    tested = blocks_of_test(test, names, block_s, caveats)
+    (blocks, moving), (tested, _) = (
+        usable_blocks(runs, channels, used, others, block_s, caveats) for runs in (train, test)
+    )
+    check_training(blocks, moving, block_s)
     shown = survey(blocks, used[0], degree, block_s)
-    if model is not None and shown.thermal:  # else no curve is fitted, and that of the model stays as it is
+    if shown.thermal and model is not None:  # else no curve is fitted, and that of the model stays as it is
         check_range(model, temperatures, blocks)
-    _remark(blocks, tested, shown, caveats)
-    assumed = Assumed(temperatures, degree if shown.thermal else 0, "run" if offsets else "")
-    if names.drivers and shown.thermal:
-        caveats += _shadowed(shadows(blocks, used[0], shown.scale, assumed.degree))
+    if test and not tested:
+        caveats.append("no run of the test can be used: there is no independent proof")
+    degree = degree if shown.thermal else 0
+    caveats += _limits(blocks, tested, shown, shadows(blocks, used[0], shown.scale, degree))
+    assumed = Assumed(temperatures, degree, "run" if offsets else "", search_block(blocks))
     diagnosis = Diagnosis(declared, block_s, [], blocks, tested, shown, caveats, model, held)
     for sensor in sensors:
         if group := channels_of([sensor], channels):
@@ -155,29 +155,26 @@ def _divided(
     return [first], [other], True
 
 
-def _remark(train: Sequence[RunBlocks], test: Sequence[RunBlocks], shown: Survey, caveats: list[str]) -> None:
-    """Say what this data cannot show, whatever it is."""
+def _limits(
+    train: Sequence[RunBlocks], test: Sequence[RunBlocks], shown: Survey, alike: Sequence[str]
+) -> list[str]:
+    """Return what this data cannot show; `alike` are drivers that went with temperature or time."""
+    limits = []
     if not shown.thermal:
-        caveats.append(
+        limits.append(
             f"the temperature moves by {shown.span_degc:.1f} °C only ({LEAST_SPAN_DEGC:.0f} °C are needed):"
             " no curve over temperature is fitted, and no effect of temperature can be found"
         )
     if not test:
-        caveats.append("no test data: nothing proves what is claimed but the data that it was fitted to")
+        limits.append("no test data: nothing proves what is claimed but the data that it was fitted to")
     if len(train) < 2:
-        caveats.append(
-            "one training run: what depends on time and what depends on temperature may look alike"
+        limits.append("one training run: what depends on time and what depends on temperature may look alike")
+    if alike and shown.thermal:
+        limits.append(
+            f"{', '.join(alike)} went with temperature or time in training: what depends on one of them looks"
+            " as if it depended on the other"
         )
-
-
-def _shadowed(alike: Sequence[str]) -> list[str]:
-    """Return the caveat on drivers that went with temperature or time, if there are any."""
-    if not alike:
-        return []
-    return [
-        f"{', '.join(alike)} went with temperature or time in training: what depends on one of them looks"
-        " as if it depended on the other"
-    ]
+    return limits
 
 
 def _sensor(
@@ -188,18 +185,29 @@ def _sensor(
     progress: Progress | None,
 ) -> list[ChannelVerdict]:
     """Return the verdicts on the axes of one sensor."""
-    temperature = assumed.temperatures[group[0]]
     if group[0].startswith("accel") and len(group) == 3:
-        _add_length(temperature, assumed.degree, diagnosis)
-    axes = make_axes(train, diagnosis.train, diagnosis.test, group, assumed, diagnosis.model)
-    diagnosis.caveats += axes.caveats
-    found = search(
-        axes.searched,
-        with_drivers(axes.survey, axes.blocks, temperature),
-        effects_for(group[0]),
-        progress=progress,
+        _add_length(assumed.temperatures[group[0]], assumed.degree, diagnosis)
+    every = axes_over_bases(train, diagnosis.train, diagnosis.test, group, assumed, diagnosis.model)
+    names = effects_for(group[0])
+    axes, found = likeliest(
+        [(axes, search(axes.searched, axes.survey, names, progress=progress)) for axes in every]
     )
+    if group[0].startswith("gyro") and any(run.pose.any() for run in diagnosis.train):
+        diagnosis.caveats.append(f"several poses: {_of_poses(axes.assumed)}")
     return [settle(channel, one) for channel, one in zip(axes.channels, found, strict=True)]
+
+
+def _of_poses(assumed: Assumed) -> str:
+    """Return what limits the verdicts on gyros in several poses."""
+    if assumed.own == "pose":
+        return (
+            "the gyros have another constant in each, as the earth rate makes it; a sensitivity to g is not"
+            " told from that"
+        )
+    return (
+        "what is named g_sensitivity holds the vertical earth rate as well, up to 15.04 °/h per g on the"
+        " diagonal"
+    )
 
 
 def _add_length(temperature: str, degree: int, diagnosis: Diagnosis) -> None:

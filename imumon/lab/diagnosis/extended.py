@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
@@ -12,14 +13,16 @@ from numpy.polynomial import Chebyshev, Polynomial
 from imumon.effects.base import Effect
 from imumon.effects.temperature_curve import TemperatureCurve
 from imumon.lab.diagnosis.blocks import RunBlocks
+from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
+from imumon.lab.diagnosis.runs import Run, latest
+from imumon.lab.diagnosis.search import Progress
+from imumon.lab.diagnosis.verdict import ChannelVerdict
 from imumon.models.curves.polynomial import HIGHEST_ORDER, PolynomialCurve
 from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
 from imumon.version import __version__
 
-if TYPE_CHECKING:
-    from imumon.lab.diagnosis.diagnose import Diagnosis
-    from imumon.lab.diagnosis.verdict import ChannelVerdict
-
+DECLARED = "polynomial 3 + offset"
+"""The model says the degree; each run has a turn-on offset, as in the calibration."""
 MARGIN = 0.005
 """Share of the span that the range is widened by, so that an end is not in and out by turns."""
 
@@ -152,3 +155,37 @@ def _trained_on(run: RunBlocks) -> TrainedOn:
         blocks=len(run),
         temperature_range_degc=[float(temperature.min()), float(temperature.max())],
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """A model with the drivers that were found, the verdicts on the channels that have one, and remarks."""
+
+    model: BiasModel
+    verdicts: list[ChannelVerdict]
+    caveats: list[str]
+
+
+def model_with_drivers(
+    model: BiasModel,
+    recordings: Sequence[Sequence[Run]],
+    drivers: Sequence[str] | None,
+    progress: Progress,
+) -> Driven:
+    """Return a calibrated model with what is proven of recorded drivers; None: of all that vary.
+
+    The search is that of `diagnose.diagnose`, the latest recording is its test.  A channel in
+    which a driver is found gets all that was found in it, for the rest was fitted beside the driver; the
+    others stay as they are.
+
+    Raises BAD_DATA when the data is too short for it; BAD_CONFIG for a driver that is not there.
+    """
+    diagnosis = diagnose(*latest(recordings), DECLARED, progress, model=model, drivers=drivers)
+    found = [verdict for verdict in diagnosis.verdicts if verdict.predicts and _has_driver(verdict)]
+    extended = extended_model(diagnosis).channels
+    channels = {**model.channels, **{verdict.name: extended[verdict.name] for verdict in found}}
+    return Driven(model.model_copy(update={"channels": channels}), found, diagnosis.caveats)
+
+
+def _has_driver(verdict: ChannelVerdict) -> bool:
+    return any(claim.finding.candidate.choice > 0.0 for claim in verdict.claims)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray, IntArray
-from imumon.effects.base import Drive, Effect
+from imumon.effects.base import Effect
 from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.candidates import Candidate, Part
 from imumon.lab.diagnosis.channel import Channel, ordinary
@@ -47,16 +47,6 @@ class FittedPart:
     """Of `Effect.start_columns`, (runs, m); empty when the start is not free."""
     carries: bool
     """Whether anything carries over to another run."""
-
-    def added(self, run: RunBlocks, drive: Drive, at: int) -> FloatArray:
-        """Return what it adds to the training run of index `at`, (n,)."""
-        total = np.zeros(len(run))
-        if not self.runs or at in self.runs:
-            row = self.runs.index(at) if self.runs else 0
-            total += run.average(self.effect.columns(drive)) @ self.own[row]
-        if len(self.start):
-            total += run.average(self.effect.start_columns(drive)) @ self.start[at]
-        return total
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -294,7 +284,8 @@ def _estimated(
         return np.zeros(len(run))
     drive = run.drives[channel.temperature]
     further = [run.average(one.columns(drive)) for one in own if one.scope == "either"]
-    columns = np.column_stack([np.ones(len(run)), *further])
+    levels = channel.declared.levels(run)
+    columns = np.column_stack([levels[:, np.newaxis] == np.unique(levels[use]), *further]).astype(float)
     if any(one.scope == "event" for one in own):
         first = np.flatnonzero(use)[_jump_at(columns[use], residual[use])]
         columns = np.column_stack([columns, np.arange(len(run)) >= first])

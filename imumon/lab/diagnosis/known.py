@@ -10,7 +10,7 @@ import numpy as np
 from imumon.effects.base import Effect
 from imumon.errors import ImumonError, Reason
 from imumon.lab.diagnosis.blocks import RunBlocks
-from imumon.lab.diagnosis.runs import Run, common_temperature
+from imumon.lab.diagnosis.runs import SECOND_NS, Run, common_temperature
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.models.predictor import BiasPredictor
@@ -81,16 +81,28 @@ def with_needed(
     return list(dict.fromkeys([*drivers, *(name for name in needed if name not in temperatures.values())]))
 
 
-def without_curve(run: Run, model: BiasModel, temperatures: dict[str, str]) -> Run:
-    """Return a run with the model's curve over temperature taken from its channels."""
-    changed = {}
-    for name in temperatures:
-        if name in run.mean:
-            t, channel = run.mean[temperatures[name]], model.channels[name]
-            known = np.isfinite(t)
-            curve = np.interp(run.time_s, run.time_s[known], channel.value(t[known]))
-            for effect in channel.effects:
-                if (more := effect.polynomial()) is not None:
-                    curve = curve + more(np.interp(run.time_s, run.time_s[known], t[known]))
-            changed[name] = run.mean[name] - curve
+def without_model(run: Run, model: BiasModel, channels: Sequence[str]) -> Run:
+    """Return a run with what a model expects taken from its channels, effects integrated from power-on."""
+    temperatures = [temperature_of(name, model, [run]) for name in channels]
+    force = [run.mean[f"accel_{axis}"] for axis in "xyz" if f"accel_{axis}" in run.mean]
+    expected = BiasPredictor(model, channels).process(
+        np.round(run.time_s * SECOND_NS).astype(np.int64),
+        np.zeros(len(run.time_s), np.int64),
+        np.column_stack([run.mean[name] for name in temperatures]),
+        np.column_stack(force) if len(force) == 3 else None,
+        run.mean,
+    )
+    changed = {name: run.mean[name] - expected.bias[:, at] for at, name in enumerate(channels)}
     return replace(run, mean={**run.mean, **changed})
+
+
+def without_curve(run: Run, model: BiasModel, temperatures: Mapping[str, str]) -> Run:
+    """Return a run with the model's curve over temperature taken from its channels."""
+    names = [name for name, temperature in temperatures.items() if {name, temperature} <= run.mean.keys()]
+    curves = {
+        name: channel.model_copy(
+            update={"effects": [one for one in channel.effects if one.polynomial() is not None]}
+        )
+        for name, channel in model.channels.items()
+    }
+    return without_model(run, model.model_copy(update={"channels": curves}), names)

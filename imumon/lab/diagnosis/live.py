@@ -12,11 +12,10 @@ from imumon.charts import AXIS_COLORS, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.geodesy import DEG_PER_H
 from imumon.lab.diagnosis.aged import AgedRun
+from imumon.lab.diagnosis.better import Better, Shadow, better_models, known_to, residual
 from imumon.lab.diagnosis.blocks import BLOCK_S, common_block_s
 from imumon.lab.diagnosis.known import temperature_of
-from imumon.lab.diagnosis.residual import Better, better_models, known_to, residual
 from imumon.lab.diagnosis.runs import DRIVERS, LONGEST_GAP_S, SECOND_NS, Run, further_columns
-from imumon.lab.diagnosis.shadow import Shadow
 from imumon.lane import LaneState, Level
 from imumon.models.model import BiasModel, TrainedOn
 from imumon.models.predictor import BiasPredictor

@@ -10,11 +10,12 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 
 from imumon.files import write_text
 from imumon.harmless import for_html
+from imumon.lab.diagnosis.alternatives import most_different
 from imumon.lab.diagnosis.conclusion import keep_in_mind
-from imumon.lab.diagnosis.diagnose import Diagnosis, Progress
+from imumon.lab.diagnosis.diagnose import Diagnosis
 from imumon.lab.diagnosis.figures import figures, proof, shown
-from imumon.lab.diagnosis.ranking import most_different
 from imumon.lab.diagnosis.report import report
+from imumon.lab.diagnosis.search import Progress
 from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim
 
 TEMPLATE = "report.html.j2"

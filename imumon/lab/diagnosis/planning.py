@@ -21,12 +21,12 @@ from imumon.effects.base import ACCEL
 from imumon.effects.library import EFFECTS, AnyEffect, effects_for
 from imumon.files import write_text
 from imumon.geodesy import DEG_PER_H, MICRO_G
-from imumon.lab.diagnosis.axes import Assumed, make_axes
+from imumon.lab.diagnosis.alternatives import NOTHING
+from imumon.lab.diagnosis.axes import Assumed, axes_over_bases, likeliest, search_block
 from imumon.lab.diagnosis.blocks import BLOCK_S, make_blocks, survey
 from imumon.lab.diagnosis.choice import CLOSE, CLOSE_SHARE, PROVEN
 from imumon.lab.diagnosis.likelihood import TAUS_S
 from imumon.lab.diagnosis.profiles import Profile, profiles
-from imumon.lab.diagnosis.questions import NOTHING
 from imumon.lab.diagnosis.runs import Run, collect
 from imumon.lab.diagnosis.search import Search, search
 from imumon.models.model import UNITS
@@ -85,6 +85,7 @@ class Report(StrictModel, extra="ignore"):
     """What is needed of a report.json."""
 
     format: Literal["imumon-diagnosis/1"]
+    block_s: float = BLOCK_S
     temperature_range_degc: Annotated[list[float], Field(min_length=2, max_length=2)]
     fastest_degc_per_min: float
     channels: dict[str, _Channel]
@@ -250,7 +251,7 @@ def scenario(report: Report, channel: str, profile: Profile, answer: Model) -> S
         for effect in answer.effects
     ]
     unit = {
-        f"{sensor}_noise": _noise(report.channels[channel], sensor),
+        f"{sensor}_noise": _noise(report, channel),
         "gyro_bias_deg_per_s" if sensor == "gyro" else "accel_bias_mg": {axis: [line]},
         "gyro_effects_deg_per_h" if sensor == "gyro" else "accel_effects_ug": {axis: effects},
     }
@@ -273,12 +274,12 @@ _UNITS = {
 """SI units in those of a unit file."""
 
 
-def _noise(channel: _Channel, sensor: str) -> dict[str, Any]:
+def _noise(report: Report, name: str) -> dict[str, Any]:
     """Return white noise, flicker and walk of a channel, for all three axes, as a unit file has them."""
-    slow = channel.slow_noise
-    density = channel.noise_floor_rms * float(np.sqrt(BLOCK_S))
+    channel, slow = report.channels[name], report.channels[name].slow_noise
+    density = channel.noise_floor_rms * float(np.sqrt(report.block_s))
     each, walk = slow.flicker_rms / float(np.sqrt(len(TAUS_S))), slow.random_walk_per_sqrt_s
-    if sensor == "gyro":
+    if name.startswith("gyro"):
         return {
             "arw_deg_per_sqrt_h": np.degrees(density) * 60.0,
             "flicker": [{"sd_deg_per_h": each / DEG_PER_H, "tau_s": tau} for tau in TAUS_S.tolist()],
@@ -298,12 +299,12 @@ def recorded(plan: Scenario, seed: int) -> Run:
 
 def _searched(run: Run, channel: str, degree: int, kinds: Sequence[str]) -> Search:
     """Return the search in one channel of a run."""
-    group, magnetic = [f"{channel[:-2]}_{axis}" for axis in "xyz"], [f"mag_{axis}" for axis in "xyz"]
-    blocks = [make_blocks(run, group, ["temperature"], magnetic)]
+    blocks = [make_blocks(run, [channel], ["temperature"])]
     shown = survey(blocks, "temperature", degree, BLOCK_S)
-    assumed = Assumed(dict.fromkeys(group, "temperature"), degree if shown.thermal else 0, "")
-    axes = make_axes([run], blocks, [], group, assumed)
-    return search([axes.searched[group.index(channel)]], axes.survey, kinds)[0]
+    degree = degree if shown.thermal else 0
+    assumed = Assumed({channel: "temperature"}, degree, "", search_block(blocks))
+    every = axes_over_bases([run], blocks, [], [channel], assumed)
+    return likeliest([(axes, search(axes.searched, axes.survey, kinds)) for axes in every])[1][0]
 
 
 def write_plan(report: Report, number: int, made: Plan, folder: Path) -> list[Path]:

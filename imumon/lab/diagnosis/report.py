@@ -13,10 +13,10 @@ import numpy as np
 from imumon.effects.library import separated_by
 from imumon.files import plain, write_text
 from imumon.lab.calibration.gravity import Length
+from imumon.lab.diagnosis.alternatives import Answer
 from imumon.lab.diagnosis.conclusion import conclusion, next_step
 from imumon.lab.diagnosis.diagnose import Diagnosis
 from imumon.lab.diagnosis.fit import FittedPart
-from imumon.lab.diagnosis.questions import Answer
 from imumon.lab.diagnosis.search import Step
 from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim
 from imumon.version import __version__

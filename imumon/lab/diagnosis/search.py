@@ -30,12 +30,9 @@ from imumon.lab.diagnosis.choice import (
     Lack,
     Scored,
     Table,
-    best_few,
-    best_of_each,
     first_lack,
     gain_in,
     gain_of,
-    joined_events,
     proof,
 )
 from imumon.lab.diagnosis.likelihood import Likelihood, Noise, no_larger
@@ -43,12 +40,14 @@ from imumon.lab.diagnosis.likelihood import Likelihood, Noise, no_larger
 MOST_NAMES = 3
 """Effects that are named in a set of those not told apart."""
 STAGES = 5
+PAIR_LIST = 4
+"""Best candidates of each family that are tried in pairs."""
 LEAST_SIZE = 0.3
 """White floors (rms) that an effect takes away, at least."""
 SECOND_SHARE = 0.2
 """And this share of what the largest effect before it takes away."""
 JUMP_SHARE = 0.5
-"""A further jump counts from this share on: the jumps of a telegraph noise are of one size."""
+"""A second jump in a run counts from this share on: the jumps of a telegraph noise are of one size."""
 REFINEMENTS = 4
 
 Progress = Callable[[str], None]
@@ -95,8 +94,7 @@ def search(
         if progress is not None:
             progress(f"effect {stage + 1} of {', '.join(one.channel.name for one in active)}")
         for one in active:
-            one.tables.append(one.table())
-            one.too_small.clear()
+            one.tabulate(pairs=stages > 1)
         _add(active, least)
     for one in searches:
         one.tidy()
@@ -105,17 +103,17 @@ def search(
 
 def _add(active: Sequence[Search], least: float) -> None:
     """Add to each channel the effect that gains most on all the channels that show it; finish the others."""
-    left = {one.channel.name: one for one in active}
-    while left:
-        tables = {name: one.open_table() for name, one in left.items()}
-        there = {name: [finding.name for finding in one.findings] for name, one in left.items()}
-        lack = first_lack(tables, least, there)
-        if lack is None:
-            break
-        done = [name for name in lack.channels if left[name].add(lack)]
-        left = {name: one for name, one in left.items() if name not in done}
-    for one in left.values():
-        one.finished = True
+    searches = {one.channel.name: one for one in active}
+    tables = {name: dict(one.tables[-1]) for name, one in searches.items()}
+    there = {name: [finding.name for finding in one.findings] for name, one in searches.items()}
+    while (lack := first_lack(tables, least, there)) is not None:
+        for name in lack.channels:
+            if searches[name].add(lack) or searches[name].finished:
+                del tables[name]
+            else:
+                del tables[name][lack.names[0]]
+    for name in tables:
+        searches[name].finished = True
 
 
 class Search:
@@ -134,9 +132,8 @@ class Search:
         self.findings: list[Finding] = []
         self.tables: list[Table] = []
         self.turns: list[Step] = []
-        self.too_small = set[str]()
         self.many_events = self.finished = self.refit = False
-        self._known: dict[tuple[int, ...], tuple[list[Candidate], float, Noise]] = {}
+        self._fitted: dict[tuple[int, ...], tuple[Channel, Sequence[Candidate], float, Noise]] = {}
         if channel.known is not None:
             self._begin_with(channel.known)
 
@@ -151,51 +148,58 @@ class Search:
             one for one in self.tried if one.family == name and len(one.parts) == 1 and not one.free_start
         ]
 
-    def null(self) -> tuple[float, Noise]:
-        """Return the log-likelihood of the model so far, and its noise."""
-        found = self.found
-        key = tuple(map(id, found))  # the candidates are kept, so that no other has their id
-        if key not in self._known:
-            best = self.likelihood.best(self.channel.values, self.channel.design(found))
-            self._known[key] = found, *best
-        return self._known[key][1:]
+    # A model: the declared curve with candidates
 
-    def noise_sd(self) -> float:
-        """Return the white noise of a block that the likelihood of the model so far is largest with."""
-        return self.likelihood.scale(self.channel.values, self.channel.design(self.found), self.null()[1])
+    def fitted(self, model: Sequence[Candidate]) -> tuple[float, Noise]:
+        """Return the log-likelihood of a model, and its noise."""
+        key = (id(self.channel), *map(id, model))  # both are kept, so that no other has their id
+        if key not in self._fitted:
+            best = self.likelihood.best(self.channel.values, self.channel.design(model))
+            self._fitted[key] = self.channel, model, *best
+        return self._fitted[key][2:]
+
+    def score(self, model: Sequence[Candidate] | None = None) -> float:
+        """Return S of a model; of what was found so far, if none is given."""
+        model = self.found if model is None else model
+        number = self.channel.design(model).shape[1] + sum(one.nonlinear for one in model)
+        price = number * self.likelihood.price + sum(one.choice for one in model)
+        return float(2.0 * self.fitted(model)[0] - price)
+
+    def noise(self) -> tuple[float, float, float]:
+        """Return the noise of what was found: flicker and walk over white noise, and the latter's sd."""
+        flicker, walk = noise = self.fitted(self.found)[1]
+        return (
+            flicker,
+            walk,
+            self.likelihood.scale(self.channel.values, self.channel.design(self.found), noise),
+        )
 
     def noise_gain(self) -> float:
         """Return by how much slow noise is likelier than white noise alone, in BIC."""
         values, base = self.channel.values, self.channel.design(self.found)
         white = self.likelihood.at(values, base, (0.0, 0.0))
-        return 2.0 * (self.null()[0] - white) - 2.0 * self.likelihood.price
+        return 2.0 * (self.fitted(self.found)[0] - white) - 2.0 * self.likelihood.price
 
-    # One stage
-
-    def table(self) -> Table:
-        """Return the best of each family beside the model so far; jumps in several runs are one effect."""
-        scored = self.scored(self.tried)
-        best = best_of_each(scored + self.scored(joined_events(scored)))
-        return best if self.findings else self._beside_partner(scored, best)
-
-    def scored(self, tried: Sequence[Candidate]) -> list[Scored]:
-        """Return candidates with their gains over the model so far.
+    def scored(self, tried: Sequence[Candidate], model: Sequence[Candidate]) -> list[Scored]:
+        """Return candidates with their gains over a model.
 
         A state at power-on that is free must not be the effect: with it a candidate gains no more than it
         does beside that state alone.
         """
         if not tried:
             return []
-        price, pool = self.likelihood.price, self.channel.pool
-        terms = [pool.terms(candidate) for candidate in tried]
+        price, channel = self.likelihood.price, self.channel
+        terms = [channel.pool.terms(candidate) for candidate in tried]
         starts = list(dict.fromkeys(tuple(start) for _, start in terms if start))
-        null, noise = self.null()
-        ratio = 2.0 * (
-            self._scan([*([*own, *start] for own, start in terms), *map(list, starts)], noise) - null
+        every = [*([*own, *start] for own, start in terms), *map(list, starts)]
+        before, noise = self.fitted(model)
+        after, _ = self.likelihood.scan(
+            channel.values, channel.design(model), channel.pool, every, no_larger(noise)
         )
-        alone = dict(zip(starts, ratio[len(tried) :].tolist(), strict=True))
+        ratio = (2.0 * (after - before)).tolist()
+        alone = dict(zip(starts, ratio[len(tried) :], strict=True))
         found = []
-        for candidate, (own, start), value in zip(tried, terms, ratio.tolist(), strict=False):
+        for candidate, (own, start), value in zip(tried, terms, ratio, strict=False):
             fit = value - (len(own) + len(start)) * price
             gain = fit - candidate.nonlinear * price - candidate.choice
             if start:
@@ -203,10 +207,46 @@ class Search:
             found.append(Scored(candidate, gain, fit))
         return found
 
-    def _scan(self, terms: Sequence[Sequence[tuple[int, int]]], noise: Noise) -> np.ndarray:
-        channel = self.channel
-        base = channel.design(self.found)
-        return self.likelihood.scan(channel.values, base, channel.pool, terms, no_larger(noise))[0]
+    def refined(self, candidate: Candidate, model: Sequence[Candidate]) -> Scored:
+        """Return a candidate with its nonlinear parameters refined: a pattern search around the grid."""
+        (best,) = self.scored([candidate], model)
+        for level in range(REFINEMENTS):
+            tried = best.candidate.neighbours(self.survey, level)
+            best = max([best, *self.scored(tried, model)], key=gain_of)
+        return best
+
+    def _taken_away(self, candidate: Candidate, model: Sequence[Candidate]) -> float:
+        """Return the rms that a candidate takes away beside a model, by ordinary least squares."""
+        without, with_it = (
+            residual_rms(self.channel.design(one), self.channel.values)
+            for one in (model, [*model, candidate])
+        )
+        return float(np.sqrt(max(without**2 - with_it**2, 0.0)))
+
+    def _largest_beside(self, candidate: Candidate) -> float:
+        """Return the largest rms that one of the findings takes away beside the others and a candidate.
+
+        One of the same family counts with what it took away alone, for two of a kind share it.
+        """
+        sizes = [
+            one.size
+            if one.name == candidate.family and candidate.scope != "event"
+            else self._taken_away(one.candidate, [*self._beside(one), candidate])
+            for one in self.findings
+        ]
+        return max(sizes, default=0.0)
+
+    def _beside(self, finding: Finding) -> list[Candidate]:
+        """Return the candidates of the other findings."""
+        return [other.candidate for other in self.findings if other is not finding]
+
+    # One stage
+
+    def tabulate(self, pairs: bool) -> None:
+        """Add a table: the best of each family beside what was found so far, at first in pairs as well."""
+        scored = sorted(self.scored(self.tried, self.found), key=gain_of)
+        best = {one.family: one for one in scored}
+        self.tables.append(self._beside_partner(scored, best) if pairs and not self.findings else best)
 
     def _beside_partner(self, scored: Sequence[Scored], best: dict[str, Scored]) -> Table:
         """Return the table with what effects gain beside the partner in the best pair, where both are needed.
@@ -215,61 +255,54 @@ class Search:
         that gains more than any effect alone by more than the shape of that may be off.  Its partner is what
         does not carry over, else what gains less alone.
         """
-        few = [one for one in scored if not (one.candidate.free_start or one.candidate.choice)]
-        few = [one for one in few if len(one.candidate.parts) == 1]
-        members = [one for group in best_few(few).values() for one in group]
-        members += [self.refined(one) for one in best.values() if one.candidate.scope == "event"]
+        members = [self.refined(one.candidate, []) for one in best.values() if one.candidate.scope == "event"]
+        for family in best:
+            same = [one for one in scored if one.family == family and one.candidate.is_plain]
+            members += same[-PAIR_LIST:]
         pairs = [two for two in combinations(members, 2) if two[0].family != two[1].family]
-        if not pairs:
+        both = [Candidate("pair", (*one.candidate.parts, *two.candidate.parts)) for one, two in pairs]
+        gains = [one.gain for one in self.scored(both, [])]
+        alone = max([PROVEN, *(one.gain for one in members)])
+        least = max([alone + max(PROVEN, CLOSE_SHARE * alone), *(one.gain for one in best.values())])
+        if max(gains, default=0.0) <= least:
             return best
-        pool, price = self.channel.pool, self.likelihood.price
-        terms = [[term for one in two for term in pool.terms(one.candidate)[0]] for two in pairs]
-        null, noise = self.null()
-        ratio = 2.0 * (self._scan(terms, noise) - null)
-        number = [
-            len(own) + sum(one.candidate.nonlinear for one in two)
-            for two, own in zip(pairs, terms, strict=True)
-        ]
-        gains = (ratio - np.array(number) * price).tolist()
-        alone = max(PROVEN, *(one.gain for one in members))
-        at = int(np.argmax(gains))
-        if gains[at] <= max(alone + max(PROVEN, CLOSE_SHARE * alone), *(one.gain for one in best.values())):
-            return best
-        partner = min(pairs[at], key=lambda one: (one.candidate.scope not in ("run", "event"), one.gain))
+        partner = min(
+            pairs[int(np.argmax(gains))],
+            key=lambda one: (one.candidate.scope not in ("run", "event"), one.gain),
+        )
         found = dict[str, Scored]()
         for two, gain in zip(pairs, gains, strict=True):
             for one, other in (two, two[::-1]):
                 beside = gain - max(0.0, other.gain)
                 if other.family == partner.family and beside > gain_in(found, one.family):
                     found[one.family] = replace(one, gain=beside, partner=partner.family)
-        best |= found
-        return best
-
-    def open_table(self) -> Table:
-        """Return the table of this stage without what is too small to be added."""
-        return {name: one for name, one in self.tables[-1].items() if name not in self.too_small}
+        return best | found
 
     def add(self, lack: Lack) -> bool:
-        """Add the best of a family with its parameters refined, and tell whether this stage is done: not when
-        that is too small.  With a second event in a run the channel is finished."""
-        table, name = self.tables[-1], lack.names[0]
-        best = self.refined(table[name])
-        size = float(np.sqrt(max(self._left() ** 2 - self._left(best.candidate) ** 2, 0.0)))
-        least = max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind)
-        again = best.candidate.scope == "event" and name in (finding.name for finding in self.findings)
-        share = JUMP_SHARE if again else SECOND_SHARE
-        if size < max(least, share * self._largest_beside(best.candidate)):
-            self.too_small.add(name)
-            self.finished = best.candidate.scope == "event"  # beside small jumps nothing else is proven
-            return self.finished
-        if self._second_event(best.candidate):
-            self.finished = True
-            return True
+        """Add the best of a family with its parameters refined; return False where that is too small.
+
+        Beside jumps that are too small, and with a second one in a run, nothing else is proven: the channel
+        is finished.
+        """
+        table, name, model = self.tables[-1], lack.names[0], self.found
+        best = self.refined(table[name].candidate, model)
+        gain = max(best.gain, table[name].gain)  # beside a partner the latter is more
+        size = self._taken_away(best.candidate, model)
         there = {finding.name for finding in self.findings}
-        others = [other for other in lack.names[1:] if other in table and other not in there][
-            : MOST_NAMES - 1
-        ]
-        gain = max(best.gain, table[name].gain)
+        is_event = best.candidate.scope == "event"
+        jumped = {run for one in model if one.family == name for run in one.parts[0].runs}
+        again = is_event and not jumped.isdisjoint(best.candidate.parts[0].runs)
+        share = JUMP_SHARE if again else SECOND_SHARE
+        least = max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind)
+        if size < max(least, share * self._largest_beside(best.candidate)):
+            self.finished = is_event
+            return False
+        self.many_events |= again
+        if self.many_events:
+            self.finished = True
+            return False
+        others = [other for other in lack.names[1:] if other in table and other not in there]
+        others = others[: MOST_NAMES - 1]
         self.findings.append(
             Finding(
                 best.candidate,
@@ -286,37 +319,18 @@ class Search:
         self.turns.append(Step(name, self.found, gain))
         return True
 
-    def _largest_beside(self, candidate: Candidate) -> float:
-        """Return the largest rms that one of the findings takes away beside a candidate; of one of the same
-        family, what that took away alone, for two of a kind share it."""
-        left, everything, sizes = self._left(candidate), self.findings, [0.0]
-        for finding in everything:
-            self.findings = [other for other in everything if other is not finding]
-            beside = float(np.sqrt(max(self._left(candidate) ** 2 - left**2, 0.0)))
-            same = finding.name == candidate.family and candidate.scope != "event"
-            sizes.append(finding.size if same else beside)
-        self.findings = everything
-        return max(sizes)
+    def _refine(self, exchange: bool = False) -> None:
+        """Refine each finding beside the others.
 
-    def _second_event(self, candidate: Candidate) -> bool:
-        """Tell, and remember, whether a run has a second jump."""
-        same = [one for one in self.found if one.family == candidate.family]
-        taken = {run for one in same for part in one.parts for run in part.runs}
-        if candidate.scope == "event":
-            self.many_events |= any(run in taken for part in candidate.parts for run in part.runs)
-        return self.many_events
-
-    def refined(self, best: Scored) -> Scored:
-        """Return a candidate with its nonlinear parameters refined: a pattern search around the grid."""
-        best = self.scored([best.candidate])[0]
-        for level in range(REFINEMENTS):
-            tried = best.candidate.neighbours(self.survey, level)
-            best = max([best, *self.scored(tried)], key=gain_of)
-        return best
-
-    def _left(self, *more: Candidate) -> float:
-        """Return the rms that ordinary least squares leaves with what was found and more."""
-        return residual_rms(self.channel.design([*self.found, *more]), self.channel.values)
+        With `exchange`, a finding gives way to one that was not told apart from it, where that one is
+        likelier beside what was found later.
+        """
+        for finding in self.findings:
+            beside = self._beside(finding)
+            names = [finding.name, *finding.alike] if exchange else [finding.name]
+            tried = [one for one in self.tried if one.family in names and one.carries]
+            best = max(self.scored([finding.candidate, *tried], beside), key=gain_of)
+            finding.becomes(self.refined(best.candidate, beside).candidate)
 
     # At the end
 
@@ -333,66 +347,33 @@ class Search:
 
     def _drop_needless(self) -> None:
         for finding in list(self.findings):
-            if len(self.findings) > 1 and self._worth(finding) <= PROVEN:
-                self.findings = [other for other in self.findings if other is not finding]
-
-    def _refine(self, exchange: bool = False) -> None:
-        """Refine each finding beside the others.
-
-        With `exchange`, a finding gives way to one that was not told apart from it, where that one is
-        likelier beside what was found later.
-        """
-        everything = list(self.findings)
-        for finding in everything:
-            self.findings = [other for other in everything if other is not finding]
-            names = [finding.name, *finding.alike] if exchange else [finding.name]
-            tried = [one for one in self.tried if one.family in names and one.carries]
-            best = self.refined(max(self.scored([finding.candidate, *tried]), key=gain_of))
-            finding.becomes(best.candidate)
-        self.findings = everything
-
-    def _worth(self, finding: Finding) -> float:
-        """Return by how much the score falls without a finding."""
-        everything, before = self.findings, self._score()
-        self.findings = [other for other in everything if other is not finding]
-        worth = before - self._score()
-        self.findings = everything
-        return worth
-
-    def _score(self) -> float:
-        """Return S of the model so far."""
-        terms = (len(group) for one in self.found for group in self.channel.pool.terms(one))
-        number = sum(terms) + sum(one.nonlinear for one in self.found)
-        return 2 * self.null()[0] - number * self.likelihood.price - sum(one.choice for one in self.found)
+            if len(self.findings) > 1 and self.score() - self.score(self._beside(finding)) <= PROVEN:
+                self.findings.remove(finding)
 
     # A model that was given
 
     def _begin_with(self, known: Sequence[Effect]) -> None:
         """Fit anew what the runs show of a model that was given; the rest of it stays as it is."""
         given = self.channel.as_given()
-        before = 2 * self.likelihood.best(given.values, given.base)[0]
+        before = 2.0 * self.likelihood.best(given.values, given.base)[0] - self.likelihood.price
         for effect in known:
             candidate = Candidate(effect.label, (Part(effect),))
             self.findings.append(Finding(candidate, 0.0, 0.0, {}, [], 0.0, known=True))
         for finding in list(self.findings):
-            if self._worth(finding) <= PROVEN:
-                self.findings = [other for other in self.findings if other is not finding]
+            if self.score() - self.score(self._beside(finding)) <= PROVEN:
+                self.findings.remove(finding)
                 effect = finding.candidate.parts[0].effect
                 self.channel = replace(self.channel, kept=(*self.channel.kept, effect))
-                self._known.clear()
         self._refine()
-        gain = self._score() - before - (self.channel.declared.degree) * self.likelihood.price
+        gain = self.score() - before
         self.refit = gain > PROVEN
         if self.refit:
             self.turns.append(Step("what was given is fitted anew", self.found, gain))
 
     def _keep_curve(self) -> None:
         """Leave the curve that was given as it is, but for a constant, unless fitting it anew pays."""
-        fitted, price = self.channel, self.channel.declared.degree * self.likelihood.price
-        before = self._score() - price
-        self._known.clear()
+        fitted, before = self.channel, self.score()
         self.channel = replace(fitted, declared=replace(fitted.declared, degree=0))
         curve = any(finding.candidate.parts[0].effect.is_curve for finding in self.findings)
-        if curve or before - self._score() > PROVEN:
-            self._known.clear()
+        if curve or before - self.score() > PROVEN:
             self.channel = fitted

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,15 +20,6 @@ MANY_GAPS = 0.2
 """Share of a run left out that is reported."""
 RESOLUTION = 1e-12
 """Share of its value below which the changes of a channel are rounding in the computation of its means."""
-
-
-@dataclass(frozen=True, slots=True)
-class Names:
-    """Channels, the temperatures that their curves are over, and other drivers."""
-
-    channels: Sequence[str]
-    temperatures: Sequence[str]
-    drivers: Sequence[str]
 
 
 def usable_channels(
@@ -138,56 +129,27 @@ def _rest_share(run: Run, channel: str) -> float:
     return float(run.at_rest[run.earlier :][there].mean()) if there.any() else 0.0
 
 
-def blocks_of_training(
-    runs: Sequence[Run], names: Names, block_s: float, caveats: list[str]
-) -> list[RunBlocks]:
-    """Return the training as blocks, without runs that cannot be used, which are reported.
-
-    Raises BAD_DATA when the unit was hardly at rest, or the runs are too short.
-    """
-    found, moving = _in_blocks(runs, names, block_s, caveats)
-    if moving and not found:
-        raise ImumonError(
-            Reason.BAD_DATA,
-            "the unit moves: " + "; ".join(moving),
-            "what the bias model lacks can be found only in a unit at rest; if it was, add --at-rest",
-        )
-    total = sum(map(len, found))
-    if total < LEAST_BLOCKS:
-        raise ImumonError(
-            Reason.BAD_DATA,
-            f"too short: the training data has {total} means of {block_s:.0f} s at rest;"
-            f" {LEAST_BLOCKS} are needed, {LEAST_BLOCKS * block_s / 60:.0f} min",
-            "record the unit at rest for an hour or more while its temperature changes;"
-            " if it was at rest and is not detected to be, add --at-rest",
-        )
-    return found
-
-
-def blocks_of_test(runs: Sequence[Run], names: Names, block_s: float, caveats: list[str]) -> list[RunBlocks]:
-    """Return the test as blocks, without runs that cannot be used, which are reported."""
-    found, _ = _in_blocks(runs, names, block_s, caveats)
-    if runs and not found:
-        caveats.append("no run of the test can be used: there is no independent proof")
-    return found
-
-
-def _in_blocks(
-    runs: Sequence[Run], names: Names, block_s: float, caveats: list[str]
+def usable_blocks(
+    runs: Sequence[Run],
+    channels: Sequence[str],
+    temperatures: Sequence[str],
+    drivers: Sequence[str],
+    block_s: float,
+    caveats: list[str],
 ) -> tuple[list[RunBlocks], list[str]]:
-    """Return the runs at rest as blocks, and what moves."""
+    """Return the runs at rest as blocks, and what moves; runs that cannot be used are reported."""
     found, moving = [], []
     for run in runs:
-        lacking = [name for name in (*names.channels, *names.temperatures) if name not in run.mean]
+        lacking = [name for name in (*channels, *temperatures) if name not in run.mean]
         if lacking:
             caveats.append(f"{run.name}: not used, it lacks {', '.join(lacking)}")
             continue
-        there = float(np.isfinite(run.mean[names.channels[0]])[run.earlier :].mean())
-        rest_share = _rest_share(run, names.channels[0])
+        there = float(np.isfinite(run.mean[channels[0]])[run.earlier :].mean())
+        rest_share = _rest_share(run, channels[0])
         if rest_share < 0.5:
             moving.append(f"{run.name}: at rest for {rest_share:.0%} of its {run.duration_s / 60:.0f} min")
             continue
-        blocks = make_blocks(run, names.channels, names.temperatures, names.drivers, block_s)
+        blocks = make_blocks(run, channels, temperatures, drivers, block_s)
         if len(blocks) * block_s < SHORTEST_RUN_S:
             caveats.append(
                 f"{run.name}: not used, {len(blocks)} blocks of {block_s:.0f} s at rest are too few"
@@ -200,3 +162,22 @@ def _in_blocks(
         found.append(blocks)
     caveats += [f"{text}: not used, it moves" for text in moving]
     return found, moving
+
+
+def check_training(blocks: Sequence[RunBlocks], moving: Sequence[str], block_s: float) -> None:
+    """Raise BAD_DATA when the unit was hardly at rest in training, or that is too short."""
+    if moving and not blocks:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            "the unit moves: " + "; ".join(moving),
+            "what the bias model lacks can be found only in a unit at rest; if it was, add --at-rest",
+        )
+    total = sum(map(len, blocks))
+    if total < LEAST_BLOCKS:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"too short: the training data has {total} means of {block_s:.0f} s at rest;"
+            f" {LEAST_BLOCKS} are needed, {LEAST_BLOCKS * block_s / 60:.0f} min",
+            "record the unit at rest for an hour or more while its temperature changes;"
+            " if it was at rest and is not detected to be, add --at-rest",
+        )

@@ -10,12 +10,11 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.effects.library import separated_by
+from imumon.lab.diagnosis.alternatives import Question, Ranked, RunLeft
 from imumon.lab.diagnosis.channel import Channel
 from imumon.lab.diagnosis.choice import PROVEN, Finding
 from imumon.lab.diagnosis.fit import MATERIAL, Fit, FittedPart, PartSigma, TestScore, goes_on
 from imumon.lab.diagnosis.likelihood import WALK_S
-from imumon.lab.diagnosis.questions import Question
-from imumon.lab.diagnosis.ranking import Ranked, RunLeft
 from imumon.lab.diagnosis.search import Search, Step
 
 State = Literal["named", "unexplained", "nothing missing", "too few digits", "not proven", "faulty"]
@@ -105,10 +104,9 @@ class SlowNoise:
     @classmethod
     def of(cls, found: Search) -> Self:
         """Return that of the model that was found."""
-        noise, channel, sd = found.null()[1], found.channel, found.noise_sd()
-        flicker, walk = np.sqrt(noise)
-        tails = found.likelihood.tails(channel.values, channel.design(found.found), noise)
-        return cls(float(flicker * sd), float(walk * sd / np.sqrt(WALK_S)), tails)
+        channel, (flicker, walk, sd) = found.channel, found.noise()
+        tails = found.likelihood.tails(channel.values, channel.design(found.found), (flicker, walk))
+        return cls(float(np.sqrt(flicker) * sd), float(np.sqrt(walk / WALK_S) * sd), tails)
 
     @property
     def jumps(self) -> bool:

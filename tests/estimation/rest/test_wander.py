@@ -65,7 +65,6 @@ def test_a_turn_that_begins_slowly_on_a_coarse_gyro_is_no_creep(seed: int) -> No
 
 
 def test_a_turn_that_begins_slowly_on_a_coarse_gyro_is_seen_as_soon_as_noise_allows() -> None:
-    """Told the noise, the best filter needs 12 s for such a gyro (`scripts/reproduce/rest_detector`)."""
     rested = []
     for seed in range(20, 24):
         t, gyro, accel = noise(180.0, 25.0, gyro_sd=0.025 * DEG, seed=seed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from imumon.effects.drift import Drift
 from imumon.effects.warm_up import WarmUp
 from imumon.lab.diagnosis.candidates import Candidate, Part
-from imumon.lab.diagnosis.choice import Scored, Table, lacks, proof
+from imumon.lab.diagnosis.choice import Lack, Scored, Table, first_lack, proof
 
 LEAST = proof(2, 3)
 
@@ -20,6 +20,15 @@ def axes(drift: tuple[float, ...], warm_up: tuple[float, ...] = (-9.0, -9.0, -9.
         }
         for axis, one, other in zip("xyz", drift, warm_up, strict=True)
     }
+
+
+def lacks(tables: dict[str, Table], least: float) -> list[Lack]:
+    """Return what the axes lack, each one effect."""
+    found, left = list[Lack](), dict(tables)
+    while (lack := first_lack(left, least, {})) is not None:
+        found.append(lack)
+        left = {name: table for name, table in left.items() if name not in lack.channels}
+    return found
 
 
 def test_what_no_axis_proves_is_named_where_they_prove_it_together() -> None:

@@ -9,10 +9,9 @@ import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
+from imumon.lab.diagnosis.better import Better, Shadow, better_models
 from imumon.lab.diagnosis.live import FIRST_LOOK_S, LOOK_S, LiveDiagnosis
-from imumon.lab.diagnosis.residual import Better, better_models
 from imumon.lab.diagnosis.runs import LONGEST_GAP_S, Run
-from imumon.lab.diagnosis.shadow import Shadow
 from imumon.models.curves.points import Points
 from imumon.models.curves.polynomial import fit_polynomial
 from imumon.models.model import BiasModel, ChannelModel

@@ -5,15 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from imumon.errors import ImumonError
 from imumon.lab.diagnosis.blocks import common_block_s
 from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.runs import SENSORS, Run
-from imumon.lab.diagnosis.usable import Names, blocks_of_test, blocks_of_training, resting, usable_channels
+from imumon.lab.diagnosis.usable import check_training, resting, usable_blocks, usable_channels
 from tests.lab.diagnosis.units import three
 
 SECONDS = 2400
-NAMES = Names(["gyro_x"], ["temperature"], [])
+NAMES = ["gyro_x"], ["temperature"], list[str]()
 
 
 def still(time: np.ndarray, temperature: np.ndarray) -> np.ndarray:  # noqa: ARG001 - as all biases
@@ -61,13 +63,16 @@ def test_runs_that_move_or_lack_a_temperature_are_named_and_the_others_used() ->
     block_s = common_block_s(train)
     bare = replace(train[0], name="bare", mean={"gyro_x": train[0].mean["gyro_x"]})
     caveats: list[str] = []
-    found = blocks_of_training([moving(train[0]), train[1], bare], NAMES, block_s, caveats)
+    found, moves = usable_blocks([moving(train[0]), train[1], bare], *NAMES, block_s, caveats)
     assert [run.name for run in found] == [train[1].name]
     assert caveats == [
         "bare: not used, it lacks temperature",
         f"{train[0].name}: at rest for 0% of its {SECONDS / 60:.0f} min: not used, it moves",
     ]
-    assert blocks_of_test([moving(test[0])], NAMES, block_s, caveats) == []
-    assert caveats[-1] == "no run of the test can be used: there is no independent proof"
+    check_training(found, moves, block_s)
+    with pytest.raises(ImumonError, match="the unit moves"):
+        check_training(*usable_blocks([moving(train[0])], *NAMES, block_s, []), block_s)
+    caveats = diagnose(train, [moving(test[0])]).caveats
+    assert "no run of the test can be used: there is no independent proof" in caveats
     assert resting(train[1])
     assert not resting(moving(train[1]))

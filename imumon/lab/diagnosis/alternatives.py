@@ -1,4 +1,8 @@
-"""What a person looks at beside the verdict: how the effects rank, and what each run is left with."""
+"""What a person looks at beside the verdict: how the effects rank, what is left of each run, what is open.
+
+Each answer that is possible to an open question is a whole model, fitted to the training, so that the next
+experiment can be tried on units that have it.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +13,19 @@ from typing import Self
 import numpy as np
 
 from imumon.blocks import FloatArray
+from imumon.effects.base import ACCEL
+from imumon.lab.diagnosis.candidates import Candidate
 from imumon.lab.diagnosis.channel import Channel
+from imumon.lab.diagnosis.choice import Finding, Scored, Table
 from imumon.lab.diagnosis.fit import Fit, TestScore, fit, score
 from imumon.lab.diagnosis.search import Search
 
 MOST_RANKED = 6
+NOTHING = "nothing"
+"""The answer that there is slow noise and no effect; alone: is it noise, or something that the course of
+the temperature makes?"""
+MOST_ANSWERS = 2
+"""Effects that are thought of behind what is unexplained."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,15 +60,32 @@ class RunLeft:
         return cls(name, test, len(after), first, last, float(after.mean()))
 
 
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """An effect that may be the one, or `NOTHING`, the model that has it, and whether that carries over."""
+
+    name: str
+    fit: Fit
+    carries: bool = True
+
+
+Question = list[Answer]
+"""Which of these is it?"""
+
+
 def ranking(channel: Channel, found: Search) -> list[Ranked]:
     """Return the effects that gain most, by what each does alone, whether or not any is named."""
-    leaders = list(found.tables[0].values()) if found.tables else []
     ranked = []
-    for one in sorted(leaders, key=lambda one: -one.gain)[:MOST_RANKED]:
+    for one in _leaders(found.tables[0] if found.tables else {})[:MOST_RANKED]:
         fitted = fit(channel, [one.candidate])
         left = score(channel, fitted).rms if channel.test else float("nan")
         ranked.append(Ranked(one.family, one.gain, fitted.train_rms, left))
     return ranked
+
+
+def _leaders(table: Table) -> list[Scored]:
+    """Return the best of each family, the best of all first."""
+    return sorted(table.values(), key=lambda one: -one.gain)
 
 
 def runs_left(
@@ -78,3 +107,30 @@ def most_different(rows: Sequence[RunLeft]) -> RunLeft | None:
     """Return the run that is left with most, where there are several."""
     known = [row for row in rows if np.isfinite(row.after)]
     return max(known, key=lambda row: row.after) if len(known) > 1 else None
+
+
+def questions(channel: Channel, found: Search, kept: Sequence[Finding], unexplained: bool) -> list[Question]:
+    """Return what is open in a channel in which these findings are claimed."""
+    claimed, opened = [finding.candidate for finding in kept], list[Question]()
+    for finding in kept:
+        if finding.alike:
+            beside = [other for other in claimed if other is not finding.candidate]
+            either = [finding.candidate, *finding.others.values()]
+            opened.append([_answer(channel, beside, one) for one in either])
+    if unexplained and found.tables:
+        tried = [one.candidate for one in _leaders(found.tables[-1]) if one.fit > 0.0]
+        further = [one for one in tried if one not in claimed and _may_be_tried(one)][:MOST_ANSWERS]
+        nothing = Answer(NOTHING, fit(channel, claimed))
+        opened.append([nothing, *(_answer(channel, claimed, one) for one in further)])
+    return opened
+
+
+def _may_be_tried(candidate: Candidate) -> bool:
+    """Tell whether a chamber, or poses, can make an effect show itself in another run."""
+    inputs = {name for part in candidate.parts for name in part.effect.inputs}
+    return candidate.scope in ("shared", "either") and inputs <= {ACCEL}
+
+
+def _answer(channel: Channel, beside: Sequence[Candidate], one: Candidate) -> Answer:
+    model = fit(channel, [*beside, one])
+    return Answer(one.family, model, all(part.carries for part in model.parts[-len(one.parts) :]))

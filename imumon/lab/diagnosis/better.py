@@ -1,0 +1,197 @@
+"""Better models of the session that is running: found by the search, proven on what came later.
+
+Both models predict each block mean from those before it, with the noise that each had when the better one
+was found.  The ratio of the two likelihoods of what comes later is a test martingale: were the present model
+right, it would exceed A with a probability of 1 / A at most, however often it is tested (Ville 1939; Shafer
+et al. 2011, doi:10.1214/10-STS347).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from imumon.effects.library import EFFECTS
+from imumon.lab.diagnosis.axes import Assumed, axes_over_bases, likeliest
+from imumon.lab.diagnosis.blocks import (
+    BLOCK_S,
+    LEAST_BLOCKS,
+    RunBlocks,
+    common_block_s,
+    make_blocks,
+    survey,
+)
+from imumon.lab.diagnosis.channel import Channel, residual_rms
+from imumon.lab.diagnosis.choice import PROVEN, Finding, proof
+from imumon.lab.diagnosis.drivers import recorded
+from imumon.lab.diagnosis.extended import refitted
+from imumon.lab.diagnosis.fit import MATERIAL, fit
+from imumon.lab.diagnosis.known import CUBIC, effects_of, temperature_of, without_model
+from imumon.lab.diagnosis.likelihood import Likelihood
+from imumon.lab.diagnosis.runs import Run
+from imumon.lab.diagnosis.search import search
+from imumon.models.model import BiasModel, ChannelModel
+
+LASTING = [name for name, kind in EFFECTS.items() if kind.scope not in ("run", "event")]
+"""Effects that a model file can have."""
+LEAST_COMPARED = 10
+"""Means that have to be there before and after the better model was found."""
+
+
+@dataclass(frozen=True, slots=True)
+class Better:
+    """A better model of a channel.
+
+    `names` are the effects of which the present model lacks one, the best first; these data do not tell them
+    apart.  `gain` is in BIC over the present model, of all channels that lack an effect.  `before` and
+    `after` are the rms of the block means with the present model and a constant, and with the better model.
+    """
+
+    channel: str
+    names: list[str]
+    gain: float
+    before: float
+    after: float
+    model: ChannelModel
+
+
+def residual(
+    run: Run,
+    model: BiasModel,
+    channels: Sequence[str],
+    drivers: Sequence[str] = (),
+    block_s: float = BLOCK_S,
+) -> RunBlocks:
+    """Return block means of what a model leaves of the channels, its effects integrated from power-on.
+
+    `drivers` are the recorded columns that may drive effects besides temperature, time and specific force.
+    """
+    temperatures = dict.fromkeys(temperature_of(name, model, [run]) for name in channels)
+    return make_blocks(without_model(run, model, channels), channels, list(temperatures), drivers, block_s)
+
+
+def known_to(model: BiasModel, run: Run, channels: Sequence[str]) -> Run:
+    """Return a run at rest only where its temperatures are inside the range that a model was fitted on.
+
+    Outside that range the curve continues as a straight line, and what is left there is no effect.
+    """
+    inside = np.ones(len(run.time_s), bool)
+    for name in channels:
+        values = run.mean[temperature_of(name, model, [run])]
+        known = np.isfinite(values)
+        inside &= model.channels[name].inside(np.interp(run.time_s, run.time_s[known], values[known]))
+    return replace(run, rest=np.where(inside, run.rest, 0.0))
+
+
+def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[Better]:
+    """Return a better model of each channel that lacks an effect.
+
+    The search of the diagnosis runs on the residual of the present model: with its curve as it is, and with
+    the curve fitted anew; the likelier of the two counts.  One effect is named at a time, where the gain over
+    the present model, of all channels that lack it, pays for the choice of effect, channels and curve
+    (extended BIC).
+    """
+    temperatures = {name: temperature_of(name, model, [run]) for name in channels}
+    used, block_s = list(dict.fromkeys(temperatures.values())), common_block_s([run])
+    left = without_model(run, model, channels)
+    blocks = make_blocks(left, channels, used, recorded([run], [], used, None, []), block_s)
+    if len(blocks) < LEAST_BLOCKS:
+        return []
+    degrees = (0, CUBIC) if survey([blocks], used[0], 0, block_s).thermal else (0,)
+    every = [
+        axes
+        for degree in degrees
+        for axes in axes_over_bases(
+            [left], [blocks], [], channels, Assumed(temperatures, degree, "", block_s)
+        )
+    ]
+    before = {one.name: residual_rms(one.base, one.values) for one in every[0].channels}
+    # What a model leaves hardly above the white noise is too small to matter.
+    material = [one.name for one in every[0].channels if before[one.name] >= MATERIAL * one.floor.sd]
+    if not material:
+        return []
+    searched = [(axes, search(axes.searched, axes.survey, LASTING, stages=1)) for axes in every]
+    axes, found = likeliest(searched)
+    # The curve of the present model, and nothing beside it.
+    present = next(one for base, one in searched if base.assumed == replace(axes.assumed, degree=0))
+    gain = sum(
+        one.score() - other.score([]) for one, other in zip(found, present, strict=True) if one.findings
+    )
+    if not gain > proof(len(degrees) * len(LASTING), len(channels)):
+        return []
+    return [
+        _better(channel, one.findings[0], gain, before[channel.name], model.channels[channel.name])
+        for channel, one in zip(axes.channels, found, strict=True)
+        if one.findings and channel.name in material
+    ]
+
+
+def _better(channel: Channel, found: Finding, gain: float, before: float, present: ChannelModel) -> Better:
+    """Return the present model of a channel with what it lacks, fitted."""
+    fitted = fit(channel, [found.candidate])
+    middle, half = channel.declared.middle_degc, channel.declared.half_span_degc
+    curve = Polynomial(fitted.declared, domain=[middle - half, middle + half])
+    effects = [*effects_of(present), *(part.effect.with_start(part.start) for part in fitted.parts)]
+    # What is left holds the white noise of the means as well: the model's own error is no larger.
+    model = refitted(present, curve, effects, min(present.residual_sd, fitted.train_rms))
+    return Better(channel.name, found.alike or [found.name], gain, before, fitted.train_rms, model)
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Two models on what came later.
+
+    `ratio` is the logarithm of the likelihood ratio, the better model's over the present one's; `before` and
+    `after` are the rms that the present and the better model leave, over the channels that differ.
+    """
+
+    ratio: float
+    before: float
+    after: float
+
+    @property
+    def won(self) -> bool:
+        """Whether the better model has proven itself: 1 in 3000 by chance."""
+        return self.ratio > PROVEN
+
+    @property
+    def lost(self) -> bool:
+        """Whether it has done worse by as much."""
+        return self.ratio < -PROVEN
+
+
+class Shadow:
+    """A better model of some channels that runs beside the present one since it was found."""
+
+    def __init__(self, present: BiasModel, found: Sequence[Better], since_s: float) -> None:
+        channels = {**present.channels, **{one.channel: one.model for one in found}}
+        self.model = present.model_copy(update={"channels": channels})
+        self.since_s = since_s
+        self._present, self._names = present, [one.channel for one in found]
+
+    def score(self, run: Run) -> Score | None:
+        """Return how both models do on the part of a run that came later; None while that is too short.
+
+        Temperatures outside those of the earlier part, from which the better model is, do not count.
+        """
+        inside = np.ones(len(run.time_s), bool)
+        for name in self._names:
+            t = run.mean[temperature_of(name, self.model, [run])]
+            known = t[(run.time_s < self.since_s) & np.isfinite(t)]
+            inside &= (t >= known.min()) & (t <= known.max())
+        run = replace(run, rest=np.where(inside, run.rest, 0.0))
+        block_s, ratio, squares = common_block_s([run]), 0.0, []
+        for model, sign in ((self._present, -1.0), (self.model, 1.0)):
+            blocks = residual(run, model, self._names, block_s=block_s)
+            early = blocks.time_s < self.since_s
+            if min(early.sum(), (~early).sum()) < LEAST_COMPARED:
+                return None
+            left = [blocks.mean[name] - blocks.mean[name][early].mean() for name in self._names]
+            likelihood = Likelihood([blocks])
+            ratio += sign * sum(likelihood.predictive(one, early) for one in left)
+            squares.append(np.mean([one[~early] ** 2 for one in left]))
+        before, after = np.sqrt(squares).tolist()
+        return Score(ratio, before, after)

@@ -1,0 +1,263 @@
+"""The runner of the studies: options, tables in Markdown, pages, figures, and comparison with a page.
+
+A study is a module with `STUDY`.  It says which scenes, methods and errors make a table; all else is here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, field
+from difflib import unified_diff
+from importlib import import_module
+from itertools import zip_longest
+from pathlib import Path
+from typing import TypeVar, cast
+
+import numpy as np
+
+from imumon.blocks import FloatArray, SampleBlock
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+RMS_BAR, LARGEST_BAR = 1.8, 7.0
+"""Error over sigma, rms and largest, beyond which a row is bad."""
+STUDIES: Mapping[str, Mapping[str, str]] = {
+    "alignment": {"": "alignment_figures"},
+    "alignment_site": {"": "alignment_site"},
+    "allan_terms": {"": "allan_terms_table"},
+    "attitude": {"": "attitude_table"},
+    "bias_race": {"": "bias_race_table"},
+    "closing_the_loop": {
+        "simulated": "closing_the_loop_statistics",
+        "live": "closing_the_loop_live",
+        "plans": "closing_the_loop_plans",
+        "measured": "closing_the_loop_measured",
+        "ablation": "closing_the_loop_ablation",
+        "steps": "closing_the_loop_steps",
+    },
+    "moving_bias": {"": "moving_bias_table"},
+    "random_error": {"": "random_error_table"},
+    "rest_figure": {"": "rest_figure"},
+    "smoothing": {"": "smoothing_table"},
+    "tczupt": {"": "tczupt_table"},
+    "temperature_rate": {"": "temperature_rate_figures"},
+    "thermal_calibration": {"": "thermal_calibration_table"},
+}
+"""The module of each study, by command and `--part`; the first part is the default."""
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command line gives a study.
+
+    Parameters
+    ----------
+    seeds : range
+    only : str
+        Scenes whose name holds this text.
+    data : Path
+        Folder of the measured recordings.
+    quick : bool
+        The first of everything, in seconds.
+    jobs : int
+        Processes.
+    lists : dict
+        Values of the study's own options.
+    """
+
+    seeds: range
+    only: str
+    data: Path
+    quick: bool
+    jobs: int
+    lists: Mapping[str, Sequence[float]]
+
+
+Cell = str | float
+Cells = Sequence[Cell]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with a title above and a note below; numbers have the format of their column."""
+
+    title: str
+    heads: Sequence[str]
+    rows: Sequence[Cells]
+    note: str = ""
+    formats: Sequence[str] = ()
+
+    def markdown(self) -> str:
+        """Return the table in Markdown."""
+        lines = [f"{self.title}\n"] if self.title else []
+        lines += [f"| {' | '.join(self.heads)} |", "|---" * len(self.heads) + "|"] if self.rows else []
+        for row in self.rows:
+            cells = [
+                cell if isinstance(cell, str) else format(cell, form)
+                for cell, form in zip_longest(row, self.formats[: len(row)], fillvalue="")
+            ]
+            lines.append(f"| {' | '.join(cells)} |")
+        return "\n".join([*lines, f"\n{self.note}"] if self.note else lines) + "\n"
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study.
+
+    Parameters
+    ----------
+    tables : callable
+        Yields the tables.
+    seeds, first : int
+        Runs of each scene and their first seed, by default.
+    page : str
+        Page below docs with the tables of `--write`, between markers with the name of the study or its part.
+    draw : callable, optional
+        Draws the figures below docs/figures, and yields their paths.
+    lists : dict
+        Options of its own with lists of numbers, and their defaults.
+    """
+
+    tables: Callable[[Options], Iterable[Table]]
+    seeds: int = 1
+    first: int = 0
+    page: str = ""
+    draw: Callable[[Options], Iterator[Path]] | None = None
+    lists: Mapping[str, Sequence[float]] = field(default_factory=dict)
+
+
+def rms(values: FloatArray | Sequence[float]) -> float:
+    """Return the root mean square of what is known; NaN of nothing."""
+    known = np.asarray(values, np.float64)
+    known = known[np.isfinite(known)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
+
+
+def largest(values: FloatArray) -> float:
+    """Return the largest absolute value of what is known; NaN of nothing."""
+    known = np.abs(values[np.isfinite(values)])
+    return float(known.max()) if len(known) else np.nan
+
+
+def over_bar(ratios: FloatArray) -> float:
+    """Return how far errors over sigma are beyond their bars: 1 is just allowed."""
+    return float(np.nanmax([0.0, rms(ratios) / RMS_BAR, largest(ratios) / LARGEST_BAR]))
+
+
+def matrix(samples: SampleBlock, name: str) -> FloatArray:
+    """Return the three columns of a vector, (n, 3)."""
+    return np.column_stack([samples[f"{name}_{axis}"] for axis in "xyz"])
+
+
+def spread(function: Callable[[Job], Result], work: Sequence[Job], jobs: int) -> Iterator[Result]:
+    """Yield the results of a function in the order of its arguments, from so many processes; 1 is this."""
+    with ProcessPoolExecutor(jobs) if jobs > 1 else nullcontext() as pool:
+        results = map(function, work) if pool is None else pool.map(function, work)
+        for done, result in enumerate(results, 1):
+            print(f"\r{done}/{len(work)}", end="", file=sys.stderr)
+            yield result
+    print(file=sys.stderr)
+
+
+def worst_first(rows: Iterable[tuple[float, Cells]]) -> list[Cells]:
+    """Return the cells of rows, those with the largest number first."""
+    return [cells for _, cells in sorted(rows, key=lambda row: -row[0])]
+
+
+def rows_of(text: str) -> Iterator[tuple[str, str]]:
+    """Yield the lines of all tables of a page, each with the heads of its table."""
+    heads = ""
+    for line in text.splitlines():
+        heads = (heads or line) if line.startswith("|") else ""
+        if heads:
+            yield heads, line
+
+
+def differences(new: str, old: str) -> Iterator[str]:
+    """Yield the rows that differ between two versions of tables with the same heads, as `diff` does."""
+    known = {heads for heads, _ in rows_of(new)}
+    before, after = ([line for heads, line in rows_of(text) if heads in known] for text in (old, new))
+    return unified_diff(before, after, "old", "new", n=0, lineterm="")
+
+
+def write_between(page: Path, name: str, text: str) -> None:
+    """Put text between the markers of this name in a page."""
+    begin, end = f"<!-- {name} -->\n", f"<!-- end {name} -->"
+    before, found, rest = page.read_text(encoding="utf-8").partition(begin)
+    _, closed, after = rest.partition(end)
+    if not (found and closed):
+        raise SystemExit(f"{page} has no markers {begin.strip()} and {end}")
+    page.write_text(f"{before}{begin}{text}{end}{after}", encoding="utf-8")
+
+
+def parser_of(
+    command: str, study: Study, about: str | None, part: argparse.ArgumentParser
+) -> argparse.ArgumentParser:
+    """Return the command line of a study."""
+    parser = argparse.ArgumentParser(prog=f"scripts/reproduce/{command}", description=about, parents=[part])
+    data = os.environ.get("IMUMON_DATA", str(ROOT.parent / "shared" / "data"))
+    parser.add_argument(
+        "--seeds", "--repeat", type=int, default=study.seeds, help="runs of each scene (%(default)s)"
+    )
+    parser.add_argument("--first", type=int, default=study.first, help="first seed (%(default)s)")
+    parser.add_argument("--only", default="", help="scenes with this text in their name")
+    parser.add_argument("--data", type=Path, default=data, help="folder of the measured recordings")
+    parser.add_argument("--jobs", type=int, default=2, help="processes, where a study has some (%(default)s)")
+    parser.add_argument("--quick", action="store_true", help="the first of everything, in seconds")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of Markdown")
+    parser.add_argument("--beside", type=Path, help="print the rows that differ from those of this page")
+    parser.add_argument("--figures", action="store_true", help="draw the figures, and nothing else")
+    if study.page:
+        parser.add_argument("--write", action="store_true", help=f"write the tables into docs/{study.page}")
+    for name, default in study.lists.items():
+        parser.add_argument(f"--{name}", type=float, nargs="+", default=default, help="%(default)s")
+    return parser
+
+
+def printed(tables: Iterable[Table], as_json: bool) -> str:
+    """Print tables as they come, and return all of them in Markdown."""
+    done = []
+    for table in tables:
+        done.append(table)
+        if not as_json:
+            print(table.markdown(), flush=True)
+    if as_json:
+        print(json.dumps([asdict(table) for table in done], ensure_ascii=False))
+    return "\n".join(table.markdown() for table in done)
+
+
+def main(command: str, arguments: Sequence[str]) -> None:
+    """Run a study."""
+    parts = STUDIES[command]
+    part = argparse.ArgumentParser(add_help=False)
+    if len(parts) > 1:
+        part.add_argument("--part", choices=list(parts))
+    name = getattr(part.parse_known_args(arguments)[0], "part", None) or next(iter(parts))
+    module = import_module(parts[name])
+    study = cast(Study, module.STUDY)
+    given = parser_of(command, study, module.__doc__, part).parse_args(arguments)
+    count, jobs = (1, 1) if given.quick else (given.seeds, given.jobs)
+    lists = {option: getattr(given, option) for option in study.lists}
+    seeds = range(given.first, given.first + count)
+    options = Options(seeds, given.only, given.data, given.quick, jobs, lists)
+    if given.figures:
+        for path in study.draw(options) if study.draw else ():
+            print(path.relative_to(ROOT))
+        return
+    text = printed(study.tables(options), given.json)
+    if given.beside:
+        print("\n".join(differences(text, given.beside.read_text(encoding="utf-8"))))
+    if study.page and given.write:
+        write_between(DOCS / study.page, name or command, text)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2:])
