@@ -3,11 +3,24 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.lab.diagnosis.whitening import INSTABILITY_PER_DECADE, BiasNoise
+
+INSTABILITY_PER_DECADE = math.sqrt(math.pi / math.log(10.0))
+"""B over the standard deviation per decade of correlation time: the processes, sd² in a
+decade, have together the density sd² pi / (2 pi f ln 10), which is to be that of flicker, B² / (2 pi f)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BiasNoise:
+    """Flicker as m Gauss-Markov processes, and random walk; with leading axes, several side by side."""
+
+    taus_s: FloatArray
+    markov_sd: FloatArray
+    walk: FloatArray
 
 
 def covariance(noise: BiasNoise, time_s: FloatArray) -> FloatArray:

@@ -69,7 +69,6 @@ class Drive:
         return self.temperature_degc if driver == TEMPERATURE else self.others[driver]
 
     def __len__(self) -> int:
-        """Return the number of times."""
         return len(self.time_s)
 
 

@@ -12,6 +12,7 @@ from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.clock.channel import CLOCK, block_noise
 from imumon.effects.base import Drive, Survey
 from imumon.lab.diagnosis.runs import Origin, Run
+from imumon.recordings.reduced import ACCEL
 
 BLOCK_S = 30.0
 LEAST_BLOCKS = 40
@@ -60,7 +61,6 @@ class RunBlocks:
     begun_in: str = ""
 
     def __len__(self) -> int:
-        """Return the number of blocks."""
         return len(self.time_s)
 
     def average(self, columns: FloatArray) -> FloatArray:
@@ -83,39 +83,37 @@ def make_blocks(
     valid = run.at_rest
     for name in channels:
         valid = valid & np.isfinite(run.mean[name])
-    accel = _filled([run.mean.get(f"accel_{axis}") for axis in "xyz"], run.time_s)
-    others = {
-        name: filled for name in drivers if (filled := _bridged(run.mean.get(name), run.time_s)) is not None
+    bridged = {
+        name: values
+        for name in (*ACCEL, *drivers, *temperatures)
+        if (values := _bridged(run, name)) is not None
     }
+    accel = np.column_stack([bridged[name] for name in ACCEL]) if bridged.keys() >= set(ACCEL) else None
+    others = {name: bridged[name] for name in drivers if name in bridged}
     drives = {
-        name: Drive(run.time_s, filled, accel, others)
-        for name in temperatures
-        if (filled := _bridged(run.mean[name], run.time_s)) is not None
+        name: Drive(run.time_s, bridged[name], accel, others) for name in temperatures if name in bridged
     }
     slots = max(1, round(block_s / run.slot_s))
     pose = np.zeros(len(valid), np.int64) if accel is None else poses(accel, valid)
     valid = in_one_pose(valid, pose, slots)
-    wanted = [run.time_s, *(np.where(valid, run.mean[name], 0.0) for name in channels)]
-    parts = np.column_stack([*wanted, pose, *(drive.temperature_degc for drive in drives.values())])
-    count = run.count[channels[0]]
-    weight = np.zeros(len(count))
-    weight[valid] = count[valid] / run.samples_per_slot(channels[0])
-    means, share = _block_means(parts, weight, slots)
+    weight = np.where(valid, run.count[channels[0]] / run.samples_per_slot(channels[0]), 0.0)
+    values = [np.where(valid, run.mean[name], 0.0) for name in channels]
+    heat = [drive.temperature_degc for drive in drives.values()]
+    means, share = _block_means(np.column_stack([run.time_s, pose, *values, *heat]), weight, slots)
     keep = share >= 0.5
-    means = means[keep]
-    first = 2 + len(channels)
+    time_s, number, *columns = means[keep].T
     return RunBlocks(
         name=run.name,
         block_s=block_s,
-        time_s=means[:, 0],
+        time_s=time_s,
         white=1.0 / share[keep],
-        mean={name: means[:, 1 + i] for i, name in enumerate(channels)},
-        temperature={name: means[:, first + i] for i, name in enumerate(drives)},
+        mean=dict(zip(channels, columns, strict=False)),
+        temperature=dict(zip(drives, columns[len(channels) :], strict=True)),
         drives=drives,
         weight=weight,
         slots=slots,
         duration_s=run.duration_s,
-        pose=np.rint(means[:, first - 1]).astype(np.int64),
+        pose=np.rint(number).astype(np.int64),
         origin=run.origin,
         begun_in=run.begun_in,
     )
@@ -124,12 +122,7 @@ def make_blocks(
 def poses(force: FloatArray, resting: BoolArray) -> IntArray:
     """Return the number of the pose in each slot, (n,): one more after each turn of the unit.
 
-    Parameters
-    ----------
-    force : array of shape (n, 3)
-        Specific force in m/s².
-    resting : array of shape (n,)
-        Slots that count; the others have the pose before them.
+    `force` is the specific force in m/s², (n, 3); slots that are not `resting` have the pose before them.
     """
     at = np.flatnonzero(resting)
     turns = np.zeros(len(force), np.int64)
@@ -197,20 +190,11 @@ def _block_means(columns: FloatArray, weight: FloatArray, width: int) -> tuple[F
     return means, count / width
 
 
-def _bridged(values: FloatArray | None, time_s: FloatArray) -> FloatArray | None:
-    """Return values with the missing ones interpolated, or None when there is hardly any."""
-    if values is None:
-        return None
+def _bridged(run: Run, name: str) -> FloatArray | None:
+    """Return a column with missing values interpolated, (n,); None where there are fewer than two."""
+    values = run.mean.get(name, np.full(len(run.time_s), np.nan))
     known = np.isfinite(values)
-    if known.sum() < 2:
-        return None
-    return np.interp(time_s, time_s[known], values[known])
-
-
-def _filled(parts: list[FloatArray | None], time_s: FloatArray) -> FloatArray | None:
-    bridged = [_bridged(part, time_s) for part in parts]
-    found = [part for part in bridged if part is not None]
-    return np.column_stack(found) if len(found) == 3 else None
+    return np.interp(run.time_s, run.time_s[known], values[known]) if known.sum() > 1 else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,22 +266,16 @@ def _difference_variance(runs: Sequence[FloatArray], step: int) -> float:
     return total / count * share if count > 0 else float("nan")
 
 
-def survey(runs: Sequence[RunBlocks], temperature: str | None, degree: int, block_s: float) -> Survey:
+def survey(runs: Sequence[RunBlocks], temperature: str, degree: int, block_s: float) -> Survey:
     """Return what the training runs can show."""
-    found = [run.temperature[temperature] for run in runs if temperature in run.temperature and len(run)]
-    low, high = (
-        (min(float(t.min()) for t in found), max(float(t.max()) for t in found)) if found else (0.0, 0.0)
-    )
-    ranges = [0.0]
-    for run in runs:
-        accel = next((drive.accel for drive in run.drives.values()), None)
-        if accel is not None and len(run):
-            ranges.append(float(np.ptp(run.average(accel), axis=0).max()))
+    found = [run.temperature[temperature] for run in runs]
+    low, high = min(float(t.min()) for t in found), max(float(t.max()) for t in found)
+    forces = [force for run in runs if (force := specific_force(run)) is not None]
     return Survey(
         durations_s=[float(run.time_s[-1]) + run.block_s / 2 for run in runs],
         span_degc=high - low,
         reversals=sum(_turns(t, TURN_SHARE * (high - low)) for t in found),
-        accel_range=max(ranges),
+        accel_range=max((float(np.ptp(force, axis=0).max()) for force in forces), default=0.0),
         block_s=block_s,
         degree=degree,
         middle_degc=0.5 * (low + high),
@@ -307,8 +285,6 @@ def survey(runs: Sequence[RunBlocks], temperature: str | None, degree: int, bloc
 
 def _turns(temperature: FloatArray, size: float) -> int:
     """Count the turns after which the temperature goes back by more than `size`."""
-    if not size > 0:
-        return 0
     turns, direction = 0, 0
     low = high = float(temperature[0])
     for value in temperature.tolist():

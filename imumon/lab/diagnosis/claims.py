@@ -30,7 +30,7 @@ from imumon.lab.diagnosis.fit import (
     score,
     sigmas,
 )
-from imumon.lab.diagnosis.search import MOST_NAMES, Search, Step
+from imumon.lab.diagnosis.search import MOST_NAMES, Search, Stage
 from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim, SlowNoise
 
 UNKNOWN = float("nan")
@@ -81,14 +81,13 @@ def settle(channel: Channel, found: Search) -> ChannelVerdict:
         claims=_claims(channel, given, after, kept.findings, spread),
         unexplained=unexplained,
         explained=explained_share(given.train_rms, after.train_rms, floor) if kept.claims else 0.0,
-        noise=found.noise()[:2],
         left_out=refuted,
         remark=kept.remark,
         predicts=predicts,
         slow=SlowNoise.of(found),
         questions=questions(channel, found, kept.findings, unexplained),
         refit=_refit(channel, found, kept.findings) if after is not given and predicts else [],
-        turns=_turns(channel, found, given),
+        stages=_stages(channel, found, given),
         ranking=ranking(channel, found),
         runs=runs_left(channel, given, after, both),
         declared_covariance=covariance,
@@ -272,12 +271,12 @@ def _refit(channel: Channel, found: Search, kept: Sequence[Finding]) -> list[str
     return [*curve, *(one.name for one in kept if one.known)]
 
 
-def _turns(channel: Channel, found: Search, given: Fit) -> list[Step]:
-    """Return the turns of the loop with what is left after each, in training and test."""
-    steps = [Step("what was assumed", ()), *found.turns]
-    models = [given, *(fit(channel, step.model) for step in found.turns)]
+def _stages(channel: Channel, found: Search, given: Fit) -> list[Stage]:
+    """Return the stages of the search with what is left after each, in training and test."""
+    stages = [Stage("what was assumed", ()), *found.stages]
+    models = [given, *(fit(channel, stage.model) for stage in found.stages)]
     tests = [score(channel, model).rms if channel.test else UNKNOWN for model in models]
     return [
-        replace(step, train_rms=model.train_rms, test_rms=test)
-        for step, model, test in zip(steps, models, tests, strict=True)
+        replace(stage, train_rms=model.train_rms, test_rms=test)
+        for stage, model, test in zip(stages, models, tests, strict=True)
     ]

@@ -7,7 +7,6 @@ block, F the mean of exp(-|lag|/tau) over `TAUS_S`, which is close to flicker, R
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +14,7 @@ import numpy.typing as npt
 from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.candidates import Pool, Term
-from imumon.lab.diagnosis.whitening import BiasNoise, Whitener, whitener
+from imumon.lab.diagnosis.whitening import Whitener, whitener
 
 Noise = tuple[float, float]
 """Flicker r and random walk q, variances over that of the white noise of a full block."""
@@ -30,14 +29,9 @@ COLLINEAR = 1e-5
 RIDGE = 1e-9
 
 
-@dataclass(frozen=True, slots=True)
-class _Group:
-    """Candidates of so many terms each: which they are (count,), their terms (count, size), and whether a
-    term and the next are of one sign (count, size - 1)."""
-
-    which: IntArray
-    places: IntArray
-    alike: BoolArray
+_Group = tuple[IntArray, IntArray, BoolArray]
+"""Candidates of so many terms each: which they are (count,), their terms (count, size), and whether a term
+and the next are of one sign (count, size - 1)."""
 
 
 class Likelihood:
@@ -152,9 +146,9 @@ def _filters(run: RunBlocks, grid: Sequence[Noise]) -> Whitener:
     """Return the filters of a run for a grid; the walk begins at power-on."""
     flicker, walk = np.array(grid).T
     markov = np.sqrt(flicker / len(TAUS_S))[:, np.newaxis] * np.ones(len(TAUS_S))
-    noise = BiasNoise(TAUS_S, markov, np.sqrt(walk / WALK_S))
     elapsed = np.diff(run.time_s, prepend=-np.inf)
-    return whitener(noise, elapsed, run.white, walk / WALK_S * run.time_s[0])
+    walk = walk / WALK_S
+    return whitener(TAUS_S, markov, np.sqrt(walk), elapsed, run.white, walk * run.time_s[0])
 
 
 def no_larger(start: Noise) -> list[Noise]:
@@ -172,7 +166,7 @@ def _by_size(groups: Sequence[Sequence[int]], spectra: IntArray) -> list[_Group]
         which = [at for at, group in enumerate(groups) if len(group) == size]
         places = np.array([groups[at] for at in which])
         this, following = spectra[places[:, :-1]], spectra[places[:, 1:]]
-        found.append(_Group(np.array(which), places, (this == following) & (this >= 0)))
+        found.append((np.array(which), places, (this == following) & (this >= 0)))
     return found
 
 
@@ -194,8 +188,7 @@ def _explained(
     scale = np.where(usable, 1.0 / np.sqrt(np.where(usable, after, 1.0)), 0.0)
     slope = scale * (matrix @ residual)
     out = np.zeros(count)
-    for group in groups:
-        which, places = group.which, group.places
+    for which, places, one_sign in groups:
         part = slope[places]
         if places.shape[1] == 1:
             out[which] = part[:, 0] ** 2
@@ -207,7 +200,7 @@ def _explained(
         gram *= scale[places][:, :, np.newaxis] * scale[places][:, np.newaxis]
         gram += diagonal[:, :, np.newaxis] * np.eye(places.shape[1])
         solution = np.linalg.solve(gram, part[:, :, np.newaxis])[:, :, 0]
-        against = group.alike & (solution[:, :-1] * solution[:, 1:] < 0)
+        against = one_sign & (solution[:, :-1] * solution[:, 1:] < 0)
         out[which] = np.where(against.any(axis=1), 0.0, np.einsum("ij,ij->i", solution, part))
     return out
 

@@ -72,10 +72,8 @@ def how_sure(verdict: ChannelVerdict) -> str:
 
 def _errors(verdict: ChannelVerdict) -> tuple[float, float]:
     """Return the rms of the test before and after; NaN without one."""
-    before, after = verdict.test_before, verdict.test_after
-    if before is None or after is None:
-        return np.nan, np.nan
-    return before.rms, after.left if verdict.claims else after.rms
+    before, after = verdict.test_rms
+    return before, verdict.test_after.left if verdict.claims and verdict.test_after else after
 
 
 def _weight(verdict: ChannelVerdict) -> tuple[bool, float]:
@@ -137,14 +135,7 @@ def _left_out(item: dict[str, Any], scale: float, unit: str) -> str:
 
 
 def _effect(claim: Claim, scale: float, unit: str) -> list[str]:
-    """Return name, parameters, gain in training, and share explained of an effect."""
-    finding = claim.finding
-    parameters = _parameters(claim, scale, unit)
-    return [finding.name, parameters, f"{finding.gain:.0f}", f"{claim.explained:.0%}"]
-
-
-def _parameters(claim: Claim, scale: float, unit: str) -> str:
-    """Return the searched parameters and the coefficients of an effect, each with its sigma."""
+    """Return name, parameters with their sigmas, gain in training, and share explained of an effect."""
     texts, sizes = [], []
     for part, sigma in zip(claim.parts, claim.sigmas, strict=True):
         texts += [
@@ -152,4 +143,5 @@ def _parameters(claim: Claim, scale: float, unit: str) -> str:
         ]
         own, spread = part.own.ravel().tolist(), sigma.coefficients.ravel().tolist()
         sizes += [f"{x * scale:.3g} ± {sd * scale:.2g}" for x, sd in zip(own, spread, strict=True)]
-    return ", ".join([*texts, f"coefficients {' / '.join(sizes)} {unit}".strip()])
+    parameters = ", ".join([*texts, f"coefficients {' / '.join(sizes)} {unit}".strip()])
+    return [claim.finding.name, parameters, f"{claim.finding.gain:.0f}", f"{claim.explained:.0%}"]

@@ -145,36 +145,25 @@ def sample_faults(recordings: Sequence[Samples], unit: str, floor: float) -> lis
 
     `unit` is that of the channel; `floor` is the white noise of a mean of a block.
     """
-    found = []
-    for make in (_coarse_digits, _frequent_value, _repeats):
-        each = [fault for one in recordings if (fault := make(one, unit, floor)) is not None]
-        if each:
-            found.append(max(each, key=lambda fault: fault.blind))
-    return found
+    kinds = zip(*(_faults(one, unit, floor) for one in recordings), strict=True)
+    each = [[fault for fault in kind if fault is not None] for kind in kinds]
+    return [max(kind, key=lambda fault: fault.blind) for kind in each if kind]
 
 
-def _coarse_digits(found: Samples, unit: str, floor: float) -> Fault | None:
-    """Return digits whose noise is too small to average what lies between them."""
-    if not found.step > 0.0 or mean_error(found.step, found.ratio) < 0.5 * floor:
-        return None
-    text = f"quantized: steps of {found.step:.3g} {unit}, about {1 / found.ratio:.2g} times the noise"
-    return Fault(text, largest_error(found.step, found.ratio))
-
-
-def _frequent_value(found: Samples, unit: str, _: float) -> Fault | None:
-    """Return a value that is too frequent."""
-    if not found.atom_share > 0.0:
-        return None
-    value = f"{found.atom_share:.1%} of the samples are {found.atom + 0.0:.4g} {unit}"
-    return Fault(f"{found.kind}: {value}", np.inf)
-
-
-def _repeats(found: Samples, _: str, __: float) -> Fault | None:
-    """Return new values that are rarer than the samples; what never has a new value has no rate."""
-    fine = not found.step > 0.0 or found.step < 0.5 * found.noise
-    if not fine or not REPEATED <= found.repeated < 1.0 or found.atom_share > 0.0:
-        return None
-    return Fault(f"another rate: a new value with every {1.0 / (1.0 - found.repeated):.1f}th sample only")
+def _faults(found: Samples, unit: str, floor: float) -> list[Fault | None]:
+    """Return whether digits are too coarse for their noise to average what lies between them, whether a value
+    is too frequent, and whether new values are rarer than samples; None where not."""
+    coarse = frequent = repeats = None
+    if found.step > 0.0 and not mean_error(found.step, found.ratio) < 0.5 * floor:
+        text = f"quantized: steps of {found.step:.3g} {unit}, about {1 / found.ratio:.2g} times the noise"
+        coarse = Fault(text, largest_error(found.step, found.ratio))
+    if found.atom_share > 0.0:
+        value = f"{found.atom_share:.1%} of the samples are {found.atom + 0.0:.4g} {unit}"
+        frequent = Fault(f"{found.kind}: {value}", np.inf)
+    elif REPEATED <= found.repeated < 1.0 and (not found.step > 0.0 or found.step < 0.5 * found.noise):
+        every = 1.0 / (1.0 - found.repeated)
+        repeats = Fault(f"another rate: a new value with every {every:.1f}th sample only")
+    return [coarse, frequent, repeats]
 
 
 def noise_over_temperature(variance: FloatArray, temperature: FloatArray) -> list[Fault]:

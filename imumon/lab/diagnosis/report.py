@@ -10,14 +10,14 @@ from typing import Any, Final
 
 import numpy as np
 
+from imumon.blocks import FloatArray
 from imumon.effects.library import separated_by
 from imumon.files import plain, write_text
-from imumon.lab.calibration.gravity import Length
 from imumon.lab.diagnosis.alternatives import Answer
+from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.conclusion import conclusion, next_step
 from imumon.lab.diagnosis.diagnose import Diagnosis
 from imumon.lab.diagnosis.fit import FittedPart
-from imumon.lab.diagnosis.search import Step
 from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim
 from imumon.version import __version__
 
@@ -26,24 +26,27 @@ FORMAT: Final = "imumon-diagnosis/1"
 
 def report(diagnosis: Diagnosis, folder: Path | None = None) -> dict[str, Any]:
     """Return the report as it is written into a folder; absent numbers are None."""
+    given, length, survey = diagnosis.model, diagnosis.length, diagnosis.survey
     content = {
         "format": FORMAT,
         "imumon": __version__,
         "conclusion": conclusion(diagnosis),
         "next": [asdict(next_step(diagnosis, folder))],
-        "declared_model": _declared(diagnosis),
+        "declared_model": diagnosis.declared if given is None else f"model of {given.created}",
         "block_s": diagnosis.block_s,
-        "train": [_run(run.name, len(run), run.duration_s) for run in diagnosis.train],
-        "test": [_run(run.name, len(run), run.duration_s) for run in diagnosis.test],
+        "train": _runs(diagnosis.train),
+        "test": _runs(diagnosis.test),
         "independent_test": bool(diagnosis.test) and not diagnosis.held_out,
         "held_out": diagnosis.held_out,
         "temperature_range_degc": [
-            diagnosis.survey.middle_degc - diagnosis.survey.half_span_degc,
-            diagnosis.survey.middle_degc + diagnosis.survey.half_span_degc,
+            survey.middle_degc - survey.half_span_degc,
+            survey.middle_degc + survey.half_span_degc,
         ],
         "fastest_degc_per_min": _fastest(diagnosis),
         "caveats": diagnosis.caveats,
-        "length_of_gravity": _length(diagnosis.length),
+        "length_of_gravity": None
+        if length is None
+        else {name: np.asarray(value).tolist() for name, value in asdict(length).items()},
         "channels": {verdict.name: _channel(verdict) for verdict in diagnosis.verdicts},
     }
     found: dict[str, Any] = plain(content)
@@ -53,12 +56,6 @@ def report(diagnosis: Diagnosis, folder: Path | None = None) -> dict[str, Any]:
 def write_report(diagnosis: Diagnosis, path: Path) -> None:
     """Write report.json; raises OSError when that fails."""
     write_text(path, json.dumps(report(diagnosis, path.parent), indent=2, ensure_ascii=False) + "\n")
-
-
-def _declared(diagnosis: Diagnosis) -> str:
-    if diagnosis.model is None:
-        return diagnosis.declared
-    return f"model of {diagnosis.model.created}"
 
 
 def _fastest(diagnosis: Diagnosis) -> float:
@@ -72,22 +69,33 @@ def _fastest(diagnosis: Diagnosis) -> float:
     return 60.0 * float(np.quantile(np.concatenate(rates), 0.95))
 
 
-def _length(found: Length | None) -> dict[str, Any] | None:
-    if found is None:
-        return None
-    return {name: np.asarray(value).tolist() for name, value in asdict(found).items()}
-
-
-def _run(name: str, blocks: int, duration_s: float) -> dict[str, Any]:
-    return {"name": name, "blocks": blocks, "duration_s": duration_s}
+def _runs(runs: Sequence[RunBlocks]) -> list[dict[str, Any]]:
+    return [{"name": run.name, "blocks": len(run), "duration_s": run.duration_s} for run in runs]
 
 
 def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
+    floor, slow, test = verdict.channel.floor, verdict.slow, verdict.test_after
+    test_rms, nothing = verdict.test_rms, float("nan")
     return {
         "verdict": verdict.row.state,
         "unit": verdict.channel.unit,
-        **_noise(verdict),
-        **_errors(verdict),
+        "noise_floor_rms": floor.sd,
+        "noise_floor_from": floor.source,
+        "slow_noise": {
+            "flicker": slow.ratios[0],
+            "random_walk": slow.ratios[1],
+            "flicker_rms": slow.flicker,
+            "random_walk_per_sqrt_s": slow.walk,
+            "heavy_tails": slow.tails,
+        },
+        "before": {"train_rms": verdict.before.train_rms, "test_rms": test_rms[0]},
+        "after": {
+            "train_rms": verdict.after.train_rms,
+            "test_rms": test_rms[1],
+            "test_rms_tracked": nothing if test is None else test.estimated_rms,
+        },
+        "coverage": nothing if test is None else test.coverage,
+        "scored": nothing if test is None else test.scored,
         "explained_share": verdict.explained,
         "curve": _curve(verdict),
         "effects": [_effect(claim) for claim in verdict.claims],
@@ -100,7 +108,15 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
             for other in claim.finding.alike[1:]
         ],
         "questions": [[_answer(one) for one in group] for group in verdict.questions],
-        "turns": [_turn(step) for step in verdict.turns],
+        "turns": [
+            {
+                "done": stage.done,
+                "gain_bic": stage.gain,
+                "train_rms": stage.train_rms,
+                "test_rms": stage.test_rms,
+            }
+            for stage in verdict.stages
+        ],
         "fitted_anew": verdict.refit,
         "left_out": verdict.left_out,
         "in_model_file": verdict.predicts,
@@ -112,39 +128,6 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
     }
 
 
-def _noise(verdict: ChannelVerdict) -> dict[str, Any]:
-    return {
-        "noise_floor_rms": verdict.channel.floor.sd,
-        "noise_floor_from": verdict.channel.floor.source,
-        "slow_noise": {
-            "flicker": verdict.noise[0],
-            "random_walk": verdict.noise[1],
-            "flicker_rms": verdict.slow.flicker,
-            "random_walk_per_sqrt_s": verdict.slow.walk,
-            "heavy_tails": verdict.slow.tails,
-        },
-    }
-
-
-def _errors(verdict: ChannelVerdict) -> dict[str, Any]:
-    """Return what is left before and after, NaN where there is no test."""
-    before, after = verdict.test_before, verdict.test_after
-    nothing = float("nan")
-    return {
-        "before": {
-            "train_rms": verdict.before.train_rms,
-            "test_rms": nothing if before is None else before.rms,
-        },
-        "after": {
-            "train_rms": verdict.after.train_rms,
-            "test_rms": nothing if after is None else after.rms,
-            "test_rms_tracked": nothing if after is None else after.estimated_rms,
-        },
-        "coverage": nothing if after is None else after.coverage,
-        "scored": nothing if after is None else after.scored,
-    }
-
-
 def _curve(verdict: ChannelVerdict) -> dict[str, Any]:
     declared = verdict.channel.declared
     return {
@@ -152,15 +135,6 @@ def _curve(verdict: ChannelVerdict) -> dict[str, Any]:
         "sigma": np.sqrt(np.diag(verdict.declared_covariance)).tolist(),
         "middle_degc": declared.middle_degc,
         "half_span_degc": declared.half_span_degc,
-    }
-
-
-def _turn(step: Step) -> dict[str, Any]:
-    return {
-        "done": step.done,
-        "gain_bic": step.gain,
-        "train_rms": step.train_rms,
-        "test_rms": step.test_rms,
     }
 
 
@@ -180,12 +154,7 @@ def _effect(claim: Claim) -> dict[str, Any]:
     return {
         "name": finding.name,
         "parameters": _parameters(claim.parts),
-        "sigma": [
-            {**part.searched, "coefficients": part.coefficients.squeeze(0).tolist()}
-            if len(part.coefficients) == 1
-            else {**part.searched, "coefficients": part.coefficients.tolist()}
-            for part in claim.sigmas
-        ],
+        "sigma": [{**one.searched, "coefficients": _rows(one.coefficients)} for one in claim.sigmas],
         "carried_over": any(part.carries for part in claim.parts),
         "evidence": {
             "proven_by": "test" if finding.by_test else "training",
@@ -200,6 +169,11 @@ def _effect(claim: Claim) -> dict[str, Any]:
     }
 
 
+def _rows(coefficients: FloatArray) -> Any:
+    """Return rows (runs, k), or the only one."""
+    return (coefficients[0] if len(coefficients) == 1 else coefficients).tolist()
+
+
 def _parameters(parts: Sequence[FittedPart]) -> dict[str, Any]:
     """Return the parameters of one part as they are, of several as lists."""
     each = []
@@ -211,6 +185,4 @@ def _parameters(parts: Sequence[FittedPart]) -> dict[str, Any]:
         if len(part.start):
             found["start"] = part.start.tolist()
         each.append(found)
-    if len(each) == 1:
-        return dict(each[0])
-    return {key: [found.get(key) for found in each] for key in each[0]}
+    return each[0] if len(each) == 1 else {key: [found.get(key) for found in each] for key in each[0]}

@@ -54,7 +54,7 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class Stage:
     """A stage of the search: what was done, the model that it led to, its gain where there was one, and the
     rms that the model leaves once it is fitted."""
 
@@ -131,7 +131,7 @@ class Search:
         self.channel, self.survey, self.likelihood, self.tried = channel, survey, likelihood, tried
         self.findings: list[Finding] = []
         self.tables: list[Table] = []
-        self.turns: list[Step] = []
+        self.stages: list[Stage] = []
         self.many_events = self.finished = self.refit = False
         self._fitted: dict[tuple[int, ...], tuple[Channel, Sequence[Candidate], float, Noise]] = {}
         if channel.known is not None:
@@ -316,7 +316,7 @@ class Search:
         )
         if len(self.findings) > 1:
             self._refine()
-        self.turns.append(Step(name, self.found, gain))
+        self.stages.append(Stage(name, self.found, gain))
         return True
 
     def _refine(self, exchange: bool = False) -> None:
@@ -341,7 +341,7 @@ class Search:
             before = [finding.name for finding in self.findings]
             self._refine(exchange=True)
             if changed := [finding.name for finding in self.findings if finding.name not in before]:
-                self.turns.append(Step(f"{' and '.join(changed)} fits better beside the rest", self.found))
+                self.stages.append(Stage(f"{' and '.join(changed)} fits better beside the rest", self.found))
         if self.channel.known is not None:
             self._keep_curve()
 
@@ -368,7 +368,7 @@ class Search:
         gain = self.score() - before
         self.refit = gain > PROVEN
         if self.refit:
-            self.turns.append(Step("what was given is fitted anew", self.found, gain))
+            self.stages.append(Stage("what was given is fitted anew", self.found, gain))
 
     def _keep_curve(self) -> None:
         """Leave the curve that was given as it is, but for a constant, unless fitting it anew pays."""

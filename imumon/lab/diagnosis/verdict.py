@@ -15,68 +15,41 @@ from imumon.lab.diagnosis.channel import Channel
 from imumon.lab.diagnosis.choice import PROVEN, Finding
 from imumon.lab.diagnosis.fit import MATERIAL, Fit, FittedPart, PartSigma, TestScore, goes_on
 from imumon.lab.diagnosis.likelihood import WALK_S
-from imumon.lab.diagnosis.search import Search, Step
+from imumon.lab.diagnosis.search import Search, Stage
 
 State = Literal["named", "unexplained", "nothing missing", "too few digits", "not proven", "faulty"]
-WHEN = {
-    "faulty": "faults of the samples hide any effect",
-    "claimed": "training proves effects, the test does not refute them, and of both 60 % is explained or less"
-    " than 1.8 floors are left; or the test alone proves one",
-    "by_test": "an effect that makes training likelier explains 60 % of the test, where training proves"
-    " nothing or leaves more than twice as much of it",
-    "not_told_apart": "effects of other names fit as well",
-    "unexplained": "more than 1.8 floors are left in training or, beside what is claimed, in the test",
-    "hidden": "steps of the samples may make as much as is left",
-    "clean": "less than 1.3 floors are left in the test",
-}
-"""Predicates of a verdict."""
 
 
 class Row(NamedTuple):
     """A verdict: given where all of its predicates hold and those of no row above do."""
 
-    name: str
+    predicates: tuple[str, ...]
     state: State
     """Which kind of verdict it is, in `report.json`."""
-    predicates: tuple[str, ...]
     sentence: str
     """With the names of what is claimed."""
 
 
+BY_TEST = "proven by the test alone, so the error there is no longer unseen"
 VERDICTS = (
-    Row("faulty", "faulty", ("faulty",), "the data is at fault, and no effect is looked for"),
+    Row(("faulty",), "faulty", "the data is at fault, and no effect is looked for"),
+    Row(("by_test", "not_told_apart"), "named", f"{{names}}, not told apart, {BY_TEST}"),
+    Row(("by_test",), "named", f"{{names}}, {BY_TEST}"),
     Row(
-        "proven by the test alone, not told apart",
-        "named",
-        ("by_test", "not_told_apart"),
-        "{names}, not told apart, proven by the test alone, so the error there is no longer unseen",
-    ),
-    Row(
-        "proven by the test alone",
-        "named",
-        ("by_test",),
-        "{names}, proven by the test alone, so the error there is no longer unseen",
-    ),
-    Row(
-        "not told apart, and more",
-        "named",
         ("claimed", "not_told_apart", "unexplained"),
+        "named",
         "{names}, not told apart, and more that is unexplained",
     ),
-    Row("claimed, and more", "named", ("claimed", "unexplained"), "{names}, and more that is unexplained"),
-    Row(
-        "claimed, few digits",
-        "named",
-        ("claimed", "hidden"),
-        "{names}; too few digits to tell whether there is more",
-    ),
-    Row("not told apart", "named", ("claimed", "not_told_apart"), "{names}, not told apart"),
-    Row("claimed", "named", ("claimed",), "{names}"),
-    Row("unexplained", "unexplained", ("unexplained",), "unexplained"),
-    Row("too few digits", "too few digits", ("hidden",), "too few digits to tell"),
-    Row("nothing missing", "nothing missing", ("clean",), "nothing is missing"),
-    Row("not proven", "not proven", (), "nothing is proven"),
+    Row(("claimed", "unexplained"), "named", "{names}, and more that is unexplained"),
+    Row(("claimed", "hidden"), "named", "{names}; too few digits to tell whether there is more"),
+    Row(("claimed", "not_told_apart"), "named", "{names}, not told apart"),
+    Row(("claimed",), "named", "{names}"),
+    Row(("unexplained",), "unexplained", "unexplained"),
+    Row(("hidden",), "too few digits", "too few digits to tell"),
+    Row(("clean",), "nothing missing", "nothing is missing"),
+    Row((), "not proven", "nothing is proven"),
 )
+"""The first row of which all predicates hold is the verdict; `ChannelVerdict` defines the predicates."""
 
 
 @dataclass(slots=True)
@@ -92,21 +65,23 @@ class Claim:
 
 @dataclass(frozen=True, slots=True)
 class SlowNoise:
-    """Flicker, rms over the correlation times of the likelihood, and random walk per root of a second.
+    """Flicker, rms over the correlation times of the likelihood, and random walk per root of a second, in the
+    unit of the channel; `ratios` are r and q of the likelihood.
 
     `tails` is the gain in BIC of innovations with heavy tails: where that is large it is no such noise.
     """
 
-    flicker: float = 0.0
-    walk: float = 0.0
-    tails: float = 0.0
+    flicker: float
+    walk: float
+    tails: float
+    ratios: tuple[float, float]
 
     @classmethod
     def of(cls, found: Search) -> Self:
-        """Return that of the model that was found."""
+        """Return the noise that is likeliest beside what was found."""
         channel, (flicker, walk, sd) = found.channel, found.noise()
         tails = found.likelihood.tails(channel.values, channel.design(found.found), (flicker, walk))
-        return cls(float(np.sqrt(flicker) * sd), float(np.sqrt(walk / WALK_S) * sd), tails)
+        return cls(float(np.sqrt(flicker) * sd), float(np.sqrt(walk / WALK_S) * sd), tails, (flicker, walk))
 
     @property
     def jumps(self) -> bool:
@@ -127,8 +102,8 @@ class ChannelVerdict:
     """None without a test."""
     claims: list[Claim]
     unexplained: bool
+    """More than 1.8 floors are left in training or, beside what is claimed, in the test."""
     explained: float
-    noise: tuple[float, float]
     left_out: list[dict[str, Any]]
     """What was found but made the test worse."""
     remark: str
@@ -136,51 +111,49 @@ class ChannelVerdict:
     """Whether the extended model goes into the model file; else the declared one does: nothing of what is
     claimed carries over, or the levels of the test make the prediction worse with it."""
     slow: SlowNoise
-    """In the unit of the channel."""
     questions: list[Question]
-    """What is open."""
     refit: list[str]
     """What was fitted anew of a model that was given, its curve first; empty when that stays as it is."""
-    turns: list[Step]
-    """The turns of the loop."""
+    stages: list[Stage]
     ranking: list[Ranked]
-    """The effects that gain most at first, each alone."""
     runs: list[RunLeft]
-    """What each run is left with."""
     declared_covariance: FloatArray
     """Of the coefficients of the declared model, (degree + 1, degree + 1)."""
 
     @property
     def name(self) -> str:
-        """That of the channel."""
+        """Name of the channel."""
         return self.channel.name
+
+    # The predicates of the table, as the documentation defines them
 
     @property
     def claimed(self) -> bool:
-        """Whether any effect is claimed."""
+        """Training proves effects, the test does not refute them, and of both 60 % is explained or less than
+        1.8 floors are left; or the test alone proves one."""
         return bool(self.claims)
 
     @property
     def faulty(self) -> bool:
-        """Whether faults of the samples hide any effect."""
+        """Faults of the samples hide any effect."""
         return bool(np.isinf(self.channel.blind))
 
     @property
     def by_test(self) -> bool:
-        """Whether the test alone proves what is claimed."""
+        """An effect that makes training likelier explains 60 % of the test, where training proves nothing or
+        leaves more than twice as much of it."""
         return any(claim.finding.by_test for claim in self.claims)
 
     @property
     def not_told_apart(self) -> bool:
-        """Whether effects of several names fit alike."""
+        """Effects of other names fit as well."""
         return any(claim.finding.alike for claim in self.claims)
 
     @property
     def hidden(self) -> bool:
-        """Whether the digits hide what is as large as matters: nothing that is detected is beyond them.
+        """Steps of the samples may make as much as is left.
 
-        What is left may be theirs alone then, or something that is missing; nobody could tell, not even
-        where nothing is left, as a bias that stays within a step is not read at all.
+        Even where nothing is left: a bias that stays within a step is not read at all.
         """
         channel, test = self.channel, self.test_after
         if self.unexplained or not channel.coarse or self.faulty:
@@ -190,13 +163,20 @@ class ChannelVerdict:
 
     @property
     def clean(self) -> bool:
-        """Whether the test, too, is left with too little to matter."""
+        """Less than 1.3 floors are left in the test."""
         return self.test_after is not None and self.test_after.rms < MATERIAL * self.channel.floor.sd
 
     @property
     def row(self) -> Row:
         """The verdict: the first row of the table whose predicates hold."""
         return next(row for row in VERDICTS if all(getattr(self, name) for name in row.predicates))
+
+    @property
+    def test_rms(self) -> tuple[float, float]:
+        """The rms of the test with the declared and with the extended model; NaN without one."""
+        if self.test_before is None or self.test_after is None:
+            return np.nan, np.nan
+        return self.test_before.rms, self.test_after.rms
 
     @property
     def in_short(self) -> str:

@@ -10,29 +10,12 @@ Leading axes of the parameters are filters side by side.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.compiled import njit
-
-INSTABILITY_PER_DECADE = math.sqrt(math.pi / math.log(10.0))
-"""B over the standard deviation per decade of correlation time: the processes, sd² in a
-decade, have together the density sd² pi / (2 pi f ln 10), which is to be that of flicker, B² / (2 pi f)."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BiasNoise:
-    """Flicker and random walk; the white noise belongs to the measurement."""
-
-    taus_s: FloatArray
-    """Correlation times, (m,)."""
-    markov_sd: FloatArray
-    """Standard deviation of each process, in the unit of the bias."""
-    walk: FloatArray
-    """K, per sqrt(s)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,13 +67,24 @@ def _whitened(decay: FloatArray, gain: FloatArray, sd: FloatArray, columns: Floa
     return out
 
 
-def whitener(noise: BiasNoise, elapsed_s: FloatArray, white: FloatArray, level: FloatArray) -> Whitener:
-    """Return the filters of means.
+def whitener(
+    taus_s: FloatArray,
+    markov_sd: FloatArray,
+    walk: FloatArray,
+    elapsed_s: FloatArray,
+    white: FloatArray,
+    level: FloatArray,
+) -> Whitener:
+    """Return f filters of n means.
 
     Parameters
     ----------
-    noise : BiasNoise
-        With one leading axis, (f,).
+    taus_s : array (m,)
+        Correlation times of the processes.
+    markov_sd : array (f, m)
+        Their standard deviations, in the unit of the bias.
+    walk : array (f,)
+        K, in the unit of the bias per sqrt(s).
     elapsed_s : array (n,)
         Since the mean before; infinity begins anew.
     white : array (n,)
@@ -101,14 +95,17 @@ def whitener(noise: BiasNoise, elapsed_s: FloatArray, white: FloatArray, level: 
     begins = ~np.isfinite(elapsed_s)
     begins[0] = True
     dt = np.where(begins, 0.0, elapsed_s)[:, np.newaxis]
-    decay = np.column_stack([np.ones(len(dt)), np.exp(-dt / noise.taus_s)])
-    walk = noise.walk[:, np.newaxis] ** 2 * dt[:, np.newaxis]
-    markov = noise.markov_sd**2 * -np.expm1(-2.0 * dt / noise.taus_s)[:, np.newaxis]
-    growth = np.concatenate([walk, markov], axis=2)
+    decay = np.column_stack([np.ones(len(dt)), np.exp(-dt / taus_s)])
+    growth = np.concatenate(
+        [
+            walk[:, np.newaxis] ** 2 * dt[:, np.newaxis],
+            markov_sd**2 * -np.expm1(-2.0 * dt / taus_s)[:, np.newaxis],
+        ],
+        axis=2,
+    )
     decay[begins] = 0.0
-    growth[begins] = np.column_stack([level, noise.markov_sd**2])
-    gain, sd = _filtered(decay, growth, np.asarray(white, np.float64))
-    return Whitener(decay, gain, sd)
+    growth[begins] = np.column_stack([level, markov_sd**2])
+    return Whitener(decay, *_filtered(decay, growth, np.asarray(white, np.float64)))
 
 
 @njit

@@ -3,6 +3,7 @@ test does not show."""
 
 from __future__ import annotations
 
+import inspect
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from imumon.lab.diagnosis.conclusion import conclusion, next_step
 from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
 from imumon.lab.diagnosis.page import write_page
 from imumon.lab.diagnosis.report import report
-from imumon.lab.diagnosis.verdict import VERDICTS, WHEN
+from imumon.lab.diagnosis.verdict import VERDICTS, ChannelVerdict
 from tests.lab.diagnosis.units import DPH, Bias, lagged, ramps, run, telegraph, three
 
 TAU_S = 220.0
@@ -133,7 +134,7 @@ def test_what_is_not_told_apart_is_one_verdict_with_one_next_step(lagging: Diagn
     (claim,) = verdict.claims
     both = replace(claim, finding=replace(claim.finding, alike=["thermal_lag", "dead_time"]))
     found = replace(lagging, verdicts=[replace(verdict, claims=[both])])
-    assert found.verdicts[0].row.name == "not told apart"
+    assert found.verdicts[0].row.predicates == ("claimed", "not_told_apart")
     assert conclusion(found) == "gyro_x: thermal_lag or dead_time, not told apart"
     assert "imumon plan" in next_step(found, tmp_path).command
     chosen = replace(both, finding=replace(both.finding, by_test=True))
@@ -151,5 +152,9 @@ def test_the_documented_table_of_verdicts_is_the_one_that_is_evaluated() -> None
     for row in VERDICTS:
         when = " and ".join(name.replace("_", " ") for name in row.predicates) or "otherwise"
         assert f"| {when} | {row.sentence.format(names='NAMES')} | `{row.state}` |" in text
-    for name, meaning in WHEN.items():
-        assert f"- **{name.replace('_', ' ')}**: {meaning}" in text
+    source = " ".join(inspect.getsource(ChannelVerdict).split())
+    for name in {name for row in VERDICTS for name in row.predicates}:
+        start = f"- **{name.replace('_', ' ')}**: "
+        meaning = text.partition(start)[2].partition("\n")[0]
+        assert meaning
+        assert f'"""{meaning[0].upper()}{meaning[1:]}' in source

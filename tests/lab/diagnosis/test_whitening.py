@@ -6,10 +6,15 @@ import numpy as np
 import pytest
 
 from imumon.allan.covariance import FLOOR_PER_INSTABILITY
+from imumon.blocks import FloatArray
 from imumon.lab.diagnosis.whitening import whitener
-from tests.bias_noise import covariance, flicker
+from tests.bias_noise import BiasNoise, covariance, flicker
 
 TAUS = np.array([1.0, 10.0, 100.0, 1e3, 1e4])
+
+
+def parameters(model: BiasNoise) -> tuple[FloatArray, FloatArray, FloatArray]:
+    return model.taus_s, model.markov_sd, model.walk
 
 
 @pytest.mark.parametrize(("instability", "walk"), [(0.0, 0.0), (2.0, 0.0), (0.0, 0.3), (2.0, 0.3)])
@@ -17,7 +22,7 @@ def test_it_whitens_as_the_covariance_says(instability: float, walk: float) -> N
     rng = np.random.default_rng(1)
     model, level = flicker([instability], [walk], TAUS), np.array([4.0])
     elapsed, white = rng.uniform(0.5, 40.0, 60), rng.uniform(0.5, 2.0, 60)
-    found = whitener(model, elapsed, white, level)
+    found = whitener(*parameters(model), elapsed, white, level)
     time_s = np.cumsum(elapsed) - elapsed[0]
     factor = np.linalg.cholesky(covariance(model, time_s)[0] + level + np.diag(white))
     columns = rng.normal(size=(60, 3))
@@ -44,6 +49,6 @@ def test_a_new_run_begins_with_a_new_level() -> None:
     elapsed = ones.copy()
     elapsed[10] = np.inf
     level = np.array([4.0])
-    whole = whitener(model, elapsed, ones, level)(z[:, np.newaxis])
-    alone = whitener(model, ones[:10], ones[:10], level)(z[10:, np.newaxis])
+    whole = whitener(*parameters(model), elapsed, ones, level)(z[:, np.newaxis])
+    alone = whitener(*parameters(model), ones[:10], ones[:10], level)(z[10:, np.newaxis])
     np.testing.assert_array_equal(whole[10:], alone)
