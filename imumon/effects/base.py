@@ -131,7 +131,7 @@ class Memory:
 
     time_s: float = np.nan
     driver: float = np.nan
-    """The last ones seen (behind the slack of a smooth loop)."""
+    """Those of the last sample (the driver behind the slack of a smooth loop)."""
     follower: float = np.nan
     """Where the one stands that follows the driver: lagged, or dragged along."""
     ahead: float = np.nan
@@ -141,13 +141,7 @@ class Memory:
 
 
 class Effect(StrictModel):
-    """Base of the effects: parameters, coefficients, and a causal operator.
-
-    Parameters
-    ----------
-    coefficients : list of float
-        One for each column, in the unit of the channel per unit of the column; empty where none is known yet.
-    """
+    """Base of the effects: parameters, coefficients, and a causal operator."""
 
     name: ClassVar[str]
     """That of its kind in a model file."""
@@ -168,6 +162,7 @@ class Effect(StrictModel):
     """For another effect, what to record to tell the two apart; either of them may say."""
 
     coefficients: list[FiniteFloat] = Field(default_factory=list)
+    """One for each column, in the unit of the channel per unit of the column; empty where none is known."""
 
     @model_validator(mode="before")
     @classmethod
@@ -284,10 +279,10 @@ class Effect(StrictModel):
         start = np.abs(self.start_columns(drive)).max(axis=1, initial=0.0)
         return np.asarray(start <= FORGOTTEN * start[:1])
 
-    # What is said of it, fitted
+    # Once it is fitted
 
     def with_start(self, start: FloatArray) -> Self:  # noqa: ARG002 - for those with memory
-        """Return it with what the coefficients of `start_columns` in each run say of its start."""
+        """Return it as sure of its start as the coefficients of `start_columns` in each run are alike."""
         return self
 
     @property

@@ -20,11 +20,6 @@ class Carrier:
     whatever else drives the effect may be missing (NaN): the last value holds; before the first the bias is
     NaN.  An effect of the specific force adds nothing where there is none at all; the bias of one of a driver
     that is not recorded is not known (NaN).
-
-    Parameters
-    ----------
-    effect : Effect
-        With its coefficients.
     """
 
     def __init__(self, effect: Effect) -> None:
@@ -43,18 +38,10 @@ class Carrier:
         accel: FloatArray | None = None,
         others: Mapping[str, FloatArray] = NOTHING,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the bias at each sample, from this sample and those before it, and its start's sd.
+        """Return the bias at each sample, from this sample and those before it, and the standard deviation
+        that the unknown state at power-on leaves it, (n,) each.
 
-        The standard deviation comes from the unknown state at power-on: it dies away.
-
-        Parameters
-        ----------
-        time_ns, segment : array of shape (n,)
-        temperature : array of shape (n,)
-            °C.
-        accel : array of shape (n, 3), or None
-        others : mapping of str to array of shape (n,)
-            What else may drive an effect.
+        Times, temperature in °C and whatever else may drive an effect are (n,), `accel` in m/s² is (n, 3).
         """
         n = len(segment)
         bias, start_sd = np.zeros(n), np.zeros(n)

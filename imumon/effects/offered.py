@@ -36,7 +36,12 @@ def guarded(plugin: Plugin) -> type[Effect]:
     Raises BAD_CONFIG when its attributes are wrong, or a trial finds that its numbers are.
     """
     effect: type[Effect] = plugin.offered
-    _check_attributes(plugin, effect)
+    if not (isinstance(effect.sensors, tuple) and {*effect.sensors} <= {"gyro", "accel"}):
+        raise plugin.error(f"has sensors {effect.sensors!r}: expected a tuple of gyro, accel")
+    if effect.scope not in get_args(Scope):
+        raise plugin.error(f"has scope {effect.scope!r}: expected one of {', '.join(get_args(Scope))}")
+    if unknown := sorted({*effect.nonlinear} - effect.model_fields.keys()):
+        raise plugin.error(f"has nonlinear parameters that are none of its fields: {', '.join(unknown)}")
     own = [base for base in effect.__mro__ if base.__module__.partition(".")[0] not in _FOREIGN_TO_PLUGINS]
     defined = {name: what for base in reversed(own) for name, what in vars(base).items()}
     for name, what in defined.items():
@@ -50,15 +55,6 @@ def guarded(plugin: Plugin) -> type[Effect]:
             setattr(effect, name, property(_checked(plugin, name, what.fget)))
     _try(plugin, effect)
     return effect
-
-
-def _check_attributes(plugin: Plugin, effect: type[Effect]) -> None:
-    if not (isinstance(effect.sensors, tuple) and {*effect.sensors} <= {"gyro", "accel"}):
-        raise plugin.error(f"has sensors {effect.sensors!r}: expected a tuple of gyro, accel")
-    if effect.scope not in get_args(Scope):
-        raise plugin.error(f"has scope {effect.scope!r}: expected one of {', '.join(get_args(Scope))}")
-    if unknown := sorted({*effect.nonlinear} - effect.model_fields.keys()):
-        raise plugin.error(f"has nonlinear parameters that are none of its fields: {', '.join(unknown)}")
 
 
 def _try(plugin: Plugin, effect: type[Effect]) -> None:

@@ -1,6 +1,6 @@
 """Operators with memory, one sample after another: first-order lag, play, smooth rate-independent loop.
 
-The last values before a block come in as numbers; NaN means that nothing was seen yet, and the operator
+The last values before a block come in as numbers; NaN means that there were none, and the operator
 begins in equilibrium with the first temperature.
 """
 

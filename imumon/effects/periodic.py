@@ -16,8 +16,8 @@ STEP = 0.4
 """Distance of neighbouring frequencies, as a share of the resolution of the longest run."""
 BLOCKS_PER_PERIOD = 3.0
 MOST_FREQUENCIES = 1000
-"""As many as 1200 means have, the most that a session is looked at in while it runs.  Of more means the
-shortest periods are not tried."""
+"""As many as 1200 means have, the most that a search goes over.  Of more means the shortest periods are not
+tried."""
 
 
 class Periodic(Effect):

@@ -56,18 +56,14 @@ class Product(Effect):
         """Return those of the specific force, where it varies: with the temperature, and with itself."""
         if survey.accel_range < LEAST_RANGE:
             return []
-        square = cls(drivers=[ACCEL, ACCEL])
-        return [*cls._with_temperature(survey, ACCEL, Scale(0.0, 1.0)), square]
+        return [*cls.driven(survey, ACCEL), cls(drivers=[ACCEL, ACCEL])]
 
     @classmethod
     def driven(cls, survey: Survey, driver: str) -> list[Self]:
-        """Return that with the temperature."""
-        return cls._with_temperature(survey, driver, survey.others[driver])
-
-    @classmethod
-    def _with_temperature(cls, survey: Survey, driver: str, scale: Scale) -> list[Self]:
+        """Return that with the temperature, where that varies."""
         if not survey.thermal:
             return []
+        scale = survey.others.get(driver, Scale(0.0, 1.0))
         return [
             cls(
                 drivers=[TEMPERATURE, driver],

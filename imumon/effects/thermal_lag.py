@@ -73,8 +73,8 @@ class ThermalLag(Follower):
         return Memory(0.0, first, low), Memory(0.0, first, high)
 
     def with_start(self, start: FloatArray) -> Self:
-        """Return it as unsure of its start as the training runs were apart."""
+        """Return it with the rms of the starts in the training runs as `start_sd`."""
         if not start.size or not self.coefficients[0]:
             return self
-        seen = float(np.sqrt(np.mean(start**2))) * self.start_sd / abs(self.coefficients[0])
-        return self.model_copy(update={"start_sd": max(START_SD_DEGC, seen)})
+        rms = float(np.sqrt(np.mean(start**2))) * self.start_sd / abs(self.coefficients[0])
+        return self.model_copy(update={"start_sd": max(START_SD_DEGC, rms)})

@@ -12,7 +12,7 @@ from study import Cells, Options, Study, Table, spread
 
 from imumon.lab.diagnosis.alternatives import NOTHING
 from imumon.lab.diagnosis.diagnose import diagnose
-from imumon.lab.diagnosis.planning import MARGIN, Plan, Report, open_questions, plan, recorded, scenario
+from imumon.lab.diagnosis.planning import MARGIN, Plan, Report, open_questions, plan, scenario, simulated_run
 from imumon.lab.diagnosis.report import report
 
 KINDS = (
@@ -72,7 +72,7 @@ def _reached(known: Report, made: Plan, seed: int) -> float:
     truth, rival = made.expected.truth, made.expected.rival
     answer = next(one for one in made.question.answers if one.name == truth)
     content = scenario(known, made.question.channel, made.profile, answer)
-    train, test = (recorded(content, FRESH + 2 * seed + at) for at in (0, 1))
+    train, test = (simulated_run(content, FRESH + 2 * seed + at) for at in (0, 1))
     degree = len(answer.declared) - 1
     diagnosis = diagnose([train], [test], f"polynomial {degree}", sensors=(made.question.channel[:-2],))
     verdict = next(one for one in diagnosis.verdicts if one.name == made.question.channel)

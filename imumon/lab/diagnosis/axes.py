@@ -14,11 +14,10 @@ from imumon.lab.diagnosis.blocks import RunBlocks, at_poses, make_blocks, survey
 from imumon.lab.diagnosis.candidates import Pool
 from imumon.lab.diagnosis.channel import Channel, Declared, Own, ordinary
 from imumon.lab.diagnosis.choice import PROVEN
-from imumon.lab.diagnosis.drivers import with_drivers
 from imumon.lab.diagnosis.known import effects_of
 from imumon.lab.diagnosis.runs import Run, unit_of
 from imumon.lab.diagnosis.search import Search
-from imumon.lab.diagnosis.usable import faults
+from imumon.lab.diagnosis.usable import faults, with_drivers
 from imumon.models.model import BiasModel
 
 MOST_SEARCH_BLOCKS = 1200

@@ -25,14 +25,14 @@ from imumon.lab.diagnosis.blocks import (
     survey,
 )
 from imumon.lab.diagnosis.channel import Channel, residual_rms
-from imumon.lab.diagnosis.choice import PROVEN, Finding, proof
-from imumon.lab.diagnosis.drivers import recorded
+from imumon.lab.diagnosis.choice import PROVEN, Finding, least_gain
 from imumon.lab.diagnosis.extended import refitted
 from imumon.lab.diagnosis.fit import MATERIAL, fit
 from imumon.lab.diagnosis.known import CUBIC, effects_of, temperature_of, without_model
 from imumon.lab.diagnosis.likelihood import Likelihood
 from imumon.lab.diagnosis.runs import Run
 from imumon.lab.diagnosis.search import search
+from imumon.lab.diagnosis.usable import usable_drivers
 from imumon.models.model import BiasModel, ChannelModel
 
 LASTING = [name for name, kind in EFFECTS.items() if kind.scope not in ("run", "event")]
@@ -97,7 +97,7 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     temperatures = {name: temperature_of(name, model, [run]) for name in channels}
     used, block_s = list(dict.fromkeys(temperatures.values())), common_block_s([run])
     left = without_model(run, model, channels)
-    blocks = make_blocks(left, channels, used, recorded([run], [], used, None, []), block_s)
+    blocks = make_blocks(left, channels, used, usable_drivers([run], [], used, None, []), block_s)
     if len(blocks) < LEAST_BLOCKS:
         return []
     degrees = (0, CUBIC) if survey([blocks], used[0], 0, block_s).thermal else (0,)
@@ -120,7 +120,7 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     gain = sum(
         one.score() - other.score([]) for one, other in zip(found, present, strict=True) if one.findings
     )
-    if not gain > proof(len(degrees) * len(LASTING), len(channels)):
+    if not gain > least_gain(len(degrees) * len(LASTING), len(channels)):
         return []
     return [
         _better(channel, one.findings[0], gain, before[channel.name], model.channels[channel.name])

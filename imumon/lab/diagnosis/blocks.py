@@ -84,9 +84,9 @@ def make_blocks(
     for name in channels:
         valid = valid & np.isfinite(run.mean[name])
     bridged = {
-        name: values
+        name: filled
         for name in (*ACCEL, *drivers, *temperatures)
-        if (values := _bridged(run, name)) is not None
+        if (filled := _bridged(run, name)) is not None
     }
     accel = np.column_stack([bridged[name] for name in ACCEL]) if bridged.keys() >= set(ACCEL) else None
     others = {name: bridged[name] for name in drivers if name in bridged}
@@ -98,8 +98,10 @@ def make_blocks(
     valid = in_one_pose(valid, pose, slots)
     weight = np.where(valid, run.count[channels[0]] / run.samples_per_slot(channels[0]), 0.0)
     values = [np.where(valid, run.mean[name], 0.0) for name in channels]
-    heat = [drive.temperature_degc for drive in drives.values()]
-    means, share = _block_means(np.column_stack([run.time_s, pose, *values, *heat]), weight, slots)
+    temperature = [drive.temperature_degc for drive in drives.values()]
+    means, share = _block_means(
+        np.column_stack([run.time_s, pose.astype(np.float64), *values, *temperature]), weight, slots
+    )
     keep = share >= 0.5
     time_s, number, *columns = means[keep].T
     return RunBlocks(

@@ -94,7 +94,7 @@ class Finding:
         self.candidate = candidate
 
 
-def proof(effects: int, channels: int) -> float:
+def least_gain(effects: int, channels: int) -> float:
     """Return the gain that proves one of so many effects on any set of channels."""
     return PROVEN + 2.0 * float(np.log(max(1, effects) * (2**channels - 1)))
 
@@ -147,8 +147,3 @@ def _near(gain: float, best: float) -> bool:
 def gain_in(table: Table, name: str) -> float:
     """Return what a family gains, minus infinity where it is not in the table."""
     return table[name].gain if name in table else -np.inf
-
-
-def gain_of(one: Scored) -> float:
-    """Return the gain, to sort by."""
-    return one.gain

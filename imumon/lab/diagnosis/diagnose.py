@@ -22,7 +22,6 @@ from imumon.lab.diagnosis.blocks import (
 )
 from imumon.lab.diagnosis.channel import Declared
 from imumon.lab.diagnosis.claims import settle
-from imumon.lab.diagnosis.drivers import recorded, shadows
 from imumon.lab.diagnosis.known import (
     check_range,
     modelled,
@@ -35,10 +34,12 @@ from imumon.lab.diagnosis.runs import SENSORS, STRETCHES, Run, channels_of, divi
 from imumon.lab.diagnosis.search import Progress, search
 from imumon.lab.diagnosis.usable import (
     check_training,
+    confounded,
     sound,
     temperature_of_axis,
     usable_blocks,
     usable_channels,
+    usable_drivers,
 )
 from imumon.lab.diagnosis.verdict import ChannelVerdict
 from imumon.models.curves.polynomial import CUBIC
@@ -116,7 +117,7 @@ def diagnose(
         degree = max(order_of(model.channels[name]) for name in channels)
         drivers = with_needed(drivers, model, temperatures)
     used = list(dict.fromkeys(temperatures.values()))
-    others = recorded(train, test, [*used, *channels], drivers, caveats)
+    others = usable_drivers(train, test, [*used, *channels], drivers, caveats)
     block_s = common_block_s([*train, *test])
     (blocks, moving), (tested, _) = (
         usable_blocks(runs, channels, used, others, block_s, caveats) for runs in (train, test)
@@ -128,7 +129,7 @@ def diagnose(
     if test and not tested:
         caveats.append("no run of the test can be used: there is no independent proof")
     degree = degree if shown.thermal else 0
-    caveats += _limits(blocks, tested, shown, shadows(blocks, used[0], shown.scale, degree))
+    caveats += _limits(blocks, tested, shown, confounded(blocks, used[0], shown.scale, degree))
     assumed = Assumed(temperatures, degree, "run" if offsets else "", search_block(blocks))
     diagnosis = Diagnosis(declared, block_s, [], blocks, tested, shown, caveats, model, held)
     for sensor in sensors:
@@ -186,39 +187,31 @@ def _sensor(
 ) -> list[ChannelVerdict]:
     """Return the verdicts on the axes of one sensor."""
     if group[0].startswith("accel") and len(group) == 3:
-        _add_length(assumed.temperatures[group[0]], assumed.degree, diagnosis)
+        found_length = _length(diagnosis.train, assumed.temperatures[group[0]], assumed.degree)
+        if found_length is not None:
+            poses, diagnosis.length = found_length
+            diagnosis.caveats.append(diagnosis.length.described(poses))
     every = axes_over_bases(train, diagnosis.train, diagnosis.test, group, assumed, diagnosis.model)
     names = effects_for(group[0])
     axes, found = likeliest(
         [(axes, search(axes.searched, axes.survey, names, progress=progress)) for axes in every]
     )
     if group[0].startswith("gyro") and any(run.pose.any() for run in diagnosis.train):
-        diagnosis.caveats.append(f"several poses: {_of_poses(axes.assumed)}")
+        diagnosis.caveats.append(
+            "several poses: the gyros have another constant in each, as the earth rate makes it; a"
+            " sensitivity to g is not told from that"
+            if axes.assumed.own == "pose"
+            else "several poses: what is named g_sensitivity holds the vertical earth rate as well, up to"
+            " 15.04 °/h per g on the diagonal"
+        )
     return [settle(channel, one) for channel, one in zip(axes.channels, found, strict=True)]
 
 
-def _of_poses(assumed: Assumed) -> str:
-    """Return what limits the verdicts on gyros in several poses."""
-    if assumed.own == "pose":
-        return (
-            "the gyros have another constant in each, as the earth rate makes it; a sensitivity to g is not"
-            " told from that"
-        )
-    return (
-        "what is named g_sensitivity holds the vertical earth rate as well, up to 15.04 °/h per g on the"
-        " diagonal"
-    )
-
-
-def _add_length(temperature: str, degree: int, diagnosis: Diagnosis) -> None:
-    """Add to a diagnosis what follows from the length of gravity, where there are poses enough."""
-    runs = diagnosis.train
+def _length(runs: Sequence[RunBlocks], temperature: str, degree: int) -> tuple[int, Length] | None:
+    """Return the number of poses and what |f| = g in them determines; None where they are too few."""
     forces = [force for run in runs if (force := specific_force(run)) is not None]
     if len(forces) < len(runs):
-        return
+        return None
     declared = Declared.over(runs, temperature, degree, "pose")
-    warmth = np.concatenate([declared.columns(run.temperature[temperature])[:, 1:] for run in runs])
-    found = Length.from_poses(np.concatenate(forces), warmth)
-    if found is not None:
-        poses, diagnosis.length = found
-        diagnosis.caveats.append(diagnosis.length.described(poses))
+    powers = np.concatenate([declared.columns(run.temperature[temperature])[:, 1:] for run in runs])
+    return Length.from_poses(np.concatenate(forces), powers)

@@ -33,18 +33,18 @@ def shown(unit: str) -> tuple[float, str]:
 
 def figures(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, str]:
     """Return the plots of a channel, caption to SVG."""
-    drawn: dict[str, Callable[[Axes], None]] = {
-        "Training over time: what the declared model leaves (dots), and the effects (line)": lambda axes: (
-            _training(axes, diagnosis.train, verdict)
+    runs = diagnosis.train
+    return {
+        "Training over time: what the declared model leaves (dots), and the effects (line)": svg(
+            lambda axes: _training(axes, runs, verdict)
         ),
-        "The same over temperature: a loop here is no curve": lambda axes: _over_temperature(
-            axes, diagnosis.train, verdict
+        "The same over temperature: a loop here is no curve": svg(
+            lambda axes: _over_temperature(axes, runs, verdict)
         ),
     }
-    return {caption: svg(draw) for caption, draw in drawn.items()}
 
 
-def proof(diagnosis: Diagnosis, verdict: ChannelVerdict) -> str:
+def errors_plot(diagnosis: Diagnosis, verdict: ChannelVerdict) -> str:
     """Return the picture that the page opens with: the error before and after, of a test if there is one."""
     draw = _test if verdict.test_before is not None and diagnosis.test else _fitted
     return svg(lambda axes: draw(axes, diagnosis, verdict), WIDE)
@@ -91,8 +91,7 @@ def _over_temperature(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVer
 
 
 def _fitted(axes: Axes, diagnosis: Diagnosis, verdict: ChannelVerdict) -> None:
-    parts = (_split(diagnosis.train, fit.train) for fit in (verdict.before, verdict.after))
-    before, after = parts
+    before, after = (_split(diagnosis.train, fit.train) for fit in (verdict.before, verdict.after))
     _both(axes, verdict, diagnosis.train, before, after)
     _labelled(axes, verdict, "training error of", "time, h")
 

@@ -13,7 +13,7 @@ from imumon.harmless import for_html
 from imumon.lab.diagnosis.alternatives import most_different
 from imumon.lab.diagnosis.conclusion import keep_in_mind
 from imumon.lab.diagnosis.diagnose import Diagnosis
-from imumon.lab.diagnosis.figures import figures, proof, shown
+from imumon.lab.diagnosis.figures import errors_plot, figures, shown
 from imumon.lab.diagnosis.report import report
 from imumon.lab.diagnosis.search import Progress
 from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim
@@ -35,7 +35,7 @@ def write_page(diagnosis: Diagnosis, path: Path, progress: Progress | None = Non
         .get_template(TEMPLATE)
         .render(
             report=report(diagnosis, path.parent),
-            picture=proof(diagnosis, first),
+            picture=errors_plot(diagnosis, first),
             sure=how_sure(first),
             channels=channels,
             caveats=keep_in_mind(diagnosis),

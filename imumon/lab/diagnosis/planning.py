@@ -6,7 +6,7 @@ The evidence is the difference of the gains, in BIC, between the effect that the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -28,7 +28,7 @@ from imumon.lab.diagnosis.choice import CLOSE, CLOSE_SHARE, PROVEN
 from imumon.lab.diagnosis.likelihood import TAUS_S
 from imumon.lab.diagnosis.profiles import Profile, profiles
 from imumon.lab.diagnosis.runs import Run, collect
-from imumon.lab.diagnosis.search import Search, search
+from imumon.lab.diagnosis.search import Progress, Search, search
 from imumon.models.model import UNITS
 from imumon.simulation.unit import Scenario, SimulatedUnit
 from imumon.simulation.unit.scenario import Unit
@@ -46,8 +46,6 @@ EVERY_SHAPE = 16
 DRIVEN = "something that the temperature drives"
 LONG_S = 1e5
 """Correlation time of a process that stands for a random walk of an accelerometer."""
-
-Progress = Callable[[str], None]
 
 
 class _Slow(StrictModel, extra="ignore"):
@@ -206,7 +204,7 @@ def evidence(
         if truth.name == NOTHING and rivals != [DRIVEN]:
             continue
         for seed in seeds:
-            run = recorded(scenario(report, question.channel, profile, truth), seed)
+            run = simulated_run(scenario(report, question.channel, profile, truth), seed)
             searched = _searched(run, question.channel, len(truth.declared) - 1, kinds)
             for rival in rivals:
                 pairs.setdefault((truth.name, rival), []).append(_difference(searched, truth.name, rival))
@@ -290,7 +288,7 @@ def _noise(report: Report, name: str) -> dict[str, Any]:
     return {"vrw_m_per_s_per_sqrt_s": density, "flicker": [*flicker, slowest]}
 
 
-def recorded(plan: Scenario, seed: int) -> Run:
+def simulated_run(plan: Scenario, seed: int) -> Run:
     """Return what a diagnosis reads of a simulated session."""
     unit = SimulatedUnit(plan, seed)
     sent, truth = unit.run(plan.samples)

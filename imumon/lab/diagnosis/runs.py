@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -115,21 +115,10 @@ def read_runs(
     Raises BAD_DATA when there is nothing to read, no run of five minutes, or a table that needs a map.
     """
     recording = open_recording(path, stages, map_path)
-    blocks = recording.blocks()
-    first: list[SampleBlock] = []
-    while sum(map(len, first)) < FIRST_ROWS and (more := next(blocks, None)) is not None:
-        first.append(more)
     # A table that imumon wrote may have columns beside the known ones that are made of the gyros themselves.
     own = recording.source.session is None and map_path is None
     made = {column.name for stage in stages(None) for column in stage.columns}
-    further = [] if own or not first else further_columns(first[0], made)
-    wanted = channels_of(sensors, first[0].columns) if first else []
-    further += [name for name in wanted if name not in (*READ, *further)]
-    watcher = Watcher(wanted)
-    samples: Iterable[SampleBlock] = watcher.through(chain(first, blocks))
-    if CLOCK in sensors and CLOCK not in wanted:
-        samples, further = with_delay(samples), [*further, CLOCK]
-    every = collect(samples, recording.name, further, _slot_s(first, wanted))
+    every, samples = _reduced(recording.blocks(), recording.name, sensors, None if own else made)
     runs = [run for run in every if run.duration_s >= SHORTEST_RUN_S]
     if not runs:
         longest = max((run.duration_s for run in every), default=0.0)
@@ -139,17 +128,30 @@ def read_runs(
             "record the unit at rest for an hour or more while its temperature changes",
         )
     warnings = tuple(f"{path}: {text}" for text in recording.warnings())
-    sha256, found = recording.sha256(), watcher.samples()
-    return [
-        replace(
-            run,
-            rest=np.ones_like(run.rest) if at_rest else run.rest,
-            origin=Origin(recording.name, at, sha256, recording.device, recording.serial),
-            warnings=warnings,
-            samples=found,
-        )
-        for at, run in enumerate(runs)
-    ]
+    sha256 = recording.sha256()
+    for at, run in enumerate(runs):
+        run.rest = np.ones_like(run.rest) if at_rest else run.rest
+        run.origin = Origin(recording.name, at, sha256, recording.device, recording.serial)
+        run.warnings, run.samples = warnings, samples
+    return runs
+
+
+def _reduced(
+    blocks: Iterator[SampleBlock], name: str, sensors: Sequence[str], made: Container[str] | None
+) -> tuple[list[Run], dict[str, Samples]]:
+    """Return runs of the known columns and of those that no stage has made (None: not of others), and the
+    statistics of the single samples."""
+    first: list[SampleBlock] = []
+    while sum(map(len, first)) < FIRST_ROWS and (more := next(blocks, None)) is not None:
+        first.append(more)
+    further = [] if made is None or not first else further_columns(first[0], made)
+    wanted = channels_of(sensors, first[0].columns) if first else []
+    further += [channel for channel in wanted if channel not in (*READ, *further)]
+    watcher = Watcher(wanted)
+    samples: Iterable[SampleBlock] = watcher.through(chain(first, blocks))
+    if CLOCK in sensors and CLOCK not in wanted:
+        samples, further = with_delay(samples), [*further, CLOCK]
+    return collect(samples, name, further, _slot_s(first, wanted)), watcher.samples()
 
 
 def further_columns(block: SampleBlock, made: Container[str]) -> list[str]:
@@ -163,19 +165,16 @@ def further_columns(block: SampleBlock, made: Container[str]) -> list[str]:
 
 def _slot_s(blocks: Sequence[SampleBlock], channels: Sequence[str]) -> float:
     """Return the length of a slot in which a log has a sample: a second, or more for a slower one."""
-    steps = [np.diff(block["device_time_ns"][_measured(block, channels)]) for block in blocks]
+    measured = [[np.isfinite(block[name]) for name in channels if name in block] for block in blocks]
+    steps = [
+        np.diff(block["device_time_ns"][np.any(known, axis=0)])
+        for block, known in zip(blocks, measured, strict=True)
+        if known
+    ]
     forward = np.concatenate([*(step[step > 0] for step in steps), np.empty(0)])
     period_s = float(np.median(forward)) / SECOND_NS if len(forward) else 0.0
     # A clock that is off by a percent still puts a sample into each slot.
     return float(max(1, np.ceil(period_s / 1.01)))
-
-
-def _measured(block: SampleBlock, channels: Sequence[str]) -> BoolArray:
-    """Return the rows that have any of the channels, (n,)."""
-    found = np.zeros(len(block), np.bool_)
-    for name in channels:
-        found |= np.isfinite(block[name]) if name in block else False
-    return found
 
 
 def collect(

@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from operator import attrgetter
 
 import numpy as np
 
@@ -32,8 +33,7 @@ from imumon.lab.diagnosis.choice import (
     Table,
     first_lack,
     gain_in,
-    gain_of,
-    proof,
+    least_gain,
 )
 from imumon.lab.diagnosis.likelihood import Likelihood, Noise, no_larger
 
@@ -72,21 +72,14 @@ def search(
     stages: int = STAGES,
     progress: Progress | None = None,
 ) -> list[Search]:
-    """Find what the channels of one sensor lack, of the effects of these names.
+    """Find what the channels of one sensor, over the same training runs, lack of the effects of these names.
 
-    Parameters
-    ----------
-    channels : sequence of Channel
-        Three axes of a sensor, or fewer, over the same training runs.
-    survey : Survey
-        What the runs can show.
-    stages : int
-        Effects that are added to a channel, at most.
+    At most `stages` effects are added to a channel.
     """
     likelihood, tried = Likelihood(channels[0].train), candidates(survey, names)
     searches = [Search(channel, survey, likelihood, tried) for channel in channels]
     usual = len({one.family for one in tried if not one.choice})
-    least = proof(usual, len(channels)) if len(channels) > 1 else PROVEN
+    least = least_gain(usual, len(channels)) if len(channels) > 1 else PROVEN
     for stage in range(stages):
         active = [one for one in searches if not one.finished]
         if not active:
@@ -212,7 +205,7 @@ class Search:
         (best,) = self.scored([candidate], model)
         for level in range(REFINEMENTS):
             tried = best.candidate.neighbours(self.survey, level)
-            best = max([best, *self.scored(tried, model)], key=gain_of)
+            best = max([best, *self.scored(tried, model)], key=attrgetter("gain"))
         return best
 
     def _taken_away(self, candidate: Candidate, model: Sequence[Candidate]) -> float:
@@ -244,7 +237,7 @@ class Search:
 
     def tabulate(self, pairs: bool) -> None:
         """Add a table: the best of each family beside what was found so far, at first in pairs as well."""
-        scored = sorted(self.scored(self.tried, self.found), key=gain_of)
+        scored = sorted(self.scored(self.tried, self.found), key=attrgetter("gain"))
         best = {one.family: one for one in scored}
         self.tables.append(self._beside_partner(scored, best) if pairs and not self.findings else best)
 
@@ -329,7 +322,7 @@ class Search:
             beside = self._beside(finding)
             names = [finding.name, *finding.alike] if exchange else [finding.name]
             tried = [one for one in self.tried if one.family in names and one.carries]
-            best = max(self.scored([finding.candidate, *tried], beside), key=gain_of)
+            best = max(self.scored([finding.candidate, *tried], beside), key=attrgetter("gain"))
             finding.becomes(self.refined(best.candidate, beside).candidate)
 
     # At the end

@@ -5,9 +5,9 @@ from __future__ import annotations
 from imumon.effects.drift import Drift
 from imumon.effects.warm_up import WarmUp
 from imumon.lab.diagnosis.candidates import Candidate, Part
-from imumon.lab.diagnosis.choice import Lack, Scored, Table, first_lack, proof
+from imumon.lab.diagnosis.choice import Lack, Scored, Table, first_lack, least_gain
 
-LEAST = proof(2, 3)
+LEAST = least_gain(2, 3)
 
 
 def axes(drift: tuple[float, ...], warm_up: tuple[float, ...] = (-9.0, -9.0, -9.0)) -> dict[str, Table]:
