@@ -47,7 +47,7 @@ class TemperatureRate(DrivenEffect):
     def columns(self, drive: Drive) -> FloatArray:
         """Return the mean over the next two filter times less that over the last two, by their distance.
 
-        Of another driver, whose rate may change at any moment, the filter is part of what is looked for.
+        Of another driver, whose rate may change at any moment, the filter is part of the effect.
         """
         if not self.of_temperature or len(drive) < 2:
             return self.advance(Memory(), drive)

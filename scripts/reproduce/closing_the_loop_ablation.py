@@ -51,8 +51,7 @@ def _family(name: str) -> Change:
 
 
 def _noise(flicker: Sequence[float], walk: Sequence[float]) -> Change:
-    grid = [(r, q) for r in flicker for q in walk]
-    return [(likelihood, "GRID", grid), (likelihood.Likelihood.__init__, "__defaults__", (grid,))]
+    return [(likelihood, "GRID", [(r, q) for r in flicker for q in walk])]
 
 
 def _each_alone(active: Sequence[search.Search], least: float) -> None:  # noqa: ARG001 - as what it replaces

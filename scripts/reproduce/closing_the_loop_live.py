@@ -24,7 +24,7 @@ from study import Options, Study, Table, spread
 
 from imumon.blocks import SampleBlock
 from imumon.lab.diagnosis.blocks import make_blocks
-from imumon.lab.diagnosis.channel import ordinary
+from imumon.lab.diagnosis.channel import least_squares
 from imumon.lab.diagnosis.live import LiveDiagnosis
 from imumon.lab.diagnosis.runs import Run
 from imumon.models.curves.polynomial import PolynomialCurve
@@ -111,7 +111,7 @@ def plain_model(case: Case) -> BiasModel:
     for axis in AXES:
         values = np.concatenate([run.mean[f"gyro_{axis}"] for run in runs])
         columns = np.column_stack([levels, chebvander(u, DEGREE)[:, 1:]])
-        found = ordinary(columns[known], values[known])
+        found = least_squares(columns[known], values[known])
         left = (values - columns @ found)[known]
         channels[f"gyro_{axis}"] = ChannelModel(
             unit="rad/s",

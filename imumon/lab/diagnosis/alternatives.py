@@ -1,4 +1,4 @@
-"""What a person looks at beside the verdict: how the effects rank, what is left of each run, what is open.
+"""What stands beside the verdict: how the effects rank, what is left of each run, what is open.
 
 Each answer that is possible to an open question is a whole model, fitted to the training, so that the next
 experiment can be tried on units that have it.

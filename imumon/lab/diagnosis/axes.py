@@ -12,7 +12,7 @@ from imumon.effects.base import Survey
 from imumon.geodesy import EARTH_RATE
 from imumon.lab.diagnosis.blocks import RunBlocks, at_poses, make_blocks, survey, white_floor
 from imumon.lab.diagnosis.candidates import Pool
-from imumon.lab.diagnosis.channel import Channel, Declared, Own, ordinary
+from imumon.lab.diagnosis.channel import Channel, Declared, Own, least_squares
 from imumon.lab.diagnosis.choice import PROVEN
 from imumon.lab.diagnosis.known import effects_of
 from imumon.lab.diagnosis.runs import Run, unit_of
@@ -24,8 +24,6 @@ MOST_SEARCH_BLOCKS = 1200
 """Longer runs are searched in longer blocks; they are scored in blocks of 30 s all the same."""
 SHORTER, LEAST_SEARCH_BLOCKS = (1, 2, 3), 200
 """Shorter runs in blocks of a half or a third: of few blocks the one with a jump in it decides."""
-
-
 EARTH_SPREAD = 2.1 * EARTH_RATE
 """rad/s: most that the constants of a gyro in two poses differ by the earth rate, and by 5 % of its scale."""
 
@@ -74,13 +72,11 @@ def axes_over_bases(
     In each pose, and each day, other sensors than gyros have another part of gravity, field or weather, which
     nobody knows: they have a constant in each.  So may gyros have, by the earth rate.
     """
-    by_pose = replace(assumed, own="pose")
-    if not group[0].startswith(("gyro", CLOCK)):
-        return [make_axes(train, blocks, tested, group, by_pose, model)]
-    found = [make_axes(train, blocks, tested, group, assumed, model)]
-    if group[0].startswith("gyro") and any(run.pose.max() > run.pose.min() for run in blocks):
-        found.append(make_axes(train, blocks, tested, group, by_pose, model))
-    return found
+    bases = [assumed] if group[0].startswith(("gyro", CLOCK)) else []
+    turned = any(run.pose.max() > run.pose.min() for run in blocks)
+    if not bases or (group[0].startswith("gyro") and turned):
+        bases.append(replace(assumed, own="pose"))
+    return [_axes(train, blocks, tested, group, base, model) for base in bases]
 
 
 def likeliest(searched: Sequence[Searched]) -> Searched:
@@ -93,7 +89,7 @@ def likeliest(searched: Sequence[Searched]) -> Searched:
         by_pose = one[0].assumed.own == "pose" and len(searched) > 1
         if by_pose and max(map(_spread_of_constants, one[1])) > EARTH_SPREAD:
             return -np.inf
-        return total_score(one) + PROVEN * by_pose
+        return sum(found.criterion() for found in one[1]) + PROVEN * by_pose
 
     return max(searched, key=order)
 
@@ -101,23 +97,18 @@ def likeliest(searched: Sequence[Searched]) -> Searched:
 def _spread_of_constants(found: Search) -> float:
     """Return by how much the constants of a channel differ from pose to pose, beside what was found."""
     channel = found.channel
-    coefficients = ordinary(channel.design(found.found), channel.values)
+    coefficients = least_squares(channel.design(found.model), channel.values)
     more = coefficients[channel.declared.degree + 1 : channel.base.shape[1]]
     return float(np.ptp(np.append(more, 0.0)))
 
 
-def total_score(searched: Searched) -> float:
-    """Return the sum of the scores of all axes."""
-    return sum(one.score() for one in searched[1])
-
-
-def make_axes(
+def _axes(
     train: Sequence[Run],
     blocks: Sequence[RunBlocks],
     tested: Sequence[RunBlocks],
     group: Sequence[str],
     assumed: Assumed,
-    model: BiasModel | None = None,
+    model: BiasModel | None,
 ) -> Axes:
     """Return the axes of a sensor over one base; `blocks` are those of `train`."""
     temperatures, block_s, own = assumed.temperatures, blocks[0].block_s, assumed.own
@@ -153,9 +144,7 @@ def _pools(
     blocks: Sequence[RunBlocks], group: Sequence[str], temperatures: Mapping[str, str]
 ) -> dict[str, Pool]:
     """Return the pool of each temperature that a channel of the group is over."""
-    return {
-        temperature: Pool(blocks, temperature) for temperature in {temperatures[name]: 0 for name in group}
-    }
+    return {name: Pool(blocks, name) for name in dict.fromkeys(temperatures[channel] for channel in group)}
 
 
 def _blocks_again(

@@ -73,7 +73,7 @@ def residual(
     return make_blocks(without_model(run, model, channels), channels, list(temperatures), drivers, block_s)
 
 
-def known_to(model: BiasModel, run: Run, channels: Sequence[str]) -> Run:
+def within_range(model: BiasModel, run: Run, channels: Sequence[str]) -> Run:
     """Return a run at rest only where its temperatures are inside the range that a model was fitted on.
 
     Outside that range the curve continues as a straight line, and what is left there is no effect.
@@ -118,7 +118,9 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     # The curve of the present model, and nothing beside it.
     present = next(one for base, one in searched if base.assumed == replace(axes.assumed, degree=0))
     gain = sum(
-        one.score() - other.score([]) for one, other in zip(found, present, strict=True) if one.findings
+        one.criterion() - other.criterion([])
+        for one, other in zip(found, present, strict=True)
+        if one.findings
     )
     if not gain > least_gain(len(degrees) * len(LASTING), len(channels)):
         return []
@@ -141,7 +143,7 @@ def _better(channel: Channel, found: Finding, gain: float, before: float, presen
 
 
 @dataclass(frozen=True, slots=True)
-class Score:
+class Comparison:
     """Two models on what came later.
 
     `ratio` is the logarithm of the likelihood ratio, the better model's over the present one's; `before` and
@@ -163,7 +165,7 @@ class Score:
         return self.ratio < -PROVEN
 
 
-class Shadow:
+class Challenger:
     """A better model of some channels that runs beside the present one since it was found."""
 
     def __init__(self, present: BiasModel, found: Sequence[Better], since_s: float) -> None:
@@ -172,7 +174,7 @@ class Shadow:
         self.since_s = since_s
         self._present, self._names = present, [one.channel for one in found]
 
-    def score(self, run: Run) -> Score | None:
+    def compare(self, run: Run) -> Comparison | None:
         """Return how both models do on the part of a run that came later; None while that is too short.
 
         Temperatures outside those of the earlier part, from which the better model is, do not count.
@@ -194,4 +196,4 @@ class Shadow:
             ratio += sign * sum(likelihood.predictive(one, early) for one in left)
             squares.append(np.mean([one[~early] ** 2 for one in left]))
         before, after = np.sqrt(squares).tolist()
-        return Score(ratio, before, after)
+        return Comparison(ratio, before, after)

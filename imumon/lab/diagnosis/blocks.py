@@ -64,9 +64,9 @@ class RunBlocks:
         return len(self.time_s)
 
     def average(self, columns: FloatArray) -> FloatArray:
-        """Return block means (n, k) of columns (slots, k)."""
-        means, share = _block_means(columns, self.weight, self.slots)
-        return means[share >= 0.5]
+        """Return block means (n, k) of columns (slots, k), or (n,) of values (slots,)."""
+        means, share = _block_means(columns.reshape(len(self.weight), -1), self.weight, self.slots)
+        return means[share >= 0.5].reshape(-1, *columns.shape[1:])
 
 
 def make_blocks(

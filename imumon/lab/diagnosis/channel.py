@@ -73,13 +73,13 @@ class Channel:
     faults: Sequence[Fault] = ()
     """What is wrong with its data."""
     known: tuple[Effect, ...] | None = None
-    """Of the model that was given, whose curve is off the means already; None when none was given."""
+    """Effects of the present model, whose curve is off the means already; None without one."""
     kept: tuple[Effect, ...] = ()
     """Those of them that stay as they are: these runs do not show them."""
 
     @property
     def blind(self) -> float:
-        """rms below which an effect is not told from a fault of the data."""
+        """rms below which an effect may be a fault of the data."""
         return max((fault.blind for fault in self.faults), default=0.0)
 
     @property
@@ -123,8 +123,8 @@ class Channel:
         """Return the columns of the declared model and of what was found, (n, k)."""
         return np.column_stack([self.base, self.pool.design(found)])
 
-    def as_given(self) -> Channel:
-        """Return it with the model that was given as it is, but for a constant."""
+    def as_baseline(self) -> Channel:
+        """Return it with the present model as it is, where there is one, but for a constant."""
         if self.known is None:
             return self
         return replace(self, declared=replace(self.declared, degree=0), kept=self.known)
@@ -135,7 +135,7 @@ class Channel:
         return replace(self, pool=pool, floor=floor)
 
 
-def ordinary(columns: FloatArray, values: FloatArray) -> FloatArray:
+def least_squares(columns: FloatArray, values: FloatArray) -> FloatArray:
     """Return the coefficients of ordinary least squares, the smallest where columns are collinear."""
     norm = np.linalg.norm(columns, axis=0)
     norm = np.where(norm > 0, norm, 1.0)
@@ -144,5 +144,5 @@ def ordinary(columns: FloatArray, values: FloatArray) -> FloatArray:
 
 def residual_rms(columns: FloatArray, values: FloatArray) -> float:
     """Return the rms of the residual of ordinary least squares."""
-    left = values - columns @ ordinary(columns, values)
+    left = values - columns @ least_squares(columns, values)
     return float(np.sqrt(np.mean(left**2)))

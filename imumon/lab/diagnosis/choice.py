@@ -1,4 +1,4 @@
-"""Choice: which effect do the axes lack, by what the candidates gain on each of them?
+"""One step of the forward selection: which effect, on which axes, by what candidates gain on each of them.
 
 One package has one physics, so what an effect gains on several axes adds up; the choice of one of e effects
 on any of the sets of m axes costs 2 ln(e (2^m - 1)) (extended BIC: Chen & Chen 2008,
@@ -47,7 +47,7 @@ Table = Mapping[str, Scored]
 
 
 @dataclass(frozen=True, slots=True)
-class Lack:
+class Selection:
     """Effects of which channels lack one, the one that is chosen first; these data do not tell them apart.
     `gain` is what it gains on all of these channels."""
 
@@ -77,7 +77,7 @@ class Finding:
     others: dict[str, Candidate] = field(default_factory=dict)
     """The best of each other family that is not told apart from it."""
     known: bool = False
-    """Whether it is of the model that was given, and fitted anew."""
+    """Whether it is of the present model, and fitted anew."""
 
     @property
     def name(self) -> str:
@@ -99,7 +99,7 @@ def least_gain(effects: int, channels: int) -> float:
     return PROVEN + 2.0 * float(np.log(max(1, effects) * (2**channels - 1)))
 
 
-def first_lack(tables: Mapping[str, Table], least: float, there: Mapping[str, Sequence[str]]) -> Lack | None:
+def select(tables: Mapping[str, Table], least: float, there: Mapping[str, Sequence[str]]) -> Selection | None:
     """Return the effect that gains most on all the channels that show it, if that is more than `least`.
 
     Of effects that gain alike, what carries over goes before an event, and what is `there` already before
@@ -124,7 +124,7 @@ def first_lack(tables: Mapping[str, Table], least: float, there: Mapping[str, Se
     apart = {chosen, *(tables[channel][chosen].partner for channel in channels)}
     alike = [name for name in names if name not in apart and _near(together[name], total[chosen])]
     alike = [name for name in alike if together[name] > least]
-    return Lack([chosen, *sorted(alike, key=lambda name: -together[name])], channels, total[chosen])
+    return Selection([chosen, *sorted(alike, key=lambda name: -together[name])], channels, total[chosen])
 
 
 def _shows(table: Table, name: str, least: float) -> bool:

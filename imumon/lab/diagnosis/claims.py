@@ -24,7 +24,7 @@ from imumon.lab.diagnosis.fit import (
     explained_share,
     explains,
     fit,
-    fit_given,
+    fit_baseline,
     goes_on,
     mean_rms,
     score,
@@ -41,7 +41,7 @@ effects that are not in the library, took out at most 5.4, true ones of a chambe
 
 @dataclass(frozen=True, slots=True)
 class _Model:
-    """Findings, the model with them, what the given model and this one leave of the test (None without one),
+    """Findings, the model with them, what the baseline and this one leave of the test (None without one),
     and why nothing else is claimed."""
 
     findings: list[Finding]
@@ -51,16 +51,17 @@ class _Model:
 
     @property
     def claims(self) -> bool:
-        """Whether any of the findings is not of a model that was given."""
+        """Whether any of the findings is not of the present model."""
         return any(not one.known for one in self.findings)
 
 
-def settle(channel: Channel, found: Search) -> ChannelVerdict:
+def decide(channel: Channel, found: Search) -> ChannelVerdict:
     """Return the verdict on a channel: what is claimed of it by what the search found in it."""
     shape = replace(channel.declared, degree=found.channel.declared.degree)
     channel = replace(channel, declared=shape, kept=found.channel.kept)
-    given, floor = fit_given(channel), channel.limit  # what digits make of a smooth bias is no structure
-    kept, refuted = _claimed(channel, found, given, floor)
+    baseline = fit_baseline(channel)
+    floor = channel.limit  # what digits make of a smooth bias is no structure
+    kept, refuted = _claimed(channel, found, baseline, floor)
     after, both = kept.after, kept.tests
     predicts = not after.parts or after.carries
     if both is not None:
@@ -74,28 +75,28 @@ def settle(channel: Channel, found: Search) -> ChannelVerdict:
     covariance, spread = sigmas(found.channel, found.likelihood, [one.candidate for one in kept.findings])
     return ChannelVerdict(
         channel=channel,
-        before=given,
+        before=baseline,
         after=after,
         test_before=None if both is None else both[0],
         test_after=None if both is None else both[1],
-        claims=_claims(channel, given, after, kept.findings, spread),
+        claims=_claims(channel, baseline, after, kept.findings, spread),
         unexplained=unexplained,
-        explained=explained_share(given.train_rms, after.train_rms, floor) if kept.claims else 0.0,
+        explained=explained_share(baseline.train_rms, after.train_rms, floor) if kept.claims else 0.0,
         left_out=refuted,
         remark=kept.remark,
         predicts=predicts,
         slow=SlowNoise.of(found),
         questions=questions(channel, found, kept.findings, unexplained),
-        refit=_refit(channel, found, kept.findings) if after is not given and predicts else [],
-        stages=_stages(channel, found, given),
+        refit=_refit(channel, found, kept.findings) if after is not baseline and predicts else [],
+        stages=_stages(channel, found, baseline),
         ranking=ranking(channel, found),
-        runs=runs_left(channel, given, after, both),
+        runs=runs_left(channel, baseline, after, both),
         declared_covariance=covariance,
     )
 
 
 def _claimed(
-    channel: Channel, found: Search, given: Fit, floor: float
+    channel: Channel, found: Search, baseline: Fit, floor: float
 ) -> tuple[_Model, list[dict[str, Any]]]:
     """Return what of the findings stays, and those that the test refutes.
 
@@ -106,10 +107,10 @@ def _claimed(
     small = found.many_events or _fit(channel, lasting).train_rms < MATERIAL * channel.floor.sd
     stay, refuted = _not_worse(channel, lasting if small else found.findings)
     known = [one for one in found.findings if one.known]
-    before = _fit(channel, known) if found.refit else given
-    nothing = _Model(known, before, _scores(channel, given, before))
+    before = _fit(channel, known) if found.refit else baseline
+    nothing = _Model(known, before, _scores(channel, baseline, before))
     after = _fit(channel, stay)
-    kept = _Model(stay, after, _scores(channel, given, after))
+    kept = _Model(stay, after, _scores(channel, baseline, after))
     if kept.claims and kept.tests is not None and not np.isfinite(kept.tests[1].rms):
         refuted += [
             {"name": one.name, "test_rms_with": UNKNOWN, "test_rms_without": UNKNOWN}
@@ -117,7 +118,7 @@ def _claimed(
             if not one.known
         ]
         kept = nothing
-    elif kept.claims and (why := _too_little(given, after, kept.tests, floor)):
+    elif kept.claims and (why := _too_little(baseline, after, kept.tests, floor)):
         best = max(found.findings, key=lambda finding: finding.gain)
         kept = replace(nothing, remark=f"the best of the known effects is {best.name}, but {why}")
     if found.many_events and not kept.remark:
@@ -128,20 +129,20 @@ def _claimed(
         one = _proven_by_test(channel, found, before, known)
         if one is not None:
             after = _fit(channel, [*known, one])
-            by_test = _Model([*known, one], after, _scores(channel, given, after))
+            by_test = _Model([*known, one], after, _scores(channel, baseline, after))
             # What training proves goes first unless it leaves twice as much of the test.
             if by_test.tests is not None and 2.0 * by_test.tests[1].rms < left:
                 return by_test, refuted
     return kept, refuted
 
 
-def _too_little(given: Fit, after: Fit, both: tuple[TestScore, TestScore] | None, floor: float) -> str:
+def _too_little(baseline: Fit, after: Fit, both: tuple[TestScore, TestScore] | None, floor: float) -> str:
     """Return what is too little of training, or of the test, to claim anything; empty where it is enough.
 
     What is estimated in the test counts only where nothing is left: a level and a jump take away some of
     whatever is slow.
     """
-    what, before, left = "the training", given.train_rms, after.train_rms
+    what, before, left = "the training", baseline.train_rms, after.train_rms
     if explains(before, left, floor):
         if both is None or both[1].left < CLEAN * floor or explains(both[0].rms, both[1].rms, floor):
             return ""
@@ -189,7 +190,7 @@ def _proven_by_test(
 
     Noise that wanders as fast as it does within minutes may go anywhere within the hour, so that no
     likelihood tells a loop that was gone through once from a wander.  But no wander goes the same way again.
-    `beside` is what is fitted anew of a model that was given.  Only effects count that make the training
+    `beside` is what is fitted anew of the present model.  Only effects count that make the training
     likelier, by more than their coefficients cost, and only a test that is not woven into the training.
     The test chooses here, so effects of other names that explain it as well are not told apart.
     """
@@ -264,17 +265,17 @@ def _claims(
 
 
 def _refit(channel: Channel, found: Search, kept: Sequence[Finding]) -> list[str]:
-    """Return what is fitted anew of a model that was given."""
+    """Return what is fitted anew of the present model."""
     if channel.known is None:
         return []
     curve = ["curve"] if found.channel.declared.degree else []
     return [*curve, *(one.name for one in kept if one.known)]
 
 
-def _stages(channel: Channel, found: Search, given: Fit) -> list[Stage]:
+def _stages(channel: Channel, found: Search, baseline: Fit) -> list[Stage]:
     """Return the stages of the search with what is left after each, in training and test."""
     stages = [Stage("what was assumed", ()), *found.stages]
-    models = [given, *(fit(channel, stage.model) for stage in found.stages)]
+    models = [baseline, *(fit(channel, stage.model) for stage in found.stages)]
     tests = [score(channel, model).rms if channel.test else UNKNOWN for model in models]
     return [
         replace(stage, train_rms=model.train_rms, test_rms=test)

@@ -21,7 +21,7 @@ from imumon.lab.diagnosis.blocks import (
     survey,
 )
 from imumon.lab.diagnosis.channel import Declared
-from imumon.lab.diagnosis.claims import settle
+from imumon.lab.diagnosis.claims import decide
 from imumon.lab.diagnosis.known import (
     check_range,
     modelled,
@@ -50,9 +50,9 @@ HIGHEST_DEGREE = 8
 
 @dataclass(slots=True)
 class Diagnosis:
-    """Verdicts on all channels, and what has to be said of the data.
+    """Verdicts on all channels, and caveats of the data.
 
-    `model` is the one that was given to begin with, or None.  `held_out` says that the test is part of the
+    `model` is the present one, or None.  `held_out` says that the test is part of the
     one run that there is.  `length` is what follows from |f| = g in several poses.
     """
 
@@ -204,7 +204,7 @@ def _sensor(
             else "several poses: what is named g_sensitivity holds the vertical earth rate as well, up to"
             " 15.04 °/h per g on the diagonal"
         )
-    return [settle(channel, one) for channel, one in zip(axes.channels, found, strict=True)]
+    return [decide(channel, one) for channel, one in zip(axes.channels, found, strict=True)]
 
 
 def _length(runs: Sequence[RunBlocks], temperature: str, degree: int) -> tuple[int, Length] | None:

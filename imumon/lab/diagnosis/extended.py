@@ -129,15 +129,15 @@ def _sum(first: Polynomial, others: Sequence[Polynomial]) -> Polynomial:
 
 def _curve(declared: Polynomial, effects: list[Effect]) -> tuple[PolynomialCurve, list[Effect]]:
     """Return the curve with those effects that are a polynomial of it, and the other effects."""
-    total, others = declared, []
+    parts, others = list[Polynomial](), list[Effect]()
     for effect in effects:
-        more = effect.polynomial()
-        if more is None or more.degree() > HIGHEST_ORDER:
+        part = effect.polynomial()
+        if part is None or part.degree() > HIGHEST_ORDER:
             others.append(effect)
         else:
-            total = total + more.convert(domain=declared.domain, window=declared.window)
+            parts.append(part)
     low, high = declared.domain.tolist()
-    series = total.convert(domain=declared.domain, kind=Chebyshev)
+    series = _sum(declared, parts).convert(domain=declared.domain, kind=Chebyshev)
     curve = PolynomialCurve(
         center_degc=0.5 * (low + high), half_width_degc=0.5 * (high - low), coefficients=series.coef.tolist()
     )

@@ -1,4 +1,4 @@
-"""The plots of the report, as SVG text: what an engineer looks at."""
+"""The plots of the report, as SVG text."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.effects.base import Effect
 from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.candidates import Candidate, Part
-from imumon.lab.diagnosis.channel import Channel, ordinary
+from imumon.lab.diagnosis.channel import Channel, least_squares
 from imumon.lab.diagnosis.likelihood import Likelihood
 from imumon.models.model import REACH
 
@@ -77,7 +77,7 @@ def fit(channel: Channel, found: Sequence[Candidate]) -> Fit:
     """Fit the declared model and the candidates by ordinary least squares."""
     width, further = channel.base.shape[1], channel.declared.degree + 1
     design = channel.design(found)
-    coefficients = ordinary(design, channel.values)
+    coefficients = least_squares(design, channel.values)
     model = coefficients[:further].copy()
     model[0] += float(coefficients[further:width].sum()) / (width - further + 1)
     none = np.empty((0, 0))
@@ -94,9 +94,9 @@ def fit(channel: Channel, found: Sequence[Candidate]) -> Fit:
     return Fit(model, parts, channel.values - design @ coefficients, lifted)
 
 
-def fit_given(channel: Channel) -> Fit:
-    """Fit what was assumed: the declared model, or to the model that was given a constant."""
-    found = fit(channel.as_given(), [])
+def fit_baseline(channel: Channel) -> Fit:
+    """Fit the baseline: the declared model, or a constant beside the present model."""
+    found = fit(channel.as_baseline(), [])
     missing = max(0, channel.declared.degree + 1 - len(found.declared))
     return replace(found, declared=np.pad(found.declared, (0, missing)))
 
@@ -145,7 +145,7 @@ def _carried(part: Part, own: FloatArray) -> tuple[FloatArray, bool]:
 
 @dataclass(slots=True, eq=False)
 class TestScore:
-    """How a model does on runs that it has not seen."""
+    """How a model does on runs that it was not fitted to."""
 
     __test__ = False
 
@@ -238,21 +238,20 @@ def _predicted(channel: Channel, run: RunBlocks, model: Fit) -> FloatArray:
     drive, which = run.drives[channel.temperature], begun(channel, run)
     for part in model.parts:
         if part.carries:
-            simulated = part.effect.simulate(drive)
-            expected = expected + run.average(simulated[:, np.newaxis])[:, 0]
+            expected = expected + run.average(part.effect.simulate(drive))
         elif part.effect.scope == "event" and which in part.runs:
             expected = expected + run.average(part.effect.columns(drive)) @ part.own[part.runs.index(which)]
     return np.asarray(expected if which is None else expected - model.lifted)
 
 
 def _within_drivers(channel: Channel, run: RunBlocks, model: Fit) -> BoolArray:
-    """Tell at which blocks of a run every other driver is where training, or nearly, has shown it, (n,)."""
+    """Tell at which blocks of a run every other driver is inside what training covered, or nearly, (n,)."""
     drive, found = run.drives[channel.temperature], np.ones(len(run), bool)
     for effect in (part.effect for part in model.parts):
         for name in effect.inputs:
             scale = effect.scale_of(name)
             if scale is not None and name in drive.others:
-                far = np.abs(run.average(drive.others[name][:, np.newaxis])[:, 0] - scale.middle)
+                far = np.abs(run.average(drive.others[name]) - scale.middle)
                 found &= far <= scale.half_span * (1.0 + 2.0 * REACH)
     return found
 
@@ -261,8 +260,8 @@ def _settled(channel: Channel, run: RunBlocks, model: Fit) -> BoolArray:
     """Tell at which blocks of a run no state at power-on matters any more, (n,)."""
     found = np.ones(len(run), bool)
     for part in model.parts:
-        settled = part.effect.settled(run.drives[channel.temperature]).astype(np.float64)
-        found &= run.average(settled[:, np.newaxis])[:, 0] > 0.99
+        settled = part.effect.settled(run.drives[channel.temperature])
+        found &= run.average(settled.astype(np.float64)) > 0.99
     return found
 
 
@@ -289,7 +288,7 @@ def _estimated(
     if any(one.scope == "event" for one in own):
         first = np.flatnonzero(use)[_jump_at(columns[use], residual[use])]
         columns = np.column_stack([columns, np.arange(len(run)) >= first])
-    return np.asarray(columns @ ordinary(columns[use], residual[use]))
+    return np.asarray(columns @ least_squares(columns[use], residual[use]))
 
 
 def _jump_at(columns: FloatArray, residual: FloatArray) -> int:
@@ -341,7 +340,7 @@ def sigmas(
     gives all errors, those that the linear ones take over from the searched ones among them.
     """
     design = channel.design(model)
-    slopes, names = _slopes(channel, model, ordinary(design, channel.values))
+    slopes, names = _slopes(channel, model, least_squares(design, channel.values))
     whiten = likelihood.white(np.eye(len(design)), likelihood.best(channel.values, design)[1])
     both, left = whiten @ np.column_stack([design, slopes]), whiten @ channel.values
     searching = np.linalg.pinv(both, rcond=1e-10)

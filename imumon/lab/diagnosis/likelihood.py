@@ -35,35 +35,26 @@ and the next are of one sign (count, size - 1)."""
 
 
 class Likelihood:
-    """Log-likelihoods of block means over the runs, for a base (n, p) that the model so far has.
+    """Log-likelihoods of the n block means of some runs, for a base (n, p) that the model so far has."""
 
-    Parameters
-    ----------
-    runs : sequence of RunBlocks
-        Training runs, in blocks; n in all.
-    grid : sequence of Noise
-        Of noise parameters, of which others may take a part.
-    """
-
-    def __init__(self, runs: Sequence[RunBlocks], grid: Sequence[Noise] = GRID) -> None:
-        self._grid = list(grid)
+    def __init__(self, runs: Sequence[RunBlocks]) -> None:
         self.n = sum(map(len, runs))
         self.price = float(np.log(self.n))
         """What a parameter costs in BIC."""
         self._bounds = np.cumsum([0, *map(len, runs)]).tolist()
-        self._filters = [_filters(run, self._grid) for run in runs]
+        self._filters = [_filters(run) for run in runs]
         self._whitened: dict[tuple[int, Noise], dict[Term, FloatArray]] = {}
 
     def best(self, values: FloatArray, base: FloatArray) -> tuple[float, Noise]:
         """Return the best log-likelihood of values (n,), and its noise on the whole grid."""
-        found = [self.at(values, base, point) for point in self._grid]
+        found = [self.at(values, base, point) for point in GRID]
         at = int(np.argmax(found))
-        return found[at], self._grid[at]
+        return found[at], GRID[at]
 
     def predictive(self, values: FloatArray, early: BoolArray) -> float:
         """Return the predictive log-likelihood of later values, given the early ones and their noise."""
-        white = [self.white(values[:, np.newaxis], point)[:, 0] for point in self._grid]
-        sds = [np.concatenate([item.sd[:, at] for item in self._filters]) for at in range(len(self._grid))]
+        white = [self.white(values[:, np.newaxis], point)[:, 0] for point in GRID]
+        sds = [np.concatenate([item.sd[:, at] for item in self._filters]) for at in range(len(GRID))]
         variance = [float(np.mean(one[early] ** 2)) for one in white]
         fit = [
             -0.5 * early.sum() * np.log(v) - np.log(sd[early]).sum()
@@ -126,7 +117,7 @@ class Likelihood:
 
     def _of(self, squares: npt.ArrayLike, noise: Noise) -> FloatArray:
         """Return log-likelihoods from sums of squares of whitened residuals, s² profiled."""
-        determinant = sum(np.log(item.sd[:, self._grid.index(noise)]).sum() for item in self._filters)
+        determinant = sum(np.log(item.sd[:, GRID.index(noise)]).sum() for item in self._filters)
         return np.asarray(-0.5 * self.n * np.log(np.maximum(squares, 1e-300) / self.n) - determinant)
 
     def _left(self, values: FloatArray, base: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
@@ -138,13 +129,13 @@ class Likelihood:
     def white(self, columns: FloatArray, noise: Noise) -> FloatArray:
         """Return columns (n, k) whitened: behind the inverse Cholesky factor of the covariance over s²."""
         parts = [columns[a:b] for a, b in zip(self._bounds, self._bounds[1:], strict=False)]
-        at = self._grid.index(noise)
+        at = GRID.index(noise)
         return np.concatenate([item(part, at) for item, part in zip(self._filters, parts, strict=True)])
 
 
-def _filters(run: RunBlocks, grid: Sequence[Noise]) -> Whitener:
-    """Return the filters of a run for a grid; the walk begins at power-on."""
-    flicker, walk = np.array(grid).T
+def _filters(run: RunBlocks) -> Whitener:
+    """Return a filter of a run for each noise of the grid; the walk begins at power-on."""
+    flicker, walk = np.array(GRID).T
     markov = np.sqrt(flicker / len(TAUS_S))[:, np.newaxis] * np.ones(len(TAUS_S))
     elapsed = np.diff(run.time_s, prepend=-np.inf)
     walk = walk / WALK_S

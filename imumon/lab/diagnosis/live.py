@@ -11,9 +11,9 @@ from imumon.blocks import ColumnArray, SampleBlock
 from imumon.charts import AXIS_COLORS, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.geodesy import DEG_PER_H
-from imumon.lab.diagnosis.aged import AgedRun
-from imumon.lab.diagnosis.better import Better, Shadow, better_models, known_to, residual
+from imumon.lab.diagnosis.better import Better, Challenger, better_models, residual, within_range
 from imumon.lab.diagnosis.blocks import BLOCK_S, common_block_s
+from imumon.lab.diagnosis.bounded import BoundedRun
 from imumon.lab.diagnosis.known import temperature_of
 from imumon.lab.diagnosis.runs import DRIVERS, LONGEST_GAP_S, SECOND_NS, Run, further_columns
 from imumon.lane import LaneState, Level
@@ -22,11 +22,11 @@ from imumon.models.predictor import BiasPredictor
 from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES, KeptSlots, gatherer_of, kept_slots
 
 LANE, RESIDUAL = "model", "Residual"
-FIRST_LOOK_S, LOOK_S = 1200.0, 600.0
+FIRST_SEARCH_S, SEARCH_EVERY_S = 1200.0, 600.0
 """The first search has forty means of 30 s, the least that a diagnosis needs; the next ones follow at even
 distances, so that nothing stays unnoticed for longer."""
-HAD = 2.0
-"""A shadow has as much time to win as it was found in; then the last model that was found takes its place."""
+REPLACED_AFTER = 2.0
+"""Times the age at which a challenger was found: by then the last model that was found takes its place."""
 HELD_NS = 10 * SECOND_NS
 """Samples wait so long until they are reduced to seconds: short blocks then cost no more than long ones."""
 DIAGNOSE = "imumon diagnose --train SESSION --model SESSION --out DIR"
@@ -37,16 +37,9 @@ INK = (150, 155, 165)
 class LiveDiagnosis:
     """Reports when a better model than the present one exists: MODEL CAN BE BETTER, with effect and error.
 
-    A run from power-on is searched after 20 min, and every 10 min from then on.
-
-    Parameters
-    ----------
-    model : BiasModel
-        The present one; its gyros are searched.
-    learn : bool
-        Whether a better model then runs beside it, and is offered after it has won on what came later.
-    made : callable
-        Returns the columns that other stages make: they drive nothing.
+    The gyros of the present model are searched 20 min after power-on, and every 10 min from then on.  With
+    `learn` a better model then runs beside it, and is offered after it has won on what came later.  `made`
+    returns the columns that other stages make: they drive nothing.
     """
 
     def __init__(
@@ -64,15 +57,15 @@ class LiveDiagnosis:
         self._pending: list[str] = []
         self._reported: set[str] = set()
         self._last_ns = 0
-        self.offered: Shadow | None = None
+        self.offered: Challenger | None = None
         """The better model that has won, to be kept when the session ends."""
         self._begin()
 
     def _begin(self) -> None:
-        """Begin with a run from power-on; a shadow that has not won yet is of another."""
-        self._aged = AgedRun(self._names)
-        self._next_look_s = FIRST_LOOK_S
-        self._shadow: Shadow | None = None
+        """Begin with a run from power-on; a challenger that has not won yet is of another."""
+        self._run_so_far = BoundedRun(self._names)
+        self._next_search_s = FIRST_SEARCH_S
+        self._challenger: Challenger | None = None
         self._lacking: list[Chart] = []
         self.state = ""
 
@@ -119,36 +112,36 @@ class LiveDiagnosis:
     def _follow(self, part: KeptSlots) -> None:
         """Take seconds of one run, and stop wherever a search is due."""
         while len(part):
-            elapsed = self._aged.elapsed_s(part)
-            count = min(int(np.searchsorted(elapsed, self._next_look_s)) + 1, len(part))
-            self._aged.take(part[:count])
+            elapsed = self._run_so_far.elapsed_s(part)
+            count = min(int(np.searchsorted(elapsed, self._next_search_s)) + 1, len(part))
+            self._run_so_far.take(part[:count])
             now_s, part = float(elapsed[count - 1]), part[count:]
-            if now_s >= self._next_look_s:
-                self._next_look_s = (now_s // LOOK_S + 1.0) * LOOK_S
-                self._score()
-                self._look(now_s)
+            if now_s >= self._next_search_s:
+                self._next_search_s = (now_s // SEARCH_EVERY_S + 1.0) * SEARCH_EVERY_S
+                self._compare()
+                self._search(now_s)
 
-    def _score(self) -> None:
+    def _compare(self) -> None:
         """Compare the model that runs beside the present one with it, on what came since it was found."""
-        score = None if self._shadow is None or self.offered else self._shadow.score(self._run())
-        if score is None:
+        found = None if self._challenger is None or self.offered else self._challenger.compare(self._run())
+        if found is None:
             return
-        change = f"{score.before / DEG_PER_H:.3g} become {score.after / DEG_PER_H:.3g} °/h"
-        if score.lost:
-            self._shadow = None
+        change = f"{found.before / DEG_PER_H:.3g} become {found.after / DEG_PER_H:.3g} °/h"
+        if found.lost:
+            self._challenger = None
             self._report(f"the better model did worse on what came later: {change}")
-        elif score.won:
-            self.offered = self._shadow
+        elif found.won:
+            self.offered = self._challenger
             self._report(
-                f"a better model has won on what came later: {change} (likelihood ratio e^{score.ratio:.0f});"
+                f"a better model has won on what came later: {change} (likelihood ratio e^{found.ratio:.0f});"
                 " it is kept with the session when that ends"
             )
 
-    def _look(self, elapsed_s: float) -> None:
+    def _search(self, elapsed_s: float) -> None:
         """Search the run so far for what the model lacks, and report that."""
         if self.offered is not None:
             return
-        if not self._aged.has_any({*self._temperatures, *TEMPERATURES}):
+        if not self._run_so_far.has_any({*self._temperatures, *TEMPERATURES}):
             wanted = " or ".join(self._temperatures)
             self._report(f"the model is not searched: the device has not sent any {wanted} so far")
             return
@@ -163,14 +156,16 @@ class LiveDiagnosis:
         self.state = f"MODEL CAN BE BETTER: {what}: {before:.3g} become {after:.3g} °/h"
         length = common_block_s([run])
         self._report(f"{self.state} (rms of {length:.0f} s, gain {best.gain:.0f}): {DIAGNOSE}", what)
-        shadow = Shadow(self._model, found, elapsed_s)
-        self._lacking = _charts(run, self._model, shadow.model, best)
-        if self._learn and (self._shadow is None or elapsed_s >= HAD * self._shadow.since_s):
-            self._shadow = shadow
+        challenger = Challenger(self._model, found, elapsed_s)
+        self._lacking = _charts(run, self._model, challenger.model, best)
+        if self._learn and (
+            self._challenger is None or elapsed_s >= REPLACED_AFTER * self._challenger.since_s
+        ):
+            self._challenger = challenger
 
     def _run(self) -> Run:
         """Return the run so far, at rest only where the present model knows the temperature."""
-        return known_to(self._model, self._aged.run(), self._gyros)
+        return within_range(self._model, self._run_so_far.run(), self._gyros)
 
     def evidence(self, session: str, sha256: str) -> TrainedOn:
         """Return what a learned model states of this session."""
@@ -204,7 +199,7 @@ class LiveDiagnosis:
         return texts
 
     def charts(self) -> Sequence[Chart]:
-        """Return what the model leaves of the worst axis, with the effect that it lacks."""
+        """Return what the model leaves of the worst axis, with the effect that is missing."""
         return self._lacking
 
 

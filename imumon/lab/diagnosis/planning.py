@@ -40,7 +40,7 @@ LATITUDE_DEG = 45.0
 MARGIN = 1.4
 """The evidence that is planned for over what is needed: what is reached scatters."""
 TRIALS, PROOFS = 2, 3
-"""Units on which a profile is tried, and others on which the evidence of the chosen one is told."""
+"""Units on which a profile is tried, and others on which the evidence of the chosen one is stated."""
 EVERY_SHAPE = 16
 """So many profiles are tried whatever they tell: by then each shape has been."""
 DRIVEN = "something that the temperature drives"

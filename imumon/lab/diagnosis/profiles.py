@@ -40,25 +40,18 @@ def profiles(
 ) -> list[Profile]:
     """Return the experiments that last at most `most_s`, the shortest first.
 
-    Parameters
-    ----------
-    low, high : float
-        Temperatures that the unit was trained over, °C.
-    fastest : float
-        Rate of its temperature that was reached, °C/min.
-    slowest_s : float
-        The longest time constant of the effects in question; 0 without one.
-    poses : bool
-        Whether the unit has to be turned.
+    The unit was trained from `low` to `high`, °C, and reached the rate `fastest`, °C/min; `slowest_s` is the
+    longest time constant of the effects in question (0 without one); with `poses` it has to be turned.
     """
-    middle, found = 0.5 * (low + high), []
-    for held_s in HELD_S:
-        found.append(_held(middle, held_s))
+    found = [_held(0.5 * (low + high), held_s) for held_s in HELD_S]
     if high - low >= LEAST_SPAN_DEGC and fastest > 0.0:
         soaks = {*SOAKS_S, min(max(SETTLED * slowest_s, SOAKS_S[0]), 2.0 * SOAKS_S[1])}
-        for soak_s in sorted(soaks):
-            for count in REPEATS:
-                found += _thermal(low, high, fastest, soak_s, count)
+        found += [
+            one
+            for soak_s in sorted(soaks)
+            for count in REPEATS
+            for one in _thermal(low, high, fastest, soak_s, count)
+        ]
     if poses:
         found = [_in_poses(one) for one in found]
     return sorted((one for one in found if one.duration_s <= most_s), key=lambda one: one.duration_s)

@@ -1,4 +1,5 @@
-"""Search: which effects does the bias model of each axis lack?  Forward over all axes at once, then backward.
+"""Search for effects that the bias model of each axis lacks: forward selection over all axes at once, then
+backward elimination.
 
 The model of an axis over R runs is y = X b + Z(theta) c + n, n ~ N(0, s² (W + r F + q R)): X the declared
 curve, Z the columns of the effects with nonlinear parameters theta, W, F and R see `likelihood`.
@@ -8,7 +9,7 @@ curve, Z the columns of the effects with nonlinear parameters theta, W, F and R 
 
 with r, q, s, b and c at the maximum of L, the noise no larger than it is without the effect.  A gain is twice
 the logarithm of a Bayes factor: while nothing is missing it ever exceeds g with a probability of exp(-g / 2)
-at most, however often one looks (Ville 1939; Shafer et al. 2011, doi:10.1214/10-STS347).  Which effect is
+at most, however often it is tested (Ville 1939; Shafer et al. 2011, doi:10.1214/10-STS347).  Which effect is
 added to which axes, see `choice`.
 """
 
@@ -28,12 +29,12 @@ from imumon.lab.diagnosis.choice import (
     CLOSE_SHARE,
     PROVEN,
     Finding,
-    Lack,
     Scored,
+    Selection,
     Table,
-    first_lack,
     gain_in,
     least_gain,
+    select,
 )
 from imumon.lab.diagnosis.likelihood import Likelihood, Noise, no_larger
 
@@ -90,7 +91,7 @@ def search(
             one.tabulate(pairs=stages > 1)
         _add(active, least)
     for one in searches:
-        one.tidy()
+        one.eliminate()
     return searches
 
 
@@ -99,12 +100,12 @@ def _add(active: Sequence[Search], least: float) -> None:
     searches = {one.channel.name: one for one in active}
     tables = {name: dict(one.tables[-1]) for name, one in searches.items()}
     there = {name: [finding.name for finding in one.findings] for name, one in searches.items()}
-    while (lack := first_lack(tables, least, there)) is not None:
-        for name in lack.channels:
-            if searches[name].add(lack) or searches[name].finished:
+    while (selection := select(tables, least, there)) is not None:
+        for name in selection.channels:
+            if searches[name].add(selection) or searches[name].finished:
                 del tables[name]
             else:
-                del tables[name][lack.names[0]]
+                del tables[name][selection.names[0]]
     for name in tables:
         searches[name].finished = True
 
@@ -112,10 +113,10 @@ def _add(active: Sequence[Search], least: float) -> None:
 class Search:
     """The search in one channel, and what it found.
 
-    `findings` are the effects in the order in which they were found, those of a model that was given first;
+    `findings` are the effects in the order in which they were found, those of the present model first;
     `many_events` says that a run has more than one event, such as two jumps, which no effect explains.
-    `tables` has the best candidates of each stage, `turns` what was done; `refit` says whether the curve that
-    was given pays for being fitted anew; `survey` is what the runs can show, `tried` what may be added.
+    `tables` has the best candidates of each stage, `stages` what was done; `refit` says whether the present
+    curve pays for being fitted anew; `survey` is what the runs can show, `tried` what may be added.
     """
 
     def __init__(
@@ -131,8 +132,8 @@ class Search:
             self._begin_with(channel.known)
 
     @property
-    def found(self) -> list[Candidate]:
-        """The candidates of the findings."""
+    def model(self) -> list[Candidate]:
+        """The candidates of the findings, beside the declared curve."""
         return [finding.candidate for finding in self.findings]
 
     def of_family(self, name: str) -> list[Candidate]:
@@ -151,27 +152,27 @@ class Search:
             self._fitted[key] = self.channel, model, *best
         return self._fitted[key][2:]
 
-    def score(self, model: Sequence[Candidate] | None = None) -> float:
-        """Return S of a model; of what was found so far, if none is given."""
-        model = self.found if model is None else model
+    def criterion(self, model: Sequence[Candidate] | None = None) -> float:
+        """Return S of a model; None: of what was found so far."""
+        model = self.model if model is None else model
         number = self.channel.design(model).shape[1] + sum(one.nonlinear for one in model)
         price = number * self.likelihood.price + sum(one.choice for one in model)
         return float(2.0 * self.fitted(model)[0] - price)
 
     def noise(self) -> tuple[float, float, float]:
         """Return the noise of what was found: flicker and walk over white noise, and the latter's sd."""
-        flicker, walk = noise = self.fitted(self.found)[1]
+        flicker, walk = noise = self.fitted(self.model)[1]
         return (
             flicker,
             walk,
-            self.likelihood.scale(self.channel.values, self.channel.design(self.found), noise),
+            self.likelihood.scale(self.channel.values, self.channel.design(self.model), noise),
         )
 
     def noise_gain(self) -> float:
         """Return by how much slow noise is likelier than white noise alone, in BIC."""
-        values, base = self.channel.values, self.channel.design(self.found)
+        values, base = self.channel.values, self.channel.design(self.model)
         white = self.likelihood.at(values, base, (0.0, 0.0))
-        return 2.0 * (self.fitted(self.found)[0] - white) - 2.0 * self.likelihood.price
+        return 2.0 * (self.fitted(self.model)[0] - white) - 2.0 * self.likelihood.price
 
     def scored(self, tried: Sequence[Candidate], model: Sequence[Candidate]) -> list[Scored]:
         """Return candidates with their gains over a model.
@@ -237,7 +238,7 @@ class Search:
 
     def tabulate(self, pairs: bool) -> None:
         """Add a table: the best of each family beside what was found so far, at first in pairs as well."""
-        scored = sorted(self.scored(self.tried, self.found), key=attrgetter("gain"))
+        scored = sorted(self.scored(self.tried, self.model), key=attrgetter("gain"))
         best = {one.family: one for one in scored}
         self.tables.append(self._beside_partner(scored, best) if pairs and not self.findings else best)
 
@@ -271,13 +272,13 @@ class Search:
                     found[one.family] = replace(one, gain=beside, partner=partner.family)
         return best | found
 
-    def add(self, lack: Lack) -> bool:
+    def add(self, selection: Selection) -> bool:
         """Add the best of a family with its parameters refined; return False where that is too small.
 
         Beside jumps that are too small, and with a second one in a run, nothing else is proven: the channel
         is finished.
         """
-        table, name, model = self.tables[-1], lack.names[0], self.found
+        table, name, model = self.tables[-1], selection.names[0], self.model
         best = self.refined(table[name].candidate, model)
         gain = max(best.gain, table[name].gain)  # beside a partner the latter is more
         size = self._taken_away(best.candidate, model)
@@ -294,13 +295,13 @@ class Search:
         if self.many_events:
             self.finished = True
             return False
-        others = [other for other in lack.names[1:] if other in table and other not in there]
+        others = [other for other in selection.names[1:] if other in table and other not in there]
         others = others[: MOST_NAMES - 1]
         self.findings.append(
             Finding(
                 best.candidate,
                 gain,
-                lack.gain,
+                selection.gain,
                 {**{other: one.gain for other, one in table.items()}, name: gain},
                 [name, *others] if others else [],
                 size,
@@ -309,7 +310,7 @@ class Search:
         )
         if len(self.findings) > 1:
             self._refine()
-        self.stages.append(Stage(name, self.found, gain))
+        self.stages.append(Stage(name, self.model, gain))
         return True
 
     def _refine(self, exchange: bool = False) -> None:
@@ -327,46 +328,46 @@ class Search:
 
     # At the end
 
-    def tidy(self) -> None:
+    def eliminate(self) -> None:
         """Drop what later findings made needless, and refine what is left, each beside the others."""
         if len(self.findings) > 1:
             self._drop_needless()
             before = [finding.name for finding in self.findings]
             self._refine(exchange=True)
             if changed := [finding.name for finding in self.findings if finding.name not in before]:
-                self.stages.append(Stage(f"{' and '.join(changed)} fits better beside the rest", self.found))
+                self.stages.append(Stage(f"{' and '.join(changed)} fits better beside the rest", self.model))
         if self.channel.known is not None:
             self._keep_curve()
 
     def _drop_needless(self) -> None:
         for finding in list(self.findings):
-            if len(self.findings) > 1 and self.score() - self.score(self._beside(finding)) <= PROVEN:
+            if len(self.findings) > 1 and self.criterion() - self.criterion(self._beside(finding)) <= PROVEN:
                 self.findings.remove(finding)
 
-    # A model that was given
+    # A present model
 
     def _begin_with(self, known: Sequence[Effect]) -> None:
-        """Fit anew what the runs show of a model that was given; the rest of it stays as it is."""
-        given = self.channel.as_given()
-        before = 2.0 * self.likelihood.best(given.values, given.base)[0] - self.likelihood.price
+        """Fit anew what the runs show of the present model; the rest of it stays as it is."""
+        baseline = self.channel.as_baseline()
+        before = 2.0 * self.likelihood.best(baseline.values, baseline.base)[0] - self.likelihood.price
         for effect in known:
             candidate = Candidate(effect.label, (Part(effect),))
             self.findings.append(Finding(candidate, 0.0, 0.0, {}, [], 0.0, known=True))
         for finding in list(self.findings):
-            if self.score() - self.score(self._beside(finding)) <= PROVEN:
+            if self.criterion() - self.criterion(self._beside(finding)) <= PROVEN:
                 self.findings.remove(finding)
                 effect = finding.candidate.parts[0].effect
                 self.channel = replace(self.channel, kept=(*self.channel.kept, effect))
         self._refine()
-        gain = self.score() - before
+        gain = self.criterion() - before
         self.refit = gain > PROVEN
         if self.refit:
-            self.stages.append(Stage("what was given is fitted anew", self.found, gain))
+            self.stages.append(Stage("what was given is fitted anew", self.model, gain))
 
     def _keep_curve(self) -> None:
-        """Leave the curve that was given as it is, but for a constant, unless fitting it anew pays."""
-        fitted, before = self.channel, self.score()
+        """Leave the present curve as it is, but for a constant, unless fitting it anew pays."""
+        fitted, before = self.channel, self.criterion()
         self.channel = replace(fitted, declared=replace(fitted.declared, degree=0))
         curve = any(finding.candidate.parts[0].effect.is_curve for finding in self.findings)
-        if curve or before - self.score() > PROVEN:
+        if curve or before - self.criterion() > PROVEN:
             self.channel = fitted

@@ -242,10 +242,7 @@ def _means(runs: Sequence[RunBlocks], temperature: str) -> dict[str, FloatArray]
     """Return the block means of each driver over all runs, (n,) each."""
     drives = [(run, run.drives[temperature].others) for run in runs if temperature in run.drives]
     names = drives[0][1] if drives else {}
-    return {
-        name: np.concatenate([run.average(others[name][:, np.newaxis])[:, 0] for run, others in drives])
-        for name in names
-    }
+    return {name: np.concatenate([run.average(others[name]) for run, others in drives]) for name in names}
 
 
 def confounded(runs: Sequence[RunBlocks], temperature: str, scale: Scale, degree: int) -> list[str]:

@@ -80,7 +80,7 @@ class SlowNoise:
     def of(cls, found: Search) -> Self:
         """Return the noise that is likeliest beside what was found."""
         channel, (flicker, walk, sd) = found.channel, found.noise()
-        tails = found.likelihood.tails(channel.values, channel.design(found.found), (flicker, walk))
+        tails = found.likelihood.tails(channel.values, channel.design(found.model), (flicker, walk))
         return cls(float(np.sqrt(flicker) * sd), float(np.sqrt(walk / WALK_S) * sd), tails, (flicker, walk))
 
     @property
@@ -113,7 +113,7 @@ class ChannelVerdict:
     slow: SlowNoise
     questions: list[Question]
     refit: list[str]
-    """What was fitted anew of a model that was given, its curve first; empty when that stays as it is."""
+    """What was fitted anew of the present model, its curve first; empty when that stays as it is."""
     stages: list[Stage]
     ranking: list[Ranked]
     runs: list[RunLeft]

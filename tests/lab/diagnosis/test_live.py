@@ -9,15 +9,15 @@ import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
-from imumon.lab.diagnosis.better import Better, Shadow, better_models
-from imumon.lab.diagnosis.live import FIRST_LOOK_S, LOOK_S, LiveDiagnosis
+from imumon.lab.diagnosis.better import Better, Challenger, better_models
+from imumon.lab.diagnosis.live import FIRST_SEARCH_S, SEARCH_EVERY_S, LiveDiagnosis
 from imumon.lab.diagnosis.runs import LONGEST_GAP_S, Run
 from imumon.models.curves.points import Points
 from imumon.models.curves.polynomial import fit_polynomial
 from imumon.models.model import BiasModel, ChannelModel
 from tests.lab.diagnosis.units import DPH, cubic, ramps, run
 
-SECONDS = int(2.5 * FIRST_LOOK_S)
+SECONDS = int(2.5 * FIRST_SEARCH_S)
 POSES = np.array([[0, 0, 1], [1, 0, 0], [0, 0, -1], [0, 1, 0]]) * STANDARD_GRAVITY
 
 
@@ -86,9 +86,9 @@ def test_a_session_is_looked_at_at_even_distances(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr("imumon.lab.diagnosis.live.better_models", looked)
     said(session(), LiveDiagnosis(model()))
-    assert times[0] == pytest.approx(FIRST_LOOK_S, abs=2.0)
-    np.testing.assert_allclose(np.diff(times), LOOK_S, atol=2.0)
-    assert SECONDS - times[-1] <= LOOK_S
+    assert times[0] == pytest.approx(FIRST_SEARCH_S, abs=2.0)
+    np.testing.assert_allclose(np.diff(times), SEARCH_EVERY_S, atol=2.0)
+    assert SECONDS - times[-1] <= SEARCH_EVERY_S
 
 
 def test_what_one_gyro_hardly_shows_is_named_where_three_show_it() -> None:
@@ -104,16 +104,16 @@ def test_what_one_gyro_hardly_shows_is_named_where_three_show_it() -> None:
 def test_a_shadow_has_as_much_time_to_win_as_it_was_found_in(monkeypatch: pytest.MonkeyPatch) -> None:
     begun: list[float] = []
 
-    class Undecided(Shadow):
+    class Undecided(Challenger):
         def score(self, _: Run) -> None:
             if self.since_s not in begun:
                 begun.append(self.since_s)
 
-    monkeypatch.setattr("imumon.lab.diagnosis.live.Shadow", Undecided)
-    seconds = int(2.0 * FIRST_LOOK_S + 2.0 * LOOK_S)
+    monkeypatch.setattr("imumon.lab.diagnosis.live.Challenger", Undecided)
+    seconds = int(2.0 * FIRST_SEARCH_S + 2.0 * SEARCH_EVERY_S)
     swinging = session(40.0 * DPH * np.sin(np.arange(seconds) / 30.0))
     assert said(swinging, LiveDiagnosis(model(), learn=True))
-    np.testing.assert_allclose(begun, [FIRST_LOOK_S, 2.0 * FIRST_LOOK_S], atol=2.0)
+    np.testing.assert_allclose(begun, [FIRST_SEARCH_S, 2.0 * FIRST_SEARCH_S], atol=2.0)
 
 
 def test_the_log_is_told_once_of_the_same_effects() -> None:

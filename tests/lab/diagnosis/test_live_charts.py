@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.lab.diagnosis.live import FIRST_LOOK_S, LiveDiagnosis
+from imumon.lab.diagnosis.live import FIRST_SEARCH_S, LiveDiagnosis
 from imumon.models.curves.points import Points
 from imumon.models.curves.polynomial import fit_polynomial
 from imumon.models.model import BiasModel, ChannelModel
 from tests.lab.diagnosis.units import DPH, Bias, cubic, lagged, ramps, run
 
-SECONDS = int(2.5 * FIRST_LOOK_S)
+SECONDS = int(2.5 * FIRST_SEARCH_S)
 
 
 def nothing(_: FloatArray, temperature: FloatArray) -> FloatArray:
@@ -55,7 +55,7 @@ def test_the_effect_that_is_lacking_follows_what_is_left(curve_alone: BiasModel)
     assert line.name in ("thermal_lag", "dead_time", "temperature_rate", "hysteresis")
     assert np.std(points.y - line.y) < 0.5 * np.std(points.y)
     assert over_time.x.label == "time since power-on [min]"
-    assert points.x[-1] > FIRST_LOOK_S / 60.0 - 1.0
+    assert points.x[-1] > FIRST_SEARCH_S / 60.0 - 1.0
     for one, other in zip(over_time.curves, over_temperature.curves, strict=True):
         np.testing.assert_array_equal(one.y, other.y)
     assert over_temperature.curves[0].x.max() == pytest.approx(40.0, abs=0.1)

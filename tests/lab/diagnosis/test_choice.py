@@ -5,7 +5,7 @@ from __future__ import annotations
 from imumon.effects.drift import Drift
 from imumon.effects.warm_up import WarmUp
 from imumon.lab.diagnosis.candidates import Candidate, Part
-from imumon.lab.diagnosis.choice import Lack, Scored, Table, first_lack, least_gain
+from imumon.lab.diagnosis.choice import Scored, Selection, Table, least_gain, select
 
 LEAST = least_gain(2, 3)
 
@@ -22,10 +22,10 @@ def axes(drift: tuple[float, ...], warm_up: tuple[float, ...] = (-9.0, -9.0, -9.
     }
 
 
-def lacks(tables: dict[str, Table], least: float) -> list[Lack]:
+def lacks(tables: dict[str, Table], least: float) -> list[Selection]:
     """Return what the axes lack, each one effect."""
-    found, left = list[Lack](), dict(tables)
-    while (lack := first_lack(left, least, {})) is not None:
+    found, left = list[Selection](), dict(tables)
+    while (lack := select(left, least, {})) is not None:
         found.append(lack)
         left = {name: table for name, table in left.items() if name not in lack.channels}
     return found

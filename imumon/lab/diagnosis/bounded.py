@@ -14,15 +14,10 @@ MOST_SLOTS = 7200
 """Two hours of seconds; a column takes 32 bytes of each."""
 
 
-class AgedRun:
+class BoundedRun:
     """Sums over slots of 1, 2, 4, ... s: where they would be too many, neighbours are added in pairs.
 
     Gyros count at rest only, so that the rest of a slot counts in which the unit moved for a while.
-
-    Parameters
-    ----------
-    names : sequence of str
-        The m columns.
     """
 
     def __init__(self, names: Sequence[str]) -> None:

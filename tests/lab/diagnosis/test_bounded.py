@@ -9,7 +9,7 @@ import pytest
 
 from imumon.blocks import FloatArray
 from imumon.effects.vibration import VIBRATION
-from imumon.lab.diagnosis.aged import MOST_SLOTS, AgedRun
+from imumon.lab.diagnosis.bounded import MOST_SLOTS, BoundedRun
 from imumon.lab.diagnosis.runs import SECOND_NS
 from imumon.recordings.reduced import ACCEL, KeptSlots
 
@@ -38,7 +38,7 @@ def test_a_short_run_is_kept_in_seconds_with_the_scatter_of_their_samples() -> N
     values = np.random.default_rng(1).normal(size=(100, 2))
     rest = np.ones(100)
     values[40, 1], rest[50] = np.nan, 0.5
-    aged = AgedRun(["gyro_x", "supply"])
+    aged = BoundedRun(["gyro_x", "supply"])
     aged.take(seconds(0, values[:30], rest[:30]))
     aged.take(seconds(30, values[30:], rest[30:]))
     run = aged.run()
@@ -53,7 +53,7 @@ def test_a_short_run_is_kept_in_seconds_with_the_scatter_of_their_samples() -> N
 
 def test_a_week_is_kept_in_as_much_memory_as_two_hours() -> None:
     names, piece, week = ["gyro_x", "temperature"], 3600, 7 * 24 * 3600
-    aged, random = AgedRun(names), np.random.default_rng(2)
+    aged, random = BoundedRun(names), np.random.default_rng(2)
     total = np.zeros(week)
     tracemalloc.start()
     for first in range(0, week, piece):
@@ -78,7 +78,7 @@ def test_a_slot_in_which_the_unit_moved_tells_of_its_rest() -> None:
     n = 4 * MOST_SLOTS
     moving = np.arange(n) % 8 == 3
     rate = np.where(moving, 1e3, 2.0)
-    aged = AgedRun(["gyro_x", "temperature"])
+    aged = BoundedRun(["gyro_x", "temperature"])
     aged.take(seconds(0, np.column_stack([rate, np.where(moving, 30.0, 20.0)]), np.where(moving, 0.0, 1.0)))
     run = aged.run()
     assert run.slot_s == 4.0
@@ -93,14 +93,14 @@ def test_a_slot_in_which_the_unit_moved_tells_of_its_rest() -> None:
 def test_vibration_is_what_samples_scatter_within_seconds_however_long_the_slots_are() -> None:
     n = 2 * MOST_SLOTS
     swaying = np.repeat(np.sin(np.arange(n))[:, np.newaxis], 3, axis=1)
-    aged = AgedRun(["gyro_x", *ACCEL])
+    aged = BoundedRun(["gyro_x", *ACCEL])
     aged.take(seconds(0, np.column_stack([np.zeros(n), swaying]), np.ones(n), variance=0.09))
     vibration = aged.run().mean[VIBRATION]
     np.testing.assert_allclose(vibration, 3 * 0.09 * SAMPLES / (SAMPLES - 1))
 
 
 def test_a_clock_that_leaps_by_years_costs_no_memory() -> None:
-    aged = AgedRun(["gyro_x"])
+    aged = BoundedRun(["gyro_x"])
     aged.take(seconds(0, np.ones((10, 1)), np.ones(10)))
     aged.take(seconds(10**9, np.ones((10, 1)), np.ones(10)))
     assert len(aged.run().time_s) <= MOST_SLOTS
