@@ -108,9 +108,8 @@ def _chamber(name: str, folder: Path) -> list[float]:
         found = [diagnose(*split(run, share), sensors=("gyro",)).verdicts for share in SHARES]
         again = replace(run, name="the same course once more", start_ns=10**13)
         whole = diagnose([run], [again], sensors=("gyro",)).verdicts[0]
-    left = [[v.test_after.rms for v in verdicts if v.test_after is not None] for verdicts in found]
+    left = [[v.test_after.rms for v in verdicts] for verdicts in found]
     x, _, z = np.degrees(np.sqrt(np.mean(np.square(left), axis=0))).tolist()
-    assert whole.test_after is not None
     return [x, z, float(np.degrees(whole.test_after.rms))]
 
 

@@ -119,8 +119,6 @@ def run_case(job: tuple[Setting, int]) -> list[Result]:
     found = []
     for channel, verdict in enumerate(diagnosis.verdicts):
         before, after = verdict.test_before, verdict.test_after
-        assert before is not None
-        assert after is not None
         found.append(
             Result(
                 setting.label,

@@ -48,8 +48,6 @@ def tables(_: Options) -> Iterator[Table]:
 def draw(_: Options) -> Iterator[Path]:
     """Draw the steps of a channel: training, the effect beside it, and the test before and after."""
     verdict = next(one for one in diagnosed().verdicts if one.name == CHANNEL)
-    assert verdict.test_before is not None
-    assert verdict.test_after is not None
     titles = (
         "1 what the curve leaves, training",
         "2 the effect that follows it",

@@ -25,12 +25,12 @@ NOTHING = "nothing"
 """The answer that there is slow noise and no effect; alone: is it noise, or something that the course of
 the temperature makes?"""
 MOST_ANSWERS = 2
-"""Effects that are thought of behind what is unexplained."""
+"""Effects that are tried behind what is unexplained."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ranked:
-    """An effect alone beside what was assumed: gain in BIC, and the rms that it leaves of training and of the
+    """An effect alone beside the baseline: gain in BIC, and the rms that it leaves of training and of the
     test, by what it predicts of that; NaN without one."""
 
     name: str
@@ -78,8 +78,7 @@ def ranking(channel: Channel, found: Search) -> list[Ranked]:
     ranked = []
     for one in _leaders(found.tables[0] if found.tables else {})[:MOST_RANKED]:
         fitted = fit(channel, [one.candidate])
-        left = score(channel, fitted).rms if channel.test else float("nan")
-        ranked.append(Ranked(one.family, one.gain, fitted.train_rms, left))
+        ranked.append(Ranked(one.family, one.gain, fitted.train_rms, score(channel, fitted).rms))
     return ranked
 
 
@@ -88,18 +87,14 @@ def _leaders(table: Table) -> list[Scored]:
     return sorted(table.values(), key=lambda one: -one.gain)
 
 
-def runs_left(
-    channel: Channel, before: Fit, after: Fit, tests: tuple[TestScore, TestScore] | None
-) -> list[RunLeft]:
+def runs_left(channel: Channel, before: Fit, after: Fit, tests: tuple[TestScore, TestScore]) -> list[RunLeft]:
     """Return what each run of training and test is left with."""
     bounds = np.cumsum([len(run) for run in channel.train])[:-1]
     both = (np.split(one.train, bounds) for one in (before, after))
     rows = [RunLeft.of(run.name, False, *left) for run, *left in zip(channel.train, *both, strict=True)]
-    if tests is not None:
-        for run, use, *left in zip(
-            channel.test, tests[1].counted, *(one.residual for one in tests), strict=True
-        ):
-            rows.append(RunLeft.of(run.name, True, *(values[use] for values in left)))
+    both = (one.residual for one in tests)
+    for run, use, *left in zip(channel.test, tests[1].counted, *both, strict=True):
+        rows.append(RunLeft.of(run.name, True, *(values[use] for values in left)))
     return rows
 
 

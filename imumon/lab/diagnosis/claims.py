@@ -41,12 +41,12 @@ effects that are not in the library, took out at most 5.4, true ones of a chambe
 
 @dataclass(frozen=True, slots=True)
 class _Model:
-    """Findings, the model with them, what the baseline and this one leave of the test (None without one),
-    and why nothing else is claimed."""
+    """Findings, the model with them, what the baseline and this one leave of the test, and why nothing else
+    is claimed."""
 
     findings: list[Finding]
     after: Fit
-    tests: tuple[TestScore, TestScore] | None
+    tests: tuple[TestScore, TestScore]
     remark: str = ""
 
     @property
@@ -62,23 +62,21 @@ def decide(channel: Channel, found: Search) -> ChannelVerdict:
     baseline = fit_baseline(channel)
     floor = channel.limit  # what digits make of a smooth bias is no structure
     kept, refuted = _claimed(channel, found, baseline, floor)
-    after, both = kept.after, kept.tests
-    predicts = not after.parts or after.carries
-    if both is not None:
-        # Jumps of the test itself may make the prediction worse, whatever else was found.
-        predicts &= not both[1].rms > both[0].rms
-        if not predicts and not (goes_on(channel, after) and both[1].rms < both[0].rms):
-            # The declared model then predicts as it did, and is what the model file has.
-            both[1].rms = both[0].rms
-    left = after.train_rms if both is None or not kept.claims else max(after.train_rms, both[1].left)
+    after, (test_before, test_after) = kept.after, kept.tests
+    # Jumps of the test itself may make the prediction worse, whatever else was found.
+    predicts = (not after.parts or after.carries) and not test_after.rms > test_before.rms
+    if not predicts and not (goes_on(channel, after) and test_after.rms < test_before.rms):
+        # The declared model then predicts as it did, and is what the model file has.
+        test_after.rms = test_before.rms
+    left = max(after.train_rms, test_after.left) if kept.claims else after.train_rms
     unexplained = found.many_events or left >= CLEAN * floor
     covariance, spread = sigmas(found.channel, found.likelihood, [one.candidate for one in kept.findings])
     return ChannelVerdict(
         channel=channel,
         before=baseline,
         after=after,
-        test_before=None if both is None else both[0],
-        test_after=None if both is None else both[1],
+        test_before=test_before,
+        test_after=test_after,
         claims=_claims(channel, baseline, after, kept.findings, spread),
         unexplained=unexplained,
         explained=explained_share(baseline.train_rms, after.train_rms, floor) if kept.claims else 0.0,
@@ -90,7 +88,7 @@ def decide(channel: Channel, found: Search) -> ChannelVerdict:
         refit=_refit(channel, found, kept.findings) if after is not baseline and predicts else [],
         stages=_stages(channel, found, baseline),
         ranking=ranking(channel, found),
-        runs=runs_left(channel, baseline, after, both),
+        runs=runs_left(channel, baseline, after, kept.tests),
         declared_covariance=covariance,
     )
 
@@ -111,7 +109,7 @@ def _claimed(
     nothing = _Model(known, before, _scores(channel, baseline, before))
     after = _fit(channel, stay)
     kept = _Model(stay, after, _scores(channel, baseline, after))
-    if kept.claims and kept.tests is not None and not np.isfinite(kept.tests[1].rms):
+    if kept.claims and channel.test and not np.isfinite(kept.tests[1].rms):
         refuted += [
             {"name": one.name, "test_rms_with": UNKNOWN, "test_rms_without": UNKNOWN}
             for one in stay
@@ -123,7 +121,7 @@ def _claimed(
         kept = replace(nothing, remark=f"the best of the known effects is {best.name}, but {why}")
     if found.many_events and not kept.remark:
         kept = replace(kept, remark="there is more than one jump in a run")
-    left = kept.tests[1].left if kept.claims and kept.tests is not None else np.inf
+    left = kept.tests[1].left if kept.claims else np.inf
     wanting = not kept.claims or (kept.after.carries and left >= CLEAN * floor)
     if wanting and before.train_rms >= CLEAN * floor:
         one = _proven_by_test(channel, found, before, known)
@@ -131,12 +129,12 @@ def _claimed(
             after = _fit(channel, [*known, one])
             by_test = _Model([*known, one], after, _scores(channel, baseline, after))
             # What training proves goes first unless it leaves twice as much of the test.
-            if by_test.tests is not None and 2.0 * by_test.tests[1].rms < left:
+            if 2.0 * by_test.tests[1].rms < left:
                 return by_test, refuted
     return kept, refuted
 
 
-def _too_little(baseline: Fit, after: Fit, both: tuple[TestScore, TestScore] | None, floor: float) -> str:
+def _too_little(baseline: Fit, after: Fit, both: tuple[TestScore, TestScore], floor: float) -> str:
     """Return what is too little of training, or of the test, to claim anything; empty where it is enough.
 
     What is estimated in the test counts only where nothing is left: a level and a jump take away some of
@@ -144,7 +142,7 @@ def _too_little(baseline: Fit, after: Fit, both: tuple[TestScore, TestScore] | N
     """
     what, before, left = "the training", baseline.train_rms, after.train_rms
     if explains(before, left, floor):
-        if both is None or both[1].left < CLEAN * floor or explains(both[0].rms, both[1].rms, floor):
+        if not both[1].left >= CLEAN * floor or explains(both[0].rms, both[1].rms, floor):
             return ""
         what, before, left = "the test", both[0].rms, both[1].rms
     share = max(0.0, explained_share(before, left, floor))
@@ -243,10 +241,8 @@ def _fit(channel: Channel, findings: Sequence[Finding]) -> Fit:
     return fit(channel, [finding.candidate for finding in findings])
 
 
-def _scores(channel: Channel, before: Fit, after: Fit) -> tuple[TestScore, TestScore] | None:
-    """Return the scores of two models over the blocks that count for the second; None without a test."""
-    if not channel.test:
-        return None
+def _scores(channel: Channel, before: Fit, after: Fit) -> tuple[TestScore, TestScore]:
+    """Return the scores of two models over the blocks that count for the second."""
     return score(channel, before, like=after), score(channel, after)
 
 
@@ -259,8 +255,7 @@ def _claims(
         if not finding.known:
             alone = _fit(channel, [finding])
             share = explained_share(before.train_rms, alone.train_rms, channel.floor.sd)
-            test_alone = score(channel, alone).rms if channel.test else UNKNOWN
-            claims.append(Claim(finding, own, share, test_alone, sigma))
+            claims.append(Claim(finding, own, share, score(channel, alone).rms, sigma))
     return claims
 
 
@@ -276,8 +271,7 @@ def _stages(channel: Channel, found: Search, baseline: Fit) -> list[Stage]:
     """Return the stages of the search with what is left after each, in training and test."""
     stages = [Stage("what was assumed", ()), *found.stages]
     models = [baseline, *(fit(channel, stage.model) for stage in found.stages)]
-    tests = [score(channel, model).rms if channel.test else UNKNOWN for model in models]
     return [
-        replace(stage, train_rms=model.train_rms, test_rms=test)
-        for stage, model, test in zip(stages, models, tests, strict=True)
+        replace(stage, train_rms=model.train_rms, test_rms=score(channel, model).rms)
+        for stage, model in zip(stages, models, strict=True)
     ]

@@ -35,7 +35,7 @@ def conclusion(diagnosis: Diagnosis) -> str:
 def keep_in_mind(diagnosis: Diagnosis) -> list[str]:
     """Return what limits the verdicts, then the caveats of the data."""
     limits, verdicts = [], diagnosis.verdicts
-    least = min((one.test_after.coverage for one in verdicts if one.test_after is not None), default=1.0)
+    least = min((one.test_after.coverage for one in verdicts), default=1.0)
     if least < WELL_COVERED:
         limits.append(
             f"only {least:.0%} of the test is inside what training covered; the rest proves nothing"
@@ -97,8 +97,8 @@ def _which(verdicts: Sequence[ChannelVerdict], holds: Callable[[ChannelVerdict],
 
 
 def _of_few_digits(verdict: ChannelVerdict) -> bool:
-    tested = verdict.row.state == "not proven" and verdict.test_after is not None
-    return verdict.faulty or verdict.hidden or (tested and verdict.channel.coarse)
+    channel, unproven = verdict.channel, verdict.row.state == "not proven"
+    return verdict.faulty or verdict.hidden or (unproven and bool(channel.test) and channel.coarse)
 
 
 def _another_session(diagnosis: Diagnosis, folder: Path | None) -> NextStep:
@@ -112,8 +112,7 @@ def _another_session(diagnosis: Diagnosis, folder: Path | None) -> NextStep:
 
 def _use(useful: Sequence[ChannelVerdict], folder: Path | None) -> NextStep:
     names = _together([one.name for one in useful])
-    tests = [(one.test_before, one.test_after) for one in useful]
-    least = min(after.rms / before.rms for before, after in tests if before is not None and after is not None)
+    least = min(one.test_after.rms / one.test_before.rms for one in useful)
     why = f"Errors in the test fall by up to {1.0 - least:.0%}."
     command = "" if folder is None else f"imumon monitor PORT --device NAME --model {folder / 'model.yaml'}"
     return NextStep(f"Use the model with what is named of {names}.", why, command)

@@ -46,7 +46,7 @@ def figures(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, str]:
 
 def errors_plot(diagnosis: Diagnosis, verdict: ChannelVerdict) -> str:
     """Return the picture that the page opens with: the error before and after, of a test if there is one."""
-    draw = _test if verdict.test_before is not None and diagnosis.test else _fitted
+    draw = _test if diagnosis.test else _fitted
     return svg(lambda axes: draw(axes, diagnosis, verdict), WIDE)
 
 
@@ -97,8 +97,6 @@ def _fitted(axes: Axes, diagnosis: Diagnosis, verdict: ChannelVerdict) -> None:
 
 
 def _test(axes: Axes, diagnosis: Diagnosis, verdict: ChannelVerdict) -> None:
-    assert verdict.test_before is not None
-    assert verdict.test_after is not None
     before, after = verdict.test_before, verdict.test_after
     left = after.estimated if verdict.claims and after.left < after.rms else after.residual
     ends = _both(axes, verdict, diagnosis.test, before.residual, left)

@@ -145,7 +145,7 @@ def _carried(part: Part, own: FloatArray) -> tuple[FloatArray, bool]:
 
 @dataclass(slots=True, eq=False)
 class TestScore:
-    """How a model does on runs that it was not fitted to."""
+    """How a model does on runs that it was not fitted to; NaN without a test."""
 
     __test__ = False
 
@@ -192,8 +192,8 @@ def score(channel: Channel, model: Fit, like: Fit | None = None) -> TestScore:
     return TestScore(
         rms=mean_rms(left, counted),
         estimated_rms=mean_rms(estimated, counted),
-        coverage=inside / max(sum(map(len, covered)), 1),
-        scored=sum(int(part.sum()) for part in counted) / max(inside, 1),
+        coverage=inside / max(sum(map(len, covered)), 1) if covered else float("nan"),
+        scored=sum(int(part.sum()) for part in counted) / max(inside, 1) if covered else float("nan"),
         residual=left,
         estimated=estimated,
         counted=counted,
@@ -202,7 +202,7 @@ def score(channel: Channel, model: Fit, like: Fit | None = None) -> TestScore:
 
 def mean_rms(parts: Sequence[FloatArray], counted: Sequence[BoolArray]) -> float:
     """Return the rms over the blocks that count; NaN when they are too few."""
-    values = np.concatenate([part[use] for part, use in zip(parts, counted, strict=True)])
+    values = np.concatenate([np.empty(0), *(part[use] for part, use in zip(parts, counted, strict=True))])
     return float(np.sqrt(np.mean(values**2))) if len(values) >= LEAST_TEST_BLOCKS else float("nan")
 
 

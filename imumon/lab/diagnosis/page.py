@@ -72,8 +72,8 @@ def how_sure(verdict: ChannelVerdict) -> str:
 
 def _errors(verdict: ChannelVerdict) -> tuple[float, float]:
     """Return the rms of the test before and after; NaN without one."""
-    before, after = verdict.test_rms
-    return before, verdict.test_after.left if verdict.claims and verdict.test_after else after
+    test = verdict.test_after
+    return verdict.test_before.rms, test.left if verdict.claims else test.rms
 
 
 def _weight(verdict: ChannelVerdict) -> tuple[bool, float]:
@@ -100,9 +100,9 @@ def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, Any]:
         "verdict": verdict.in_short,
         "before": before,
         "after": after if verdict.claims else "",
-        "estimated": score is not None and _errors(verdict)[1] < score.rms,
+        "estimated": _errors(verdict)[1] < score.rms,
         "floor": _number(verdict.channel.floor.sd * scale),
-        "covered": "" if score is None else f"{score.coverage:.0%}",
+        "covered": f"{score.coverage:.0%}" if verdict.channel.test else "",
         "summary": verdict.summary,
         "left_out": [_left_out(item, scale, unit) for item in verdict.left_out],
         "effects": [_effect(claim, scale, unit) for claim in verdict.claims],

@@ -75,7 +75,6 @@ def _runs(runs: Sequence[RunBlocks]) -> list[dict[str, Any]]:
 
 def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
     floor, slow, test = verdict.channel.floor, verdict.slow, verdict.test_after
-    test_rms, nothing = verdict.test_rms, float("nan")
     return {
         "verdict": verdict.row.state,
         "unit": verdict.channel.unit,
@@ -88,14 +87,14 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
             "random_walk_per_sqrt_s": slow.walk,
             "heavy_tails": slow.tails,
         },
-        "before": {"train_rms": verdict.before.train_rms, "test_rms": test_rms[0]},
+        "before": {"train_rms": verdict.before.train_rms, "test_rms": verdict.test_before.rms},
         "after": {
             "train_rms": verdict.after.train_rms,
-            "test_rms": test_rms[1],
-            "test_rms_tracked": nothing if test is None else test.estimated_rms,
+            "test_rms": test.rms,
+            "test_rms_tracked": test.estimated_rms,
         },
-        "coverage": nothing if test is None else test.coverage,
-        "scored": nothing if test is None else test.scored,
+        "coverage": test.coverage,
+        "scored": test.scored,
         "explained_share": verdict.explained,
         "curve": _curve(verdict),
         "effects": [_effect(claim) for claim in verdict.claims],

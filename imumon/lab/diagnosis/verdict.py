@@ -97,9 +97,8 @@ class ChannelVerdict:
     before: Fit
     after: Fit
     """Declared and extended model."""
-    test_before: TestScore | None
-    test_after: TestScore | None
-    """None without a test."""
+    test_before: TestScore
+    test_after: TestScore
     claims: list[Claim]
     unexplained: bool
     """More than 1.8 floors are left in training or, beside what is claimed, in the test."""
@@ -158,25 +157,18 @@ class ChannelVerdict:
         channel, test = self.channel, self.test_after
         if self.unexplained or not channel.coarse or self.faulty:
             return False
-        left = np.nan if test is None else test.left if self.claims else test.rms
+        left = test.left if self.claims else test.rms
         return not left >= MATERIAL * channel.limit
 
     @property
     def clean(self) -> bool:
         """Less than 1.3 floors are left in the test."""
-        return self.test_after is not None and self.test_after.rms < MATERIAL * self.channel.floor.sd
+        return self.test_after.rms < MATERIAL * self.channel.floor.sd
 
     @property
     def row(self) -> Row:
         """The verdict: the first row of the table whose predicates hold."""
         return next(row for row in VERDICTS if all(getattr(self, name) for name in row.predicates))
-
-    @property
-    def test_rms(self) -> tuple[float, float]:
-        """The rms of the test with the declared and with the extended model; NaN without one."""
-        if self.test_before is None or self.test_after is None:
-            return np.nan, np.nan
-        return self.test_before.rms, self.test_after.rms
 
     @property
     def in_short(self) -> str:
@@ -217,7 +209,7 @@ def _details(verdict: ChannelVerdict) -> Iterator[str]:
         yield f"to separate: {'; '.join(dict.fromkeys(separated_by(*pair) for pair in pairs))}"
     if verdict.claims and verdict.before.train_rms < MATERIAL * verdict.channel.floor.sd:
         yield "present, too small to matter"
-    if verdict.row.state == "not proven" and verdict.test_after is not None:
+    if verdict.row.state == "not proven" and verdict.channel.test:
         yield "slow noise may do that, or something is missing"
     if verdict.hidden:
         share = verdict.channel.blind / verdict.channel.floor.sd
@@ -236,7 +228,7 @@ def _left_in_training(verdict: ChannelVerdict) -> str:
 def _left_in_test(verdict: ChannelVerdict) -> str:
     """Return what is left of the test; only that says whether it is all."""
     before, after, floor = verdict.test_before, verdict.test_after, verdict.channel.floor.sd
-    if before is None or after is None:
+    if not verdict.channel.test:
         return "; without a test that is no proof"
     if not np.isfinite(after.rms):
         return "; no proof: the test has too little inside what training covered"
