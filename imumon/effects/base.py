@@ -334,6 +334,5 @@ class ScaledEffect(DrivenEffect):
 
 def logarithmic(low: float, high: float, ratio: float = RATIO) -> list[float]:
     """Return values from low to at most high, each `ratio` times the last; none when high is below low."""
-    if high < low:
-        return []
-    return [float(low * ratio**index) for index in range(int(np.log(high / low) / np.log(ratio)) + 1)]
+    count = int(np.log(high / low) / np.log(ratio)) + 1 if high >= low else 0
+    return [float(low * ratio**index) for index in range(count)]

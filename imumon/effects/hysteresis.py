@@ -98,8 +98,5 @@ class Hysteresis(Follower):
     def starts(self, drive: Drive) -> tuple[Memory, Memory]:
         """Return the ends between which a loop can be."""
         first = float(drive.of(self.driver)[0])
-        low, high = (
-            Memory(driver=first, follower=first - ahead, ahead=ahead)
-            for ahead in (-self.half_width, self.half_width)
-        )
-        return low, high
+        low = Memory(driver=first, follower=first + self.half_width, ahead=-self.half_width)
+        return low, Memory(driver=first, follower=first - self.half_width, ahead=self.half_width)

@@ -17,7 +17,7 @@ from imumon.effects.base import ACCEL
 from imumon.lab.diagnosis.candidates import Candidate
 from imumon.lab.diagnosis.channel import Channel
 from imumon.lab.diagnosis.choice import Finding, Scored, Table
-from imumon.lab.diagnosis.fit import Fit, TestScore, fit, score
+from imumon.lab.diagnosis.fit import Fit, TestScore, fit, score_test
 from imumon.lab.diagnosis.search import Search
 
 MOST_RANKED = 6
@@ -78,7 +78,7 @@ def ranking(channel: Channel, found: Search) -> list[Ranked]:
     ranked = []
     for one in _leaders(found.tables[0] if found.tables else {})[:MOST_RANKED]:
         fitted = fit(channel, [one.candidate])
-        ranked.append(Ranked(one.family, one.gain, fitted.train_rms, score(channel, fitted).rms))
+        ranked.append(Ranked(one.family, one.gain, fitted.train_rms, score_test(channel, fitted).rms))
     return ranked
 
 

@@ -29,7 +29,7 @@ EARTH_SPREAD = 2.1 * EARTH_RATE
 
 
 @dataclass(frozen=True, slots=True)
-class Assumed:
+class Base:
     """The declared model: the temperature of each channel, the degree, and what has an offset of its own.
 
     `search_s` is the length of the blocks that are searched.
@@ -46,13 +46,13 @@ class Axes:
     """The axes of one sensor: `channels` in blocks of the usual length, which are scored, `searched` in those
     that are searched.
 
-    `survey` is what the training can show; `assumed` is the base that the effects are searched beside.
+    `survey` is what the training can show; `base` is the base that the effects are searched beside.
     """
 
     channels: list[Channel]
     searched: list[Channel]
     survey: Survey
-    assumed: Assumed
+    base: Base
 
 
 Searched = tuple[Axes, list[Search]]
@@ -64,7 +64,7 @@ def axes_over_bases(
     blocks: Sequence[RunBlocks],
     tested: Sequence[RunBlocks],
     group: Sequence[str],
-    assumed: Assumed,
+    base: Base,
     model: BiasModel | None = None,
 ) -> list[Axes]:
     """Return the axes of a sensor over each base that is possible.
@@ -72,10 +72,10 @@ def axes_over_bases(
     In each pose, and each day, other sensors than gyros have another part of gravity, field or weather, which
     nobody knows: they have a constant in each.  So may gyros have, by the earth rate.
     """
-    bases = [assumed] if group[0].startswith(("gyro", CLOCK)) else []
+    bases = [base] if group[0].startswith(("gyro", CLOCK)) else []
     turned = any(run.pose.max() > run.pose.min() for run in blocks)
     if not bases or (group[0].startswith("gyro") and turned):
-        bases.append(replace(assumed, own="pose"))
+        bases.append(replace(base, own="pose"))
     return [_axes(train, blocks, tested, group, base, model) for base in bases]
 
 
@@ -86,7 +86,7 @@ def likeliest(searched: Sequence[Searched]) -> Searched:
     """
 
     def order(one: Searched) -> float:
-        by_pose = one[0].assumed.own == "pose" and len(searched) > 1
+        by_pose = one[0].base.own == "pose" and len(searched) > 1
         if by_pose and max(map(_spread_of_constants, one[1])) > EARTH_SPREAD:
             return -np.inf
         return sum(found.criterion() for found in one[1]) + PROVEN * by_pose
@@ -107,11 +107,11 @@ def _axes(
     blocks: Sequence[RunBlocks],
     tested: Sequence[RunBlocks],
     group: Sequence[str],
-    assumed: Assumed,
+    base: Base,
     model: BiasModel | None,
 ) -> Axes:
     """Return the axes of a sensor over one base; `blocks` are those of `train`."""
-    temperatures, block_s, own = assumed.temperatures, blocks[0].block_s, assumed.own
+    temperatures, block_s, own = base.temperatures, blocks[0].block_s, base.own
     if own == "pose":
         blocks, tested = at_poses(blocks), at_poses(tested)
     pools = _pools(blocks, group, temperatures)
@@ -120,7 +120,7 @@ def _axes(
             name,
             unit_of(name),
             floor,
-            Declared.over(blocks, temperatures[name], assumed.degree, own),
+            Declared.over(blocks, temperatures[name], base.degree, own),
             pools[temperatures[name]],
             tested,
             faults(train, name, temperatures[name], floor.sd),
@@ -129,15 +129,15 @@ def _axes(
         for name in group
         for floor in [white_floor(train, name, block_s).of_blocks(blocks)]
     ]
-    search_s = assumed.search_s
+    search_s = base.search_s
     if search_s != block_s:
-        blocks = _blocks_again(train, blocks, assumed, search_s)
+        blocks = _blocks_again(train, blocks, base, search_s)
         blocks = at_poses(blocks) if own == "pose" else blocks
         pools = _pools(blocks, group, temperatures)
     searched = [channel.in_blocks(pools[channel.temperature], block_s / search_s) for channel in channels]
     temperature = temperatures[group[0]]
-    shown = with_drivers(survey(blocks, temperature, assumed.degree, search_s), blocks, temperature)
-    return Axes(channels, searched, shown, assumed)
+    shown = with_drivers(survey(blocks, temperature, base.degree, search_s), blocks, temperature)
+    return Axes(channels, searched, shown, base)
 
 
 def _pools(
@@ -148,16 +148,14 @@ def _pools(
 
 
 def _blocks_again(
-    train: Sequence[Run], blocks: Sequence[RunBlocks], assumed: Assumed, block_s: float
+    train: Sequence[Run], blocks: Sequence[RunBlocks], base: Base, block_s: float
 ) -> list[RunBlocks]:
     """Return the runs that were used, of all channels, in blocks of another length."""
     used = {run.name for run in blocks}
-    every = list(dict.fromkeys(assumed.temperatures.values()))
+    every = list(dict.fromkeys(base.temperatures.values()))
     others = list(blocks[0].drives[every[0]].others)
     return [
-        make_blocks(run, list(assumed.temperatures), every, others, block_s)
-        for run in train
-        if run.name in used
+        make_blocks(run, list(base.temperatures), every, others, block_s) for run in train if run.name in used
     ]
 
 

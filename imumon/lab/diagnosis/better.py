@@ -15,7 +15,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from imumon.effects.library import EFFECTS
-from imumon.lab.diagnosis.axes import Assumed, axes_over_bases, likeliest
+from imumon.lab.diagnosis.axes import Base, axes_over_bases, likeliest
 from imumon.lab.diagnosis.blocks import (
     BLOCK_S,
     LEAST_BLOCKS,
@@ -104,9 +104,7 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     every = [
         axes
         for degree in degrees
-        for axes in axes_over_bases(
-            [left], [blocks], [], channels, Assumed(temperatures, degree, "", block_s)
-        )
+        for axes in axes_over_bases([left], [blocks], [], channels, Base(temperatures, degree, "", block_s))
     ]
     before = {one.name: residual_rms(one.base, one.values) for one in every[0].channels}
     # What a model leaves hardly above the white noise is too small to matter.
@@ -116,7 +114,7 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     searched = [(axes, search(axes.searched, axes.survey, LASTING, stages=1)) for axes in every]
     axes, found = likeliest(searched)
     # The curve of the present model, and nothing beside it.
-    present = next(one for base, one in searched if base.assumed == replace(axes.assumed, degree=0))
+    present = next(one for other, one in searched if other.base == replace(axes.base, degree=0))
     gain = sum(
         one.criterion() - other.criterion([])
         for one, other in zip(found, present, strict=True)

@@ -27,7 +27,7 @@ from imumon.lab.diagnosis.fit import (
     fit_baseline,
     goes_on,
     mean_rms,
-    score,
+    score_test,
     sigmas,
 )
 from imumon.lab.diagnosis.search import MOST_NAMES, Search, Stage
@@ -173,8 +173,8 @@ def _trial(
     What does not carry over is estimated in the test with both, and predicts nothing that could be refuted.
     """
     carries = any(part.carries for part in everything.parts if part.effect.label == finding.name)
-    with_it = score(channel, everything)
-    without = score(channel, _fit(channel, [one for one in kept if one is not finding]), like=everything)
+    with_it = score_test(channel, everything)
+    without = score_test(channel, _fit(channel, [one for one in kept if one is not finding]), like=everything)
     count = [a & b for a, b in zip(with_it.counted, without.counted, strict=True)]
     rms = mean_rms(with_it.estimated, count), mean_rms(without.estimated, count)
     record = {"name": finding.name, "test_rms_with": rms[0], "test_rms_without": rms[1]}
@@ -204,7 +204,7 @@ def _proven_by_test(
         slow = min(fits, key=lambda one: one[1].train_rms, default=None)
         for candidate in (leader.candidate, *([slow[0]] if slow is not None else [])):
             after = fit(channel, [*also, candidate])
-            without, left = score(channel, before, like=after).rms, score(channel, after).rms
+            without, left = score_test(channel, before, like=after).rms, score_test(channel, after).rms
             large = without**2 - left**2 >= (PROVEN_FLOORS * channel.floor.sd) ** 2
             explains = large and explained_share(without, left, channel.floor.sd) >= EXPLAINED
             if explains and all(part.carries for part in after.parts):
@@ -243,7 +243,7 @@ def _fit(channel: Channel, findings: Sequence[Finding]) -> Fit:
 
 def _scores(channel: Channel, before: Fit, after: Fit) -> tuple[TestScore, TestScore]:
     """Return the scores of two models over the blocks that count for the second."""
-    return score(channel, before, like=after), score(channel, after)
+    return score_test(channel, before, like=after), score_test(channel, after)
 
 
 def _claims(
@@ -255,7 +255,7 @@ def _claims(
         if not finding.known:
             alone = _fit(channel, [finding])
             share = explained_share(before.train_rms, alone.train_rms, channel.floor.sd)
-            claims.append(Claim(finding, own, share, score(channel, alone).rms, sigma))
+            claims.append(Claim(finding, own, share, score_test(channel, alone).rms, sigma))
     return claims
 
 
@@ -272,6 +272,6 @@ def _stages(channel: Channel, found: Search, baseline: Fit) -> list[Stage]:
     stages = [Stage("what was assumed", ()), *found.stages]
     models = [baseline, *(fit(channel, stage.model) for stage in found.stages)]
     return [
-        replace(stage, train_rms=model.train_rms, test_rms=score(channel, model).rms)
+        replace(stage, train_rms=model.train_rms, test_rms=score_test(channel, model).rms)
         for stage, model in zip(stages, models, strict=True)
     ]

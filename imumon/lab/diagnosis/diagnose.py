@@ -12,7 +12,7 @@ from imumon.effects.base import LEAST_SPAN_DEGC, Survey
 from imumon.effects.library import effects_for
 from imumon.errors import ImumonError, Reason
 from imumon.lab.calibration.gravity import Length
-from imumon.lab.diagnosis.axes import Assumed, axes_over_bases, likeliest, search_block
+from imumon.lab.diagnosis.axes import Base, axes_over_bases, likeliest, search_block
 from imumon.lab.diagnosis.blocks import (
     LEAST_BLOCKS,
     RunBlocks,
@@ -130,11 +130,11 @@ def diagnose(
         caveats.append("no run of the test can be used: there is no independent proof")
     degree = degree if shown.thermal else 0
     caveats += _limits(blocks, tested, shown, confounded(blocks, used[0], shown.scale, degree))
-    assumed = Assumed(temperatures, degree, "run" if offsets else "", search_block(blocks))
+    base = Base(temperatures, degree, "run" if offsets else "", search_block(blocks))
     diagnosis = Diagnosis(declared, block_s, [], blocks, tested, shown, caveats, model, held)
     for sensor in sensors:
         if group := channels_of([sensor], channels):
-            diagnosis.verdicts += _sensor(train, group, assumed, diagnosis, progress)
+            diagnosis.verdicts += _sensor(train, group, base, diagnosis, progress)
     return diagnosis
 
 
@@ -181,17 +181,17 @@ def _limits(
 def _sensor(
     train: Sequence[Run],
     group: Sequence[str],
-    assumed: Assumed,
+    base: Base,
     diagnosis: Diagnosis,
     progress: Progress | None,
 ) -> list[ChannelVerdict]:
     """Return the verdicts on the axes of one sensor."""
     if group[0].startswith("accel") and len(group) == 3:
-        found_length = _length(diagnosis.train, assumed.temperatures[group[0]], assumed.degree)
+        found_length = _length(diagnosis.train, base.temperatures[group[0]], base.degree)
         if found_length is not None:
             poses, diagnosis.length = found_length
             diagnosis.caveats.append(diagnosis.length.described(poses))
-    every = axes_over_bases(train, diagnosis.train, diagnosis.test, group, assumed, diagnosis.model)
+    every = axes_over_bases(train, diagnosis.train, diagnosis.test, group, base, diagnosis.model)
     names = effects_for(group[0])
     axes, found = likeliest(
         [(axes, search(axes.searched, axes.survey, names, progress=progress)) for axes in every]
@@ -200,7 +200,7 @@ def _sensor(
         diagnosis.caveats.append(
             "several poses: the gyros have another constant in each, as the earth rate makes it; a"
             " sensitivity to g is not told from that"
-            if axes.assumed.own == "pose"
+            if axes.base.own == "pose"
             else "several poses: what is named g_sensitivity holds the vertical earth rate as well, up to"
             " 15.04 °/h per g on the diagonal"
         )

@@ -169,7 +169,7 @@ class TestScore:
         return float(np.fmin(self.rms, self.estimated_rms))
 
 
-def score(channel: Channel, model: Fit, like: Fit | None = None) -> TestScore:
+def score_test(channel: Channel, model: Fit, like: Fit | None = None) -> TestScore:
     """Return how a fitted model does on the test runs, within the trained temperatures.
 
     Blocks count after the state at power-on is forgotten, of the model `like` where one is given: the same

@@ -22,7 +22,7 @@ from imumon.effects.library import EFFECTS, AnyEffect, effects_for
 from imumon.files import write_text
 from imumon.geodesy import DEG_PER_H, MICRO_G
 from imumon.lab.diagnosis.alternatives import NOTHING
-from imumon.lab.diagnosis.axes import Assumed, axes_over_bases, likeliest, search_block
+from imumon.lab.diagnosis.axes import Base, axes_over_bases, likeliest, search_block
 from imumon.lab.diagnosis.blocks import BLOCK_S, make_blocks, survey
 from imumon.lab.diagnosis.choice import CLOSE, CLOSE_SHARE, PROVEN
 from imumon.lab.diagnosis.likelihood import TAUS_S
@@ -57,7 +57,7 @@ class _Rms(StrictModel, extra="ignore"):
     train_rms: float
 
 
-class Model(StrictModel, extra="ignore"):
+class Answer(StrictModel, extra="ignore"):
     """An answer: its name, whether it carries over, the declared polynomial of u, and effects."""
 
     name: str
@@ -76,7 +76,7 @@ class _Channel(StrictModel, extra="ignore"):
     noise_floor_rms: float
     slow_noise: _Slow
     before: _Rms
-    questions: list[list[Model]]
+    questions: list[list[Answer]]
 
 
 class Report(StrictModel, extra="ignore"):
@@ -90,12 +90,12 @@ class Report(StrictModel, extra="ignore"):
 
 
 @dataclass(frozen=True, slots=True)
-class Open:
+class Question:
     """A question, and the channel of those that have it in which the residual is the largest."""
 
     channel: str
     also: tuple[str, ...]
-    answers: tuple[Model, ...]
+    answers: tuple[Answer, ...]
 
     @property
     def name(self) -> str:
@@ -129,7 +129,7 @@ class Plan:
     """The next experiment for a question; `profile` and `expected` are None where nothing that was tried
     tells, and `why_not` says why."""
 
-    question: Open
+    question: Question
     profile: Profile | None = None
     expected: Evidence | None = None
     why_not: str = ""
@@ -140,9 +140,9 @@ def load_report(path: Path) -> Report:
     return load_yaml(path / "report.json" if path.is_dir() else path, Report)
 
 
-def open_questions(report: Report) -> list[Open]:
+def open_questions(report: Report) -> list[Question]:
     """Return the questions of a report, each once for the channels of a sensor that share it."""
-    found: dict[tuple[str, ...], list[tuple[float, str, list[Model]]]] = {}
+    found: dict[tuple[str, ...], list[tuple[float, str, list[Answer]]]] = {}
     for name, channel in report.channels.items():
         # A unit is simulated, which has gyros and accelerometers.
         for answers in channel.questions if name in UNITS else ():
@@ -152,11 +152,11 @@ def open_questions(report: Report) -> list[Open]:
     opened = []
     for group in found.values():
         _, name, answers = max(group, key=lambda one: one[0])
-        opened.append(Open(name, tuple(one for _, one, _ in group if one != name), tuple(answers)))
+        opened.append(Question(name, tuple(one for _, one, _ in group if one != name), tuple(answers)))
     return opened
 
 
-def plan(report: Report, question: Open, most_s: float, progress: Progress | None = None) -> Plan:
+def plan(report: Report, question: Question, most_s: float, progress: Progress | None = None) -> Plan:
     """Return the shortest experiment that answers a question, with the evidence to expect of it."""
     inputs = {name for answer in question.answers for effect in answer.effects for name in effect.inputs}
     if others := sorted(inputs - {ACCEL}):
@@ -183,19 +183,19 @@ def plan(report: Report, question: Open, most_s: float, progress: Progress | Non
             proof = evidence(report, question, profile, range(TRIALS, TRIALS + PROOFS), every)
             if proof.least >= proof.needed:
                 return Plan(question, profile, proof)
-    return Plan(question, why_not=_why_not(*best) if best else "no profile is so short")
-
-
-def _why_not(found: Evidence, profile: Profile) -> str:
-    return (
-        f"nothing that was tried tells; the best, {profile.duration_s / 3600:.1f} h {profile.title}, gives"
-        f" {found.value:.0f} of the {found.needed:.0f} in BIC that are needed for {found.truth} against"
-        f" {found.rival}"
+    if best is None:
+        return Plan(question, why_not="no profile is so short")
+    found, profile = best
+    return Plan(
+        question,
+        why_not=f"nothing that was tried tells; the best, {profile.duration_s / 3600:.1f} h {profile.title},"
+        f" gives {found.value:.0f} of the {found.needed:.0f} in BIC that are needed for {found.truth} against"
+        f" {found.rival}",
     )
 
 
 def evidence(
-    report: Report, question: Open, profile: Profile, seeds: Sequence[int], kinds: Sequence[str]
+    report: Report, question: Question, profile: Profile, seeds: Sequence[int], kinds: Sequence[str]
 ) -> Evidence:
     """Return what the search finds on simulated units with each of the answers, among these effects."""
     pairs: dict[tuple[str, str], list[tuple[float, float]]] = {}
@@ -231,7 +231,7 @@ def _difference(searched: Search, truth: str, rival: str) -> tuple[float, float]
     return own - max(gains.get(rival, 0.0), 0.0), max(CLOSE, CLOSE_SHARE * max(gains.values(), default=0.0))
 
 
-def scenario(report: Report, channel: str, profile: Profile, answer: Model) -> Scenario:
+def scenario(report: Report, channel: str, profile: Profile, answer: Answer) -> Scenario:
     """Return a scenario of an experiment on a unit whose one channel has an answer's curve and effects."""
     low, high = report.temperature_range_degc
     sensor, axis = channel.split("_")
@@ -300,8 +300,8 @@ def _searched(run: Run, channel: str, degree: int, kinds: Sequence[str]) -> Sear
     blocks = [make_blocks(run, [channel], ["temperature"])]
     shown = survey(blocks, "temperature", degree, BLOCK_S)
     degree = degree if shown.thermal else 0
-    assumed = Assumed({channel: "temperature"}, degree, "", search_block(blocks))
-    every = axes_over_bases([run], blocks, [], [channel], assumed)
+    base = Base({channel: "temperature"}, degree, "", search_block(blocks))
+    every = axes_over_bases([run], blocks, [], [channel], base)
     return likeliest([(axes, search(axes.searched, axes.survey, kinds)) for axes in every])[1][0]
 
 
