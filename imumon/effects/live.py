@@ -10,7 +10,7 @@ import numpy as np
 from imumon.blocks import FloatArray, IntArray
 from imumon.effects.base import ACCEL, Drive, Effect, Memory
 
-NOTHING: Mapping[str, FloatArray] = {}
+NO_DRIVERS: Mapping[str, FloatArray] = {}
 
 
 class Carrier:
@@ -36,7 +36,7 @@ class Carrier:
         segment: IntArray,
         temperature: FloatArray,
         accel: FloatArray | None = None,
-        others: Mapping[str, FloatArray] = NOTHING,
+        others: Mapping[str, FloatArray] = NO_DRIVERS,
     ) -> tuple[FloatArray, FloatArray]:
         """Return the bias at each sample, from this sample and those before it, and the standard deviation
         that the unknown state at power-on leaves it, (n,) each.

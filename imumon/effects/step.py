@@ -31,10 +31,8 @@ class Step(Effect):
         """Return times at the bounds of the blocks of the longest run."""
         blocks = int(max(survey.durations_s) / survey.block_s)
         stride = max(1, -(-blocks // MOST_TIMES))
-        return [
-            cls(time_s=index * survey.block_s)
-            for index in range(EDGE_BLOCKS, blocks - EDGE_BLOCKS + 1, stride)
-        ]
+        bounds = range(EDGE_BLOCKS, blocks - EDGE_BLOCKS + 1, stride)
+        return [cls(time_s=index * survey.block_s) for index in bounds]
 
     def fits_in(self, duration_s: float, survey: Survey) -> bool:
         """Return whether the jump is not too near to an end of such a run."""

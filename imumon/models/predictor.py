@@ -9,7 +9,7 @@ import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.effects.base import ACCEL, Effect
-from imumon.effects.live import NOTHING, Carrier
+from imumon.effects.live import NO_DRIVERS, Carrier
 from imumon.effects.vibration import VIBRATION, Vibration
 from imumon.errors import ImumonError, Reason
 from imumon.models.model import REACH, BiasModel, ChannelModel
@@ -80,7 +80,7 @@ class BiasPredictor:
         segment: IntArray,
         temperature: FloatArray,
         accel: FloatArray | None = None,
-        others: Mapping[str, FloatArray] = NOTHING,
+        others: Mapping[str, FloatArray] = NO_DRIVERS,
     ) -> Prediction:
         """Return the expected bias of the next samples.
 

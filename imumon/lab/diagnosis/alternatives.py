@@ -21,6 +21,7 @@ from imumon.lab.diagnosis.fit import Fit, TestScore, fit, score_test
 from imumon.lab.diagnosis.search import Search
 
 MOST_RANKED = 6
+"""Effects in the ranking of the report."""
 NOTHING = "nothing"
 """The answer that there is slow noise and no effect; alone: is it noise, or something that the course of
 the temperature makes?"""

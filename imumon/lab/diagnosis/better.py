@@ -28,7 +28,7 @@ from imumon.lab.diagnosis.channel import Channel, residual_rms
 from imumon.lab.diagnosis.choice import PROVEN, Finding, least_gain
 from imumon.lab.diagnosis.extended import refitted
 from imumon.lab.diagnosis.fit import MATERIAL, fit
-from imumon.lab.diagnosis.known import CUBIC, effects_of, temperature_of, without_model
+from imumon.lab.diagnosis.known import CUBIC_DEGREE, effects_of, temperature_of, without_model
 from imumon.lab.diagnosis.likelihood import Likelihood
 from imumon.lab.diagnosis.runs import Run
 from imumon.lab.diagnosis.search import search
@@ -100,7 +100,7 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     blocks = make_blocks(left, channels, used, usable_drivers([run], [], used, None, []), block_s)
     if len(blocks) < LEAST_BLOCKS:
         return []
-    degrees = (0, CUBIC) if survey([blocks], used[0], 0, block_s).thermal else (0,)
+    degrees = (0, CUBIC_DEGREE) if survey([blocks], used[0], 0, block_s).thermal else (0,)
     every = [
         axes
         for degree in degrees

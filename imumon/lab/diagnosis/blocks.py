@@ -96,7 +96,8 @@ def make_blocks(
     slots = max(1, round(block_s / run.slot_s))
     pose = np.zeros(len(valid), np.int64) if accel is None else poses(accel, valid)
     valid = in_one_pose(valid, pose, slots)
-    weight = np.where(valid, run.count[channels[0]] / run.samples_per_slot(channels[0]), 0.0)
+    weight = np.zeros(len(valid))
+    weight[valid] = run.count[channels[0]][valid] / run.samples_per_slot(channels[0])
     values = [np.where(valid, run.mean[name], 0.0) for name in channels]
     temperature = [drive.temperature_degc for drive in drives.values()]
     means, share = _block_means(

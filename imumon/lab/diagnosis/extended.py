@@ -23,7 +23,7 @@ from imumon.version import __version__
 
 DECLARED = "polynomial 3 + offset"
 """The model says the degree; each run has a turn-on offset, as in the calibration."""
-MARGIN = 0.005
+WIDENED = 0.005
 """Share of the span that the range is widened by, so that an end is not in and out by turns."""
 
 
@@ -81,7 +81,7 @@ def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelMode
         {
             "unit": verdict.channel.unit,
             "temperature_column": verdict.channel.temperature,
-            "temperature_range_degc": [low - 2 * half * MARGIN, high + 2 * half * MARGIN],
+            "temperature_range_degc": [low - 2 * half * WIDENED, high + 2 * half * WIDENED],
             "residual_sd": residual,
             "curve": curve,
             "effects": effects,

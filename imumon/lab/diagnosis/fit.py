@@ -28,6 +28,7 @@ by the test, 6 of 99 such channels reach 0.62 to 0.81; on a chamber record true 
 CARRY_SPREAD = 0.35
 """Own coefficients carry over when none is further from their mean than this share of it."""
 LEAST_TEST_BLOCKS = 10
+"""Of fewer there is no rms."""
 LEAST_LEVEL_BLOCKS = 4
 """Of fewer the mean takes too much of their own noise away."""
 CHANGE = 0.01

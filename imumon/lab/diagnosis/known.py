@@ -15,7 +15,7 @@ from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.models.predictor import BiasPredictor
 
-CUBIC = 3
+CUBIC_DEGREE = 3
 """As what is assumed without a model: other curves keep their shape, and have a cubic added."""
 
 
@@ -63,7 +63,7 @@ def check_range(model: BiasModel, temperatures: Mapping[str, str], runs: Sequenc
 def order_of(channel: ChannelModel) -> int:
     """Return the degree of the polynomial by which a curve is fitted anew: its own, or a cubic's."""
     curve = channel.curve
-    return len(curve.coefficients) - 1 if isinstance(curve, PolynomialCurve) else CUBIC
+    return len(curve.coefficients) - 1 if isinstance(curve, PolynomialCurve) else CUBIC_DEGREE
 
 
 def effects_of(channel: ChannelModel) -> tuple[Effect, ...]:

@@ -20,13 +20,17 @@ Noise = tuple[float, float]
 """Flicker r and random walk q, variances over that of the white noise of a full block."""
 
 TAUS_S = np.array([30.0, 100.0, 300.0, 1000.0, 3000.0, 10000.0])
+"""s, half a decade apart: from one block to longer than most runs."""
 WALK_S = 7200.0
+"""s: q is the variance of the walk after this time."""
 FLICKER = (0.0, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0)
 WALK = (0.0, 1.0, 10.0, 100.0, 1000.0)
 GRID = [(r, q) for r in FLICKER for q in WALK]
+"""Each likelihood is the largest over these."""
 COLLINEAR = 1e-5
 """A column of which less is left beside the base is not used."""
 RIDGE = 1e-9
+"""On the diagonal of normalised equations, so that collinear terms can be solved for."""
 
 
 _Group = tuple[IntArray, IntArray, BoolArray]

@@ -19,7 +19,7 @@ from imumon.lab.diagnosis.search import Progress
 from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim
 
 TEMPLATE = "report.html.j2"
-COLOURS = {"named": "found", "nothing missing": "ok"}
+CLASSES = {"named": "found", "nothing missing": "ok"}
 
 
 def write_page(diagnosis: Diagnosis, path: Path, progress: Progress | None = None) -> None:
@@ -96,7 +96,7 @@ def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, Any]:
     return {
         "name": verdict.name,
         "unit": unit,
-        "state": COLOURS.get(verdict.row.state, "open"),
+        "state": CLASSES.get(verdict.row.state, "open"),
         "verdict": verdict.in_short,
         "before": before,
         "after": after if verdict.claims else "",

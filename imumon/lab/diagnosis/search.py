@@ -41,6 +41,7 @@ from imumon.lab.diagnosis.likelihood import Likelihood, Noise, no_larger
 MOST_NAMES = 3
 """Effects that are named in a set of those not told apart."""
 STAGES = 5
+"""Effects that are added to a channel, at most."""
 PAIR_LIST = 4
 """Best candidates of each family that are tried in pairs."""
 LEAST_SIZE = 0.3
@@ -50,6 +51,7 @@ SECOND_SHARE = 0.2
 JUMP_SHARE = 0.5
 """A second jump in a run counts from this share on: the jumps of a telegraph noise are of one size."""
 REFINEMENTS = 4
+"""Levels of the pattern search; steps are 0.35 of those of the level before."""
 
 Progress = Callable[[str], None]
 

@@ -77,7 +77,7 @@ def test_a_sensitivity_to_g_is_named_that_is_more_than_the_earth_rate() -> None:
     assert said(turned(EARTH_RATE, across=True), LiveDiagnosis(model())) == ""
 
 
-def test_a_session_is_looked_at_at_even_distances(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_session_is_searched_at_even_distances(monkeypatch: pytest.MonkeyPatch) -> None:
     times: list[float] = []
 
     def looked(run: Run, _: object, __: object) -> list[Better]:
@@ -101,11 +101,11 @@ def test_what_one_gyro_hardly_shows_is_named_where_three_show_it() -> None:
     ]
 
 
-def test_a_shadow_has_as_much_time_to_win_as_it_was_found_in(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_challenger_has_as_much_time_to_win_as_it_was_found_in(monkeypatch: pytest.MonkeyPatch) -> None:
     begun: list[float] = []
 
     class Undecided(Challenger):
-        def score(self, _: Run) -> None:
+        def compare(self, _: Run) -> None:
             if self.since_s not in begun:
                 begun.append(self.since_s)
 
@@ -116,19 +116,19 @@ def test_a_shadow_has_as_much_time_to_win_as_it_was_found_in(monkeypatch: pytest
     np.testing.assert_allclose(begun, [FIRST_SEARCH_S, 2.0 * FIRST_SEARCH_S], atol=2.0)
 
 
-def test_the_log_is_told_once_of_the_same_effects() -> None:
+def test_the_log_has_the_same_effects_once() -> None:
     stage = LiveDiagnosis(model())
     assert said(session(8.0 * DPH * np.sin(np.arange(SECONDS) / 90.0)), stage)
     told = [text.partition(": ")[2].partition(":")[0] for text in stage.notices()]
     assert told == ["periodic on x"]
 
 
-def test_a_unit_that_never_rests_is_looked_at_in_vain() -> None:
+def test_a_unit_that_never_rests_is_searched_in_vain() -> None:
     told = session(40.0 * DPH * np.sin(np.arange(SECONDS) / 30.0))
     assert said(replace(told, rest=np.zeros(SECONDS)), LiveDiagnosis(model())) == ""
 
 
-def test_a_session_without_any_temperature_is_looked_at_in_vain_and_that_is_said_once() -> None:
+def test_a_session_without_any_temperature_is_not_searched_and_the_log_has_that_once() -> None:
     told = session(40.0 * DPH * np.sin(np.arange(SECONDS) / 30.0), temperature=np.full(SECONDS, np.nan))
     stage = LiveDiagnosis(model())
     assert said(told, stage) == ""
