@@ -187,9 +187,9 @@ def _sensor(
 ) -> list[ChannelVerdict]:
     """Return the verdicts on the axes of one sensor."""
     if group[0].startswith("accel") and len(group) == 3:
-        found_length = _length(diagnosis.train, base.temperatures[group[0]], base.degree)
-        if found_length is not None:
-            poses, diagnosis.length = found_length
+        gravity = _length(diagnosis.train, base.temperatures[group[0]], base.degree)
+        if gravity is not None:
+            poses, diagnosis.length = gravity
             diagnosis.caveats.append(diagnosis.length.described(poses))
     every = axes_over_bases(train, diagnosis.train, diagnosis.test, group, base, diagnosis.model)
     names = effects_for(group[0])

@@ -138,12 +138,10 @@ class Likelihood:
 
 
 def _filters(run: RunBlocks) -> Whitener:
-    """Return a filter of a run for each noise of the grid; the walk begins at power-on."""
+    """Return a filter of a run for each noise of the grid."""
     flicker, walk = np.array(GRID).T
     markov = np.sqrt(flicker / len(TAUS_S))[:, np.newaxis] * np.ones(len(TAUS_S))
-    elapsed = np.diff(run.time_s, prepend=-np.inf)
-    walk = walk / WALK_S
-    return whitener(TAUS_S, markov, np.sqrt(walk), elapsed, run.white, walk * run.time_s[0])
+    return whitener(TAUS_S, markov, np.sqrt(walk / WALK_S), run.time_s, run.white)
 
 
 def no_larger(start: Noise) -> list[Noise]:

@@ -27,7 +27,7 @@ class Whitener:
     """
 
     decay: FloatArray
-    """Diagonal of F up to each mean, (n, m + 1); zero where the filter begins anew."""
+    """Diagonal of F up to each mean, (n, m + 1)."""
     gain: FloatArray
     """Array, (n, f, m + 1)."""
     sd: FloatArray
@@ -68,33 +68,15 @@ def _whitened(decay: FloatArray, gain: FloatArray, sd: FloatArray, columns: Floa
 
 
 def whitener(
-    taus_s: FloatArray,
-    markov_sd: FloatArray,
-    walk: FloatArray,
-    elapsed_s: FloatArray,
-    white: FloatArray,
-    level: FloatArray,
+    taus_s: FloatArray, markov_sd: FloatArray, walk: FloatArray, time_s: FloatArray, white: FloatArray
 ) -> Whitener:
-    """Return f filters of n means.
+    """Return f filters of n means, at times since power-on.
 
-    Parameters
-    ----------
-    taus_s : array (m,)
-        Correlation times of the processes.
-    markov_sd : array (f, m)
-        Their standard deviations, in the unit of the bias.
-    walk : array (f,)
-        K, in the unit of the bias per sqrt(s).
-    elapsed_s : array (n,)
-        Since the mean before; infinity begins anew.
-    white : array (n,)
-        Variance of the white part of each; infinity where there is no mean.
-    level : array (f,)
-        Variance of the walk at the first mean, and wherever it begins anew.
+    The m processes, with correlation times (m,) and standard deviations (f, m) in the unit of the bias, begin
+    stationary; the walk, K in that unit per sqrt(s), (f,), begins at zero.  `white` is the variance of the
+    white noise of each mean, (n,).
     """
-    begins = ~np.isfinite(elapsed_s)
-    begins[0] = True
-    dt = np.where(begins, 0.0, elapsed_s)[:, np.newaxis]
+    dt = np.diff(time_s, prepend=0.0)[:, np.newaxis]
     decay = np.column_stack([np.ones(len(dt)), np.exp(-dt / taus_s)])
     growth = np.concatenate(
         [
@@ -103,8 +85,7 @@ def whitener(
         ],
         axis=2,
     )
-    decay[begins] = 0.0
-    growth[begins] = np.column_stack([level, markov_sd**2])
+    growth[0, :, 1:] = markov_sd**2
     return Whitener(decay, *_filtered(decay, growth, np.asarray(white, np.float64)))
 
 
