@@ -129,7 +129,7 @@ def kernel_modules() -> tuple[str, ...]:
 
 @cache
 def package_stamp(package: str) -> tuple[int, int]:
-    """Return what changes with any source file of a package: newest change, ns, and the sum of their bytes."""
+    """Return what changes with any source file of a package: newest change, ns, and their bytes."""
     spec = find_spec(package)
     folders = (spec.submodule_search_locations if spec is not None else None) or ()
     files = [path.stat() for folder in folders for path in Path(folder).rglob("*.py")]
