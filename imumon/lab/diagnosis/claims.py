@@ -33,7 +33,6 @@ from imumon.lab.diagnosis.fit import (
 from imumon.lab.diagnosis.search import MOST_NAMES, Search, Stage
 from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim, SlowNoise
 
-UNKNOWN = float("nan")
 PROVEN_FLOORS = 8.0
 """What the test alone proves takes so many white floors out of its error, as a root of squares: false ones of
 effects that are not in the library, took out at most 5.4, true ones of a chamber record at least 90."""
@@ -110,11 +109,8 @@ def _claimed(
     after = _fit(channel, stay)
     kept = _Model(stay, after, _scores(channel, baseline, after))
     if kept.claims and channel.test and not np.isfinite(kept.tests[1].rms):
-        refuted += [
-            {"name": one.name, "test_rms_with": UNKNOWN, "test_rms_without": UNKNOWN}
-            for one in stay
-            if not one.known
-        ]
+        unscored = dict.fromkeys(("test_rms_with", "test_rms_without"), float("nan"))
+        refuted += [{"name": one.name, **unscored} for one in stay if not one.known]
         kept = nothing
     elif kept.claims and (why := _too_little(baseline, after, kept.tests, floor)):
         best = max(found.findings, key=lambda finding: finding.gain)

@@ -29,7 +29,6 @@ REPLACED_AFTER = 2.0
 """Times the age at which a challenger was found: by then the last model that was found takes its place."""
 HELD_NS = 10 * SECOND_NS
 """Samples wait so long until they are reduced to seconds: short blocks then cost no more than long ones."""
-DIAGNOSE = "imumon diagnose --train SESSION --model SESSION --out DIR"
 INK = (150, 155, 165)
 """Colour of the effect in a chart: it reads on both themes, and is no axis' colour."""
 
@@ -155,7 +154,11 @@ class LiveDiagnosis:
         what = "; ".join(_effects_by_axes(found))
         self.state = f"MODEL CAN BE BETTER: {what}: {before:.3g} become {after:.3g} °/h"
         length = common_block_s([run])
-        self._report(f"{self.state} (rms of {length:.0f} s, gain {best.gain:.0f}): {DIAGNOSE}", what)
+        self._report(
+            f"{self.state} (rms of {length:.0f} s, gain {best.gain:.0f}):"
+            " imumon diagnose --train SESSION --model SESSION --out DIR",
+            what,
+        )
         challenger = Challenger(self._model, found, elapsed_s)
         self._lacking = _charts(run, self._model, challenger.model, best)
         if self._learn and (
