@@ -83,19 +83,12 @@ class Information(NamedTuple):
     vector: FloatArray
 
     def plus(self, other: Information) -> Information:
-        """Return the information of both."""
         return Information(self.matrix + other.matrix, self.vector + other.vector)
 
     def without(self, sd: FloatArray) -> tuple[Information, FloatArray]:
-        """Eliminate the last m unknowns, N(0, sd²).
+        """Eliminate the last m unknowns, N(0, sd²), `sd` (..., m).
 
-        Parameters
-        ----------
-        sd : array (..., m)
-
-        Returns
-        -------
-        Information on the other unknowns, and the log density of what does not depend on them, (...).
+        Returns the information on the others, and the log density of what does not depend on them, (...).
         """
         kept, sets = self.matrix.shape[-1] - sd.shape[-1], self.vector.shape[-1]
         precision = self.matrix[..., kept:, kept:] + np.eye(sd.shape[-1]) / sd[..., None, :] ** 2
