@@ -22,8 +22,8 @@ from imumon.estimation.alignment.record import (
     direction_of,
     first_attitude,
     horizontal_rows,
-    yaw_between,
     upright,
+    yaw_between,
 )
 from imumon.estimation.alignment.report import ANY_ANGLE_SD, Estimate, PositionHeading
 from imumon.estimation.alignment.sensor_errors import SensorErrors, sensor_errors

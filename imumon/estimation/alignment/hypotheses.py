@@ -83,6 +83,7 @@ class Information(NamedTuple):
     vector: FloatArray
 
     def plus(self, other: Information) -> Information:
+        """Return the information of independent data taken together."""
         return Information(self.matrix + other.matrix, self.vector + other.vector)
 
     def without(self, sd: FloatArray) -> tuple[Information, FloatArray]:

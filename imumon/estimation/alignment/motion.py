@@ -133,7 +133,7 @@ class Motion:
         return spread * math.sqrt(len(self.pending) + len(self.pending) ** 2 / len(self.recent))
 
     def azimuth_variance(self, before: FloatArray, seconds: float, scale_sd: float) -> float:
-        """Return the variance of the angle by which the unit has turned about the vertical in `seconds`, rad².
+        """Return the variance of the angle by which the unit turned about the vertical in `seconds`, rad².
 
         `before` (3, 3) is the attitude at the beginning, `scale_sd` is of scale factor and misalignment.
         """

@@ -124,9 +124,9 @@ def rows(status: Status) -> dict[str, str]:
         texts["settled"] = f"yes, {status.settled_s:.1f} s after the first sample {wanted}"
     if status.assumed_bias is not None:
         texts["condition"] = (
-            "the gyros' turn-on bias is not declared: sigma is right only if the bias of the gyro that points "
-            f"east is below {status.assumed_bias / DEG_PER_H:.2g} °/h, which turns the heading by one sigma; "
-            "declare it (gyro_bias_sd_deg_per_h), or measure it with --positions 2"
+            "the gyros' turn-on bias is not declared: sigma is right only if the bias of the gyro that "
+            f"points east is below {status.assumed_bias / DEG_PER_H:.2g} °/h, which turns the heading by one "
+            "sigma; declare it (gyro_bias_sd_deg_per_h), or measure it with --positions 2"
         )
     texts["data"] = f"{min(status.rest_s, status.elapsed_s):.0f} of {status.elapsed_s:.0f} s counted"
     if status.positions > 1:
