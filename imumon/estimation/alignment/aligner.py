@@ -40,8 +40,6 @@ NEW_POSITION = 0.01
 """rad: a turn by less does not separate the bias from the earth rate."""
 LONGEST_GAP_S = 30.0
 """A longer gap in the data restarts the alignment."""
-MOST_FITS = 400
-"""Fits whose sigmas are in the chart."""
 
 
 @dataclass
@@ -267,7 +265,7 @@ class Aligner:
             rough_north = state.posterior.north - yaw
         new = heading_posterior(fits, np.array(variances), self.latitude, self.errors, rough_north)
         # What no hypothesis explains shows as a heading that moves from fit to fit.
-        history = [one._replace(north=one.north - yaw) for one in state.history[-MOST_FITS:]]
+        history = [one._replace(north=one.north - yaw) for one in state.history[-400:]]
         recent = [one.north for one in history if one.rest_s >= state.rest_s - RECENT_SHARE * rest_s]
         moved = max((abs(math.remainder(new.north - north, 2.0 * math.pi)) for north in recent), default=0.0)
         sd = min(max(new.sd, moved), ANY_ANGLE_SD)

@@ -31,8 +31,6 @@ TILT_SD, STANDS_SD = np.array([1e-5, 1e-4, 1e-3]), 1e-9
 P_SETTLES = 0.3
 """Prior probability of a settling tripod.  With 0.03 a slow tilt passes for a bias, 9 sigma off; ablation: 0
 makes up to 8 times the error."""
-WARM_UP_TAU_S = (100.0, 300.0, 1000.0)
-"""Time constants of a warm-up of the accelerometers that is not declared."""
 OFFSET_SD = 1e-3
 """Standard deviation of the constant part of α, and of its step in a knock, rad."""
 LIKELY = -15.0
@@ -42,12 +40,15 @@ LARGEST_BIAS = 1e-3
 
 
 class Drift(NamedTuple):
-    """Accelerometer drift: probability, random walk, g/√s, sd of warm-up amplitudes, g, and their τ, s."""
+    """Accelerometer drift d: probability, random walk, g/√s, sd of warm-up amplitudes, g, and their τ, s.
+
+    A drift of 1 µg is read as a tilt of 1 µrad.
+    """
 
     probability: float
     walk: float
     warm_up_sd: float
-    warm_up_tau_s: tuple[float, ...] = WARM_UP_TAU_S
+    warm_up_tau_s: tuple[float, ...] = (100.0, 300.0, 1000.0)
 
 
 DRIFTS = (Drift(0.495, 1e-7, 0.0), Drift(0.495, 1e-7, 1e-4), Drift(0.01, 3e-6, 0.0))
@@ -115,7 +116,7 @@ class PositionFit(NamedTuple):
 
     `log_weight` (h,) is that of prior and evidence, the largest 0; `rate` (h,) earth rate and bias, rad/s,
     with the variance of each part, and `settles` (h,) whether φ settles; `vertical` is the vertical gyro,
-    rad/s, and `white` the white noise of the quietest gyro, (rad/s)²/Hz.
+    rad/s, and `white` the white noise of the quietest gyro, (rad/s)²/Hz; `attitude` as in `HorizontalRows`.
 
     If the unit creeps about the vertical, it does so for `creep_s` and by `yaw`, rad; else both are 0.
     `bias_rotation` is the mean of e^{i yaw}, the factor that turning the rates back gives to a constant bias.

@@ -62,7 +62,7 @@ class Motion:
     def classify(self, slot: Slot, at_rest: bool) -> Outcome:
         """Classify a slot by the table of docs/appendix/alignment-details.md, evaluated top down."""
         if self.rest_rate is None:
-            self.pending = [*self.pending[1 - 4 * MEDIAN_SLOTS :], slot]
+            self.pending = [*self.pending[1 - 4 * MEDIAN_SLOTS :], slot]  # of 2 minutes
             return Outcome.FIRST_REST if at_rest and self._first_rest() else Outcome.WAITING
         if not (self.moving or self._is_motion(slot)):
             return Outcome.REST

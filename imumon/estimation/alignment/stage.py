@@ -24,10 +24,6 @@ from imumon.lane import LaneState, Level
 
 NOT_OBSERVABLE_S = 30.0
 """Time at rest after which "not observable" is reported."""
-TILT_PROBABILITY, CONTRADICTION = 0.5, 3.0
-"""Probability of a tilt above which it is reported, and the size of a bias over the declared one."""
-MOST_EMPTY_SLOTS = 8
-"""A device sends a sample in 2 s at least: a longer time without samples is no rest."""
 LEVELS = {"waiting": Level.WAIT, "disturbed": Level.BAD, "aligning": Level.WAIT, "settled": Level.GOOD}
 """Of the phases; the others are neither good nor bad."""
 
@@ -66,7 +62,8 @@ class Alignment:
         self._reported: set[str] = set()
         self._row = dict.fromkeys((column.name for column in self.columns), math.nan)
         """Columns after the last slot."""
-        self._status = self._make_status()
+        self.status = self._make_status()
+        """State after the last block; may be read by another thread."""
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -111,7 +108,7 @@ class Alignment:
             out[:, other] = np.nan
         if len(slots):
             self._segment = int(slots.segment[-1])
-            self._status = self._make_status()
+            self.status = self._make_status()
         return dict(zip(names, out, strict=True))
 
     def _inputs(self, block: SampleBlock) -> FloatArray:
@@ -132,7 +129,7 @@ class Alignment:
             self._aligner.begin_run()
             self._origin_ns, self._index = start_ns, -1
         index = (start_ns - self._origin_ns) // self._slots.length_ns
-        length_s = SLOT_S * min(index - self._index, MOST_EMPTY_SLOTS)
+        length_s = min(SLOT_S * (index - self._index), 2.0)  # a longer time without samples is no rest
         self._index = index
         if samples:
             self._force.append(mean[3:6].copy())
@@ -177,11 +174,6 @@ class Alignment:
         """Fit the rest since the last fit; return the heading in each position."""
         return self._aligner.finish()
 
-    @property
-    def status(self) -> Status:
-        """State after the last block; may be read by another thread."""
-        return self._status
-
     def _make_status(self) -> Status:
         aligner, state = self._aligner, self._aligner.state
         last = state.positions[-1] if state.positions else None
@@ -224,12 +216,11 @@ class Alignment:
 
     def lanes(self) -> Mapping[str, LaneState]:
         """Return the state of the alignment, and the source of the heading shown."""
-        status = self.status
-        if status.phase == "not observable":
-            not_observable = LaneState("not observable with this gyro")
-            return {"alignment": not_observable, "heading by": LaneState(status.substitute[0])}
-        by = LaneState("joint fit" if status.observable else "none yet")
-        return {"alignment": LaneState(status.phase, LEVELS.get(status.phase, Level.PLAIN)), "heading by": by}
+        phase, level = self.status.phase, LEVELS.get(self.status.phase, Level.PLAIN)
+        by = "joint fit" if self.status.observable else "none yet"
+        if phase == "not observable":
+            phase, by = "not observable with this gyro", self.status.substitute[0]
+        return {"alignment": LaneState(phase, level), "heading by": LaneState(by)}
 
     def charts(self) -> Sequence[Chart]:
         """Return sigma against time."""
@@ -260,10 +251,10 @@ class Alignment:
         status, posterior = self.status, self._aligner.state.posterior
         declared = self._parameters.gyro_bias_sd_deg_per_h
         horizontal = self._aligner.earth_horizontal / DEG_PER_H
-        limit = math.inf if declared is None else CONTRADICTION * max(declared, 0.01) * DEG_PER_H
+        limit = math.inf if declared is None else 3.0 * max(declared, 0.01) * DEG_PER_H
         return {
             "alignment: the level changes as the gyros turn: the unit is tilting (a tripod that settles?); "
-            "its sigma allows for that": status.tilt_probability > TILT_PROBABILITY and status.observable,
+            "its sigma allows for that": status.tilt_probability > 0.5 and status.observable,
             "heading not observable with this gyro: its bias is not small beside the earth's horizontal "
             f"rate of {horizontal:.1f} °/h; a turn by half a circle, and a rest, separate them; or an axis "
             "is swapped or reversed, or the unit of the gyros or the latitude is wrong": (

@@ -12,7 +12,7 @@ from imumon.filters.rates import FASTEST_RATE
 GATE_SIGMA, GATE_STEPS, GATE_SLOTS = 8.0, 5.0, 3
 """A slot is an outlier that lies so many sigmas, so many steps, and farther than a temperature moves from the
 prediction; after so many slots it may be the truth.  Assumed: wide, as the filters weigh what is nearer."""
-SPIKE_DEGC, SPIKE_STEPS = 8.0, 8.0
+SPIKE = 8.0
 """A slot has a spike that spans more than so many °C and more than so many steps.  Assumed."""
 
 
@@ -46,7 +46,7 @@ class Gate:
         `expected` are mean and variance of the predicted reading, °C and °C²; None without an estimate.
         """
         dead = thermometer.is_dead(slot)
-        spike = slot.high - slot.low > max(SPIKE_DEGC, SPIKE_STEPS * thermometer.step)
+        spike = slot.high - slot.low > SPIKE * max(1.0, thermometer.step)
         stuck = slot.low == slot.high == self.outlier_degc
         near = expected is not None and self._is_near(slot, thermometer, *expected)
         power_on = math.isnan(thermometer.last_change)

@@ -79,15 +79,14 @@ class TemperatureRate:
         """Return the readings, NaN where there is none or it is out of range."""
         given = block[name] if name in block else np.full(len(block), np.nan)
         low, high = self._parameters.lowest_degc, self._parameters.highest_degc
-        with np.errstate(invalid="ignore"):
-            inside = (given >= low) & (given <= high)
+        inside = (given >= low) & (given <= high)
         if (outside := given[np.isfinite(given) & ~inside]).size:
             text = f"{outside[0]:g} °C is left out, as all beyond {low:g} to {high:g} (lowest_degc, "
             self._notice(name, "outside", text + "highest_degc): is its unit right?")
         return np.where(inside, given, np.nan)
 
     def _compare_step(self, name: str, channel: _Channel, reading: FloatArray) -> None:
-        """Compare the declared step with what the changes of valid readings show, until they show it."""
+        """Compare the declared step with that of the first 1000 changes of valid readings."""
         declared, finder = self._parameters.step_degc, channel.finder
         before = channel.last if math.isfinite(channel.last) else reading[0]
         channel.last = float(reading[-1])

@@ -12,17 +12,13 @@ SLOT_S = 1.0
 UNKNOWN_STEP_DEGC = 1.0
 """Step that is assumed until a reading changes, °C: that of the coarsest thermometers."""
 LARGEST_STEP_DEGC = 2.0
-"""A first change that is larger is no step, °C, but the end of a fault."""
-EQUAL_DEGC = 1e-5
-"""Readings closer than this are equal, °C."""
+"""A first change that is larger is no step, °C."""
 MEMORY_SLOTS = 32
 """Length of running means.  Ablation: 16 and 64 change errors by at most 9 %."""
 REVERSALS = 3
 """So often must a reading go back within `MOST_REPEAT_S` until its noise is known to reach over an edge."""
 MOST_REPEAT_S = 60.0
 """Longest time that a reading is taken to be repeated, s."""
-NEIGHBOUR_S, LATE_INTERVALS = 10.0, 3.0
-"""Readings are neighbours that are no farther apart than this, s, or than so many usual intervals."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +85,8 @@ class StepFinder:
 
     def learn(self, change: float) -> None:
         """Learn from the distance of two readings, °C."""
-        if not change > EQUAL_DEGC or (self.multiples == 0 and change > LARGEST_STEP_DEGC):
-            return
+        if not change > 1e-5 or (self.multiples == 0 and change > LARGEST_STEP_DEGC):
+            return  # readings that are equal but for their format, or the end of a fault
         self.changes += 1
         ratio = change / self.size
         if self.multiples == 0 or ratio < 0.75:
@@ -155,8 +151,8 @@ class Thermometer:
 
     @property
     def neighbour_s(self) -> float:
-        """Readings farther apart than this are no neighbours, s."""
-        return max(NEIGHBOUR_S, LATE_INTERVALS * self.spacing_s)
+        """Readings farther apart than 10 s, and than three usual intervals, are no neighbours, s."""
+        return max(10.0, 3.0 * self.spacing_s)
 
     @property
     def variance(self) -> float:
