@@ -280,7 +280,7 @@ class Aligner:
 
     @property
     def heading_sd(self) -> float:
-        """Standard deviation of the heading with what turned it since the last fit, rad; NaN before a fit."""
+        """Standard deviation of the heading, rad: of the last fit, and of creep and turns since; or NaN."""
         state = self.state
         if state.posterior is None:
             return math.nan
@@ -293,7 +293,7 @@ class Aligner:
 
     @property
     def observable(self) -> bool:
-        """Whether the heading is known well enough to be shown (`observable_deg`)."""
+        """Whether the heading is shown: its standard deviation is below `observable_deg`."""
         return self.heading_sd < math.radians(self.parameters.observable_deg)
 
     @property
@@ -326,7 +326,7 @@ class Aligner:
         wanted = math.radians(self.parameters.settled_deg)
         if self.heading_sd <= wanted:
             return 0.0
-        left = wanted**2 - (posterior.horizontal_bias_sd / self.earth_horizontal) ** 2
+        left = wanted**2 - posterior.bias_sd**2
         return max(state.rest_s * (posterior.noise_sd**2 / left - 1.0), 1.0) if left > 0.0 else None
 
     @property

@@ -170,14 +170,14 @@ def fit_position(data: HorizontalRows, earth_vertical: float, drifts: Sequence[D
     for drift in drifts:
         by_tilt, log_density = _by_accelerometers(cells, alpha, data.row_s, middles, drift)
         parts.append(_rate_of_each_tilt(by_gyros.plus(by_tilt), log_density + math.log(drift.probability)))
-    log_weight, mean, variance = (np.concatenate(part) for part in zip(*parts, strict=True))
+    log_weight, mean, variance, settles = (np.concatenate(part) for part in zip(*parts, strict=True))
     log_weight -= log_weight.max()
     likely = log_weight > LIKELY
     return PositionFit(
         log_weight=log_weight[likely],
         rate=mean[likely] + cells.mean_rate,
         variance=variance[likely],
-        settles=np.tile(TILTS.max(axis=1) > STANDS_SD, len(drifts))[likely],
+        settles=settles[likely],
         vertical=cells.vertical,
         vertical_variance=cells.vertical_variance,
         white=cells.white,
@@ -226,14 +226,17 @@ def _by_accelerometers(
     return information(design, data, covariance), log_density
 
 
-def _rate_of_each_tilt(known: Information, log_density: float) -> tuple[FloatArray, ColumnArray, FloatArray]:
-    """Return log weight, mean rate and the variance of each part for each hypothesis about φ, (19,)."""
+def _rate_of_each_tilt(
+    known: Information, log_density: float
+) -> tuple[FloatArray, ColumnArray, FloatArray, BoolArray]:
+    """Return log weight, mean rate, variance of each part, and whether φ settles, by hypothesis, (19,)."""
     of_rate, evidence = known.without(TILTS)
     precision = of_rate.matrix[:, 0, 0]
     mean = of_rate.vector[:, 0, :] / precision[:, None]
     evidence += 0.5 * precision * np.sum(mean**2, axis=1) - np.log(precision)
-    prior = np.where(TILTS.max(axis=1) > STANDS_SD, P_SETTLES / (len(TILTS) - 1), 1.0 - P_SETTLES)
-    return evidence + np.log(prior) + log_density, mean @ np.array([1.0, 1j]), 1.0 / precision
+    settles = TILTS.max(axis=1) > STANDS_SD
+    prior = np.where(settles, P_SETTLES / (len(TILTS) - 1), 1.0 - P_SETTLES)
+    return evidence + np.log(prior) + log_density, mean @ np.array([1.0, 1j]), 1.0 / precision, settles
 
 
 def _real_parts(values: ColumnArray) -> FloatArray:

@@ -38,15 +38,14 @@ class HeadingPosterior(NamedTuple):
     """The posterior of the direction of north.
 
     `north` is counter-clockwise in the reference frame at the end of the last position, rad, `sd` its
-    standard deviation, and `noise_sd` that without any bias; `horizontal_bias_sd` is that of the bias in the
-    horizontal axes that is left in the heading, and `bias_size` the root mean square of its prior size,
-    rad/s; `tilt_probability` is that of a unit that settles.
+    standard deviation, `noise_sd` that without any bias, and `bias_sd` what a bias adds to it.  `bias_size`,
+    rad/s, is the root mean square of the size of a bias, and `tilt_probability` that of a unit that settles.
     """
 
     north: float
     sd: float
     noise_sd: float
-    horizontal_bias_sd: float
+    bias_sd: float
     bias_size: float
     tilt_probability: float
 
@@ -61,8 +60,8 @@ def heading_posterior(
     """Return the heading at the end of the last position, at a latitude, rad.
 
     `azimuth_variances` (p,) are of the angle by which the unit was turned since the first position, rad².
-    Earlier positions count by mean and variance over their hypotheses.  `rough_north`, rad, is across the
-    direction in which a bias turns the rates of a unit that creeps.
+    Earlier positions count by mean and variance over their hypotheses.  `rough_north`, rad, is the direction
+    across which the bias of the vertical gyro turns the rates of a unit that creeps.
     """
     joint, log_density = _linear_model(fits, azimuth_variances, latitude, errors.flicker, rough_north)
     sizes = np.hypot(errors.sizes, errors.accel_bias * EARTH_RATE * math.sin(latitude))
@@ -90,7 +89,7 @@ def heading_posterior(
         north=north,
         sd=min(math.sqrt(np.sum(mass * (spread + off**2))), ANY_ANGLE_SD),
         noise_sd=min(math.sqrt(noise), ANY_ANGLE_SD),
-        horizontal_bias_sd=EARTH_RATE * math.cos(latitude) * math.sqrt(max(whole - noise, 0.0)),
+        bias_sd=math.sqrt(max(whole - noise, 0.0)),
         bias_size=math.sqrt(mass @ np.mean(errors.sizes**2, axis=1)[size]),
         tilt_probability=float(mass @ fits[-1].settles[hypothesis]),
     )

@@ -11,13 +11,7 @@ from imumon.estimation.temperature_rate.filter import Filters, Models, correct, 
 from imumon.estimation.temperature_rate.gate import Gate, Outcome
 from imumon.estimation.temperature_rate.measurement import evaluate
 from imumon.estimation.temperature_rate.output import Output, extrapolate, output
-from imumon.estimation.temperature_rate.thermometer import (
-    SLOT_S,
-    UNKNOWN_STEP_DEGC,
-    Slot,
-    StepFinder,
-    Thermometer,
-)
+from imumon.estimation.temperature_rate.thermometer import SLOT_S, Slot, StepFinder, Thermometer
 from imumon.filters.rates import RateEstimate
 from imumon.filters.slots import SlotGatherer, Slots, held
 
@@ -34,7 +28,7 @@ class MultipleModelRate:
 
     def __init__(self, step_degc: float | None = None, models: Models | None = None) -> None:
         self._models = models or Models()
-        self.thermometer = Thermometer(StepFinder(step_degc or UNKNOWN_STEP_DEGC))
+        self.thermometer = Thermometer(StepFinder(step_degc) if step_degc else StepFinder())
         self.stuck_degc = math.nan
         """Where readings stuck last after a leap that no temperature makes, °C; NaN if they never did."""
         self._gatherer = SlotGatherer(1, round(SLOT_S * 1e9))
