@@ -1,4 +1,4 @@
-"""Which slots are rest and which are turns: one decision table per slot.
+"""Which slots are rest and which are turns.
 
 A turn is followed by the gyros, sample by sample (`imumon.filters.turns`), less what they read at rest.
 """
@@ -60,7 +60,7 @@ class Motion:
     """Since the motion began."""
 
     def classify(self, slot: Slot, at_rest: bool) -> Outcome:
-        """Classify a slot by the table of docs/appendix/alignment-details.md, evaluated top down."""
+        """Return the outcome of a slot: that of the first condition that holds."""
         if self.rest_rate is None:
             self.pending = [*self.pending[1 - 4 * MEDIAN_SLOTS :], slot]  # of 2 minutes
             return Outcome.FIRST_REST if at_rest and self._first_rest() else Outcome.WAITING

@@ -76,9 +76,6 @@ MEAN_MODELS = (
     *(mean_model(share, slow_s) for share in (0.3, 1.0) for slow_s in (5.0, 40.0)),
     *(mean_model(share, 3.0, walk) for share, walk in ((0.3, 0.01), (1.0, 0.01), (1.0, 0.05))),
 )
-JERK_PSDS = tuple(10.0 ** (-23.0 + 2.5 * i) for i in range(9))
-"""Power spectral densities q of white jerk, °C²/s⁵.  The rate gains √(q t³/3) in a time t: with the least,
-0.17 °C/h in a day; with the largest, 1 °C/min in a second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +84,9 @@ class Models:
 
     code_models: tuple[NoiseModel, ...] = CODE_MODELS
     mean_models: tuple[NoiseModel, ...] = MEAN_MODELS
-    jerk_psds: tuple[float, ...] = JERK_PSDS
+    jerk_psds: tuple[float, ...] = tuple(10.0 ** (-23.0 + 2.5 * i) for i in range(9))
+    """Power spectral densities q of white jerk, °C²/s⁵.  The rate gains √(q t³/3) in a time t: with the
+    least, 0.17 °C/h in a day; with the largest, 1 °C/min in a second."""
     change_per_s: float = 2e-3
     """Probability per second that the jerk PSD changes to a neighbour's."""
 
@@ -111,14 +110,9 @@ class Models:
 def dynamics(models: Models, dt: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return F, F ⊗ F, the decay of e, Q and the transitions of dt seconds: acceleration with white jerk.
 
-    ::
-
-        F = [[1, dt, dt²/2, 0], [0, 1, dt, 0], [0, 0, 1, 0], [0, 0, 0, φ]],  φ = exp(-dt/τ)
-        Q = q [[dt⁵/20, dt⁴/8, dt³/6], [dt⁴/8, dt³/3, dt²/2], [dt³/6, dt²/2, dt]]
-
-    F is (4, 4) and has 1 in place of φ, which depends on the noise model: the decay, (4, k, 1), is φ for e,
-    and 1 for the other states.  F ⊗ F, (16, 16), is for vec(F P Fᵀ) = (F ⊗ F) vec P.  Q of T, r and a is
-    (3, 3, 1, m), the transition matrix of the jerk PSDs (m, m).
+    F is (4, 4) and has 1 in place of φ = exp(-dt/τ) of e, which depends on the noise model: the decay,
+    (4, k, 1), is φ for e, and 1 for the other states.  F ⊗ F, (16, 16), is for vec(F P Fᵀ) = (F ⊗ F) vec P.
+    Q of T, r and a is (3, 3, 1, m), the transition matrix of the jerk PSDs (m, m).
     """
     f: FloatArray = np.eye(STATES)
     f[TEMPERATURE, RATE] = f[RATE, ACCELERATION] = dt
