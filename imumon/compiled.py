@@ -1,10 +1,10 @@
-"""Compiled functions, kept on disk, and compiled anew only when something that they are made of has changed.
+"""Compiled functions, kept on disk as numba does, and renewed when any file of their package has changed.
 
 numba keeps compiled code beside the module of a function, or in the user's cache where that cannot be written
 to, and looks whether this one file has changed.  A kernel is also made of what its module imports: other
-kernels, and constants.  Here the key is therefore the fingerprint of all of these (`sources.stamp`).
+kernels, and constants.  So here any file of the package counts (`package_stamp`).
 
-What has to be compiled, and so keeps a command waiting, is said to the logger ``imumon.compiled``.
+What has to be compiled, and so keeps a command waiting, goes to the logger ``imumon.compiled``.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from __future__ import annotations
 import copyreg
 import logging
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, TypeVar, cast, overload
 
 import numba
 import numpy as np
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.runtime.nrt import rtsys
 from numba.extending import register_jitable
-
-from imumon.sources import stamp
 
 F = TypeVar("F", bound=Callable[..., Any])
 Fields = TypeVar("Fields")
@@ -127,16 +127,16 @@ def kernel_modules() -> tuple[str, ...]:
     return tuple(_modules)
 
 
+@cache
+def package_stamp(package: str) -> tuple[int, int]:
+    """Return what changes with any source file of a package: newest change, ns, and their bytes."""
+    spec = find_spec(package)
+    folders = (spec.submodule_search_locations if spec is not None else None) or ()
+    files = [path.stat() for folder in folders for path in Path(folder).rglob("*.py")]
+    return max((one.st_mtime_ns for one in files), default=0), sum(one.st_size for one in files)
+
+
 # Some of numba is typed, its caches are not.
-
-
-class _Stored(CompileResultCacheImpl):
-    """Where compiled code is kept: as numba does it, under the name of the function, with our stamp."""
-
-    def get_filename_base(self, fullname: str, abiflags: str) -> str:
-        """Return the name of the files: without the line number, so that edits leave none behind."""
-        name = str(super().get_filename_base(fullname, abiflags))  # type: ignore[no-untyped-call]
-        return name.replace(f"-{self.locator.get_disambiguator()}.", ".", 1)
 
 
 class _Index(IndexDataCacheFile):
@@ -152,13 +152,11 @@ class _Index(IndexDataCacheFile):
 class _Cache(FunctionCache):
     """The stored code of one function; says what has to be compiled."""
 
-    _impl_class = _Stored
-
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)  # type: ignore[no-untyped-call]
         self._module = function.__module__
         self._cache_file = _Index(  # type: ignore[no-untyped-call]
-            self._cache_path, self._impl.filename_base, stamp(self._module)
+            self._cache_path, self._impl.filename_base, package_stamp(self._module.partition(".")[0])
         )
 
     def load_overload(self, sig: object, target_context: object) -> object:

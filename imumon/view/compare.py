@@ -12,8 +12,8 @@ import rerun.blueprint as rrb
 from imumon.blocks import IntArray, SampleBlock
 from imumon.charts import BLUE, GREEN, ORANGE, RED, VIOLET, Color
 from imumon.view.blueprint import arranged
-from imumon.view.extent import Extent, entity, marks_of
-from imumon.view.items import NATIVE_TAB, Samples, Timebase, ViewSetup
+from imumon.view.extent import Extent, entity
+from imumon.view.items import Samples, Timebase, ViewSetup
 from imumon.view.layout import FIRST, Rows, Strip, tab_of
 from imumon.view.logger import RECORDED_STEP_NS
 from imumon.view.panels import PANELS
@@ -91,7 +91,7 @@ class Comparison:
         panel.log(self._rec, rows)
         self._blocks += 1  # sessions overlap in time: the extent is told of a step for each block
         clock = np.array([self._blocks * 1_000_000_000])
-        line.ends = line.extent.ends(clock, panel.reach(rows), marks_of(COLUMNS, NATIVE_TAB)) or line.ends
+        line.ends = line.extent.ends(clock, panel.reach(rows)) or line.ends
 
     def note(self, clock: IntArray) -> None:
         """Note how far time goes."""

@@ -27,14 +27,9 @@ LEAST_STEPS = 4.0
 STILL = 0.02
 """What never changes is shown on an axis of this share of its value."""
 AHEAD = 0.1
-"""The ends leave so much of the span free, for what comes until the next step; nothing where that would need
-coarser marks, and with them an axis more than twice as long."""
-FRAME_HEIGHT = 47
-"""Points: title and times of a strip."""
-MARK_HEIGHT = 22
-"""Points between marks: with less their numbers are too faint to read, at 20 they are gone."""
-EDGE = 8.0 / MARK_HEIGHT
-"""Half of a number, in such distances: nearer to the end of the axis it is cut."""
+"""The ends leave so much of the span free, for what comes until the next step."""
+LARGEST = 1e300
+"""No axis ends beyond it, so that its length is a number; a value beyond is no measurement."""
 MOST_STRIPS = 4
 """Above each other: in a fifth of a tab only the first of ten steps are fine enough for three numbers."""
 LATEST_S = 3.0
@@ -84,12 +79,8 @@ class Extent:
     _before: FloatArray | None = None
     _steps: deque[_Step] = field(default_factory=deque)
 
-    def ends(self, clock: IntArray | None, drawn: Reach, marks: float) -> tuple[float, float] | None:
-        """Return both ends of the axis, once in a step of time; None while it goes on.
-
-        They are moved outwards until three marks, and no more than `marks` steps between them, have room for
-        their numbers.
-        """
+    def ends(self, clock: IntArray | None, drawn: Reach) -> tuple[float, float] | None:
+        """Return both ends of the axis, once in a step of time; None while it goes on."""
         began = self._gather(0 if clock is None or not len(clock) else int(clock[-1]) // STEP_NS, drawn)
         if not began:
             return None
@@ -97,8 +88,11 @@ class Extent:
         least = max(drawn.least, LEAST_STEPS * self._resolution if np.isfinite(self._resolution) else 0.0)
         if low == high:  # nothing is known of what it resolves
             least = max(least, STILL * abs(low)) or 1.0
-        long, scarce = (_with_room((low, high), least, share, drawn.floor, marks) for share in (AHEAD, 0.0))
-        return scarce if long[1] - long[0] > 2.0 * (scarce[1] - scarce[0]) else long
+        span = max(high - low, least)
+        if drawn.floor is not None and low >= drawn.floor:
+            return drawn.floor, max(high, drawn.floor + least) + AHEAD * span
+        beyond = AHEAD * span + 0.5 * (span - (high - low))
+        return low - beyond, high + beyond
 
     def _visible(self) -> tuple[float, float]:
         """Return the ends of all lines with their bands, without spikes and bands that are much too wide."""
@@ -111,7 +105,8 @@ class Extent:
         half = np.where(half > WIDE * usual, usual, half)
         low = np.fmax([step.low for step in steps], calm_low - room) - half
         high = np.fmin([step.high for step in steps], calm_high + room) + half
-        return float(np.nanmin(low)), float(np.nanmax(high))
+        bottom, top = np.clip([np.nanmin(low), np.nanmax(high)], -LARGEST, LARGEST).tolist()
+        return bottom, top
 
     def _gather(self, number: int, drawn: Reach) -> bool:
         """Take rows; tell whether they begin a step."""
@@ -165,60 +160,6 @@ class Extent:
 def columns_of(strips: int) -> int:
     """Return beside each other how many strips of a tab stand."""
     return math.ceil(strips / MOST_STRIPS)
-
-
-def marks_of(strips: int, tab_height: float) -> float:
-    """Return how many steps between marks have room in each of so many strips of a tab, 3 or more."""
-    rows = math.ceil(strips / max(columns_of(strips), 1))
-    return max(3.0, (tab_height / max(rows, 1) - FRAME_HEIGHT) / MARK_HEIGHT)
-
-
-def _with_room(
-    seen: tuple[float, float], least: float, share: float, floor: float | None, marks: float
-) -> tuple[float, float]:
-    """Return the ends with a share of the span beyond them, and marks; what has a floor begins there."""
-    low, high = seen
-    ahead = share * max(high - low, least)
-    if floor is not None and low >= floor:
-        top = max(high + ahead, floor + least)
-        return with_marks(floor - EDGE / marks * (top - floor), top, marks, upwards=True)
-    short = max(0.0, least - (high - low))
-    return with_marks(low - 0.5 * short - ahead, high + 0.5 * short + ahead, marks)
-
-
-LARGEST = 1e300
-"""No axis is longer, so that its ends and marks are numbers; a value beyond is no measurement."""
-
-
-def with_marks(low: float, high: float, most: float, *, upwards: bool = False) -> tuple[float, float]:
-    """Return the ends, moved outwards until three marks, a power of ten apart, and their numbers are inside.
-
-    The viewer writes numbers at powers of ten, of which it takes the finest that has room: here `most` steps.
-    With `upwards` it is the upper end that is moved.
-    """
-    low, high = (min(max(end, -LARGEST), LARGEST) for end in (low, high))
-    span = max(high - low, 1e-12 * max(abs(low), abs(high)), 1e-300)
-    step = 10.0 ** math.ceil(math.log10(span / most) - 1e-9)
-    ends = _about_marks(low, high, step, EDGE / most, upwards=upwards)
-    while ends[1] - ends[0] > most * step * (1.0 + 1e-9):  # moved so far that these have no room any more
-        step *= 10.0
-        ends = _about_marks(low, high, step, EDGE / most, upwards=upwards)
-    return ends
-
-
-def _about_marks(low: float, high: float, step: float, edge: float, *, upwards: bool) -> tuple[float, float]:
-    """Return the ends, moved until three multiples of a step are so much of the axis away from each."""
-    room = edge * (high - low)
-    first, last = math.ceil((low + room) / step - 1e-9), math.floor((high - room) / step + 1e-9)
-    while last - first < 2:
-        if upwards or high / step - last > first - low / step:
-            last += 1
-        else:
-            first -= 1
-    bottom, top = first * step, last * step
-    one, both = 1.0 - edge, 1.0 - 2.0 * edge  # what is left where one end moves, or both
-    room = edge * max(high - low, (high - bottom) / one, (top - low) / one, (top - bottom) / both)
-    return min(low, bottom - room), max(high, top + room)
 
 
 def entity(drawn: str) -> str:

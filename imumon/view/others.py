@@ -8,7 +8,7 @@ import rerun as rr
 from imumon.blocks import ColumnArray
 from imumon.charts import AXIS_COLORS, BLUE, GREEN, RED
 from imumon.view.axes import Axes
-from imumon.view.extent import Extent, Reach, declare_extent, marks_of, with_marks
+from imumon.view.extent import Extent, Reach, declare_extent
 from imumon.view.items import ViewSetup
 from imumon.view.layout import OTHER, Rows, read_as
 from imumon.view.window import slow_window
@@ -66,14 +66,13 @@ class Others:
 
     def _log_extent(self, name: str, reach: Reach, rows: Rows) -> None:
         together = self._together()
-        marks = marks_of(len(together), self._setup.tab_height)
-        ends = self._extents[name].ends(rows.clock, reach, marks)
+        ends = self._extents[name].ends(rows.clock, reach)
         if ends is None:
             return
         self._ends[name] = ends
         names = together[self._title(name)]
         found = [self._ends[one] for one in names if one in self._ends]
-        whole = with_marks(min(low for low, _ in found), max(high for _, high in found), marks)
+        whole = min(low for low, _ in found), max(high for _, high in found)
         self._axes.set(self._drawn(names[0]), whole, rows.kept(np.array([len(reach.values) - 1])))
 
     def _together(self) -> dict[str, list[str]]:

@@ -7,7 +7,7 @@ import rerun as rr
 
 from imumon.view.axes import Axes
 from imumon.view.cards import Cards, Reading, card
-from imumon.view.extent import Extent, marks_of
+from imumon.view.extent import Extent
 from imumon.view.items import ViewSetup
 from imumon.view.layout import FIRST, Panel, Rows, log_markdown, tab_of
 from imumon.view.shown import ShownPanels
@@ -47,17 +47,14 @@ class PanelLog:
     def log(self, rows: Rows) -> set[str]:
         """Log rows; return the columns that panels draw."""
         claimed: set[str] = set()
-        logged: list[Panel] = []
         for panel in self._panels.drawing(rows):
             claimed.update(panel.columns)
             if self._panels.begins(panel, rows):
                 panel.declare(self._rec, live=self._live)
             if panel.key in self._panels.begun:
                 panel.log(self._rec, rows)
-                logged.append(panel)
+                self._log_extent(panel, rows)
                 self._cards.add(self._panels.readings[panel.key], rows.columns)
-        for panel in logged:  # how high a strip is follows from how many there are
-            self._log_extent(panel, rows)
         return claimed
 
     def log_cards(self, newest: Rows) -> None:
@@ -86,8 +83,7 @@ class PanelLog:
         if reach is None:
             return
         extent = self._extents.setdefault(panel.key, Extent(self._window_s(panel)))
-        strips = sum(other.place == panel.place for other in self._panels.begun.values())
-        ends = extent.ends(rows.clock, reach, marks_of(strips, self._setup.tab_height))
+        ends = extent.ends(rows.clock, reach)
         if ends is not None:
             self._axes.set(panel.drawn, ends, rows.kept(np.array([len(reach.values) - 1])))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import os
 import subprocess
@@ -12,11 +11,11 @@ from collections import defaultdict
 from time import process_time
 from typing import Any
 
-from support.compile_kernels import FIRST, THEN
+from support.compile_kernels import TASKS
 
 from benchmarks.measure import Bar, Table
 
-DEMO = ("epochs and clocks", "temperature rate", "rest", "estimators")
+DEMO = ("epochs and clocks", "estimators")
 """What scripts/demo needs."""
 LONGEST = 15
 """Kernels that the table names."""
@@ -71,11 +70,8 @@ def main() -> None:
             function = ended.data["dispatcher"].py_func
             kernels[f"{function.__module__}.{function.__name__}"] += seconds - inner
 
-    # What a demo needs comes first, so that nothing of it is charged to another task.
-    tasks = {**{name: {**FIRST, **THEN}[name] for name in DEMO}, **FIRST, **THEN}
-    gc.disable()  # as support.compile_kernels does
     event.register("numba:compile", Listener())  # type: ignore[no-untyped-call]  # numba has no types here
-    for name, task in tasks.items():
+    for name, task in TASKS.items():
         kernels: defaultdict[str, float] = defaultdict(float)
         found[name] = kernels
         task()

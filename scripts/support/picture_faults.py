@@ -1,4 +1,4 @@
-"""What is wrong with a picture of the view: an empty panel, a cut-off band, an axis without numbers."""
+"""What is wrong with a picture of the view: an empty panel, a cut-off band."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from PIL import Image
 from rerun.chunk import ChunkStore, RrdReader
 
 from imumon.blocks import FloatArray
-from imumon.view.extent import EDGE, WIDE, entity, marks_of
-from imumon.view.items import NATIVE_TAB
+from imumon.view.extent import WIDE, entity
 from imumon.view.layout import Panel
 
 LEGEND = 0.86
@@ -52,9 +51,6 @@ def axis_faults(recording: Path, panels: Iterable[Panel], window_s: float) -> li
     faults = []
     for panel in shown:
         low, high = ends[panel][-1, 1:]
-        strips = sum(other.place == panel.place for other in shown)
-        if numbers_on(low, high, marks_of(strips, NATIVE_TAB)) < 3:
-            faults.append(f"{panel.key}: fewer than three numbers from {low:g} to {high:g}")
         bands = measured(logged, f"{panel.drawn}/**")
         if len(bands):
             bands = bands[bands[:, 0] > bands[-1, 0] - window_s]
@@ -64,14 +60,6 @@ def axis_faults(recording: Path, panels: Iterable[Panel], window_s: float) -> li
             if outside.mean() > OUTSIDE:
                 faults.append(f"{panel.key}: {outside.mean():.0%} of its band outside {low:g} to {high:g}")
     return faults
-
-
-def numbers_on(low: float, high: float, most: float) -> int:
-    """Return how many whole numbers the viewer writes from `low` to `high`, where so many steps have room."""
-    steps = (10.0**power for power in range(-12, 12))
-    step = next(step for step in steps if (high - low) / step <= most + 1e-6)
-    edge = EDGE * (high - low) / most
-    return int(np.floor((high - edge) / step + 1e-6) - np.ceil((low + edge) / step - 1e-6)) + 1
 
 
 def stored(recording: Path) -> ChunkStore:

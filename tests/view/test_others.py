@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import rerun as rr
-from support.picture_faults import numbers_on, scalars, stored
+from support.picture_faults import scalars, stored
 
 from imumon.view.axes import Axes
 from imumon.view.extent import entity
@@ -48,7 +48,7 @@ def test_angles_are_read_in_degrees_here_too_and_kept_exactly(tmp_path: Path) ->
     np.testing.assert_array_equal(scalars(stored(tmp_path / "a.rrd"), path("nav/roll"))[:, 1], 0.5)
 
 
-def test_an_axis_holds_all_lines_of_its_view_and_has_numbers(tmp_path: Path) -> None:
+def test_an_axis_holds_all_lines_of_its_view_and_little_else(tmp_path: Path) -> None:
     rec = rr.RecordingStream("imumon", recording_id="test")
     rec.set_sinks(rr.FileSink(tmp_path / "a.rrd"))
     others = Others(rec, SETUP, Axes(rec, live=True), live=True)
@@ -59,4 +59,4 @@ def test_an_axis_holds_all_lines_of_its_view_and_has_numbers(tmp_path: Path) -> 
     _, low, high = scalars(stored(tmp_path / "a.rrd"), entity(path("gnss/depth")))[-1]
     assert low <= -7.0
     assert high >= 130.0
-    assert numbers_on(low, high, 30) >= 3
+    assert high - low < 1.5 * 137.0
