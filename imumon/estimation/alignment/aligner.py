@@ -264,7 +264,7 @@ class Aligner:
         if state.posterior is not None:
             rough_north = state.posterior.north - yaw
         new = heading_posterior(fits, np.array(variances), self.latitude, self.errors, rough_north)
-        # What no hypothesis explains shows as a heading that moves from fit to fit.
+        # What no hypothesis explains shows as a heading that moves from fit to fit.  A chart shows 400 fits.
         history = [one._replace(north=one.north - yaw) for one in state.history[-400:]]
         recent = [one.north for one in history if one.rest_s >= state.rest_s - RECENT_SHARE * rest_s]
         moved = max((abs(math.remainder(new.north - north, 2.0 * math.pi)) for north in recent), default=0.0)

@@ -195,8 +195,10 @@ class Thermometer:
 
         A reading repeated for longer than a slot counts once: when it changes, or when that is overdue.
         """
-        if not slot.count or self.repeat_s < 0.9 * SLOT_S:
-            return slot if slot.count else None
+        if not slot.count:
+            return None
+        if self.repeat_s < 0.9 * SLOT_S:
+            return slot
         if not slot.changes and slot.end_s - self.fresh_s < self.repeat_s + SLOT_S:
             return None
         spacing_s, last = max(SLOT_S, self.repeat_s), slot.last
