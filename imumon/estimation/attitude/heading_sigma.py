@@ -79,7 +79,7 @@ class HeadingSigma:
             self.moving_s *= keep
             self.earlier *= keep**2
             self.field_correction *= keep
-        relative = self.gyros.error(self.about_up**2) + self.earlier + (bias_sd * self.moving_s) ** 2
+        relative = self.gyros.error_variance(self.about_up**2) + self.earlier + (bias_sd * self.moving_s) ** 2
         return self._magnetic(slot.up_body, end, tilt_variance, relative) if end["north"] else relative
 
     def _magnetic(self, up_body: FloatArray, end: Rows, tilt_variance: float, relative: float) -> float:

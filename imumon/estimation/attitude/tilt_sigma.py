@@ -143,7 +143,7 @@ class Gyros:
         """Variance of a turn of each gyro over its square, (3,): s², and 1 where it is not confirmed."""
         return np.asarray(self.variance + ~self.confirmed)
 
-    def error(self, squares: FloatArray) -> float:
+    def error_variance(self, squares: FloatArray) -> float:
         """Return s² times the sum of squared turns, rad², (9,), and those of gyros not confirmed in full."""
         return self.variance * float(squares.sum()) + float(squares[::4] @ ~self.confirmed)
 
@@ -191,7 +191,7 @@ class TiltSigma:
 
     def _delay(self, up: FloatArray) -> float:
         """Return l, rad²."""
-        return 0.5 * self.gyros.error(tilt_squared(self.late, up))
+        return 0.5 * self.gyros.error_variance(tilt_squared(self.late, up))
 
 
 def tilt_squared(sensitivity: FloatArray, up: FloatArray) -> FloatArray:
