@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -161,14 +160,6 @@ class Alignment:
             self._down = 1.0 if up[2] < 0.0 else -1.0
         x, y, z = (-self._down * float(value) for value in up)
         return math.atan2(y, z), -math.atan2(x, math.hypot(y, z))
-
-    def snapshot(self) -> dict[str, object]:
-        """Return a copy of the state."""
-        return copy.deepcopy(vars(self))
-
-    def restore(self, saved: Mapping[str, Any]) -> None:
-        """Continue from what `snapshot` returned."""
-        vars(self).update(copy.deepcopy(saved))
 
     def finish(self) -> list[PositionHeading]:
         """Fit the rest since the last fit; return the heading in each position."""
