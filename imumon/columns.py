@@ -21,7 +21,8 @@ class Column:
     description: str = ""
 
 
-def _vector(name: str, unit: str, description: str, axes: str = "xyz") -> list[Column]:
+def vector_columns(name: str, unit: str, description: str, axes: str = "xyz") -> list[Column]:
+    """Return the columns of a vector, one for each axis."""
     return [Column(f"{name}_{axis}", unit, description=f"{description}, {axis}") for axis in axes]
 
 
@@ -34,12 +35,12 @@ KNOWN: dict[str, Column] = {
         Column("segment", "1", "int64", "counts restarts of the device's clock or counter, from 0"),
         Column("packet_counter", "1", "int64", "packet counter as the device sends it"),
         Column("device_ticks", "1", "int64", "device clock as the device sends it, in its own ticks"),
-        *_vector("gyro", "rad/s", "angular rate"),
-        *_vector("accel", "m/s^2", "specific force"),
-        *_vector("mag", "uT", "magnetic field"),
+        *vector_columns("gyro", "rad/s", "angular rate"),
+        *vector_columns("accel", "m/s^2", "specific force"),
+        *vector_columns("mag", "uT", "magnetic field"),
         Column("temperature", "degC", description="sensor temperature"),
-        *_vector("temperature", "degC", "sensor temperature of the axis"),
-        *_vector("q", "1", "attitude quaternion, body to the device's reference frame", "wxyz"),
+        *vector_columns("temperature", "degC", "sensor temperature of the axis"),
+        *vector_columns("q", "1", "attitude quaternion, body to the device's reference frame", "wxyz"),
         Column("roll", "rad", description="roll as the device reports it"),
         Column("pitch", "rad", description="pitch as the device reports it"),
         Column("yaw", "rad", description="yaw as the device reports it"),

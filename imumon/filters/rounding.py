@@ -16,12 +16,12 @@ from imumon.blocks import FloatArray
 
 FEW = 0.2
 """Distinct values, as a share of the samples, below which they lie on a grid."""
-ALIKE = 1e-3
-"""Differences of neighbouring values that are nearer than this share of one another are one step."""
+ON_GRID = 0.05
+"""Share of a step within which a difference is a whole number of steps."""
 ROUNDED = 1.0 / 12.0
 """Variance of what rounding adds, in steps squared."""
 KEPT, BLOCK = 320, 64
-"""Pieces of a channel that are looked at, and samples of each: few, for its mean to be constant."""
+"""Pieces of a channel that are evaluated, and samples of each: few, for its mean to be constant."""
 FARTHEST = 6
 """Steps from the middle of a piece that are counted apart: for noise of 1.6 steps, four sigmas."""
 TERMS = 60
@@ -30,7 +30,7 @@ RATIOS = np.geomspace(0.02, 1.6, 45)
 """Noise in steps that is tried, 10 % apart; above the last, rounding leaves all but 1e-22."""
 PHASES = np.arange(-0.5, 0.5, 0.05)
 """Means of a piece between two steps that are tried."""
-LEAST_CHANCE = 1e-12
+LEAST_PROBABILITY = 1e-12
 """Of a step however far: a single outlier decides nothing."""
 
 
@@ -58,7 +58,7 @@ def grid_step(distinct: FloatArray, samples: int) -> float:
     gaps = np.diff(distinct)
     # Rounded in a decimal text or by a factor, equal steps differ in their last digits.
     step = float(np.median(gaps[gaps <= 1.5 * np.quantile(gaps, 0.25)]))
-    whole = np.abs(gaps / step - np.round(gaps / step)) < 50 * ALIKE
+    whole = np.abs(gaps / step - np.round(gaps / step)) < ON_GRID
     return step if whole.mean() > 0.9 else 0.0
 
 
@@ -94,26 +94,26 @@ def digits(values: FloatArray) -> Digits | None:
     if not pieces:
         return None
     chosen = np.unique(np.linspace(0, pieces - 1, min(pieces, KEPT)).astype(np.int64))
-    looked = values[: pieces * BLOCK].reshape(pieces, BLOCK)[chosen]
-    distinct = np.unique(looked)
+    parts = values[: pieces * BLOCK].reshape(pieces, BLOCK)[chosen]
+    distinct = np.unique(parts)
     if len(distinct) == 1:  # a reading changes now and then, if ever
         changes = np.abs(np.diff(values))
         changes = changes[changes > 0.0]
         return Digits(float(changes.min()), float(RATIOS[0])) if len(changes) else None
-    step = grid_step(distinct, looked.size)
-    spread = np.sqrt(np.mean(np.diff(looked, axis=1) ** 2) / 2.0)
+    step = grid_step(distinct, parts.size)
+    spread = np.sqrt(np.mean(np.diff(parts, axis=1) ** 2) / 2.0)
     if step == 0.0 or spread > RATIOS[-1] * step:
         return None
-    middle = np.sort(looked, axis=1)[:, BLOCK // 2, np.newaxis]  # one of the readings
-    steps = np.clip(np.rint((looked - middle) / step), -FARTHEST, FARTHEST)
+    middle = np.sort(parts, axis=1)[:, BLOCK // 2, np.newaxis]  # one of the readings
+    steps = np.clip(np.rint((parts - middle) / step), -FARTHEST, FARTHEST)
     counts = np.array([(steps == place).sum(axis=1) for place in range(-FARTHEST, FARTHEST + 1)])
-    likely = np.log(_chances()) @ counts
+    likely = np.log(_step_probabilities()) @ counts
     best = likely.max(axis=1).sum(axis=1)
     return Digits(step, float(RATIOS[int(np.argmax(best))]))
 
 
-def _chances() -> FloatArray:
+def _step_probabilities() -> FloatArray:
     """Return the probability of each step from the middle, (ratios, phases, steps)."""
     edges = np.concatenate([[-np.inf], np.arange(-FARTHEST, FARTHEST) + 0.5, [np.inf]])
     below = ndtr((edges - PHASES[:, np.newaxis]) / RATIOS[:, np.newaxis, np.newaxis])
-    return np.asarray(np.maximum(np.diff(below), LEAST_CHANCE))
+    return np.asarray(np.maximum(np.diff(below), LEAST_PROBABILITY))

@@ -1,7 +1,9 @@
-"""A bank of Kalman filters, one for each mode, whose white noise is not known (West & Harrison, 1997, ch. 4).
+"""A bank of Kalman filters, one for each mode, of unknown white noise σ² (West & Harrison, 1997, ch. 4).
+
+The modes are fixed: static multiple models (Bar-Shalom et al., 2001, section 11.6.2).
 
 Each filter has its mean x, its covariance P over σ², and of σ² an inverse-gamma posterior IG(a, β).  Gains do
-not depend on σ², so nothing is filtered twice when σ² becomes known.  The predictive density of a measurement
+not depend on σ², and S here is the innovation covariance over σ².  The predictive density of a measurement
 is Student's t with 2 a degrees of freedom and squared scale S β/a, and it weighs the modes
 of each axis: its noise and slope.
 """
@@ -26,7 +28,7 @@ from imumon.estimation.gyro_bias.modes import (
     propagated,
 )
 from imumon.estimation.gyro_bias.prediction import Prediction
-from imumon.estimation.rest.slots import Second
+from imumon.estimation.rest.slots import Measurement
 
 MEMORY_S = 600.0
 """Over which σ² is averaged."""
@@ -46,30 +48,26 @@ class Bank:
     modes: Modes
     mean: FloatArray
     covariance: FloatArray
-    """Over σ²."""
+    """P, over σ²."""
     log_weight: FloatArray
+    """Logarithm of the likelihood of each mode, largest 0, (3, F)."""
     shape: float
     scale: FloatArray
-    """a, and β, (3, F)."""
+    """a, and β in (rad/s)², (3, F)."""
     time_s: float
     degc: FloatArray
     """(3,)."""
 
-    def after(self, now: Second, jumped: bool = False) -> Bank:
-        """Return the filters after a second at rest.
-
-        Parameters
-        ----------
-        jumped : bool
-            Whether the bias may be any, so that the second is no evidence of modes and σ².
-        """
+    def after(self, now: Measurement, jumped: bool = False) -> Bank:
+        """Return the filters after a measurement; with `jumped` the bias may be any, and modes and σ²
+        stay."""
         dt, warming = now.end_s - self.time_s, now.degc - self.degc
         mean, covariance = propagated(self.mean, self.covariance, self.modes.process, dt, warming)
         if jumped:
             covariance[..., WALK, WALK] += UNKNOWN
         h = measurement_row(now.force)
         cross = (covariance.reshape(-1, STATES) @ h).reshape(mean.shape)  # P Hᵀ
-        spread = cross @ h + 1.0 / now.seconds  # S
+        spread = cross @ h + 1.0 / now.covered_s  # S
         innovation = now.rate[:, np.newaxis] - mean @ h
         gain = cross / spread[..., np.newaxis]
         mean += gain * innovation[..., np.newaxis]
@@ -79,7 +77,7 @@ class Bank:
         return bank if jumped else bank._weighed(innovation**2 / spread, spread)
 
     def _weighed(self, square: FloatArray, spread: FloatArray) -> Bank:
-        """Take the likelihood of innovations, whose squares over S are given, and learn σ² from them."""
+        """Weigh the modes by their likelihoods, and learn σ², by squared innovations over S and S, (3, F)."""
         a, variance = self.shape, self.scale / self.shape
         likelihood = 0.5 * np.log(spread * variance) + (a + 0.5) * np.log1p(square / (2.0 * a * variance))
         weight = self.log_weight - likelihood
@@ -121,8 +119,7 @@ class Bank:
         return replace(self, covariance=covariance)
 
     def with_noise_of(self, other: Bank) -> Bank:
-        """Take what another bank of the same gyros has learned of σ² and the modes; what is known of the bias
-        stays as it is."""
+        """Take σ² and the mode weights of another bank; the covariance of the states, P σ², stays."""
         ratio = self.scale / self.shape * other.shape / other.scale
         covariance = self.covariance * ratio[..., np.newaxis, np.newaxis]
         return replace(
@@ -130,18 +127,15 @@ class Bank:
         )
 
     def with_white(self, white: FloatArray) -> Bank:
-        """Take another white noise of a second, (3,), as of a fan that starts."""
+        """Restart σ², the variance of the mean of a second, (rad/s)², (3,)."""
         scale = np.repeat(PRIOR_COUNT * white[:, np.newaxis], self.modes.count, 1)
         return self.with_noise_of(replace(self, shape=PRIOR_COUNT, scale=scale))
 
 
-def start(modes: Modes, white: FloatArray, count: float, first: Second) -> Bank:
-    """Return filters that know nothing of the bias before a second at rest.
+def start(modes: Modes, white: FloatArray, count: float, first: Measurement) -> Bank:
+    """Return filters that know nothing of the bias before the first measurement.
 
-    Parameters
-    ----------
-    white : array (3,)
-        Variance of the mean rate of a second, (rad/s)², with `count` as its a.
+    `white` is σ², the variance of the mean rate of a second, (rad/s)², (3,), with `count` as its a.
     """
     covariance = np.zeros((3, modes.count, STATES, STATES))
     diagonal = np.einsum("...ii->...i", covariance)
@@ -150,4 +144,4 @@ def start(modes: Modes, white: FloatArray, count: float, first: Second) -> Bank:
     diagonal[..., SENSITIVITY] = (SENSITIVITY_SD**2 / white)[:, np.newaxis, np.newaxis]
     scale = np.repeat(count * white[:, np.newaxis], modes.count, 1)
     mean, log_weight = np.zeros((3, modes.count, STATES)), np.zeros((3, modes.count))
-    return Bank(modes, mean, covariance, log_weight, count, scale, first.end_s - first.seconds, first.degc)
+    return Bank(modes, mean, covariance, log_weight, count, scale, first.end_s - first.covered_s, first.degc)

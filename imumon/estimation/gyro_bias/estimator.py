@@ -1,9 +1,11 @@
 """Slot by slot: is the unit at rest, and what is the bias?
 
-`imumon.estimation.rest.quiet` tests whether anything moves, without a bias; of each quiet second
-`hypotheses` decides what its mean is.  At rest is what is quiet for a second, has been decided on since it
-was last not, and is not rather a turn.  While the unit moves, what moves the bias is in its variance.  All
-rates are less what the thermal model has added since the start.
+`imumon.estimation.rest.quiet` detects whether anything moves, without a bias.  Of each quiet second
+`hypotheses` decides whether its mean rate is the bias, a changed bias or a turn, and `bank` filters the bias.
+While the unit moves, the variance of the bias grows with time, temperature, gaps and turns against the earth.
+
+Constants that assume a grade of sensors: `QUIET` (rest), `USUAL_CHANGE` and `TURNS` (odds), `SENSITIVITY_SD`
+(modes), `SCALE_SD` (place), `UNKNOWN_RATE` and `BIAS_WALK` (motion).  White noise and flicker are learned.
 """
 
 from __future__ import annotations
@@ -17,21 +19,22 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import bank
-from imumon.estimation.gyro_bias.hypotheses import CHANGED_BIAS, LEAST_SECONDS, Hypotheses, begun
+from imumon.estimation.gyro_bias.hypotheses import CHANGED_BIAS, Hypotheses, begun
 from imumon.estimation.gyro_bias.modes import SENSITIVITY_SD, SLOPE, WALK, Modes, modes_of, unknown_modes
 from imumon.estimation.gyro_bias.motion import Motion
 from imumon.estimation.gyro_bias.place import Attitude
-from imumon.estimation.gyro_bias.prediction import NOTHING, Shown
+from imumon.estimation.gyro_bias.prediction import LinearBias
 from imumon.estimation.gyro_bias.thermal_input import ThermalVariance
-from imumon.estimation.rest.odds import by_compass
+from imumon.estimation.rest.odds import compass_log_ratio
 from imumon.estimation.rest.parameters import RestParameters
-from imumon.estimation.rest.quiet import LEAST_SLOTS, TRIAL, QuietDetector
-from imumon.estimation.rest.slots import ACCEL, GYRO, Second, Slot, second_of
+from imumon.estimation.rest.quiet import SECOND_SLOTS, TRIAL, QuietDetector
+from imumon.estimation.rest.slots import ACCEL, GYRO, Measurement, Slot, measurement_of
 from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 
 SECOND_S = 1.0 - 1e-6
+"""Length of a measurement; slots of 0.25 s add up to it in spite of rounding."""
 UNDO_SLOTS = 2
-"""Motion that begins within so many slots after a second takes that second back from the filters."""
+"""Motion that begins within so many slots after a measurement takes it back from the filters."""
 BEGAN_LOG_RATIO = 8.0
 """Log likelihood ratio by the compass from which on the recording began in a turn."""
 LEAST_WHITE = 1e-18
@@ -44,27 +47,20 @@ class Settings:
 
     white_sd: FloatArray | None
     """Angle random walk, rad/√s, (3,)."""
-    wander: tuple[FloatArray, FloatArray] | None
-    """B, rad/s, and K, rad/s/√s, (3,) each."""
-    latitude: float | None
-    heading: float | None
-    """Of the place, and of the first rest, rad."""
+    flicker: FloatArray | None
+    walk: FloatArray | None
+    """B, rad/s, and K, rad/s/√s, (3,) each; both or none."""
     slopes: tuple[float, ...]
     """Standard deviations of the slope over temperature, over σ, 1/°C."""
     rest: RestParameters
     rest_given: bool
-    """Whether the slots say whether it rests."""
-
-    @property
-    def attitude(self) -> Attitude:
-        """Attitude of which nothing is known."""
-        return Attitude(self.latitude, self.heading)
+    """Whether rest is given by `Slot.at_rest`, and not detected."""
 
     def modes(self, white: FloatArray) -> Modes:
         """Return the modes of the bank; `white`, (3,), is the variance of the mean of a second."""
-        if self.wander is None:
+        if self.flicker is None or self.walk is None:
             return unknown_modes(self.slopes)
-        b, k = ((one / np.sqrt(white))[:, np.newaxis] for one in self.wander)
+        b, k = ((one / np.sqrt(white))[:, np.newaxis] for one in (self.flicker, self.walk))
         return modes_of(b, k, self.slopes, np.ones((1, 1)))
 
 
@@ -74,16 +70,16 @@ class Estimator:
 
     settings: Settings
     thermal: ThermalVariance
+    attitude: Attitude
     quiet: QuietDetector = field(default_factory=QuietDetector)
-    jumps: int = 0
-    """How often the bias has changed, other than by a restart of the device."""
+    jumped: bool = False
+    """Whether the bias has changed, other than by a restart of the device; cleared by who reports it."""
     hypotheses: Hypotheses | None = None
     """Of the bias, from the first rest on."""
     latest: list[Slot] = field(default_factory=list)
     """The latest 16 slots."""
     pending: list[Slot] = field(default_factory=list)
-    """Quiet slots of a second that is not complete."""
-    attitude: Attitude = field(init=False)
+    """Quiet slots of a measurement that is not complete."""
     added: FloatArray = field(default_factory=partial(np.zeros, 3))
     """Variance that has not been taken into the filters yet, (rad/s)², (3,)."""
     force: FloatArray = field(default_factory=partial(np.zeros, 3))
@@ -92,75 +88,71 @@ class Estimator:
     """The last temperatures that were known, °C, (3,)."""
     motion: Motion = field(default_factory=Motion)
     """Estimates the bias from motion before the first rest."""
-    by_motion: Shown = NOTHING
-    decided: bool = False
-    """Whether a second has been decided on since it was last not quiet."""
     began_turning: bool = False
     """Whether the first mean of the recording is a turn, by the compass."""
     ambiguities: FloatArray = field(default_factory=partial(np.zeros, (2, 3)))
-    """By the other hypothesis of the bias, after each of the last two seconds, rad/s, (2, 3)."""
-    revision: int = 0
-    """Changes with the prediction, but for what time does to it."""
-
-    def __post_init__(self) -> None:
-        """Begin where nothing is known of the attitude."""
-        self.attitude = self.settings.attitude
+    """What the less likely hypothesis adds to sigma, after the last two measurements, rad/s, (2, 3)."""
+    updated: bool = True
+    """Whether more than time has changed the bias; cleared by who takes `output`."""
 
     def restarted(self) -> Estimator:
         """Return what holds after a restart of the device: the noise is what it was, the bias is not."""
-        self.quiet.begin()
+        self.quiet.restart()
         thermal = ThermalVariance(self.thermal.trust)
-        return Estimator(self.settings, thermal, self.quiet, self.jumps, revision=self.revision + 1)
+        return Estimator(self.settings, thermal, self.attitude.anew(), self.quiet, self.jumped)
 
     @property
     def at_rest(self) -> bool:
-        """Whether the unit rests; by accelerometers alone where a gyro is absent."""
+        """Whether the unit rests.
+
+        It does not from an unquiet slot until a quiet second has been decided on, nor while a turn is more
+        likely than a changed bias.  Where a gyro is absent, quiet accelerometers are rest.  Within a slot the
+        stage ends rest at a sample outside `QuietDetector.band`, and where readings are missing for long.
+        """
         if not self.quiet.present[GYRO].all():
             return self.quiet.is_rest
-        turning = self.began_turning or (self.hypotheses is not None and self.hypotheses.turning)
-        return self.decided and not turning
+        if self.hypotheses is None or self.began_turning:
+            return False
+        return not (self.hypotheses.moved or self.hypotheses.turning)
 
     def step(self, slot: Slot) -> FloatArray | None:
-        """Take a slot; return the normalised innovations of the second that it completes at rest, (3,)."""
+        """Take a slot; return the normalised innovations of the measurement it completes at rest, (3,)."""
         force = slot.mean[ACCEL]
         self.force = np.where(np.isfinite(force), force, self.force)
         self.degc = np.where(np.isfinite(slot.degc), slot.degc, self.degc)
         self.added = self.added + self.thermal.step(slot.degc, slot.power_on_sd)
         self.latest = [*self.latest[1 - TRIAL :], slot]
         if self.settings.rest_given:
-            self.quiet.take_given(slot)
+            self.quiet.update_given(slot)
         else:
-            self.quiet.take(slot, self.settings.rest.drift)
+            self.quiet.update(slot, self.settings.rest.drift)
         innovation = None
         if not self.quiet.present[GYRO].all():
             return None
-        if self.quiet.run == 0:
-            self._move(slot)
+        if self.quiet.quiet_slots == 0:
+            self._coast(slot)
         elif self.hypotheses is None:
-            self._look_for_beginning()
-        elif self.quiet.another:
-            self.hypotheses.restart_noise(self._noise()[GYRO])
+            self._begin()
+        elif self.quiet.noise_changed:
+            white = self._noise()[GYRO]  # as of a fan that starts
+            self.hypotheses.map(lambda bank: bank.with_white(white))
             self.pending = []
         else:
             self.pending.append(slot)
             if self.hypotheses.turning:
                 self._follow(slot)
-            if self.quiet.is_rest and sum(one.seconds for one in self.pending) >= SECOND_S:
+            if self.quiet.is_rest and sum(one.length_s for one in self.pending) >= SECOND_S:
                 innovation = self._decide(self.hypotheses)
         return innovation if self.at_rest else None
 
-    def miss(self, degc: FloatArray, lag_degc: FloatArray, long: bool) -> None:
-        """Note a gap: the lag of the gyros' temperatures may have changed by so much (sd), °C, (3,).
+    def bridge_gap(self, degc: FloatArray, lag_degc: FloatArray, long: bool) -> None:
+        """Widen the bias by a gap; a `long` one ends rest.
 
-        Parameters
-        ----------
-        degc : array (3,)
-            Temperatures behind it; NaN where they are not known.
-        long : bool
-            Whether rest does not go on over it.
+        Behind it the temperatures are `degc`, °C, (3,), NaN where not known; the lag of the gyros behind them
+        may have changed by `lag_degc` (sd).
         """
         self.motion.interrupt()
-        self.attitude.lost |= long or self.quiet.run == 0
+        self.attitude.lost |= long or self.quiet.quiet_slots == 0
         self.degc = np.where(np.isfinite(degc), degc, self.degc)
         self.added = self.added + self.thermal.step(degc, np.full(3, np.nan)) + self.thermal.lagged(lag_degc)
         if self.hypotheses is not None:
@@ -168,31 +160,29 @@ class Estimator:
             slope2 = prediction.mean[:, SLOPE] ** 2 + prediction.covariance[:, SLOPE, SLOPE]
             self.added = self.added + slope2 * lag_degc**2
         if long:
-            self.quiet.begin()
+            self.quiet.restart()
             self._interrupt()
-        self.revision += 1
+        self.updated = True
 
     def _noise(self) -> FloatArray:
         """Return the variance of the mean of a second, (6,)."""
         covered_s = sum(one.covered_s for one in self.latest) / len(self.latest)
         return np.maximum(self.quiet.noise * covered_s, LEAST_WHITE)
 
-    def _second(self, slots: Sequence[Slot]) -> Second:
-        """Return the means of slots, less the earth rate."""
-        return second_of(slots, self.attitude.earth, self.force)
+    def _measurement(self, slots: Sequence[Slot]) -> Measurement:
+        return measurement_of(slots, self.attitude.earth, self.force)
 
     def _interrupt(self) -> None:
-        """Drop a second that is not complete: it moves, or nothing is known of it for a while."""
+        """End the rest: drop a measurement that is not complete."""
+        if self.hypotheses is not None:
+            self.updated |= not self.hypotheses.moved
+            self.hypotheses.move(undo=len(self.pending) < UNDO_SLOTS)
         if self.began_turning:
             self.hypotheses, self.began_turning = None, False
-        if self.decided:
-            self.revision += 1
-        if self.hypotheses is not None:
-            self.hypotheses.move(undo=len(self.pending) < UNDO_SLOTS)
-        self.pending, self.decided = [], False
+        self.pending = []
 
-    def _move(self, slot: Slot) -> None:
-        """Follow a slot in motion."""
+    def _coast(self, slot: Slot) -> None:
+        """Follow the turn of an unquiet slot; before the first rest estimate the bias from it."""
         self._interrupt()
         force = slot.mean[ACCEL]
         if self.hypotheses is not None:
@@ -200,10 +190,7 @@ class Estimator:
         elif slot.gap_s or np.isnan(force).any():
             self.motion.interrupt()
         elif self.motion.take(slot.turn, force):
-            bias, variance = self.motion.bias
-            variance = variance + EARTH_RATE**2 + (SENSITIVITY_SD * STANDARD_GRAVITY) ** 2
-            self.by_motion = Shown.constant(bias, variance)
-            self.revision += 1
+            self.updated = True
 
     def _follow(self, slot: Slot) -> None:
         """Add a slot to the turn since the attitude was taken."""
@@ -211,80 +198,75 @@ class Estimator:
         self.attitude.follow(slot.turn, self.hypotheses.nominal.bank.prediction.mean[:, WALK] + slot.modelled)
         self.attitude.lost |= slot.gap_s > 0.0
 
-    def _look_for_beginning(self) -> None:
-        """Begin with the first second, or the slots of the trial that has found the noise."""
+    def _begin(self) -> None:
+        """Begin the filters with the first quiet second, or the slots of the trial that found the noise."""
         self.motion.interrupt()
-        run = self.quiet.run
-        if not self.quiet.known or run < LEAST_SLOTS:
+        if not self.quiet.noise_known or self.quiet.quiet_slots < SECOND_SLOTS:
             return
-        slots = self.latest[-run:]
-        self.attitude = self.settings.attitude
+        slots = self.latest[-self.quiet.quiet_slots :]
+        self.attitude = self.attitude.anew()
         self.attitude.come_to_rest(self.force, None)
-        whole_s = max(round(sum(one.seconds for one in slots)), 1)
+        whole_s = max(round(sum(one.length_s for one in slots)), 1)
         parts = np.array_split(np.arange(len(slots)), min(whole_s, len(slots)))
-        seconds = [self._second([slots[k] for k in part]) for part in parts]
-        if not np.isfinite([one.rate for one in seconds]).all():
+        measurements = [self._measurement([slots[k] for k in part]) for part in parts]
+        if not np.isfinite([one.rate for one in measurements]).all():
             return
         white, count = self._noise()[GYRO], bank.PRIOR_COUNT
         if self.settings.white_sd is not None:
             white, count = np.maximum(self.settings.white_sd**2, LEAST_WHITE), bank.DECLARED_COUNT
-        filters = bank.start(self.settings.modes(white), white, count, seconds[0])
-        self.hypotheses = begun(filters, seconds, self.settings.rest, self.settings.rest_given)
-        self.decided, self.added = True, np.zeros(3)
-        self.revision += 1
-
-    def _come_to_rest(self, hypotheses: Hypotheses, force: FloatArray) -> None:
-        """Take the attitude after a turn, and what that adds to the variance of the bias."""
-        self.added = self.added + self.attitude.come_to_rest(force, hypotheses.nominal.bank.prediction)
+        filters = bank.start(self.settings.modes(white), white, count, measurements[0])
+        self.hypotheses = begun(filters, measurements, self.settings.rest, self.settings.rest_given)
+        self.added, self.updated = np.zeros(3), True
 
     def _decide(self, hypotheses: Hypotheses) -> FloatArray | None:
-        """Decide on a complete second; return its normalised innovations, (3,)."""
+        """Decide on a complete measurement; return its normalised innovations, (3,)."""
         slots, self.pending = self.pending, []
+        nominal = hypotheses.nominal.bank.prediction
         if hypotheses.moved:
-            self._come_to_rest(hypotheses, slots[0].mean[ACCEL])
-        now = self._second(slots)
+            self.added = self.added + self.attitude.come_to_rest(slots[0].mean[ACCEL], nominal)
+        now = self._measurement(slots)
         if not np.isfinite(now.rate).all():
             return None
-        prediction = hypotheses.nominal.bank.prediction.wider(self.added).at(now.end_s, now.degc)
+        prediction = nominal.at(now.end_s, now.degc)
         mean, variance = prediction.bias(now.force)
-        innovation = (now.rate - mean) / np.sqrt(variance + prediction.white / now.seconds)
+        innovation = (now.rate - mean) / np.sqrt(variance + self.added + prediction.white / now.covered_s)
         accel_noise = float(self._noise()[ACCEL].max()) if self.quiet.present[ACCEL].all() else math.inf
-        first = len(hypotheses.recent) < LEAST_SECONDS
-        parts = [self._second([slot]) for slot in slots] if first else []
-        self.jumps += hypotheses.decide(now, parts, self.added, accel_noise) == CHANGED_BIAS
-        self.added, self.decided = np.zeros(3), True
+        parts = [self._measurement([slot]) for slot in slots]
+        self.jumped |= hypotheses.decide(now, parts, self.added, accel_noise) == CHANGED_BIAS
+        self.added, self.updated = np.zeros(3), True
         _, ambiguity = hypotheses.prediction(now.end_s, self.degc, self.force)
         self.ambiguities = np.stack([self.ambiguities[1], ambiguity])
-        self.revision += 1
-        self._compare_compass(hypotheses)
+        # A turn in the first rest is found by the compass, until another rate contradicts it.
+        if hypotheses.first_rate is not None and hypotheses.changed is None and not self.settings.rest_given:
+            self.began_turning |= compass_log_ratio(hypotheses.recent, np.zeros(3)) < -BEGAN_LOG_RATIO
         if self.began_turning and hypotheses.changed is not None:
-            self.quiet.begin()
+            self.quiet.restart()
             self._interrupt()
         elif self.attitude.turn.seconds and not hypotheses.turning:
-            self._come_to_rest(hypotheses, slots[-1].mean[ACCEL])
+            nominal = hypotheses.nominal.bank.prediction
+            self.added = self.added + self.attitude.come_to_rest(slots[-1].mean[ACCEL], nominal)
         return np.asarray(innovation)
 
-    def _compare_compass(self, hypotheses: Hypotheses) -> None:
-        """Find whether the recording has begun in a turn, while it may have."""
-        possible = hypotheses.first is not None and hypotheses.changed is None
-        if possible and not self.settings.rest_given:
-            self.began_turning |= by_compass(hypotheses.recent, np.zeros(3)) < -BEGAN_LOG_RATIO
+    def output(self, now_s: float) -> LinearBias:
+        """Return the bias from a time on.
 
-    def shown(self, now_s: float) -> Shown:
-        """Return the prediction of the bias from a time on."""
-        if self.hypotheses is None:
-            return self.by_motion
-        prediction, _ = self.hypotheses.prediction(now_s, self.degc, self.force)
-        return prediction.shown(self.added + self.attitude.uncertain_earth, self.force)
-
-    @property
-    def turn_hypothesis(self) -> FloatArray:
-        """The turn that may be a change of the bias, or the largest error by rounding, rad/s, (3,).
-
-        Of the last two seconds the larger one: a single second may fit by chance.
+        Its variance has these parts: the states of all modes, flicker of single samples, what `added` holds
+        of temperature, gaps and turns, the unknown part of the earth rate, and the turn hypothesis.
         """
-        hypotheses = self.hypotheses
-        if hypotheses is None or (hypotheses.moved and hypotheses.changed is None):
+        if self.hypotheses is None:
+            bias, variance = self.motion.bias
+            any_pose = EARTH_RATE**2 + (SENSITIVITY_SD * STANDARD_GRAVITY) ** 2
+            return LinearBias.constant(bias, variance + any_pose)
+        prediction, _ = self.hypotheses.prediction(now_s, self.degc, self.force)
+        added = self.added + self.attitude.uncertain_earth
+        return prediction.output(added, self.force, self._turn_hypothesis(self.hypotheses))
+
+    def _turn_hypothesis(self, hypotheses: Hypotheses) -> FloatArray:
+        """Return the turn that may be a change of the bias, or the largest error by rounding, rad/s, (3,).
+
+        Of the last two measurements the larger one: a single one may fit by chance.
+        """
+        if hypotheses.moved and hypotheses.changed is None:
             return np.zeros(3)
         if self.began_turning:
             return hypotheses.recent[-1].rate

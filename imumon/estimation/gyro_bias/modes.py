@@ -43,9 +43,8 @@ SLOPE_LEFT_PER_SIGMA = 0.25
 SLOPE_DEGC = 30.0
 """Difference of temperature over which a slope changes by as much as itself."""
 SENSITIVITY_SD = math.radians(0.05) / STANDARD_GRAVITY
-"""Standard deviation of an entry of the matrix of sensitivity, rad/s per m/s²: of a gyro that is not
-compensated.  A second, smaller level lowers the error of compensated gyros by 14 to 29 %, but a gyro between
-both was then off by 9 sigma after ten minutes in the hand."""
+"""Standard deviation of an entry of the matrix of sensitivity, rad/s per m/s², of an uncompensated gyro; with
+a second, smaller level a gyro between both was off by 9 sigma."""
 SAME_LEVEL = 0.6
 """Probability that an axis has the flicker level of its unit; most of the rest is for the next levels."""
 FASTEST_S = 0.02
@@ -56,7 +55,7 @@ BEYOND_SLOWEST = 0.015
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Modes:
-    """F modes, each a filter: kinds of noise, with or without a slope.
+    """F modes, each a filter: a noise level and a size of the slope.
 
     Variances are over σ²; arrays (3, F, ...) are of the three axes.
     """
@@ -66,8 +65,8 @@ class Modes:
     fast: FloatArray
     """Flicker of a sample that the filter does not follow, (3, F)."""
     levels: FloatArray
-    """Probability of the kind of noise of an axis, the row, given that of the unit, the column; kinds are the
-    slowest index of F."""
+    """Probability of the noise level of an axis, the row, given that of the unit, the column; levels are the
+    slowest index of F, slopes the fastest."""
 
     @property
     def count(self) -> int:
@@ -82,15 +81,15 @@ def unknown_modes(slopes: tuple[float, ...]) -> Modes:
     b = np.tile([*flicker, 0.05 * flicker[0]], (3, 1))
     k = np.zeros_like(b)
     k[:, -1] = math.sqrt(3.0) / WALK_CORNER_S
-    kinds = np.arange(b.shape[1])
-    apart = np.abs(kinds[:, np.newaxis] - kinds)
+    level = np.arange(b.shape[1])
+    apart = np.abs(level[:, np.newaxis] - level)
     other = (1.0 - SAME_LEVEL) / 3.0
-    levels = np.where(apart == 0, SAME_LEVEL, np.where(apart == 1, other, other / len(kinds)))
+    levels = np.where(apart == 0, SAME_LEVEL, np.where(apart == 1, other, other / len(level)))
     return modes_of(b, k, slopes, levels / levels.sum(axis=0))
 
 
 def modes_of(b: FloatArray, k: FloatArray, slopes: tuple[float, ...], levels: FloatArray) -> Modes:
-    """Return each kind of noise with each slope; B and K over σ, 1 and 1/√s, (3, kinds)."""
+    """Return each noise level with each slope; B and K over σ, 1 and 1/√s, (3, levels)."""
     b, k = (np.repeat(one, len(slopes), axis=1) for one in (b, k))
     variance = b**2 * math.log(TAUS_S[2] / TAUS_S[1]) / math.pi
     process = np.zeros((*b.shape, STATES))
@@ -106,12 +105,9 @@ def modes_of(b: FloatArray, k: FloatArray, slopes: tuple[float, ...], levels: Fl
 def propagated(
     mean: FloatArray, covariance: FloatArray, process: FloatArray, dt: float, warming: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return F x and F P Fᵀ + Q, over dt seconds and `warming` °C, (3,); NaN is no change.
+    """Return F x, (3, ..., 8), and F P Fᵀ + Q, (3, ..., 8, 8), over dt seconds and `warming` °C, (3,).
 
-    Parameters
-    ----------
-    mean, covariance, process : array (3, ..., 8), (3, ..., 8, 8), (3, ..., 8)
-        Of three axes, and any number of modes; the process noise is that of `Modes.process`.
+    NaN is no change of temperature; `process` is `Modes.process`.
     """
     warming = np.where(np.isnan(warming), 0.0, warming)
     keeps = np.ones(STATES)

@@ -38,20 +38,12 @@ RATE, SCALE, FORCE = slice(0, 3), slice(3, 12), slice(12, 15)
 
 @dataclass(slots=True, eq=False)
 class Motion:
-    """Bias by motion, window by window.
-
-    Parameters
-    ----------
-    mean, covariance : array (15,), (15, 15)
-        Of bias, nine elements of M, and accelerometers' bias.
-    parts : list of (Turn, array (3,))
-        Of the present window, the last one growing, with the integral of the specific force in the axes of
-        its beginning, m/s.
-    """
+    """Bias, nine elements of M, and accelerometers' bias by motion, window by window."""
 
     mean: FloatArray = field(default_factory=lambda: np.zeros(len(PRIOR_SD)))
     covariance: FloatArray = field(default_factory=lambda: np.diag(PRIOR_SD**2))
     parts: list[tuple[Turn, FloatArray]] = field(default_factory=list)
+    """Of the present window, the last one growing: turn, and ∫ C f dt in the axes of its beginning, m/s."""
 
     def interrupt(self) -> None:
         """Begin the window anew: it rested, or readings are missing."""
@@ -71,7 +63,7 @@ class Motion:
         return True
 
     def _fit(self) -> None:
-        """Take the window."""
+        """Update the states with a complete window."""
         seconds = sum(turn.seconds for turn, _ in self.parts)
         velocity = sum((turn.rotation.T @ v for turn, v in self.parts), np.zeros(3))
         vertical = velocity / np.linalg.norm(velocity)

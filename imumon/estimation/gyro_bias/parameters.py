@@ -12,7 +12,7 @@ from imumon.estimation.rest.parameters import Retired
 _Positive = Annotated[float, Field(gt=0.0, le=10.0)]
 _NotNegative = Annotated[float, Field(ge=0.0, le=10.0)]
 _PerAxis = _Positive | Annotated[list[_Positive], Field(min_length=3, max_length=3)]
-_PerAxisOrNone = _NotNegative | Annotated[list[_NotNegative], Field(min_length=3, max_length=3)]
+_PerAxisFromZero = _NotNegative | Annotated[list[_NotNegative], Field(min_length=3, max_length=3)]
 
 
 class GyroBiasParameters(StrictModel):
@@ -34,8 +34,8 @@ class GyroBiasParameters(StrictModel):
     """
 
     angle_random_walk_rad_per_sqrt_s: _PerAxis | None = None
-    bias_instability_rad_per_s: _PerAxisOrNone | None = None
-    rate_random_walk_rad_per_s_per_sqrt_s: _PerAxisOrNone | None = None
+    bias_instability_rad_per_s: _PerAxisFromZero | None = None
+    rate_random_walk_rad_per_s_per_sqrt_s: _PerAxisFromZero | None = None
     assume_at_rest: bool = False
     velocity_random_walk_m_per_s_per_sqrt_s: Retired = None
     zeroing_s: Retired = None

@@ -31,7 +31,7 @@ class Attitude:
 
     latitude: float | None
     heading: float | None
-    """Of the first rest, rad; None when they are not known."""
+    """Of the place and of the first rest, rad; None where not known."""
     up: FloatArray = field(default_factory=partial(np.zeros, 3))
     north: FloatArray = field(default_factory=partial(np.zeros, 3))
     """Unit vectors, (3,); zero where not known."""
@@ -42,6 +42,10 @@ class Attitude:
     turn: Turn = STILL
     lost: bool = False
     """Whether readings were missing since the last rest."""
+
+    def anew(self) -> Attitude:
+        """Return the attitude before the first rest."""
+        return Attitude(self.latitude, self.heading)
 
     @property
     def oriented(self) -> bool:
@@ -54,7 +58,7 @@ class Attitude:
         return EARTH_RATE * (1.0 if self.latitude is None else math.cos(self.latitude))
 
     def follow(self, turn: Turn, bias: FloatArray) -> None:
-        """Turn on; `bias` is that of the rates, rad/s, (3,)."""
+        """Append a turn by rates with a bias, rad/s, (3,)."""
         self.turn = self.turn.then(turn.less(bias))
 
     @property
@@ -77,14 +81,10 @@ class Attitude:
         return np.asarray(0.5 * self.horizontal**2 * (square - (change @ self.up) ** 2))
 
     def come_to_rest(self, force: FloatArray, prediction: Prediction | None) -> FloatArray:
-        """Take the attitude of a new rest; return what that adds to the variance of the bias, (3,).
+        """Take the attitude of a new rest; return what that adds to the variance of the bias, (rad/s)², (3,).
 
-        Parameters
-        ----------
-        force : array (3,)
-            Mean specific force, m/s²; NaN or zero without one.
-        prediction : Prediction or None
-            Of the bias meanwhile; None before the first rest.
+        The mean specific force, m/s², is NaN or zero where not known; the prediction of the bias is None
+        before the first rest.
         """
         added, size = self._turned_earth(), float(np.linalg.norm(force))
         if size > 0.0:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray, IntArray
-from imumon.estimation.gyro_bias.modes import FLICKER, SENSITIVITY, STATES, WALK, measurement_row, propagated
+from imumon.estimation.gyro_bias.modes import FLICKER, SENSITIVITY, STATES, measurement_row, propagated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,75 +40,55 @@ class Prediction:
         known = np.where(np.isfinite(degc), degc, self.degc)
         return replace(self, mean=mean, covariance=covariance, time_s=time_s, degc=known)
 
-    def wider(self, variance: FloatArray) -> Prediction:
-        """Return a prediction whose bias may have changed by an unknown amount of this variance, (3,)."""
-        covariance = self.covariance.copy()
-        covariance[:, WALK, WALK] += variance
-        return replace(self, covariance=covariance)
-
     def bias(self, force: FloatArray, of_mean: bool = False) -> tuple[FloatArray, FloatArray]:
-        """Return bias and variance at a specific force, (3,) each.
-
-        Parameters
-        ----------
-        of_mean : bool
-            Of a mean over some seconds, which has none of the fastest flicker.
-        """
+        """Return bias and variance at a specific force, (3,) each; `of_mean` without the fastest flicker."""
         h = measurement_row(force)
         mean = self.mean @ h
         if of_mean:
             h[FLICKER.start] = 0.0
         return mean, np.maximum(self.covariance @ h @ h, 0.0)
 
-    def shown(self, added: FloatArray, force: FloatArray) -> Shown:
-        """Return what holds with so much more variance, (3,), at the specific force of a slot, (3,)."""
+    def output(self, added: FloatArray, force: FloatArray, turn: FloatArray) -> LinearBias:
+        """Return the bias with more variance, (rad/s)², at the mean force of a slot, m/s², (3,) each."""
         select = np.zeros((4, STATES))
         select[0], select[1:, SENSITIVITY] = measurement_row(np.zeros(3)), np.eye(3)
         covariance = select @ self.covariance @ select.T
         covariance[:, 0, 0] += self.fast + added
-        return Shown(self.mean @ select.T, covariance, force)
+        return LinearBias(self.mean @ select.T, covariance, force, turn)
 
 
-class Shown(NamedTuple):
-    """A prediction from the end of a slot on; NaN where nothing is known."""
+class LinearBias(NamedTuple):
+    """A bias as a linear function of the specific force f, t (1, f); NaN where nothing is known."""
 
     terms: FloatArray
-    """Bias without specific force, and its sensitivity, t, (3, 4)."""
+    """t: bias without specific force, rad/s, and sensitivity, rad/s per m/s², (3, 4)."""
     covariance: FloatArray
-    """Theirs, C, (3, 4, 4)."""
+    """C of t, (3, 4, 4)."""
     force: FloatArray
-    """Of the slot, (3,)."""
+    """Mean f of the slot, m/s², (3,)."""
+    turn: FloatArray
+    """Turn hypothesis, rad/s, (3,); its square is not in C."""
 
     @classmethod
-    def constant(cls, bias: FloatArray, variance: FloatArray) -> Shown:
-        """Return a bias of any pose, (3,), with its variance."""
+    def constant(cls, bias: FloatArray, variance: FloatArray) -> LinearBias:
+        """Return a bias of any pose, rad/s, with its variance, (3,) each."""
         terms, covariance = np.zeros((3, 4)), np.zeros((3, 4, 4))
         terms[:, 0], covariance[:, 0, 0] = bias, variance
-        return cls(terms, covariance, np.zeros(3))
-
-
-NOTHING = Shown.constant(np.full(3, np.nan), np.full(3, np.nan))
+        return cls(terms, covariance, np.zeros(3), np.zeros(3))
 
 
 def at_samples(
-    rows: IntArray, every: list[Shown], force: FloatArray, moving: BoolArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return bias t (1, f) and variance (1, f) C (1, f) of samples, (n, 3) each.
+    rows: IntArray, every: list[LinearBias], force: FloatArray, moving: BoolArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return bias t (1, f), variance (1, f) C (1, f) and turn hypothesis of samples, (n, 3) each.
 
-    f is the specific force of the sample; at rest, where its noise is no change of pose, and without
-    accelerometers, that of the slot.  The sums are of few terms each, so they are the same whatever the
-    division into blocks.
-
-    Parameters
-    ----------
-    rows : array (m,)
-        From where on each but the first holds.
-    every : list of Shown, m + 1
-    force : array (n, 3)
-    moving : array of bool (n,)
+    `every` bias but the first holds from its row on, (m,).  f is the specific force of the sample, (n, 3); at
+    rest, where its noise is no change of pose, and without accelerometers, that of the slot.  The sums are of
+    few terms each, so they are the same whatever the division into blocks.
     """
     which = np.searchsorted(rows, np.arange(len(moving)), side="right")
-    terms, covariance, of_slot = (np.array(one)[which] for one in zip(*every, strict=True))
+    terms, covariance, of_slot, turn = (np.array(one)[which] for one in zip(*every, strict=True))
     row = np.ones((len(force), 1, 4))
     row[:, 0, 1:] = np.where((moving & np.isfinite(force).all(1))[:, np.newaxis], force, of_slot)
-    return (terms * row).sum(2), np.maximum(((covariance * row[:, np.newaxis]).sum(3) * row).sum(2), 0.0)
+    variance = ((covariance * row[:, np.newaxis]).sum(3) * row).sum(2)
+    return (terms * row).sum(2), np.maximum(variance, 0.0), turn

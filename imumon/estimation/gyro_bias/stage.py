@@ -10,51 +10,39 @@ import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.charts import Chart
-from imumon.columns import Column
+from imumon.columns import Column, vector_columns
 from imumon.errors import ImumonError, Reason
-from imumon.estimation.gyro_bias.estimator import Estimator, Settings
+from imumon.estimation.gyro_bias.estimator import SECOND_S, Estimator, Settings
 from imumon.estimation.gyro_bias.modes import SLOPE_LEFT_PER_SIGMA, SLOPE_PER_SIGMA
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
-from imumon.estimation.gyro_bias.prediction import NOTHING, Shown, at_samples
-from imumon.estimation.gyro_bias.thermal_input import ThermalInput, ThermalVariance, trust_in, unseen_lag
+from imumon.estimation.gyro_bias.place import Attitude
+from imumon.estimation.gyro_bias.prediction import LinearBias, at_samples
+from imumon.estimation.gyro_bias.thermal_input import ThermalInput, ThermalVariance, trust_in
 from imumon.estimation.gyro_bias.trail import BiasTrail
 from imumon.estimation.rest.parameters import RestParameters, retired
-from imumon.estimation.rest.slots import (
-    ACCEL,
-    GATHERED,
-    GYRO,
-    SLOT_S,
-    Timing,
-    heading_of,
-    readings_of,
-)
+from imumon.estimation.rest.slots import ACCEL, GATHERED, GYRO, SLOT_S, Timing, heading_of, readings_of
 from imumon.filters.segments import Breaks
-from imumon.filters.slots import SlotGatherer, Slots, held
+from imumon.filters.slots import SlotGatherer, Slots
 from imumon.models.model import BiasModel
 
 Mode = Literal["standard", "thermal", "learned"]
 LONGEST_PAUSE_S = 2.5
 """A rest goes on over a pause as long as this; it holds as long where readings are missing."""
-SHOWN_S = 1.0 - 1e-6
-"""In motion the prediction of the bias is evaluated as often."""
 REST = (
     Column("at_rest", "1", "int64", "1 while the unit is at rest, 0 while it moves or nothing is known"),
-    *(
-        Column(f"turn_hypothesis_{axis}", "rad/s", description=f"turn that may be a change of bias, {axis}")
-        for axis in "xyz"
-    ),
+    *vector_columns("turn_hypothesis", "rad/s", "turn that may be a change of bias"),
 )
-BIAS = tuple(
-    Column(f"{name}_{axis}", unit, description=f"{meaning}, {axis}")
-    for name, unit, meaning in (
-        ("gyro_bias", "rad/s", "bias of the raw rate"),
-        ("gyro_bias_sd", "rad/s", "standard deviation of the bias"),
-        ("gyro_corrected", "rad/s", "angular rate less bias"),
-        ("zupt_innovation", "1", "zero-velocity innovation over its standard deviation; NaN between slots"),
-        ("gyro_random_error", "rad/s", "bias less the model's curve; the bias where there is no model"),
-        ("gyro_random_error_sd", "rad/s", "its standard deviation"),
-    )
-    for axis in "xyz"
+BIAS = (
+    *vector_columns("gyro_bias", "rad/s", "bias of the raw rate"),
+    *vector_columns("gyro_bias_sd", "rad/s", "standard deviation of the bias"),
+    *vector_columns("gyro_corrected", "rad/s", "angular rate less bias"),
+    *vector_columns(
+        "zupt_innovation", "1", "zero-velocity innovation over its standard deviation; NaN between slots"
+    ),
+    *vector_columns(
+        "gyro_random_error", "rad/s", "bias less the model's curve; the bias where there is no model"
+    ),
+    *vector_columns("gyro_random_error_sd", "rad/s", "its standard deviation"),
 )
 
 
@@ -92,6 +80,8 @@ class RestAndBias:
         What a resting unit may do.
     """
 
+    columns: Sequence[Column] = (*REST, *BIAS)
+    """The columns that `process` adds."""
     _rest_given = False
     """Whether rest is given by a column, and not detected here."""
 
@@ -116,15 +106,15 @@ class RestAndBias:
         latitude, heading = (
             None if one is None else math.radians(one) for one in (latitude_deg, heading_deg)
         )
-        white_sd, wander = _declared(self._parameters)
-        self._trust = None if model is None else trust_in(model)
-        settings = Settings(white_sd, wander, latitude, heading, slopes, rest, self._rest_given)
-        self._estimator = Estimator(settings, ThermalVariance(self._trust))
+        white_sd, flicker, walk = _declared(self._parameters)
+        settings = Settings(white_sd, flicker, walk, slopes, rest, self._rest_given)
+        thermal = ThermalVariance(None if model is None else trust_in(model))
+        self._estimator = Estimator(settings, thermal, Attitude(latitude, heading))
         self._timing = Timing()
         self._slots = SlotGatherer(GATHERED, round(SLOT_S * 1e9), rates=GYRO.start)
-        self._shown: Shown = NOTHING
-        self._turn = np.zeros(3)
-        self._shown_s, self._shown_revision = -math.inf, -1
+        self._bias = self._estimator.output(0.0)
+        self._bias_s = -math.inf
+        """Last output of the estimator, and its time."""
         self._at_rest = 0
         self._trail = BiasTrail(model)
         self._breaks = Breaks()
@@ -132,14 +122,8 @@ class RestAndBias:
         keys = retired(self._parameters) + retired(rest)
         self._notices = _notices_of_place(latitude_deg, heading_deg)
         self._notices += [f"{key} is not used any more" for key in keys]
-        self._reported: list[str] = []
+        self._reported: set[str] = set()
         self._lacks_rest = False
-        self._jumps = 0
-
-    @property
-    def columns(self) -> Sequence[Column]:
-        """The columns that `process` adds."""
-        return [*REST, *BIAS]
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; NaN where there is no estimate.
@@ -156,16 +140,15 @@ class RestAndBias:
         total, curve, power_on_sd = self._thermal.process(block, temperature, breaks)
         values = np.column_stack([readings, total, temperature, power_on_sd, heading_of(block), given])
         slots = self._slots.process(np.where(usable, time_ns, NO_INT), segment, values)
-        rest, innovation = np.zeros(n, np.int64), np.full((n, 3), np.nan)
-        rows, every, turns = self._follow(block, slots, readings, temperature, rest, innovation)
+        rest, innovation, rows, every = self._estimate(block, slots, readings, temperature)
         self._expire(rest, time_ns, usable)
-        turn = held(rows, np.array(turns[1:]).reshape(-1, 3), turns[0], n)
         if self._rest_given:
             rest[:] = given
+        bias, variance, turn = at_samples(rows, every, readings[:, ACCEL], rest == 0)
+        if self._rest_given:
             reported = block.vector("turn_hypothesis")
             if reported is not None:
                 turn = np.maximum(np.abs(turn), np.abs(np.nan_to_num(reported)))
-        bias, variance = at_samples(rows, every, readings[:, ACCEL], rest == 0)
         sd = np.sqrt(variance + turn**2)
         bias += total
         ended = slots.row[slots.row < n]
@@ -175,36 +158,29 @@ class RestAndBias:
         added = dict(zip((column.name for column in (*REST, *BIAS)), results, strict=True))
         return {column.name: added[column.name] for column in self.columns}
 
-    def _follow(
-        self,
-        block: SampleBlock,
-        slots: Slots,
-        readings: FloatArray,
-        temperature: FloatArray,
-        rest: IntArray,
-        innovation: FloatArray,
-    ) -> tuple[IntArray, list[Shown], list[FloatArray]]:
-        """Take slots; fill in at_rest and innovations, and return from which rows on another prediction and
-        hypothesis of a turn hold, and these, with those that held before."""
+    def _estimate(
+        self, block: SampleBlock, slots: Slots, readings: FloatArray, temperature: FloatArray
+    ) -> tuple[IntArray, FloatArray, IntArray, list[LinearBias]]:
+        """Return at_rest, (n,), innovations, (n, 3), the rows from which on another bias holds, and all
+        biases, the one before the first row in front."""
+        rest, innovation = np.zeros(len(block), np.int64), np.full((len(block), 3), np.nan)
         rows: list[int] = []
-        every, turns, start = [self._shown], [self._turn], 0
+        every, start = [self._bias], 0
         for k, slot in enumerate(self._timing.slots(slots)):
             row = int(slots.row[k])
             self._hold(rest, readings, start, row)
-            found = self._estimator.step(slot) if slot.seconds > 0.0 else None
+            found = self._estimator.step(slot) if slot.length_s > 0.0 else None
             if found is not None:
                 innovation[row] = found
             now_s = self._look_ahead(block, slots, k, temperature[row])
-            revision = self._estimator.revision
-            if revision != self._shown_revision or now_s - self._shown_s >= SHOWN_S:
-                self._shown_s, self._shown_revision = now_s, revision
+            if self._estimator.updated or now_s - self._bias_s >= SECOND_S:
+                self._bias, self._bias_s = self._estimator.output(now_s), now_s
+                self._estimator.updated = False
                 rows.append(row)
-                every.append(self._estimator.shown(now_s))
-                turns.append(self._estimator.turn_hypothesis)
+                every.append(self._bias)
             self._at_rest, start = int(self._estimator.at_rest), row
         self._hold(rest, readings, start, len(rest))
-        self._shown, self._turn = every[-1], turns[-1]
-        return np.array(rows, np.int64), every, turns
+        return rest, innovation, np.array(rows, np.int64), every
 
     def _look_ahead(self, block: SampleBlock, slots: Slots, k: int, degc: FloatArray) -> float:
         """Detect a restart or a gap by the first sample behind a slot; return up to when all is known, s."""
@@ -217,13 +193,12 @@ class RestAndBias:
         gap_s = self._timing.gap_s(behind_s)
         if not gap_s:
             return self._timing.end_s
-        lag = unseen_lag(gap_s, self._thermal.rate_sd(block.rows(row, row + 1))[0])
-        self._estimator.miss(degc, lag, gap_s > max(LONGEST_PAUSE_S, 3.0 * self._timing.interval_s))
+        lag = self._thermal.unseen_lag(gap_s, block.rows(row, row + 1))
+        self._estimator.bridge_gap(degc, lag, gap_s > max(LONGEST_PAUSE_S, 3.0 * self._timing.interval_s))
         return behind_s
 
     def _hold(self, rest: IntArray, readings: FloatArray, start: int, stop: int) -> None:
-        """Fill in rows of the slot that is open: a sample outside the band of a unit at rest ends it
-        there."""
+        """Continue at_rest over the rows of the open slot; a sample outside the band of rest ends it."""
         rest[start:stop] = self._at_rest
         if self._at_rest and start < stop and not self._rest_given:
             low, high = self._estimator.quiet.band
@@ -251,17 +226,16 @@ class RestAndBias:
 
     def notices(self) -> list[str]:
         """Return, once each, what is missing, assumed, or out of range; for the log."""
-        conditions = {
+        conditions = dict.fromkeys(self._notices, True) | {
             "no column at_rest: the bias is not estimated (a rest detector gives it; assume_at_rest does "
             "without)": self._lacks_rest,
             "the bias model lacks its temperature: the bias is taken as constant": self._thermal.lacking,
-            _outside(self._trust): self._thermal.outside,
+            _outside(self._estimator.thermal.trust): self._thermal.outside,
         }
-        found = [text for text, true in conditions.items() if true and text not in self._reported]
-        self._reported += found
-        texts, self._notices = [*self._notices, *found], []
-        if self._estimator.jumps > self._jumps:
-            self._jumps = self._estimator.jumps
+        texts = [text for text, true in conditions.items() if true and text not in self._reported]
+        self._reported.update(texts)
+        if self._estimator.jumped:
+            self._estimator.jumped = False
             texts.append(
                 "at rest the rate contradicted the bias, so it has jumped: the bias is estimated anew"
             )
@@ -275,51 +249,33 @@ class GyroBias(RestAndBias):
     ``turn_hypothesis_{x,y,z}`` are in the variance.
     """
 
+    columns = BIAS
     _rest_given = True
-
-    @property
-    def columns(self) -> Sequence[Column]:
-        """The columns that `process` adds."""
-        return BIAS
 
 
 class RestDetector(RestAndBias):
-    """Rest and motion alone: the columns ``at_rest`` and ``turn_hypothesis_{x,y,z}``.
+    """Rest and motion alone: the columns ``at_rest`` and ``turn_hypothesis_{x,y,z}``."""
 
-    Parameters
-    ----------
-    parameters : RestParameters
-        What a resting unit may do.
-    """
+    columns = REST
 
     def __init__(self, parameters: RestParameters | None = None) -> None:
         super().__init__(mode="learned", rest=parameters)
-
-    @property
-    def columns(self) -> Sequence[Column]:
-        """The columns that `process` adds."""
-        return REST
 
     def notices(self) -> list[str]:
         """Return, once, which parameters are not used any more."""
         return [text for text in super().notices() if "any more" in text]
 
 
-def _declared(
-    parameters: GyroBiasParameters,
-) -> tuple[FloatArray | None, tuple[FloatArray, FloatArray] | None]:
-    """Return the white noise that is declared, and B and K, (3,) each; None where they are not."""
+def _declared(parameters: GyroBiasParameters) -> list[FloatArray | None]:
+    """Return the declared white noise, B and K, (3,) each or None; B and K are declared together."""
     white, b, k = (
-        None if value is None else np.array(np.broadcast_to(value, 3), np.float64)
-        for value in (
-            parameters.angle_random_walk_rad_per_sqrt_s,
-            parameters.bias_instability_rad_per_s,
-            parameters.rate_random_walk_rad_per_s_per_sqrt_s,
-        )
+        parameters.angle_random_walk_rad_per_sqrt_s,
+        parameters.bias_instability_rad_per_s,
+        parameters.rate_random_walk_rad_per_s_per_sqrt_s,
     )
-    if b is None and k is None:
-        return white, None
-    return white, (np.zeros(3) if b is None else b, np.zeros(3) if k is None else k)
+    if b is not None or k is not None:
+        b, k = b or 0.0, k or 0.0
+    return [None if value is None else np.full(3, value, np.float64) for value in (white, b, k)]
 
 
 def _notices_of_place(latitude_deg: float | None, heading_deg: float | None) -> list[str]:

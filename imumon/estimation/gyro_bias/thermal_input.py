@@ -23,15 +23,6 @@ CORRELATION_DEGC = 5.0
 """Errors of a curve at temperatures farther apart than about this have little to do with each other."""
 
 
-def unseen_lag(gap_s: float, rate_sd: FloatArray) -> FloatArray:
-    """Return by how much the lag of each gyro's temperature may have changed in a gap (sd), °C, (3,).
-
-    `rate_sd` (3,) is what is known of the thermometer's rate behind it, °C/s; NaN without an estimate.
-    """
-    unseen = np.where(np.isfinite(rate_sd), rate_sd, UNSEEN_RATE)
-    return np.asarray(-UNTOLD_S * math.expm1(-gap_s / UNTOLD_S) * unseen)
-
-
 def trust_in(model: BiasModel) -> FloatArray:
     """Return of the model's gyros, (4, 3), the sd of the curve's residual, rad/s, the rms slope of the curve,
     rad/s/°C, and the lower and the upper end of the calibrated range, °C."""
@@ -85,14 +76,9 @@ class ThermalVariance:
 
 
 class ThermalInput:
-    """Sum of the model's increments since the start.
+    """Sum of the model's increments since the start; zero without a model.
 
     Raises BAD_CONFIG when the model lacks a gyro.
-
-    Parameters
-    ----------
-    model : BiasModel or None
-        None: the bias stays where it is.
     """
 
     def __init__(self, model: BiasModel | None) -> None:
@@ -110,47 +96,39 @@ class ThermalInput:
         # The reading is a stopgap where the estimate has not begun; mixed with it, it would jump.
         return _first_of(block, self._sources)
 
-    def rate_sd(self, block: SampleBlock) -> FloatArray:
-        """Return what is known of the rate of each gyro's temperature (sd), °C/s, (n, 3); NaN without one."""
-        return _first_of(block, [[names[0].replace("estimate", "rate_sd")] for names in self._sources])
+    def unseen_lag(self, gap_s: float, behind: SampleBlock) -> FloatArray:
+        """Return by how much the lag of each gyro's temperature may have changed in a gap (sd), °C, (3,).
+
+        `behind` is the first row after it: what it knows of the rate (sd) holds, else `UNSEEN_RATE`.
+        """
+        rate_sd = _first_of(behind, [[names[0].replace("estimate", "rate_sd")] for names in self._sources])[0]
+        unseen = np.where(np.isfinite(rate_sd), rate_sd, UNSEEN_RATE)
+        return np.asarray(-UNTOLD_S * math.expm1(-gap_s / UNTOLD_S) * unseen)
 
     def process(self, block: SampleBlock, temperature: FloatArray, breaks: Sequence[int]) -> FloatArray:
-        """Return what the model has added to the bias and its curve (rad/s), and its sd.
+        """Return what the model has added to the bias since a restart, its curve, and the sd of its unknown
+        state at power-on, rad/s, (3, n, 3).
 
-        Parameters
-        ----------
-        temperature : array (n, 3)
-            As from `temperature`.
-        breaks : sequence of int
-            Rows at which the device has restarted.
-
-        Returns
-        -------
-        total, curve, sd : array (3, n, 3)
-            The first is since the restart.  The curve is zero without a model, and NaN before the first
-            temperature; the sd is that of the unknown state at power-on, NaN before the first temperature.
+        `temperature` is as from `temperature`, and the device has restarted at the rows `breaks`.  Without a
+        model all are zero; before the first temperature curve and sd are NaN.
         """
         if self._predictor is None:
             return np.zeros((3, len(block), 3))
-        parts = []
+        others = {name: block[name] for name in self._predictor.drivers if name in block}
+        times, segment = block["device_time_ns"], block["segment"]
+        predicted = self._predictor.process(times, segment, temperature, block.accel, others)
+        curve, known = predicted.bias, np.isfinite(predicted.bias)
+        total = np.zeros_like(curve)
         for start, stop in pairwise([0, *(row for row in breaks if row > 0), len(block)]):
+            run = slice(start, stop)
             if start in breaks:
                 self._reference[:] = np.nan
-            parts.append(self._of_run(self._predictor, block.rows(start, stop), temperature[start:stop]))
-        return np.concatenate(parts, axis=1)
-
-    def _of_run(self, predictor: BiasPredictor, block: SampleBlock, temperature: FloatArray) -> FloatArray:
-        """Return the same of rows without a restart."""
-        others = {name: block[name] for name in predictor.drivers if name in block}
-        times, segment = block["device_time_ns"], block["segment"]
-        predicted = predictor.process(times, segment, temperature, block.accel, others)
-        known = np.isfinite(predicted.bias)
-        for j in np.flatnonzero(np.isnan(self._reference) & known.any(0)):
-            self._reference[j] = predicted.bias[np.argmax(known[:, j]), j]
-        total = np.where(known, predicted.bias - self._reference, 0.0)
+            for j in np.flatnonzero(np.isnan(self._reference) & known[run].any(0)):
+                self._reference[j] = curve[run][np.argmax(known[run, j]), j]
+            total[run] = np.where(known[run], curve[run] - self._reference, 0.0)
+            self.lacking |= bool(stop > start and not known[run].any())
         self.outside |= bool((np.isfinite(temperature) & ~predicted.inside).any())
-        self.lacking |= bool(len(block) and not known.any())
-        return np.stack([total, predicted.bias, np.where(known, predicted.start_sd, np.nan)])
+        return np.stack([total, curve, np.where(known, predicted.start_sd, np.nan)])
 
 
 def _first_of(block: SampleBlock, sources: list[list[str]]) -> FloatArray:

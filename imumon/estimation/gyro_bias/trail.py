@@ -15,13 +15,7 @@ MOST_POINTS = 250
 
 
 class BiasTrail:
-    """Bias over temperature since the start, thinned to constant memory.
-
-    Parameters
-    ----------
-    model : BiasModel or None
-        Whose curves are drawn beside it.
-    """
+    """Bias over temperature since the start, thinned to constant memory, beside the curves of a model."""
 
     def __init__(self, model: BiasModel | None) -> None:
         self._channels = [] if model is None else [model.channels[name] for name in GYROS]

@@ -1,5 +1,8 @@
-"""Of a steady rate that is not the nominal bias: is it a turn, or has the bias changed?  The odds, and the
-likelihood ratios by gravity and by a compass."""
+"""A steady rate that is not the nominal bias: a turn, or a changed bias?
+
+Odds are of another explanation over a turn; log ratios are log likelihood ratios of a changed bias over a
+turn.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.rest.slots import Second
+from imumon.estimation.rest.slots import Measurement
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
 
 USUAL_CHANGE = 50.0 * DEG_PER_H
@@ -28,7 +31,8 @@ COMPASS_ERROR = 0.15
 COMPASS_NOISE = 0.01
 """rad, least standard deviation of a heading: a device gives its yaw in steps, and filters it."""
 MOST_LOG_RATIO = 50.0
-TINY = 1e-24
+LEAST_MEASUREMENTS = 3
+"""Least number of measurements by which gravity is compared."""
 BEGAN_TURNING = 0.05
 """Prior that the first rest of a recording was a turn, where two steady means cannot both be the bias."""
 
@@ -40,14 +44,8 @@ def probability_of_turn(
 
     With equal priors, a log-uniform density of turns and a half-Cauchy one of changes of the bias, u in units
     of `USUAL_CHANGE`, the odds are π/(2 ln(300/0.01)) (u + 1/u) (1 + changes): of as many changes as there
-    were one may be of the bias.  No bias changes by more than `largest`.
-
-    Parameters
-    ----------
-    log_ratio : float
-        Log likelihood ratio of a changed bias over a turn, by other sensors.
-    others : float
-        Odds of other explanations over a turn: `as_predicted`, `first_was_turn`.
+    were one may be of the bias.  No bias changes by more than `largest`.  `log_ratio` is by other sensors,
+    and `others` are the odds of other explanations: `nominal_odds`, `first_turn_odds`.
     """
     size = math.sqrt(float(change @ change))
     u = max(size, TURNS[0]) / USUAL_CHANGE  # below the slowest turn the odds stay
@@ -56,87 +54,84 @@ def probability_of_turn(
     return 1.0 / (1.0 + no_turn * math.exp(max(min(log_ratio, MOST_LOG_RATIO), -MOST_LOG_RATIO)))
 
 
-def as_predicted(difference: FloatArray, variance: FloatArray) -> float:
-    """Return the odds of the nominal bias over a turn: high where its prediction is vague, (3,) each."""
-    size2 = float(difference @ difference) + TINY
-    along = (float(difference**2 @ variance) + TINY * float(variance.max())) / size2
+def nominal_odds(change: FloatArray, variance: FloatArray) -> float:
+    """Return the odds of the nominal bias, high where its prediction is vague; rad/s, (rad/s)², (3,) each."""
+    tiny = 1e-24
+    size2 = float(change @ change) + tiny
+    along = (float(change**2 @ variance) + tiny * float(variance.max())) / size2
     density = 2.0 * math.exp(-0.5 * size2 / along) / math.sqrt(2.0 * math.pi * along)
     return density * math.sqrt(size2) * math.log(float(TURNS[1] / TURNS[0]))
 
 
-def by_gravity(
-    seconds: Sequence[Second],
+def gravity_log_ratio(
+    measurements: Sequence[Measurement],
     bias: FloatArray,
     change: FloatArray,
     variance: float,
     noise: float,
     drift: float,
 ) -> float:
-    """Return the log likelihood ratio of a changed bias over a turn by how gravity moved.
+    """Return the log ratio by how gravity moved over some measurements of one rest.
 
     A turn is about the vertical, or oblique.  An oblique one tilts the unit by the angle turned, a change of
     the bias does not.  In one about the vertical the level axes show the noise of the bias alone.
 
-    Parameters
-    ----------
-    seconds : sequence of Second
-        Up to 16 s of rest.
-    bias, change : array (3,)
-        The bias, and by how much the rate differs from it, rad/s; `variance` is that of an axis.
-    noise, drift : float
-        Variance of the mean force of each of the seconds, (m/s²)², and drift of the accelerometers, m/s³.
+    The rate differs by `change` from the bias, rad/s, (3,), which has a `variance` of an axis, (rad/s)².
+    `noise` is the variance of the force of a measurement, (m/s²)², and `drift` that of accelerometers, m/s³.
     """
-    force = seconds[-1].force
+    force = measurements[-1].force
     gravity = math.sqrt(float(force @ force))
-    if len(seconds) < 3 or not gravity > 0.5 * STANDARD_GRAVITY:
+    if len(measurements) < LEAST_MEASUREMENTS or not gravity > 0.5 * STANDARD_GRAVITY:
         return 0.0
     up = force / gravity
-    upright2 = float(change @ up) ** 2
-    level2 = float(change @ change) - upright2
-    if level2 < OBLIQUE**2 * (level2 + upright2):
+    vertical2 = float(change @ up) ** 2
+    level2 = float(change @ change) - vertical2
+    if level2 < OBLIQUE**2 * (level2 + vertical2):
         return 0.0
-    later = seconds[1:]
-    elapsed = sum(one.seconds for one in later)
-    turn = sum((one.seconds * (one.rate - bias) for one in later), np.zeros(3))
+    elapsed = sum(one.covered_s for one in measurements[1:])
+    turn = _turned(measurements, bias)
     turn -= (turn @ up) * up
-    tilt = np.cross(force, seconds[0].force) / gravity**2
-    of_tilt = ((math.sqrt(2.0 * noise) + drift * elapsed) / gravity) ** 2
+    tilt = np.cross(force, measurements[0].force) / gravity**2
+    tilt_variance = ((math.sqrt(2.0 * noise) + drift * elapsed) / gravity) ** 2
     turn2, tilt2 = float(turn @ turn), float(tilt @ tilt)
-    excluded = turn2 > EXCLUDED_SIGMAS**2 * of_tilt > 4.0 * tilt2
-    if excluded and level2 > LEVEL_RATIO**2 * upright2:
+    excluded = turn2 > EXCLUDED_SIGMAS**2 * tilt_variance > 4.0 * tilt2
+    if excluded and level2 > LEVEL_RATIO**2 * vertical2:
         return MOST_LOG_RATIO
     left = tilt - turn
-    oblique = 0.5 * (float(left @ left) / (of_tilt + variance * elapsed**2) - tilt2 / of_tilt)
+    oblique = float(left @ left) / (tilt_variance + variance * elapsed**2) - tilt2 / tilt_variance
     # About the vertical: what the level axes show is noise of the bias, or a change of it.
-    upright = 0.5 * level2 / variance + math.log(variance * USUAL_CHANGE / (USUAL_CHANGE**2 + level2) ** 1.5)
-    return math.log(2.0) - float(np.logaddexp(-oblique, -max(upright, 0.0)))
+    vertical = 0.5 * level2 / variance + math.log(variance * USUAL_CHANGE / (USUAL_CHANGE**2 + level2) ** 1.5)
+    return math.log(2.0) - float(np.logaddexp(-0.5 * oblique, -max(vertical, 0.0)))
 
 
-def by_compass(seconds: Sequence[Second], bias: FloatArray) -> float:
-    """Return the log likelihood ratio of no turn over one about the vertical by what the rate exceeds a
-    bias, rad/s, (3,).
+def _turned(measurements: Sequence[Measurement], bias: FloatArray) -> FloatArray:
+    """Return the angle turned since the first measurement, rad, (3,), if the bias is this, rad/s, (3,)."""
+    return sum((one.covered_s * (one.rate - bias) for one in measurements[1:]), np.zeros(3))
 
-    Both hypotheses give the angle by which the heading has turned since the first of the seconds, with one
+
+def compass_log_ratio(measurements: Sequence[Measurement], bias: FloatArray) -> float:
+    """Return the log ratio of no turn over one about the vertical by the rate less a bias, rad/s, (3,).
+
+    Both hypotheses give the angle by which the heading has turned since the first measurement, with one
     variance; its sense is not compared, for not all devices count the yaw alike.
     """
-    seconds = [one for one in seconds if np.isfinite(one.heading[0]) and one.force.any()]
-    if len(seconds) < 4:
+    measurements = [one for one in measurements if np.isfinite(one.heading[0]) and one.force.any()]
+    if len(measurements) < 4:
         return 0.0
-    heading, force = (
-        np.array(part) for part in zip(*((one.heading, one.force) for one in seconds), strict=True)
-    )
+    heading = np.array([one.heading for one in measurements])
+    force = np.array([one.force for one in measurements])
     up = force / np.linalg.norm(force, axis=1, keepdims=True)
-    angle = abs(float(sum(one.seconds * (one.rate - bias) for one in seconds[1:]) @ up[-1]))
+    angle = abs(float(_turned(measurements, bias) @ up[-1]))
     if not heading[:, 2].any():  # a yaw has two components
         up = np.array([[0.0, 0.0, 1.0]])
     north = heading - (heading * up).sum(1, keepdims=True) * up
     turned = np.unwrap(np.arctan2(north @ np.cross(up[-1], north[0]), north @ north[0]))
-    found, noise2 = abs(float(turned[-1])), float((np.diff(turned, 2) ** 2).mean()) / 3.0
+    by_compass, noise2 = abs(float(turned[-1])), float((np.diff(turned, 2) ** 2).mean()) / 3.0
     variance = noise2 + COMPASS_NOISE**2 + (COMPASS_ERROR * angle) ** 2
-    return ((found - angle) ** 2 - found**2) / (2.0 * variance)
+    return ((by_compass - angle) ** 2 - by_compass**2) / (2.0 * variance)
 
 
-def first_was_turn(first: FloatArray, now: FloatArray) -> float:
+def first_turn_odds(first: FloatArray, now: FloatArray) -> float:
     """Return the odds that the first mean, rad/s, (3,), had a turn in it, over that this one has.
 
     Of the biases of a gyro nobody knows the scale s: with a density of 1/s, a mean of size m is the bias

@@ -18,77 +18,70 @@ from imumon.estimation.rest.slots import ACCEL, AXES, Slot
 
 TRIAL = 16
 """Slots of a trial."""
-LEAST_SLOTS = 4
-"""Quiet slots in a row before it is rest."""
+SECOND_SLOTS = 4
+"""Slots of a second: so many are quiet before it is rest."""
 SHORT_RESTS = 2
-"""Short rests from which on it is rest after a trial's length; without, a turn of 0.5 °/s about a level axis
-was rest for half of the time for a gyro of 1.8 °/√h, its bias 14 sigma off."""
+"""Short rests after which rest takes a trial's length: a slow tilt is quiet for a second, again and again."""
 LENGTHS = 2 ** np.arange(7)
 CHI_SQUARE = 42.0
 """Three axes together: once in 2e8 for Gaussian noise of known variance."""
 QUIET = np.repeat([3.5e-4, 5e-3], 3)
-"""Standard deviation of a mean of a second or more that is never suspicious, rad/s (72 °/h) and m/s²
-(0.03°)."""
+"""Standard deviation of a mean of a second that is always quiet, rad/s (72 °/h) and m/s² (0.03°)."""
 VIBRATION = np.repeat([3.5e-2, 0.5], 3)
 """rad/s and m/s², rms within a slot: more is motion.  VQF's limits (Laidig and Seel 2023)."""
 ROAD = np.array([2.5e-3, 0.021])
 """rad/s and m/s², rms of slot means: no sensor is noisier (0.1 °/s/√Hz and 1.5 mg/√Hz), a road is."""
 VARIANCE_SIGMAS, VARIANCE_FACTOR = 6.0, 2.0
-"""The variance of a slot's samples is beyond so many sigmas of a chi-square (Wilson and Hilferty), and
-this factor."""
+"""Motion: a variance of a slot's samples above so many chi-square sigmas, times a factor."""
 MEMORY_SLOTS = 1200.0
 """Over which the noise is averaged at rest: five minutes."""
-COLOUR = 5.0
+LARGEST_COLOUR = 5.0
 """In a trial: largest variance of means of 4 and 8 slots over that of white noise."""
 HALVES, HALVES_OFFSET = 5.0, 20.0
 """In a trial: largest noise of one half over the other, and what is added to it."""
-ANOTHER = 2.5
+NOISE_CHANGE = 2.5
 """Factor of the variance from which on a trial has found another noise."""
 SLOWER = 16.0
 """In a trial: largest variance of slot means over that which their samples explain: more is slow motion."""
 SPIKE_SIGMAS = 8.0
 """A single sample so far from the mean at rest ends it."""
 TINY = 1e-24
-DITHER = 2.0 * np.pi**2
-"""Noise of variance v lets a mean err by exp(-DITHER v) half steps of the sensor, v in steps squared
-(Widrow)."""
 
 
 @dataclass(slots=True, eq=False)
 class QuietDetector:
-    """The latest slots, the latest one last, and the noise at rest."""
+    """The last slots, the latest one last, and the noise at rest; units rad/s and m/s²."""
 
     mean: FloatArray = field(default_factory=partial(np.zeros, (TRIAL, AXES)))
     within: FloatArray = field(default_factory=partial(np.full, (TRIAL, AXES), np.nan))
-    """Variance of their samples."""
-    total: FloatArray = field(default_factory=partial(np.zeros, (2 * LENGTHS[-1] + 1, AXES)))
+    """Variance of the samples of each slot."""
+    cumulative: FloatArray = field(default_factory=partial(np.zeros, (2 * LENGTHS[-1] + 1, AXES)))
     """Sum of the means up to each slot."""
     slots: int = 0
-    """Since it began, or began anew."""
-    run: int = 0
-    """Quiet slots in a row; 0 while it moves, or nothing is known."""
+    """Since the beginning or the last restart."""
+    quiet_slots: int = 0
+    """Quiet slots in a row; 0 in motion, or while the noise is not known."""
     unquiet: int = 0
-    """Slots that were not, since the last rest of a trial's length."""
+    """Unquiet slots since the last rest of a trial's length."""
     pause: int = 0
-    """Slots that were not quiet since the last one that was."""
+    """Unquiet slots since the last quiet one."""
     short_rests: int = 0
     """Rests in a row that were shorter than a trial, with pauses of a second at most."""
-    known: bool = False
-    """Whether the noise is."""
+    noise_known: bool = False
     noise: FloatArray = field(default_factory=partial(np.zeros, AXES))
     """Variance of the mean of a slot at rest, (6,)."""
     sample_noise: FloatArray = field(default_factory=partial(np.zeros, AXES))
     """Variance of its samples at rest, (6,)."""
-    learned: float = 0.0
-    """Slots that the noise has been learned from."""
+    noise_slots: float = 0.0
+    """Number of slots that the noise is averaged over."""
     disturbed: bool = False
     """Whether a single sample of the present slot was outside `band`."""
-    another: bool = False
+    noise_changed: bool = False
     """Whether another noise has been found with this slot."""
     present: BoolArray = field(default_factory=lambda: np.zeros(AXES, np.bool_))
     """Axes that have readings, (6,)."""
-    absent: int = 0
-    """Slots for which one of them had none."""
+    absent_slots: int = 0
+    """Slots in a row in which one of these axes had none."""
     step: FloatArray = field(default_factory=partial(np.zeros, AXES))
     """Step of the sensor, (6,); 0 while it is not known."""
 
@@ -99,91 +92,92 @@ class QuietDetector:
 
     @property
     def rounding_error(self) -> FloatArray:
-        """Largest error of a mean by rounding to steps of the sensor, (6,)."""
+        """Largest error of a mean by rounding to steps of the sensor, (6,).
+
+        Noise of variance v, in steps squared, makes it exp(-2 π² v) half steps (Widrow).
+        """
         noise = np.maximum(self.sample_noise / (self.step**2 + TINY) - 1.0 / 12.0, 0.0)
-        return np.asarray(0.5 * self.step * np.exp(-DITHER * noise))
+        return np.asarray(0.5 * self.step * np.exp(-2.0 * np.pi**2 * noise))
 
     @property
     def band(self) -> tuple[FloatArray, FloatArray]:
         """Lowest and highest reading of a unit at rest, (6,) each; infinite of absent axes."""
         width = np.where(self.present, SPIKE_SIGMAS * np.sqrt(self.sample_noise + self.noise), np.inf)
         width = width + 4.0 * QUIET + 1.5 * self.step
-        centre = self.mean[-4:].mean(0)
+        centre = self.mean[-SECOND_SLOTS:].mean(0)
         return centre - width, centre + width
 
-    def begin(self) -> None:
-        """Begin anew, after a gap or a restart: the noise is what it was."""
-        self.slots = self.run = self.unquiet = self.short_rests = 0
+    def restart(self) -> None:
+        """Count anew after a gap or a restart of the device; the noise stays."""
+        self.slots = self.quiet_slots = self.unquiet = self.short_rests = 0
 
     @property
     def is_rest(self) -> bool:
-        """Whether it has been quiet for long enough: a slow tilt is quiet for a second, again and again."""
-        return self.run >= (TRIAL if self.short_rests >= SHORT_RESTS else LEAST_SLOTS)
+        """Whether it has been quiet for long enough."""
+        return self.quiet_slots >= (TRIAL if self.short_rests >= SHORT_RESTS else SECOND_SLOTS)
 
-    def take(self, slot: Slot, drift: FloatArray) -> None:
-        """Take a slot; `drift`, (6,), is what is permitted at rest, rad/s² and m/s³."""
-        self._note(slot)
+    def update(self, slot: Slot, drift: FloatArray) -> None:
+        """Detect rest at the end of a slot; `drift`, rad/s² and m/s³, (6,), is permitted at rest."""
+        self._append(slot)
         step = np.minimum(np.where(self.step > 0.0, self.step, np.inf), slot.step)
         step = np.where(np.isfinite(step), step, 0.0)
         # The first step of a coarse sensor is outside a band that knew none.
         self.disturbed &= not ((step > 0.0) & (self.step == 0.0)).any()
         self.step = step
-        if self.known:
-            self.run += 1
+        if self.noise_known:
+            self.quiet_slots += 1
             if self.disturbed or self._moves(slot, drift):
                 self._interrupt()
             else:
                 self.pause = 0
                 self._learn(slot)
         self.disturbed = False
-        needed = not self.known or (self.unquiet >= 4 and self.run < TRIAL)
-        if needed and self.slots >= TRIAL and self.slots % 4 == 0:
-            self._try(slot.samples)
+        needed = not self.noise_known or (self.unquiet >= SECOND_SLOTS and self.quiet_slots < TRIAL)
+        if needed and self.slots >= TRIAL and self.slots % SECOND_SLOTS == 0:
+            self._restart_noise(slot.samples)
 
-    def take_given(self, slot: Slot) -> None:
-        """Take a slot whose rest is given: it is counted, and its noise learned."""
-        self._note(slot)
+    def update_given(self, slot: Slot) -> None:
+        """Learn the noise from a slot whose rest is given."""
+        self._append(slot)
         if not slot.at_rest:
-            self.run = 0
+            self.quiet_slots = 0
             return
-        self.run += 1
-        if self.known or self.run < TRIAL:
+        self.quiet_slots += 1
+        if self.noise_known or self.quiet_slots < TRIAL:
             self._learn(slot)
         else:
-            noise = noise_of(self.mean)
-            self._found(noise, noise * slot.samples)
+            noise = _white_variance(self.mean)
+            self._set_noise(noise, noise * slot.samples)
 
-    def _note(self, slot: Slot) -> None:
-        """Append the means: the last one of an axis that pauses, and 0 of one that is absent."""
-        there = np.isfinite(slot.mean)
-        came = bool((there > self.present).any())
-        self.absent = self.absent + 1 if (there < self.present).any() else 0
-        if came or self.absent > TRIAL:
-            self.known, self.absent = False, 0
-            self.present = self.present | there if came else there
-            self.begin()
-        mean = np.where(there, slot.mean, np.where(self.present, self.mean[-1], 0.0))
-        for latest, value in (
-            (self.mean, mean),
-            (self.within, slot.variance),
-            (self.total, self.total[-1] + mean),
-        ):
+    def _append(self, slot: Slot) -> None:
+        """Append a slot; an axis without reading keeps its last mean, and 0 if it is absent."""
+        readable = np.isfinite(slot.mean)
+        new_axis = bool((readable > self.present).any())
+        self.absent_slots = self.absent_slots + 1 if (readable < self.present).any() else 0
+        if new_axis or self.absent_slots > TRIAL:
+            self.noise_known, self.absent_slots = False, 0
+            self.present = self.present | readable if new_axis else readable
+            self.restart()
+        mean = np.where(readable, slot.mean, np.where(self.present, self.mean[-1], 0.0))
+        values = mean, slot.variance, self.cumulative[-1] + mean
+        for latest, value in zip((self.mean, self.within, self.cumulative), values, strict=True):
             latest[:-1] = latest[1:]
             latest[-1] = value
-        self.slots, self.another = self.slots + 1, False
+        self.slots, self.noise_changed = self.slots + 1, False
 
     def _interrupt(self) -> None:
-        """End the present rest, if there is one, with a slot that is not quiet."""
+        """End the present rest, if there is one, at an unquiet slot."""
         self.pause += 1
-        self.short_rests = 0 if self.pause > LEAST_SLOTS else self.short_rests + (1 < self.run <= TRIAL)
-        self.run, self.unquiet = 0, self.unquiet + 1
+        short = 1 < self.quiet_slots <= TRIAL
+        self.short_rests = 0 if self.pause > SECOND_SLOTS else self.short_rests + short
+        self.quiet_slots, self.unquiet = 0, self.unquiet + 1
 
     def _moves(self, slot: Slot, drift: FloatArray) -> bool:
         """Return whether windows, or the samples of the slot, differ by more than noise and drift."""
-        lengths = LENGTHS[self.run >= 2 * LENGTHS]
+        lengths = LENGTHS[self.quiet_slots >= 2 * LENGTHS]
         width = lengths[:, np.newaxis]
-        change = self.total[-1] - 2.0 * self.total[-1 - lengths] + self.total[-1 - 2 * lengths]
-        excess = np.maximum(np.abs(change) / width - drift * slot.seconds * width, 0.0)
+        change = self.cumulative[-1] - 2.0 * self.cumulative[-1 - lengths] + self.cumulative[-1 - 2 * lengths]
+        excess = np.maximum(np.abs(change) / width - drift * slot.length_s * width, 0.0)
         # A shorter window has a smaller floor: a disturbance has had less time to act.
         floor = QUIET**2 / np.maximum(1.0, 4.0 / width) + self.rounding
         square = excess**2 / (2.0 * np.maximum(self.noise / width, floor))
@@ -197,46 +191,46 @@ class QuietDetector:
 
     def _learn(self, slot: Slot) -> None:
         """Learn the noise from second differences, in which a drift cancels."""
-        if self.run < 3:
+        if self.quiet_slots < 3:
             return
-        gain = max(1.0 / MEMORY_SLOTS, 1.0 / (self.learned + 1.0))
-        self.learned += 1.0
+        gain = max(1.0 / MEMORY_SLOTS, 1.0 / (self.noise_slots + 1.0))
+        self.noise_slots += 1.0
         first, second, third = self.mean[-3:]
         square = (third - 2.0 * second + first) ** 2 / 6.0
         self.noise = self.noise + gain * (np.minimum(square, 9.0 * self.noise) - self.noise)
         within = np.minimum(slot.variance, 4.0 * self.sample_noise)
         within = np.where(slot.samples >= 3.0, within, self.sample_noise)
         self.sample_noise = self.sample_noise + gain * (within - self.sample_noise)
-        if self.run >= TRIAL:
+        if self.quiet_slots >= TRIAL:
             self.unquiet = self.short_rests = 0
 
-    def _try(self, samples: FloatArray) -> None:
-        """Take the noise of the last slots, if they look like a constant with noise, and like another one."""
-        found = self._trial(samples)
-        if found is None:
+    def _restart_noise(self, samples: FloatArray) -> None:
+        """Take the noise of the last slots if they pass the trial, and it is larger or the first."""
+        trial = self._trial(samples)
+        if trial is None:
             return
-        pairs = zip(found, (self.noise, self.sample_noise), strict=True)
-        other = any((new > ANOTHER * old + self.rounding).any() for new, old in pairs)
-        if other or not self.known:
-            self.run, self.unquiet, self.short_rests = TRIAL, 0, 0
-            self._found(*found)
+        pairs = zip(trial, (self.noise, self.sample_noise), strict=True)
+        larger = any((new > NOISE_CHANGE * old + self.rounding).any() for new, old in pairs)
+        if larger or not self.noise_known:
+            self.quiet_slots, self.unquiet, self.short_rests = TRIAL, 0, 0
+            self._set_noise(*trial)
 
-    def _found(self, noise: FloatArray, sample_noise: FloatArray) -> None:
-        self.known, self.another, self.learned = True, True, TRIAL - 2.0
+    def _set_noise(self, noise: FloatArray, sample_noise: FloatArray) -> None:
+        self.noise_known, self.noise_changed, self.noise_slots = True, True, TRIAL - 2.0
         self.noise, self.sample_noise = noise, sample_noise
 
     def _trial(self, count: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """Return the variance of slot means and of samples, (6,) each; None of what moves."""
-        noise = noise_of(self.mean)
+        noise = _white_variance(self.mean)
         enough = np.isfinite(self.within).all(0) & (count >= 3.0)
         samples = np.where(enough, np.where(enough, self.within, 0.0).mean(0), noise * count)
         # Where the noise at rest is known, what is far above it is suspicious, too.
-        quiet2 = np.minimum(QUIET**2, 9.0 * self.noise) if self.known else QUIET**2
+        quiet2 = np.minimum(QUIET**2, 9.0 * self.noise) if self.noise_known else QUIET**2
         least = quiet2 + self.rounding
         for length in (4, 8):  # noise averages out
             means = self.mean.reshape(-1, length, AXES).mean(1)
             ratio = means.var(0, ddof=1) / np.maximum(noise / length, least)
-            if (ratio.reshape(2, 3).mean(1) > COLOUR).any():
+            if (ratio.reshape(2, 3).mean(1) > LARGEST_COLOUR).any():
                 return None
         # A hand is slow within a slot and fast between slots.
         slow = enough & (noise * count > SLOWER * samples) & (noise > least)
@@ -252,6 +246,6 @@ class QuietDetector:
         return None if moves else (noise, samples)
 
 
-def noise_of(mean: FloatArray) -> FloatArray:
-    """Return the variance of slot means, (n, 6), by their second differences, (6,)."""
+def _white_variance(mean: FloatArray) -> FloatArray:
+    """Return the variance of slot means, (n, 6), by their second differences: no drift is in it, (6,)."""
     return np.asarray(np.maximum((np.diff(mean, 2, axis=0) ** 2).mean(0) / 6.0, TINY))

@@ -1,4 +1,4 @@
-"""What rest and bias are estimated from: slots of a quarter of a second, and means over a second of them."""
+"""Slots of a quarter of a second, from which rest is detected, and measurements of the bias made of them."""
 
 from __future__ import annotations
 
@@ -11,20 +11,18 @@ import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray, SampleBlock
 from imumon.filters.slots import Slots
-from imumon.filters.turns import Turn
+from imumon.filters.turns import PAUSE_INTERVALS, PAUSE_S, Turn
 
 SLOT_S = 0.25
-AXES = 6
+SENSORS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
 """Gyro x, y, z in rad/s, then accelerometer x, y, z in m/s²."""
+AXES = len(SENSORS)
 GYRO, ACCEL = slice(0, 3), slice(3, 6)
-READINGS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
 MODELLED, DEGC, POWER_ON_SD, HEADING = (slice(AXES + 3 * i, AXES + 3 * i + 3) for i in range(4))
-GIVEN, GATHERED = AXES + 12, AXES + 13
-"""Columns of the gatherer, behind the readings: one whether rest is given, and how many there are."""
+REST_GIVEN, GATHERED = AXES + 12, AXES + 13
+"""The last column of the gathered values, whether rest is given; and the number of columns."""
 COARSEST_STEPS = (0.035, 0.16)
 """No gyro (rad/s) and no accelerometer (m/s²) reads in coarser steps: 2 °/s is what may shake at rest."""
-GAP_S, GAP_INTERVALS = 0.25, 3.0
-"""A pause between samples is a gap when it is longer than this and than so many usual intervals."""
 
 
 class Slot(NamedTuple):
@@ -32,14 +30,14 @@ class Slot(NamedTuple):
 
     end_s: float
     """Since the first sample of its segment."""
-    seconds: float
+    length_s: float
     """From the end of the slot before, or of the gap before it, to its last sample."""
     covered_s: float
     """What its samples cover at the shortest interval so far: lost ones leave more noise."""
     gap_s: float
     """Length of the gap before it; 0 without one."""
     samples: FloatArray
-    """Of each of the six axes, (6,)."""
+    """Number of samples of each of the six axes, (6,)."""
     mean: FloatArray
     variance: FloatArray
     """Of the samples, (6,) each, about the mean (n - 1)."""
@@ -48,40 +46,33 @@ class Slot(NamedTuple):
     modelled: FloatArray
     """What the thermal model has added to the bias, rad/s, (3,)."""
     degc: FloatArray
-    """Temperature of each gyro, (3,)."""
+    """Temperature of each gyro, °C, (3,)."""
     power_on_sd: FloatArray
     """Of the unknown state of the thermal model at power-on, rad/s, (3,)."""
     heading: FloatArray
-    """A vector that turns with the heading, (3,)."""
+    """A vector that turns with the heading, (3,): see `heading_of`."""
     turn: Turn
     at_rest: bool
     """Whether it was at rest throughout, where that is given."""
 
 
-class Second(NamedTuple):
-    """Means over about a second in which the unit was quiet; NaN of what is missing."""
+class Measurement(NamedTuple):
+    """What the filters of the bias are updated with: means over about a quiet second; NaN where missing."""
 
     end_s: float
-    seconds: float
-    """What its samples cover: the white noise is that of so long."""
+    covered_s: float
+    """Time covered by its samples: the variance of the mean rate is that of one second over it."""
     rate: FloatArray
-    """Less what model and earth add, rad/s, (3,)."""
+    """Less the thermal model and the known earth rate, rad/s, (3,)."""
     force: FloatArray
-    """m/s², (3,); the last one where it is missing, zero before the first."""
+    """Specific force, m/s², (3,); the last known one where it is missing, zero before the first."""
     degc: FloatArray
-    """Temperature of each gyro, (3,)."""
+    """Temperature of each gyro, °C, (3,)."""
     heading: FloatArray
-    """(3,), as in `Slot`."""
 
 
-def second_of(slots: Sequence[Slot], earth: FloatArray, force: FloatArray) -> Second:
-    """Return the means of slots.
-
-    Parameters
-    ----------
-    earth, force : array (3,)
-        What is known of the earth rate, rad/s; and the specific force where it is missing, m/s².
-    """
+def measurement_of(slots: Sequence[Slot], earth: FloatArray, force: FloatArray) -> Measurement:
+    """Return the means of slots, less the known earth rate, rad/s, (3,); `force` is the last known one."""
     covered = np.array([one.covered_s for one in slots])
     total = float(covered.sum())
     mean, modelled, degc, heading = (
@@ -90,12 +81,12 @@ def second_of(slots: Sequence[Slot], earth: FloatArray, force: FloatArray) -> Se
     )
     force = np.where(np.isfinite(mean[ACCEL]), mean[ACCEL], force)
     degc = np.where(np.isfinite(degc), degc, slots[-1].degc)
-    return Second(slots[-1].end_s, total, mean[GYRO] - modelled - earth, force, degc, heading)
+    return Measurement(slots[-1].end_s, total, mean[GYRO] - modelled - earth, force, degc, heading)
 
 
 @dataclass(slots=True)
 class Timing:
-    """The slot before: its end, its interval, and the shortest interval so far, s."""
+    """Times of the slot before, s: its end, the interval of its samples, and the shortest interval so far."""
 
     origin_ns: int = 0
     end_s: float = 0.0
@@ -107,16 +98,16 @@ class Timing:
         count = ended.count[:, :AXES].astype(np.float64)
         several = np.where(count > 1.0, count, np.nan)
         variance = ended.variance[:, :AXES] * several / (several - 1.0)
-        steps, turns = _steps(ended), ended.turns
+        steps = _steps(ended)
         for k, mean in enumerate(ended.mean):
-            spans = self._spans(ended, k)
             yield Slot(
-                *spans, count[k], mean[:AXES], variance[k], steps[k], mean[MODELLED], mean[DEGC],
-                mean[POWER_ON_SD], mean[HEADING], turns.at(k), bool(ended.smallest[k, GIVEN] == 1.0),
+                *self._times(ended, k), count[k], mean[:AXES], variance[k], steps[k], mean[MODELLED],
+                mean[DEGC], mean[POWER_ON_SD], mean[HEADING], ended.turns.at(k),
+                bool(ended.smallest[k, REST_GIVEN] == 1.0),
             )  # fmt: skip
 
-    def _spans(self, ended: Slots, k: int) -> tuple[float, float, float, float]:
-        """Return end, length, what its samples cover and the gap before it, s."""
+    def _times(self, ended: Slots, k: int) -> tuple[float, float, float, float]:
+        """Return end, length, time covered by samples, and the gap before the slot, s."""
         samples = int(ended.count[k, GYRO].max()) or int(ended.samples[k])
         begins = bool(ended.begins[k])
         if begins:
@@ -128,12 +119,12 @@ class Timing:
             start -= (end - start) / (samples - 1) if samples > 1 else self.interval_s
         else:
             start = self.end_s
-        seconds = end - start
-        if seconds > 0.0:
-            self.interval_s = seconds / samples
-            self.shortest_s = min(self.shortest_s, self.interval_s)
-        self.end_s = end
-        return end, seconds, min(seconds, samples * self.shortest_s) if seconds > 0.0 else 0.0, gap
+        length, self.end_s = end - start, end
+        if length <= 0.0:
+            return end, length, 0.0, gap
+        self.interval_s = length / samples
+        self.shortest_s = min(self.shortest_s, self.interval_s)
+        return end, length, min(length, samples * self.shortest_s), gap
 
     def since_origin_s(self, time_ns: int) -> float:
         """Return the seconds since the first sample of the segment."""
@@ -142,7 +133,7 @@ class Timing:
     def gap_s(self, start_s: float) -> float:
         """Return the length of the gap before a sample; 0 if it follows."""
         pause = start_s - self.end_s
-        return pause if pause > max(GAP_S, GAP_INTERVALS * self.interval_s) and self.interval_s else 0.0
+        return pause if pause > max(PAUSE_S, PAUSE_INTERVALS * self.interval_s) and self.interval_s else 0.0
 
 
 def _steps(ended: Slots) -> FloatArray:
@@ -156,7 +147,7 @@ def _steps(ended: Slots) -> FloatArray:
 def readings_of(block: SampleBlock, dated: BoolArray) -> FloatArray:
     """Return rates and specific forces, rad/s and m/s², (n, 6); NaN where there is none or no time."""
     none = np.full(len(block), np.nan)
-    readings = np.column_stack([block.columns.get(name, none) for name in READINGS]).astype(np.float64)
+    readings = np.column_stack([block.columns.get(name, none) for name in SENSORS]).astype(np.float64)
     readings[~dated] = np.nan
     return readings
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
-from imumon.estimation.smoothing.record import QUANTITIES, READINGS, Record, value_and_sd
+from imumon.estimation.smoothing.record import QUANTITIES, THERMOMETERS, Record, value_and_sd
 from imumon.pipeline import Estimator
 
 REVERSED = {"temperature_estimate": 1.0, "temperature_rate": -1.0, "gyro_bias": -1.0}
@@ -37,7 +37,9 @@ def backward(record: Record, temperature: Estimator, bias: Estimator) -> dict[st
     for j, axis in enumerate("xyz"):
         columns[f"gyro_{axis}"] = model[:, j] - record.columns[f"gyro_{axis}"]
         columns[f"accel_{axis}"] = record.columns[f"accel_{axis}"]
-    columns |= {name: record.columns[name] for name in READINGS if np.isfinite(record.columns[name]).any()}
+    columns |= {
+        name: record.columns[name] for name in THERMOMETERS if np.isfinite(record.columns[name]).any()
+    }
     block = SampleBlock({name: np.ascontiguousarray(values[::-1]) for name, values in columns.items()})
     block = block.with_columns(temperature.process(block))
     block = block.with_columns(bias.process(block))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray, SampleBlock
+from imumon.estimation.rest.slots import SENSORS
 from imumon.filters.slots import SlotGatherer, Slots
 
 SLOT_NS = 31_250_000
@@ -19,8 +20,7 @@ QUANTITIES = (
     *(("gyro_bias", suffix) for suffix in SUFFIXES[1:]),
 )
 """What is smoothed: a quantity, and the suffix of its columns."""
-SENSORS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
-READINGS = tuple(f"temperature{suffix}" for suffix in SUFFIXES)
+THERMOMETERS = tuple(f"temperature{suffix}" for suffix in SUFFIXES)
 
 
 def value_and_sd(quantity: str, suffix: str = "") -> tuple[str, str]:
@@ -30,7 +30,7 @@ def value_and_sd(quantity: str, suffix: str = "") -> tuple[str, str]:
 
 NAMES = (
     *SENSORS,
-    *READINGS,
+    *THERMOMETERS,
     "at_rest",
     *(name for quantity in QUANTITIES for name in value_and_sd(*quantity)),
     *(f"gyro_random_error_{axis}" for axis in "xyz"),
