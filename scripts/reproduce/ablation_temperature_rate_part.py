@@ -18,9 +18,15 @@ from thermometers_table import errors, largest, rms
 from imumon.blocks import FloatArray
 from imumon.estimation.temperature_rate import filter as filter_module
 from imumon.estimation.temperature_rate import measurement, method, output, thermometer
-from imumon.estimation.temperature_rate.measurement import Correction, evaluate
+from imumon.estimation.temperature_rate.filter import (
+    CODE_MODELS,
+    MEAN_MODELS,
+    Correction,
+    Models,
+    code_model,
+)
+from imumon.estimation.temperature_rate.measurement import evaluate
 from imumon.estimation.temperature_rate.method import MultipleModelRate
-from imumon.estimation.temperature_rate.model import CODE_MODELS, MEAN_MODELS, Models, code_model
 from imumon.estimation.temperature_rate.thermometer import Slot, Thermometer
 
 TITLE = "Rate of temperature: kinds of thermometers, and a measured record in steps of 0, 1/16, 0.5 and 1 °C."

@@ -17,14 +17,13 @@ from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.posterior import HeadingPosterior, heading_posterior
 from imumon.estimation.alignment.record import (
     SLOT_S,
-    HorizontalRows,
     Record,
     Slot,
     direction_of,
     first_attitude,
     horizontal_rows,
-    turned_about_vertical,
     upright,
+    yaw_between,
 )
 from imumon.estimation.alignment.report import ANY_ANGLE_SD, Estimate, PositionHeading
 from imumon.estimation.alignment.sensor_errors import SensorErrors, sensor_errors
@@ -41,17 +40,16 @@ NEW_POSITION = 0.01
 """rad: a turn by less does not separate the bias from the earth rate."""
 LONGEST_GAP_S = 30.0
 """A longer gap in the data restarts the alignment."""
-MOST_FITS = 400
-"""Fits whose sigmas are in the chart."""
 
 
 @dataclass
 class Position:
     """A rest in one attitude.
 
-    `attitude` (3, 3) is from body axes to forward, left and up of the first position, `azimuth_variance` that
-    of the angle about the vertical since then, rad².  `number` counts from 1 the attitudes that differ by
-    more than NEW_POSITION; `magnetic` (3,) is the sum of the magnetometer's means in body axes.
+    `attitude` (3, 3) is from body axes to the reference frame, which is forward, left and up of the first
+    position; `azimuth_variance` is that of the angle about the vertical since then, rad².  `number` counts
+    from 1 the attitudes that differ by more than NEW_POSITION; `magnetic` (3,) is the sum of the
+    magnetometer's means in body axes.
     """
 
     attitude: FloatArray
@@ -107,13 +105,7 @@ class State:
 
 
 class Aligner:
-    """The alignment of one device, fed with slots.
-
-    Parameters
-    ----------
-    parameters : AlignmentParameters
-    latitude_deg : float
-    """
+    """The alignment of one device, fed with slots."""
 
     def __init__(self, parameters: AlignmentParameters, latitude_deg: float) -> None:
         self.parameters = parameters
@@ -126,7 +118,7 @@ class Aligner:
             self.drifts = (Drift(1.0, DRIFTS[0].walk, known.amplitude_sd_g, known.time_constants_s),)
         self.state = State()
         self.earlier_headings: list[PositionHeading] = []
-        """Headings of the positions before the last restart."""
+        """In the positions before the last restart."""
         self.run = 0
         """Number of segments of the device."""
         self.elapsed_s = 0.0
@@ -136,11 +128,11 @@ class Aligner:
 
     def begin_run(self) -> None:
         """Begin a segment of the device."""
-        self.restart("the device started anew")
+        self._restart("the device started anew")
         self.elapsed_s = 0.0
         self.run += 1
 
-    def restart(self, why: str) -> None:
+    def _restart(self, why: str) -> None:
         """Drop all positions, and report the reason."""
         if self.state.positions:
             self.earlier_headings = self.finish()
@@ -151,7 +143,7 @@ class Aligner:
         """Process a slot with its mean magnetic field, (3,), the rest detector's flag, and its turn."""
         gap_s = slot.begun_s - self.elapsed_s
         if gap_s > LONGEST_GAP_S:
-            self.restart(f"samples are missing at {self.elapsed_s:.1f} s for {gap_s:.1f} s")
+            self._restart(f"samples are missing at {self.elapsed_s:.1f} s for {gap_s:.1f} s")
         self.elapsed_s = slot.begun_s + SLOT_S
         motion = self.state.motion
         outcome = motion.classify(slot, at_rest)
@@ -164,16 +156,11 @@ class Aligner:
             self._add_rest_slot(slot)
         else:
             self._follow_motion(outcome, turn)
-        if self.resting:
+        if self.state.positions and not self.state.motion.moving:
             if np.isfinite(magnetic).all():
                 self.state.positions[-1].magnetic += magnetic
             if self.state.rest_s >= self.state.due_s:
-                self.evaluate()
-
-    @property
-    def resting(self) -> bool:
-        """Whether the unit rests in a position."""
-        return bool(self.state.positions) and not self.state.motion.moving
+                self._update_heading()
 
     def _add_rest_slot(self, slot: Slot) -> None:
         """Add a slot at rest to the record, and follow a creep by the vertical gyro."""
@@ -190,11 +177,11 @@ class Aligner:
         self, attitude: FloatArray, variance: float, number: int, rest: Sequence[Slot]
     ) -> None:
         """Begin a position whose record starts with these slots."""
-        state, first = self.state, rest[0]
-        # Of a device with one sample a slot at most, each row must last for two samples: none stays empty.
-        interval = (rest[-1].index - first.index) / (len(rest) - 1)
-        slow = max(slot.samples for slot in rest) == 1
-        record = Record(first.index, 1 << math.ceil(math.log2(2.0 * interval)) if slow else 1)
+        state, first, slots_per_row = self.state, rest[0], 1
+        if max(slot.samples for slot in rest) == 1:  # each row must last for two samples: none stays empty
+            interval = (rest[-1].index - first.index) / (len(rest) - 1)
+            slots_per_row = 1 << math.ceil(math.log2(2.0 * interval))
+        record = Record(first.index, slots_per_row)
         state.attitude = attitude
         state.positions.append(Position(attitude, variance, number, record))
         state.due_s = state.rest_s + FIRST_FIT_S
@@ -206,7 +193,7 @@ class Aligner:
         state, motion = self.state, self.state.motion
         state.attitude = state.attitude @ motion.follow(turn)
         if outcome is Outcome.LOST:
-            self.restart(f"the unit turned at {motion.pending[0].begun_s:.1f} s for {LONGEST_MOTION_S:g} s")
+            self._restart(f"the unit turned at {motion.pending[0].begun_s:.1f} s for {LONGEST_MOTION_S:g} s")
         elif outcome is Outcome.SAME_ATTITUDE:
             state.attitude = state.positions[-1].attitude
             for slot in motion.end():
@@ -225,10 +212,10 @@ class Aligner:
             before.attitude, attitude[2], errors.scale, math.sqrt(2.0) * errors.accel_bias
         )
         if variance > ANY_ANGLE_SD**2:
-            self.restart(f"the unit turned at {begun_s:.1f} s by an angle that is not known")
+            self._restart(f"the unit turned at {begun_s:.1f} s by an angle that is not known")
             return
-        new = angle_of(motion.turned.rotation) > NEW_POSITION
-        angle = math.degrees(-turned_about_vertical(before.attitude, attitude))
+        new = angle_of(motion.turn.rotation) > NEW_POSITION
+        angle = math.degrees(-yaw_between(before.attitude, attitude))
         sd = math.degrees(math.sqrt(variance))
         self.events.append(
             f"alignment: the unit turned at {begun_s:.1f} s for {seconds:.1f} s: left out; "
@@ -248,45 +235,37 @@ class Aligner:
         noise = math.sqrt(min((fit.white for fit in fits), default=0.0))
         return sensor_errors(noise, self.parameters, any(fit.creep_s for fit in fits))
 
-    def _fit_position(self) -> None:
+    def _fit_position(self) -> PositionFit | None:
         """Fit the present position, and its plain and Hann-weighted mean of the gyros."""
-        here = self.state.positions[-1]
-        if here.record.rows()[0].any():
-            data = horizontal_rows(
-                here.record, here.attitude, self.earth_vertical, self.parameters.known_warm_up
-            )
-            here.fit = fit_position(data, self.earth_vertical, self.drifts)
-            if here.fit is not None:
-                self._update_means(data, here.fit.white)
+        state, here = self.state, self.state.positions[-1]
+        if not here.record.rows()[0].any():
+            return None
+        data = horizontal_rows(here.record, here.attitude, self.earth_vertical, self.parameters.known_warm_up)
+        here.fit = fit_position(data, self.earth_vertical, self.drifts)
+        if here.fit is not None:
+            rate = data.rate[data.valid]
+            bias = state.posterior.bias_size if state.posterior else 0.0
+            for name, taper, factor in (("gyro_mean", np.ones, 1.0), ("hann_mean", np.hanning, 1.5)):
+                mean = complex(taper(len(rate)) @ rate)
+                sd = math.sqrt(factor * here.fit.white / here.record.rest_s + bias**2) / self.earth_horizontal
+                state.means[name] = Fitted(state.rest_s, cmath.phase(mean), min(sd, ANY_ANGLE_SD))
+        return here.fit
 
-    def _update_means(self, data: HorizontalRows, white: float) -> None:
-        """Update the directions of north by the plain and the Hann-weighted mean of the gyros."""
-        state, rate, rest_s = self.state, data.rate[data.valid], self.state.positions[-1].record.rest_s
-        bias = state.posterior.bias_size if state.posterior else 0.0
-        for name, taper, factor in (("gyro_mean", np.ones, 1.0), ("hann_mean", np.hanning, 1.5)):
-            mean = complex(taper(len(rate)) @ rate)
-            sd = math.sqrt(factor * white / rest_s + bias**2) / self.earth_horizontal
-            state.means[name] = Fitted(state.rest_s, cmath.phase(mean), min(sd, ANY_ANGLE_SD))
-
-    def evaluate(self) -> None:
-        """Fit the present position, and update the heading."""
-        state, rest_s = self.state, self.state.positions[-1].record.rest_s
-        self._fit_position()
-        if state.positions[-1].fit is not None:
-            self._update_heading(rest_s)
+    def _update_heading(self) -> None:
+        """Fit the present position, and update the heading by the fits of all positions."""
+        state, yaw, rest_s = self.state, self.state.since_fit.yaw, self.state.positions[-1].record.rest_s
         state.due_s = state.rest_s + min(max(rest_s / 3.0, 1.0), LONGEST_REFIT_S)
-
-    def _update_heading(self, rest_s: float) -> None:
-        """Update the heading from the fits of all positions, `rest_s` of which are in the present one."""
-        state, yaw = self.state, self.state.since_fit.yaw
+        last = self._fit_position()
+        if last is None:
+            return
         fitted = [(one.fit, one.azimuth_variance) for one in state.positions if one.fit]
         fits, variances = zip(*fitted, strict=True)
-        about = cmath.phase(fits[-1].moments()[0][0])
+        rough_north = cmath.phase(last.moments()[0][0])
         if state.posterior is not None:
-            about = state.posterior.north - yaw
-        new = heading_posterior(fits, np.array(variances), self.latitude, self.errors, about)
-        # What no hypothesis explains shows as a heading that moves from fit to fit.
-        history = [one._replace(north=one.north - yaw) for one in state.history[-MOST_FITS:]]
+            rough_north = state.posterior.north - yaw
+        new = heading_posterior(fits, np.array(variances), self.latitude, self.errors, rough_north)
+        # What no hypothesis explains shows as a heading that moves from fit to fit.  A chart shows 400 fits.
+        history = [one._replace(north=one.north - yaw) for one in state.history[-400:]]
         recent = [one.north for one in history if one.rest_s >= state.rest_s - RECENT_SHARE * rest_s]
         moved = max((abs(math.remainder(new.north - north, 2.0 * math.pi)) for north in recent), default=0.0)
         sd = min(max(new.sd, moved), ANY_ANGLE_SD)
@@ -301,7 +280,7 @@ class Aligner:
 
     @property
     def heading_sd(self) -> float:
-        """Standard deviation of the heading with what turned it since the last fit, rad; NaN before a fit."""
+        """Standard deviation of the heading, rad: of the last fit, and of creep and turns since; or NaN."""
         state = self.state
         if state.posterior is None:
             return math.nan
@@ -314,7 +293,7 @@ class Aligner:
 
     @property
     def observable(self) -> bool:
-        """Whether the heading is known well enough to be shown (`observable_deg`)."""
+        """Whether the heading is shown: its standard deviation is below `observable_deg`."""
         return self.heading_sd < math.radians(self.parameters.observable_deg)
 
     @property
@@ -347,23 +326,21 @@ class Aligner:
         wanted = math.radians(self.parameters.settled_deg)
         if self.heading_sd <= wanted:
             return 0.0
-        left = wanted**2 - (posterior.horizontal_bias_sd / self.earth_horizontal) ** 2
+        left = wanted**2 - posterior.bias_sd**2
         return max(state.rest_s * (posterior.noise_sd**2 / left - 1.0), 1.0) if left > 0.0 else None
 
     @property
     def turned(self) -> float:
         """Angle about the vertical since the previous position, rad, clockwise; also during a turn."""
-        state, places = self.state, self.state.positions
-        if state.motion.moving:
-            return -turned_about_vertical(places[-1].attitude, state.attitude)
-        before = [one for one in places if one.number < places[-1].number]
-        return -turned_about_vertical(before[-1].attitude, places[-1].attitude) if before else 0.0
+        places, moving = self.state.positions, self.state.motion.moving
+        before = [one for one in places if moving or one.number < places[-1].number]
+        return -yaw_between(before[-1].attitude, self.state.attitude) if before else 0.0
 
     def finish(self) -> list[PositionHeading]:
         """Fit the rest since the last fit; return the heading in each position."""
         state, found = self.state, []
         if state.positions:
-            self.evaluate()
+            self._update_heading()
         if state.posterior is None:
             return self.earlier_headings
         north, now = state.posterior.north, state.positions[-1].azimuth_variance

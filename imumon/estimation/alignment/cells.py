@@ -17,6 +17,7 @@ from imumon.estimation.alignment.record import HorizontalRows
 CELLS = (96, 24, 6)
 """Candidate numbers of windows in a record; ablation: 48 alone makes 2.4 times the error."""
 MIN_CELLS = 5
+"""Fewer used cells give no scatter about a trend."""
 OVERLAP = 1.0 / 6.0
 """Correlation of white noise in neighbouring Hann cells: the mean of their product over that of a square."""
 TREND_ORDER = 5

@@ -31,8 +31,6 @@ TILT_SD, STANDS_SD = np.array([1e-5, 1e-4, 1e-3]), 1e-9
 P_SETTLES = 0.3
 """Prior probability of a settling tripod.  With 0.03 a slow tilt passes for a bias, 9 sigma off; ablation: 0
 makes up to 8 times the error."""
-WARM_UP_TAU_S = (100.0, 300.0, 1000.0)
-"""Time constants of a warm-up of the accelerometers that is not declared."""
 OFFSET_SD = 1e-3
 """Standard deviation of the constant part of α, and of its step in a knock, rad."""
 LIKELY = -15.0
@@ -42,12 +40,15 @@ LARGEST_BIAS = 1e-3
 
 
 class Drift(NamedTuple):
-    """Accelerometer drift: probability, random walk, g/√s, sd of warm-up amplitudes, g, and their τ, s."""
+    """Accelerometer drift d: probability, random walk, g/√s, sd of warm-up amplitudes, g, and their τ, s.
+
+    A drift of 1 µg is read as a tilt of 1 µrad.
+    """
 
     probability: float
     walk: float
     warm_up_sd: float
-    warm_up_tau_s: tuple[float, ...] = WARM_UP_TAU_S
+    warm_up_tau_s: tuple[float, ...] = (100.0, 300.0, 1000.0)
 
 
 DRIFTS = (Drift(0.495, 1e-7, 0.0), Drift(0.495, 1e-7, 1e-4), Drift(0.01, 3e-6, 0.0))
@@ -83,19 +84,13 @@ class Information(NamedTuple):
     vector: FloatArray
 
     def plus(self, other: Information) -> Information:
-        """Return the information of both."""
+        """Return the information of independent data taken together."""
         return Information(self.matrix + other.matrix, self.vector + other.vector)
 
     def without(self, sd: FloatArray) -> tuple[Information, FloatArray]:
-        """Eliminate the last m unknowns, N(0, sd²).
+        """Eliminate the last m unknowns, N(0, sd²), `sd` (..., m).
 
-        Parameters
-        ----------
-        sd : array (..., m)
-
-        Returns
-        -------
-        Information on the other unknowns, and the log density of what does not depend on them, (...).
+        Returns the information on the others, and the log density of what does not depend on them, (...).
         """
         kept, sets = self.matrix.shape[-1] - sd.shape[-1], self.vector.shape[-1]
         precision = self.matrix[..., kept:, kept:] + np.eye(sd.shape[-1]) / sd[..., None, :] ** 2
@@ -121,7 +116,7 @@ class PositionFit(NamedTuple):
 
     `log_weight` (h,) is that of prior and evidence, the largest 0; `rate` (h,) earth rate and bias, rad/s,
     with the variance of each part, and `settles` (h,) whether φ settles; `vertical` is the vertical gyro,
-    rad/s, and `white` the white noise of the quietest gyro, (rad/s)²/Hz.
+    rad/s, and `white` the white noise of the quietest gyro, (rad/s)²/Hz; `attitude` as in `HorizontalRows`.
 
     If the unit creeps about the vertical, it does so for `creep_s` and by `yaw`, rad; else both are 0.
     `bias_rotation` is the mean of e^{i yaw}, the factor that turning the rates back gives to a constant bias.
@@ -175,14 +170,14 @@ def fit_position(data: HorizontalRows, earth_vertical: float, drifts: Sequence[D
     for drift in drifts:
         by_tilt, log_density = _by_accelerometers(cells, alpha, data.row_s, middles, drift)
         parts.append(_rate_of_each_tilt(by_gyros.plus(by_tilt), log_density + math.log(drift.probability)))
-    log_weight, mean, variance = (np.concatenate(part) for part in zip(*parts, strict=True))
+    log_weight, mean, variance, settles = (np.concatenate(part) for part in zip(*parts, strict=True))
     log_weight -= log_weight.max()
     likely = log_weight > LIKELY
     return PositionFit(
         log_weight=log_weight[likely],
         rate=mean[likely] + cells.mean_rate,
         variance=variance[likely],
-        settles=np.tile(TILTS.max(axis=1) > STANDS_SD, len(drifts))[likely],
+        settles=settles[likely],
         vertical=cells.vertical,
         vertical_variance=cells.vertical_variance,
         white=cells.white,
@@ -231,14 +226,17 @@ def _by_accelerometers(
     return information(design, data, covariance), log_density
 
 
-def _rate_of_each_tilt(known: Information, log_density: float) -> tuple[FloatArray, ColumnArray, FloatArray]:
-    """Return log weight, mean rate and the variance of each part for each hypothesis about φ, (19,)."""
+def _rate_of_each_tilt(
+    known: Information, log_density: float
+) -> tuple[FloatArray, ColumnArray, FloatArray, BoolArray]:
+    """Return log weight, mean rate, variance of each part, and whether φ settles, by hypothesis, (19,)."""
     of_rate, evidence = known.without(TILTS)
     precision = of_rate.matrix[:, 0, 0]
     mean = of_rate.vector[:, 0, :] / precision[:, None]
     evidence += 0.5 * precision * np.sum(mean**2, axis=1) - np.log(precision)
-    prior = np.where(TILTS.max(axis=1) > STANDS_SD, P_SETTLES / (len(TILTS) - 1), 1.0 - P_SETTLES)
-    return evidence + np.log(prior) + log_density, mean @ np.array([1.0, 1j]), 1.0 / precision
+    settles = TILTS.max(axis=1) > STANDS_SD
+    prior = np.where(settles, P_SETTLES / (len(TILTS) - 1), 1.0 - P_SETTLES)
+    return evidence + np.log(prior) + log_density, mean @ np.array([1.0, 1j]), 1.0 / precision, settles
 
 
 def _real_parts(values: ColumnArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Which slots are rest and which are turns: one decision table per slot.
+"""Which slots are rest and which are turns.
 
 A turn is followed by the gyros, sample by sample (`imumon.filters.turns`), less what they read at rest.
 """
@@ -56,13 +56,13 @@ class Motion:
     until then."""
     pending: list[Slot] = field(default_factory=list)
     """Slots of the motion; before the first rest, those that may belong to it."""
-    turned: Turn = STILL
+    turn: Turn = STILL
     """Since the motion began."""
 
     def classify(self, slot: Slot, at_rest: bool) -> Outcome:
-        """Classify a slot by the table of docs/appendix/alignment-details.md, evaluated top down."""
+        """Return the outcome of a slot: that of the first condition that holds."""
         if self.rest_rate is None:
-            self.pending = [*self.pending[1 - 4 * MEDIAN_SLOTS :], slot]
+            self.pending = [*self.pending[1 - 4 * MEDIAN_SLOTS :], slot]  # of 2 minutes
             return Outcome.FIRST_REST if at_rest and self._first_rest() else Outcome.WAITING
         if not (self.moving or self._is_motion(slot)):
             return Outcome.REST
@@ -71,7 +71,7 @@ class Motion:
             return Outcome.LOST
         if any(self._is_motion(one) for one in self.pending[-CALM_SLOTS:]):
             return Outcome.TURNING
-        same = angle_of(self.turned.rotation) <= max(SAME_ATTITUDE, 6.0 * self._noise)
+        same = angle_of(self.turn.rotation) <= max(SAME_ATTITUDE, 6.0 * self._noise)
         return Outcome.SAME_ATTITUDE if same else Outcome.TURNED
 
     def _first_rest(self) -> bool:
@@ -106,12 +106,12 @@ class Motion:
         """Add the turn of a slot; return its rotation, (3, 3)."""
         assert self.rest_rate is not None
         turn = turn.less(self.rest_rate)
-        self.turned = self.turned.then(turn)
+        self.turn = self.turn.then(turn)
         return turn.rotation
 
     def end(self) -> list[Slot]:
         """End the motion; return its slots."""
-        pending, self.pending, self.turned = self.pending, [], STILL
+        pending, self.pending, self.turn = self.pending, [], STILL
         return pending
 
     @property
@@ -133,13 +133,12 @@ class Motion:
         return spread * math.sqrt(len(self.pending) + len(self.pending) ** 2 / len(self.recent))
 
     def azimuth_variance(self, before: FloatArray, seconds: float, scale_sd: float) -> float:
-        """Return the variance of the angle about the vertical by which the unit has turned, rad².
+        """Return the variance of the angle by which the unit turned about the vertical in `seconds`, rad².
 
-        `before` (3, 3) is the attitude at the beginning, `seconds` the length of the turn, and `scale_sd`
-        that of scale factor and misalignment of the gyros.
+        `before` (3, 3) is the attitude at the beginning, `scale_sd` is of scale factor and misalignment.
         """
         # The earth rate turns against the body: up to all of it is wrong while it turns by a radian.
-        drift = EARTH_RATE * seconds * min(self.turned.path, 1.0)
+        drift = EARTH_RATE * seconds * min(self.turn.path, 1.0)
         return self._gyro_variance(before[2], scale_sd) + self._noise**2 + drift**2
 
     def unexplained_variance(
@@ -151,12 +150,12 @@ class Motion:
         direction up by the accelerometers after the turn, in body axes, with the standard deviation
         `vertical_sd` of the change of its error, rad.
         """
-        ahead_off, left_off, _ = before @ (self.turned.rotation @ vertical)
+        ahead_off, left_off, _ = before @ (self.turn.rotation @ vertical)
         explained = sum(self._gyro_variance(axis, scale_sd) for axis in before[:2])
         unexplained = 0.5 * (ahead_off**2 + left_off**2 - explained) - vertical_sd**2
         return max(float(unexplained), 0.0)
 
     def _gyro_variance(self, axis: FloatArray, scale_sd: float) -> float:
         """Return the variance of the angle about an axis, (3,), by scale errors and between samples, rad²."""
-        by_scale = scale_sd**2 * float(np.sum(self.turned.scale_about(axis) ** 2))
-        return by_scale + self.turned.sampling_variance(axis)
+        by_scale = scale_sd**2 * float(np.sum(self.turn.scale_about(axis) ** 2))
+        return by_scale + self.turn.sampling_variance(axis)

@@ -107,22 +107,22 @@ def known_warm_up(model: BiasModel | None) -> KnownWarmUp | None:
     The effect adds c exp(-t / T) to a bias, which is a warm-up by -c.  How well it is known follows
     from the channel's residual, unless an accelerometer has other effects: it may drift by these.
     """
-    channels = {} if model is None else model.channels
-    found = [
-        (i, channels[f"accel_{axis}"].residual_sd, effect)
-        for i, axis in enumerate("xyz")
-        if f"accel_{axis}" in channels
-        for effect in channels[f"accel_{axis}"].effects
-    ]
-    warm_ups = [(i, residual_sd, effect) for i, residual_sd, effect in found if isinstance(effect, WarmUp)]
-    if not warm_ups:
-        return None
     amplitude, constant = [0.0] * 3, [1.0] * 3  # s: of no matter where there is no warm-up
-    for i, _, effect in warm_ups:
-        amplitude[i], constant[i] = -effect.coefficients[0] / MICRO_G, effect.time_constant_s
-    others = len(found) > len(warm_ups)
+    residual_sds, has_others = [], False
+    for i, axis in enumerate("xyz"):
+        channel = None if model is None else model.channels.get(f"accel_{axis}")
+        if channel is None:
+            continue
+        for effect in channel.effects:
+            if isinstance(effect, WarmUp):
+                amplitude[i], constant[i] = -effect.coefficients[0] / MICRO_G, effect.time_constant_s
+                residual_sds.append(channel.residual_sd)
+            else:
+                has_others = True
+    if not residual_sds:
+        return None
     return KnownWarmUp(
         amplitude_ug=amplitude,
         time_constant_s=constant,
-        amplitude_sd_ug=None if others else max(sd for _, sd, _ in warm_ups) / MICRO_G or None,
+        amplitude_sd_ug=None if has_others else max(residual_sds) / MICRO_G or None,
     )

@@ -38,17 +38,16 @@ class HeadingPosterior(NamedTuple):
     """The posterior of the direction of north.
 
     `north` is counter-clockwise in the reference frame at the end of the last position, rad, `sd` its
-    standard deviation, and `noise_sd` that without any bias; `horizontal_bias_sd` is that of the bias in the
-    horizontal axes that is left in the heading, and `bias_size` the root mean square of its prior size,
-    rad/s; `settling` is the probability that the unit settles.
+    standard deviation, `noise_sd` that without any bias, and `bias_sd` what a bias adds to it.  `bias_size`,
+    rad/s, is the root mean square of the size of a bias, and `tilt_probability` that of a unit that settles.
     """
 
     north: float
     sd: float
     noise_sd: float
-    horizontal_bias_sd: float
+    bias_sd: float
     bias_size: float
-    settling: float
+    tilt_probability: float
 
 
 def heading_posterior(
@@ -56,15 +55,15 @@ def heading_posterior(
     azimuth_variances: FloatArray,
     latitude: float,
     errors: SensorErrors,
-    about: float,
+    rough_north: float,
 ) -> HeadingPosterior:
     """Return the heading at the end of the last position, at a latitude, rad.
 
     `azimuth_variances` (p,) are of the angle by which the unit was turned since the first position, rad².
-    Earlier positions count by mean and variance over their hypotheses.  `about` is roughly where north is,
-    rad, as a bias turns the rates of a unit that creeps across it.
+    Earlier positions count by mean and variance over their hypotheses.  `rough_north`, rad, is the direction
+    across which the bias of the vertical gyro turns the rates of a unit that creeps.
     """
-    joint, log_density = _linear_model(fits, azimuth_variances, latitude, errors.flicker, about)
+    joint, log_density = _linear_model(fits, azimuth_variances, latitude, errors.flicker, rough_north)
     sizes = np.hypot(errors.sizes, errors.accel_bias * EARTH_RATE * math.sin(latitude))
     of_north, log_factor = Information(joint.matrix[:, None], joint.vector[:, None]).without(sizes)
     log_weight = (log_density[:, None] + log_factor + errors.log_prior).ravel()
@@ -90,31 +89,36 @@ def heading_posterior(
         north=north,
         sd=min(math.sqrt(np.sum(mass * (spread + off**2))), ANY_ANGLE_SD),
         noise_sd=min(math.sqrt(noise), ANY_ANGLE_SD),
-        horizontal_bias_sd=EARTH_RATE * math.cos(latitude) * math.sqrt(max(whole - noise, 0.0)),
+        bias_sd=math.sqrt(max(whole - noise, 0.0)),
         bias_size=math.sqrt(mass @ np.mean(errors.sizes**2, axis=1)[size]),
-        settling=float(mass @ fits[-1].settles[hypothesis]),
+        tilt_probability=float(mass @ fits[-1].settles[hypothesis]),
     )
 
 
 def _linear_model(
-    fits: Sequence[PositionFit], azimuth_variances: FloatArray, latitude: float, flicker: float, about: float
+    fits: Sequence[PositionFit],
+    azimuth_variances: FloatArray,
+    latitude: float,
+    flicker: float,
+    rough_north: float,
 ) -> tuple[Information, FloatArray]:
     """Return the information on z and b of each hypothesis, (h,), and the log density without them, (h,)."""
     horizontal, vertical = EARTH_RATE * math.cos(latitude), EARTH_RATE * math.sin(latitude)
     model = Information(np.zeros((1, 5, 5)), np.zeros((1, 5, 1)))
     log_density = fits[-1].log_weight
     yaw, creep_s = 0.0, 0.0
-    for fit, turned in zip(fits[::-1], (azimuth_variances[-1] - azimuth_variances)[::-1], strict=True):
+    since = azimuth_variances[-1] - azimuth_variances
+    for fit, azimuth_variance in zip(fits[::-1], since[::-1], strict=True):
         mean, variance = (fit.rate, fit.variance) if fit is fits[-1] else fit.moments()
         to_now = cmath.exp(-1j * yaw)
         rate = mean * to_now
         observed = np.column_stack([rate.real, rate.imag, np.full(len(rate), fit.vertical - vertical)])
-        of_horizontal = variance + horizontal**2 * turned
+        of_horizontal = variance + horizontal**2 * azimuth_variance
         of_vertical = np.full(len(rate), fit.vertical_variance)
         weight = 1.0 / (np.column_stack([of_horizontal, of_horizontal, of_vertical]) + flicker**2)
         # A creep is followed by the vertical gyro, whose bias turns the rates across north: those of the
         # position by half of what it adds up to, and those of earlier positions by all of it.
-        by_vertical = -1j * cmath.exp(1j * about) * horizontal * (creep_s + 0.5 * fit.creep_s)
+        by_vertical = -1j * cmath.exp(1j * rough_north) * horizontal * (creep_s + 0.5 * fit.creep_s)
         by_bias = fit.bias_rotation * to_now * (fit.attitude[0] + 1j * fit.attitude[1])
         by_bias = by_bias + by_vertical * fit.attitude[2]
         design = np.zeros((3, 5))
@@ -130,13 +134,9 @@ def _linear_model(
 def peaks(matrix: FloatArray, vector: FloatArray) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
     """Return the local maxima on the circle of η'z - ½ z'Λz, Λ (m, 2, 2), η (m, 2), one or two each.
 
-    Returns
-    -------
-    index : array of int
-        Which of the m functions.
-    angle, height, sharpness : array
-        Place, rad, value, and the concentration of a von Mises distribution with the same integral: minus the
-        second derivative, and a part of the fourth, without which two peaks that merge are any angle.
+    They are an index of the function, the angle, rad, the value, and the concentration of a von Mises
+    distribution with the same integral: minus the second derivative, and a part of the fourth, without which
+    two peaks that merge are any angle.
     """
     z = np.stack([np.cos(DIRECTIONS), np.sin(DIRECTIONS)])
     values = vector @ z - 0.5 * np.sum(z * (matrix @ z), axis=1)

@@ -23,9 +23,9 @@ a fit stays bounded."""
 class Slot:
     """Means over one slot.
 
-    `index` counts slots of `SLOT_S` since the first sample of the device, `length_s` is the time since the
-    last slot with samples, `samples` their number, and `values` (6,) the mean rate, rad/s, and the mean
-    specific force, m/s², in body axes.
+    `index` counts slots of `SLOT_S` since the first sample of the segment, `length_s` is the time since the
+    last slot with samples, `samples` the number of samples, and `values` (6,) the mean rate, rad/s, and the
+    mean specific force, m/s², in body axes.
     """
 
     index: int
@@ -78,12 +78,12 @@ class Record:
 
     @property
     def begun_s(self) -> float:
-        """Beginning, s since the first sample of the device."""
+        """Beginning, s since the first sample of the segment."""
         return SLOT_S * self.first_slot
 
     @property
     def ended_s(self) -> float:
-        """End of the last slot, s since the first sample of the device."""
+        """End of the last slot, s since the first sample of the segment."""
         return SLOT_S * (self.first_slot + self.slots)
 
     def rows(self) -> tuple[BoolArray, FloatArray]:
@@ -150,7 +150,7 @@ def direction_of(attitude: FloatArray) -> float:
     return math.atan2(ahead[1], ahead[0])
 
 
-def turned_about_vertical(before: FloatArray, after: FloatArray) -> float:
+def yaw_between(before: FloatArray, after: FloatArray) -> float:
     """Return the angle about the vertical between two attitudes, rad, counter-clockwise from above."""
     turn = after @ before.T
     return math.atan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])

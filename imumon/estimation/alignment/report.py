@@ -53,11 +53,9 @@ class Status:
 
     `rest_s` and `elapsed_s` are the time at rest and since the first sample; `settled_s` is the time from the
     first sample until the heading settled, None if it is not settled, and `remaining_s` the predicted time
-    until then, None if unknown or never; `wanted_sd` is the sigma wanted.
-
-    `arw` is the angular random walk of the quietest gyro, rad/√s, `horizontal_bias_sd` the standard deviation
-    of the gyros' bias in horizontal axes; `tilt_probability` is that of a tilt of the unit rather than a
-    drift of an accelerometer.
+    until then, None if unknown or never; `wanted_sd` is the sigma wanted.  `assumed_bias` is the bias of the
+    gyro that points east up to which sigma holds, None where it is declared or measured in two positions.
+    `tilt_probability` is that of a tilt of the unit rather than a drift of an accelerometer.
 
     `positions` counts the positions, the present one included; `position_s` is the time at rest in it, and
     `position_sd` that of the heading by its white noise alone.  `turned` is the angle about the vertical
@@ -72,13 +70,8 @@ class Status:
     wanted_sd: float
     rest_s: float
     elapsed_s: float
-    roll: float
-    pitch: float
-    arw: float
-    horizontal_bias_sd: float
-    bias_declared: bool
+    assumed_bias: float | None
     tilt_probability: float
-    horizontal_earth_rate: float
     positions: int
     position_s: float
     position_sd: float
@@ -129,19 +122,11 @@ def rows(status: Status) -> dict[str, str]:
     texts = {"heading": heading_text(status), "settled": f"no {wanted}: {to_go_text(status)}"}
     if status.settled_s is not None:
         texts["settled"] = f"yes, {status.settled_s:.1f} s after the first sample {wanted}"
-    if math.isfinite(status.roll):
-        texts["roll, pitch"] = f"{math.degrees(status.roll):.4f}°, {math.degrees(status.pitch):.4f}°"
-    if math.isfinite(status.arw):
-        texts["gyro"] = (
-            f"noise {_short(math.degrees(status.arw) * 60.0)} °/√h, "
-            f"σ of a horizontal bias {_short(status.horizontal_bias_sd / DEG_PER_H)} °/h"
-        )
-    if status.shown is not None and status.observable and status.positions == 1 and not status.bias_declared:
-        holds = status.shown.sd * status.horizontal_earth_rate / DEG_PER_H
+    if status.assumed_bias is not None:
         texts["condition"] = (
             "the gyros' turn-on bias is not declared: sigma is right only if the bias of the gyro that "
-            f"points east is below {_short(holds)} °/h, which turns the heading by one sigma; declare it "
-            "(gyro_bias_sd_deg_per_h), or measure it with --positions 2"
+            f"points east is below {status.assumed_bias / DEG_PER_H:.2g} °/h, which turns the heading by one "
+            "sigma; declare it (gyro_bias_sd_deg_per_h), or measure it with --positions 2"
         )
     texts["data"] = f"{min(status.rest_s, status.elapsed_s):.0f} of {status.elapsed_s:.0f} s counted"
     if status.positions > 1:
@@ -160,26 +145,16 @@ def estimator_rows(status: Status) -> list[tuple[str, str, str]]:
     return found
 
 
-def _short(value: float) -> str:
-    return f"{float(f'{value:.2g}'):g}"
-
-
 class Guide:
     """Gives the next instruction to the operator, from the status of the alignment.
 
-    A position is held until its white noise alone allows the wanted sigma.  Two positions are best half a
-    turn apart, three a third of a turn, and so on; the gyros measure the actual turn.
-
-    Parameters
-    ----------
-    positions : int
-        Number of positions; with one there are no instructions.
+    A position is held until its white noise alone allows the wanted sigma.  With N positions the unit is
+    turned by a Nth of a turn each time; the gyros measure the actual turn.  With one there is no instruction.
     """
 
     def __init__(self, positions: int) -> None:
         self.positions = positions
         self.instruction = ""
-        """The present instruction."""
         self.done = False
         self._turn_from = 0
         """Number of the position in which the last turn was requested."""
@@ -190,15 +165,14 @@ class Guide:
         if self.positions == 1:
             self.done = ended
             return []
-        before, angle = self.instruction, 360.0 / self.positions
-        at, last = status.positions, status.positions >= self.positions
+        before, angle, at = self.instruction, 360.0 / self.positions, status.positions
+        turned, last = math.degrees(status.turned), at >= self.positions
         too_long = status.position_s >= LONGEST_S
         enough = too_long or (status.position_s >= LEAST_S and status.position_sd <= status.wanted_sd)
         if status.phase == "disturbed":
             if self._turn_from >= at and not last:  # shown on the status line only
                 self.instruction = before = (
-                    f"turned by {math.degrees(status.turned):.0f}° so far; "
-                    f"stop at about {angle:.0f}° and let it rest"
+                    f"turned by {turned:.0f}° so far; stop at about {angle:.0f}° and let it rest"
                 )
         elif enough and not last:
             self.instruction = f"turn the unit now by about {angle:.0f}° about the vertical"
@@ -206,6 +180,6 @@ class Guide:
         elif last and (ended or too_long):
             self.instruction, self.done = "done", True
         elif at:
-            turned = f" (turned by {math.degrees(status.turned):.1f}°)" if at > 1 else ""
-            self.instruction = f"position {at} of {self.positions}: do not touch the unit{turned}"
+            by = f" (turned by {turned:.1f}°)" if at > 1 else ""
+            self.instruction = f"position {at} of {self.positions}: do not touch the unit{by}"
         return [self.instruction] if self.instruction != before else []

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -17,29 +16,14 @@ from imumon.estimation.alignment.aligner import Aligner
 from imumon.estimation.alignment.motion import CALM_SLOTS
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.record import SLOT_S, Slot
-from imumon.estimation.alignment.report import (
-    PositionHeading,
-    Status,
-    heading_text,
-    to_go_text,
-)
+from imumon.estimation.alignment.report import PositionHeading, Status, heading_text, to_go_text
 from imumon.filters.slots import SlotGatherer, Slots, held
 from imumon.geodesy import DEG_PER_H
 from imumon.lane import LaneState, Level
 
 NOT_OBSERVABLE_S = 30.0
 """Time at rest after which "not observable" is reported."""
-TILT_PROBABILITY, CONTRADICTION = 0.5, 3.0
-"""Probability of a tilt above which it is reported, and the size of a bias over the declared one."""
-MOST_EMPTY_SLOTS = 8
-"""A device sends a sample in 2 s at least: a longer time without samples is no rest."""
-_INPUTS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel", "mag") for axis in "xyz")
-LEVELS = {
-    "waiting": Level.WAIT,
-    "disturbed": Level.BAD,
-    "aligning": Level.WAIT,
-    "settled": Level.GOOD,
-}
+LEVELS = {"waiting": Level.WAIT, "disturbed": Level.BAD, "aligning": Level.WAIT, "settled": Level.GOOD}
 """Of the phases; the others are neither good nor bad."""
 
 
@@ -47,18 +31,11 @@ class Alignment:
     """Stage that estimates the heading of a unit at rest from the earth rate.
 
     The heading is that of the body's x axis, clockwise from true north; where x is within 6 degrees of the
-    vertical, that of -z.  Roll and pitch are ZYX angles to the horizontal of forward-right-down axes, or of
-    forward-left-up ones.
+    vertical, that of -z.  Roll and pitch are ZYX angles to the horizontal of the body's `axes`; None is
+    whichever of FRD and FLU stands upright at the beginning.
 
-    Parameters
-    ----------
-    parameters : AlignmentParameters
-    latitude_deg : float
-    axes : "FRD", "FLU" or None
-        Body axes, for roll and pitch; None: whichever stands upright at the beginning.
-    sent : collection of str
-        Columns that the device may send.  A device's own roll and pitch stay as they are: the stage's are
-        then called aligned_roll and aligned_pitch.  So are they when the first samples have a roll.
+    Of a device with roll and pitch of its own, among the columns `sent` or in its first samples, the stage's
+    are called aligned_roll and aligned_pitch.
     """
 
     def __init__(
@@ -70,7 +47,7 @@ class Alignment:
     ) -> None:
         self._parameters = parameters or AlignmentParameters()
         self._aligner = Aligner(self._parameters, latitude_deg)
-        self._slots = SlotGatherer(len(_INPUTS) + 1, round(SLOT_S * 1e9), rates=0)
+        self._slots = SlotGatherer(10, round(SLOT_S * 1e9), rates=0)
         self._down = 0.0 if axes is None else (1.0 if axes == "FRD" else -1.0)
         """Sign of the body z axis: 1 down, -1 up, 0 not known yet."""
         self._prefix = "aligned_" if {"roll", "pitch"} & set(sent) else ""
@@ -84,7 +61,8 @@ class Alignment:
         self._reported: set[str] = set()
         self._row = dict.fromkeys((column.name for column in self.columns), math.nan)
         """Columns after the last slot."""
-        self._status = self._make_status()
+        self.status = self._make_status()
+        """State after the last block; may be read by another thread."""
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -129,28 +107,28 @@ class Alignment:
             out[:, other] = np.nan
         if len(slots):
             self._segment = int(slots.segment[-1])
-            self._status = self._make_status()
+            self.status = self._make_status()
         return dict(zip(names, out, strict=True))
 
     def _inputs(self, block: SampleBlock) -> FloatArray:
         """Return gyros, accelerometers and magnetometer, NaN where unknown, and whether it rests, (n, 10)."""
-        n = len(block)
-        values = np.full((n, len(_INPUTS) + 1), np.nan)
-        for j, name in enumerate(_INPUTS):
-            if name in block:
-                values[:, j] = block[name]
+        vectors = [
+            np.full((len(block), 3), np.nan) if one is None else one
+            for one in (block.gyro, block.accel, block.mag)
+        ]
+        rests = np.asarray(block.columns.get("at_rest", np.ones(len(block), np.int64))) != 0  # or unknown
+        values = np.column_stack([*vectors, rests])
         values[~np.isfinite(values[:, :6].sum(axis=1)), :6] = np.nan
-        values[:, -1] = np.asarray(block.columns.get("at_rest", np.ones(n, np.int64))) != 0  # or unknown
         return values
 
     def _process_slot(self, slots: Slots, k: int) -> None:
-        """Feed slot k to the aligner, unless it has no whole sample of gyros and accelerometers."""
+        """Advance the aligner by slot k, unless it has no whole sample of gyros and accelerometers."""
         start_ns, samples, mean = int(slots.start_ns[k]), int(slots.count[k, :6].min()), slots.mean[k]
         if slots.begins[k]:
             self._aligner.begin_run()
             self._origin_ns, self._index = start_ns, -1
         index = (start_ns - self._origin_ns) // self._slots.length_ns
-        length_s = SLOT_S * min(index - self._index, MOST_EMPTY_SLOTS)
+        length_s = min(SLOT_S * (index - self._index), 2.0)  # a longer time without samples is no rest
         self._index = index
         if samples:
             self._force.append(mean[3:6].copy())
@@ -159,7 +137,6 @@ class Alignment:
             self._aligner.step(slot, mean[6:9], at_rest, slots.turns.at(k))
 
     def _make_row(self) -> dict[str, float]:
-        """Return the columns by name."""
         aligner = self._aligner
         row = dict.fromkeys(self._row, math.nan)
         if not aligner.state.positions:
@@ -184,35 +161,21 @@ class Alignment:
         x, y, z = (-self._down * float(value) for value in up)
         return math.atan2(y, z), -math.atan2(x, math.hypot(y, z))
 
-    def snapshot(self) -> dict[str, object]:
-        """Return a copy of the state."""
-        return copy.deepcopy(vars(self))
-
-    def restore(self, saved: Mapping[str, Any]) -> None:
-        """Continue from what `snapshot` returned."""
-        vars(self).update(copy.deepcopy(saved))
-
     def finish(self) -> list[PositionHeading]:
         """Fit the rest since the last fit; return the heading in each position."""
         return self._aligner.finish()
 
-    @property
-    def status(self) -> Status:
-        """State after the last block; may be read by another thread."""
-        return self._status
-
     def _make_status(self) -> Status:
         aligner, state = self._aligner, self._aligner.state
         last = state.positions[-1] if state.positions else None
-        fit, posterior = None if last is None else last.fit, state.posterior
-        roll, pitch = (
-            self._row[self._prefix + name] if aligner.resting else math.nan for name in ("roll", "pitch")
+        fit = None if last is None else last.fit
+        substitutes = (
+            ("the device's own yaw", self._yaw),
+            ("magnetic, not true north", self._row["heading_magnetic"]),
         )
-        substitutes = {
-            "the device's own yaw": self._yaw,
-            "magnetic, not true north": self._row["heading_magnetic"],
-        }
-        known = (pair for pair in substitutes.items() if math.isfinite(pair[1]))
+        known = (substitute for substitute in substitutes if math.isfinite(substitute[1]))
+        declared = self._parameters.gyro_bias_sd_deg_per_h is not None
+        one_position = last is not None and last.number == 1 and aligner.observable and not declared
         return Status(
             phase=self._phase(),
             estimates=aligner.estimates,
@@ -222,13 +185,8 @@ class Alignment:
             wanted_sd=math.radians(self._parameters.settled_deg),
             rest_s=state.rest_s,
             elapsed_s=aligner.elapsed_s,
-            roll=roll,
-            pitch=pitch,
-            arw=math.nan if fit is None else math.sqrt(fit.white),
-            horizontal_bias_sd=math.nan if posterior is None else posterior.horizontal_bias_sd,
-            bias_declared=self._parameters.gyro_bias_sd_deg_per_h is not None,
-            tilt_probability=0.0 if posterior is None else posterior.settling,
-            horizontal_earth_rate=aligner.earth_horizontal,
+            assumed_bias=aligner.heading_sd * aligner.earth_horizontal if one_position else None,
+            tilt_probability=0.0 if state.posterior is None else state.posterior.tilt_probability,
             positions=0 if last is None else last.number,
             position_s=0.0 if last is None else last.record.rest_s,
             position_sd=math.inf if fit is None else math.sqrt(fit.variance.min()) / aligner.earth_horizontal,
@@ -249,12 +207,11 @@ class Alignment:
 
     def lanes(self) -> Mapping[str, LaneState]:
         """Return the state of the alignment, and the source of the heading shown."""
-        status = self.status
-        if status.phase == "not observable":
-            not_observable = LaneState("not observable with this gyro")
-            return {"alignment": not_observable, "heading by": LaneState(status.substitute[0])}
-        by = LaneState("joint fit" if status.observable else "none yet")
-        return {"alignment": LaneState(status.phase, LEVELS.get(status.phase, Level.PLAIN)), "heading by": by}
+        phase, level = self.status.phase, LEVELS.get(self.status.phase, Level.PLAIN)
+        by = "joint fit" if self.status.observable else "none yet"
+        if phase == "not observable":
+            phase, by = "not observable with this gyro", self.status.substitute[0]
+        return {"alignment": LaneState(phase, level), "heading by": LaneState(by)}
 
     def charts(self) -> Sequence[Chart]:
         """Return sigma against time."""
@@ -284,17 +241,11 @@ class Alignment:
     def _conditions(self) -> dict[str, bool]:
         status, posterior = self.status, self._aligner.state.posterior
         declared = self._parameters.gyro_bias_sd_deg_per_h
-        horizontal = status.horizontal_earth_rate / DEG_PER_H
-        tilts = status.tilt_probability > TILT_PROBABILITY and status.observable
-        depends = status.phase in ("aligning", "settled") and status.positions == 1 and declared is None
-        contradicted = (
-            declared is not None
-            and posterior is not None
-            and posterior.bias_size > CONTRADICTION * max(declared, 0.01) * DEG_PER_H
-        )
+        horizontal = self._aligner.earth_horizontal / DEG_PER_H
+        limit = math.inf if declared is None else 3.0 * max(declared, 0.01) * DEG_PER_H
         return {
             "alignment: the level changes as the gyros turn: the unit is tilting (a tripod that settles?); "
-            "its sigma allows for that": tilts,
+            "its sigma allows for that": status.tilt_probability > 0.5 and status.observable,
             "heading not observable with this gyro: its bias is not small beside the earth's horizontal "
             f"rate of {horizontal:.1f} °/h; a turn by half a circle, and a rest, separate them; or an axis "
             "is swapped or reversed, or the unit of the gyros or the latitude is wrong": (
@@ -303,9 +254,9 @@ class Alignment:
             "alignment: the gyros' turn-on bias is not declared (gyro_bias_sd_deg_per_h), and from one "
             "position it cannot be separated from the earth's rotation: sigma takes it for that of gyros of "
             "such noise, and is too small where it is larger; a turn by half a circle and a rest remove it": (
-                depends
+                status.assumed_bias is not None and status.phase in ("aligning", "settled")
             ),
             "alignment: the rates contradict the declared bias of the gyros, or the latitude is wrong": (
-                contradicted
+                posterior is not None and posterior.bias_size > limit
             ),
         }

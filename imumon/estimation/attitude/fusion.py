@@ -47,7 +47,6 @@ Rows = npt.NDArray[np.void]
 
 
 def _restored(rates: Sequence[float], params: dict[str, Any], state: dict[str, Any]) -> VQF:
-    """Return a filter in a given state."""
     vqf = VQF(*rates, **params)
     vqf.state = state
     return vqf
@@ -75,10 +74,7 @@ def matrices(q: FloatArray) -> FloatArray:
 def heading(q: FloatArray) -> FloatArray:
     """Return the heading of the x axis, rad, clockwise from north, 0 to 2π, (n,); where x is vertical, of -z.
 
-    Parameters
-    ----------
-    q : array (n, 4)
-        w, x, y, z, body to east-north-up.
+    `q` (n, 4) are quaternions w, x, y, z, body to east-north-up.
     """
     body = matrices(q)
     steep = np.hypot(body[:, 0, 0], body[:, 1, 0]) < LEAST_HORIZONTAL
@@ -87,13 +83,7 @@ def heading(q: FloatArray) -> FloatArray:
 
 
 class Fusion:
-    """Attitude until the next reinitialization: a restart, a gap.
-
-    Parameters
-    ----------
-    begins_at : float
-        Heading at which a relative one begins, rad.
-    """
+    """Attitude until the next restart or gap; a relative heading begins at `begins_at`, rad."""
 
     def __init__(self, begins_at: float) -> None:
         self._begins_at = begins_at
@@ -119,19 +109,17 @@ class Fusion:
     ) -> None:
         """Follow rows, (n,), and fill in what is found.
 
-        Parameters
-        ----------
-        accel : array (n, 3)
-            Specific force, m/s², zero where there is none.
-        has_mag : array of bool, (n,)
-            Where `field` is of this very row.
-        bias_known : bool
-            Whether the angles are without a bias; else VQF estimates it.
+        `accel` (n, 3) is the specific force, m/s², zero where there is none; `has_mag` (n,) is where `field`
+        is of this very row.  VQF estimates the bias unless it is known, and the angles are without it.
         """
         start = self._learn_rate(time_ns, accel, has_mag)
         if start == len(rows) or self._vqf is None:
             return
-        self._estimate_bias(self._vqf, not bias_known)
+        if bias_known != self._bias_known:
+            self._bias_known = bias_known
+            self._vqf.setBiasEstimate(np.zeros(3), math.radians(self._vqf.params["biasSigmaInit"]))
+            self._vqf.setMotionBiasEstEnabled(not bias_known)
+            self._vqf.setRestBiasEstEnabled(not bias_known)
         rows, accel, has_mag = rows[start:], accel[start:], has_mag[start:]
         inputs = [rows["angle"] * (1.0 / self._interval_s), accel]
         with_mag = self.north or bool(has_mag.any())
@@ -171,11 +159,3 @@ class Fusion:
                 self._vqf = VQF(self._interval_s, magTs=mag_s, tauAcc=TAU_ACC_S, tauMag=TAU_MAG_S)
             start += 1
         return start
-
-    def _estimate_bias(self, vqf: VQF, enabled: bool) -> None:
-        """Let VQF estimate the bias while no stage before has it."""
-        if enabled == self._bias_known:
-            self._bias_known = not enabled
-            vqf.setBiasEstimate(np.zeros(3), math.radians(vqf.params["biasSigmaInit"]))
-            vqf.setMotionBiasEstEnabled(enabled)
-            vqf.setRestBiasEstEnabled(enabled)

@@ -37,21 +37,13 @@ shows it again.  Ablation."""
 
 @dataclass(slots=True)
 class HeadingSigma:
-    """State of the estimate of the heading's standard deviation, from one beginning of it to the next.
-
-    Parameters
-    ----------
-    gyros : Gyros
-        As of the tilt.
-    magnetometer : MagnetometerModel or None
-        None: not calibrated, so a heading by it has no sigma.
-    earth_rate : float
-        Vertical part of it that is left in the corrected rate, rad/s.
-    """
+    """State of the estimate of the heading's standard deviation, since the attitude began."""
 
     gyros: Gyros
     magnetometer: MagnetometerModel | None
+    """None: not calibrated, so a heading by it has no sigma."""
     earth_rate: float
+    """Vertical part of it that is left in the corrected rate, rad/s."""
     about_up: FloatArray = field(default_factory=lambda: np.zeros(9))
     """Sum of u J: turn about the vertical for each element of scale and misalignment, rad."""
     earlier: float = 0.0
@@ -66,12 +58,9 @@ class HeadingSigma:
     """Largest along² + across², in the square of the field's unit."""
 
     def step(self, slot: Slot, end: Rows, tilt_variance: float) -> float:
-        """Take a slot; return the variance of the heading, or of its change where it is relative, rad².
+        """Process a slot; return the variance of the heading, or of its change where it is relative, rad².
 
-        Parameters
-        ----------
-        end : record
-            The last sample of the slot, of type `fusion.ROW`; its field in the unit of the calibration.
+        `end` is the last sample of the slot, a `fusion.ROW` with the field in the unit of the calibration.
         """
         about_vertical = float(np.linalg.norm(slot.up_body * end["bias_sd"]))
         if math.isnan(about_vertical):
@@ -84,25 +73,20 @@ class HeadingSigma:
             self.moving_s += SLOT_S
             self.about_up += slot.up @ slot.sensitivity
             self.earlier += slot.missed
-        if end["north"] and end["follows"]:
-            self._forget()
-        relative = self.gyros.error(self.about_up**2) + self.earlier + (bias_sd * self.moving_s) ** 2
+        if end["north"] and end["follows"]:  # the field corrects what is older than τ
+            keep = math.exp(-SLOT_S / TAU_MAG_S)
+            self.about_up *= keep
+            self.moving_s *= keep
+            self.earlier *= keep**2
+            self.field_correction *= keep
+        relative = self.gyros.error_variance(self.about_up**2) + self.earlier + (bias_sd * self.moving_s) ** 2
         return self._magnetic(slot.up_body, end, tilt_variance, relative) if end["north"] else relative
-
-    def _forget(self) -> None:
-        """Forget what VQF corrects by the field."""
-        keep = math.exp(-SLOT_S / TAU_MAG_S)
-        self.about_up *= keep
-        self.moving_s *= keep
-        self.earlier *= keep * keep
-        self.field_correction *= keep
 
     def _magnetic(self, up_body: FloatArray, end: Rows, tilt_variance: float, relative: float) -> float:
         """Return the variance of a heading by the field, NaN where the magnetometer is not calibrated."""
-        # At first the field shows where north is: that is no change.
-        change = 0.0 if math.isnan(self.delta) else math.remainder(end["delta"] - self.delta, 2.0 * math.pi)
-        self.field_correction, self.delta = self.field_correction + change, float(end["delta"])
-        magnetometer = self.magnetometer
+        if not math.isnan(self.delta):  # at first the field shows where north is: that is no change
+            self.field_correction += math.remainder(end["delta"] - self.delta, 2.0 * math.pi)
+        self.delta, magnetometer = float(end["delta"]), self.magnetometer
         strength, vertical = float(np.linalg.norm(end["field"])), float(end["field"] @ up_body)
         horizontal2 = max(strength**2 - vertical**2, 0.0)
         if magnetometer is None or not horizontal2 > 0.0:

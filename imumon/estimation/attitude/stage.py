@@ -24,17 +24,18 @@ GAP_NS = 250_000_000
 """A longer pause hides turns: in it a hand turns by a radian."""
 COLUMNS = (
     *(
-        Column(f"attitude_estimate_{part}", "1", description=f"attitude, body to east-north-up, {part}")
-        for part in "wxyz"
-    ),
-    *(
-        Column(f"attitude_estimate_{name}", "rad", description=text)
-        for name, text in (
-            ("roll", "estimated roll"),
-            ("pitch", "estimated pitch"),
-            ("tilt_sd", "standard deviation of roll and pitch"),
-            ("heading", "of the body x axis, clockwise from magnetic north; relative: from where it begins"),
-            ("heading_sd", "its standard deviation; of its change since then where it is relative"),
+        Column(f"attitude_estimate_{name}", unit, description=text)
+        for name, unit, text in (
+            *((part, "1", f"attitude, body to east-north-up, {part}") for part in "wxyz"),
+            ("roll", "rad", "estimated roll"),
+            ("pitch", "rad", "estimated pitch"),
+            ("tilt_sd", "rad", "standard deviation of roll and pitch"),
+            (
+                "heading",
+                "rad",
+                "of the body x axis, clockwise from magnetic north; relative: from where it begins",
+            ),
+            ("heading_sd", "rad", "its standard deviation; of its change since then where it is relative"),
         )
     ),
     Column("attitude_estimate_north", "1", "int64", "1: heading from magnetic north, 0: relative heading"),
@@ -53,14 +54,7 @@ class AttitudeEstimate:
     heading is relative: it begins at `heading_deg` or 0, after a restart or a gap again, and its standard
     deviation is that of its change since then.
 
-    Parameters
-    ----------
-    axes : "FRD", "FLU" or None
-        Body axes, for roll and pitch; None: whichever stands upright at the beginning.
-    magnetometer : MagnetometerModel or None
-        Hard and soft iron.
-    latitude_deg, heading_deg : float or None
-        Of the place, and of the body's x axis at the beginning.
+    Roll and pitch are of the body's `axes`; None is whichever of FRD and FLU stands upright at the beginning.
     """
 
     columns: Sequence[Column] = COLUMNS
@@ -76,25 +70,30 @@ class AttitudeEstimate:
     ) -> None:
         self._parameters = given = parameters or AttitudeParameters()
         self._down = {None: 0.0, "FRD": 1.0, "FLU": -1.0}[axes]
+        """Sign of the body z axis: 1 down, -1 up, 0 not known yet."""
         self._magnetometer = magnetometer
         self._heading = math.radians(heading_deg or 0.0)
         self._slots = SlotGatherer(7, int(SLOT_S * 1e9), rates=0)
         """Of rate and specific force, three each, and whether the unit is at rest."""
-        self._fusion = Fusion(self._heading)
-        self._tilt_sigma = TiltSigma(Accelerometers(given.accel_bias_m_per_s2), Gyros(given.gyro_scale))
+        self._accelerometers, self._gyros = Accelerometers(given.accel_bias_m_per_s2), Gyros(given.gyro_scale)
         # Where the latitude is known its vertical part is not in the bias, and turns the heading.  Elsewhere
         # it is in the bias, whose standard deviation has what is no bias after a turn.
-        latitude = math.radians(latitude_deg or 0.0)
-        earth_rate = EARTH_RATE * abs(math.sin(latitude))
-        self._heading_sigma = HeadingSigma(self._tilt_sigma.gyros, magnetometer, earth_rate)
+        self._earth_rate = EARTH_RATE * abs(math.sin(math.radians(latitude_deg or 0.0)))
+        self._begin()
         self._last = np.zeros(1, ROW)
         self._last["field"] = math.nan
         self._last_time: tuple[int, int] | None = None
-        self._slot_end = np.full(1, math.nan, SLOT_END)
         self._restarts = 0
         """How often an attitude has ended, for another to begin."""
         self._device_has_attitude = False
-        self._named: set[str] = set()
+        self._reported: set[str] = set()
+
+    def _begin(self) -> None:
+        """Begin an attitude; what is known of the sensors stays."""
+        self._fusion = Fusion(self._heading)
+        self._tilt_sigma = TiltSigma(self._accelerometers, self._gyros)
+        self._heading_sigma = HeadingSigma(self._gyros, self._magnetometer, self._earth_rate)
+        self._slot_end = np.full(1, math.nan, SLOT_END)
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; NaN where there is no attitude, none without gyros or gravity.
@@ -142,7 +141,8 @@ class AttitudeEstimate:
         if earlier:
             self._end_slot(rows[0], slots, 0)
         if begins:
-            self._reinitialize()
+            self._restarts += self._fusion.begun
+            self._begin()
         accel = np.where(_finite(accel)[:, np.newaxis], accel, 0.0)
         self._fusion.process(rows[1:], block["device_time_ns"], accel, has_mag, bool(bias_known[0]))
         ends = [self._slot_end]
@@ -172,15 +172,6 @@ class AttitudeEstimate:
             sent[name] = math.nan
         return rows, has_mag
 
-    def _reinitialize(self) -> None:
-        """Begin another attitude; what is known of the sensors stays."""
-        self._restarts += self._fusion.begun
-        self._fusion = Fusion(self._heading)
-        self._tilt_sigma = TiltSigma(self._tilt_sigma.accelerometers, self._tilt_sigma.gyros)
-        sigma = self._heading_sigma
-        self._heading_sigma = HeadingSigma(sigma.gyros, sigma.magnetometer, sigma.earth_rate)
-        self._slot_end = np.full(1, math.nan, SLOT_END)
-
     def _end_slot(self, end: Rows, slots: Slots, k: int) -> None:
         """Estimate how far the attitude is off at the end of a slot, from its last row."""
         if np.isnan(end["quat6d"][0]):
@@ -199,7 +190,7 @@ class AttitudeEstimate:
         )
         tilt = self._tilt_sigma.step(slot)
         heading_variance = self._heading_sigma.step(slot, end, tilt)
-        values = (tilt, heading_variance, end["path"], self._tilt_sigma.gyros.turn_variance)
+        values = (tilt, heading_variance, end["path"], self._gyros.turn_variance)
         self._slot_end = np.array([values], SLOT_END)
 
     def _output(self, rows: Rows, latest: Rows) -> list[ColumnArray]:
@@ -228,35 +219,30 @@ class AttitudeEstimate:
 
     def lanes(self) -> Mapping[str, LaneState]:
         """Return what the heading of the estimated attitude refers to."""
-        calibrated = "" if self._magnetometer is not None else ", magnetometer not calibrated"
-        if not self._fusion.begun:
-            state = LaneState("waiting", Level.WAIT)
-        elif not self._fusion.north:
-            state = LaneState("relative heading")
-        elif self._fusion.disturbed:
-            state = LaneState("disturbed: magnetic field", Level.BAD)
-        else:
-            state = LaneState(f"magnetic north{calibrated}")
-        return {"attitude": state}
+        table = (
+            (not self._fusion.begun, LaneState("waiting", Level.WAIT)),
+            (not self._fusion.north, LaneState("relative heading")),
+            (self._fusion.disturbed, LaneState("disturbed: magnetic field", Level.BAD)),
+            (self._magnetometer is None, LaneState("magnetic north, magnetometer not calibrated")),
+        )
+        return {"attitude": next((state for holds, state in table if holds), LaneState("magnetic north"))}
 
     def notices(self) -> list[str]:
         """Return once what an attitude lacks and its reinitializations, where the device sends none."""
-        retired = self._parameters.retired
-        conditions = dict.fromkeys((f"attitude: {name} is not used any more" for name in retired), True)
+        conditions = {f"attitude: {name} is not used any more": True for name in self._parameters.retired}
         if not self._device_has_attitude:
             conditions |= self._conditions()
-        texts = [text for text, true in conditions.items() if true and text not in self._named]
-        self._named.update(texts)
+        texts = [text for text, true in conditions.items() if true and text not in self._reported]
+        self._reported.update(texts)
         return texts
 
     def _conditions(self) -> dict[str, bool]:
-        """Return the texts of `notices`, and whether each applies."""
         north, begun = self._fusion.north, self._fusion.begun
         reference = f"counts from {math.degrees(self._heading):.0f}°"
         return {
             "attitude: in turns the accelerometers show another vertical than the gyros carry, so the "
             "heading is as uncertain as these turns: are axes, signs and units right? Accelerations that "
-            "last for many seconds, as in a car, show the same": self._tilt_sigma.gyros.contradicted,
+            "last for many seconds, as in a car, show the same": self._gyros.contradicted,
             f"attitude: without a magnetometer the heading is relative; it {reference} at the beginning": (
                 begun and not north
             ),
@@ -273,12 +259,7 @@ class AttitudeEstimate:
 def tilt_into_heading(up: FloatArray, tilt_variance: FloatArray) -> FloatArray:
     """Return the variance of `heading` by that of the tilt, rad², (n,): times the slope of its axis, squared.
 
-    It is infinite where the tilt leaves open, to three sigma, which axis that is.
-
-    Parameters
-    ----------
-    up : array (n, 3)
-        Body axes.
+    It is infinite where the tilt leaves open, to three sigma, which axis that is.  `up` (n, 3): body axes.
     """
     level = np.hypot(up[:, 1], up[:, 2])
     rise2 = np.where(level < LEAST_HORIZONTAL, up[:, 2], up[:, 0]) ** 2

@@ -60,7 +60,7 @@ class Slot:
     force: FloatArray
     """Mean specific force, m/s², (3,); NaN where there is none."""
     low_force: float
-    """Magnitude of the low-passed specific force at its end, m/s²."""
+    """Magnitude of the low-passed specific force at its end, m/s²; NaN where there is none."""
     sensitivity: FloatArray
     """J, rad, (3, 9)."""
     missed: float
@@ -143,7 +143,7 @@ class Gyros:
         """Variance of a turn of each gyro over its square, (3,): s², and 1 where it is not confirmed."""
         return np.asarray(self.variance + ~self.confirmed)
 
-    def error(self, squares: FloatArray) -> float:
+    def error_variance(self, squares: FloatArray) -> float:
         """Return s² times the sum of squared turns, rad², (9,), and those of gyros not confirmed in full."""
         return self.variance * float(squares.sum()) + float(squares[::4] @ ~self.confirmed)
 
@@ -176,7 +176,7 @@ class TiltSigma:
         return variance + self.accelerometers.variance / STANDARD_GRAVITY**2
 
     def _at_rest(self, slot: Slot) -> float:
-        """Return how far the specific force is from u, rad²."""
+        """Return |u - f/|f||² / 2, rad²."""
         self.rested = True
         self.late[:] = 0.0
         return 0.5 * float(((slot.up - slot.force / np.linalg.norm(slot.force)) ** 2).sum())
@@ -184,15 +184,14 @@ class TiltSigma:
     def _in_motion(self, slot: Slot, change: float) -> float:
         """Return max(m, d/2, l), rad²."""
         self.mean += SLOT_S / (3.0 * LAG_S) * (0.25 * change - self.mean)
-        delay = self._delay(slot)
+        self.late = math.exp(-SLOT_S / TAU_ACC_S) * self.late + slot.sensitivity
         if not self.rested and SLOT_S * len(self.sensitivities) < LAG_S:
             return math.nan  # begun in motion: there is no earlier vertical to compare with
-        return max(self.mean, 0.5 * change, delay)
+        return max(self.mean, 0.5 * change, self._delay(slot.up))
 
-    def _delay(self, slot: Slot) -> float:
+    def _delay(self, up: FloatArray) -> float:
         """Return l, rad²."""
-        self.late = math.exp(-SLOT_S / TAU_ACC_S) * self.late + slot.sensitivity
-        return 0.5 * self.gyros.error(tilt_squared(self.late, slot.up))
+        return 0.5 * self.gyros.error_variance(tilt_squared(self.late, up))
 
 
 def tilt_squared(sensitivity: FloatArray, up: FloatArray) -> FloatArray:

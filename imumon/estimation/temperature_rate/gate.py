@@ -6,26 +6,22 @@ import math
 from dataclasses import dataclass
 from enum import Enum, auto
 
-from imumon.estimation.temperature_rate.model import SLOT_S
-from imumon.estimation.temperature_rate.thermometer import Slot, Thermometer
+from imumon.estimation.temperature_rate.thermometer import SLOT_S, Slot, Thermometer
 from imumon.filters.rates import FASTEST_RATE
 
 GATE_SIGMA, GATE_STEPS, GATE_SLOTS = 8.0, 5.0, 3
 """A slot is an outlier that lies so many sigmas, so many steps, and farther than a temperature moves from the
 prediction; after so many slots it may be the truth.  Assumed: wide, as the filters weigh what is nearer."""
-SPIKE_DEGC, SPIKE_STEPS = 8.0, 8.0
+SPIKE = 8.0
 """A slot has a spike that spans more than so many °C and more than so many steps.  Assumed."""
 
 
 class Outcome(Enum):
-    """What is done with a slot."""
+    """A slot only predicts (nothing is learned of the thermometer), is a measurement, or a restart."""
 
     PREDICT = auto()
-    """Nothing is measured, and nothing is learned of the thermometer."""
     USE = auto()
-    """The slot is a measurement."""
     RESTART = auto()
-    """The filters begin anew at the readings."""
 
 
 @dataclass(slots=True)
@@ -47,16 +43,13 @@ class Gate:
     def decide(self, slot: Slot, thermometer: Thermometer, expected: tuple[float, float] | None) -> Outcome:
         """Return the outcome of a slot that has readings: that of the first row that holds.
 
-        Parameters
-        ----------
-        expected : tuple of float, optional
-            Mean and variance of the predicted reading, °C and °C²; None without an estimate.
+        `expected` are mean and variance of the predicted reading, °C and °C²; None without an estimate.
         """
         dead = thermometer.is_dead(slot)
-        spike = slot.high - slot.low > max(SPIKE_DEGC, SPIKE_STEPS * thermometer.step)
+        spike = slot.high - slot.low > SPIKE * max(1.0, thermometer.step)
         stuck = slot.low == slot.high == self.outlier_degc
         near = expected is not None and self._is_near(slot, thermometer, *expected)
-        power_on = math.isnan(thermometer.change)
+        power_on = math.isnan(thermometer.last_change)
         repeats = not thermometer.repeat_s and thermometer.leaps(slot)
         lasts = self.rejected + 1 >= GATE_SLOTS
         table = (

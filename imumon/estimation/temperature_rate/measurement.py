@@ -32,7 +32,7 @@ import numpy as np
 from scipy.special import log_ndtr, ndtr, ndtri
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.model import Models
+from imumon.estimation.temperature_rate.filter import Correction, Models, Predicted
 from imumon.estimation.temperature_rate.thermometer import Slot, Thermometer
 
 ROOT_2_PI = math.sqrt(2.0 * math.pi)
@@ -46,27 +46,6 @@ SPACING = 0.1
 """Relative standard deviation of the σ of a code model: half the distance of two models.  Ablation."""
 RENEWAL = 0.1
 """Share of the log likelihood of a code that stays, per renewal of the slow error.  Ablation."""
-
-
-class Predicted(NamedTuple):
-    """The reading y = H x, H = [1, 0, 0, 1], before its white noise and steps, of every filter, (k, m)."""
-
-    mean: FloatArray
-    variance: FloatArray
-    gain: FloatArray
-    """P Hᵀ / (H P Hᵀ), (4, k, m): how the state follows y."""
-    square_rate: FloatArray
-    """Mean square of the rate, r² + P_rr, (°C/s)²."""
-
-
-class Correction(NamedTuple):
-    """Evidence of a slot on y, (k, m)."""
-
-    mean_change: FloatArray
-    """Change of the mean of y, °C."""
-    variance_change: FloatArray
-    """Change of the variance of y, at most zero, °C²."""
-    log_likelihood: FloatArray
 
 
 class Codes(NamedTuple):
@@ -138,15 +117,14 @@ def _many_codes(codes: Codes, white: FloatArray) -> Correction:
         place = offset + np.minimum(ripple, 0.4) / math.pi * np.sin(2.0 * math.pi * place)
     noise = np.maximum(sigma**2, slot.variance) / n + (ripple * step / math.pi) ** 2 / 8.0
     found = _gaussian(mean, variance, slot.low + step * place, noise, step / n)
-    return found._replace(log_likelihood=found.log_likelihood + _scatter(codes, white, place))
+    return found._replace(log_likelihood=found.log_likelihood + _scatter(codes, white, place, ripple))
 
 
-def _scatter(codes: Codes, white: FloatArray, place: FloatArray) -> FloatArray:
+def _scatter(codes: Codes, white: FloatArray, place: FloatArray, ripple: FloatArray) -> FloatArray:
     """Return the log likelihood of readings that scatter more than noise and rounding: χ² of n.
 
     Rounded readings have the variance s² + d²/12 and its first harmonic in the place, both in steps.
     """
-    ripple = np.exp(-2.0 * np.pi**2 * white)
     cosine, sine = ripple * np.cos(2.0 * math.pi * place), ripple * np.sin(2.0 * math.pi * place)
     harmonic = -cosine * (1.0 / math.pi**2 + 4.0 * white) - (sine / math.pi) ** 2
     rounded = codes.sigma**2 + codes.step**2 * np.maximum(1.0 / 12.0 + harmonic, 0.0)

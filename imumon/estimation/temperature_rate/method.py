@@ -7,17 +7,11 @@ import math
 import numpy as np
 
 from imumon.blocks import NO_INT, FloatArray, IntArray
-from imumon.estimation.temperature_rate.filter import Filters, correct, predict, start
+from imumon.estimation.temperature_rate.filter import Filters, Models, correct, predict, start
 from imumon.estimation.temperature_rate.gate import Gate, Outcome
 from imumon.estimation.temperature_rate.measurement import evaluate
-from imumon.estimation.temperature_rate.model import SLOT_S, Models
 from imumon.estimation.temperature_rate.output import Output, extrapolate, output
-from imumon.estimation.temperature_rate.thermometer import (
-    UNKNOWN_STEP_DEGC,
-    Slot,
-    StepFinder,
-    Thermometer,
-)
+from imumon.estimation.temperature_rate.thermometer import SLOT_S, Slot, StepFinder, Thermometer
 from imumon.filters.rates import RateEstimate
 from imumon.filters.slots import SlotGatherer, Slots, held
 
@@ -29,17 +23,12 @@ in that time a board goes through half a warm-up."""
 class MultipleModelRate:
     """Temperature and rate of one thermometer by a multiple-model Kalman filter.
 
-    Parameters
-    ----------
-    step_degc : float, optional
-        Quantization step in °C, if it is declared; it holds until the first change of the readings.
-    models : Models, optional
-        Models of the sensor noise and of the temperature.
+    A declared quantization step, °C, holds until the first change of the readings.
     """
 
     def __init__(self, step_degc: float | None = None, models: Models | None = None) -> None:
         self._models = models or Models()
-        self.thermometer = Thermometer(StepFinder(step_degc or UNKNOWN_STEP_DEGC))
+        self.thermometer = Thermometer(StepFinder(step_degc) if step_degc else StepFinder())
         self.stuck_degc = math.nan
         """Where readings stuck last after a leap that no temperature makes, °C; NaN if they never did."""
         self._gatherer = SlotGatherer(1, round(SLOT_S * 1e9))
@@ -50,13 +39,8 @@ class MultipleModelRate:
     def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
         """Return the estimates of samples that follow those of the last call; the same in blocks of any size.
 
-        Parameters
-        ----------
-        time_ns, segment : array, (n,)
-            Device time and the number of its segment; a new segment starts anew but keeps what is known of
-            the sensor.
-        reading : array, (n,)
-            °C; NaN where there is none.
+        Device time, segment, and reading, °C or NaN, are (n,).  A new segment starts anew, but what is known
+        of the sensor stays.
         """
         n, before = len(reading), np.array(self._output)
         slots = self._gatherer.process(time_ns, segment, reading[:, np.newaxis])
@@ -70,7 +54,6 @@ class MultipleModelRate:
         return extrapolate(age, known, reading, Output(*held(slots.row, outputs, before, n).T))
 
     def _begin(self, origin_ns: int) -> None:
-        """Begin a segment; what is known of the sensor stays."""
         self.thermometer.begin()
         self._gate, self._output = Gate(), Output()
         self._filters: Filters | None = None
@@ -80,7 +63,7 @@ class MultipleModelRate:
         self._last, self._last_s = math.nan, -math.inf
 
     def _update(self, slots: Slots, i: int) -> Output:
-        """Take a slot; return the output from its end on."""
+        """Process a slot; return the output from its end on."""
         if slots.begins[i]:
             self._begin(int(slots.start_ns[i]))
         slot = self._slot(slots, i)
@@ -94,7 +77,7 @@ class MultipleModelRate:
         return self._output
 
     def _measure(self, slot: Slot) -> Filters | None:
-        """Let the filters take the new readings of a slot; return those to show, None without an estimate."""
+        """Correct the filters by new readings of a slot; return those to show, None without an estimate."""
         thermometer, filters = self.thermometer, self._filters
         new = thermometer.unrepeated(slot)
         if new is None:
@@ -116,11 +99,9 @@ class MultipleModelRate:
         return correct(self._filters, confining) if confining else self._filters
 
     def _slot(self, slots: Slots, i: int) -> Slot:
-        """Return the readings of a slot."""
         start_s, end_s = (int(ns[i] - self._origin_ns) * 1e-9 for ns in (slots.start_ns, slots.end_ns))
         first = float(slots.first[i, 0])
-        is_neighbour = start_s - self._last_s < self.thermometer.neighbour_s
-        before = self._last if is_neighbour else first
+        before = self._last if start_s - self._last_s < self.thermometer.neighbour_s else first
         gap_s = (end_s - self._end_s) / int(slots.samples[i])
         slot = Slot(
             time_s=0.5 * (start_s + end_s),

@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray
-from imumon.estimation.temperature_rate.filter import LONG_S, Filters, slow_error
-from imumon.estimation.temperature_rate.model import RATE, SLOT_S, TEMPERATURE, Models
-from imumon.estimation.temperature_rate.thermometer import REVERSALS, Thermometer
+from imumon.estimation.temperature_rate.filter import LONG_S, RATE, TEMPERATURE, Filters, Models, slow_error
+from imumon.estimation.temperature_rate.thermometer import REVERSALS, SLOT_S, Thermometer
 from imumon.filters.multiple_models import mixture
 from imumon.filters.rates import FASTEST_RATE, UNSEEN_RATE, RateEstimate
 

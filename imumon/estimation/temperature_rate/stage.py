@@ -23,14 +23,7 @@ class TemperatureRate:
     """Temperature, its rate, and the standard deviation of both for each temperature channel that comes.
 
     These are the columns "temperature" and "temperature_x" and so on; what follows "temperature" is added to
-    the names of the results.
-
-    Parameters
-    ----------
-    parameters : TemperatureRateParameters
-        One set for all channels.
-    new_method : callable, optional
-        Makes the method of a channel; default the multiple-model filter.
+    the names of the results.  `new_method` makes the method of a channel, the multiple-model filter.
     """
 
     def __init__(
@@ -58,11 +51,9 @@ class TemperatureRate:
         for name in CHANNELS:
             if name in block and name not in self._channels:
                 self._channels[name] = _Channel(self._new_method())
-        added: dict[str, ColumnArray] = {}
-        for name, channel in self._channels.items():
-            for column, values in zip(_columns(name), self._estimate(name, channel, block), strict=True):
-                added[column.name] = values
-        return added
+        estimates = [self._estimate(name, channel, block) for name, channel in self._channels.items()]
+        values = [column for estimate in estimates for column in estimate]
+        return {column.name: each for column, each in zip(self.columns, values, strict=True)}
 
     def _estimate(self, name: str, channel: _Channel, block: SampleBlock) -> FloatArray:
         """Return temperature, rate and their standard deviations, (4, n).
@@ -71,32 +62,31 @@ class TemperatureRate:
         what follows must not depend on that.
         """
         reading = self._reading(name, block)
-        valid = np.flatnonzero(np.isfinite(reading))
-        first = 0 if math.isfinite(channel.last) else int(valid[0]) if len(valid) else len(block)
-        if len(valid):
+        valid = np.isfinite(reading)
+        begun = np.logical_or.accumulate(valid) | math.isfinite(channel.last)
+        if valid.any():
             self._compare_step(name, channel, reading[valid])
         method = channel.method
-        found = method.process(block["device_time_ns"][first:], block["segment"][first:], reading[first:])
+        found = method.process(block["device_time_ns"][begun], block["segment"][begun], reading[begun])
         if isinstance(method, MultipleModelRate) and math.isfinite(method.stuck_degc):
             text = f"it leapt to {method.stuck_degc:g} °C, as no temperature does, and stuck there: "
             self._notice(name, "stuck", text + "taken for a fault of the thermometer until it changes")
         estimates = np.full((4, len(block)), np.nan)
-        estimates[:, first:] = found.temperature, found.rate, found.temperature_sd, found.rate_sd
+        estimates[:, begun] = found.temperature, found.rate, found.temperature_sd, found.rate_sd
         return estimates
 
     def _reading(self, name: str, block: SampleBlock) -> FloatArray:
         """Return the readings, NaN where there is none or it is out of range."""
         given = block[name] if name in block else np.full(len(block), np.nan)
         low, high = self._parameters.lowest_degc, self._parameters.highest_degc
-        with np.errstate(invalid="ignore"):
-            inside = (given >= low) & (given <= high)
+        inside = (given >= low) & (given <= high)
         if (outside := given[np.isfinite(given) & ~inside]).size:
             text = f"{outside[0]:g} °C is left out, as all beyond {low:g} to {high:g} (lowest_degc, "
             self._notice(name, "outside", text + "highest_degc): is its unit right?")
         return np.where(inside, given, np.nan)
 
     def _compare_step(self, name: str, channel: _Channel, reading: FloatArray) -> None:
-        """Compare the declared step with what the changes of valid readings show, until they show it."""
+        """Compare the declared step with that of the first 1000 changes of valid readings."""
         declared, finder = self._parameters.step_degc, channel.finder
         before = channel.last if math.isfinite(channel.last) else reading[0]
         channel.last = float(reading[-1])

@@ -5,23 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from imumon.estimation.temperature_rate.model import SLOT_S
 from imumon.filters.rates import FASTEST_RATE
 
+SLOT_S = 1.0
+"""Samples are summarised over slots of this length, s."""
 UNKNOWN_STEP_DEGC = 1.0
 """Step that is assumed until a reading changes, °C: that of the coarsest thermometers."""
 LARGEST_STEP_DEGC = 2.0
-"""A first change that is larger is no step, °C, but the end of a fault."""
-EQUAL_DEGC = 1e-5
-"""Readings closer than this are equal, °C."""
+"""A first change that is larger is no step, °C."""
 MEMORY_SLOTS = 32
 """Length of running means.  Ablation: 16 and 64 change errors by at most 9 %."""
 REVERSALS = 3
 """So often must a reading go back within `MOST_REPEAT_S` until its noise is known to reach over an edge."""
 MOST_REPEAT_S = 60.0
 """Longest time that a reading is taken to be repeated, s."""
-NEIGHBOUR_S, LATE_INTERVALS = 10.0, 3.0
-"""Readings are neighbours that are no farther apart than this, s, or than so many usual intervals."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,13 +63,6 @@ class Slot:
         changes, squares = self.changes - (jump != 0.0), self.step_squares - jump**2
         return replace(self, before=self.first, changes=max(changes, 0), step_squares=max(squares, 0.0))
 
-    def newest(self, repeat_s: float) -> Slot:
-        """Return the last reading alone, which is measured every `repeat_s`."""
-        last, spacing_s = self.last, max(SLOT_S, repeat_s)
-        return replace(
-            self, count=1, variance=0.0, mean=last, low=last, high=last, first=last, spacing_s=spacing_s
-        )
-
 
 @dataclass(slots=True)
 class StepFinder:
@@ -90,13 +80,13 @@ class StepFinder:
     @property
     def confirmed_step(self) -> float | None:
         """The step in °C, None while fewer than 8 changes or too many that are no multiples show it."""
-        shown = self.multiples >= 8 and self.misses < 0.25 * self.multiples
-        return self.size if shown and self.size >= 1e-4 else None
+        confirmed = self.multiples >= 8 and self.misses < 0.25 * self.multiples and self.size >= 1e-4
+        return self.size if confirmed else None
 
     def learn(self, change: float) -> None:
         """Learn from the distance of two readings, °C."""
-        if not change > EQUAL_DEGC or (self.multiples == 0 and change > LARGEST_STEP_DEGC):
-            return
+        if not change > 1e-5 or (self.multiples == 0 and change > LARGEST_STEP_DEGC):
+            return  # readings that are equal but for their format, or the end of a fault
         self.changes += 1
         ratio = change / self.size
         if self.multiples == 0 or ratio < 0.75:
@@ -110,9 +100,10 @@ class StepFinder:
 
     def contradiction(self, declared: float) -> str | None:
         """Return what the readings show in place of a declared step in °C, or None."""
-        if self.confirmed_step is not None and abs(self.confirmed_step / declared - 1.0) > 0.2:
-            return f"the readings change in steps of {self.confirmed_step:.4g} °C, not of {declared:.4g} °C"
-        if self.confirmed_step is None and self.changes >= 100:
+        step = self.confirmed_step
+        if step is not None and abs(step / declared - 1.0) > 0.2:
+            return f"the readings change in steps of {step:.4g} °C, not of {declared:.4g} °C"
+        if step is None and self.changes >= 100:
             return f"the readings do not change in steps of {declared:.4g} °C, nor in any other"
         return None
 
@@ -137,10 +128,12 @@ class Thermometer:
     squared_if_independent: float = 0.0
     """What that would be if the readings were independent: 2 n times their variance, °C²."""
     changed_slots: int = 0
+    """Slots in these three means."""
     reversals: int = 0
+    """How often a reading went back to where it came from."""
     interval_s: float = 0.0
     """Least time between two changes."""
-    change: float = math.nan
+    last_change: float = math.nan
     """By how much the reading changed in the last slot of this segment in which it did, °C; NaN before."""
     changed_s: float = math.nan
     """When that was, or before it when the first reading was, s."""
@@ -158,8 +151,8 @@ class Thermometer:
 
     @property
     def neighbour_s(self) -> float:
-        """Readings farther apart than this are no neighbours, s."""
-        return max(NEIGHBOUR_S, LATE_INTERVALS * self.spacing_s)
+        """Readings farther apart than 10 s, and than three usual intervals, are no neighbours, s."""
+        return max(10.0, 3.0 * self.spacing_s)
 
     @property
     def variance(self) -> float:
@@ -179,8 +172,7 @@ class Thermometer:
 
     def is_dead(self, slot: Slot) -> bool:
         """Return whether noise of more than a step has stopped for a minute and ten slots."""
-        # From one repeat to the next a ramp scatters, too.
-        noise = self.rho if self.repeat_s else self.scatter
+        noise = self.rho if self.repeat_s else self.scatter  # from repeat to repeat a ramp scatters, too
         silent_s = slot.time_s - self.changed_s
         return not slot.changes and noise > self.step**2 and silent_s > max(60.0, 10.0 * self.spacing_s)
 
@@ -196,7 +188,7 @@ class Thermometer:
 
     def begin(self) -> None:
         """Begin a segment; what is known of the sensor stays."""
-        self.means, self.change, self.changed_s, self.fresh_s = (), math.nan, math.nan, -math.inf
+        self.means, self.last_change, self.changed_s, self.fresh_s = (), math.nan, math.nan, -math.inf
 
     def unrepeated(self, slot: Slot) -> Slot | None:
         """Return what of a slot was not measured before, None if nothing.
@@ -207,15 +199,18 @@ class Thermometer:
             return None
         if self.repeat_s < 0.9 * SLOT_S:
             return slot
-        overdue = slot.end_s - self.fresh_s >= self.repeat_s + SLOT_S
-        return slot.newest(self.repeat_s) if slot.changes or overdue else None
+        if not slot.changes and slot.end_s - self.fresh_s < self.repeat_s + SLOT_S:
+            return None
+        spacing_s, last = max(SLOT_S, self.repeat_s), slot.last
+        return replace(
+            slot, count=1, variance=0.0, mean=last, low=last, high=last, first=last, spacing_s=spacing_s
+        )
 
     def learn(self, slot: Slot, anew: bool) -> None:
         """Learn from a slot, no reading of which is a repeat; `anew`: the filters begin anew with it."""
-        if anew:
-            if self.leaps(slot):
-                self._learn_repeats(slot)
-            slot = slot.alone()
+        if anew and self.leaps(slot):
+            self._learn_repeats(slot)
+        slot = slot.alone() if anew else slot
         self.slots += 1
         self.means = (slot.mean,) if anew else (*self.means[-2:], slot.mean)
         self.fresh_s, self.spacing_s = slot.end_s, slot.spacing_s
@@ -225,27 +220,24 @@ class Thermometer:
         if len(self.means) == 3:
             bend = (self.means[0] - 2.0 * self.means[1] + self.means[2]) ** 2 / 6.0
             self.rho = averaged(self.rho, bend, self.slots - 2)
-        if slot.changes:
+        if slot.changes and len(self.means) > 1:
             self._learn_scatter(slot)
+        if slot.changes:
             self._learn_repeats(slot)
         if slot.changes or not math.isfinite(self.changed_s):
             self.changed_s = slot.time_s
 
     def _learn_scatter(self, slot: Slot) -> None:
-        if len(self.means) < 2:
-            return
         variance = slot.variance + 0.5 * (self.means[-1] - self.means[-2]) ** 2
-        self.changed_slots += 1
-        self.scatter = averaged(self.scatter, variance, self.changed_slots)
-        self.squared_differences = averaged(self.squared_differences, slot.step_squares, self.changed_slots)
-        self.squared_if_independent = averaged(
-            self.squared_if_independent, 2.0 * slot.count * variance, self.changed_slots
-        )
+        self.changed_slots = n = self.changed_slots + 1
+        self.scatter = averaged(self.scatter, variance, n)
+        self.squared_differences = averaged(self.squared_differences, slot.step_squares, n)
+        self.squared_if_independent = averaged(self.squared_if_independent, 2.0 * slot.count * variance, n)
 
     def _learn_repeats(self, slot: Slot) -> None:
         change, single, silent_s = slot.last - slot.before, slot.changes <= 1, self._silent_s(slot)
         one_way = (slot.highest - slot.lowest) / self.step
-        back = change * self.change < 0.0 and silent_s < MOST_REPEAT_S
+        back = change * self.last_change < 0.0 and silent_s < MOST_REPEAT_S
         self.reversals += slot.changes > one_way + 0.5 or back
         self.leapt |= self.leaps(slot)
         gap_s = silent_s if single else SLOT_S / slot.changes
@@ -255,11 +247,11 @@ class Thermometer:
         shown = self.leapt or self.reversals >= REVERSALS
         repeats = shown and self.interval_s > 1.5 * slot.gap_s
         self.repeat_s = min(self.interval_s, MOST_REPEAT_S) if repeats else 0.0
-        self.change = change
+        self.last_change = change
 
     def _silent_s(self, slot: Slot) -> float:
         """Return the time since the last change, s, NaN where there was none."""
-        return math.nan if math.isnan(self.change) else slot.time_s - self.changed_s
+        return math.nan if math.isnan(self.last_change) else slot.time_s - self.changed_s
 
 
 def averaged(mean: float, value: float, count: int) -> float:

@@ -12,7 +12,6 @@ from imumon.geodesy import STANDARD_GRAVITY
 from tests.estimation.alignment.units import aligned, error_deg, samples, scenario
 
 ARW, RATE_HZ, DISTURBED_S = 1e-3, 50.0, 120.0
-DEG_PER_SQRT_H = math.pi / 180.0 / 60.0
 
 
 def _shaken(seconds: float, angle: FloatArray, seed: int = 0) -> SampleBlock:
@@ -42,7 +41,6 @@ def test_a_recording_may_begin_in_the_hand(until_s: float) -> None:
     status = stage.status
     assert status.rest_s == pytest.approx(150.0 - until_s, abs=2.0)
     assert status.positions == 1
-    assert status.arw < 2.0 * ARW * DEG_PER_SQRT_H
     assert status.shown is not None
     assert math.degrees(status.shown.sd) < 0.1
     assert abs(error_deg(status.shown.heading, 30.0)) < 4.0 * math.degrees(status.shown.sd)
@@ -79,7 +77,6 @@ def test_one_lorry_or_door_leaves_the_heading_as_good_as_it_was(what: object, am
     before = out["heading_sd"][round(95.0 * RATE_HZ)]
     assert not any("anew" in text for text in stage.notices())
     assert status.positions == 1
-    assert status.arw < 3.0 * ARW * DEG_PER_SQRT_H
     assert status.shown is not None
     assert status.shown.sd < 1.5 * before
     assert abs(error_deg(status.shown.heading, 30.0)) < 4.0 * math.degrees(status.shown.sd)

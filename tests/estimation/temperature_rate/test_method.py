@@ -12,10 +12,10 @@ from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray
 from imumon.estimation.temperature_rate import measurement
+from imumon.estimation.temperature_rate.filter import RATE, Models
 from imumon.estimation.temperature_rate.filter import start as start_filters
 from imumon.estimation.temperature_rate.measurement import evaluate
 from imumon.estimation.temperature_rate.method import MultipleModelRate
-from imumon.estimation.temperature_rate.model import RATE, Models
 from imumon.estimation.temperature_rate.thermometer import Slot, StepFinder, Thermometer
 from imumon.filters.rates import RateEstimate
 from tests.estimation.temperature_rate.records import PER_HOUR, clock, quantized, self_heating, steady

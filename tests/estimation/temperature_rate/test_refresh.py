@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.filter import slow_error
+from imumon.estimation.temperature_rate.filter import Models, mean_model, slow_error
 from imumon.estimation.temperature_rate.method import MultipleModelRate
-from imumon.estimation.temperature_rate.model import Models, mean_model
 from imumon.estimation.temperature_rate.thermometer import StepFinder, Thermometer
 from tests.estimation.temperature_rate.records import clock, quantized, steady
 
