@@ -128,7 +128,10 @@ class LiveDiagnosis:
         change = f"{found.before / DEG_PER_H:.3g} become {found.after / DEG_PER_H:.3g} °/h"
         if found.lost:
             self._challenger = None
-            self._report(f"the better model did worse on what came later: {change}")
+            self._report(
+                "the better model is dropped: what came later is less likely with it and the noise"
+                f" that it had (means of {change})"
+            )
         elif found.won:
             self.offered = self._challenger
             self._report(
