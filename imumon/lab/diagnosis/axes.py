@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imumon.blocks import FloatArray
 from imumon.clock.channel import CLOCK
 from imumon.effects.base import Survey
 from imumon.geodesy import EARTH_RATE
@@ -79,27 +81,31 @@ def axes_over_bases(
     return [_axes(train, blocks, tested, group, base, model) for base in bases]
 
 
-def likeliest(searched: Sequence[Searched]) -> Searched:
+def likeliest(searched: Sequence[Searched], *, pays_for_poses: bool = True) -> Searched:
     """Return the axes over the base that is likeliest with what was found beside it.
 
-    What constants in each pose explain as well is not told from the earth rate.  Larger ones are not its.
+    What constants in each pose explain as well may be the earth rate.  Larger ones are not its.  Where they
+    are not paid for, effects have to be likelier than any earth rate.
     """
 
     def order(one: Searched) -> float:
-        by_pose = one[0].base.own == "pose" and len(searched) > 1
-        if by_pose and max(map(_spread_of_constants, one[1])) > EARTH_SPREAD:
+        criterion = sum(found.criterion() for found in one[1])
+        if one[0].base.own != "pose" or len(searched) == 1:
+            return criterion
+        constants = [_constants_of_poses(found) for found in one[1]]
+        if max(np.ptp(np.append(values, 0.0)) for values in constants) > EARTH_SPREAD:
             return -np.inf
-        return sum(found.criterion() for found in one[1]) + PROVEN * by_pose
+        price = math.log(len(one[1][0].channel.values)) * sum(map(len, constants))
+        return criterion + PROVEN + (0.0 if pays_for_poses else price)
 
     return max(searched, key=order)
 
 
-def _spread_of_constants(found: Search) -> float:
-    """Return by how much the constants of a channel differ from pose to pose, beside what was found."""
+def _constants_of_poses(found: Search) -> FloatArray:
+    """Return the constants of a channel in further poses than the first, beside what was found."""
     channel = found.channel
     coefficients = least_squares(channel.design(found.model), channel.values)
-    more = coefficients[channel.declared.degree + 1 : channel.base.shape[1]]
-    return float(np.ptp(np.append(more, 0.0)))
+    return coefficients[channel.declared.degree + 1 : channel.base.shape[1]]
 
 
 def _axes(

@@ -112,7 +112,10 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     if not material:
         return []
     searched = [(axes, search(axes.searched, axes.survey, LASTING, stages=1)) for axes in every]
-    axes, found = likeliest(searched)
+    # In one session hardly more poses are seen than an effect of the poses has coefficients.
+    axes, found = likeliest(searched, pays_for_poses=False)
+    if axes.base.own == "pose" and any(one.base.own != "pose" for one, _ in searched):
+        return []  # the earth rate may be all: `imumon diagnose` has more sessions to tell
     # The curve of the present model, and nothing beside it.
     present = next(one for other, one in searched if other.base == replace(axes.base, degree=0))
     gain = sum(
