@@ -1,13 +1,27 @@
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 
 from imumon.protocols.device import device_names, load_device
-from tests.faults.cost import hostile_streams, sample_packet
+from tests.faults.cost import STEEPEST, growth, hostile_streams, sample_packet
 
 MOST_NOTICES = 100
 LONGEST_NOTICE = 1000
+
+
+@pytest.mark.parametrize("name", device_names())
+def test_the_cost_of_a_call_grows_as_its_bytes_do(name: str) -> None:
+    device, steep = load_device(name), set[str]()
+    for attempt in range(6):  # what a busy machine does goes by
+        time.sleep(0.5 * attempt)
+        found = {item[0] for item in growth(device) if item[2] > STEEPEST}
+        steep = found & steep if attempt else found
+        if not steep:
+            return
+    raise AssertionError(steep)
 
 
 @pytest.mark.parametrize("name", device_names())
