@@ -44,7 +44,7 @@ class SampleBlock:
         return next((len(values) for values in self.columns.values()), 0)
 
     def __contains__(self, name: object) -> bool:
-        """Tell whether there is a column of this name."""
+        """Return whether there is a column of this name."""
         return name in self.columns
 
     def __getitem__(self, name: str) -> ColumnArray:

@@ -226,12 +226,12 @@ def made_by(plugin: Plugin) -> Estimator:
 
 
 def is_callable(_: str, offered: object) -> bool:
-    """Tell whether a plug-in offers what can be called."""
+    """Return whether a plug-in offers what can be called."""
     return callable(offered)
 
 
 def is_own(stage: object) -> bool:
-    """Tell whether a stage is one of imumon."""
+    """Return whether a stage is one of imumon."""
     return type(stage).__module__.partition(".")[0] == "imumon"
 
 

@@ -39,7 +39,7 @@ def wings() -> tuple[Wing, ...]:
 
 
 def is_wing(name: str, offered: Any) -> bool:
-    """Tell whether a plug-in is a wing of this name."""
+    """Return whether a plug-in is a wing of this name."""
     return isinstance(offered, Wing) and offered.name == name
 
 

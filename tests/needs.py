@@ -22,7 +22,7 @@ print(count.value)
 
 @cache
 def has_vulkan() -> bool:
-    """Tell whether a viewer without a window can draw here; on Linux it needs a Vulkan device."""
+    """Return whether a viewer without a window can draw here; on Linux it needs a Vulkan device."""
     if sys.platform != "linux":
         return True
     command = [sys.executable, "-c", COUNT_VULKAN_DEVICES]

@@ -34,7 +34,7 @@ def numbers(cells: list[str]) -> list[str]:
 
 
 def is_rounded(number: str, of: list[str]) -> bool:
-    """Tell whether a number is one of these, rounded to the places that it has."""
+    """Return whether a number is one of these, rounded to the places that it has."""
     half = 0.5001 * 10.0 ** -len(number.partition(".")[2])
     return any(abs(float(number) - float(one)) <= half for one in of)
 

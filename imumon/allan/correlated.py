@@ -100,7 +100,7 @@ class Search:
         return Correlated(2.0**exponent, covariances)
 
     def stands_for(self, others: tuple[int, ...]) -> bool:
-        """Tell whether with a process short enough to be seen, and these terms, all is as likely."""
+        """Return whether all is as likely with these terms and a process too short to show."""
         columns = (*others, MARKOV)
         return any(
             self._gain(self._problem(self._family.of(row)).fit(columns).log_likelihood) > 0.0

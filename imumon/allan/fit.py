@@ -5,7 +5,7 @@ generalised least squares whose covariance matrix, over all averaging times toge
 noise itself, until both agree: the quasi-likelihood of variances.  No slope is picked by eye.
 
 Of all sets of terms the smallest is fitted to which no further term would add by more than `FITTED` standard
-deviations, judged by the covariance without that term.  A term of it is in the result when it adds by more
+deviations, by the covariance without that term.  A term of it is in the result when it adds by more
 than `SHOWN`; the others keep what is there, but not certain, out of the rest.
 Flicker and random walk look alike in a short record.  Where one of them is fitted, so is the other, and each
 must be called for beside the other.
@@ -262,7 +262,7 @@ def _range_and_error(
 
 
 def _is_filtered(variances: FloatArray, shapes: FloatArray, solution: Solution) -> bool:
-    """Tell whether what was left out lies below what the terms say of it, as behind a low-pass filter.
+    """Return whether what was left out lies below what the terms say of it, as behind a low-pass filter.
 
     Quantization is none behind a filter; where it is called for, it stands for the end of a bump.
     """

@@ -148,7 +148,7 @@ def _median_size(channel: EvenSeries) -> float:
 
 
 def _of_the_grid(series: dict[str, EvenSeries]) -> list[str]:
-    """Tell of gaps, pieces and uneven times, of channels together where they have the same."""
+    """Report gaps, pieces and uneven times, of channels together where they have the same."""
     channels: dict[str, list[str]] = {}
     for name, channel in series.items():
         for text in _of_one_grid(channel):

@@ -199,7 +199,7 @@ def run(arguments: list[str]) -> int:
 
 
 def _is_interrupt(error: BaseException | None) -> bool:
-    """Tell whether an error is what became of Ctrl-C.
+    """Return whether an error is what became of Ctrl-C.
 
     Python 3.11 makes another where it builds a class, with the first as its cause; pydantic one without.
     """

@@ -127,7 +127,7 @@ def _steps(name: str, result: Result) -> str:
 
 
 def _is_rough(result: Result) -> bool:
-    """Tell whether rounding adds more to the angle random walk than its standard deviation."""
+    """Return whether rounding adds more to the angle random walk than its standard deviation."""
     walk = None if result.fit is None else result.fit.terms["angle_random_walk"]
     share = 0.0 if result.digits is None else result.digits.share
     return walk is not None and 0.5 * share * walk.value > walk.sd

@@ -137,7 +137,7 @@ CLEAR_LINE = "\r\x1b[2K"
 
 
 def is_terminal() -> bool:
-    """Tell whether standard error is a terminal that can draw."""
+    """Return whether standard error is a terminal that can draw."""
     return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
 
 

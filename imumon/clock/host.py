@@ -183,7 +183,7 @@ def _add(sums: _Fit | _Block, count: float, x: float, y: float) -> None:
 
 @inner
 def _must_start(fit: _Fit, device: int, segment: int, arrival: int) -> bool:
-    """Tell whether the fit so far says nothing about this sample: another segment, or a clock was set."""
+    """Return whether the fit so far says nothing about this sample: another segment, or a clock was set."""
     x = device - fit.x0
     if not fit.started or segment != fit.segment:
         return True
@@ -259,7 +259,7 @@ def _push(hull: IntArray, size: int, x: int, y: int) -> int:
 
 @inner
 def _is_below(a: IntArray, b: IntArray, x: int, y: int) -> bool:
-    """Tell whether b lies below the line from a to (x, y).  Products in float64, as int64 would overflow."""
+    """Test whether b lies below the line from a to (x, y).  Products in float64, as int64 would overflow."""
     return bool(float(b[1] - a[1]) * float(x - a[0]) < float(y - a[1]) * float(b[0] - a[0]))
 
 

@@ -99,7 +99,7 @@ class CommandLink:
                 return count
 
     def answers_at(self, baudrate: int | None, seconds: float) -> bool:
-        """Tell whether the device answers at a rate, asking for so many seconds."""
+        """Return whether the device answers at a rate, asking for so many seconds."""
         if baudrate is not None and self.port.settings.baudrate != baudrate:
             self.port.set_baudrate(baudrate)
         end = time.monotonic() + seconds

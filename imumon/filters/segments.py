@@ -13,11 +13,6 @@ class Breaks:
     def __init__(self) -> None:
         self._last: tuple[int, int] | None = None
 
-    @property
-    def begun(self) -> bool:
-        """Whether any row had a time yet."""
-        return self._last is not None
-
     def rows(self, time_ns: IntArray, segment: IntArray) -> list[int]:
         """Return the rows of the next block, (n,), at which a segment begins or time runs back.
 

@@ -65,7 +65,7 @@ class Samples:
         return nan_for_missing(self._table[key])
 
     def __contains__(self, name: object) -> bool:
-        """Tell whether there is a column of this name."""
+        """Return whether there is a column of this name."""
         return name in self._table
 
     @property

@@ -62,7 +62,7 @@ BESIDE = (
 
 
 def is_one(_: Path, head: bytes) -> bool:
-    """Tell whether a file is such a log."""
+    """Return whether a file is such a log."""
     return head.startswith(HEAD)
 
 
@@ -158,7 +158,7 @@ def _messages(path: Path) -> tuple[dict[str, dict[str, Any]], Damage]:
 
 
 def _is_begun(tail: bytes, formats: Mapping[int, _Format]) -> bool:
-    """Tell whether what stands behind the last message is the beginning of another one, which was cut."""
+    """Return whether what stands behind the last message is the beginning of another one, which was cut."""
     head, number = tail[: len(MARK)], tail[len(MARK) : len(HEAD)]
     return bool(head) and head == MARK[: len(head)] and (not number or number[0] in formats)
 

@@ -46,7 +46,7 @@ HINT = (
 
 
 def is_one(_: Path, head: bytes) -> bool:
-    """Tell whether a file is such a table, or a log that is to be decoded first."""
+    """Return whether a file is such a table, or a log that is to be decoded first."""
     return head.startswith(BEGIN) or TABLE.match(head) is not None
 
 

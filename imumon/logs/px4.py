@@ -51,7 +51,7 @@ LEAST_PASCAL = 1200.0
 
 
 def is_one(_: Path, head: bytes) -> bool:
-    """Tell whether a file is such a log."""
+    """Return whether a file is such a log."""
     return head.startswith(HEAD)
 
 

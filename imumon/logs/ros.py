@@ -24,7 +24,7 @@ IMU = "sensor_msgs/msg/Imu"
 
 
 def is_one(path: Path, head: bytes) -> bool:
-    """Tell whether a file or folder is a bag."""
+    """Return whether a file or folder is a bag."""
     return head.startswith((MCAP, BAG, SQLITE)) or (path / "metadata.yaml").is_file()
 
 

@@ -120,7 +120,7 @@ def _files() -> dict[str, Path]:
 
 
 def is_folder(_: str, offered: object) -> bool:
-    """Tell whether a plug-in offers a folder."""
+    """Return whether a plug-in offers a folder."""
     return isinstance(offered, str | os.PathLike) and Path(offered).is_dir()
 
 

@@ -369,7 +369,7 @@ def _own(g: int, belongs: int, mask: int, stray: int, group_masks: IntArray) -> 
 
 @inner
 def _is_other(group: _Group, kind: int, key: int, own: int) -> bool:
-    """Tell whether a packet cannot belong to the open epoch of its group: another time, or a field again."""
+    """Test whether a packet cannot belong to the open epoch of its group: another time, or a field again."""
     other_time = kind != NO_TIME and (kind != group.key_kind or key != group.key)
     return bool(other_time or own & group.mask)
 

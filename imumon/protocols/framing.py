@@ -302,7 +302,7 @@ class _Candidates:
         return visible[np.diff(self.at[visible], prepend=-1) > 0]
 
     def contains(self, some: IntArray, others: IntArray) -> bool:
-        """Tell whether the others are among some candidates."""
+        """Return whether the others are among some candidates."""
         there = np.zeros(len(self.at), np.bool_)
         there[some] = True
         return bool(np.all(there[others]))

@@ -229,7 +229,7 @@ def _guesses(found: _Lines, rate: float) -> list[_Guess]:
 
 
 def _listed(names: Sequence[str]) -> bool:
-    """Tell whether names are the elements of one list."""
+    """Return whether names are the elements of one list."""
     stems = {name.rpartition(".")[0] for name in names}
     return len(stems) == 1 and "" not in stems and all(n.endswith(f".{k}") for k, n in enumerate(names))
 
@@ -325,7 +325,7 @@ def _columns(what: str) -> str:
 
 
 def _about_zero(x: FloatArray) -> bool:
-    """Tell whether three columns are about zero for numbers with their scatter: noise and a small offset."""
+    """Test whether three columns are about zero for numbers with their scatter: noise and a small offset."""
     scatter = x.std(axis=0)
     return bool(
         np.all(scatter > 0) and np.all(np.abs(x.mean(axis=0)) < 30 * scatter.max()) and np.abs(x).max() < 300

@@ -90,7 +90,7 @@ def _right(size: int, held: ByteArray, at: IntArray, length: IntArray) -> BoolAr
 
 
 def _is_whole(message: bytes, size: int) -> bool:
-    """Tell whether a message has this size without its escapes, letter and end, and a time that can be."""
+    """Return whether a message has this size without its escapes, letter and end, and a time that can be."""
     plain = message[:-1]
     if ESCAPE in message:
         plain = _without_escapes(message) if STUFFED.fullmatch(message) else b""

@@ -35,7 +35,7 @@ Published = Samples | State | Log
 
 
 def is_published(item: Shown) -> bool:
-    """Tell whether an item of the view is for other programs, too."""
+    """Return whether an item of the view is for other programs, too."""
     return isinstance(item, Samples | State | Log)
 
 

@@ -142,7 +142,7 @@ def remove_empty(session: Session) -> None:
 
 
 def is_session(path: Path) -> bool:
-    """Tell whether there is a session at this path: the folder, its session.yaml or its wire.mcap."""
+    """Return whether there is a session at this path: the folder, its session.yaml or its wire.mcap."""
     return (_folder(path) / METADATA_NAME).is_file()
 
 

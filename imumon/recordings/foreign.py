@@ -134,7 +134,7 @@ class _Layout:
     """Whether the time is no number."""
 
     def is_row(self, line: str) -> bool:
-        """Tell whether a line is neither blank nor a comment."""
+        """Return whether a line is neither blank nor a comment."""
         return bool(line) and not (self.comment and line.startswith(self.comment))
 
     def split(self, line: str) -> list[str]:

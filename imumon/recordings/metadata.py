@@ -142,7 +142,7 @@ def begun_of(metadata: Mapping[str, str]) -> SessionMetadata | None:
 
 
 def is_of_another_version(path: Path) -> bool:
-    """Tell whether a session.yaml that this version cannot read says that another one wrote it."""
+    """Return whether a session.yaml that this version cannot read says that another one wrote it."""
     with readable(path), path.open("rb") as file:
         line = re.search(rb"^format: imumon-session/(\S+)", file.read(SEARCHED_BYTES), re.MULTILINE)
     return line is not None and line[1] != FORMAT.rpartition("/")[2].encode()

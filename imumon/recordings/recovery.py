@@ -88,7 +88,7 @@ def metadata_anew(path: Path, device_name: str | None) -> Anew:
 
 
 def is_sound(summary: WireSummary) -> bool:
-    """Tell whether a wire file is whole and as it was written."""
+    """Return whether a wire file is whole and as it was written."""
     damage = summary.damage
     is_whole = damage.places == summary.recovered.places and not damage.events
     return summary.complete and summary.checksum_ok is not False and is_whole

@@ -70,7 +70,7 @@ class Reduced:
         return self.variance[:, at] / np.maximum(self.count[:, at], 1)
 
     def has(self, name: str) -> bool:
-        """Tell whether a column has any value."""
+        """Return whether a column has any value."""
         return bool(np.isfinite(self.of(name)).any())
 
     def at_rest(self) -> BoolArray:

@@ -123,7 +123,7 @@ class WireWriter:
 
     @property
     def has_vanished(self) -> bool:
-        """Tell whether the file is no longer under its name: what is written is lost, without an error."""
+        """Return whether the file is no longer under its name: what is written is lost, without an error."""
         try:
             now = self._path.stat()
         except OSError:

@@ -42,7 +42,7 @@ _HINT = "only wire files that imumon recorded can be replayed"
 
 
 def is_wire(path: Path) -> bool:
-    """Tell whether a file is MCAP by its first bytes, or by the profile behind them where these are damaged.
+    """Test whether a file is MCAP by its first bytes, or by the profile behind them where these are damaged.
 
     Raises BAD_DATA when it cannot be read.
     """
@@ -50,7 +50,7 @@ def is_wire(path: Path) -> bool:
 
 
 def is_own(path: Path) -> bool:
-    """Tell whether imumon recorded a file, by the profile at its begin.  Raises BAD_DATA as `is_wire`."""
+    """Return whether imumon recorded a file, by the profile at its begin.  Raises BAD_DATA as `is_wire`."""
     return PROFILE in _head(path)
 
 

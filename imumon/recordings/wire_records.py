@@ -216,7 +216,7 @@ class Records:
         return stop
 
     def _is_believed(self, data: bytes, at: int, end: int, last: bool) -> bool | None:
-        """Tell whether a record that nothing vouches for is one; None where more bytes must tell."""
+        """Return whether a record that nothing vouches for is one; None where more bytes must tell."""
         if end - at < MESSAGE.size and not last:
             return None
         if end - at < RECORD.size or not self._begins(data, at, end):
@@ -236,7 +236,7 @@ class Records:
         return follows and not self.ahead(sequence)
 
     def _begins(self, data: bytes, at: int, end: int) -> bool:
-        """Tell whether a record begins here, by the fields that are there: a message has its time twice."""
+        """Return whether a record begins here, by the fields that are there: a message has its time twice."""
         opcode = data[at]
         if end - at < RECORD.size or (opcode == MESSAGE_OP and end - at < MESSAGE.size):
             return 0 < opcode <= DATA_END_OP or opcode == CHECK_OP

@@ -260,6 +260,6 @@ def graphics() -> Iterator[Finding]:
 
 
 def _writable(place: Path) -> bool:
-    """Tell whether a folder can be written to, or be made."""
+    """Return whether a folder can be written to, or be made."""
     there = next(folder for folder in (place, *place.absolute().parents) if folder.exists())
     return os.access(there, os.W_OK | os.X_OK)

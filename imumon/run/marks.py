@@ -101,7 +101,7 @@ def _request(line: bytes) -> tuple[EventKind, str] | None:
 
 
 def _goes_on(requests: Path, part: str) -> bool:
-    """Tell whether the part was begun and not ended; all requests of a recording are there until its end."""
+    """Test whether the part was begun and not ended; all requests of a recording are there until its end."""
     try:
         lines = requests.read_bytes().splitlines()
     except FileNotFoundError:

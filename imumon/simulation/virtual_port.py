@@ -112,7 +112,7 @@ class VirtualPort:
         return data if abs(ratio - 1) <= SAMPLING_TOLERANCE else Sampler(ratio).feed(data)
 
     def host_listens(self) -> bool:
-        """Tell whether a host has the port open."""
+        """Return whether a host has the port open."""
         master = self._master
         return master is not None and not _poll(master) & select.POLLHUP
 

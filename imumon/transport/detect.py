@@ -296,7 +296,7 @@ def _weigh(
 
 
 def _decided(decoders: Iterable[Candidate], counts: Sequence[int]) -> bool:
-    """Tell whether listening on would prove nothing more, for a candidate or against all."""
+    """Return whether listening on would prove nothing more, for a candidate or against all."""
     books = [decoder.counters() for decoder in decoders]
     n_bytes = sum(counts)
     text = sum(counts[byte] for byte in TEXT) > MOSTLY_TEXT * n_bytes

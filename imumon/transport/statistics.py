@@ -78,7 +78,7 @@ class LinkStatistics:
         return None if self._capacity is None else bytes_per_s / self._capacity
 
     def overloaded(self, now_ns: int) -> bool:
-        """Tell whether to warn: above 80 % load, until it is below 70 %.
+        """Return whether to warn: above 80 % load, until it is below 70 %.
 
         Not in the first 2 s: what had queued up before the port was opened comes at once.
         """

@@ -31,7 +31,7 @@ def set_exclusive(fd: int, on: bool) -> None:
 
 
 def hung_up(fd: int) -> bool:
-    """Tell whether the device behind a terminal descriptor is gone."""
+    """Return whether the device behind a terminal descriptor is gone."""
     if sys.platform == "win32":
         return False
     try:

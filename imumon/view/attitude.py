@@ -54,7 +54,7 @@ class Attitude:
     place: str = SCENE
 
     def says(self, rows: Rows) -> bool:
-        """Tell whether each column has a value."""
+        """Return whether each column has a value."""
         return bool(np.isfinite(rows.matrix(self.columns)).any(axis=0).all())
 
     def declare(self, rec: rr.RecordingStream, *, live: bool) -> None:

@@ -51,7 +51,7 @@ class Contents:
     """How much the slow tabs show, s, rounded up to a power of two while they grow."""
 
     def __bool__(self) -> bool:
-        """Tell whether there is anything besides charts."""
+        """Return whether there is anything besides charts."""
         return bool(self.panels or self.lanes or self.others) or self.log or self.status
 
 

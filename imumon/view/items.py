@@ -73,7 +73,7 @@ class Samples:
         )
 
     def follows(self, other: Samples) -> bool:
-        """Tell whether this continues `other` without a gap, on the same timelines, with the same columns."""
+        """Test whether this continues `other` without a gap, on the same timelines, with the same columns."""
         return (
             self.first == (None if other.first is None else other.first + other.rows)
             and (self.device_ns is None) == (other.device_ns is None)

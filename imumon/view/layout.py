@@ -163,7 +163,7 @@ class Panel(Protocol):
         """All of these must be there for the panel to appear."""
 
     def says(self, rows: Rows) -> bool:
-        """Tell whether the rows have something to show: a value of each column."""
+        """Return whether the rows have something to show: a value of each column."""
 
     def declare(self, rec: rr.RecordingStream, *, live: bool) -> None:
         """Log what does not change: names, colours, bodies; live also the names of exact values."""
@@ -244,7 +244,7 @@ class Strip:
         return tuple(name for line in self.lines for name in (line.column, line.sd) if name is not None)
 
     def says(self, rows: Rows) -> bool:
-        """Tell whether each column has a value, and one of them another than `silent`."""
+        """Return whether each column has a value, and one of them another than `silent`."""
         values = rows.matrix(self.columns)
         finite = np.isfinite(values)
         return bool(finite.any(axis=0).all() and (finite & (values != self.silent)).any())

@@ -41,7 +41,7 @@ class Painter:
 
     @property
     def is_free(self) -> bool:
-        """Tell whether the next one can be drawn now."""
+        """Return whether the next one can be drawn now."""
         return time.monotonic() >= self._next_s
 
     def begin(self, draw: Callable[[], None]) -> None:

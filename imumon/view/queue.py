@@ -76,7 +76,7 @@ class DropOldestQueue(Generic[Kind]):
             self._filled.notify_all()
 
     def is_closed(self) -> bool:
-        """Tell whether `close` was called."""
+        """Return whether `close` was called."""
         return self._closed.is_set()
 
     def _drop_oldest(self) -> None:

@@ -86,7 +86,7 @@ class ViewRecorder:
 
     @property
     def has_room(self) -> bool:
-        """Tell whether the queue is less than half full: who can wait, loses nothing."""
+        """Return whether the queue is less than half full: who can wait, loses nothing."""
         return self._queue.size < QUEUE_BYTES // 2
 
     @property
@@ -152,7 +152,7 @@ class ViewRecorder:
         self._logger.log(batch)
 
     def _is_before_segment(self, item: ViewItem) -> bool:
-        """Tell whether an event that stands behind the samples belongs to the segment that ends."""
+        """Return whether an event that stands behind the samples belongs to the segment that ends."""
         times = _times_ns(item)
         if isinstance(item, Samples) or self._began_ns is None:
             return False

@@ -46,7 +46,7 @@ def default_mode() -> Mode:
 
 
 def has_display() -> bool:
-    """Tell whether a window can be opened here."""
+    """Return whether a window can be opened here."""
     display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     return bool(display) or sys.platform in ("darwin", "win32")
 

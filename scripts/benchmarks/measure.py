@@ -48,7 +48,7 @@ class Bar:
 
     @property
     def passed(self) -> bool:
-        """Tell whether the measured value is good enough."""
+        """Return whether the measured value is good enough."""
         return self.measured <= self.demanded if self.at_most else self.measured >= self.demanded
 
 
@@ -84,7 +84,7 @@ class Machine:
 
     @property
     def busy(self) -> bool:
-        """Tell whether others used the machine when the run began."""
+        """Return whether others used the machine when the run began."""
         return self.load_before > BUSY
 
     def facts(self) -> dict[str, object]:

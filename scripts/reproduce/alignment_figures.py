@@ -131,7 +131,7 @@ def draw_run() -> Iterator[Path]:
         if f"{name}_sd" in out:
             lower.semilogy(t, np.degrees(out[f"{name}_sd"]), color + "--", lw=0.8)
     known, free = t[t > 5], t[t > COARSE_S + 30]
-    lower.semilogy(known, bound_known(known), "b-", lw=2.0, label="bound, level seen by the gyros")
+    lower.semilogy(known, bound_known(known), "b-", lw=2.0, label="bound, level measured by the gyros")
     bound = bound_free(COARSE_S, free, TAU_S, AMPLITUDE_UG)
     lower.semilogy(free, bound, "c-", lw=2.0, label="bound, control rates alone")
     upper.axhspan(-0.05, 0.05, color="0.9")

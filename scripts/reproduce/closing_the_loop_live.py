@@ -175,7 +175,7 @@ def _groups(text: str) -> list[tuple[tuple[str, ...], str]]:
 
 
 def right(one: Session) -> bool:
-    """Tell whether the effect is named, alone or in a set of at most three, on any axis and none but it."""
+    """Return whether the effect is named, alone or in a set of at most three, on any axis and none but it."""
     return bool(one.named) and all(set(names) & set(one.truth) for names, _ in one.named)
 
 

@@ -139,7 +139,7 @@ def run_case(job: tuple[Setting, int]) -> list[Result]:
 
 
 def is_outside(label: str) -> bool:
-    """Tell whether no effect of the library is right."""
+    """Return whether no effect of the library is right."""
     return label in OUTSIDE or label.startswith(HIDDEN)
 
 
@@ -151,7 +151,7 @@ def stray(result: Result) -> list[str]:
 
 
 def right(result: Result) -> bool:
-    """Tell whether every effect of a channel is named, or is in a set of at most three, and no other is.
+    """Return whether every effect of a channel is named, or is in a set of at most three, and no other is.
 
     Of an effect outside the library, or of what is not recorded: whether it is called unexplained and nothing
     is named.
@@ -163,7 +163,7 @@ def right(result: Result) -> bool:
 
 
 def false_drivers(result: Result) -> list[str]:
-    """Return the drivers that are named beyond what is true and what is not told apart from it."""
+    """Return the drivers that are named beyond what is true and what fits as well."""
     return [name for name in stray(result) if "(" in name]
 
 
@@ -218,17 +218,17 @@ def case_row(found: Sequence[Result]) -> Cells:
 
 
 def is_worse(result: Result) -> bool:
-    """Tell whether the prediction is worse than that of the curve alone."""
+    """Return whether the prediction is worse than that of the curve alone."""
     return result.after > result.before * (1 + 1e-9)
 
 
 def is_large(result: Result) -> bool:
-    """Tell whether an effect is of 3 floors and more."""
+    """Return whether an effect is of 3 floors and more."""
     return bool(result.truth) and result.size >= 3
 
 
 def carries_over(result: Result) -> bool:
-    """Tell whether all effects of a channel can be predicted from other runs."""
+    """Return whether all effects of a channel can be predicted from other runs."""
     known = set(IN_LIBRARY) - {"step", "run_offset", "hysteresis"}
     carried = is_large(result) and set(result.truth) <= known
     return carried and not result.label.startswith(("unequal", DRIVEN, COLUMNS))

@@ -39,7 +39,7 @@ def diagnosed() -> Diagnosis:
 
 
 def tables(_: Options) -> Iterator[Table]:
-    """Yield what the diagnosis says of each channel."""
+    """Yield what the diagnosis reports of each channel."""
     found = diagnosed()
     lines = [conclusion(found), *(f"{verdict.name}: {verdict.summary}" for verdict in found.verdicts)]
     yield Table("", (), (), "\n".join(lines))

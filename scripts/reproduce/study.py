@@ -1,6 +1,6 @@
 """The runner of the studies: options, tables in Markdown, pages, figures, and comparison with a page.
 
-A study is a module with `STUDY`.  It says which scenes, methods and errors make a table; all else is here.
+A study is a module with `STUDY`.  It defines which scenes, methods and errors make a table; all else is here.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ sys.path.insert(0, str(ROOT))
 from imumon.compiled import package_stamp  # noqa: E402  (of this clone, whichever is installed)
 
 DONE = ROOT / "imumon" / "__pycache__" / "kernels"
-"""What the kernels were last compiled of; beside what it tells of, so deleted with it."""
+"""State of the package when the kernels were last compiled; beside the kernels, so deleted with them."""
 
 
 def main() -> None:

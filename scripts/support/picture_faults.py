@@ -33,7 +33,7 @@ def views_of(container: Any) -> Iterator[Any]:
 
 
 def is_empty(view: Any, picture: Path) -> bool:
-    """Tell whether the picture of a view shows nothing of its own: series have colours, texts are bright."""
+    """Test whether the picture of a view shows nothing of its own: series have colours, texts are bright."""
     pixels = np.asarray(Image.open(picture).convert("RGB")).astype(int)
     if isinstance(view, rrb.TimeSeriesView | rrb.StateTimelineView):
         pixels = pixels[:, : int(LEGEND * pixels.shape[1])]

@@ -107,7 +107,7 @@ class Studio:
         self.viewer.save_screenshot(str(picture), **view)
 
     def _shows(self, view: Any, picture: Path) -> bool:
-        """Tell whether a view shows something, now or after a while: a busy machine draws late."""
+        """Return whether a view shows something, now or after a while: a busy machine draws late."""
         for _ in range(TRIES):
             self._save(picture, view_id=str(view.id))
             if not is_empty(view, picture):

@@ -56,7 +56,7 @@ class Slope:
     sd: float
 
     def within(self, most: float) -> bool:
-        """Tell whether it is at most this, as far as it is known, or nothing is known of it."""
+        """Return whether it is at most this, as far as it is known, or nothing is known of it."""
         return not self.value - 2.0 * self.sd > most
 
     def __str__(self) -> str:

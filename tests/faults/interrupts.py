@@ -176,7 +176,7 @@ def interrupt(stage: Stage, name: str, after_s: float) -> Ended:
 
 
 def _is_whole(path: Path) -> bool:
-    """Tell whether a command had written all of its output, and was about to end, when Ctrl-C came."""
+    """Return whether a command had written all of its output, and was about to end, when Ctrl-C came."""
     match path.suffix:
         case ".parquet":
             return bool(pq.ParquetFile(path).metadata.num_rows == RECORDED_S * RATE_HZ)

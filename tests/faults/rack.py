@@ -100,7 +100,7 @@ class Feeder:
         return self.stream[: self._at[name]]
 
     def is_open(self, *names: str) -> bool:
-        """Tell whether somebody has these ports open, or all."""
+        """Return whether somebody has these ports open, or all."""
         return not any(_hung_up(self._masters[name]) for name in names or self._masters)
 
     def run(self, seconds: float) -> None:
@@ -262,7 +262,7 @@ def _cpu_s(process: psutil.Process) -> float:
 
 
 def _hung_up(master: int) -> bool:
-    """Tell whether nobody has the port open."""
+    """Return whether nobody has the port open."""
     poll = select.poll()
     poll.register(master, 0)
     return any(events & select.POLLHUP for _, events in poll.poll(0))

@@ -55,7 +55,7 @@ def faults_of(path: Path, contents: Iterable[tuple[str, bytes]]) -> Iterator[str
 
 
 def _is_part_of(items: list[Item], written: list[Item]) -> bool:
-    """Tell whether the items are some of those written, in their order, each once."""
+    """Return whether the items are some of those written, in their order, each once."""
     left = iter(written)
     return all(any(item == one for one in left) for item in items)
 

@@ -245,7 +245,7 @@ class Family(ABC):
         return rate_hz
 
     def settled(self, name: str, wanted: bytes, found: bytes) -> bool:
-        """Tell whether what reads back is what was wanted."""
+        """Return whether what reads back is what was wanted."""
         del name
         return wanted == found
 

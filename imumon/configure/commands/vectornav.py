@@ -281,7 +281,7 @@ class VectorNav(Family):
         return {ASCII: b"0", **off, OUTPUT: new.value}
 
     def settled(self, name: str, wanted: bytes, found: bytes) -> bool:
-        """Tell whether it reads back; of an output that is off the rest does not matter."""
+        """Return whether it reads back; of an output that is off the rest does not matter."""
         off = name in (OUTPUT, SECOND, THIRD) and not (Output.read(wanted).on or Output.read(found).on)
         return off or wanted == found
 

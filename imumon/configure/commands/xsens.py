@@ -182,7 +182,7 @@ class Xsens(Family):
         return {OUTPUT: packed((*kept, *often) if wish.outputs is None else (*ALWAYS, *often, *kept))}
 
     def settled(self, name: str, wanted: bytes, found: bytes) -> bool:
-        """Tell whether it reads back; a unit may send what is not inertial more slowly than it was told."""
+        """Return whether it reads back; a unit may send what is not inertial more slowly than it was told."""
         if name != OUTPUT:
             return self.baud_of(wanted) == self.baud_of(found)
         pairs, there = entries(wanted), entries(found)

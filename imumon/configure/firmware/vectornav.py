@@ -89,7 +89,7 @@ def _names(register: Register) -> list[str]:
 
 
 def _possible(name: str, value: bytes) -> bool:
-    """Tell whether the device takes a value."""
+    """Return whether the device takes a value."""
     if name == BAUD:
         return value.isdigit() and int(value) in VectorNav.baudrates
     if name == ASCII:

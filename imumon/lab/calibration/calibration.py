@@ -261,7 +261,7 @@ def _by_pose(cells: Cells, findings: dict[str, Finding]) -> list[str]:
 
 
 def _one_way(cells: Cells) -> bool:
-    """Tell whether no run both rises and falls by a fifth of the span."""
+    """Return whether no run both rises and falls by a fifth of the span."""
     enough = 0.2 * float(np.ptp(cells.temperature))
     for run in range(len(cells.runs)):
         t = cells.temperature[cells.run == run]

@@ -1,6 +1,6 @@
 """Whether a magnetometer has the gyros' axes: the field of a recording beside how the gyros say it turned.
 
-`mounting` says which of the 24 ways it is; from there Gauss and Newton find the rotation, with what else may
+`mounting` finds which of the 24 ways it is; from there Gauss and Newton find the rotation, with what else may
 be between the two: a constant bias of the gyros and a time by which the magnetometer is late.
 """
 

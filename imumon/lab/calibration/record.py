@@ -43,7 +43,7 @@ class Record:
         return self.means.of(name)
 
     def has(self, name: str) -> bool:
-        """Tell whether a column has any value."""
+        """Return whether a column has any value."""
         return self.means.has(name)
 
     def temperature_column(self, channel: str) -> str | None:

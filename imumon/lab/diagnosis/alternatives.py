@@ -122,7 +122,7 @@ def questions(channel: Channel, found: Search, kept: Sequence[Finding], unexplai
 
 
 def _may_be_tried(candidate: Candidate) -> bool:
-    """Tell whether a chamber, or poses, can make an effect show itself in another run."""
+    """Return whether a chamber, or poses, can make an effect show itself in another run."""
     inputs = {name for part in candidate.parts for name in part.effect.inputs}
     return candidate.scope in ("shared", "either") and inputs <= {ACCEL}
 

@@ -72,7 +72,7 @@ def axes_over_bases(
     """Return the axes of a sensor over each base that is possible.
 
     In each pose, and each day, other sensors than gyros have another part of gravity, field or weather, which
-    nobody knows: they have a constant in each.  So may gyros have, by the earth rate.
+    is not known: they have a constant in each.  So may gyros have, by the earth rate.
     """
     bases = [base] if group[0].startswith(("gyro", CLOCK)) else []
     turned = any(run.pose.max() > run.pose.min() for run in blocks)

@@ -45,8 +45,8 @@ LEAST_COMPARED = 10
 class Better:
     """A better model of a channel.
 
-    `names` are the effects of which the present model lacks one, the best first; these data do not tell them
-    apart.  `gain` is in BIC over the present model, of all channels that lack an effect.  `before` and
+    `names` are the effects of which the present model lacks one, the best first; these data do not separate
+    them.  `gain` is in BIC over the present model, of all channels that lack an effect.  `before` and
     `after` are the rms of the block means with the present model and a constant, and with the better model.
     """
 
@@ -112,10 +112,10 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     if not material:
         return []
     searched = [(axes, search(axes.searched, axes.survey, LASTING, stages=1)) for axes in every]
-    # In one session hardly more poses are seen than an effect of the poses has coefficients.
+    # One session has hardly more poses than a sensitivity to g has coefficients.
     axes, found = likeliest(searched, pays_for_poses=False)
     if axes.base.own == "pose" and any(one.base.own != "pose" for one, _ in searched):
-        return []  # the earth rate may be all: `imumon diagnose` has more sessions to tell
+        return []  # it may be the earth rate: `imumon diagnose` has more sessions to decide
     # The curve of the present model, and nothing beside it.
     present = next(one for other, one in searched if other.base == replace(axes.base, degree=0))
     gain = sum(

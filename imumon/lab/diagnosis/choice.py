@@ -128,7 +128,7 @@ def select(tables: Mapping[str, Table], least: float, there: Mapping[str, Sequen
 
 
 def _shows(table: Table, name: str, least: float) -> bool:
-    """Tell whether a channel shows an effect, and does not prove another in its place.
+    """Return whether a channel shows an effect, and does not prove another in its place.
 
     An event has a time of its own in each channel, so that each has to prove its own.
     """
@@ -140,7 +140,7 @@ def _shows(table: Table, name: str, least: float) -> bool:
 
 
 def _near(gain: float, best: float) -> bool:
-    """Tell whether a gain is too near to the best for a proof."""
+    """Return whether a gain is too near to the best for a proof."""
     return best - gain < max(CLOSE, CLOSE_SHARE * best)
 
 

@@ -52,7 +52,7 @@ HIGHEST_DEGREE = 8
 class Diagnosis:
     """Verdicts on all channels, and caveats of the data.
 
-    `model` is the present one, or None.  `held_out` says that the test is part of the
+    `model` is the present one, or None.  `held_out`: whether the test is part of the
     one run that there is.  `length` is what follows from |f| = g in several poses.
     """
 

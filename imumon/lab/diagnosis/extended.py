@@ -22,7 +22,7 @@ from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
 from imumon.version import __version__
 
 DECLARED = "polynomial 3 + offset"
-"""The model says the degree; each run has a turn-on offset, as in the calibration."""
+"""The degree is that of the model; each run has a turn-on offset, as in the calibration."""
 WIDENED = 0.005
 """Share of the span that the range is widened by, so that an end is not in and out by turns."""
 

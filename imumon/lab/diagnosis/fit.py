@@ -208,7 +208,7 @@ def mean_rms(parts: Sequence[FloatArray], counted: Sequence[BoolArray]) -> float
 
 
 def goes_on(channel: Channel, model: Fit) -> bool:
-    """Tell whether a jump of the training is still there in a run of the test."""
+    """Return whether a jump of the training is still there in a run of the test."""
     goes_on_from = [begun(channel, run) for run in channel.test]
     return any(
         part.effect.scope == "event" and run in part.runs for part in model.parts for run in goes_on_from
@@ -246,7 +246,7 @@ def _predicted(channel: Channel, run: RunBlocks, model: Fit) -> FloatArray:
 
 
 def _within_drivers(channel: Channel, run: RunBlocks, model: Fit) -> BoolArray:
-    """Tell at which blocks of a run every other driver is inside what training covered, or nearly, (n,)."""
+    """Return at which blocks of a run every other driver is inside what training covered, or nearly, (n,)."""
     drive, found = run.drives[channel.temperature], np.ones(len(run), bool)
     for effect in (part.effect for part in model.parts):
         for name in effect.inputs:
@@ -258,7 +258,7 @@ def _within_drivers(channel: Channel, run: RunBlocks, model: Fit) -> BoolArray:
 
 
 def _settled(channel: Channel, run: RunBlocks, model: Fit) -> BoolArray:
-    """Tell at which blocks of a run no state at power-on matters any more, (n,)."""
+    """Return at which blocks of a run no state at power-on matters any more, (n,)."""
     found = np.ones(len(run), bool)
     for part in model.parts:
         settled = part.effect.settled(run.drives[channel.temperature])
@@ -313,7 +313,7 @@ def explained_share(before: float, after: float, floor: float) -> float:
 
 
 def explains(before: float, after: float, floor: float) -> bool:
-    """Tell whether a model that leaves `after` explains enough of what another left to be named."""
+    """Return whether a model that leaves `after` explains enough of what another left to be named."""
     return after < CLEAN * floor or explained_share(before, after, floor) >= EXPLAINED
 
 

@@ -117,7 +117,7 @@ class Search:
 
     `findings` are the effects in the order in which they were found, those of the present model first;
     `many_events` says that a run has more than one event, such as two jumps, which no effect explains.
-    `tables` has the best candidates of each stage, `stages` what was done; `refit` says whether the present
+    `tables` has the best candidates of each stage, `stages` what was done; `refit`: whether the present
     curve pays for being fitted anew; `survey` is what the runs can show, `tried` what may be added.
     """
 
@@ -318,7 +318,7 @@ class Search:
     def _refine(self, exchange: bool = False) -> None:
         """Refine each finding beside the others.
 
-        With `exchange`, a finding gives way to one that was not told apart from it, where that one is
+        With `exchange`, a finding gives way to one that fits as well, where that one is
         likelier beside what was found later.
         """
         for finding in self.findings:

@@ -43,7 +43,7 @@ def movement(events: Sequence[Event], start_rad: FloatArray, time_s: FloatArray)
 
 
 def is_static(events: Sequence[Event], first_s: float, last_s: float) -> bool:
-    """Tell whether no event is under way between two times."""
+    """Return whether no event is under way between two times."""
     return all(event.at_s > last_s or event.at_s + _length_s(event) < first_s for event in events)
 
 

@@ -127,7 +127,7 @@ def dask(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def answers(address: str) -> bool:
-    """Tell whether a scheduler is there, with a worker."""
+    """Return whether a scheduler is there, with a worker."""
     try:
         with workers(address, 1) as found:
             return bool(found.nthreads())

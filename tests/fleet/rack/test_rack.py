@@ -36,7 +36,7 @@ def feeding(folder: Path, *names: str) -> Iterator[Feeder]:
 
 
 def is_recorded(sessions: Path, *names: str) -> bool:
-    """Tell whether recordings say that the ports of these units are open: what came before is thrown away."""
+    """Test whether recordings say that the ports of these units are open: what came before is thrown away."""
     wires = {name: sessions.glob(f"*-{name}/wire.mcap") for name in names}
     return all(any(OPENED in wire.read_bytes() for wire in wires[name]) for name in names)
 
