@@ -32,6 +32,8 @@ TURNS = {"0.5 °/s": (0.5, 10.0, 120.0, 0.0), "0.05 °/s": (0.05, 10.0, 0.5, 0.0
 LONG = {"0.5 °/s for an hour": (0.5, 60.0, 120.0, 0.0)}
 TILTED = {"0.5 °/s, tilted 45°": (0.5, 10.0, 120.0, 45.0)}
 GRADES = {"industrial": 1, "as BMI160": 2, "as MPU-6050": 3}
+LEVEL, NOISY = (0.5, 10.0, 120.0, 90.0), 5
+"""A turn about a level axis, and a gyro that may take it for rest: 1.8 °/√h."""
 FLOOR_DPH = 1.0
 FIRST_S = 60.0
 """Of a turn, before which nothing is known of the flicker."""
@@ -57,6 +59,7 @@ VARIANTS: dict[str, list[Change]] = {
     "rest again after 3 s of one rate, not 16": [(hypotheses, "SETTLED_S", 3)],
     "rest again however likely a turn is": [(hypotheses, "LIKELY_TURN", 1.0)],
     "an oblique change excludes no turn about the vertical": [(odds, "LEVEL_RATIO", 1e9)],
+    "rest after one second, however short the last rests": [(quiet, "SHORT_RESTS", 10**9)],
     "no floor of a suspicious mean": [(quiet, "QUIET", quiet.QUIET * 1e-3)],
 }
 
@@ -71,6 +74,7 @@ def outcomes(change: list[Change] | None, seeds: range, data: Path) -> Iterator[
         for name, turn in {**TURNS, **LONG, **TILTED}.items():
             for grade, which in GRADES.items():
                 yield _outcome(f"{name}, {grade}", [_turned(turn, which, seed) for seed in seeds])
+        yield _outcome("0.5 °/s about a level axis, noisy", [_turned(LEVEL, NOISY, seed) for seed in seeds])
         yield _outcome("walk of 6 °/h/√s at rest", [_walking(seed) for seed in seeds])
         for path in sorted((data / "broad").glob("*.npz")):
             error, ratio, _ = errors(path)
