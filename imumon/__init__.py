@@ -9,7 +9,7 @@ Flow, one way::
               '-> framing -> fields -> epochs -> clock -> SampleBlock -> stages in order -> view, tables
                                          '-> side streams -> tables of their own
 
-Live, replay, import and simulation differ only in what stands at the left end.  docs/index.md shows each
+Live, replay, import and simulation differ only in what stands at the left end.  docs/architecture.md shows each
 step, every column, and which files to touch to add something.
 
 Time

@@ -1,4 +1,4 @@
-"""The drawing of core and wings in docs/index.md, made from the imports, and the lines of each room.
+"""The drawing of core and wings in docs/architecture.md, made from the imports, and the lines of each room.
 
 python scripts/support/rooms.py [--write]   (--write: into the page)
 """
@@ -12,7 +12,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "imumon"
-PAGE = ROOT / "docs" / "index.md"
+PAGE = ROOT / "docs" / "architecture.md"
 BEGIN, END = "<!-- rooms -->\n", "<!-- end rooms -->"
 FEW = 60
 """Rooms with fewer lines are not in the table; they are counted together."""

@@ -1,0 +1,109 @@
+"""Sketches of the terms: six ways in which a bias follows the temperature, and the axes of a case."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from study import DOCS
+
+from imumon.blocks import FloatArray
+
+STEP_S, RAMP_S, HOLD_S = 10.0, 1200.0, 600.0
+COLD, WARM = 20.0, 50.0
+"""°C: a unit is held, warmed, held, cooled and held."""
+LAG_S, DEAD_S, HALF_LOOP = 180.0, 180.0, 3.0
+WARM_UP_S, WARM_UP = 400.0, 40.0
+STEP_AT, STEP_SIZE = 0.35, 30.0
+"""Share of the time at which the bias steps, and by how much, °/h."""
+
+
+def course() -> FloatArray:
+    """Return the temperature at each step, °C, (n,)."""
+    ramp, hold = np.linspace(0.0, 1.0, round(RAMP_S / STEP_S)), round(HOLD_S / STEP_S)
+    shape = np.concatenate([np.zeros(hold), ramp, np.ones(hold), ramp[::-1], np.zeros(hold)])
+    return np.asarray(COLD + (WARM - COLD) * shape)
+
+
+def curve(degc: FloatArray) -> FloatArray:
+    """Return the bias over temperature, °/h, (n,)."""
+    u = (degc - COLD) / (WARM - COLD)
+    return np.asarray(100.0 * u - 60.0 * u**2)
+
+
+def biases(degc: FloatArray) -> dict[str, FloatArray]:
+    """Return the bias of each sketch, °/h, (n,)."""
+    late, loop = np.array(degc), np.array(degc)
+    for k in range(1, len(degc)):
+        late[k] = late[k - 1] + STEP_S / LAG_S * (degc[k] - late[k - 1])
+        loop[k] = np.clip(loop[k - 1], degc[k] - HALF_LOOP, degc[k] + HALF_LOOP)
+    delay = round(DEAD_S / STEP_S)
+    dead = np.concatenate([np.full(delay, degc[0]), degc[:-delay]])
+    time_s = STEP_S * np.arange(len(degc))
+    return {
+        "curve": curve(degc),
+        "lag": curve(late),
+        "dead time": curve(dead),
+        "loop (hysteresis)": curve(loop),
+        "warm-up": curve(degc) + WARM_UP * np.exp(-time_s / WARM_UP_S),
+        "step": curve(degc) + STEP_SIZE * (np.arange(len(degc)) > STEP_AT * len(degc)),
+    }
+
+
+def draw_biases() -> Path:
+    """Draw the bias over temperature of each sketch, warming and cooling in two colours."""
+    degc = course()
+    turned = len(degc) // 2
+    figure = Figure(figsize=(9.0, 5.0), layout="constrained")
+    for panel, (name, bias) in zip(figure.subplots(2, 3, sharex=True, sharey=True).flat, biases(degc).items(), strict=True):
+        panel.plot(degc[:turned], bias[:turned], color="C3", label="while it warms")
+        panel.plot(degc[turned:], bias[turned:], color="C0", linestyle="--", label="while it cools")
+        panel.set_title(name)
+        panel.grid(alpha=0.3)
+    axes = figure.axes
+    axes[0].legend()
+    for panel in axes[3:]:
+        panel.set_xlabel("temperature [°C]")
+    for panel in axes[::3]:
+        panel.set_ylabel("bias [°/h]")
+    return _saved(figure, "bias-over-temperature")
+
+
+def draw_axes() -> Path:
+    """Draw FRD and FLU on a case."""
+    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+    for panel, (name, right, down) in zip(figure.subplots(1, 2), (("FRD", 1.0, 1.0), ("FLU", -1.0, -1.0)), strict=True):
+        _draw_case(panel)
+        side, vertical = ("right", "down") if right > 0 else ("left", "up")
+        _arrow(panel, (0.9, 0.45), "x forward", "C3")
+        _arrow(panel, (0.75 * right, -0.4 * right), f"y {side}", "C2")
+        _arrow(panel, (0.0, -0.95 * down), f"z {vertical}", "C0")
+        reads = "−9.81" if down > 0 else "+9.81"
+        panel.set_title(f"{name}: at rest and level z reads {reads} m/s²")
+        panel.set(xlim=(-1.5, 1.9), ylim=(-1.3, 1.3), aspect="equal")
+        panel.axis("off")
+    return _saved(figure, "axes")
+
+
+def _draw_case(panel: Axes) -> None:
+    """Draw a flat box in oblique projection, its front to the upper right."""
+    forward, side, up = np.array([0.5, 0.25]), np.array([0.4, -0.21]), np.array([0.0, 0.18])
+    corners = [a * forward + b * side + up for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    lower = [corner - 2.0 * up for corner in corners]
+    panel.fill(*zip(*corners, strict=True), color="0.8")
+    panel.fill(*zip(*(corners[3], corners[2], lower[2], lower[3]), strict=True), color="0.6")
+    panel.fill(*zip(*(corners[0], corners[3], lower[3], lower[0]), strict=True), color="0.7")
+
+
+def _arrow(panel: Axes, to: tuple[float, float], text: str, color: str) -> None:
+    panel.annotate("", to, (0.0, 0.0), arrowprops={"arrowstyle": "-|>", "color": color, "linewidth": 2.5})
+    panel.text(1.15 * to[0], 1.15 * to[1], text, color=color, ha="center", va="center", fontsize=11)
+
+
+def _saved(figure: Figure, name: str) -> Path:
+    path = DOCS / "figures" / "glossary" / f"{name}.png"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=100, metadata={"Software": None})
+    return path
