@@ -61,6 +61,7 @@ OWN = {
         "plugins": "List what other packages add, and whether it loads.",
     },
     "Without hardware": {
+        "demo": "Watch a virtual AHRS: to see imumon at work.",
         "virtual": "Be a device: a simulated AHRS on a pseudo-terminal.",
         "simulate": "Make a session or a table of a scenario, with the truth.",
     },
