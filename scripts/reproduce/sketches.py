@@ -57,7 +57,9 @@ def draw_biases() -> Path:
     degc = course()
     turned = len(degc) // 2
     figure = Figure(figsize=(9.0, 5.0), layout="constrained")
-    for panel, (name, bias) in zip(figure.subplots(2, 3, sharex=True, sharey=True).flat, biases(degc).items(), strict=True):
+    for panel, (name, bias) in zip(
+        figure.subplots(2, 3, sharex=True, sharey=True).flat, biases(degc).items(), strict=True
+    ):
         panel.plot(degc[:turned], bias[:turned], color="C3", label="while it warms")
         panel.plot(degc[turned:], bias[turned:], color="C0", linestyle="--", label="while it cools")
         panel.set_title(name)
@@ -74,7 +76,9 @@ def draw_biases() -> Path:
 def draw_axes() -> Path:
     """Draw FRD and FLU on a case."""
     figure = Figure(figsize=(8.0, 3.6), layout="constrained")
-    for panel, (name, right, down) in zip(figure.subplots(1, 2), (("FRD", 1.0, 1.0), ("FLU", -1.0, -1.0)), strict=True):
+    for panel, (name, right, down) in zip(
+        figure.subplots(1, 2), (("FRD", 1.0, 1.0), ("FLU", -1.0, -1.0)), strict=True
+    ):
         _draw_case(panel)
         side, vertical = ("right", "down") if right > 0 else ("left", "up")
         _arrow(panel, (0.9, 0.45), "x forward", "C3")

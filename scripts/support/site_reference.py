@@ -49,7 +49,9 @@ def commands() -> str:
 
 def _helps(command: click.Command, parent: click.Context, name: str) -> Iterator[str]:
     """Yield the help of a command, and of those within it."""
-    context = click.Context(command, info_name=name, parent=parent, max_content_width=WIDTH, terminal_width=WIDTH)
+    context = click.Context(
+        command, info_name=name, parent=parent, max_content_width=WIDTH, terminal_width=WIDTH
+    )
     yield command.get_help(context)
     if isinstance(command, click.Group):
         for inner in command.list_commands(context):
@@ -74,7 +76,9 @@ def settings() -> str:
         ("Map of a table", "import-map.md", TableMap),
         ("Scenario", "simulation.md", Scenario),
     ]
-    parts = ["# Settings\n\nThe keys of the YAML files that a user writes. A key without a default is required.\n"]
+    parts = [
+        "# Settings\n\nThe keys of the YAML files that a user writes. A key without a default is required.\n"
+    ]
     shown: set[type[BaseModel]] = set()
     for title, page, model in files:
         parts.append(f"## {title}\n\nExplained in [{page}](../{page}).\n")
@@ -176,7 +180,10 @@ def exit_codes() -> str:
     codes = {name: getattr(errors, name) for name in dir(errors) if name.startswith("EXIT_")}
     meanings = _constants(inspect.getsource(errors))
     parts = ["# Exit codes\n\n| code | meaning |\n|---:|---|"]
-    parts += [f"| {code} | {_cell(meanings[name])} |" for name, code in sorted(codes.items(), key=lambda one: one[1])]
+    parts += [
+        f"| {code} | {_cell(meanings[name])} |"
+        for name, code in sorted(codes.items(), key=lambda one: one[1])
+    ]
     parts.append(
         "\nAn error is one message on standard error: what was found, and what to do. In Python it is an "
         "`imumon.ImumonError` with a `reason`:\n\n| reason | code | when |\n|---|---:|---|"
@@ -211,7 +218,11 @@ def library() -> str:
 def _members(offered: type) -> Iterator[tuple[str, Any]]:
     """Yield the public methods and properties that a class defines itself, with a docstring."""
     for name, value in vars(offered).items():
-        if not name.startswith("_") and inspect.getdoc(value) and (callable(value) or isinstance(value, property)):
+        if (
+            not name.startswith("_")
+            and inspect.getdoc(value)
+            and (callable(value) or isinstance(value, property))
+        ):
             yield name, value
 
 

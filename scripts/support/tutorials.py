@@ -1,7 +1,7 @@
-"""The tutorials of the docs, run from first to last line: `scripts/docs --tutorials` writes their outputs anew.
+"""The tutorials of the docs, run from first to last line; as a program it writes their outputs anew.
 
-A page has blocks of commands (```sh) and, behind some, what they print (```text).  A line `...` there stands for
-lines that are left out.  Pictures of a page that a command draws have the name of the picture's file.
+A page has blocks of commands (```sh) and, behind some, what they print (```text).  There a line `...` stands
+for lines that are left out.  Pictures of a page that a command draws have the name of the picture's file.
 """
 
 from __future__ import annotations
@@ -110,7 +110,9 @@ def write(page: Path) -> None:
         text = page.read_text(encoding="utf-8")
         for ran in run(page, folder):
             if ran.expected is not None and "..." not in ran.expected:
-                old, new = (f"{ran.commands}```\n\n```text\n{one}```\n" for one in (ran.expected, _shown(ran.printed)))
+                old, new = (
+                    f"{ran.commands}```\n\n```text\n{one}```\n" for one in (ran.expected, _shown(ran.printed))
+                )
                 text = text.replace(old, new, 1)
         page.write_text(text, encoding="utf-8")
         for picture in re.findall(r"\(\.\./figures/tutorials/([\w-]+\.png)\)", text):
