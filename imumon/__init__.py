@@ -9,8 +9,8 @@ Flow, one way::
               '-> framing -> fields -> epochs -> clock -> SampleBlock -> stages in order -> view, tables
                                          '-> side streams -> tables of their own
 
-Live, replay, import and simulation differ only in what stands at the left end.  docs/architecture.md shows each step
-and which files to touch to add something, docs/columns.md every column.
+Live, replay, import and simulation differ only in what stands at the left end.
+docs/architecture.md shows each step and which files to touch to add something, docs/columns.md every column.
 
 Time
     Always int64 nanoseconds.  ``device_time_ns`` is the device's own clock, unwrapped, as the device counts

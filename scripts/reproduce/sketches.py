@@ -18,6 +18,8 @@ LAG_S, DEAD_S, HALF_LOOP = 180.0, 180.0, 3.0
 WARM_UP_S, WARM_UP = 400.0, 40.0
 STEP_AT, STEP_SIZE = 0.35, 30.0
 """Share of the time at which the bias steps, and by how much, °/h."""
+ARW, INSTABILITY, WALK = 0.28, 2.0, 2.0
+"""Terms of the Allan curve that is drawn: N in °/√h, B in °/h, K in °/h/√h."""
 
 
 def course() -> FloatArray:
@@ -71,6 +73,47 @@ def draw_biases() -> Path:
     for panel in axes[::3]:
         panel.set_ylabel("bias [°/h]")
     return _saved(figure, "bias-over-temperature")
+
+
+def draw_allan() -> Path:
+    """Draw the Allan deviation of a gyro with three terms, and what each part of it means."""
+    tau_s = np.geomspace(1.0, 30000.0, 200)
+    hours = tau_s / 3600.0
+    white, flat, walk = ARW / np.sqrt(hours), 0.664 * INSTABILITY + 0.0 * hours, WALK * np.sqrt(hours / 3.0)
+    figure = Figure(figsize=(8.0, 4.6), layout="constrained")
+    panel = figure.subplots()
+    panel.loglog(
+        tau_s, np.sqrt(white**2 + flat**2 + walk**2), color="C0", linewidth=2.5, label="Allan deviation"
+    )
+    for values, color, name in (
+        (white, "C1", "white noise"),
+        (flat, "C2", "flicker"),
+        (walk, "C3", "random walk"),
+    ):
+        panel.loglog(tau_s, values, color=color, linewidth=1.0, linestyle="--", label=name)
+    panel.plot([3600.0], [ARW], "o", color="C1")
+    marks = (
+        ((6.0, ARW / np.sqrt(6.0 / 3600.0)), (12.0, 18.0), "averaging helps:\nslope −1/2", "C1"),
+        ((3600.0, ARW), (5000.0, 0.45), f"at 1 h this line is at\nN = {ARW} °/√h", "C1"),
+        (
+            (60.0, 0.664 * INSTABILITY),
+            (1.5, 0.65),
+            f"0.664 B, here B = {INSTABILITY:g} °/h:\nno averaging gets below",
+            "C2",
+        ),
+        (
+            (25000.0, WALK * np.sqrt(25000.0 / 3600.0 / 3.0)),
+            (1000.0, 5.0),
+            "the bias itself walks away:\nslope +1/2",
+            "C3",
+        ),
+    )
+    for to, at, text, color in marks:
+        panel.annotate(text, to, at, color=color, arrowprops={"arrowstyle": "->", "color": color})
+    panel.set(xlabel="averaging time τ [s]", ylabel="°/h", ylim=(0.2, 30.0))
+    panel.grid(alpha=0.3, which="both")
+    panel.legend(loc="upper right")
+    return _saved(figure, "allan")
 
 
 def draw_axes() -> Path:
