@@ -7,6 +7,7 @@ that is damaged in the middle.
 
 from __future__ import annotations
 
+import mmap
 import struct
 import zlib
 from dataclasses import dataclass
@@ -69,7 +70,7 @@ class Check:
         return body + zlib.crc32(body).to_bytes(4, "little")
 
     @classmethod
-    def unpack(cls, buffer: bytes, offset: int) -> Check | None:
+    def unpack(cls, buffer: mmap.mmap | bytes, offset: int) -> Check | None:
         """Return the record that begins here, or None when it is not one, or damaged."""
         record = buffer[offset : offset + CHECK_SIZE]
         if len(record) < CHECK_SIZE or zlib.crc32(record[:-4]).to_bytes(4, "little") != record[-4:]:
