@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 from imumon.publishing.messages import Lanes, Published, messages
-from imumon.publishing.target import Kind, Target
+from imumon.publishing.target import Target
 from imumon.view.items import ViewSetup
 
 BURST_BYTES = 1 << 16
@@ -39,7 +39,7 @@ class Outlet(Protocol):
 class UdpJson:
     """A datagram for each message, as PlotJuggler reads: ``{"timestamp": s, "imu": {"gyro_x": ...}}``."""
 
-    def __init__(self, target: Target, _: ViewSetup) -> None:
+    def __init__(self, target: Target) -> None:
         family = socket.AF_INET6 if ":" in target.host else socket.AF_INET
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -87,23 +87,12 @@ def make_outlet(target: Target, setup: ViewSetup) -> Outlet:
 
     Raises BUSY or BAD_CONFIG when it cannot be opened.
     """
-    return _MAKERS[target.kind](target, setup)
+    if target.kind == "foxglove":
+        from imumon.publishing.foxglove import Foxglove
 
+        return Foxglove(target, setup)
+    if target.kind == "ros2":
+        from imumon.publishing.ros2 import Ros2
 
-def _foxglove(target: Target, setup: ViewSetup) -> Outlet:
-    from imumon.publishing.foxglove import Foxglove
-
-    return Foxglove(target, setup)
-
-
-def _ros2(target: Target, setup: ViewSetup) -> Outlet:
-    from imumon.publishing.ros2 import Ros2
-
-    return Ros2(target, setup)
-
-
-_MAKERS: dict[Kind, Callable[[Target, ViewSetup], Outlet]] = {
-    "udp-json": UdpJson,
-    "foxglove": _foxglove,
-    "ros2": _ros2,
-}
+        return Ros2(target, setup)
+    return UdpJson(target)
