@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import device_text, parse_device
@@ -67,12 +66,9 @@ def metadata_anew(path: Path, device_name: str | None) -> Anew:
     first = next(iter(WireReader(path)), None)
     if first is None:
         raise ImumonError(Reason.BAD_DATA, f"{path} holds no message", "there is nothing to recover")
-    source: Literal["live", "simulation"] = "live"
-    if written.get("source") == "simulation":
-        source = "simulation"
     port = written.get("port")
     metadata = SessionMetadata.begun(
-        source,
+        "simulation" if written.get("source") == "simulation" else "live",
         first.arrival_ns if isinstance(first, Bytes) else first.time_ns,
         device=device.name,
         axes=device.axes,
