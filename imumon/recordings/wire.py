@@ -37,7 +37,6 @@ from imumon.recordings.wire_format import (
     EVENT_CHANNEL,
     EVENT_ENCODING,
     EVENT_TOPIC,
-    FOOTER_OP,
     FORMAT,
     MAGIC,
     MESSAGE,
@@ -93,7 +92,8 @@ class WireWriter:
         self._unflushed: deque[tuple[int, int]] = deque()
         self._sequence = self._reads = self._bytes = self._events = 0
         self._on_disk = self._unrecorded = 0
-        self._gap_reads = self._gap_bytes = self._gap_events = 0
+        self._gap = Counter[str]()
+        """Of what is given up since the last message: reads, bytes and events."""
         self._first_ns = self._last_ns = self._highest_ns = 0
         self._messages: Counter[int] = Counter()
         self._begin()
@@ -143,7 +143,7 @@ class WireWriter:
         self._messages.clear()
         self._sequence, self._on_disk, self._unrecorded = 0, 0, self._bytes
         self._unflushed.clear()
-        self._gap_reads, self._gap_bytes, self._gap_events = self._reads, self._bytes, self._events
+        self._gap = Counter(reads=self._reads, bytes=self._bytes, events=self._events)
         self._say_gap(self._last_ns)
 
     @property
@@ -231,17 +231,17 @@ class WireWriter:
 
     def _give_up(self, item: Item) -> None:
         if isinstance(item, Bytes):
-            self._gap_reads += 1
-            self._gap_bytes += len(item.data)
+            self._gap.update(reads=1, bytes=len(item.data))
             self._unrecorded += len(item.data)
         else:
-            self._gap_events += 1
+            self._gap.update(events=1)
 
     def _say_gap(self, time_ns: int) -> None:
-        if self._gap_reads or self._gap_events:
-            counts = {"reads": self._gap_reads, "bytes": self._gap_bytes, "events": self._gap_events}
-            self._add_event(UNRECORDED, time_ns, counts)
-            self._gap_reads = self._gap_bytes = self._gap_events = 0
+        if self._gap.total():
+            self._add_event(
+                UNRECORDED, time_ns, {name: self._gap[name] for name in ("reads", "bytes", "events")}
+            )
+            self._gap.clear()
 
     def _seal(self) -> None:
         """Write the check record of what came since the last one."""
@@ -272,7 +272,6 @@ class WireWriter:
         summary = b"".join(map(_packed, (*_TOPICS, statistics, index)))
         start = self._spool.tell()
         unchecked = _packed(Footer(summary_start=start, summary_offset_start=0, summary_crc=0))
-        assert unchecked[0] == FOOTER_OP
         crc = zlib.crc32(unchecked[:-4], zlib.crc32(summary))
         footer = Footer(summary_start=start, summary_offset_start=0, summary_crc=crc)
         self._spool.write(summary + _packed(footer) + MAGIC)

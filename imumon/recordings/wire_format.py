@@ -12,6 +12,8 @@ import struct
 import zlib
 from dataclasses import dataclass
 
+from mcap.opcode import Opcode
+
 FORMAT = "imumon-wire/2"
 """Written as the profile of the MCAP file."""
 FORMATS = ("imumon-wire/1", FORMAT)
@@ -32,9 +34,7 @@ RECORD = struct.Struct("<BQ")
 MESSAGE = struct.Struct("<BQHIQQ")
 """Opcode, bytes that follow, channel, sequence, log time, publish time; then the payload."""
 MESSAGE_FIELDS = MESSAGE.size - RECORD.size
-HEADER_OP, FOOTER_OP, SCHEMA_OP, CHANNEL_OP, MESSAGE_OP, CHUNK_OP = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06
-MESSAGE_INDEX_OP, ATTACHMENT_OP, STATISTICS_OP = 0x07, 0x09, 0x0B
-METADATA_OP, DATA_END_OP = 0x0C, 0x0F
+MESSAGE_OP, DATA_END_OP = int(Opcode.MESSAGE), int(Opcode.DATA_END)
 STATISTICS_COUNTS = struct.Struct("<Q")
 """What the statistics begin with: the number of messages."""
 SEQUENCE_MASK = (1 << 32) - 1

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, Message, Metadata
 from mcap.stream_reader import breakup_chunk
 from zstandard import ZstdError
@@ -38,7 +39,7 @@ _CONTENTS = {
     (wf.WIRE_TOPIC, wf.BARE_ENCODING): BARE,
     (wf.EVENT_TOPIC, wf.EVENT_ENCODING): EVENT,
 }
-_PASSED_OVER = (wf.SCHEMA_OP, wf.MESSAGE_INDEX_OP, wf.ATTACHMENT_OP, wf.CHECK_OP)
+_PASSED_OVER = (Opcode.SCHEMA, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, wf.CHECK_OP)
 LONGEST_MESSAGE = 16 << 20
 LONGEST_RARE = 1 << 20
 LONGEST_CHUNK = 256 << 20
@@ -230,7 +231,7 @@ class _Contents:
         at = self._done
         while at + RECORD.size + wf.STATISTICS_COUNTS.size <= len(self._data):
             opcode, length = RECORD.unpack_from(self._data, at)
-            if opcode == wf.STATISTICS_OP:
+            if opcode == Opcode.STATISTICS:
                 (messages,) = wf.STATISTICS_COUNTS.unpack_from(self._data, at + RECORD.size)
                 yield from self._lose(0, self.found.last_ns, messages & SEQUENCE_MASK)
                 return
@@ -318,7 +319,7 @@ class _Contents:
         """Return whether a record begins here, by the fields that are there: a message has its time twice."""
         opcode, left = self._data[at], len(self._data) - at
         if opcode != wf.MESSAGE_OP or left < MESSAGE.size:
-            longest = LONGEST_CHUNK if opcode == wf.CHUNK_OP else LONGEST_RARE
+            longest = LONGEST_CHUNK if opcode == Opcode.CHUNK else LONGEST_RARE
             is_known = 0 < opcode <= wf.DATA_END_OP or opcode == wf.CHECK_OP
             is_cut = left < RECORD.size or opcode == wf.MESSAGE_OP
             return is_known and (is_cut or RECORD.unpack_from(self._data, at)[1] <= longest)
@@ -393,16 +394,16 @@ class _Contents:
         Raises ValueError when it is not what its first byte says; the library has others.
         """
         stream = ReadDataStream(BytesIO(body))
-        if opcode == wf.HEADER_OP:
+        if opcode == Opcode.HEADER:
             profile = Header.read(stream).profile
             if profile not in wf.FORMATS:
                 raise self._error(f"is an MCAP file of profile {profile!r}, not {wf.FORMAT!r}")
-        elif opcode == wf.CHANNEL_OP:
+        elif opcode == Opcode.CHANNEL:
             self._channel(Channel.read(stream))
-        elif opcode == wf.METADATA_OP:
+        elif opcode == Opcode.METADATA:
             metadata = Metadata.read(stream)
             self.found.metadata |= metadata.metadata if metadata.name == "imumon" else {}
-        elif opcode == wf.CHUNK_OP:
+        elif opcode == Opcode.CHUNK:
             yield from self._chunk(Chunk.read(stream))
         elif opcode not in _PASSED_OVER:
             raise ValueError("such a record does not stand here")
