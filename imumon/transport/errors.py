@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import socket
 import stat
 import sys
 from pathlib import Path
@@ -117,13 +116,8 @@ def _errno(error: BaseException | None) -> int | None:
 
 
 def _errno_text(number: int | None, error: Exception) -> str:
-    if number is None:
-        return str(error)
     if number not in errno.errorcode:  # the resolver has its own, negative numbers
-        root: BaseException = error
-        while root.__context__ is not None and not isinstance(root, socket.gaierror):
-            root = root.__context__
-        return str(root)
+        return str(error)
     return f"{os.strerror(number)} (errno {number}, {errno.errorcode[number]})"
 
 
