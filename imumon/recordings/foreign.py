@@ -236,7 +236,8 @@ def _parse_batch(
     wrong = dict.fromkeys(np.flatnonzero(np.isinf(values).any(axis=0)).tolist(), "a value is infinite")
     times = None
     if time is not None:
-        times, wrong_times = _times(batch.column(time.column), time)
+        texts = pc.cast(batch.column(time.column), pa.string()).to_pylist()
+        times, wrong_times = _times_of_text(texts, time)
         wrong |= wrong_times
     line = np.arange(len(batch), dtype=np.int64) + first_row + 1
     return _part(first_row, line, times, values, wrong, lambda row: str(batch.slice(row, 1).to_pylist()[0]))
@@ -248,17 +249,6 @@ def _numbers(path: Path, name: str, column: Any) -> FloatArray:
         raise ImumonError(Reason.BAD_DATA, f"{path}: column {name!r} is {kind}, not a number")
     values = pc.cast(column, pa.float64(), safe=False).fill_null(math.nan)
     return np.asarray(values.to_numpy(zero_copy_only=False), np.float64)
-
-
-def _times(column: Any, time: TimeColumn) -> tuple[IntArray, Wrong]:
-    if not pa.types.is_timestamp(column.type):
-        return _times_of_text([None if value is None else str(value) for value in column.to_pylist()], time)
-    values = column.cast(pa.timestamp("ns", column.type.tz)).cast(pa.int64())
-    times = np.asarray(values.fill_null(0).to_numpy(zero_copy_only=False), np.int64)
-    if time.unit != TIMESTAMPS:
-        wrong = f"time is a timestamp, so its unit is {TIMESTAMPS}, not {time.unit}"
-        return times, dict.fromkeys(range(len(column)), wrong)
-    return times, dict.fromkeys(np.flatnonzero(values.is_null()).tolist(), "time is absent")
 
 
 # Both

@@ -20,9 +20,7 @@ import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Header, Message, Metadata
-from mcap.stream_reader import breakup_chunk
-from zstandard import ZstdError
+from mcap.records import Channel, Header, Metadata
 
 from imumon.errors import ImumonError, Reason
 from imumon.files import readable
@@ -42,11 +40,10 @@ _CONTENTS = {
 _PASSED_OVER = (Opcode.SCHEMA, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, wf.CHECK_OP)
 LONGEST_MESSAGE = 16 << 20
 LONGEST_RARE = 1 << 20
-LONGEST_CHUNK = 256 << 20
 """A record that claims to be longer is damage, not a record."""
 _BATCH_READS = 1 << 13
 """Most reads that are handed on at once."""
-BAD_RECORD = (McapError, ZstdError, struct.error, ValueError, RuntimeError, OverflowError, MemoryError)
+BAD_RECORD = (McapError, struct.error, ValueError, RuntimeError, OverflowError, MemoryError)
 """What the library raises for a record that is not what its first byte says."""
 _HEAD = 64
 
@@ -164,6 +161,8 @@ class _Contents:
         if not is_mcap and not self._done:
             hint = "only wire files that imumon recorded can be replayed"
             raise ImumonError(Reason.BAD_DATA, f"{self._path}: is not a wire file", hint)
+        if not self.found.reads and data[self._done : self._done + 1] == bytes([Opcode.CHUNK]):
+            raise self._error("another program has put it into chunks")
 
     def _block(self, check: Check, end: int) -> Generator[Reads | Event]:
         """Yield the block that a check record at this place seals, or count what is lost.
@@ -278,20 +277,23 @@ class _Contents:
             if opcode != wf.MESSAGE_OP:
                 after = at + RECORD.size + RECORD.unpack_from(data, at)[1]
                 try:
-                    yield from self._rare(opcode, data[at + RECORD.size : after])
+                    self._rare(opcode, data[at + RECORD.size : after])
                 except BAD_RECORD:
                     break
             else:
                 _, length, channel, sequence, time_ns, _ = MESSAGE.unpack_from(data, at)
                 after = at + RECORD.size + length
                 self._next_sequence = (sequence + 1) & SEQUENCE_MASK
-                payload = data[at + MESSAGE.size : after]
-                if self._contents.get(channel) is EVENT:
-                    yield from self._event(payload, time_ns, sealed=sealed)
-                else:
-                    self._keep(channel, payload, time_ns)
-                if len(self._pieces) >= _BATCH_READS:
-                    yield from self._reads()
+                self.found.last_ns = time_ns
+                content = self._contents.get(channel)
+                if content is EVENT:
+                    yield from self._event(data[at + MESSAGE.size : after], time_ns, sealed=sealed)
+                elif content is WIRE or content is BARE:
+                    begin = at + MESSAGE.size + (CDR.size if content is WIRE else 0)
+                    self._pieces.append(data[begin:after])
+                    self._arrivals_ns.append(time_ns)
+                    if len(self._pieces) >= _BATCH_READS:
+                        yield from self._reads()
             at = after
         return at
 
@@ -319,10 +321,9 @@ class _Contents:
         """Return whether a record begins here, by the fields that are there: a message has its time twice."""
         opcode, left = self._data[at], len(self._data) - at
         if opcode != wf.MESSAGE_OP or left < MESSAGE.size:
-            longest = LONGEST_CHUNK if opcode == Opcode.CHUNK else LONGEST_RARE
             is_known = 0 < opcode <= wf.DATA_END_OP or opcode == wf.CHECK_OP
             is_cut = left < RECORD.size or opcode == wf.MESSAGE_OP
-            return is_known and (is_cut or RECORD.unpack_from(self._data, at)[1] <= longest)
+            return is_known and (is_cut or RECORD.unpack_from(self._data, at)[1] <= LONGEST_RARE)
         _, length, channel, _, time_ns, published_ns = MESSAGE.unpack_from(self._data, at)
         content = self._contents.get(channel)
         if content is None or time_ns != published_ns or time_ns >= 1 << 63 or length > LONGEST_MESSAGE:
@@ -354,16 +355,7 @@ class _Contents:
             self.found.bytes += len(data)
             yield batch
 
-    def _keep(self, channel: int, payload: bytes, time_ns: int) -> None:
-        """Keep the payload of a message if it is a read."""
-        self.found.last_ns = time_ns
-        content = self._contents.get(channel)
-        if content is WIRE or content is BARE:
-            self._pieces.append(payload[CDR.size :] if content is WIRE else payload)
-            self._arrivals_ns.append(time_ns)
-
     def _event(self, body: bytes, time_ns: int, *, sealed: bool) -> Generator[Reads | Event]:
-        self.found.last_ns = time_ns
         yield from self._reads()
         try:
             fields = json.loads(body)
@@ -388,8 +380,8 @@ class _Contents:
             self.found.damage.add(place)
             self.found.recovered.add(place)
 
-    def _rare(self, opcode: int, body: bytes) -> Generator[Reads | Event]:
-        """Take in a rare record: header, channel, or a chunk if another tool rewrote the file.
+    def _rare(self, opcode: int, body: bytes) -> None:
+        """Take in a rare record: header, channel or metadata.
 
         Raises ValueError when it is not what its first byte says; the library has others.
         """
@@ -403,8 +395,6 @@ class _Contents:
         elif opcode == Opcode.METADATA:
             metadata = Metadata.read(stream)
             self.found.metadata |= metadata.metadata if metadata.name == "imumon" else {}
-        elif opcode == Opcode.CHUNK:
-            yield from self._chunk(Chunk.read(stream))
         elif opcode not in _PASSED_OVER:
             raise ValueError("such a record does not stand here")
 
@@ -413,21 +403,6 @@ class _Contents:
         content = _CONTENTS.get((channel.topic, channel.message_encoding))
         if content is not None or channel.id not in self._contents:
             self._contents[channel.id] = content or FOREIGN
-
-    def _chunk(self, chunk: Chunk) -> Generator[Reads | Event]:
-        """Yield the items of a chunk, which has a checksum of its own; its messages need no numbers."""
-        if chunk.uncompressed_size > LONGEST_CHUNK:
-            raise ValueError("the chunk is too long")
-        for inside in breakup_chunk(chunk, validate_crc=True):
-            if isinstance(inside, Channel):
-                self._channel(inside)
-            elif isinstance(inside, Message):
-                if inside.log_time >= 1 << 63:
-                    raise ValueError("the time is out of range")
-                if self._contents.get(inside.channel_id) is EVENT:
-                    yield from self._event(inside.data, inside.log_time, sealed=True)
-                else:
-                    self._keep(inside.channel_id, inside.data, inside.log_time)
 
 
 def _message_at(data: mmap.mmap | bytes, at: int) -> tuple[int, int]:
