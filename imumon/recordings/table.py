@@ -321,13 +321,12 @@ def _csv_columns(path: Path) -> dict[str, Column]:
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: it is empty")
     units = units_path(path)
     units_of = load_yaml(units, _UnitsFile).columns if units.is_file() else {}
-    columns = {}
-    for name in names:
-        if name in units_of:
-            columns[name] = Column(name, units_of[name].unit, units_of[name].type, units_of[name].description)
-        else:
-            columns[name] = KNOWN.get(name) or Column(name, "")
-    return columns
+    columns = {name: KNOWN.get(name) or Column(name, "") for name in names}
+    return columns | {
+        name: Column(name, own.unit, own.type, own.description)
+        for name, own in units_of.items()
+        if name in columns
+    }
 
 
 def _parquet_column(path: Path, field: Any) -> Column:
@@ -411,13 +410,7 @@ def _merged(parts: Sequence[Path], schema: Any) -> Iterator[Any]:
     for part in parts:
         with pq.ParquetFile(part, pre_buffer=False) as file:
             for batch in file.iter_batches(batch_size=READ_ROWS):
-                arrays = [
-                    batch.column(field.name)
-                    if field.name in batch.schema.names
-                    else pa.nulls(len(batch), field.type)
-                    for field in schema
-                ]
-                yield pa.Table.from_arrays(arrays, schema=schema)
+                yield _to_arrow(_from_arrow(batch, batch.schema), schema)
 
 
 def _write_csv(path: Path, tables: Iterable[Any], schema: Any) -> None:
