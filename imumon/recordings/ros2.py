@@ -217,7 +217,7 @@ class Stream:
             yield _Topic(
                 "/imu/mag",
                 MAG,
-                np.isfinite(mag).all(axis=1),
+                np.asarray(np.isfinite(mag).all(axis=1)),
                 lambda row: {"magnetic_field": _named(values[row]), "magnetic_field_covariance": UNKNOWN},
             )
 

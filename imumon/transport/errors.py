@@ -116,7 +116,7 @@ def _errno(error: BaseException | None) -> int | None:
 
 
 def _errno_text(number: int | None, error: Exception) -> str:
-    if number not in errno.errorcode:  # the resolver has its own, negative numbers
+    if number is None or number not in errno.errorcode:  # the resolver has its own, negative numbers
         return str(error)
     return f"{os.strerror(number)} (errno {number}, {errno.errorcode[number]})"
 
