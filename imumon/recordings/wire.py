@@ -35,8 +35,6 @@ from imumon.recordings.wire_format import (
     CDR,
     CDR_LITTLE,
     EVENT_CHANNEL,
-    EVENT_ENCODING,
-    EVENT_TOPIC,
     FORMAT,
     MAGIC,
     MESSAGE,
@@ -44,8 +42,6 @@ from imumon.recordings.wire_format import (
     MESSAGE_OP,
     UNRECORDED,
     WIRE_CHANNEL,
-    WIRE_ENCODING,
-    WIRE_TOPIC,
     Check,
 )
 from imumon.transport.reader import Bytes, Item
@@ -289,8 +285,8 @@ _SCHEMAS = (
     Schema(id=2, name="imumon.Event", encoding="jsonschema", data=json.dumps(_EVENT_SCHEMA).encode()),
 )
 _CHANNELS = (
-    Channel(id=WIRE_CHANNEL, topic=WIRE_TOPIC, message_encoding=WIRE_ENCODING, metadata={}, schema_id=1),
-    Channel(id=EVENT_CHANNEL, topic=EVENT_TOPIC, message_encoding=EVENT_ENCODING, metadata={}, schema_id=2),
+    Channel(id=WIRE_CHANNEL, topic="/wire", message_encoding="cdr", metadata={}, schema_id=1),
+    Channel(id=EVENT_CHANNEL, topic="/event", message_encoding="json", metadata={}, schema_id=2),
 )
 _TOPICS: tuple[McapRecord, ...] = (*_SCHEMAS, *_CHANNELS)
 

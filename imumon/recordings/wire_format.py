@@ -18,15 +18,13 @@ FORMAT = "imumon-wire/2"
 """Written as the profile of the MCAP file."""
 FORMATS = ("imumon-wire/1", FORMAT)
 """Those that are read; in the first, reads are bare bytes."""
-WIRE_TOPIC, EVENT_TOPIC = "/wire", "/event"
 BARE_CHANNEL, EVENT_CHANNEL, WIRE_CHANNEL = 1, 2, 3
 """Always these, so that a file whose beginning is damaged can be read; the first has bare bytes."""
-BARE_ENCODING, EVENT_ENCODING, WIRE_ENCODING = "x-bytes", "json", "cdr"
 CDR = struct.Struct("<4sI")
 """What CDR has before the bytes of ``uint8[] data``: little-endian, and how many they are."""
 CDR_LITTLE = b"\x00\x01\x00\x00"
 UNRECORDED = "unrecorded"
-"""Kind of the message in `EVENT_TOPIC` that tells how many bytes are missing before it."""
+"""Kind of the event that tells how many bytes are missing before it."""
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")

@@ -20,7 +20,7 @@ import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Header, Metadata
+from mcap.records import Header, Metadata
 
 from imumon.errors import ImumonError, Reason
 from imumon.files import readable
@@ -31,13 +31,10 @@ from imumon.transport.reader import Event, EventKind, Item, Reads
 
 READ_SIZE = 1 << 20
 PROFILE = wf.FORMAT.rpartition("/")[0].encode()
-WIRE, BARE, EVENT, FOREIGN = "reads in CDR", "reads alone", "events", "something of another program"
-_CONTENTS = {
-    (wf.WIRE_TOPIC, wf.WIRE_ENCODING): WIRE,
-    (wf.WIRE_TOPIC, wf.BARE_ENCODING): BARE,
-    (wf.EVENT_TOPIC, wf.EVENT_ENCODING): EVENT,
-}
-_PASSED_OVER = (Opcode.SCHEMA, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, wf.CHECK_OP)
+_BEFORE_DATA = {wf.WIRE_CHANNEL: CDR.size, wf.BARE_CHANNEL: 0}
+"""Bytes before the data of a read, by its channel."""
+_PASSED_OVER = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, wf.CHECK_OP)
+"""The channels of a wire file have the same numbers in all."""
 LONGEST_MESSAGE = 16 << 20
 LONGEST_RARE = 1 << 20
 """A record that claims to be longer is damage, not a record."""
@@ -134,7 +131,6 @@ class _Contents:
         """Of the next message, modulo 2^32; None before the first in a file without check records."""
         self._pieces: list[bytes] = []
         self._arrivals_ns: list[int] = []
-        self._contents = {wf.WIRE_CHANNEL: WIRE, wf.BARE_CHANNEL: BARE, wf.EVENT_CHANNEL: EVENT}
 
     def batches(self) -> Generator[Reads | Event]:
         """Yield everything; `found` is complete afterwards.
@@ -285,12 +281,10 @@ class _Contents:
                 after = at + RECORD.size + length
                 self._next_sequence = (sequence + 1) & SEQUENCE_MASK
                 self.found.last_ns = time_ns
-                content = self._contents.get(channel)
-                if content is EVENT:
+                if channel == wf.EVENT_CHANNEL:
                     yield from self._event(data[at + MESSAGE.size : after], time_ns, sealed=sealed)
-                elif content is WIRE or content is BARE:
-                    begin = at + MESSAGE.size + (CDR.size if content is WIRE else 0)
-                    self._pieces.append(data[begin:after])
+                elif channel in _BEFORE_DATA:
+                    self._pieces.append(data[at + MESSAGE.size + _BEFORE_DATA[channel] : after])
                     self._arrivals_ns.append(time_ns)
                     if len(self._pieces) >= _BATCH_READS:
                         yield from self._reads()
@@ -325,10 +319,10 @@ class _Contents:
             is_cut = left < RECORD.size or opcode == wf.MESSAGE_OP
             return is_known and (is_cut or RECORD.unpack_from(self._data, at)[1] <= LONGEST_RARE)
         _, length, channel, _, time_ns, published_ns = MESSAGE.unpack_from(self._data, at)
-        content = self._contents.get(channel)
-        if content is None or time_ns != published_ns or time_ns >= 1 << 63 or length > LONGEST_MESSAGE:
+        is_known = channel in _BEFORE_DATA or channel == wf.EVENT_CHANNEL
+        if not is_known or time_ns != published_ns or time_ns >= 1 << 63 or length > LONGEST_MESSAGE:
             return False
-        if content is not WIRE or left < MESSAGE.size + CDR.size:
+        if channel != wf.WIRE_CHANNEL or left < MESSAGE.size + CDR.size:
             return True
         _, size = CDR.unpack_from(self._data, at + MESSAGE.size)
         return bool(size == length + RECORD.size - MESSAGE.size - CDR.size)
@@ -381,7 +375,7 @@ class _Contents:
             self.found.recovered.add(place)
 
     def _rare(self, opcode: int, body: bytes) -> None:
-        """Take in a rare record: header, channel or metadata.
+        """Take in a rare record: header or metadata.
 
         Raises ValueError when it is not what its first byte says; the library has others.
         """
@@ -390,19 +384,11 @@ class _Contents:
             profile = Header.read(stream).profile
             if profile not in wf.FORMATS:
                 raise self._error(f"is an MCAP file of profile {profile!r}, not {wf.FORMAT!r}")
-        elif opcode == Opcode.CHANNEL:
-            self._channel(Channel.read(stream))
         elif opcode == Opcode.METADATA:
             metadata = Metadata.read(stream)
             self.found.metadata |= metadata.metadata if metadata.name == "imumon" else {}
         elif opcode not in _PASSED_OVER:
             raise ValueError("such a record does not stand here")
-
-    def _channel(self, channel: Channel) -> None:
-        """Note what a channel has; ours have it even where the record that says so is damaged."""
-        content = _CONTENTS.get((channel.topic, channel.message_encoding))
-        if content is not None or channel.id not in self._contents:
-            self._contents[channel.id] = content or FOREIGN
 
 
 def _message_at(data: mmap.mmap | bytes, at: int) -> tuple[int, int]:
