@@ -214,7 +214,7 @@ def export_blocks(
     return writer.rows
 
 
-def iterate_samples(session: Session, rows_per_block: int = READ_ROWS) -> Iterator[SampleBlock]:
+def iterate_samples(session: Session) -> Iterator[SampleBlock]:
     """Yield the samples of an imported session in order.
 
     Raises BAD_DATA when the table cannot be read, or is not the one that was imported, or when the session
@@ -230,7 +230,7 @@ def iterate_samples(session: Session, rows_per_block: int = READ_ROWS) -> Iterat
             f" {imported.rows_out:,} were imported",
             f"import {imported.file} again, into another folder",
         )
-    return iterate_table(session.samples_path, rows_per_block)
+    return iterate_table(session.samples_path)
 
 
 def _rows(path: Path) -> int:
@@ -240,9 +240,7 @@ def _rows(path: Path) -> int:
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error}") from error
 
 
-def iterate_table(
-    path: Path, rows_per_block: int = READ_ROWS, columns: Sequence[str] | None = None
-) -> Iterator[SampleBlock]:
+def iterate_table(path: Path, columns: Sequence[str] | None = None) -> Iterator[SampleBlock]:
     """Yield the samples of a table that imumon wrote, or one with the same names, in order.
 
     Raises BAD_DATA when the table cannot be read or has a column that is neither float nor integer.
@@ -255,9 +253,9 @@ def iterate_table(
     there = read_columns(path)
     schema = _schema(there.values() if columns is None else [there[name] for name in columns])
     try:
-        for batch in _batches(path, schema, rows_per_block):
-            for start in range(0, len(batch), rows_per_block):
-                yield _from_arrow(batch.slice(start, rows_per_block), schema)
+        for batch in _batches(path, schema):
+            for start in range(0, len(batch), READ_ROWS):
+                yield _from_arrow(batch.slice(start, READ_ROWS), schema)
     except (pa.ArrowException, OSError) as error:
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error}") from error
 
@@ -390,11 +388,11 @@ def _from_arrow(batch: Any, schema: Any) -> SampleBlock:
     return SampleBlock(columns)
 
 
-def _batches(path: Path, schema: Any, rows: int) -> Iterator[Any]:
+def _batches(path: Path, schema: Any) -> Iterator[Any]:
     """Yield record batches of a table file."""
     if path.suffix == ".parquet":
         with pq.ParquetFile(path, pre_buffer=False) as file:
-            yield from file.iter_batches(batch_size=rows, columns=schema.names)
+            yield from file.iter_batches(batch_size=READ_ROWS, columns=schema.names)
         return
     options = pa_csv.ConvertOptions(
         column_types={field.name: field.type for field in schema},
