@@ -20,11 +20,10 @@ import numpy as np
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray, SampleBlock, missing
 from imumon.errors import missing_package
 from imumon.protocols.base import MAIN
+from imumon.recordings.conversions import CLOCKS
 from imumon.recordings.table import iterate_table, read_columns
 
 Message = dict[str, Any]
-CLOCKS = ("host_time_ns", "arrival_time_ns", "device_time_ns")
-"""The first that has values is the time of the messages: Unix time, or since power-on in a log without it."""
 SECOND_NS = 1_000_000_000
 TESLA = {"T": 1.0, "mT": 1e-3, "uT": 1e-6, "nT": 1e-9, "gauss": 1e-4, "mgauss": 1e-7}
 UNKNOWN, NOTHING = [0.0] * 9, [-1.0] + [0.0] * 8

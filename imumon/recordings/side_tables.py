@@ -13,7 +13,7 @@ from imumon.blocks import SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.files import check_output, naming, target
 from imumon.protocols.base import MAIN
-from imumon.recordings.conversions import CONVERTED, convert, needed
+from imumon.recordings.conversions import CLOCKS, CONVERTED, convert
 from imumon.recordings.table import TableWriter, export_blocks
 
 if TYPE_CHECKING:
@@ -72,7 +72,8 @@ def export_run(
     check_output(out, replace=True)
     with naming(out), TemporaryDirectory(prefix=".imumon-", dir=target(out).parent) as folder:
         table = Path(folder) / f"{out.stem}.parquet"
-        made = _tables(blocks, pipeline, source, table, columns, needed(out.suffix))
+        also = CLOCKS if out.suffix == ".mcap" else ()
+        made = _tables(blocks, pipeline, source, table, columns, also)
         names = {stream: out if stream == MAIN else side_path(out, stream) for stream in made.tables}
         written = {stream: Path(folder) / path.name for stream, path in names.items()}
         files, left_out = convert(made.tables, written, source.axes)
