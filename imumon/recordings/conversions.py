@@ -15,8 +15,6 @@ from imumon.errors import ImumonError, Reason
 from imumon.recordings.table import read_table
 
 CONVERTED = (".npz", ".mat", ".mcap")
-CLOCKS = ("host_time_ns", "arrival_time_ns", "device_time_ns")
-"""The first that has values is the time of ROS messages: Unix time, or since power-on in a log without it."""
 LONGEST_NAME = 63
 """Of a variable in MATLAB; a longer one is cut."""
 

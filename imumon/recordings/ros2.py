@@ -20,8 +20,7 @@ import numpy as np
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray, SampleBlock, missing
 from imumon.errors import missing_package
 from imumon.protocols.base import MAIN
-from imumon.recordings.conversions import CLOCKS
-from imumon.recordings.table import iterate_table, read_columns
+from imumon.recordings.table import CLOCKS, iterate_table, read_columns
 
 Message = dict[str, Any]
 SECOND_NS = 1_000_000_000

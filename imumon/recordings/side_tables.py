@@ -13,8 +13,8 @@ from imumon.blocks import SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.files import check_output, naming, target
 from imumon.protocols.base import MAIN
-from imumon.recordings.conversions import CLOCKS, CONVERTED, convert
-from imumon.recordings.table import TableWriter, export_blocks
+from imumon.recordings.conversions import CONVERTED, convert
+from imumon.recordings.table import CLOCKS, TableWriter, export_blocks
 
 if TYPE_CHECKING:
     from imumon.pipeline import Pipeline

@@ -34,6 +34,8 @@ BUFFER_BYTES = 16 << 20
 ARRAY_OVERHEAD = 160
 """Bytes that an array takes besides its values; blocks of one sample are mostly that."""
 READ_ROWS = 65_536
+CLOCKS = ("host_time_ns", "arrival_time_ns", "device_time_ns")
+"""The first that has values is the time of ROS messages: Unix time, or since power-on in a log without it."""
 
 _ARROW = {"float64": pa.float64(), "int64": pa.int64()}
 
