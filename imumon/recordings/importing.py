@@ -165,15 +165,11 @@ class TableImport:
 
 def _columns(table_map: TableMap) -> dict[str, Column]:
     """Return the columns of the session with their units, in canonical order."""
-    sources = table_map.sources()
-    arbitrary = {source.target for source in sources if source.unit.target == "1"}
-    names = {"device_time_ns", "segment", *(source.target for source in sources)}
-    known = {
-        name: Column(name, "1", column.dtype, column.description) if name in arbitrary else column
-        for name, column in KNOWN.items()
-        if name in names
-    }
-    return known | {s.target: Column(s.target, s.unit.target) for s in sources if s.target not in KNOWN}
+    columns = {name: KNOWN[name] for name in ("device_time_ns", "segment")}
+    for source in table_map.sources():
+        column = KNOWN.get(source.target) or Column(source.target, "")
+        columns[source.target] = replace(column, unit=source.unit.target)
+    return columns
 
 
 def _block(part: Part, table_map: TableMap, times: RowTimes) -> SampleBlock:
