@@ -53,7 +53,7 @@ BLOCK_BYTES = 1 << 13
 """A block is sealed when it has so many bytes, or when it is flushed: so much is lost by one wrong bit."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class WireCounters:
     """What a `WireWriter` got, and what of it is in the file."""
 
@@ -86,8 +86,8 @@ class WireWriter:
         self._path = path
         self._metadata = Metadata(name="imumon", metadata=dict(metadata))
         self._unflushed: deque[tuple[int, int]] = deque()
-        self._sequence = self._reads = self._bytes = self._events = 0
-        self._on_disk = self._unrecorded = 0
+        self._sequence = 0
+        self.counters = WireCounters()
         self._gap = Counter[str]()
         """Of what is given up since the last message: reads, bytes and events."""
         self._first_ns = self._last_ns = self._highest_ns = 0
@@ -137,23 +137,19 @@ class WireWriter:
         self._begin()
         gone.close()
         self._messages.clear()
-        self._sequence, self._on_disk, self._unrecorded = 0, 0, self._bytes
+        self._sequence, counts = 0, self.counters
+        counts.bytes_on_disk, counts.bytes_unrecorded = 0, counts.bytes
         self._unflushed.clear()
-        self._gap = Counter(reads=self._reads, bytes=self._bytes, events=self._events)
+        self._gap = Counter(reads=counts.reads, bytes=counts.bytes, events=counts.events)
         self._say_gap(self._last_ns)
-
-    @property
-    def counters(self) -> WireCounters:
-        """What was written so far."""
-        return WireCounters(self._reads, self._bytes, self._events, self._on_disk, self._unrecorded)
 
     def write(self, item: Item) -> None:
         """Take an item in; it is on disk after the next `flush` that succeeds."""
         if isinstance(item, Bytes):
-            self._reads += 1
-            self._bytes += len(item.data)
+            self.counters.reads += 1
+            self.counters.bytes += len(item.data)
         else:
-            self._events += 1
+            self.counters.events += 1
         if self._spool.pending > PENDING_LIMIT:
             self._give_up(item)
             return
@@ -185,7 +181,7 @@ class WireWriter:
             self._spool.flush()
         finally:
             while self._unflushed and self._unflushed[0][0] <= self._spool.written:
-                self._on_disk += self._unflushed.popleft()[1]
+                self.counters.bytes_on_disk += self._unflushed.popleft()[1]
 
     def sync(self) -> None:
         """Wait until the medium has what was flushed; may be called from another thread.
@@ -209,7 +205,7 @@ class WireWriter:
             self.flush()
             self.sync()
         finally:
-            self._unrecorded += sum(size for _, size in self._unflushed)
+            self.counters.bytes_unrecorded += sum(size for _, size in self._unflushed)
             self._unflushed.clear()
             self._spool.close()
 
@@ -228,7 +224,7 @@ class WireWriter:
     def _give_up(self, item: Item) -> None:
         if isinstance(item, Bytes):
             self._gap.update(reads=1, bytes=len(item.data))
-            self._unrecorded += len(item.data)
+            self.counters.bytes_unrecorded += len(item.data)
         else:
             self._gap.update(events=1)
 
