@@ -166,10 +166,6 @@ class Reader:
         self._thread = threading.Thread(target=self._run, args=(port,), name=name, daemon=True)
         self._thread.start()
 
-    def mark(self, kind: EventKind, text: str) -> None:
-        """Hand on what a person says of this moment; may be called from any thread."""
-        self._say(kind, text)
-
     def stop(self) -> None:
         """Stop reading and close the port; returns when both are done, within 0.5 s."""
         if self._thread is not None:
@@ -192,15 +188,15 @@ class Reader:
         try:
             while port is not None:
                 with port:
-                    self._say_opened(port, lost_ns)
+                    self._report_opened(port, lost_ns)
                     failure = self._read_until_lost(port)
                 if failure is None:
                     return
                 lost_ns = self._clock.now_ns()
-                self._say(EventKind.LOST, failure.seen, lost_ns)
+                self.report(EventKind.LOST, failure.seen, lost_ns)
                 port = self._reopen()
         finally:
-            self._say(EventKind.CLOSED, f"{self.settings.url} was closed")
+            self.report(EventKind.CLOSED, f"{self.settings.url} was closed")
 
     def _read_until_lost(self, port: Port) -> ImumonError | None:
         """Read until the port fails, and return why; None when the reader is stopped."""
@@ -216,20 +212,20 @@ class Reader:
             quiet_s = (now_ns - last_ns) * 1e-9
             if data:
                 if silent:
-                    self._say(EventKind.RESUMED, f"bytes again after {quiet_s:.1f} s", now_ns)
+                    self.report(EventKind.RESUMED, f"bytes again after {quiet_s:.1f} s", now_ns)
                 silent, last_ns = False, now_ns
                 self._hand_on(Bytes(data, now_ns))
                 self.newest_ns = now_ns
             elif quiet_s >= self._silent_after_s and not silent:
                 silent = True
-                self._say(EventKind.SILENT, silent_error(self.settings, quiet_s).seen, now_ns)
+                self.report(EventKind.SILENT, silent_error(self.settings, quiet_s).seen, now_ns)
             if silent and now_ns - checked_ns >= CHECK_SILENT_S * 1e9:
                 checked_ns = now_ns
                 if reason := port.gone():
                     return lost_error(self.settings, reason)
             if port.vanished_reads and not shared:
                 shared = True
-                self._say(EventKind.SHARED, "another program takes bytes from this port")
+                self.report(EventKind.SHARED, "another program takes bytes from this port")
         return None
 
     def _reopen(self) -> Port | None:
@@ -241,21 +237,22 @@ class Reader:
             except ImumonError as error:
                 if error.seen != reported:
                     reported = error.seen
-                    self._say(EventKind.UNAVAILABLE, error.line)
+                    self.report(EventKind.UNAVAILABLE, error.line)
             delay_s = min(2 * delay_s, LONGEST_DELAY_S)
         return None
 
-    def _say_opened(self, port: Port, lost_ns: int | None) -> None:
+    def _report_opened(self, port: Port, lost_ns: int | None) -> None:
         now_ns = self._clock.now_ns()
         gap = "" if lost_ns is None else f" again after {(now_ns - lost_ns) * 1e-9:.1f} s"
-        self._say(EventKind.OPENED, f"{self.settings}{gap}; low latency: {port.low_latency}", now_ns)
+        self.report(EventKind.OPENED, f"{self.settings}{gap}; low latency: {port.low_latency}", now_ns)
         if port.shared_with:
             others = ", ".join(port.shared_with)
-            self._say(
+            self.report(
                 EventKind.SHARED, f"also open in {others}: bytes that it reads are missing here", now_ns
             )
 
-    def _say(self, kind: EventKind, detail: str, time_ns: int | None = None) -> None:
+    def report(self, kind: EventKind, detail: str, time_ns: int | None = None) -> None:
+        """Hand on an event of now, or of this Unix time (ns); may be called from any thread."""
         self._hand_on(Event(kind, self._clock.now_ns() if time_ns is None else time_ns, detail))
 
     def _hand_on(self, item: Item) -> None:
