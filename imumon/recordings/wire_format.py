@@ -11,8 +11,11 @@ import mmap
 import struct
 import zlib
 from dataclasses import dataclass
+from pathlib import Path
 
 from mcap.opcode import Opcode
+
+from imumon.files import readable
 
 FORMAT = "imumon-wire/2"
 """Written as the profile of the MCAP file."""
@@ -26,6 +29,9 @@ CDR_LITTLE = b"\x00\x01\x00\x00"
 UNRECORDED = "unrecorded"
 """Kind of the event that tells how many bytes are missing before it."""
 
+PROFILE = FORMAT.rpartition("/")[0].encode()
+HEAD_SIZE = 64
+"""Bytes at the begin of a file among which the profile stands."""
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
 """Opcode, and bytes that follow."""
@@ -75,3 +81,21 @@ class Check:
             return None
         opcode, length, marker, *fields = _CHECK.unpack_from(record)
         return cls(*fields) if (opcode, length, marker) == (CHECK_OP, CHECK_LENGTH, MARKER) else None
+
+
+def is_wire(path: Path) -> bool:
+    """Test whether a file is MCAP by its first bytes, or by the profile behind them where these are damaged.
+
+    Raises BAD_DATA when it cannot be read.
+    """
+    return _head(path).startswith(MAGIC) or is_own(path)
+
+
+def is_own(path: Path) -> bool:
+    """Return whether imumon recorded a file, by the profile at its begin.  Raises BAD_DATA as `is_wire`."""
+    return PROFILE in _head(path)
+
+
+def _head(path: Path) -> bytes:
+    with readable(path), path.open("rb") as file:
+        return file.read(HEAD_SIZE)

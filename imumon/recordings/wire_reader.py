@@ -25,12 +25,22 @@ from mcap.records import Header, Metadata
 from imumon.errors import ImumonError, Reason
 from imumon.files import readable
 from imumon.recordings import wire_format as wf
-from imumon.recordings.wire_format import CDR, CHECK_SIZE, MAGIC, MESSAGE, RECORD, SEQUENCE_MASK, Check
+from imumon.recordings.wire_format import (
+    CDR,
+    CHECK_SIZE,
+    MAGIC,
+    MESSAGE,
+    PROFILE,
+    RECORD,
+    SEQUENCE_MASK,
+    Check,
+)
 from imumon.recordings.wire_summary import Damage, Place, WireSummary
 from imumon.transport.reader import Event, EventKind, Item, Reads
 
 READ_SIZE = 1 << 20
-PROFILE = wf.FORMAT.rpartition("/")[0].encode()
+RELEASE_SIZE = 16 << 20
+"""Bytes of the file that are taken out of the memory of the process at a time."""
 _BEFORE_DATA = {wf.WIRE_CHANNEL: CDR.size, wf.BARE_CHANNEL: 0}
 """Bytes before the data of a read, by its channel."""
 _PASSED_OVER = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, wf.CHECK_OP)
@@ -42,25 +52,6 @@ _BATCH_READS = 1 << 13
 """Most reads that are handed on at once."""
 BAD_RECORD = (McapError, struct.error, ValueError, RuntimeError, OverflowError, MemoryError)
 """What the library raises for a record that is not what its first byte says."""
-_HEAD = 64
-
-
-def is_wire(path: Path) -> bool:
-    """Test whether a file is MCAP by its first bytes, or by the profile behind them where these are damaged.
-
-    Raises BAD_DATA when it cannot be read.
-    """
-    return _head(path).startswith(MAGIC) or is_own(path)
-
-
-def is_own(path: Path) -> bool:
-    """Return whether imumon recorded a file, by the profile at its begin.  Raises BAD_DATA as `is_wire`."""
-    return PROFILE in _head(path)
-
-
-def _head(path: Path) -> bytes:
-    with readable(path), path.open("rb") as file:
-        return file.read(_HEAD)
 
 
 @contextmanager
@@ -127,6 +118,7 @@ class _Contents:
         self._path, self._data = path, data
         self._done = 0
         """Up to where everything is read or given up."""
+        self._released = 0
         self._next_sequence: int | None = None
         """Of the next message, modulo 2^32; None before the first in a file without check records."""
         self._pieces: list[bytes] = []
@@ -137,7 +129,7 @@ class _Contents:
 
         Raises BAD_DATA when this is no wire file, or what a newer version wrote is in it.
         """
-        data, head = self._data, self._data[:_HEAD]
+        data, head = self._data, self._data[: wf.HEAD_SIZE]
         is_mcap = MAGIC.startswith(head[: len(MAGIC)])
         if not is_mcap and PROFILE in head:
             self.found.damage.add(Place(0, len(MAGIC), 0, 0, 0))
@@ -147,6 +139,7 @@ class _Contents:
             check = Check.unpack(data, at) if at >= 0 else None
             if check is not None:
                 yield from self._block(check, at)
+                self._release(at)
         ended = yield from self._unsealed(len(MAGIC) if is_mcap or PROFILE in head else 0)
         yield from self._reads()
         if ended:
@@ -215,9 +208,10 @@ class _Contents:
         if len(record) < RECORD.size + 4 or RECORD.unpack_from(record) != (wf.DATA_END_OP, 4):
             return False
         if expected := int.from_bytes(record[-4:], "little"):
-            crc = zlib.crc32(MAGIC)
+            crc, self._released = zlib.crc32(MAGIC), 0
             for begin in range(len(MAGIC), at, READ_SIZE):
                 crc = zlib.crc32(self._data[begin : min(begin + READ_SIZE, at)], crc)
+                self._release(begin)
             self.found.checksum_ok = crc == expected
         return True
 
@@ -231,6 +225,12 @@ class _Contents:
                 yield from self._lose(0, self.found.last_ns, messages & SEQUENCE_MASK)
                 return
             at += RECORD.size + length
+
+    def _release(self, before: int) -> None:
+        """Keep what was read out of the memory that is counted as that of this process."""
+        while before - self._released > RELEASE_SIZE and isinstance(self._data, mmap.mmap):
+            self._data.madvise(mmap.MADV_DONTNEED, self._released, RELEASE_SIZE)
+            self._released += RELEASE_SIZE
 
     # Losses
 
