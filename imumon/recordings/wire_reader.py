@@ -39,6 +39,7 @@ from imumon.recordings.wire_summary import Damage, Place, WireSummary
 from imumon.transport.reader import Event, EventKind, Item, Reads
 
 READ_SIZE = 1 << 20
+"""Bytes of reads that are handed on at once, and of which a checksum is taken."""
 RELEASE_SIZE = 16 << 20
 """Bytes of the file that are taken out of the memory of the process at a time."""
 _BEFORE_DATA = {wf.WIRE_CHANNEL: CDR.size, wf.BARE_CHANNEL: 0}
@@ -48,8 +49,6 @@ _PASSED_OVER = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX, Opcode.ATTA
 LONGEST_MESSAGE = 16 << 20
 LONGEST_RARE = 1 << 20
 """A record that claims to be longer is damage, not a record."""
-_BATCH_READS = 1 << 13
-"""Most reads that are handed on at once."""
 BAD_RECORD = (McapError, struct.error, ValueError, RuntimeError, OverflowError, MemoryError)
 """What the library raises for a record that is not what its first byte says."""
 
@@ -123,6 +122,8 @@ class _Contents:
         """Of the next message, modulo 2^32; None before the first in a file without check records."""
         self._pieces: list[bytes] = []
         self._arrivals_ns: list[int] = []
+        self._kept = 0
+        """Reads that were found since the last batch, and their bytes."""
 
     def batches(self) -> Generator[Reads | Event]:
         """Yield everything; `found` is complete afterwards.
@@ -286,7 +287,8 @@ class _Contents:
                 elif channel in _BEFORE_DATA:
                     self._pieces.append(data[at + MESSAGE.size + _BEFORE_DATA[channel] : after])
                     self._arrivals_ns.append(time_ns)
-                    if len(self._pieces) >= _BATCH_READS:
+                    self._kept += length
+                    if self._kept >= READ_SIZE:
                         yield from self._reads()
             at = after
         return at
@@ -344,7 +346,7 @@ class _Contents:
             ends = np.cumsum(np.fromiter(map(len, self._pieces), np.int64, len(self._pieces)))
             data = np.frombuffer(b"".join(self._pieces), np.uint8)
             batch = Reads(data, ends, np.array(self._arrivals_ns, np.int64))
-            self._pieces, self._arrivals_ns = [], []
+            self._pieces, self._arrivals_ns, self._kept = [], [], 0
             self.found.reads += len(ends)
             self.found.bytes += len(data)
             yield batch
