@@ -11,25 +11,6 @@ STANDS = 100
 """Packets in a row for which a count stays: a clock that ticks every 10 ms has 80 of a stream at 8 kHz."""
 
 
-class _Run:
-    """The longest run of packets in which a count stays, and where it stays."""
-
-    def __init__(self) -> None:
-        self._now = 0
-        self.at: int | None = None
-        """The count, of the first run of `STANDS` packets; None before there is one."""
-
-    def add(self, stays: BoolArray, count: IntArray) -> None:
-        if not stays.any():
-            self._now = 0
-            return
-        place = np.arange(len(stays))
-        length = place - np.maximum.accumulate(np.where(stays, -1 - self._now, place))
-        self._now = int(length[-1])
-        if self.at is None and (length >= STANDS).any():
-            self.at = int(count[np.argmax(length >= STANDS)])
-
-
 class Repeats:
     """Compares the packet counter and the clock of each packet with those of the one before.
 
@@ -39,7 +20,10 @@ class Repeats:
 
     def __init__(self) -> None:
         self._last = (NO_INT, NO_INT)
-        self._counter, self._clock = _Run(), _Run()
+        self._run = {"counter": 0, "clock": 0}
+        """Packets in a row for which each has stayed by now."""
+        self._stands_at: dict[str, int] = {}
+        """The count, of the first run of `STANDS` packets."""
         self._twice = self._rows = 0
         self._reported: set[str] = set()
 
@@ -55,19 +39,26 @@ class Repeats:
         self._last = int(counter[-1]), int(ticks[-1])
         self._rows += n
         self._twice += int((counted & timed).sum())
-        self._counter.add(counted & ~timed, counter)
-        self._clock.add(timed & ~counted, ticks)
+        self._follow("counter", counted & ~timed, counter)
+        self._follow("clock", timed & ~counted, ticks)
+
+    def _follow(self, which: str, stays: BoolArray, count: IntArray) -> None:
+        place = np.arange(len(stays))
+        run = place - np.maximum.accumulate(np.where(stays, -1 - self._run[which], place))
+        self._run[which] = int(run[-1])
+        if which not in self._stands_at and (run >= STANDS).any():
+            self._stands_at[which] = int(count[np.argmax(run >= STANDS)])
 
     def notices(self, dated_by: DatedBy) -> list[str]:
         """Return, once each, what does not go on and what that means for the times of the rows."""
         one = "their rows have one time, and estimates leave out all but the first"
         lost = "packets that are lost cannot be told by it"
         texts = {}
-        if self._counter.at is not None:
+        if "counter" in self._stands_at:
             times = f", and {one}" if dated_by == "counter" else ""
-            texts["counter"] = f"the packet counter stands at {self._counter.at}: {lost}{times}"
-        if self._clock.at is not None:
-            texts["clock"] = f"the device's clock stands at its count {self._clock.at}: {one}"
+            texts["counter"] = f"the packet counter stands at {self._stands_at['counter']}: {lost}{times}"
+        if "clock" in self._stands_at:
+            texts["clock"] = f"the device's clock stands at its count {self._stands_at['clock']}: {one}"
         if self._twice:
             texts["twice"] = (
                 f"{self._twice:,} of {self._rows:,} rows have the counter and the time of the one before, "

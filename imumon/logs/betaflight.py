@@ -56,13 +56,13 @@ def read(path: Path, sensor: str | None = None) -> Log:
     Raises BAD_DATA when it cannot be read; BAD_CONFIG when it was not decoded, when nothing says the scale of
     its gyro, or it has no such gyro.
     """
-    lines, skip = _head(path)
-    table, damage = _read_table(path, skip)
-    columns = _columns(table.column_names)
+    lines, titles, skip = _head(path)
+    columns = _columns(titles)
     if "time" not in columns:
         raise ImumonError(Reason.BAD_DATA, f"{path}: has no time in {', '.join(MICROSECONDS)}")
     name, others = pick(path, [one for one in GYROS if f"{one}[0]" in columns], sensor)
     scaling = _Scaling.of(path, lines)
+    table, damage = _read_table(path, titles, [one.title for one in columns.values()], skip)
     rate, remark = scaling.rate(path, columns[f"{name}[0]"].unit)
     values = {column.name: table[column.title].to_numpy() for column in columns.values()}
     gyro = named(values, _parts(name), triple("gyro"), rate)
@@ -131,22 +131,22 @@ class _Scaling:
         return STANDARD_GRAVITY / int(text), f"raw / {text} g"
 
 
-def _head(path: Path) -> tuple[dict[str, str], int]:
-    """Return the H lines at the head of a table, and how many they are."""
-    lines, count = [], 0
+def _head(path: Path) -> tuple[dict[str, str], list[str], int]:
+    """Return the H lines at the head of a table, the titles of its columns, and how many lines these are."""
+    lines = []
     with readable(path), path.open("rb") as file:
         while (line := file.readline(1 << 16)).startswith(b"H "):
             lines.append(line)
-            count += 1
     if TABLE.match(line) is None:
         raise ImumonError(
             Reason.BAD_CONFIG, f"{path}: is a blackbox log as it was recorded", f"blackbox_decode {path}"
         )
-    return _fields(b"".join(lines)), count
+    titles = [title.strip() for title in line.decode(errors="replace").split(",")]
+    return _fields(b"".join(lines)), titles, len(lines) + 1
 
 
-def _read_table(path: Path, skip: int) -> tuple[pa.Table, Damage]:
-    """Return the columns that may be taken, as float64, and the rows that are cut."""
+def _read_table(path: Path, titles: list[str], wanted: list[str], skip: int) -> tuple[pa.Table, Damage]:
+    """Return columns as float64, and the rows that are cut."""
     cut: list[int] = []
 
     def leave_out(row: csv.InvalidRow) -> str:
@@ -154,21 +154,15 @@ def _read_table(path: Path, skip: int) -> tuple[pa.Table, Damage]:
         return "skip"
 
     try:
-        passed = csv.ParseOptions(invalid_row_handler=lambda _: "skip")
-        names = csv.open_csv(path, csv.ReadOptions(skip_rows=skip), passed).schema.names
-        columns = _columns([name.strip() for name in names])
-        wanted = [name for name in names if name.strip() in {one.title for one in columns.values()}]
         table = csv.read_csv(
             path,
-            csv.ReadOptions(skip_rows=skip),
+            csv.ReadOptions(skip_rows=skip, column_names=titles),
             csv.ParseOptions(invalid_row_handler=leave_out),
-            convert_options=csv.ConvertOptions(
-                include_columns=wanted, column_types=dict.fromkeys(wanted, pa.float64())
-            ),
+            csv.ConvertOptions(include_columns=wanted, column_types=dict.fromkeys(wanted, pa.float64())),
         )
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read as a table: {error}") from error
-    return table.rename_columns([name.strip() for name in table.column_names]), Damage(len(cut), sum(cut))
+    return table, Damage(len(cut), sum(cut))
 
 
 def _columns(titles: list[str]) -> dict[str, _Column]:

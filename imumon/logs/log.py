@@ -7,7 +7,6 @@ than the sensors' samples are apart.
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from scipy.ndimage import median_filter
 
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
 from imumon.config import dump_yaml
@@ -24,6 +24,8 @@ from imumon.errors import ImumonError, Reason
 TIME = "time_ns"
 AXES = "xyz"
 GAUSS_TO_TESLA = 1e-4
+NEIGHBOURS = 5
+"""A damaged time is told by the median of so many: two in a row may be wrong."""
 EXACT_US = 2**53
 """A float64 holds whole numbers up to this, 285 years; a later time is damage."""
 
@@ -105,21 +107,14 @@ class Log:
 
 
 def _increasing(time_ns: IntArray) -> BoolArray:
-    """Return which rows stay so that times increase: as many as can, whatever wrong times the others have."""
+    """Return which rows stay so that times increase: first those go that leap away from their neighbours."""
     kept: BoolArray = time_ns != NO_INT
-    if np.all(np.diff(time_ns[kept]) > 0):
-        return kept
-    # Patience sorting: of the rows that increase, for each number of them, the one that ends earliest.
-    ends, last, before = list[int](), list[int](), np.full(len(time_ns), -1)
-    for row in np.flatnonzero(kept).tolist():
-        count = bisect_left(ends, time_ns[row])
-        before[row] = last[count - 1] if count else -1
-        ends[count : count + 1], last[count : count + 1] = [time_ns[row]], [row]
+    rows = np.flatnonzero(kept)
+    away = np.abs(time_ns[rows] - median_filter(time_ns[rows], NEIGHBOURS, mode="nearest"))
+    rows = rows[away <= NEIGHBOURS * _usual_step(time_ns[rows])]
+    latest = np.maximum.accumulate(np.append(NO_INT, time_ns[rows]))[:-1]
     kept[:] = False
-    row = last[-1]
-    while row >= 0:
-        kept[row] = True
-        row = before[row]
+    kept[rows[time_ns[rows] > latest]] = True
     return kept
 
 

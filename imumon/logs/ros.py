@@ -15,7 +15,7 @@ import numpy as np
 
 from imumon.errors import ImumonError, Reason, missing_package
 from imumon.logs.log import Log, Series, pick, triple
-from imumon.recordings.wire_reader import is_own
+from imumon.recordings.wire_format import is_own
 
 SECOND_NS = 1_000_000_000
 SCALING = "the units that sensor_msgs/Imu defines; whether the driver keeps to them is not known"

@@ -8,8 +8,8 @@ from __future__ import annotations
 import time
 from multiprocessing.connection import Connection
 
-from imumon.publishing.frames import Delivery
 from imumon.publishing.outlets import make_outlet
+from imumon.publishing.publisher import Delivery
 from imumon.view.fed import serve
 from imumon.view.items import item_rows
 
@@ -21,25 +21,26 @@ REPORT_S = 0.25
 
 def run(stream: Connection, out: Connection) -> None:
     """Send what comes until the stream ends."""
-    begin = stream.recv()
-    outlet = make_outlet(begin.target, begin.setup)
-    sent, now = None, Delivery(outlet.text)
-    repeated = reported = time.monotonic()
+    outlet = make_outlet(*stream.recv())
+    reported = None
+    taken = failed = 0
+    repeated_s = reported_s = time.monotonic()
     while True:
         if stream.poll(REPORT_S):
             try:
                 items = stream.recv()
             except EOFError:
                 outlet.close()
-                out.send(now)
+                out.send(Delivery(outlet.text, sent=taken - failed, dropped=failed))
                 return
-            failed = now.failed + outlet.send(items)
-            now = Delivery(outlet.text, now.taken + sum(map(item_rows, items)), failed)
-        if time.monotonic() - repeated >= REPEAT_S:
-            repeated = time.monotonic()
+            failed += outlet.send(items)
+            taken += sum(map(item_rows, items))
+        if time.monotonic() - repeated_s >= REPEAT_S:
+            repeated_s = time.monotonic()
             outlet.repeat(time.time_ns())
-        if now != sent and time.monotonic() - reported >= REPORT_S:
-            sent, reported = now, time.monotonic()
+        now = Delivery(outlet.text, sent=taken - failed, dropped=failed)
+        if now != reported and time.monotonic() - reported_s >= REPORT_S:
+            reported, reported_s = now, time.monotonic()
             out.send(now)
 
 

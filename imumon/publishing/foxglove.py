@@ -13,7 +13,7 @@ from foxglove.messages import LogLevel, Timestamp
 
 from imumon.columns import KNOWN
 from imumon.errors import ImumonError, Reason
-from imumon.publishing.messages import LOG, STATE, Lanes, Message, Published, messages, topic_of
+from imumon.publishing.messages import LOG, STATE, Message, Published, Value, messages, topic_of
 from imumon.publishing.target import Target
 from imumon.view.items import Samples, ViewSetup
 
@@ -30,7 +30,7 @@ class Foxglove:
     """
 
     def __init__(self, target: Target, setup: ViewSetup) -> None:
-        self._units, self._lanes, self._slow = setup.units, Lanes(), _Slow()
+        self._units, self._states, self._slow = setup.units, dict[str, Value](), _Slow()
         logging.getLogger(FULL).addHandler(self._slow)
         logging.getLogger(FULL).setLevel(logging.INFO)
         self._context = foxglove.Context()
@@ -54,7 +54,7 @@ class Foxglove:
     def send(self, items: Sequence[Published]) -> int:
         """Hand messages to the SDK, which keeps the latest 1024 for a slow viewer; none fails here."""
         wanted = [item for item in items if not isinstance(item, Samples) or self._is_wanted(item)]
-        for message in messages(wanted, self._lanes):
+        for message in messages(wanted, self._states):
             if message.topic == LOG:
                 self._log.log(_log(message), log_time=message.time_ns)
             else:
@@ -63,8 +63,8 @@ class Foxglove:
 
     def repeat(self, time_ns: int) -> None:
         """Say the states again."""
-        if (message := self._lanes.again(time_ns)) is not None:
-            self._put(message)
+        if self._states:
+            self._put(Message(STATE, time_ns, self._states))
 
     def close(self) -> None:
         """End the server."""

@@ -44,31 +44,17 @@ def topic_of(item: Samples) -> str:
     return item.stream or MAIN
 
 
-class Lanes:
-    """The states as they are, of which every message has all: who comes later knows them soon."""
+def messages(items: Sequence[Published], states: dict[str, Value]) -> Iterator[Message]:
+    """Yield the messages of items in their order.
 
-    def __init__(self) -> None:
-        self._states: dict[str, Value] = {}
-        self._time_ns: int | None = None
-
-    def take(self, item: State) -> Message:
-        """Take a change; return the message."""
-        self._states[item.lane] = item.state
-        self._time_ns = item.at.host_ns
-        return Message(STATE, self._time_ns, dict(self._states))
-
-    def again(self, time_ns: int) -> Message | None:
-        """Return the states at another time; None where there is none yet."""
-        return Message(STATE, time_ns, dict(self._states)) if self._states else None
-
-
-def messages(items: Sequence[Published], lanes: Lanes) -> Iterator[Message]:
-    """Yield the messages of items in their order."""
+    `states` are kept up to date, by lane: every message of a state has all, for who came later.
+    """
     for item in items:
         if isinstance(item, Samples):
             yield from _rows(item)
         elif isinstance(item, State):
-            yield lanes.take(item)
+            states[item.lane] = item.state
+            yield Message(STATE, item.at.host_ns, dict(states))
         else:
             yield Message(LOG, item.at.host_ns, {"level": item.level, "text": item.text})
 

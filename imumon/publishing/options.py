@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import click
@@ -31,37 +31,32 @@ class _Publish:
     )
 
     def parse(self, given: Sequence[str]) -> list[Target]:
-        """Return the targets; see `LiveOutput`."""
-        return read_targets(given)
+        """Return the targets of --publish; say of those beyond this computer that they are."""
+        if not given:
+            return []
+        from imumon.publishing.target import parse_target
+
+        targets = [parse_target(text) for text in given]
+        warn(target.warning for target in targets if target.warning is not None)
+        return targets
 
     def start(self, parsed: Sequence[Target], setup: ViewSetup) -> Published:
         """Begin to send to them; see `LiveOutput`."""
-        return Published(parsed, setup)
+        if not parsed:
+            return Published([])
+        from imumon.publishing.publisher import Publisher
+
+        return Published([Publisher(target, setup).start() for target in parsed])
 
 
 PUBLISH: LiveOutput = _Publish()
 
 
-def read_targets(given: Sequence[str]) -> list[Target]:
-    """Return the targets of --publish; say of those beyond this computer that they are."""
-    if not given:
-        return []
-    from imumon.publishing.target import parse_target
-
-    targets = [parse_target(text) for text in given]
-    warn(target.warning for target in targets if target.warning is not None)
-    return targets
-
-
 class Published:
     """Everything that --publish asks for, while a command runs."""
 
-    def __init__(self, targets: Sequence[Target], setup: ViewSetup) -> None:
-        self._publishers: list[Publisher] = []
-        if targets:
-            from imumon.publishing.publisher import Publisher
-
-            self._publishers = [Publisher(target, setup).start() for target in targets]
+    def __init__(self, publishers: Sequence[Publisher]) -> None:
+        self._publishers = publishers
         self._reported: dict[Publisher, str] = {}
 
     @property
@@ -72,21 +67,27 @@ class Published:
     @property
     def text(self) -> str:
         """What a status line says: where it goes, and what of it was dropped."""
-        return "".join(f"  {_described(one)}" for one in self._publishers)
+        texts = []
+        for one in self._publishers:
+            state = one.state
+            dropped = f", {state.dropped:,} dropped" if state.dropped else ""
+            text = f"{state.sent:,} sent{dropped}" if state.ready else state.text
+            texts.append(f"  {one.target.kind}: {text}")
+        return "".join(texts)
 
     @property
     def as_data(self) -> dict[str, object]:
         """What the command says with --json."""
-        return {"published": [*self._sent()]}
-
-    def _sent(self) -> Iterator[dict[str, object]]:
-        for one in self._publishers:
-            yield {"to": str(one.target), "sent": one.state.sent, "dropped": one.state.dropped}
+        states = [(str(one.target), one.state) for one in self._publishers]
+        return {
+            "published": [{"to": to, "sent": state.sent, "dropped": state.dropped} for to, state in states]
+        }
 
     @property
     def rows(self) -> dict[str, str]:
         """What the summary says."""
-        texts = [f"{one['to']}: {one['sent']:,} sent, {one['dropped']:,} dropped" for one in self._sent()]
+        states = [(one.target, one.state) for one in self._publishers]
+        texts = [f"{to}: {state.sent:,} sent, {state.dropped:,} dropped" for to, state in states]
         return {"published": "; ".join(texts)} if texts else {}
 
     def announce(self, tell: Callable[[str, str], None]) -> None:
@@ -102,11 +103,3 @@ class Published:
         """Send what is left, and end."""
         for one in self._publishers:
             one.close()
-
-
-def _described(publisher: Publisher) -> str:
-    state = publisher.state
-    if not state.ready:
-        return f"{publisher.target.kind}: {state.text}"
-    dropped = f", {state.dropped:,} dropped" if state.dropped else ""
-    return f"{publisher.target.kind}: {state.sent:,} sent{dropped}"

@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 import socket
 import time
-from collections.abc import Callable, Sequence
-from typing import Protocol
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from imumon.publishing.messages import Lanes, Published, messages
-from imumon.publishing.target import Kind, Target
+from imumon.publishing.messages import STATE, Published, Value, messages
+from imumon.publishing.target import Target
 from imumon.view.items import ViewSetup
+
+if TYPE_CHECKING:
+    from imumon.publishing.foxglove import Foxglove
+    from imumon.publishing.ros2 import Ros2
 
 BURST_BYTES = 1 << 16
 """Datagrams that are sent at once: a receiver's buffer is 208 KiB by default (net.core.rmem_default), where a
@@ -19,37 +23,20 @@ PAUSE_S = 0.01
 """Behind a burst, for the receiver to read it: so 6.5 MB/s leave at the most, 5000 rows of 1.3 kB."""
 
 
-class Outlet(Protocol):
-    """What takes view items to a receiver."""
-
-    @property
-    def text(self) -> str:
-        """How it goes, in one phrase."""
-
-    def send(self, items: Sequence[Published]) -> int:
-        """Send items; return how many messages could not be sent."""
-
-    def repeat(self, time_ns: int) -> None:
-        """Say the states again, for receivers that came later; once a second."""
-
-    def close(self) -> None:
-        """End, with what was sent on its way."""
-
-
 class UdpJson:
     """A datagram for each message, as PlotJuggler reads: ``{"timestamp": s, "imu": {"gyro_x": ...}}``."""
 
-    def __init__(self, target: Target, _: ViewSetup) -> None:
+    def __init__(self, target: Target) -> None:
         family = socket.AF_INET6 if ":" in target.host else socket.AF_INET
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
-        self._to, self._lanes = (target.host, target.port), Lanes()
+        self._to, self._states = (target.host, target.port), dict[str, Value]()
         self.text = "sends"
 
     def send(self, items: Sequence[Published]) -> int:
         """Send items; return how many datagrams the system did not take."""
         failed = burst = 0
-        for message in messages(items, self._lanes):
+        for message in messages(items, self._states):
             datagram = _datagram(message.topic, message.time_ns, message.values)
             failed += not self._put(datagram)
             burst += len(datagram)
@@ -60,8 +47,8 @@ class UdpJson:
 
     def repeat(self, time_ns: int) -> None:
         """Send the states again."""
-        if (message := self._lanes.again(time_ns)) is not None:
-            self._put(_datagram(message.topic, time_ns, message.values))
+        if self._states:
+            self._put(_datagram(STATE, time_ns, self._states))
 
     def close(self) -> None:
         """Close the socket; the system sends what it has taken."""
@@ -82,28 +69,17 @@ def _datagram(topic: str, time_ns: int | None, values: object) -> bytes:
     return json.dumps({**when, topic: values}, ensure_ascii=False, separators=(",", ":")).encode()
 
 
-def make_outlet(target: Target, setup: ViewSetup) -> Outlet:
+def make_outlet(target: Target, setup: ViewSetup) -> UdpJson | Foxglove | Ros2:
     """Return the outlet for a target.
 
     Raises BUSY or BAD_CONFIG when it cannot be opened.
     """
-    return _MAKERS[target.kind](target, setup)
+    if target.kind == "foxglove":
+        from imumon.publishing.foxglove import Foxglove
 
+        return Foxglove(target, setup)
+    if target.kind == "ros2":
+        from imumon.publishing.ros2 import Ros2
 
-def _foxglove(target: Target, setup: ViewSetup) -> Outlet:
-    from imumon.publishing.foxglove import Foxglove
-
-    return Foxglove(target, setup)
-
-
-def _ros2(target: Target, setup: ViewSetup) -> Outlet:
-    from imumon.publishing.ros2 import Ros2
-
-    return Ros2(target, setup)
-
-
-_MAKERS: dict[Kind, Callable[[Target, ViewSetup], Outlet]] = {
-    "udp-json": UdpJson,
-    "foxglove": _foxglove,
-    "ros2": _ros2,
-}
+        return Ros2(target, setup)
+    return UdpJson(target)

@@ -6,7 +6,6 @@ import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from imumon.publishing.frames import Begin, Delivery
 from imumon.publishing.messages import is_published
 from imumon.publishing.target import Target
 from imumon.view.fed import PROTOCOL, FedProcess
@@ -14,17 +13,19 @@ from imumon.view.items import Shown, ViewSetup, item_rows
 
 
 @dataclass(frozen=True, slots=True)
-class PublisherState:
-    """How it goes."""
+class Delivery:
+    """How it goes, and how many samples and events left this computer's program, and how many did not.
+
+    What the publishing process says has what it took and what the system did not take of it.
+    """
 
     text: str
     """One phrase."""
-    ready: bool
+    ready: bool = True
     """Whether the receiver can be reached, as far as is known."""
-    sent: int
-    dropped: int
-    """Samples and events that left this computer's program, and those that did not: the queue was full,
-    the process that sends was gone, or the system did not take them."""
+    sent: int = 0
+    dropped: int = 0
+    """Also those that the queue was full for, or that the process which sends did not take."""
 
 
 class Publisher(FedProcess):
@@ -41,11 +42,11 @@ class Publisher(FedProcess):
     def __init__(self, target: Target, setup: ViewSetup) -> None:
         super().__init__("imumon.publishing.child")
         self.target = target
-        self._begin = Begin(target, setup)
-        self._published = self._handed = 0
+        self._setup = setup
+        self._published = self._handed = self._lost = 0
         self._closed = False
         self._before, self._now = Delivery(""), Delivery("begins", ready=False)
-        self._lost = 0
+        """What processes that ended have said together, and what the present one says."""
 
     def start(self) -> Publisher:
         """Start the process and return at once."""
@@ -64,17 +65,17 @@ class Publisher(FedProcess):
         self._closed = True
 
     @property
-    def state(self) -> PublisherState:
+    def state(self) -> Delivery:
         """How it goes now."""
         before, now = self._before, self._now
-        failed = before.failed + now.failed
-        sent = before.taken + now.taken - failed
+        sent = before.sent + now.sent
+        failed = before.dropped + now.dropped
         dropped = self._published - sent if self._closed else self._queue.dropped + self._lost + failed
-        return PublisherState(now.text, now.ready, sent, dropped)
+        return replace(now, sent=sent, dropped=dropped)
 
-    def _first(self) -> Begin:
-        self._settle()
-        return self._begin
+    def _first(self) -> tuple[Target, ViewSetup]:
+        self._count_lost()
+        return self.target, self._setup
 
     def _frames(self, items: Sequence[Shown]) -> list[bytes]:
         if not items:
@@ -87,11 +88,11 @@ class Publisher(FedProcess):
 
     def _gone(self) -> None:
         before, now = self._before, self._now
-        self._before = Delivery("", before.taken + now.taken, before.failed + now.failed)
+        self._before = Delivery("", sent=before.sent + now.sent, dropped=before.dropped + now.dropped)
         text = "ended" if self._queue.is_closed() else "begins again" if now.ready else now.text
-        self._now = replace(now, text=text, taken=0, failed=0, ready=False)
-        self._settle()
+        self._now = Delivery(text, ready=False)
+        self._count_lost()
 
-    def _settle(self) -> None:
+    def _count_lost(self) -> None:
         """What no process took until now is lost."""
-        self._lost = self._handed - self._before.taken
+        self._lost = self._handed - self._before.sent - self._before.dropped

@@ -19,15 +19,6 @@ LONGEST_NAME = 63
 """Of a variable in MATLAB; a longer one is cut."""
 
 
-def needed(suffix: str) -> tuple[str, ...]:
-    """Return the columns that a file of this suffix needs, whatever columns are asked for."""
-    if suffix != ".mcap":
-        return ()
-    from imumon.recordings.ros2 import CLOCKS
-
-    return CLOCKS
-
-
 def convert(
     tables: Mapping[str, Path], out: Mapping[str, Path], axes: Literal["FLU", "FRD"] | None
 ) -> tuple[dict[str, Path], list[str]]:
@@ -78,14 +69,11 @@ def read_npz(path: Path) -> tuple[SampleBlock, dict[str, Column]]:
         with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as file:
             values = {name: file[name] for name in file.files}
         units: dict[str, str] = json.loads(str(values.pop("units")))
-        block = SampleBlock(values)
-        dtypes: dict[str, ColumnType] = {
-            name: "int64" if part.dtype == np.int64 else "float64" for name, part in values.items()
-        }
-        columns = {
-            name: Column(name, units[name], dtypes[name], KNOWN[name].description if name in KNOWN else "")
-            for name in values
-        }
+        block, columns = SampleBlock(values), dict[str, Column]()
+        for name, part in values.items():
+            dtype: ColumnType = "int64" if part.dtype == np.int64 else "float64"
+            description = KNOWN[name].description if name in KNOWN else ""
+            columns[name] = Column(name, units[name], dtype, description)
     except (OSError, ValueError, TypeError, KeyError, EOFError, BadZipFile) as error:
         raise ImumonError(
             Reason.BAD_DATA,

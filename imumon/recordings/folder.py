@@ -163,7 +163,7 @@ def open_session(path: Path) -> Session:
     if not session.truth_path.is_file():
         raise ImumonError(
             Reason.BAD_DATA,
-            f"{path}: the data of this session is missing: {_instead_of(session.truth_path)}",
+            f"{path}: the data of this session is missing: there is no file {session.truth_path.name}",
         )
     return session
 
@@ -227,22 +227,13 @@ def _advice(folder: Path) -> str:
     return ""
 
 
-def _instead_of(file: Path) -> str:
-    """Say what is where a file should be."""
-    if file.is_symlink() and not file.exists():
-        return f"{file.name} is a link to {file.readlink()}, which is not there"
-    if not file.exists():
-        return f"there is no {file.name}"
-    return f"{file.name} is {'a folder' if file.is_dir() else 'a pipe or a device'}, not a file"
-
-
 def _what_is_at(path: Path) -> str:
-    if not path.exists():
-        return "there is no such file or folder"
     if not path.is_dir():
-        return f"it is a file of {path.stat().st_size} bytes"
+        return (
+            f"it is a file of {path.stat().st_size} bytes"
+            if path.exists()
+            else "there is no such file or folder"
+        )
     names = sorted(entry.name for entry in path.iterdir())
-    if not names:
-        return "the folder is empty"
-    more = f" and {len(names) - 5} more" if len(names) > 5 else ""
-    return f"the folder has no {METADATA_NAME}; it has {', '.join(names[:5])}{more}"
+    there = f"it has {', '.join(names[:5])}" if names else "it is empty"
+    return f"the folder has no {METADATA_NAME}; {there}{', ...' if len(names) > 5 else ''}"

@@ -8,8 +8,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import yaml
-
 from imumon.blocks import ColumnArray, SampleBlock
 from imumon.columns import KNOWN, Column
 from imumon.config import parse_yaml
@@ -60,7 +58,7 @@ class Origin:
 def import_table(table: Path, map_path: Path, out: Path, origin: Origin | None = None) -> ImportReport:
     """Make a session of a CSV or Parquet table; on any error nothing is left behind.
 
-    Raises BAD_CONFIG for a wrong map or a column that the table lacks, with file and line of the map;
+    Raises BAD_CONFIG for a wrong map or a column that the table lacks, with the file of the map;
     BAD_DATA for a table that cannot be read, rows that cannot be taken, or times that do not increase; EXISTS
     when the output is there already; OSError when the session cannot be written.
 
@@ -88,7 +86,7 @@ def import_table(table: Path, map_path: Path, out: Path, origin: Origin | None =
 class TableImport:
     """The rows of a table from elsewhere as samples, read once, and what became of them.
 
-    Raises BAD_CONFIG for a wrong map or a column that the table lacks, with file and line of the map;
+    Raises BAD_CONFIG for a wrong map or a column that the table lacks, with the file of the map;
     BAD_DATA for a table that cannot be read.
     """
 
@@ -100,7 +98,8 @@ class TableImport:
         try:
             self._names, self._parts = read_foreign(table, names, self.map.time, self.map.csv)
         except ImumonError as error:
-            raise _with_line_of_map(error, map_path, self.map_text) from error
+            where = f"{map_path}: " if error.reason is Reason.BAD_CONFIG else ""
+            raise ImumonError(error.reason, f"{where}{error.seen}", error.hint) from error
         self.columns = _columns(self.map)
         """Columns of the samples with their units, in canonical order."""
         self._times = RowTimes(table, self.map)
@@ -159,22 +158,18 @@ class TableImport:
             Reason.BAD_DATA,
             "\n".join([seen, *shown]),
             "mend the table, pass over lines before the data with csv: {skip_rows: N}"
-            ' and comments with csv: {comment: "#"},'
+            ' and comments with csv: {comment: "#"}, read decimal commas with csv: {decimal: ","},'
             " or add bad_rows: drop to the map to import the others",
         )
 
 
 def _columns(table_map: TableMap) -> dict[str, Column]:
     """Return the columns of the session with their units, in canonical order."""
-    sources = table_map.sources()
-    arbitrary = {source.target for source in sources if source.unit.target == "1"}
-    names = {"device_time_ns", "segment", *(source.target for source in sources)}
-    known = {
-        name: Column(name, "1", column.dtype, column.description) if name in arbitrary else column
-        for name, column in KNOWN.items()
-        if name in names
-    }
-    return known | {s.target: Column(s.target, s.unit.target) for s in sources if s.target not in KNOWN}
+    columns = {name: KNOWN[name] for name in ("device_time_ns", "segment")}
+    for source in table_map.sources():
+        column = KNOWN.get(source.target) or Column(source.target, "")
+        columns[source.target] = replace(column, unit=source.unit.target)
+    return columns
 
 
 def _block(part: Part, table_map: TableMap, times: RowTimes) -> SampleBlock:
@@ -183,23 +178,6 @@ def _block(part: Part, table_map: TableMap, times: RowTimes) -> SampleBlock:
     for source, values in zip(table_map.sources(), part.values, strict=True):
         columns[source.target] = source.unit.convert(values)
     return SampleBlock(columns)
-
-
-def _with_line_of_map(error: ImumonError, map_path: Path, map_text: str) -> ImumonError:
-    """Add the line of the map to an error about columns that the table lacks."""
-    if error.reason is not Reason.BAD_CONFIG:
-        return error
-    nodes = _scalars(yaml.compose(map_text, Loader=yaml.SafeLoader))
-    line = next((node.start_mark.line + 1 for node in nodes if f" {node.value!r}" in error.seen), 1)
-    return ImumonError(Reason.BAD_CONFIG, f"{map_path}:{line}: {error.seen}", error.hint)
-
-
-def _scalars(node: yaml.Node | None) -> list[yaml.ScalarNode]:
-    if isinstance(node, yaml.ScalarNode):
-        return [node]
-    if isinstance(node, yaml.MappingNode):
-        return [scalar for _, value in node.value for scalar in _scalars(value)]
-    return [scalar for value in node.value for scalar in _scalars(value)] if node else []
 
 
 def _metadata(source: TableImport, report: ImportReport, file: Path) -> SessionMetadata:

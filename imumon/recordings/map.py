@@ -12,6 +12,7 @@ from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
+    NonNegativeInt,
     ValidationInfo,
     field_validator,
     model_validator,
@@ -25,8 +26,8 @@ from imumon.units import Unit, parse_own_unit, parse_unit
 TIMESTAMPS = "iso8601"
 """In place of a unit of time: the column holds dates with times."""
 
-MOST_SKIPPED = 1_000_000
-"""Lines before the data; no table has a header of so many."""
+UnitText = Annotated[str, BeforeValidator(lambda given: "1" if given == 1 and given is not True else given)]
+"""A unit; 1 may be written as a number."""
 
 
 def _check_time_unit(text: str) -> str:
@@ -110,7 +111,7 @@ class Group(StrictModel):
     """The columns of one quantity and their unit, which is checked here, so that an error names the line."""
 
     columns: list[str]
-    unit: Annotated[str, BeforeValidator(lambda given: "1" if given == 1 and given is not True else given)]
+    unit: UnitText
 
     becomes: ClassVar[tuple[tuple[str, ...], ...]]
     """The canonical columns, for each number of columns that there may be."""
@@ -197,7 +198,7 @@ class Other(StrictModel):
     """A further column, whatever it is; it keeps its unit."""
 
     column: str
-    unit: Annotated[str, BeforeValidator(lambda given: "1" if given == 1 and given is not True else given)]
+    unit: UnitText
 
     @field_validator("unit")
     @classmethod
@@ -222,7 +223,7 @@ class TextFormat(StrictModel):
     decimal: Literal[".", ","] = "."
     comment: Annotated[str, Field(min_length=1)] | None = None
     header: bool = True
-    skip_rows: Annotated[int, Field(ge=0, le=MOST_SKIPPED)] = 0
+    skip_rows: NonNegativeInt = 0
     columns: list[str] | None = None
 
     @model_validator(mode="after")

@@ -35,19 +35,33 @@ def no_stages(_: DeviceFile | None) -> Sequence[Estimator]:
 class Recording:
     """A recording that is open; its samples can be read once."""
 
-    name: str
-    """Of its folder or file."""
-    truth: Path
-    """The file that everything follows from."""
-    device: str | None
-    axes: str | None
-    """What sent it, and in which body axes; None for a table."""
     source: Source
     """What is read."""
     pipeline: Pipeline
     """What it runs through."""
     processed: list[SampleBlock]
     """Blocks that have gone through the stages and were not yielded yet."""
+
+    @property
+    def name(self) -> str:
+        """Of its folder or file."""
+        path = self.truth if self.source.session is None else self.source.session.path
+        return path.name or str(path)
+
+    @property
+    def truth(self) -> Path:
+        """The file that everything follows from."""
+        return self.source.path if self.source.session is None else self.source.session.truth_path
+
+    @property
+    def device(self) -> str | None:
+        """What sent it; None for a table."""
+        return None if self.source.device is None else self.source.device.name
+
+    @property
+    def axes(self) -> str | None:
+        """In which body axes it is; None where nobody said it."""
+        return self.source.axes
 
     @property
     def columns(self) -> dict[str, Column]:
@@ -94,8 +108,17 @@ def open_recording(path: Path, stages: Stages = no_stages, map_path: Path | None
     map_path : Path or None
         Says what is in which column of a table from elsewhere.
     """
+    source = _open(path, map_path)
+    there = {column.name for column in source.imported}
+    made, processed = stages(source.device), list[SampleBlock]()
+    wanted = [stage for stage in made if there.isdisjoint(column.name for column in stage.columns)]
+    pipeline = Pipeline(source.device, [*wanted, SampleSink(processed.append)], source.range)
+    return Recording(source, pipeline, processed)
+
+
+def _open(path: Path, map_path: Path | None) -> Source:
     if is_session(path) or path.is_dir():
-        return _session(path, stages)
+        return open_source(path)
     if not path.exists():
         raise ImumonError(
             Reason.BAD_DATA,
@@ -104,9 +127,7 @@ def open_recording(path: Path, stages: Stages = no_stages, map_path: Path | None
         )
     if map_path is not None:
         table = TableImport(path, map_path)
-        imported = tuple(table.columns.values())
-        source = Source(path, table.blocks(), None, None, imported, table.warnings, table.map.range)
-        return _table(source, stages, table.map.axes)
+        return Source(path, table.blocks(), None, None, tuple(table.columns.values()), table)
     if path.suffix not in SUFFIXES:
         if lost_metadata(path) is not None:
             open_session(path)  # raises, saying what to do
@@ -122,32 +143,7 @@ def open_recording(path: Path, stages: Stages = no_stages, map_path: Path | None
             f"{path}: has no column device_time_ns, so it is no table of imumon",
             "a table from elsewhere needs a map: imumon import",
         )
-    blocks = _with_segment(iterate_table(path))
-    return _table(Source(path, blocks, None, None, tuple(columns.values())), stages, None)
-
-
-def _session(path: Path, stages: Stages) -> Recording:
-    source = open_source(path)
-    assert source.session is not None
-    session, metadata = source.session, source.session.metadata
-    device = None if metadata.device == "import" else metadata.device
-    name = session.path.name or str(session.path)
-    return _through(source, stages, name, session.truth_path, device, metadata.axes)
-
-
-def _table(source: Source, stages: Stages, axes: str | None) -> Recording:
-    return _through(source, stages, source.path.name, source.path, None, axes)
-
-
-def _through(
-    source: Source, stages: Stages, name: str, truth: Path, device: str | None, axes: str | None
-) -> Recording:
-    """Return the recording with a pipeline of the stages of which the table has no column."""
-    there = {column.name for column in source.imported}
-    made, processed = stages(source.device), list[SampleBlock]()
-    wanted = [stage for stage in made if there.isdisjoint(column.name for column in stage.columns)]
-    pipeline = Pipeline(source.device, [*wanted, SampleSink(processed.append)], source.range)
-    return Recording(name, truth, device, axes, source, pipeline, processed)
+    return Source(path, _with_segment(iterate_table(path)), None, None, tuple(columns.values()))
 
 
 def _with_segment(blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:

@@ -6,9 +6,7 @@ import fcntl
 import os
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import device_text, parse_device
@@ -32,17 +30,10 @@ def refuse_recording(path: Path) -> None:
             raise ImumonError(Reason.BUSY, f"{path} is being recorded", "stop the recording first") from error
 
 
-@dataclass(frozen=True, slots=True)
-class Anew:
-    """What a session.yaml is when it was made anew from the wire file."""
-
-    metadata: SessionMetadata
-    unknown: list[str]
-    """What could not be known, one sentence each."""
-
-
-def metadata_anew(path: Path, device_name: str | None) -> Anew:
+def metadata_anew(path: Path, device_name: str | None) -> tuple[SessionMetadata, list[str]]:
     """Return the metadata of a session from what its wire file says; the state is open.
+
+    Beside it stands what could not be known, one sentence each.
 
     Raises BAD_CONFIG when nothing says what device it was; BAD_DATA when the file holds no message.
 
@@ -62,17 +53,14 @@ def metadata_anew(path: Path, device_name: str | None) -> Anew:
         if text is not None:
             device = parse_device(text, str(device_name))
             begun = begun.model_copy(update={"device": device.name, "axes": device.axes, "device_yaml": text})
-        return Anew(begun, unknown)
+        return begun, unknown
     device = wire_device(WireReader(path)) if text is None else parse_device(text, str(device_name))
     first = next(iter(WireReader(path)), None)
     if first is None:
         raise ImumonError(Reason.BAD_DATA, f"{path} holds no message", "there is nothing to recover")
-    source: Literal["live", "simulation"] = "live"
-    if written.get("source") == "simulation":
-        source = "simulation"
     port = written.get("port")
     metadata = SessionMetadata.begun(
-        source,
+        "simulation" if written.get("source") == "simulation" else "live",
         first.arrival_ns if isinstance(first, Bytes) else first.time_ns,
         device=device.name,
         axes=device.axes,
@@ -84,7 +72,7 @@ def metadata_anew(path: Path, device_name: str | None) -> Anew:
         "not known are place, bias model and parameters (pipeline_yaml), the serial number, the versions "
         "that recorded it and the digest of the live results; it began with its first message",
     ]
-    return Anew(metadata, unknown)
+    return metadata, unknown
 
 
 def is_sound(summary: WireSummary) -> bool:

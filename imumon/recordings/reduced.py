@@ -10,7 +10,6 @@ import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.filters.slots import SlotGatherer, Slots
-from imumon.recordings.hindsight import rest_in_hindsight, scatter_of_steps
 
 AXES = "xyz"
 GYRO = tuple(f"gyro_{axis}" for axis in AXES)
@@ -23,10 +22,8 @@ SIGNIFICANT = 8
 """Samples in a slot whose scatter tells: 1 in 400 of them has half or twice of what it should be."""
 LOUDER = 3.0
 """A slot is quiet when its scatter on every axis is at most this much above that of the quietest quarter."""
-DRIFT = {**dict.fromkeys(GYRO, 1e-4), **dict.fromkeys(ACCEL, 1.5e-3)}
-"""What a bias at rest may drift, rad/s² and m/s³: as much as the rest detector permits by default."""
 JERK = 0.02
-"""And when its mean specific force is within this of a neighbour's, m/s² (0.1°), beyond its own noise."""
+"""m/s² (0.1°): the mean specific force of a quiet slot is within this of its neighbours', beyond noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,20 +71,11 @@ class Reduced:
         return bool(np.isfinite(self.of(name)).any())
 
     def at_rest(self) -> BoolArray:
-        """Return which slots are at rest: as the detector judged, in hindsight, else by `quiet`.
+        """Return which slots are at rest: as the detector judged, else by `quiet`.
 
         Never by the size of the rate, which is what is to be found.
         """
-        share = self.share_in_hindsight()
-        return np.where(np.isfinite(share), share == 1.0, self.quiet())
-
-    def share_in_hindsight(self) -> FloatArray:
-        """Return the share of each slot at rest, (n,): all of it where the slots on both sides say so."""
-        sensors = [at for at, name in enumerate(self.names) if name in DRIFT]
-        drift = np.array([DRIFT[self.names[at]] * self.slot_s for at in sensors])
-        mean, variance = self.mean[:, sensors], self.variance[:, sensors]
-        rest = rest_in_hindsight(self.rest_share == 1.0, self.run, mean, variance, drift)
-        return np.where(rest & np.isfinite(self.rest_share), 1.0, self.rest_share)
+        return np.where(np.isfinite(self.rest_share), self.rest_share == 1.0, self.quiet())
 
     def quiet(self) -> BoolArray:
         """Return which slots scatter little and have the specific force of their neighbours, (n,)."""
@@ -102,7 +90,10 @@ class Reduced:
                 quiet &= ~(scatter > LOUDER * np.quantile(known, QUIET_QUANTILE))
             few = ~np.isfinite(sd) & np.isfinite(self.of(name))
             if few.any():  # then neighbours tell how far a slot scatters
-                sd = np.where(few, scatter_of_steps(self.of(name)[:, np.newaxis])[0], sd)
+                steps = np.abs(np.diff(self.of(name)))
+                steps = steps[np.isfinite(steps)]
+                scatter_of_means = np.median(steps) / (0.6745 * 2.0**0.5) if len(steps) else 0.0
+                sd = np.where(few, scatter_of_means, sd)
             if name in ACCEL:
                 quiet &= _steady(self.of(name), sd)
         return quiet

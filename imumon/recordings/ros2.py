@@ -10,29 +10,29 @@ for an unknown heading beside a known tilt: its variance is then `ANY_HEADING`, 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray, SampleBlock, missing
 from imumon.errors import missing_package
 from imumon.protocols.base import MAIN
-from imumon.recordings.ros2_messages import DEFINITIONS
-from imumon.recordings.table import iterate_table, read_columns
+from imumon.recordings.table import CLOCKS, iterate_table, read_columns
 
 Message = dict[str, Any]
-CLOCKS = ("host_time_ns", "arrival_time_ns", "device_time_ns")
-"""The first that has values is the time of the messages: Unix time, or since power-on in a log without it."""
 SECOND_NS = 1_000_000_000
 TESLA = {"T": 1.0, "mT": 1e-3, "uT": 1e-6, "nT": 1e-9, "gauss": 1e-4, "mgauss": 1e-7}
 UNKNOWN, NOTHING = [0.0] * 9, [-1.0] + [0.0] * 8
 ANY_HEADING = np.pi**2 / 3
 """rad²: of a heading that may be any, uniform over the circle."""
 OK, WARN = 0, 1
-FIX, DIAGONAL_KNOWN = "sensor_msgs/msg/NavSatFix", 2
+IMU, FIX, MAG = "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/MagneticField"
+TEMPERATURE, PRESSURE = "sensor_msgs/msg/Temperature", "sensor_msgs/msg/FluidPressure"
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+DIAGONAL_KNOWN = 2
 NOISY = ("gyro", "accel")
 DIAGNOSED = (
     *(f"gyro_bias_{axis}" for axis in "xyz"),
@@ -58,7 +58,7 @@ class Written:
 def write_ros2(tables: Mapping[str, Path], out: Path, axes: Literal["FLU", "FRD"] | None) -> Written:
     """Write tables of a run as one MCAP file.
 
-    Raises BAD_CONFIG when the package mcap-ros2-support is not installed.
+    Raises BAD_CONFIG when a package that it needs is not installed.
 
     Parameters
     ----------
@@ -69,14 +69,19 @@ def write_ros2(tables: Mapping[str, Path], out: Path, axes: Literal["FLU", "FRD"
     """
     try:
         from mcap_ros2.writer import Writer
+        from rosbags.typesys import Stores, get_typestore
     except ModuleNotFoundError as error:
-        raise missing_package("a ROS 2 bag", "mcap-ros2-support", "ros2") from error
+        raise missing_package("a ROS 2 bag", "mcap-ros2-support and rosbags", "ros2") from error
     counts: dict[str, int] = {}
     left_out: list[str] = []
     streams: list[str] = []
+    known = get_typestore(Stores.ROS2_FOXY)
     with out.open("wb") as file:
         writer = Writer(file)
-        schemas = {name: writer.register_msgdef(name, text) for name, text in DEFINITIONS.items()}
+        schemas = {
+            kind: writer.register_msgdef(kind, known.generate_msgdef(kind, ros_version=2)[0])
+            for kind in (IMU, MAG, TEMPERATURE, PRESSURE, FIX, DIAGNOSTICS)
+        }
         for stream, path in tables.items():
             published = Stream.of(stream, path, axes)
             left_out += published.left_out
@@ -94,6 +99,15 @@ def write_ros2(tables: Mapping[str, Path], out: Path, axes: Literal["FLU", "FRD"
     return Written(counts, streams, left_out)
 
 
+class _Topic(NamedTuple):
+    """Messages of a block: topic, type, which rows have one, (n,), and what makes that of a row."""
+
+    name: str
+    kind: str
+    due: BoolArray
+    make: Callable[[int], Message]
+
+
 @dataclass(slots=True)
 class Stream:
     """How the samples of a stream become messages, block by block."""
@@ -105,11 +119,13 @@ class Stream:
     """The column that has the times of the messages; empty where there is none."""
     flip: bool
     """Whether the samples are turned by 180° about x, from forward-right-down to forward-left-up."""
-    _noise: dict[str, _Noise] = field(default_factory=lambda: {kind: _Noise() for kind in NOISY})
+    _squares: dict[str, FloatArray] = field(default_factory=lambda: {name: np.zeros(3) for name in NOISY})
+    _steps: dict[str, int] = field(default_factory=lambda: dict.fromkeys(NOISY, 0))
+    """Of successive samples at rest, the sum of the squared differences, and how many."""
     _published_ns: int | None = None
     """Time of the latest row."""
     _last: dict[str, float] = field(default_factory=dict)
-    """The latest reading of what is told when it changes."""
+    """The latest reading of what is published when it changes."""
 
     @classmethod
     def of(cls, name: str, path: Path, axes: Literal["FLU", "FRD"] | None) -> Stream:
@@ -124,8 +140,13 @@ class Stream:
 
     def learn(self, block: SampleBlock) -> None:
         """Take the noise of samples at rest into account, for the covariances."""
-        for kind, noise in self._noise.items():
-            noise.add(block, kind)
+        for name in NOISY if "at_rest" in block else ():
+            if (values := block.vector(name)) is not None:
+                at_rest = block["at_rest"] == 1
+                steps = np.diff(values, axis=0)[at_rest[1:] & at_rest[:-1]]
+                steps = steps[np.isfinite(steps).all(axis=1)]
+                self._squares[name] += np.sum(steps**2, axis=0)
+                self._steps[name] += len(steps)
 
     @property
     def left_out(self) -> list[str]:
@@ -143,215 +164,131 @@ class Stream:
         second = times // SECOND_NS
         before = second[0] - 1 if self._published_ns is None else self._published_ns // SECOND_NS
         begins, self._published_ns = np.diff(second, prepend=before) != 0, int(times[-1])
-        makers = list(self._makers(block, begins))
+        topics = list(self._topics(block, begins))
         for row in np.flatnonzero(times != NO_INT).tolist():
-            time_ns = int(times[row])
-            header = {
-                "stamp": {"sec": time_ns // SECOND_NS, "nanosec": time_ns % SECOND_NS},
-                "frame_id": "imu_link",
-            }
-            for topic, kind, make in makers:
-                message = make(row)
-                if message is not None:
-                    yield topic, kind, time_ns, {"header": header, **message}
-            if begins[row] and self.name == MAIN and (status := self._diagnostics(block, row)) is not None:
-                yield (
-                    "/diagnostics",
-                    "diagnostic_msgs/msg/DiagnosticArray",
-                    time_ns,
-                    {"header": header, **status},
-                )
+            sec, nanosec = divmod(int(times[row]), SECOND_NS)
+            header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": "imu_link"}
+            for topic in topics:
+                if topic.due[row]:
+                    message = {"header": header, **topic.make(row)}
+                    yield topic.name, topic.kind, int(times[row]), message
 
-    def _makers(self, block: SampleBlock, begins: BoolArray) -> Iterator[tuple[str, str, Any]]:
-        """Yield topic, type, and what makes the message of a row, for what the block has."""
+    def _topics(self, block: SampleBlock, begins: BoolArray) -> Iterator[_Topic]:
+        """Yield what the block has messages of."""
         if self.name == MAIN:
             yield from self._inertial(block)
         prefix = "" if self.name == MAIN else f"/{self.name}"
         for name in block.columns:
             of = name.removesuffix("latitude")
             if name.endswith("latitude") and f"{of}longitude" in block:
-                yield (
-                    f"{prefix}/fix" if of in ("", f"{self.name}_") else f"{prefix}/{of}fix",
-                    FIX,
-                    _fix(block, of),
-                )
-        if "pressure" in block:
-            make = self._scalar(block, begins, "pressure", "fluid_pressure")
-            yield f"{prefix}/imu/pressure", "sensor_msgs/msg/FluidPressure", make
+                topic = f"{prefix}/fix" if of in ("", f"{self.name}_") else f"{prefix}/{of}fix"
+                yield _fix(topic, block, of)
+        scalars = [("pressure", PRESSURE, "fluid_pressure")]
         for name in block.columns:
             if name == "temperature" or (name[:-1] == "temperature_" and name[-1] in "xyz"):
-                yield (
-                    f"{prefix}/imu/{name}",
-                    "sensor_msgs/msg/Temperature",
-                    self._scalar(block, begins, name, "temperature"),
-                )
-        if "temperature_estimate" in block:
-            make = self._scalar(
-                block, begins, "temperature_estimate", "temperature", "temperature_estimate_sd"
-            )
-            yield f"{prefix}/imu/temperature_estimate", "sensor_msgs/msg/Temperature", make
+                scalars.append((name, TEMPERATURE, "temperature"))
+        scalars.append(("temperature_estimate", TEMPERATURE, "temperature"))
+        for column, kind, of in scalars:
+            if column in block:
+                yield self._scalar(f"{prefix}/imu/{column}", kind, block, begins, column, of)
+        if self.name == MAIN and any(name in block for name in DIAGNOSED):
+            yield _Topic("/diagnostics", DIAGNOSTICS, begins, lambda row: _diagnostics(block, row))
 
-    def _inertial(self, block: SampleBlock) -> Iterator[tuple[str, str, Any]]:
+    def _inertial(self, block: SampleBlock) -> Iterator[_Topic]:
         gyro, accel = self._vector(block, "gyro"), self._vector(block, "accel")
-        of_gyro, of_accel = (np.tile(self._noise[kind].variance, (len(block), 1)) for kind in NOISY)
+        of_gyro, of_accel = (
+            np.tile(self._squares[name] / (2.0 * max(self._steps[name], 1)), (len(block), 1))
+            for name in NOISY
+        )
+        force = ("linear_acceleration", accel, of_accel)
         if gyro is not None or accel is not None:
-            raw = _Imu(gyro, of_gyro, accel, of_accel)
-            yield "/imu/data_raw", "sensor_msgs/msg/Imu", raw.message
-        bias, sd = self._vector(block, "gyro_bias"), _together(block, "gyro_bias_sd")
+            nothing = ("orientation", None, None)
+            yield _imu("/imu/data_raw", nothing, ("angular_velocity", gyro, of_gyro), force)
+        bias, sd = self._vector(block, "gyro_bias"), block.vector("gyro_bias_sd")
         if gyro is not None and bias is not None and sd is not None:
-            rates = np.where(of_gyro.all(), sd**2 + of_gyro, 0.0)
-            estimated = _Imu(gyro - bias, rates, accel, of_accel, *self._attitude(block))
-            yield "/imu/data", "sensor_msgs/msg/Imu", estimated.message
+            variances = np.where(of_gyro.all(), sd**2 + of_gyro, 0.0)
+            attitude = ("orientation", *self._attitude(block))
+            yield _imu("/imu/data", attitude, ("angular_velocity", gyro - bias, variances), force)
         mag = self._vector(block, "mag")
         if mag is not None and (scale := TESLA.get(self.units["mag_x"])):
-            yield "/imu/mag", "sensor_msgs/msg/MagneticField", _field(mag * scale)
+            values = mag * scale
+            yield _Topic(
+                "/imu/mag",
+                MAG,
+                np.asarray(np.isfinite(mag).all(axis=1)),
+                lambda row: {"magnetic_field": _named(values[row]), "magnetic_field_covariance": UNKNOWN},
+            )
 
-    def _scalar(self, block: SampleBlock, begins: BoolArray, column: str, field: str, sd: str = "") -> Any:
-        """Return what makes a message of one value and its variance, zero where it is not known.
+    def _scalar(
+        self, topic: str, kind: str, block: SampleBlock, begins: BoolArray, column: str, of: str
+    ) -> _Topic:
+        """Return messages of one value and its variance, zero where it is not known.
 
-        A reading is told when it has changed, and once a second; an estimate once a second.
+        A reading is published when it has changed, and once a second; an estimate once a second.
         """
-        values = block[column]
-        variance: ColumnArray = block[sd] ** 2 if sd in block else np.zeros(len(block))
-        due = begins.copy()
-        if not sd:
+        values, due = block[column], begins.copy()
+        variance = np.zeros(len(block))
+        if f"{column}_sd" in block:
+            variance = np.nan_to_num(block[f"{column}_sd"] ** 2)
+        if column != "temperature_estimate":
             due |= np.diff(values, prepend=self._last.get(column, np.nan)) != 0
             self._last[column] = float(values[-1])
-        due &= np.isfinite(values)
-
-        def make(row: int) -> Message | None:
-            if not due[row]:
-                return None
-            return {field: float(values[row]), "variance": float(np.nan_to_num(variance[row]))}
-
-        return make
+        return _Topic(
+            topic,
+            kind,
+            due & np.isfinite(values),
+            lambda row: {of: float(values[row]), "variance": float(variance[row])},
+        )
 
     def _vector(self, block: SampleBlock, name: str) -> FloatArray | None:
         """Return a vector in forward-left-up axes, (n, 3)."""
-        values = _together(block, name)
+        values = block.vector(name)
         return values if values is None or not self.flip else values * [1.0, -1.0, -1.0]
 
     def _attitude(self, block: SampleBlock) -> tuple[FloatArray | None, FloatArray | None]:
         """Return the estimated attitude x, y, z, w, body to east-north-up, and variances about these."""
-        names = [f"attitude_estimate_{axis}" for axis in "xyzw"]
-        if any(name not in block for name in names):
+        q = block.vector("attitude_estimate", "xyzw")
+        if q is None:
             return None, None
-        x, y, z, w = (block[name] for name in names)
-        # From forward-left-up to forward-right-down, then as estimated: the product with i.
-        q = np.column_stack([w, z, -y, -x] if self.flip else [x, y, z, w])
-        missing = np.full(len(block), np.nan)
+        if self.flip:  # from forward-left-up to forward-right-down, then as estimated: the product with i
+            x, y, z, w = q.T
+            q = np.column_stack([w, z, -y, -x])
         tilt, heading, north = (
-            block.columns.get(f"attitude_estimate_{name}", missing)
-            for name in ("tilt_sd", "heading_sd", "north")
+            _optional(block, f"attitude_estimate_{name}") for name in ("tilt_sd", "heading_sd", "north")
         )
         yaw = np.where((north == 1) & np.isfinite(heading), heading**2, ANY_HEADING)
         return q, np.column_stack([tilt**2, tilt**2, yaw])
 
-    def _diagnostics(self, block: SampleBlock, row: int) -> Message | None:
-        values = {name: float(block[name][row]) for name in DIAGNOSED if name in block}
-        if not values:
-            return None
-        suspect = values.get("model_suspect", 0.0) == 1.0
-        pairs = [{"key": name, "value": f"{value:.9g}"} for name, value in values.items()]
-        status = {
-            "level": WARN if suspect else OK,
-            "name": "imumon",
-            "message": "the bias model is suspect" if suspect else "",
-            "hardware_id": "",
-            "values": pairs,
-        }
-        return {"status": [status]}
+
+_Part = tuple[str, FloatArray | None, FloatArray | None]
+"""A quantity of a message: its name, values (n, 3) or (n, 4), and variances (n, 3), in SI units."""
 
 
-class _Noise:
-    """Variance of the white noise of a sample: half that of successive differences at rest."""
+def _imu(topic: str, attitude: _Part, rate: _Part, force: _Part) -> _Topic:
+    """Return messages `sensor_msgs/Imu` of the rows that have a rate or a force."""
+    inertial = [np.isfinite(values).all(axis=1) for _, values, _ in (rate, force) if values is not None]
 
-    def __init__(self) -> None:
-        self._squares, self._count = np.zeros(3), 0
+    def make(row: int) -> Message:
+        message: Message = {}
+        for name, values, variances in (attitude, rate, force):
+            if values is None or variances is None or not np.isfinite(values[row]).all():
+                absent = (0.0, 0.0, 0.0, 1.0) if name == "orientation" else (0.0, 0.0, 0.0)
+                message |= {name: _named(absent), f"{name}_covariance": NOTHING}
+            else:
+                message |= {name: _named(values[row]), f"{name}_covariance": _diagonal(variances[row])}
+        return message
 
-    def add(self, block: SampleBlock, kind: str) -> None:
-        """Take the samples of a sensor, where rest is known."""
-        values = _together(block, kind)
-        if values is None or "at_rest" not in block:
-            return
-        at_rest = block["at_rest"] == 1
-        steps = np.diff(values, axis=0)[at_rest[1:] & at_rest[:-1]]
-        steps = steps[np.isfinite(steps).all(axis=1)]
-        self._squares += np.sum(steps**2, axis=0)
-        self._count += len(steps)
-
-    @property
-    def variance(self) -> FloatArray:
-        """Of x, y, z, (3,); zero where it is not known."""
-        return np.asarray(self._squares / (2.0 * self._count)) if self._count else np.zeros(3)
+    return _Topic(topic, IMU, np.any(inertial, axis=0), make)
 
 
-def _together(block: SampleBlock, name: str) -> FloatArray | None:
-    """Return the columns of a vector, (n, 3), or None."""
-    names = [f"{name}_{axis}" for axis in "xyz"]
-    return np.column_stack([block[one] for one in names]) if all(one in block for one in names) else None
-
-
-@dataclass(frozen=True, slots=True)
-class _Imu:
-    """What a `sensor_msgs/Imu` is made of: values and variances (n, 3), the attitude (n, 4), in SI units."""
-
-    gyro: FloatArray | None
-    rates: FloatArray
-    accel: FloatArray | None
-    forces: FloatArray
-    attitude: FloatArray | None = None
-    spread: FloatArray | None = None
-
-    def message(self, row: int) -> Message | None:
-        """Return the message of a row, or None where it has neither rate nor force."""
-        if not _is_there(self.gyro, row) and not _is_there(self.accel, row):
-            return None
-        return {
-            **_part("orientation", self.attitude, self.spread, row, (0.0, 0.0, 0.0, 1.0)),
-            **_part("angular_velocity", self.gyro, self.rates, row),
-            **_part("linear_acceleration", self.accel, self.forces, row),
-        }
-
-
-def _is_there(values: FloatArray | None, row: int) -> bool:
-    return values is not None and bool(np.isfinite(values[row]).all())
-
-
-def _part(
-    name: str,
-    values: FloatArray | None,
-    variances: FloatArray | None,
-    row: int,
-    absent: tuple[float, ...] = (0.0, 0.0, 0.0),
-) -> Message:
-    """Return a vector and its covariance, which says when there is none."""
-    if values is None or variances is None or not _is_there(values, row):
-        return {name: _named(absent), f"{name}_covariance": NOTHING}
-    return {name: _named(values[row]), f"{name}_covariance": _diagonal(variances[row])}
-
-
-def _field(mag: FloatArray) -> Any:
-    def make(row: int) -> Message | None:
-        if not np.isfinite(mag[row]).all():
-            return None
-        return {"magnetic_field": _named(mag[row]), "magnetic_field_covariance": UNKNOWN}
-
-    return make
-
-
-def _fix(block: SampleBlock, of: str) -> Any:
-    """Return what makes a `sensor_msgs/NavSatFix` of a row, with the accuracies that the receiver gives."""
-    missing = np.full(len(block), np.nan)
-    latitude, longitude = block[f"{of}latitude"], block[f"{of}longitude"]
-    altitude = block.columns.get(f"{of}altitude", missing)
-    level, upright = (
-        block.columns.get(f"{of}{name}_accuracy", missing) for name in ("horizontal", "vertical")
+def _fix(topic: str, block: SampleBlock, of: str) -> _Topic:
+    """Return messages `sensor_msgs/NavSatFix`, with the accuracies that the receiver gives."""
+    latitude, longitude, altitude, level, upright = (
+        _optional(block, f"{of}{name}")
+        for name in ("latitude", "longitude", "altitude", "horizontal_accuracy", "vertical_accuracy")
     )
 
-    def make(row: int) -> Message | None:
-        if not np.isfinite(latitude[row] + longitude[row]):
-            return None
+    def make(row: int) -> Message:
         known = bool(np.isfinite(level[row] + upright[row]))
         spread = np.array([level[row], level[row], upright[row]]) ** 2
         return {
@@ -363,7 +300,25 @@ def _fix(block: SampleBlock, of: str) -> Any:
             "position_covariance_type": DIAGONAL_KNOWN if known else 0,
         }
 
-    return make
+    return _Topic(topic, FIX, np.isfinite(latitude + longitude), make)
+
+
+def _diagnostics(block: SampleBlock, row: int) -> Message:
+    values = {name: float(block[name][row]) for name in DIAGNOSED if name in block}
+    suspect = values.get("model_suspect", 0.0) == 1.0
+    status = {
+        "level": WARN if suspect else OK,
+        "name": "imumon",
+        "message": "the bias model is suspect" if suspect else "",
+        "hardware_id": "",
+        "values": [{"key": name, "value": f"{value:.9g}"} for name, value in values.items()],
+    }
+    return {"status": [status]}
+
+
+def _optional(block: SampleBlock, name: str) -> FloatArray:
+    """Return a column, NaN where there is none."""
+    return np.asarray(block.columns.get(name, missing(len(block), np.float64)))
 
 
 def _named(values: Any) -> dict[str, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,12 +10,11 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from imumon.blocks import SampleBlock
-from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
 from imumon.files import check_output, naming, target
 from imumon.protocols.base import MAIN
-from imumon.recordings.conversions import CONVERTED, convert, needed
-from imumon.recordings.table import TableWriter, export_blocks
+from imumon.recordings.conversions import CONVERTED, convert
+from imumon.recordings.table import CLOCKS, TableWriter, export_blocks
 
 if TYPE_CHECKING:
     from imumon.pipeline import Pipeline
@@ -68,16 +67,13 @@ def export_run(
     columns : sequence of str, or None
         Columns of the main table, and no others are written; None for all, and all side streams.
     """
-
-    def known() -> Iterable[Column]:
-        return source.columns(pipeline)
-
     if out.suffix not in CONVERTED:
-        return _tables(blocks, pipeline, out, columns, known)
+        return _tables(blocks, pipeline, source, out, columns)
     check_output(out, replace=True)
     with naming(out), TemporaryDirectory(prefix=".imumon-", dir=target(out).parent) as folder:
         table = Path(folder) / f"{out.stem}.parquet"
-        made = _tables(blocks, pipeline, table, columns, known, needed(out.suffix))
+        also = CLOCKS if out.suffix == ".mcap" else ()
+        made = _tables(blocks, pipeline, source, table, columns, also)
         names = {stream: out if stream == MAIN else side_path(out, stream) for stream in made.tables}
         written = {stream: Path(folder) / path.name for stream, path in names.items()}
         files, left_out = convert(made.tables, written, source.axes)
@@ -89,28 +85,37 @@ def export_run(
 def _tables(
     blocks: Iterable[SampleBlock],
     pipeline: Pipeline,
+    source: Source,
     out: Path,
     columns: Sequence[str] | None,
-    known: Callable[[], Iterable[Column]],
     also: Sequence[str] = (),
 ) -> Exported:
     writers: dict[str, TableWriter] = {}
     with ExitStack() as stack:
-
-        def passing() -> Iterator[SampleBlock]:
-            for block in blocks:
-                for stream, rows in pipeline.side.items() if columns is None else ():
-                    if stream not in writers:
-                        writers[stream] = stack.enter_context(TableWriter(side_path(out, stream), {}))
-                    writers[stream].announce(pipeline.stream_columns(stream))
-                    writers[stream].write(rows)
-                yield block
-
+        if columns is None:
+            blocks = _with_side_rows(blocks, pipeline, out, writers, stack)
         try:
-            rows = export_blocks(passing(), out, columns, known, also)
+            rows = export_blocks(blocks, out, columns, lambda: source.columns(pipeline), also)
         except ImumonError as error:
             if error.reason is not Reason.BAD_DATA or pipeline.counters.samples or not writers:
                 raise
             rows = 0
     tables = {stream: writer.path for stream, writer in writers.items()}
     return Exported(rows, {MAIN: out, **tables} if rows else tables)
+
+
+def _with_side_rows(
+    blocks: Iterable[SampleBlock],
+    pipeline: Pipeline,
+    out: Path,
+    writers: dict[str, TableWriter],
+    stack: ExitStack,
+) -> Iterator[SampleBlock]:
+    """Yield the blocks of a run; write the rows of the side streams that came with each."""
+    for block in blocks:
+        for stream, rows in pipeline.side.items():
+            if stream not in writers:
+                writers[stream] = stack.enter_context(TableWriter(side_path(out, stream), {}))
+            writers[stream].announce(pipeline.stream_columns(stream))
+            writers[stream].write(rows)
+        yield block

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextvars import ContextVar
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,9 +16,11 @@ from imumon.pipeline import UNDATED, Pipeline
 from imumon.protocols.device import DeviceFile, load_device, parse_device
 from imumon.protocols.ranges import Ranges, declared
 from imumon.recordings.folder import METADATA_NAME, Session, is_session, open_session
+from imumon.recordings.importing import TableImport
 from imumon.recordings.metadata import begun_of, iso_utc
 from imumon.recordings.table import SUFFIXES, iterate_samples, read_columns
-from imumon.recordings.wire_reader import WireReader, is_wire
+from imumon.recordings.wire_format import is_wire
+from imumon.recordings.wire_reader import WireReader
 from imumon.recordings.wire_summary import Place, WireSummary
 from imumon.transport.reader import Bytes, EventKind, Item, Reads
 
@@ -44,10 +46,8 @@ class Source:
     """None for a raw capture."""
     imported: tuple[Column, ...] = ()
     """Columns of an imported session's table."""
-    caveats: Callable[[], list[str]] = list
-    """Returns what is not known of a table from elsewhere, after the run."""
-    by_map: Ranges = field(default_factory=Ranges)
-    """Range that the map of a table declares which is read without a session."""
+    table: TableImport | None = None
+    """The table from elsewhere that is read with its map, without a session."""
 
     def columns(self, pipeline: Pipeline) -> list[Column]:
         """Return the columns that the run's blocks have so far; `pipeline` is the one it runs through."""
@@ -59,7 +59,9 @@ class Source:
         """Body axes of the samples; None where nobody said them."""
         if self.device is not None:
             return self.device.axes
-        return None if self.session is None else self.session.metadata.axes
+        if self.session is not None:
+            return self.session.metadata.axes
+        return None if self.table is None else self.table.map.axes
 
     @property
     def range(self) -> Ranges:
@@ -68,7 +70,7 @@ class Source:
         Raises BAD_CONFIG when what the session keeps of them cannot be read.
         """
         if self.session is None:
-            return self.by_map
+            return Ranges() if self.table is None else self.table.map.range
         name, metadata = self.session.path / METADATA_NAME, self.session.metadata
         by_map = None if metadata.table is None else metadata.table.map_yaml
         by_pipeline = declared(metadata.pipeline_yaml, f"{name} (pipeline_yaml)")
@@ -83,7 +85,7 @@ class Source:
     def warnings(self) -> list[str]:
         """Return what is missing from the recording, as it is known after the run."""
         if not isinstance(self.items, WireReader):
-            return self.caveats()
+            return [] if self.table is None else self.table.warnings()
         return [f"{RECORDING}{text}" for text in self._lacks(self.items.summary, self.items.path.name)]
 
     def _lacks(self, summary: WireSummary, name: str) -> list[str]:

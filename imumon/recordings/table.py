@@ -34,6 +34,8 @@ BUFFER_BYTES = 16 << 20
 ARRAY_OVERHEAD = 160
 """Bytes that an array takes besides its values; blocks of one sample are mostly that."""
 READ_ROWS = 65_536
+CLOCKS = ("host_time_ns", "arrival_time_ns", "device_time_ns")
+"""The first that has values is the time of ROS messages: Unix time, or since power-on in a log without it."""
 
 _ARROW = {"float64": pa.float64(), "int64": pa.int64()}
 
@@ -214,7 +216,7 @@ def export_blocks(
     return writer.rows
 
 
-def iterate_samples(session: Session, rows_per_block: int = READ_ROWS) -> Iterator[SampleBlock]:
+def iterate_samples(session: Session) -> Iterator[SampleBlock]:
     """Yield the samples of an imported session in order.
 
     Raises BAD_DATA when the table cannot be read, or is not the one that was imported, or when the session
@@ -230,7 +232,7 @@ def iterate_samples(session: Session, rows_per_block: int = READ_ROWS) -> Iterat
             f" {imported.rows_out:,} were imported",
             f"import {imported.file} again, into another folder",
         )
-    return iterate_table(session.samples_path, rows_per_block)
+    return iterate_table(session.samples_path)
 
 
 def _rows(path: Path) -> int:
@@ -240,9 +242,7 @@ def _rows(path: Path) -> int:
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error}") from error
 
 
-def iterate_table(
-    path: Path, rows_per_block: int = READ_ROWS, columns: Sequence[str] | None = None
-) -> Iterator[SampleBlock]:
+def iterate_table(path: Path, columns: Sequence[str] | None = None) -> Iterator[SampleBlock]:
     """Yield the samples of a table that imumon wrote, or one with the same names, in order.
 
     Raises BAD_DATA when the table cannot be read or has a column that is neither float nor integer.
@@ -255,9 +255,9 @@ def iterate_table(
     there = read_columns(path)
     schema = _schema(there.values() if columns is None else [there[name] for name in columns])
     try:
-        for batch in _batches(path, schema, rows_per_block):
-            for start in range(0, len(batch), rows_per_block):
-                yield _from_arrow(batch.slice(start, rows_per_block), schema)
+        for batch in _batches(path, schema):
+            for start in range(0, len(batch), READ_ROWS):
+                yield _from_arrow(batch.slice(start, READ_ROWS), schema)
     except (pa.ArrowException, OSError) as error:
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error}") from error
 
@@ -321,13 +321,12 @@ def _csv_columns(path: Path) -> dict[str, Column]:
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: it is empty")
     units = units_path(path)
     units_of = load_yaml(units, _UnitsFile).columns if units.is_file() else {}
-    columns = {}
-    for name in names:
-        if name in units_of:
-            columns[name] = Column(name, units_of[name].unit, units_of[name].type, units_of[name].description)
-        else:
-            columns[name] = KNOWN.get(name) or Column(name, "")
-    return columns
+    columns = {name: KNOWN.get(name) or Column(name, "") for name in names}
+    return columns | {
+        name: Column(name, own.unit, own.type, own.description)
+        for name, own in units_of.items()
+        if name in columns
+    }
 
 
 def _parquet_column(path: Path, field: Any) -> Column:
@@ -391,11 +390,11 @@ def _from_arrow(batch: Any, schema: Any) -> SampleBlock:
     return SampleBlock(columns)
 
 
-def _batches(path: Path, schema: Any, rows: int) -> Iterator[Any]:
+def _batches(path: Path, schema: Any) -> Iterator[Any]:
     """Yield record batches of a table file."""
     if path.suffix == ".parquet":
         with pq.ParquetFile(path, pre_buffer=False) as file:
-            yield from file.iter_batches(batch_size=rows, columns=schema.names)
+            yield from file.iter_batches(batch_size=READ_ROWS, columns=schema.names)
         return
     options = pa_csv.ConvertOptions(
         column_types={field.name: field.type for field in schema},
@@ -411,13 +410,7 @@ def _merged(parts: Sequence[Path], schema: Any) -> Iterator[Any]:
     for part in parts:
         with pq.ParquetFile(part, pre_buffer=False) as file:
             for batch in file.iter_batches(batch_size=READ_ROWS):
-                arrays = [
-                    batch.column(field.name)
-                    if field.name in batch.schema.names
-                    else pa.nulls(len(batch), field.type)
-                    for field in schema
-                ]
-                yield pa.Table.from_arrays(arrays, schema=schema)
+                yield _to_arrow(_from_arrow(batch, batch.schema), schema)
 
 
 def _write_csv(path: Path, tables: Iterable[Any], schema: Any) -> None:

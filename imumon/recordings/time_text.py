@@ -31,7 +31,7 @@ def time_parser(unit: str, date_format: str | None = None) -> ParseTime:
         try:
             value = Decimal(text) * scale
         except InvalidOperation as error:
-            raise ValueError(f"time {not_a_number(text.strip())}") from error
+            raise ValueError(f"time {text.strip()!r} is not a number") from error
         except ArithmeticError as error:
             raise ValueError(f"time {text.strip()!r} is out of range") from error
         if not value.is_finite() or abs(value) >= 2**63:
@@ -41,13 +41,6 @@ def time_parser(unit: str, date_format: str | None = None) -> ParseTime:
     return parse
 
 
-def not_a_number(text: str) -> str:
-    """Say that a text is no number, and what it would be one with."""
-    wrong = f"{text!r} is not a number"
-    return f'{wrong} (unless the map has csv: {{decimal: ","}})' if _DECIMAL_COMMA.fullmatch(text) else wrong
-
-
-_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _TIMESTAMP = re.compile(
     r"\s*(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,9}))?\s*(Z|UTC|[+-]\d\d:?\d\d)?\s*", re.ASCII
 )
@@ -61,38 +54,26 @@ def _parse_timestamp(text: str) -> int:
         raise ValueError(f"time {text.strip()!r} is not a date with time, as 2026-01-31T12:00:00.5Z")
     date, time, fraction, zone = match.groups()
     zone = "+00:00" if zone in (None, "Z", "UTC") else zone
-    return _unix_ns(datetime.fromisoformat(f"{date}T{time}{zone}"), fraction or "", text)
+    moment = datetime.fromisoformat(f"{date}T{time}{zone}")
+    return _unix_ns(moment, int((fraction or "").ljust(9, "0")), text)
 
 
 def _date_parser(date_format: str) -> ParseTime:
-    """Return `time_parser` of dates in a format of `datetime.strptime`, but %f is up to nanoseconds."""
-    parts = re.split(r"(%[a-zA-Z%])", date_format)
-    literal = (
-        r"(\d{1,9})" if part == "%f" else ".+?" if at % 2 else re.escape(part)
-        for at, part in enumerate(parts)
-    )
-    pattern, bare = re.compile("".join(literal)), date_format.replace("%f", "0")
+    """Return `time_parser` of dates in a format of `datetime.strptime`."""
 
     def parse(text: str) -> int:
-        text = text.strip()
-        match = pattern.fullmatch(text)
-        if match is None:
-            raise ValueError(f"time {text!r} is not as {date_format!r}")
-        fraction = match[1] if pattern.groups else ""
-        whole = f"{text[: match.start(1)]}0{text[match.end(1) :]}" if fraction else text
         try:
-            moment = datetime.strptime(whole, bare)
+            moment = datetime.strptime(text.strip(), date_format)
         except ValueError as error:
-            raise ValueError(f"time {text!r} is not as {date_format!r}") from error
-        return _unix_ns(moment if moment.tzinfo else moment.replace(tzinfo=UTC), fraction, text)
+            raise ValueError(f"time {text.strip()!r} is not as {date_format!r}") from error
+        return _unix_ns(moment if moment.tzinfo else moment.replace(tzinfo=UTC), 0, text)
 
     return parse
 
 
-def _unix_ns(moment: datetime, fraction: str, text: str) -> int:
-    """Return Unix time in ns of a whole second and the digits behind it."""
+def _unix_ns(moment: datetime, more_ns: int, text: str) -> int:
     since = moment - _EPOCH
-    time_ns = (since.days * 86_400 + since.seconds) * 10**9 + int(fraction.ljust(9, "0"))
+    time_ns = ((since.days * 86_400 + since.seconds) * 10**6 + since.microseconds) * 1000 + more_ns
     if not abs(time_ns) < 2**63:
         raise ValueError(f"time {text.strip()!r} is out of range")
     return time_ns

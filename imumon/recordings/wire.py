@@ -35,9 +35,6 @@ from imumon.recordings.wire_format import (
     CDR,
     CDR_LITTLE,
     EVENT_CHANNEL,
-    EVENT_ENCODING,
-    EVENT_TOPIC,
-    FOOTER_OP,
     FORMAT,
     MAGIC,
     MESSAGE,
@@ -45,8 +42,6 @@ from imumon.recordings.wire_format import (
     MESSAGE_OP,
     UNRECORDED,
     WIRE_CHANNEL,
-    WIRE_ENCODING,
-    WIRE_TOPIC,
     Check,
 )
 from imumon.transport.reader import Bytes, Item
@@ -58,7 +53,7 @@ BLOCK_BYTES = 1 << 13
 """A block is sealed when it has so many bytes, or when it is flushed: so much is lost by one wrong bit."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class WireCounters:
     """What a `WireWriter` got, and what of it is in the file."""
 
@@ -91,9 +86,10 @@ class WireWriter:
         self._path = path
         self._metadata = Metadata(name="imumon", metadata=dict(metadata))
         self._unflushed: deque[tuple[int, int]] = deque()
-        self._sequence = self._reads = self._bytes = self._events = 0
-        self._on_disk = self._unrecorded = 0
-        self._gap_reads = self._gap_bytes = self._gap_events = 0
+        self._sequence = 0
+        self.counters = WireCounters()
+        self._gap = Counter[str]()
+        """Of what is given up since the last message: reads, bytes and events."""
         self._first_ns = self._last_ns = self._highest_ns = 0
         self._messages: Counter[int] = Counter()
         self._begin()
@@ -141,23 +137,19 @@ class WireWriter:
         self._begin()
         gone.close()
         self._messages.clear()
-        self._sequence, self._on_disk, self._unrecorded = 0, 0, self._bytes
+        self._sequence, counts = 0, self.counters
+        counts.bytes_on_disk, counts.bytes_unrecorded = 0, counts.bytes
         self._unflushed.clear()
-        self._gap_reads, self._gap_bytes, self._gap_events = self._reads, self._bytes, self._events
+        self._gap = Counter(reads=counts.reads, bytes=counts.bytes, events=counts.events)
         self._say_gap(self._last_ns)
-
-    @property
-    def counters(self) -> WireCounters:
-        """What was written so far."""
-        return WireCounters(self._reads, self._bytes, self._events, self._on_disk, self._unrecorded)
 
     def write(self, item: Item) -> None:
         """Take an item in; it is on disk after the next `flush` that succeeds."""
         if isinstance(item, Bytes):
-            self._reads += 1
-            self._bytes += len(item.data)
+            self.counters.reads += 1
+            self.counters.bytes += len(item.data)
         else:
-            self._events += 1
+            self.counters.events += 1
         if self._spool.pending > PENDING_LIMIT:
             self._give_up(item)
             return
@@ -189,7 +181,7 @@ class WireWriter:
             self._spool.flush()
         finally:
             while self._unflushed and self._unflushed[0][0] <= self._spool.written:
-                self._on_disk += self._unflushed.popleft()[1]
+                self.counters.bytes_on_disk += self._unflushed.popleft()[1]
 
     def sync(self) -> None:
         """Wait until the medium has what was flushed; may be called from another thread.
@@ -213,7 +205,7 @@ class WireWriter:
             self.flush()
             self.sync()
         finally:
-            self._unrecorded += sum(size for _, size in self._unflushed)
+            self.counters.bytes_unrecorded += sum(size for _, size in self._unflushed)
             self._unflushed.clear()
             self._spool.close()
 
@@ -231,17 +223,17 @@ class WireWriter:
 
     def _give_up(self, item: Item) -> None:
         if isinstance(item, Bytes):
-            self._gap_reads += 1
-            self._gap_bytes += len(item.data)
-            self._unrecorded += len(item.data)
+            self._gap.update(reads=1, bytes=len(item.data))
+            self.counters.bytes_unrecorded += len(item.data)
         else:
-            self._gap_events += 1
+            self._gap.update(events=1)
 
     def _say_gap(self, time_ns: int) -> None:
-        if self._gap_reads or self._gap_events:
-            counts = {"reads": self._gap_reads, "bytes": self._gap_bytes, "events": self._gap_events}
-            self._add_event(UNRECORDED, time_ns, counts)
-            self._gap_reads = self._gap_bytes = self._gap_events = 0
+        if self._gap.total():
+            self._add_event(
+                UNRECORDED, time_ns, {name: self._gap[name] for name in ("reads", "bytes", "events")}
+            )
+            self._gap.clear()
 
     def _seal(self) -> None:
         """Write the check record of what came since the last one."""
@@ -272,7 +264,6 @@ class WireWriter:
         summary = b"".join(map(_packed, (*_TOPICS, statistics, index)))
         start = self._spool.tell()
         unchecked = _packed(Footer(summary_start=start, summary_offset_start=0, summary_crc=0))
-        assert unchecked[0] == FOOTER_OP
         crc = zlib.crc32(unchecked[:-4], zlib.crc32(summary))
         footer = Footer(summary_start=start, summary_offset_start=0, summary_crc=crc)
         self._spool.write(summary + _packed(footer) + MAGIC)
@@ -290,8 +281,8 @@ _SCHEMAS = (
     Schema(id=2, name="imumon.Event", encoding="jsonschema", data=json.dumps(_EVENT_SCHEMA).encode()),
 )
 _CHANNELS = (
-    Channel(id=WIRE_CHANNEL, topic=WIRE_TOPIC, message_encoding=WIRE_ENCODING, metadata={}, schema_id=1),
-    Channel(id=EVENT_CHANNEL, topic=EVENT_TOPIC, message_encoding=EVENT_ENCODING, metadata={}, schema_id=2),
+    Channel(id=WIRE_CHANNEL, topic="/wire", message_encoding="cdr", metadata={}, schema_id=1),
+    Channel(id=EVENT_CHANNEL, topic="/event", message_encoding="json", metadata={}, schema_id=2),
 )
 _TOPICS: tuple[McapRecord, ...] = (*_SCHEMAS, *_CHANNELS)
 

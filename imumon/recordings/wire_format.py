@@ -7,33 +7,38 @@ that is damaged in the middle.
 
 from __future__ import annotations
 
+import mmap
 import struct
 import zlib
 from dataclasses import dataclass
+from pathlib import Path
+
+from mcap.opcode import Opcode
+
+from imumon.files import readable
 
 FORMAT = "imumon-wire/2"
 """Written as the profile of the MCAP file."""
 FORMATS = ("imumon-wire/1", FORMAT)
 """Those that are read; in the first, reads are bare bytes."""
-WIRE_TOPIC, EVENT_TOPIC = "/wire", "/event"
 BARE_CHANNEL, EVENT_CHANNEL, WIRE_CHANNEL = 1, 2, 3
 """Always these, so that a file whose beginning is damaged can be read; the first has bare bytes."""
-BARE_ENCODING, EVENT_ENCODING, WIRE_ENCODING = "x-bytes", "json", "cdr"
 CDR = struct.Struct("<4sI")
 """What CDR has before the bytes of ``uint8[] data``: little-endian, and how many they are."""
 CDR_LITTLE = b"\x00\x01\x00\x00"
 UNRECORDED = "unrecorded"
-"""Kind of the message in `EVENT_TOPIC` that tells how many bytes are missing before it."""
+"""Kind of the event that tells how many bytes are missing before it."""
 
+PROFILE = FORMAT.rpartition("/")[0].encode()
+HEAD_SIZE = 64
+"""Bytes at the begin of a file among which the profile stands."""
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
 """Opcode, and bytes that follow."""
 MESSAGE = struct.Struct("<BQHIQQ")
 """Opcode, bytes that follow, channel, sequence, log time, publish time; then the payload."""
 MESSAGE_FIELDS = MESSAGE.size - RECORD.size
-HEADER_OP, FOOTER_OP, SCHEMA_OP, CHANNEL_OP, MESSAGE_OP, CHUNK_OP = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06
-MESSAGE_INDEX_OP, ATTACHMENT_OP, STATISTICS_OP = 0x07, 0x09, 0x0B
-METADATA_OP, DATA_END_OP = 0x0C, 0x0F
+MESSAGE_OP, DATA_END_OP = int(Opcode.MESSAGE), int(Opcode.DATA_END)
 STATISTICS_COUNTS = struct.Struct("<Q")
 """What the statistics begin with: the number of messages."""
 SEQUENCE_MASK = (1 << 32) - 1
@@ -69,10 +74,28 @@ class Check:
         return body + zlib.crc32(body).to_bytes(4, "little")
 
     @classmethod
-    def unpack(cls, buffer: bytes, offset: int) -> Check | None:
+    def unpack(cls, buffer: mmap.mmap | bytes, offset: int) -> Check | None:
         """Return the record that begins here, or None when it is not one, or damaged."""
         record = buffer[offset : offset + CHECK_SIZE]
         if len(record) < CHECK_SIZE or zlib.crc32(record[:-4]).to_bytes(4, "little") != record[-4:]:
             return None
         opcode, length, marker, *fields = _CHECK.unpack_from(record)
         return cls(*fields) if (opcode, length, marker) == (CHECK_OP, CHECK_LENGTH, MARKER) else None
+
+
+def is_wire(path: Path) -> bool:
+    """Test whether a file is MCAP by its first bytes, or by the profile behind them where these are damaged.
+
+    Raises BAD_DATA when it cannot be read.
+    """
+    return _head(path).startswith(MAGIC) or is_own(path)
+
+
+def is_own(path: Path) -> bool:
+    """Return whether imumon recorded a file, by the profile at its begin.  Raises BAD_DATA as `is_wire`."""
+    return PROFILE in _head(path)
+
+
+def _head(path: Path) -> bytes:
+    with readable(path), path.open("rb") as file:
+        return file.read(HEAD_SIZE)

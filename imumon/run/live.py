@@ -270,7 +270,7 @@ class LiveRun:
     def _take_marks(self) -> None:
         with self._marking:
             for kind, text in self._marks.take():
-                self._reader.mark(kind, text)
+                self._reader.report(kind, text)
 
     def _wire_writer(self) -> WireWriter:
         metadata = self.session.metadata.for_wire()

@@ -68,10 +68,10 @@ def recover(path: Path, device_name: str | None = None) -> Recovered:
     lost = lost_metadata(path)
     if lost is not None:
         refuse_recording(lost)
-        anew = metadata_anew(lost, device_name)
-        session = Session(lost.parent, anew.metadata)
+        metadata, unknown = metadata_anew(lost, device_name)
+        session = Session(lost.parent, metadata)
     else:
-        anew, session = None, open_session(path)
+        unknown, session = [], open_session(path)
         if device_name is not None:
             raise ImumonError(Reason.BAD_CONFIG, f"--device, and {path} knows its device", "leave it out")
     if session.metadata.source == "import":
@@ -83,7 +83,7 @@ def recover(path: Path, device_name: str | None = None) -> Recovered:
     sound = is_sound(result.before) and not bytes_missing(session, result.before)
     if (
         sound
-        and anew is None
+        and lost is None
         and session.state == "closed"
         and all((session.path / n).exists() for n in session.metadata.views)
     ):
@@ -95,13 +95,12 @@ def recover(path: Path, device_name: str | None = None) -> Recovered:
         result.done.append(f"{session.wire_path.name}: {result.before.reads:,} reads written anew, finished")
         source = source_of(session)
     metadata, warnings = _run_again(session, source, result)
-    if anew is not None or metadata != session.metadata:
+    if lost is not None or metadata != session.metadata:
         if (session.path / METADATA_NAME).exists():
             result.originals.append(keep_original(session.path / METADATA_NAME))
         session.save(metadata)
-        made = f", made anew from what {WIRE_NAME} says" if anew is not None else ""
+        made = f", made anew from what {WIRE_NAME} says" if lost is not None else ""
         result.done.append(f"{METADATA_NAME}: closed, with the counters of what there is{made}")
-    unknown = [] if anew is None else anew.unknown
     result.warnings = [*unknown, *source.warnings(), *warnings]
     return result
 

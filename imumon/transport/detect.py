@@ -36,8 +36,7 @@ SILENT_RATES = 3
 GLANCE_S = 0.5
 """Time for which all rates are listened to first: five packets of a device that sends 10 a second."""
 POLL_S = 0.05
-TEXT = frozenset(b"\t\r\n" + bytes(range(0x20, 0x7F)))
-ODD = frozenset(b"\x00\xff")
+TEXT, ODD = b"\t\r\n" + bytes(range(0x20, 0x7F)), b"\x00\xff"
 
 
 class Candidate(Protocol):
@@ -69,9 +68,6 @@ class Verdict(Enum):
     """Bytes, but no packets worth the name."""
     SILENT = "silent"
     """No bytes."""
-
-
-_RANK = {verdict: rank for rank, verdict in enumerate(Verdict)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +185,10 @@ def _try_all(
         except ImumonError as error:
             if error.reason is not Reason.BAD_CONFIG or rate == rates[-1]:
                 raise
-        if any(item.tells_the_rate for item in evidence) or _silent_rates(evidence) >= SILENT_RATES:
+        is_silent = not any(item.bytes_received for item in evidence)
+        if is_silent and len({item.baudrate for item in evidence}) >= SILENT_RATES:
+            break
+        if any(item.tells_the_rate for item in evidence):
             break
     return evidence
 
@@ -203,22 +202,44 @@ def listen(
     """Feed what arrives within `seconds` to every candidate; return the evidence in their order."""
     decoders = {name: factory() for name, factory in candidates.items()}
     samples = dict.fromkeys(decoders, 0)
-    counts = [0] * 256
+    data, elapsed = bytearray(), 0.0
     with open_port(settings) as port:
         start = time.monotonic()
-        elapsed = 0.0
-        while elapsed < seconds and not _decided(decoders.values(), counts):
-            data = port.read(min(POLL_S, seconds - elapsed))
-            received(data)
-            for byte in data:
-                counts[byte] += 1
+        while elapsed < seconds and not _decided(decoders.values(), data):
+            read = port.read(min(POLL_S, seconds - elapsed))
+            received(read)
+            data += read
             for name, decoder in decoders.items():
-                decoder.feed(data, time.time_ns())
+                decoder.feed(read, time.time_ns())
                 samples[name] += len(decoder.take())
             elapsed = time.monotonic() - start
-    return [
-        _weigh(name, decoder, samples[name], settings, elapsed, counts) for name, decoder in decoders.items()
-    ]
+    evidence = []
+    for name, decoder in decoders.items():
+        decoder.finish()
+        samples[name] += len(decoder.take())
+        counters = decoder.counters()
+        evidence.append(
+            Evidence(
+                protocol=name,
+                baudrate=settings.baudrate if settings.has_line else None,
+                seconds=elapsed,
+                bytes_received=counters.bytes_received,
+                bytes_in_packets=counters.bytes_in_packets,
+                bytes_pending=counters.bytes_pending,
+                packets=counters.packets,
+                checksum_errors=counters.checksum_errors,
+                length_errors=counters.length_errors,
+                samples=samples[name],
+                odd_share=_share(data, ODD),
+                text_share=_share(data, TEXT),
+            )
+        )
+    return evidence
+
+
+def _share(data: bytearray, of: bytes) -> float:
+    """Return the share of the bytes that are among these; 0 without bytes."""
+    return 1.0 - len(data.translate(None, of)) / len(data) if data else 0.0
 
 
 def failure(url: str, evidence: Sequence[Evidence]) -> ImumonError | None:
@@ -267,55 +288,23 @@ def _likely_cause(evidence: Sequence[Evidence]) -> str:
     return hint
 
 
-def _weigh(
-    name: str,
-    decoder: Candidate,
-    samples: int,
-    settings: PortSettings,
-    seconds: float,
-    counts: Sequence[int],
-) -> Evidence:
-    decoder.finish()
-    samples += len(decoder.take())
-    counters = decoder.counters()
-    n_bytes = max(sum(counts), 1)
-    return Evidence(
-        protocol=name,
-        baudrate=settings.baudrate if settings.has_line else None,
-        seconds=seconds,
-        bytes_received=counters.bytes_received,
-        bytes_in_packets=counters.bytes_in_packets,
-        bytes_pending=counters.bytes_pending,
-        packets=counters.packets,
-        checksum_errors=counters.checksum_errors,
-        length_errors=counters.length_errors,
-        samples=samples,
-        odd_share=sum(counts[byte] for byte in ODD) / n_bytes,
-        text_share=sum(counts[byte] for byte in TEXT) / n_bytes if sum(counts) else 0.0,
+def _decided(decoders: Iterable[Candidate], data: bytearray) -> bool:
+    """Return whether listening on would prove nothing more, for a candidate or against all."""
+    counts = [decoder.counters() for decoder in decoders]
+    if len(data) >= TRIED_BYTES and not any(count.packets for count in counts):
+        return _share(data, TEXT) <= MOSTLY_TEXT
+    return any(
+        count.packets >= PLENTY_OF_PACKETS
+        and count.bytes_in_packets >= FRAMED * (count.bytes_received - count.bytes_pending)
+        for count in counts
     )
 
 
-def _decided(decoders: Iterable[Candidate], counts: Sequence[int]) -> bool:
-    """Return whether listening on would prove nothing more, for a candidate or against all."""
-    books = [decoder.counters() for decoder in decoders]
-    n_bytes = sum(counts)
-    text = sum(counts[byte] for byte in TEXT) > MOSTLY_TEXT * n_bytes
-    if n_bytes >= TRIED_BYTES and not text and not any(counters.packets for counters in books):
-        return True
-    for counters in books:
-        good = counters.bytes_in_packets >= FRAMED * (counters.bytes_received - counters.bytes_pending)
-        if counters.packets >= PLENTY_OF_PACKETS and good:
-            return True
-    return False
-
-
-def _silent_rates(evidence: Iterable[Evidence]) -> int:
-    """Return the number of rates tried when none of them brought a byte, otherwise 0."""
-    items = list(evidence)
-    if any(item.bytes_received for item in items):
-        return 0
-    return len({item.baudrate for item in items})
-
-
 def _order(item: Evidence) -> tuple[int, bool, float, int, int]:
-    return _RANK[item.verdict], not item.samples, -item.share_framed, -item.packets, item.checksum_errors
+    return (
+        [*Verdict].index(item.verdict),
+        not item.samples,
+        -item.share_framed,
+        -item.packets,
+        item.checksum_errors,
+    )

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import errno
 import os
-import socket
 import stat
 import sys
 from pathlib import Path
 
 from imumon.errors import ImumonError, Reason
-from imumon.transport.ports import describe_ports, holders, usb_ids
+from imumon.transport.ports import describe_ports, holders
 from imumon.transport.settings import PortSettings
 
 if sys.platform != "win32":
@@ -117,13 +116,8 @@ def _errno(error: BaseException | None) -> int | None:
 
 
 def _errno_text(number: int | None, error: Exception) -> str:
-    if number is None:
+    if number is None or number not in errno.errorcode:  # the resolver has its own, negative numbers
         return str(error)
-    if number not in errno.errorcode:  # the resolver has its own, negative numbers
-        root: BaseException = error
-        while root.__context__ is not None and not isinstance(root, socket.gaierror):
-            root = root.__context__
-        return str(root)
     return f"{os.strerror(number)} (errno {number}, {errno.errorcode[number]})"
 
 
@@ -162,25 +156,19 @@ def _permission(device: str, _number: int | None) -> tuple[str, str]:
     owner, group = _name_of_user(node.st_uid), _name_of_group(node.st_gid)
     seen = f"{device} is {stat.filemode(node.st_mode)} {owner}:{group}"
     both = stat.S_IRGRP | stat.S_IWGRP
-    if node.st_mode & both == both and node.st_gid != 0:
-        user = _name_of_user(os.geteuid())
-        if node.st_gid in os.getgroups():
-            return seen, f"This session is in group {group}, so a container or security policy refuses."
-        if node.st_gid in os.getgrouplist(user, os.getegid()):
-            return seen, f"You are in group {group}, this session is not yet: log out and in again."
-        return seen, f"sudo usermod -aG {group} {user}    (then log out and in again)"
-    return seen, _udev_hint(device)
-
-
-def _udev_hint(device: str) -> str:
-    """Return the rule that gives the person at the screen the device (it must sort before 73-seat)."""
-    ids = usb_ids(device)
-    match = f'ATTRS{{idVendor}}=="{ids[0]}", ATTRS{{idProduct}}=="{ids[1]}"' if ids else ""
-    match = match or f'KERNEL=="{Path(os.path.realpath(device)).name}"'
+    if node.st_mode & both != both or node.st_gid == 0:
+        rule = f'SUBSYSTEM=="tty", KERNEL=="{Path(os.path.realpath(device)).name}", TAG+="uaccess"'
+        return seen, (
+            "No group may open it. A udev rule (which must sort before 73-seat) gives it to the user at the"
+            f" screen:\necho '{rule}' | sudo tee {UDEV_RULES}\n"
+            "sudo udevadm control --reload && sudo udevadm trigger"
+        )
+    if node.st_gid in os.getgroups():
+        return seen, f"This session is in group {group}, so a container or security policy refuses."
+    user = _name_of_user(os.geteuid())
     return (
-        "No group may open it. A udev rule gives it to the user at the screen:\n"
-        f'echo \'SUBSYSTEM=="tty", {match}, TAG+="uaccess"\' | sudo tee {UDEV_RULES}\n'
-        "sudo udevadm control --reload && sudo udevadm trigger"
+        seen,
+        f"sudo usermod -aG {group} {user}    (then, or if you are in it already, log out and in again)",
     )
 
 

@@ -20,7 +20,7 @@ from imumon.transport.settings import PortSettings
 READ_SIZE = 1 << 16
 """Bytes taken at once: as many as a Linux tty can hold back after a stall."""
 SLICE_S = 0.05
-"""Longest wait inside a handler that cannot be woken up."""
+"""Longest wait inside a handler that has no descriptor to wait for."""
 WRITE_TIMEOUT_S = 1.0
 
 
@@ -81,19 +81,16 @@ class Port:
         if self._socket is not None:
             _keep_alive(self._socket)
 
-    def read(self, timeout_s: float, wake_fd: int | None = None) -> bytes:
+    def read(self, timeout_s: float) -> bytes:
         """Return the bytes that are there, waiting for the first at most `timeout_s`; empty when none came.
-
-        A readable `wake_fd` ends the wait early.
 
         Raises LOST when the port failed, hung up, or the peer closed the connection.
         """
         try:
             if self._fd is None:
-                return self._wait_in_handler(timeout_s, wake_fd)
-            waited_for = [self._fd] if wake_fd is None else [self._fd, wake_fd]
-            ready = select.select(waited_for, [], [], max(timeout_s, 0.0))[0]
-            return self._take() if self._fd in ready else b""
+                return self._wait_in_handler(timeout_s)
+            ready = select.select([self._fd], [], [], max(timeout_s, 0.0))[0]
+            return self._take() if ready else b""
         except PORT_ERRORS as error:
             raise lost_error(self.settings, error) from error
 
@@ -175,16 +172,15 @@ class Port:
     def _take_from_handler(self) -> bytes:
         return bytes(self._handle.read(max(self._handle.in_waiting, 1)))
 
-    def _wait_in_handler(self, timeout_s: float, wake_fd: int | None) -> bytes:
-        """Wait in slices, since a handler without a descriptor cannot be woken up."""
+    def _wait_in_handler(self, timeout_s: float) -> bytes:
+        """Wait in slices of the handler's own timeout, `SLICE_S`."""
         end = time.monotonic() + timeout_s
         while True:
             data = bytes(self._handle.read(1))
             if data:
                 waiting = self._handle.in_waiting
                 return data + bytes(self._handle.read(waiting)) if waiting else data
-            woken = wake_fd is not None and bool(select.select([wake_fd], [], [], 0)[0])
-            if woken or time.monotonic() >= end:
+            if time.monotonic() >= end:
                 return b""
 
 

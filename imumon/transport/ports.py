@@ -96,19 +96,6 @@ def driver(device: str) -> str | None:
     return link.resolve().name if link.exists() else None
 
 
-def usb_ids(device: str) -> tuple[str, str] | None:
-    """Return USB vendor and product id as udev writes them (``0403``, ``6001``), or None."""
-    start = _sys_device(device)
-    if not start.exists():
-        return None
-    for folder in (start.resolve(), *start.resolve().parents):
-        try:
-            return (folder / "idVendor").read_text().strip(), (folder / "idProduct").read_text().strip()
-        except OSError:  # not the folder of a USB device
-            continue
-    return None
-
-
 def latency_timer_path(device: str) -> Path:
     """Return where the kernel keeps the latency timer of an FTDI adapter."""
     return _sys_device(device) / "latency_timer"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import select
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -28,6 +26,8 @@ LONGEST_DELAY_S = 0.5
 read within 1 s.  A try takes a millisecond."""
 CHECK_SILENT_S = 1.0
 """How often a silent port is checked for having been replaced."""
+STOP_S = 0.2
+"""Longest wait for bytes, after which it is looked whether the reader is to stop."""
 
 
 class EventKind(Enum):
@@ -128,32 +128,6 @@ def _steady_ns() -> int:
     return time.monotonic_ns() if boottime is None else time.clock_gettime_ns(boottime)
 
 
-class Wakeup:
-    """A flag that can be waited for together with descriptors; once set, it stays set."""
-
-    def __init__(self) -> None:
-        self._receive, self._send = socket.socketpair()
-        self.is_set = False
-
-    def fileno(self) -> int:
-        """Return a descriptor that is readable once the flag is set."""
-        return self._receive.fileno()
-
-    def set(self) -> None:
-        """Set the flag."""
-        self.is_set = True
-        self._send.send(b"!")
-
-    def wait(self, timeout_s: float) -> bool:
-        """Wait for the flag at most `timeout_s`; return whether it is set."""
-        return bool(select.select([self._receive], [], [], timeout_s)[0])
-
-    def close(self) -> None:
-        """Give the descriptors back."""
-        self._receive.close()
-        self._send.close()
-
-
 class Reader:
     """Keeps a port open and hands every byte, with its time of arrival, to the sinks.
 
@@ -177,7 +151,8 @@ class Reader:
         self._clock = Clock()
         self.newest_ns = 0
         """Arrival of the newest bytes, Unix time; 0 before the first."""
-        self._running: tuple[threading.Thread, Wakeup] | None = None
+        self._stopping = threading.Event()
+        self._thread: threading.Thread | None = None
 
     def start(self) -> None:
         """Open the port and start reading.
@@ -185,24 +160,18 @@ class Reader:
         Raises ImumonError when the port cannot be opened now: the name may be wrong, so it is not tried
         again.
         """
-        port, wakeup = open_port(self.settings), Wakeup()
+        port = open_port(self.settings)
         name = f"reader of {self.settings.url}"
-        thread = threading.Thread(target=self._run, args=(port, wakeup), name=name, daemon=True)
-        self._running = thread, wakeup
-        thread.start()
-
-    def mark(self, kind: EventKind, text: str) -> None:
-        """Hand on what a person says of this moment; may be called from any thread."""
-        self._say(kind, text)
+        self._stopping.clear()
+        self._thread = threading.Thread(target=self._run, args=(port,), name=name, daemon=True)
+        self._thread.start()
 
     def stop(self) -> None:
         """Stop reading and close the port; returns when both are done, within 0.5 s."""
-        if self._running is not None:
-            thread, wakeup = self._running
-            self._running = None
-            wakeup.set()
-            thread.join()
-            wakeup.close()
+        if self._thread is not None:
+            self._stopping.set()
+            self._thread.join()
+            self._thread = None
 
     def __enter__(self) -> Reader:
         """Start reading."""
@@ -213,78 +182,77 @@ class Reader:
         """Stop reading."""
         self.stop()
 
-    def _run(self, first: Port, wakeup: Wakeup) -> None:
+    def _run(self, first: Port) -> None:
         port: Port | None = first
         lost_ns: int | None = None
         try:
             while port is not None:
                 with port:
-                    self._say_opened(port, lost_ns)
-                    failure = self._read_until_lost(port, wakeup)
+                    self._report_opened(port, lost_ns)
+                    failure = self._read_until_lost(port)
                 if failure is None:
                     return
                 lost_ns = self._clock.now_ns()
-                self._say(EventKind.LOST, failure.seen, lost_ns)
-                port = self._reopen(wakeup)
+                self.report(EventKind.LOST, failure.seen, lost_ns)
+                port = self._reopen()
         finally:
-            self._say(EventKind.CLOSED, f"{self.settings.url} was closed")
+            self.report(EventKind.CLOSED, f"{self.settings.url} was closed")
 
-    def _read_until_lost(self, port: Port, wakeup: Wakeup) -> ImumonError | None:
+    def _read_until_lost(self, port: Port) -> ImumonError | None:
         """Read until the port fails, and return why; None when the reader is stopped."""
-        last_ns = self._clock.now_ns()
+        last_ns = checked_ns = self._clock.now_ns()
         silent = shared = False
-        wait_s = self._silent_after_s
-        while not wakeup.is_set:
+        while not self._stopping.is_set():
+            left_s = self._silent_after_s - (self._clock.now_ns() - last_ns) * 1e-9
             try:
-                data = port.read(wait_s, wakeup.fileno())
+                data = port.read(STOP_S if silent else min(STOP_S, max(left_s, 0.0)))
             except ImumonError as error:
                 return error
             now_ns = self._clock.now_ns()
             quiet_s = (now_ns - last_ns) * 1e-9
             if data:
                 if silent:
-                    self._say(EventKind.RESUMED, f"bytes again after {quiet_s:.1f} s", now_ns)
-                silent, last_ns, wait_s = False, now_ns, self._silent_after_s
+                    self.report(EventKind.RESUMED, f"bytes again after {quiet_s:.1f} s", now_ns)
+                silent, last_ns = False, now_ns
                 self._hand_on(Bytes(data, now_ns))
                 self.newest_ns = now_ns
-            elif quiet_s < self._silent_after_s:
-                wait_s = self._silent_after_s - quiet_s
-            else:
-                wait_s = CHECK_SILENT_S
-                if not silent:
-                    silent = True
-                    self._say(EventKind.SILENT, silent_error(self.settings, quiet_s).seen, now_ns)
+            elif quiet_s >= self._silent_after_s and not silent:
+                silent = True
+                self.report(EventKind.SILENT, silent_error(self.settings, quiet_s).seen, now_ns)
+            if silent and now_ns - checked_ns >= CHECK_SILENT_S * 1e9:
+                checked_ns = now_ns
                 if reason := port.gone():
                     return lost_error(self.settings, reason)
             if port.vanished_reads and not shared:
                 shared = True
-                self._say(EventKind.SHARED, "another program takes bytes from this port")
+                self.report(EventKind.SHARED, "another program takes bytes from this port")
         return None
 
-    def _reopen(self, wakeup: Wakeup) -> Port | None:
+    def _reopen(self) -> Port | None:
         """Try to open until it works; return None when the reader is stopped meanwhile."""
         delay_s, reported = FIRST_DELAY_S, ""
-        while not wakeup.wait(delay_s):
+        while not self._stopping.wait(delay_s):
             try:
                 return open_port(self.settings)
             except ImumonError as error:
                 if error.seen != reported:
                     reported = error.seen
-                    self._say(EventKind.UNAVAILABLE, error.line)
+                    self.report(EventKind.UNAVAILABLE, error.line)
             delay_s = min(2 * delay_s, LONGEST_DELAY_S)
         return None
 
-    def _say_opened(self, port: Port, lost_ns: int | None) -> None:
+    def _report_opened(self, port: Port, lost_ns: int | None) -> None:
         now_ns = self._clock.now_ns()
         gap = "" if lost_ns is None else f" again after {(now_ns - lost_ns) * 1e-9:.1f} s"
-        self._say(EventKind.OPENED, f"{self.settings}{gap}; low latency: {port.low_latency}", now_ns)
+        self.report(EventKind.OPENED, f"{self.settings}{gap}; low latency: {port.low_latency}", now_ns)
         if port.shared_with:
             others = ", ".join(port.shared_with)
-            self._say(
+            self.report(
                 EventKind.SHARED, f"also open in {others}: bytes that it reads are missing here", now_ns
             )
 
-    def _say(self, kind: EventKind, detail: str, time_ns: int | None = None) -> None:
+    def report(self, kind: EventKind, detail: str, time_ns: int | None = None) -> None:
+        """Hand on an event of now, or of this Unix time (ns); may be called from any thread."""
         self._hand_on(Event(kind, self._clock.now_ns() if time_ns is None else time_ns, detail))
 
     def _hand_on(self, item: Item) -> None:

@@ -11,7 +11,6 @@ from imumon.config import DEEPEST, LARGEST_NUMBER, StrictModel, parse_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.files import LARGEST_TEXT, read_text
 from imumon.protocols.device import load_device, parse_device
-from imumon.recordings.map import MOST_SKIPPED, TableMap
 from imumon.run.setup import parse_setup
 from imumon.units import EXAMPLES, parse_unit
 from tests.faults.documents import DOCUMENTS, LOADERS, attack_all, device_with, mutate_devices, refused
@@ -67,12 +66,6 @@ def test_any_text_is_a_unit_or_refused(text: str) -> None:
             parse_unit(text, target)
         except ValueError:
             continue
-
-
-def test_a_map_cannot_skip_more_lines_than_a_table_has() -> None:
-    text = "rate_hz: 10\ngyro: {columns: [a, b, c], unit: rad/s}\ncsv:\n  skip_rows: 1000000000000000\n"
-    with pytest.raises(ImumonError, match=rf"m\.yaml:4: csv\.skip_rows: .*{MOST_SKIPPED}"):
-        parse_yaml(text, TableMap, "m.yaml")
 
 
 def test_a_nul_in_a_path_is_a_wrong_path(tmp_path: Path) -> None:

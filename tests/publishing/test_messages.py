@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from imumon.blocks import NO_INT, SampleBlock
-from imumon.publishing.messages import Lanes, Message, messages
+from imumon.publishing.messages import Message, messages
 from imumon.view.items import Instant, Log, Samples, State
 
 NOW = Instant(None, None, 70)
@@ -18,7 +18,7 @@ def test_a_row_is_a_message_without_what_is_not_there() -> None:
             "gyro_bias_x": np.full(3, np.nan),
         }
     )
-    assert [*messages([Samples(5, None, None, block)], Lanes())] == [
+    assert [*messages([Samples(5, None, None, block)], {})] == [
         Message("imu", 10, {"sample": 5, "host_time_ns": 10, "arrival_time_ns": 11, "gyro_x": 0.1}),
         Message("imu", 12, {"sample": 6, "arrival_time_ns": 12}),
         Message("imu", None, {"sample": 7}),
@@ -27,13 +27,13 @@ def test_a_row_is_a_message_without_what_is_not_there() -> None:
 
 def test_a_side_stream_has_a_topic_of_its_own() -> None:
     item = Samples(None, None, None, SampleBlock({"arrival_time_ns": np.array([3])}), "gnss")
-    assert [*messages([item], Lanes())] == [Message("gnss", 3, {"arrival_time_ns": 3})]
+    assert [*messages([item], {})] == [Message("gnss", 3, {"arrival_time_ns": 3})]
 
 
 def test_every_state_message_has_all_states() -> None:
-    lanes = Lanes()
-    assert lanes.again(1) is None
+    states = dict[str, float | int | str]()
     items = [State(NOW, "port", "open"), State(NOW, "data", "ok"), State(NOW, "port", "lost")]
-    *_, last = messages([*items, Log(NOW, "gone", "WARN")], lanes)
-    assert last == Message("log", 70, {"level": "WARN", "text": "gone"})
-    assert lanes.again(90) == Message("state", 90, {"port": "lost", "data": "ok"})
+    *_, third, log = messages([*items, Log(NOW, "gone", "WARN")], states)
+    assert log == Message("log", 70, {"level": "WARN", "text": "gone"})
+    assert third == Message("state", 70, {"port": "lost", "data": "ok"})
+    assert states == third.values

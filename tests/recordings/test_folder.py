@@ -72,7 +72,7 @@ def test_a_path_that_is_no_session_is_refused_with_what_is_there(tmp_path: Path)
     (tmp_path / "raw.bin").write_bytes(b"12345")
     for name, seen in {
         "none": "no such file or folder",
-        "empty": "the folder is empty",
+        "empty": "it is empty",
         "other": "it has log.csv",
         "raw.bin": "a file of 5 bytes",
     }.items():
@@ -84,23 +84,14 @@ def test_a_path_that_is_no_session_is_refused_with_what_is_there(tmp_path: Path)
 
 def test_a_session_without_its_data_is_refused(tmp_path: Path) -> None:
     create_session(tmp_path / "s", metadata())
-    with pytest.raises(ImumonError, match=r"there is no wire\.mcap"):
+    with pytest.raises(ImumonError, match=r"there is no file wire\.mcap"):
         open_session(tmp_path / "s")
 
 
-@pytest.mark.parametrize(
-    ("make", "seen"),
-    [
-        (lambda path: path.mkdir(), "is a folder, not a file"),
-        (os.mkfifo, "is a pipe or a device, not a file"),
-        (lambda path: path.symlink_to("gone"), "is a link to gone, which is not there"),
-    ],
-)
-def test_what_is_in_the_place_of_the_data_is_named(
-    make: Callable[[Path], object], seen: str, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo, lambda path: path.symlink_to("gone")])
+def test_what_is_no_file_is_no_data(make: Callable[[Path], object], tmp_path: Path) -> None:
     make(create_session(tmp_path / "s", metadata()).wire_path)
-    with pytest.raises(ImumonError, match=rf"is missing: wire\.mcap {seen}"):
+    with pytest.raises(ImumonError, match=r"is missing: there is no file wire\.mcap"):
         open_session(tmp_path / "s")
 
 

@@ -105,9 +105,3 @@ def test_the_verdict_of_the_detector_counts_where_there_is_one() -> None:
     columns["gyro_x"][3005] += 1.0
     rest = reduce([SampleBlock(columns)], (*GYRO, *ACCEL), 10.0).at_rest()
     np.testing.assert_array_equal(np.flatnonzero(~rest), [30])
-
-
-def test_a_verdict_that_the_slots_on_both_sides_refute_does_not_count() -> None:
-    judged = np.ones(6000, np.int64)
-    judged[3005] = 0
-    assert reduce([SampleBlock(resting() | {"at_rest": judged})], (*GYRO, *ACCEL), 10.0).at_rest().all()

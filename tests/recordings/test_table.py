@@ -144,11 +144,14 @@ def test_a_table_without_rows_has_its_columns(tmp_path: Path, suffix: str) -> No
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("rows", [1, 7, 1000])
-def test_a_table_is_read_in_blocks_of_any_size(tmp_path: Path, suffix: str, rows: int) -> None:
+def test_a_table_is_read_in_blocks_of_any_size(
+    tmp_path: Path, suffix: str, rows: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(table, "READ_ROWS", rows)
     path = tmp_path / f"t{suffix}"
     with TableWriter(path, KNOWN) as writer:
         writer.write(block(0, 50, "gyro_x"))
-    blocks = list(iterate_table(path, rows))
+    blocks = list(iterate_table(path))
     assert max(len(part) for part in blocks) == min(rows, 50)
     assert np.concatenate([part["gyro_x"] for part in blocks]).tolist() == list(range(50))
 

@@ -53,13 +53,8 @@ def test_a_port_is_listed_with_all_that_linux_knows(adapter: str, monkeypatch: p
     assert str(port) == f"{adapter} (FT232R USB UART, 0403:6001)"
 
 
-def test_usb_ids_are_found_above_the_interface(adapter: str) -> None:
-    assert ports.usb_ids(adapter) == ("0403", "6001")
-
-
 def test_a_port_without_usb_has_no_usb_facts(adapter: str) -> None:
     other = adapter.replace("ttyUSB0", "ttyS9")
-    assert ports.usb_ids(other) is None
     assert ports.driver(other) is None
     assert ports.latency_timer_ms(other) is None
 

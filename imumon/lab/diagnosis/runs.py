@@ -191,7 +191,7 @@ def collect(
     parts = np.split(np.arange(len(means)), np.flatnonzero(another | gap)[1:])
     names = [name] if len(parts) == 1 else [f"{name}, run {index + 1}" for index in range(len(parts))]
     slow = means.quiet().astype(np.float64)
-    rest = slow if slot_s > 1.0 else np.nan_to_num(means.share_in_hindsight(), nan=1.0)
+    rest = slow if slot_s > 1.0 else np.nan_to_num(means.rest_share, nan=1.0)
     return [_run(means, rest, rows, text) for rows, text in zip(parts, names, strict=True) if len(rows)]
 
 
