@@ -6,10 +6,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
-from pathlib import Path
 from typing import Literal, cast
 
-import figures
 import imufusion
 import numpy as np
 from attitude_measured import FORMATS as MEASURED_FORMATS
@@ -159,27 +157,4 @@ def tables(given: Options) -> Iterator[Table]:
         yield Table("Measured", MEASURED_HEADS, found, note, MEASURED_FORMATS)
 
 
-def draw(_: Options) -> Iterator[Path]:
-    """Draw a unit that is turned by hand, without a magnetometer: error of tilt and heading beside sigma."""
-    record = simulate(SCENES["by hand"], 50.0, 9700)
-    samples = without(record.samples, "mag")
-    for stage in (RestAndBias(mode="learned"), AttitudeEstimate()):
-        samples = samples.with_columns(stage.process(samples))
-    known = int(np.argmax(np.isfinite(samples["attitude_estimate_tilt_sd"]))) + 1
-    samples, truth = samples.rows(known, len(samples)), record.attitude[known:]
-    q = np.column_stack([samples[f"attitude_estimate_{part}"] for part in "wxyz"])
-    heading_sd = samples["attitude_estimate_heading_sd"]
-    tilt = np.linalg.norm(tilt_error(q, truth), axis=1)
-    turn = np.abs(heading_error(q, truth, int(np.argmax(np.isfinite(heading_sd))), True))
-    t = samples["device_time_ns"] * 1e-9
-    title = "Turned by hand for 30 s, at rest for 10 s, and so on; no magnetometer"
-    drawn = figures.axes(title, 2, x="s", size=(8.0, 5.0))
-    both = ((tilt, np.sqrt(2.0) * samples["attitude_estimate_tilt_sd"]), (turn, heading_sd))
-    for ax, name, (error, sd) in zip(drawn, ("tilt", "free heading"), both, strict=True):
-        ax.fill_between(t, np.degrees(sd), alpha=0.3, label=f"sigma of the {name}")
-        ax.plot(t, np.degrees(error), linewidth=0.8, label="error")
-        ax.set_ylabel(f"{name}, deg")
-    yield figures.save(drawn, "attitude", "sigma")
-
-
-STUDY = Study(tables, 4, 700, "appendix/attitude-results.md", draw, {"rates": RATES_HZ})
+STUDY = Study(tables, 4, 700, "appendix/attitude-results.md", {"rates": RATES_HZ})

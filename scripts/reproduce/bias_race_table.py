@@ -18,7 +18,7 @@ from bias_race_runners import (
     simulate,
 )
 from study import Options, Study, Table
-from thermal_calibration_data import simulated_soak
+from thermal_calibration_study import simulated_soak
 
 from imumon.blocks import FloatArray
 from imumon.lab.calibration.calibration import calibrate

@@ -1,4 +1,4 @@
-"""The runner of the studies: options, tables in Markdown, pages, figures, and comparison with a page.
+"""The runner of the studies: options, tables in Markdown, pages, and comparison with a page.
 
 A study is a module with `STUDY`.  It defines which scenes, methods and errors make a table; all else is here.
 """
@@ -6,13 +6,12 @@ A study is a module with `STUDY`.  It defines which scenes, methods and errors m
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from difflib import unified_diff
 from importlib import import_module
 from itertools import zip_longest
@@ -28,9 +27,8 @@ DOCS = ROOT / "docs"
 RMS_BAR, LARGEST_BAR = 1.8, 7.0
 """Error over sigma, rms and largest, beyond which a row is bad."""
 STUDIES: Mapping[str, Mapping[str, str]] = {
-    "alignment": {"": "alignment_figures"},
     "alignment_site": {"": "alignment_site"},
-    "allan_terms": {"": "allan_terms_table"},
+    "allan_terms": {"": "allan_terms_study"},
     "attitude": {"": "attitude_table"},
     "bias_race": {"": "bias_race_table"},
     "closing_the_loop": {
@@ -39,15 +37,13 @@ STUDIES: Mapping[str, Mapping[str, str]] = {
         "plans": "closing_the_loop_plans",
         "measured": "closing_the_loop_measured",
         "ablation": "closing_the_loop_ablation",
-        "steps": "closing_the_loop_steps",
     },
     "moving_bias": {"": "moving_bias_table"},
-    "random_error": {"": "random_error_table"},
-    "rest_figure": {"": "rest_figure"},
+    "pictures": {"": "pictures"},
+    "random_error": {"": "random_error_study"},
     "smoothing": {"": "smoothing_table"},
-    "tczupt": {"": "tczupt_table"},
-    "temperature_rate": {"": "temperature_rate_figures"},
-    "thermal_calibration": {"": "thermal_calibration_table"},
+    "tczupt": {"": "tczupt_study"},
+    "thermal_calibration": {"": "thermal_calibration_study"},
 }
 """The module of each study, by command and `--part`; the first part is the default."""
 Job = TypeVar("Job")
@@ -120,8 +116,6 @@ class Study:
         Runs of each scene and their first seed, by default.
     page : str
         Page below docs with the tables of `--write`, between markers with the name of the study or its part.
-    draw : callable, optional
-        Draws the figures below docs/figures, and yields their paths.
     lists : dict
         Options of its own with lists of numbers, and their defaults.
     """
@@ -130,7 +124,6 @@ class Study:
     seeds: int = 1
     first: int = 0
     page: str = ""
-    draw: Callable[[Options], Iterator[Path]] | None = None
     lists: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
 
@@ -212,9 +205,7 @@ def parser_of(
     parser.add_argument("--data", type=Path, default=data, help="folder of the measured recordings")
     parser.add_argument("--jobs", type=int, default=2, help="processes, where a study has some (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="the first of everything, in seconds")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of Markdown")
     parser.add_argument("--beside", type=Path, help="print the rows that differ from those of this page")
-    parser.add_argument("--figures", action="store_true", help="draw the figures, and nothing else")
     if study.page:
         parser.add_argument("--write", action="store_true", help=f"write the tables into docs/{study.page}")
     for name, default in study.lists.items():
@@ -222,16 +213,13 @@ def parser_of(
     return parser
 
 
-def printed(tables: Iterable[Table], as_json: bool) -> str:
+def printed(tables: Iterable[Table]) -> str:
     """Print tables as they come, and return all of them in Markdown."""
     done = []
     for table in tables:
-        done.append(table)
-        if not as_json:
-            print(table.markdown(), flush=True)
-    if as_json:
-        print(json.dumps([asdict(table) for table in done], ensure_ascii=False))
-    return "\n".join(table.markdown() for table in done)
+        done.append(table.markdown())
+        print(done[-1], flush=True)
+    return "\n".join(done)
 
 
 def main(command: str, arguments: Sequence[str]) -> None:
@@ -248,11 +236,7 @@ def main(command: str, arguments: Sequence[str]) -> None:
     lists = {option: getattr(given, option) for option in study.lists}
     seeds = range(given.first, given.first + count)
     options = Options(seeds, given.only, given.data, given.quick, jobs, lists)
-    if given.figures:
-        for path in study.draw(options) if study.draw else ():
-            print(path.relative_to(ROOT))
-        return
-    text = printed(study.tables(options), given.json)
+    text = printed(study.tables(options))
     if given.beside:
         print("\n".join(differences(text, given.beside.read_text(encoding="utf-8"))))
     if study.page and given.write:
