@@ -15,7 +15,7 @@ from typing import Any
 
 import psutil
 
-from benchmarks.measure import Bar, Table
+from benchmarks.measure import Bar, Result, Table
 from imumon.fleet.batch.dataset import Dataset, Row
 from imumon.fleet.batch.options import BatchOptions
 from imumon.fleet.batch.running import run_jobs, workers
@@ -42,7 +42,7 @@ class Run:
     rows: list[Row]
 
 
-def run() -> tuple[list[Table], list[Bar]]:
+def batch() -> Result:
     """Replay the same sessions with one and two workers, kill one of two, and decode many tiny ones."""
     load = os.getloadavg()[0]
     with TemporaryDirectory() as name:

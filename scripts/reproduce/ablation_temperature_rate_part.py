@@ -11,8 +11,7 @@ from unittest.mock import patch
 
 import numpy as np
 from ablation_outcome import Outcome
-from temperature_rate_records import PER_HOUR, centred
-from thermometer_kinds import KINDS, Profile, constant, drifting, ramp, thermostat
+from thermometer_kinds import KINDS, PER_HOUR, Profile, constant, drifting, ramp, thermostat
 from thermometers_table import errors, largest, rms
 
 from imumon.blocks import FloatArray
@@ -149,8 +148,8 @@ def measured(models: Models, path: Path) -> Iterator[Outcome]:
     table = np.genfromtxt(path, delimiter=",", names=True)
     time_ns = np.round(table["t_s"] * 1e9).astype(np.int64)
     reading: FloatArray = np.asarray(table["temperature"], np.float64)
-    _, rate = centred(time_ns, reading, HALF_S)
-    late = (time_ns - time_ns[0]) * 1e-9 > RECORD_SETTLED_S
+    t = (time_ns - time_ns[0]) * 1e-9
+    rate, late = local_rate(t, reading), t > RECORD_SETTLED_S
     for step in STEPS_DEGC:
         rounded = step * np.round(reading / step) if step else reading
         estimator = MultipleModelRate(models=models)
@@ -158,3 +157,14 @@ def measured(models: Models, path: Path) -> Iterator[Outcome]:
         off = (found.rate - rate)[late]
         z = off / found.rate_sd[late]
         yield Outcome(f"chamber, steps of {step:g} °C", rms(off) * PER_HOUR, FLOOR, rms(z), largest(z))
+
+
+def local_rate(t: FloatArray, reading: FloatArray) -> FloatArray:
+    """Return the rate of local cubic fits to all readings within ±`HALF_S` of times in s, (n,)."""
+    rate = np.empty(len(t))
+    for i, now in enumerate(t):
+        middle = min(max(now, HALF_S), t[-1] - HALF_S)
+        a, b = np.searchsorted(t, [middle - HALF_S, middle + HALF_S])
+        fit = np.polynomial.Polynomial.fit(t[a:b], reading[a:b], 3)
+        rate[i] = fit.deriv()(now)
+    return rate
