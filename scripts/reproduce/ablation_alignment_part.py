@@ -11,7 +11,7 @@ from unittest.mock import patch
 
 import alignment_site
 import numpy as np
-from ablation_outcome import Outcome
+from ablations import Outcome, ablation
 from alignment_site_scenes import CREEPS, SCENES, Record, Scene
 from alignment_site_scenes import record as record_of
 
@@ -102,3 +102,6 @@ def outcomes(change: Change | None, seeds: range, data: Path) -> Iterator[Outcom
                 rms = float(np.sqrt(np.mean(ratio**2))) if len(ratio) else 0.0
                 largest = float(ratio.max(initial=0.0))
                 yield Outcome(f"{name}, {second} s", alignment_site.rms(wrong), FLOOR_DEG, rms, largest)
+
+
+STUDY = ablation(TITLE, VARIANTS, outcomes)

@@ -11,7 +11,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from ablation_outcome import Outcome
+from ablations import Outcome, ablation
 from attitude_measured import measured
 from attitude_scenes import SCENES, calibrated, simulate
 from attitude_table import heading_error, rms, tilt_error
@@ -130,3 +130,6 @@ def _outcome(scene: str, error: FloatArray, sd: FloatArray) -> Outcome:
     return Outcome(
         scene, sigma, FLOOR_DEG, rms(ratio) if known.any() else 0.0, float(np.abs(ratio).max(initial=0.0))
     )
+
+
+STUDY = ablation(TITLE, VARIANTS, outcomes)

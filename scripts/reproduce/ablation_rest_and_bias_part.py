@@ -9,12 +9,10 @@ from types import ModuleType
 from unittest.mock import patch
 
 import numpy as np
-from ablation_outcome import Outcome
-from bias_sigma_records import simulate
-from bias_sigma_table import CASES, estimated, places
+from ablations import Outcome, ablation
 from field_measured import errors
-from rest_detector_scenes import SENSORS, measure_with_bias, steady_turn
-from rest_detector_table import TURN_RATE_HZ
+from handled_units import CASES, estimated, places, simulate
+from rest_scenes import SENSORS, TURN_RATE_HZ, measure_with_bias, steady_turn
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.estimation.gyro_bias import bank, hypotheses, modes
@@ -131,3 +129,6 @@ def _outcome(scene: str, found: list[tuple[FloatArray, FloatArray]]) -> Outcome:
     return Outcome(
         scene, rms, FLOOR_DPH, float(np.sqrt(np.nanmean(ratio**2))), float(np.nanmax(np.abs(ratio)))
     )
+
+
+STUDY = ablation(TITLE, VARIANTS, outcomes)

@@ -10,9 +10,9 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from ablation_outcome import Outcome
-from thermometer_kinds import KINDS, PER_HOUR, Profile, constant, drifting, ramp, thermostat
-from thermometers_table import errors, largest, rms
+from ablations import Outcome, ablation
+from study import largest, rms
+from thermometers import KINDS, PER_HOUR, Profile, constant, drifting, errors, ramp, thermostat
 
 from imumon.blocks import FloatArray
 from imumon.estimation.temperature_rate import filter as filter_module
@@ -168,3 +168,6 @@ def local_rate(t: FloatArray, reading: FloatArray) -> FloatArray:
         fit = np.polynomial.Polynomial.fit(t[a:b], reading[a:b], 3)
         rate[i] = fit.deriv()(now)
     return rate
+
+
+STUDY = ablation(TITLE, VARIANTS, outcomes)

@@ -11,7 +11,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from ablation_table import PAGE, write
+from ablations import PAGE
 from closing_the_loop_measured import chamber_run, split
 from closing_the_loop_statistics import Result, is_outside, jobs, right, run_case
 from study import Options, Study, Table, spread
@@ -129,7 +129,7 @@ HEADS = ("without", "right", "false", "left, ×", "worst, ×", "chamber x", "z",
 
 
 def tables(given: Options) -> Iterator[Table]:
-    """Yield the table, and write it into the page of all ablations."""
+    """Yield the table."""
     cases = [
         case
         for case in jobs(len(given.seeds), "lag and" if given.quick else "", given.seeds[0])
@@ -143,11 +143,8 @@ def tables(given: Options) -> Iterator[Table]:
         base = base or found
         rows.append(_row(name, found, base, _chamber(name, given.data / "chamber-cycle")))
         print(*rows[-1], sep=" | ", file=sys.stderr, flush=True)
-    table = Table("", HEADS, rows)
-    if not given.quick:
-        title = f"{TITLE}  {len(cases)} cases, first seed {given.seeds[0]}."
-        write("diagnosis", title, table.markdown().splitlines(), PAGE)
-    yield table
+    title = f"{TITLE}  {len(cases)} cases, first seed {given.seeds[0]}."
+    yield Table(title, HEADS, rows)
 
 
-STUDY = Study(tables, seeds=4, first=900)
+STUDY = Study(tables, seeds=4, first=900, page=PAGE)

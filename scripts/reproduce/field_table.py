@@ -2,53 +2,58 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
-import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from alignment_site import AT_S, outcome
 from alignment_site_scenes import SCENES as SITES
 from bias_race_runners import DEFAULTS, Run
-from bias_sigma_records import RATE_HZ, simulate
-from bias_sigma_table import CASES, estimated, places
-from field_comparison import load, save, show_beside
 from field_measured import measured_motion
 from field_surprises import SURPRISES, met
-from rest_detector_scenes import SCENES, SENSORS, Scene, measure_with_bias, steady_turn
-from rest_detector_table import (
-    FIELD,
+from handled_units import CASES, RATE_HZ, estimated, places, simulate
+from rest_scenes import (
     FULL_RATE_HZ,
+    SCENES,
     SECONDS,
+    SENSORS,
     TURN_RATE_HZ,
     TURNS,
+    Scene,
     Tally,
     bias_over_sigma,
-    the_same,
+    measure_with_bias,
+    steady_turn,
     vqf_rest,
 )
 from scipy.signal import savgol_filter
-from study import largest, matrix, rms
-from thermometer_kinds import KINDS, PER_HOUR, Kind, Profile, constant, drifting, ramp
-from thermometers_table import ONSET_S, SETTLED_S, STEADY_S, errors
+from study import Cells, Options, Study, Table, largest, rms, worst_first
+from thermometers import (
+    KINDS,
+    ONSET_S,
+    PER_HOUR,
+    SETTLED_S,
+    STEADY_S,
+    Kind,
+    Profile,
+    constant,
+    drifting,
+    errors,
+    ramp,
+)
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias.stage import RestAndBias
-from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H
-from imumon.recordings.table import read_table
 from imumon.simulation.unit.scenario import load_scenario
 
-PARTS = ("rest", "thermometer", "north", "bias", "surprises", "measured")
 HOLD_S, RAMP_S = 300.0, 300.0
 SMOOTH_S = 600.0
 """Window of the Savitzky-Golay filter, which sees what comes later."""
+HEADS = ("part", "kind", "rms error", "others", "claimed", "error/σ rms", "max")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,38 +67,12 @@ class Row:
     ratios: FloatArray
     peers: dict[str, float] = field(default_factory=dict)
 
-    @property
-    def rms(self) -> float:
-        """Root mean square of error over sigma; NaN where nothing was claimed."""
-        return rms(self.ratios)
-
-    @property
-    def largest(self) -> float:
-        """Largest error over sigma."""
-        return largest(self.ratios)
-
-    def saved(self, cpu_s: float) -> dict[str, Any]:
-        """Return what `--out` writes of the row; `cpu_s` is what it cost, peers and simulation included."""
-        known = self.ratios[np.isfinite(self.ratios)]
-        return {
-            "part": self.part,
-            "kind": self.kind,
-            "unit": self.unit,
-            "error": self.error,
-            "z": self.rms,
-            "zmax": self.largest,
-            "beyond5": float(np.mean(np.abs(known) > 5.0)) if len(known) else None,
-            "claimed": float(np.mean(np.isfinite(self.ratios))),
-            "peers": self.peers,
-            "cpu": cpu_s,
-        }
-
     def cells(self) -> list[str]:
         """Return the row as text."""
         peers = ", ".join(f"{name} {value:.3g}" for name, value in self.peers.items())
         claimed = 100.0 * float(np.mean(np.isfinite(self.ratios)))
         numbers = [f"{self.error:.3g} {self.unit}", peers, f"{claimed:.0f} %"]
-        return [self.part, self.kind, *numbers, f"{self.rms:.2f}", f"{self.largest:.1f}"]
+        return [self.part, self.kind, *numbers, f"{rms(self.ratios):.2f}", f"{largest(self.ratios):.1f}"]
 
 
 def rest_rows(seeds: range) -> Iterator[Row]:
@@ -101,11 +80,11 @@ def rest_rows(seeds: range) -> Iterator[Row]:
     scenes: list[tuple[str, Callable[[int], Scene]]] = [
         (
             f"turn of {rate:g} °/s for {minutes:g} min, begun in {begun:g} s, {tilt:g}° off the vertical",
-            partial(the_same, steady_turn(TURN_RATE_HZ, rate, minutes, begun, tilt)),
+            partial(steady_turn, TURN_RATE_HZ, rate, minutes, begun, tilt),
         )
         for rate, minutes, begun, tilt in TURNS
     ]
-    scenes += [(name, partial(SCENES[name], FULL_RATE_HZ, 2 * SECONDS)) for name in FIELD]
+    scenes += [(name, partial(make, FULL_RATE_HZ, 2 * SECONDS)) for name, make in SCENES.items()]
     for grade in SENSORS:
         for name, make in scenes:
             ours, theirs, ratios = Tally(), Tally(), []
@@ -222,79 +201,24 @@ def surprise_rows(seeds: range) -> Iterator[Row]:
             yield Row("surprises", f"{name}: {what}", unit, rms(error), ratios, beyond)
 
 
-def measured_rows(folder: Path) -> Iterator[Row]:
-    """Tables in the units of imumon with the true bias in columns true_gyro_bias_{x,y,z}."""
-    for path in sorted([*folder.glob("*.parquet"), *folder.glob("*.csv")]):
-        samples, _ = read_table(path)
-        if "true_gyro_bias_x" not in samples:
-            print(f"{path.name}: no column true_gyro_bias_x, so it is left out", file=sys.stderr)
-            continue
-        for stage in (TemperatureRate(), RestAndBias()):
-            samples = samples.with_columns(stage.process(samples))
-        error = matrix(samples, "gyro_bias") - matrix(samples, "true_gyro_bias")
-        ratios = error / matrix(samples, "gyro_bias_sd")
-        yield Row("measured", path.stem, "°/h", rms(error) / DEG_PER_H, ratios.ravel())
-
-
 def motion_rows(_: range) -> Iterator[Row]:
     """Measured hands: the bias at the end of motion against the mean of the rest that follows."""
     for name, error, ratios, false_percent in measured_motion():
         yield Row("measured", name, "°/h", error, ratios, {"% of motion called rest": false_percent})
 
 
-MAKERS: dict[str, Callable[[range], Iterator[Row]]] = {
-    "rest": rest_rows,
-    "thermometer": thermometer_rows,
-    "north": north_rows,
-    "bias": bias_rows,
-    "surprises": surprise_rows,
-    "measured": motion_rows,
-}
+def study(rows: Callable[[range], Iterator[Row]]) -> Study:
+    """Return the study of a part: its rows, that with the largest rms of error over sigma first."""
+
+    def tables(given: Options) -> Iterator[Table]:
+        done: list[tuple[float, Cells]] = []
+        for row in islice(rows(given.seeds), 1 if given.quick else None):
+            print(" | ".join(row.cells()), file=sys.stderr, flush=True)
+            done.append((float(np.nan_to_num(rms(row.ratios))), row.cells()))
+        yield Table("", HEADS, worst_first(done))
+
+    return Study(tables, seeds=3, first=1000)
 
 
-def show(rows: Iterable[Row]) -> list[dict[str, Any]]:
-    """Print the table, the row with the largest rms of error over sigma first; return what is saved of it."""
-    done, saved = [], []
-    begun_s = time.process_time()
-    for row in rows:
-        print(" | ".join(row.cells()), file=sys.stderr, flush=True)
-        done.append(row)
-        saved.append(row.saved(time.process_time() - begun_s))
-        begun_s = time.process_time()
-    heads = ["part", "kind", "rms error", "others", "claimed", "error/σ rms", "max"]
-    print("| " + " | ".join(heads) + " |\n" + "|---" * len(heads) + "|")
-    for row in sorted(done, key=lambda row: -np.nan_to_num(row.rms)):
-        print("| " + " | ".join(row.cells()) + " |")
-    return saved
-
-
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(prog="scripts/reproduce/field", description=__doc__)
-    parser.add_argument("--seeds", type=int, default=3, help="runs of each kind (default: %(default)s)")
-    parser.add_argument("--first", type=int, default=1000, help="first seed (default: %(default)s)")
-    parser.add_argument("--part", choices=PARTS, action="append", help="only this part")
-    parser.add_argument("--data", type=Path, help="folder of tables with the true bias")
-    parser.add_argument("--out", type=Path, help="write the rows as JSON, one a line")
-    parser.add_argument("--beside", type=Path, action="append", help="compare with rows that --out wrote")
-    parser.add_argument("--quick", action="store_true", help="one seed, and the first kind of each part")
-    given = parser.parse_args()
-    seeds = range(given.first, given.first + (1 if given.quick else given.seeds))
-    parts = given.part or PARTS
-    others = [row for path in given.beside or () for row in load(path)]
-
-    def rows() -> Iterator[Row]:
-        for part in parts:
-            yield from islice(MAKERS[part](seeds), 1 if given.quick else None)
-        if given.data:
-            yield from measured_rows(given.data)
-
-    done = show(rows())
-    if given.out:
-        save(done, given.out)
-    if others:
-        show_beside(done, others)
-
-
-if __name__ == "__main__":
-    main()
+REST, THERMOMETER, NORTH = study(rest_rows), study(thermometer_rows), study(north_rows)
+BIAS, SURPRISE, MEASURED = study(bias_rows), study(surprise_rows), study(motion_rows)

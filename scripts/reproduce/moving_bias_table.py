@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 from attitude_scenes import ACCEL_SD, SCALE_SD, turned
-from bias_sigma_records import LATITUDE_DEG, SENSORS, TAUS_S, waves
+from handled_units import LATITUDE_DEG, SENSORS, TAUS_S, waves
 from samples import gauss_markov, sent
 from scipy.spatial.transform import Rotation
 from study import Cell, Cells, Options, Study, Table, largest, matrix, over_bar, rms, worst_first

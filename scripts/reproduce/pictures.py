@@ -14,7 +14,7 @@ from samples import sent, without
 from study import DOCS, Options, Study, Table
 from tczupt_study import DPH, LATITUDE_DEG, ZEROING, true_model
 from tczupt_study import simulate as ramp_test
-from thermometer_kinds import PER_HOUR
+from thermometers import PER_HOUR
 
 from imumon.blocks import FloatArray
 from imumon.estimation.attitude.stage import AttitudeEstimate

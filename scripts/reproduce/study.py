@@ -16,6 +16,7 @@ from difflib import unified_diff
 from importlib import import_module
 from itertools import zip_longest
 from pathlib import Path
+from types import ModuleType
 from typing import TypeVar, cast
 
 import numpy as np
@@ -27,6 +28,12 @@ DOCS = ROOT / "docs"
 RMS_BAR, LARGEST_BAR = 1.8, 7.0
 """Error over sigma, rms and largest, beyond which a row is bad."""
 STUDIES: Mapping[str, Mapping[str, str]] = {
+    "ablation": {
+        "alignment": "ablation_alignment_part",
+        "temperature_rate": "ablation_temperature_rate_part",
+        "attitude": "ablation_attitude_part",
+        "rest_and_bias": "ablation_rest_and_bias_part",
+    },
     "alignment_site": {"": "alignment_site"},
     "allan_terms": {"": "allan_terms_study"},
     "attitude": {"": "attitude_table"},
@@ -38,6 +45,14 @@ STUDIES: Mapping[str, Mapping[str, str]] = {
         "measured": "closing_the_loop_measured",
         "ablation": "closing_the_loop_ablation",
     },
+    "field": {
+        "rest": "field_table:REST",
+        "thermometer": "field_table:THERMOMETER",
+        "north": "field_table:NORTH",
+        "bias": "field_table:BIAS",
+        "surprises": "field_table:SURPRISE",
+        "measured": "field_table:MEASURED",
+    },
     "moving_bias": {"": "moving_bias_table"},
     "pictures": {"": "pictures"},
     "random_error": {"": "random_error_study"},
@@ -45,7 +60,7 @@ STUDIES: Mapping[str, Mapping[str, str]] = {
     "tczupt": {"": "tczupt_study"},
     "thermal_calibration": {"": "thermal_calibration_study"},
 }
-"""The module of each study, by command and `--part`; the first part is the default."""
+"""Where each study is, MODULE or MODULE:NAME, by command and `--part`; the first is the default."""
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
@@ -222,6 +237,13 @@ def printed(tables: Iterable[Table]) -> str:
     return "\n".join(done)
 
 
+def study_of(place: str) -> tuple[ModuleType, Study]:
+    """Return the module of a study and the study, given its place in `STUDIES`."""
+    name, _, attribute = place.partition(":")
+    module = import_module(name)
+    return module, cast(Study, getattr(module, attribute or "STUDY"))
+
+
 def main(command: str, arguments: Sequence[str]) -> None:
     """Run a study."""
     parts = STUDIES[command]
@@ -229,8 +251,7 @@ def main(command: str, arguments: Sequence[str]) -> None:
     if len(parts) > 1:
         part.add_argument("--part", choices=list(parts))
     name = getattr(part.parse_known_args(arguments)[0], "part", None) or next(iter(parts))
-    module = import_module(parts[name])
-    study = cast(Study, module.STUDY)
+    module, study = study_of(parts[name])
     given = parser_of(command, study, module.__doc__, part).parse_args(arguments)
     count, jobs = (1, 1) if given.quick else (given.seeds, given.jobs)
     lists = {option: getattr(given, option) for option in study.lists}

@@ -1,4 +1,4 @@
-"""Scenes for the rest detector: what a unit does, and what sensors of different grades read."""
+"""Scenes for the rest detector: what a unit does, what sensors of grades read, and what is counted."""
 
 from __future__ import annotations
 
@@ -6,14 +6,23 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from samples import sent
 from scipy.signal import butter, lfilter, sosfilt
 from scipy.spatial.transform import Rotation
+from study import matrix
+from vqf import VQF
 
-from imumon.blocks import FloatArray, SampleBlock
+from imumon.blocks import BoolArray, FloatArray, SampleBlock
 
 GRAVITY = 9.80665
+FULL_RATE_HZ, TURN_RATE_HZ = 100.0, 25.0
+SECONDS = 200.0
+TURNS = (
+    (0.05, 10.0, 0.5, 0.0), (0.1, 10.0, 10.0, 0.0), (0.5, 10.0, 0.5, 0.0), (0.5, 10.0, 120.0, 0.0),
+    (0.5, 60.0, 120.0, 0.0), (0.5, 10.0, 120.0, 45.0), (0.5, 10.0, 120.0, 90.0), (5.0, 12.0, 5.0, 0.0),
+    (30.0, 30.0, 120.0, 0.0), (300.0, 10.0, 20.0, 0.0),
+)  # fmt: skip
+"""deg/s, minutes, seconds in which it begins and ends, and degrees from the vertical to the axis."""
 DEG = np.pi / 180.0
 DEG_PER_H = DEG / 3600.0
 
@@ -66,7 +75,7 @@ class Scene:
     angles: FloatArray
     acceleration: FloatArray
     gyro_extra: FloatArray
-    rest: npt.NDArray[np.bool_]
+    rest: BoolArray
 
 
 def still(rate_hz: float, seconds: float, _: int = 0) -> Scene:
@@ -108,7 +117,7 @@ def hand(rate_hz: float, seconds: float, seed: int = 0) -> Scene:
 
 
 def steady_turn(
-    rate_hz: float, turn_dps: float, minutes: float, ramp_s: float, tilt_deg: float = 0.0
+    rate_hz: float, turn_dps: float, minutes: float, ramp_s: float, tilt_deg: float = 0.0, _: int = 0
 ) -> Scene:
     """Rest of 150 s, a turn, begun and ended evenly in ramp_s, and 90 s of rest; its axis is tilted."""
     seconds = 60.0 * minutes + ramp_s
@@ -252,3 +261,47 @@ def measure_with_bias(scene: Scene, grade: Grade, seed: int) -> tuple[SampleBloc
         gyro = np.round(gyro / grade.gyro_step) * grade.gyro_step
         accel = np.round(accel / grade.accel_step) * grade.accel_step
     return sent(scene.t, gyro=gyro, accel=accel), BIAS + walk
+
+
+@dataclass
+class Tally:
+    """Sums over runs: seconds of rest and of motion, and those found and missed."""
+
+    rest: float = 0.0
+    rest_found: float = 0.0
+    motion: float = 0.0
+    motion_missed: float = 0.0
+
+    def add(self, t: FloatArray, rest: BoolArray, found: BoolArray) -> None:
+        """Add a run: times, truth, and what was found."""
+        dt = t[1] - t[0]
+        self.rest += rest.sum() * dt
+        self.rest_found += (rest & found).sum() * dt
+        self.motion += (~rest).sum() * dt
+        self.motion_missed += (~rest & found).sum() * dt
+
+    def percent(self) -> tuple[float, float]:
+        """Return the shares of motion taken for rest, and of rest found, NaN without any."""
+        missed = 100.0 * self.motion_missed / self.motion if self.motion else np.nan
+        return missed, 100.0 * self.rest_found / self.rest if self.rest else np.nan
+
+
+def vqf_rest(samples: SampleBlock) -> BoolArray:
+    """Return what the rest detection of the PyPI package vqf says, with its default settings.
+
+    It is given gyros without their bias at the start, for it takes more than 2 deg/s for motion.
+    """
+    t = samples["device_time_ns"] * 1e-9
+    gyro, accel = matrix(samples, "gyro"), matrix(samples, "accel")
+    found = VQF(float(t[1] - t[0])).updateBatch(
+        np.ascontiguousarray(gyro - BIAS), np.ascontiguousarray(accel)
+    )
+    return np.asarray(found["restDetected"], np.bool_)
+
+
+def bias_over_sigma(samples: SampleBlock, truth: FloatArray) -> FloatArray:
+    """Return the error of the bias over its sigma, (n, 3), NaN where there is no estimate.
+
+    The hypothesis of a turn is part of the sigma that the estimator gives.
+    """
+    return (matrix(samples, "gyro_bias") - truth) / matrix(samples, "gyro_bias_sd")

@@ -1,16 +1,18 @@
-"""Units that are carried, handled and driven, with what they send and the truth: rest and motion in turn."""
+"""Units that are carried, handled and driven: what they send, the truth, and the bias that is estimated."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from samples import gauss_markov, sent
 from scipy.spatial.transform import Rotation
+from study import matrix
 
-from imumon.blocks import FloatArray, SampleBlock
+from imumon.blocks import BoolArray, FloatArray, IntArray, SampleBlock
+from imumon.estimation.gyro_bias.stage import RestAndBias
+from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, STANDARD_GRAVITY
 
 RATE_HZ = 50.0
@@ -72,7 +74,6 @@ class Case:
     motion: str = "hand"
 
 
-BASE = Case()
 DRIVES = {"rover": (1.0, 0.3, 0.02), "car": (12.0, 0.1, 0.005)}
 """Mean speed, m/s, rms yaw rate, rad/s, and the slowest change of both, Hz."""
 LATITUDE_DEG = 40.93
@@ -85,7 +86,7 @@ class Record:
     samples: SampleBlock
     bias: FloatArray
     earth: FloatArray
-    rest: npt.NDArray[np.bool_]
+    rest: BoolArray
 
 
 def waves(rng: np.random.Generator, t: FloatArray, low_hz: float, high_hz: float, size: float) -> FloatArray:
@@ -168,6 +169,56 @@ def _sensed(
     return sent(t, temperature=read, gyro=gyro, accel=accel), bias
 
 
-def varied(**changes: object) -> Case:
-    """Return the base case with changes."""
-    return replace(BASE, **changes)  # type: ignore[arg-type]  # any field of a case
+CASES = {
+    "the default scene": Case(),
+    "no sensitivity to g": Case(per_g=0.0),
+    "sensitivity 0.1 °/s/g": Case(per_g=0.1),
+    "rests of 3 s": Case(rest_s=3.0, rests=20),
+    "rests of 60 s": Case(rest_s=60.0, rests=6),
+    "motion of 5 s": Case(motion_s=5.0, rests=20),
+    "motion of 600 s": Case(motion_s=600.0, rests=3),
+    "ramp of 2 °C/min": Case(temperature="ramp"),
+    "warm-up": Case(temperature="warm-up"),
+    "tactical": Case(sensor="tactical"),
+    "consumer": Case(sensor="consumer"),
+    "flicker of 27 °/h beside 0.3 °/√h": Case(sensor="flickering"),
+    "flicker of 27 °/h beside 0.03 °/√h": Case(sensor="all flicker"),
+    "flicker of 27 °/h beside 0.3 °/√h, ramp": Case(sensor="flickering", temperature="ramp"),
+    "place known": Case(place=True),
+    "place known, 0.1 °/s/g": Case(place=True, per_g=0.1),
+    "tactical, place known": Case(sensor="tactical", place=True),
+    "tactical, place known, motion of 600 s": Case(sensor="tactical", place=True, motion_s=600.0, rests=3),
+    "consumer, warm-up, 0.1 °/s/g, rests of 3 s": Case(
+        sensor="consumer", temperature="warm-up", per_g=0.1, rest_s=3.0, rests=20
+    ),
+    "rover": Case(motion="rover", motion_s=60.0),
+    "car": Case(motion="car", motion_s=60.0),
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """Samples at the ends of rests, before the next, and all in motion, from the end of the first rest on."""
+
+    ends: IntArray
+    before: IntArray
+    motion: IntArray
+
+
+def places(rest: BoolArray) -> Places:
+    """Return where to look."""
+    moving = np.flatnonzero(~rest)
+    leaves = np.flatnonzero(rest[:-1] & ~rest[1:])
+    comes = np.flatnonzero(~rest[:-1] & rest[1:])
+    return Places(leaves[1:], comes, moving[moving > FIRST_REST_S * RATE_HZ])
+
+
+def estimated(case: Case, record: Record) -> tuple[FloatArray, FloatArray, Record]:
+    """Return error and sigma of the pipeline, rad/s, (n, 3) each, and the record with its columns."""
+    samples = record.samples
+    known = (LATITUDE_DEG, 0.0) if case.place else (None, None)
+    for stage in (TemperatureRate(), RestAndBias(None, None, "learned", *known)):
+        samples = samples.with_columns(stage.process(samples))
+    observable = record.bias if case.place else record.bias + record.earth
+    error, sd = matrix(samples, "gyro_bias") - observable, matrix(samples, "gyro_bias_sd")
+    return error, sd, Record(samples, record.bias, record.earth, record.rest)
