@@ -12,9 +12,9 @@ from unittest.mock import patch
 
 import numpy as np
 from ablations import Outcome, ablation
-from attitude_measured import measured
 from attitude_scenes import SCENES, calibrated, simulate
 from attitude_table import heading_error, rms, tilt_error
+from broad import measured
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.attitude import heading_sigma, tilt_sigma
@@ -107,7 +107,7 @@ def outcomes(change: list[Change] | None, seeds: range, data: Path) -> Iterator[
             if not with_mag:
                 yield _outcome(f"{name}, tilt", tilt, tilt_sd)
             yield _outcome(f"{name}, {'magnetic' if with_mag else 'free'} heading", turn, turn_sd)
-        for trial in measured(data / "broad", AttitudeParameters()):
+        for trial in measured(data, AttitudeParameters()):
             yield _outcome(f"{trial.name}, tilt", trial.tilt, trial.tilt_sd)
             yield _outcome(f"{trial.name}, free heading", trial.turn, trial.turn_sd)
 

@@ -10,7 +10,7 @@ from unittest.mock import patch
 
 import numpy as np
 from ablations import Outcome, ablation
-from field_measured import errors
+from broad import bias_errors
 from handled_units import CASES, estimated, places, simulate
 from rest_scenes import SENSORS, TURN_RATE_HZ, measure_with_bias, steady_turn
 
@@ -75,7 +75,7 @@ def outcomes(change: list[Change] | None, seeds: range, data: Path) -> Iterator[
         yield _outcome("0.5 °/s about a level axis, noisy", [_turned(LEVEL, NOISY, seed) for seed in seeds])
         yield _outcome("walk of 6 °/h/√s at rest", [_walking(seed) for seed in seeds])
         for path in sorted((data / "broad").glob("*.npz")):
-            error, ratio, _ = errors(path)
+            error, ratio, _ = bias_errors(path)
             yield _outcome(path.stem, [(error, ratio)])
 
 

@@ -8,11 +8,9 @@ from functools import partial
 from itertools import product
 from typing import Literal, cast
 
+import broad
 import imufusion
 import numpy as np
-from attitude_measured import FORMATS as MEASURED_FORMATS
-from attitude_measured import HEADS as MEASURED_HEADS
-from attitude_measured import measured_rows
 from attitude_scenes import SCENES, Record, calibrated, simulate
 from samples import without
 from scipy.spatial.transform import Rotation
@@ -151,10 +149,9 @@ def tables(given: Options) -> Iterator[Table]:
         note = f"Worst over its bar: {max(bad for bad, _ in rows):.2f}."
         yield Table("", HEADS, worst_first(rows), note, FORMATS)
     if given.only in ("", "measured") and not given.quick:
-        folder = given.data / "broad"
-        found = list(measured_rows(folder, AttitudeParameters()))
-        note = "" if found else f"No recordings in {folder}."
-        yield Table("Measured", MEASURED_HEADS, found, note, MEASURED_FORMATS)
+        found = list(broad.attitude_rows(given.data))
+        note = "" if found else f"No recordings in {given.data / 'broad'}."
+        yield Table("Measured", broad.HEADS, found, note, broad.FORMATS)
 
 
 STUDY = Study(tables, 4, 700, "appendix/attitude-results.md", {"rates": RATES_HZ})

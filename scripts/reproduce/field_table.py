@@ -7,14 +7,15 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 from alignment_site import AT_S, outcome
 from alignment_site_scenes import SCENES as SITES
-from bias_race_runners import DEFAULTS, Run
-from field_measured import measured_motion
+from bias_race_study import DEFAULTS, Run, vqf
+from broad import bias_errors
 from field_surprises import SURPRISES, met
-from handled_units import CASES, RATE_HZ, estimated, places, simulate
+from handled_units import CASES, MOVING, RATE_HZ, estimated, places, simulate
 from rest_scenes import (
     FULL_RATE_HZ,
     SCENES,
@@ -53,6 +54,8 @@ from imumon.simulation.unit.scenario import load_scenario
 HOLD_S, RAMP_S = 300.0, 300.0
 SMOOTH_S = 600.0
 """Window of the Savitzky-Golay filter, which sees what comes later."""
+FIRST_WINDOW_S = 70.0
+"""Of a unit that never rests; the first value comes after a minute."""
 HEADS = ("part", "kind", "rms error", "others", "claimed", "error/σ rms", "max")
 
 
@@ -75,7 +78,7 @@ class Row:
         return [self.part, self.kind, *numbers, f"{rms(self.ratios):.2f}", f"{largest(self.ratios):.1f}"]
 
 
-def rest_rows(seeds: range) -> Iterator[Row]:
+def rest_rows(seeds: range, _: Path) -> Iterator[Row]:
     """Steady turns, slow tilts, hands and cars, with six grades of sensors: motion taken for rest."""
     scenes: list[tuple[str, Callable[[int], Scene]]] = [
         (
@@ -101,7 +104,7 @@ def rest_rows(seeds: range) -> Iterator[Row]:
             )
 
 
-def thermometer_rows(seeds: range) -> Iterator[Row]:
+def thermometer_rows(seeds: range, _: Path) -> Iterator[Row]:
     """Every kind of thermometer, at constant, drifting and ramping temperature: the rate of temperature."""
     for kind in KINDS:
         for name, profile, length, start in (
@@ -154,7 +157,7 @@ def two_states(readings: FloatArray, dt: float, kind: Kind) -> FloatArray:
     return rates
 
 
-def north_rows(seeds: range) -> Iterator[Row]:
+def north_rows(seeds: range, _: Path) -> Iterator[Row]:
     """Sites that sway, are walked upon and settle: the heading after 20, 60 and 600 s."""
     for scene in SITES:
         found = np.array([outcome(scene, seed)[0] for seed in seeds])
@@ -164,7 +167,7 @@ def north_rows(seeds: range) -> Iterator[Row]:
             yield Row("north", f"{scene.name}, {second} s", "°", rms(error), error / sd, peers)
 
 
-def bias_rows(seeds: range) -> Iterator[Row]:
+def bias_rows(seeds: range, _: Path) -> Iterator[Row]:
     """A unit in a hand, on a rover, in a car: the bias at rest and in motion."""
     scenario = load_scenario("warm-up").model_copy(update={"rate_hz": RATE_HZ})
     for name, case in CASES.items():
@@ -186,7 +189,26 @@ def bias_rows(seeds: range) -> Iterator[Row]:
         yield Row("bias", name, "°/h", rms(np.concatenate(mistakes)) / DEG_PER_H, found, others)
 
 
-def surprise_rows(seeds: range) -> Iterator[Row]:
+def moving_rows(seeds: range, _: Path) -> Iterator[Row]:
+    """Vehicles, a boat, somebody who walks and a drone that never rest: the bias once a second."""
+    scenario = load_scenario("warm-up").model_copy(update={"rate_hz": RATE_HZ})
+    later = slice(round(FIRST_WINDOW_S * RATE_HZ), None, round(RATE_HZ))
+    for name, case in MOVING.items():
+        found = []
+        for seed in seeds:
+            record = simulate(case, seed)
+            error, sd, estimates = estimated(case, record)
+            time_s = estimates.samples["device_time_ns"] * 1e-9
+            run = Run(scenario, estimates.samples, record.bias, record.earth, time_s, record.rest)
+            other = vqf()(run) - record.bias - record.earth
+            found.append([of[later].ravel() / DEG_PER_H for of in (error, sd, other)])
+        error, sd, other = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        peers = {"VQF, the same axes": rms(other[np.isfinite(error)]), "VQF, all axes": rms(other)}
+        peers["median σ"] = float(np.nanmedian(sd))
+        yield Row("moving", name, "°/h", rms(error), error / sd, peers)
+
+
+def surprise_rows(seeds: range, _: Path) -> Iterator[Row]:
     """Gaps, corners, broken thermometers, bias that jumps: the bias, the temperature and its rate."""
     for name, make in SURPRISES.items():
         found = [met(make, seed) for seed in seeds]
@@ -201,18 +223,21 @@ def surprise_rows(seeds: range) -> Iterator[Row]:
             yield Row("surprises", f"{name}: {what}", unit, rms(error), ratios, beyond)
 
 
-def motion_rows(_: range) -> Iterator[Row]:
+def measured_rows(seeds: range, data: Path) -> Iterator[Row]:
     """Measured hands: the bias at the end of motion against the mean of the rest that follows."""
-    for name, error, ratios, false_percent in measured_motion():
-        yield Row("measured", name, "°/h", error, ratios, {"% of motion called rest": false_percent})
+    del seeds
+    for path in sorted((data / "broad").glob("*.npz")):
+        error, ratios, false_percent = bias_errors(path)
+        peers = {"% of motion called rest": false_percent}
+        yield Row("measured", path.stem, "°/h", rms(error) / DEG_PER_H, ratios, peers)
 
 
-def study(rows: Callable[[range], Iterator[Row]]) -> Study:
+def study(rows: Callable[[range, Path], Iterator[Row]]) -> Study:
     """Return the study of a part: its rows, that with the largest rms of error over sigma first."""
 
     def tables(given: Options) -> Iterator[Table]:
         done: list[tuple[float, Cells]] = []
-        for row in islice(rows(given.seeds), 1 if given.quick else None):
+        for row in islice(rows(given.seeds, given.data), 1 if given.quick else None):
             print(" | ".join(row.cells()), file=sys.stderr, flush=True)
             done.append((float(np.nan_to_num(rms(row.ratios))), row.cells()))
         yield Table("", HEADS, worst_first(done))
@@ -221,4 +246,5 @@ def study(rows: Callable[[range], Iterator[Row]]) -> Study:
 
 
 REST, THERMOMETER, NORTH = study(rest_rows), study(thermometer_rows), study(north_rows)
-BIAS, SURPRISE, MEASURED = study(bias_rows), study(surprise_rows), study(motion_rows)
+BIAS, MOVING_BIAS = study(bias_rows), study(moving_rows)
+SURPRISE, MEASURED = study(surprise_rows), study(measured_rows)

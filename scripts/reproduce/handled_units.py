@@ -61,7 +61,9 @@ class Case:
     place : bool
         Whether the estimator knows latitude and heading.
     motion : str
-        "hand": turned to any pose and shaken; "rover" and "car": driven about on the level.
+        "hand": turned to any pose and shaken; else one of `DRIVES`.
+    scale_sd, accel_sd : float
+        Scale and misalignment of the gyros, and turn-on error of the accelerometers, m/s².
     """
 
     sensor: str = "industrial"
@@ -72,10 +74,40 @@ class Case:
     temperature: str = "constant"
     place: bool = False
     motion: str = "hand"
+    scale_sd: float = 0.0
+    accel_sd: float = 0.0
 
 
-DRIVES = {"rover": (1.0, 0.3, 0.02), "car": (12.0, 0.1, 0.005)}
-"""Mean speed, m/s, rms yaw rate, rad/s, and the slowest change of both, Hz."""
+@dataclass(frozen=True)
+class Drive:
+    """How something is driven about on the level; frequencies from, to, Hz.
+
+    Parameters
+    ----------
+    speed : float
+        Mean, m/s; half of that are its changes.
+    yaw_rate : float
+        rms, rad/s.
+    slowest_hz : float
+        Of the changes of both; the fastest is 0.1 Hz.
+    sway, shake : (float, float, float)
+        rms of what tilts it, rad, and shakes it, m/s², and frequencies.
+    """
+
+    speed: float
+    yaw_rate: float
+    slowest_hz: float
+    sway: tuple[float, float, float] = (0.03, 0.05, 1.0)
+    shake: tuple[float, float, float] = (1.0, 2.0, 15.0)
+
+
+DRIVES = {
+    "rover": Drive(1.0, 0.3, 0.02),
+    "car": Drive(12.0, 0.1, 0.005),
+    "boat": Drive(3.0, 0.05, 0.002, (0.09, 0.08, 0.25), (0.5, 0.08, 24.0)),
+    "walking": Drive(1.4, 0.3, 0.01, (0.08, 0.5, 4.0), (1.5, 1.0, 20.0)),
+    "drone": Drive(2.0, 0.3, 0.01, (0.12, 0.05, 0.6), (6.0, 10.0, 24.0)),
+}
 LATITUDE_DEG = 40.93
 
 
@@ -106,14 +138,15 @@ def _moved(case: Case, rng: np.random.Generator, seconds: float) -> tuple[FloatA
     if case.motion == "hand":
         return ramp * waves(rng, t, 0.05, 1.0, 1.0), ramp * waves(rng, t, 0.3, 3.0, 1.0)
     # It speeds up, brakes and turns; the road is rough; what tilts it comes back.
-    speed, turning, slowest_hz = DRIVES[case.motion]
-    yaw = ramp[:, 0] * waves(rng, t, slowest_hz, 0.1, turning)[:, 2]
-    along = ramp[:, 0] * speed * (1.0 + 0.5 * waves(rng, t, slowest_hz, 0.1, 1.0)[:, 0])
+    drive = DRIVES[case.motion]
+    yaw = ramp[:, 0] * waves(rng, t, drive.slowest_hz, 0.1, drive.yaw_rate)[:, 2]
+    along = ramp[:, 0] * drive.speed * (1.0 + 0.5 * waves(rng, t, drive.slowest_hz, 0.1, 1.0)[:, 0])
     heading = np.cumsum(yaw) / RATE_HZ
     velocity = along[:, np.newaxis] * np.column_stack([np.cos(heading), np.sin(heading), np.zeros(len(t))])
-    rate = np.gradient(ramp * waves(rng, t, 0.05, 1.0, 0.03), 1.0 / RATE_HZ, axis=0)
+    (tilt, *tilt_hz), (shake, *shake_hz) = drive.sway, drive.shake
+    rate = np.gradient(ramp * waves(rng, t, *tilt_hz, tilt), 1.0 / RATE_HZ, axis=0)
     rate[:, 2] = yaw
-    return rate, np.gradient(velocity, 1.0 / RATE_HZ, axis=0) + ramp * waves(rng, t, 2.0, 15.0, 1.0)
+    return rate, np.gradient(velocity, 1.0 / RATE_HZ, axis=0) + ramp * waves(rng, t, *shake_hz, shake)
 
 
 def _temperature(case: Case, t: FloatArray) -> FloatArray:
@@ -166,6 +199,9 @@ def _sensed(
     gyro = rate + bias + math.radians(sensor.angle_walk) / 60.0 * white
     accel = force + sensor.velocity_walk * shaking
     read = np.round((degc + 0.02 * rng.normal(size=n)) / SENSOR_STEP_DEGC) * SENSOR_STEP_DEGC
+    if case.scale_sd or case.accel_sd:
+        gyro += rate @ rng.normal(0.0, case.scale_sd, (3, 3))
+        accel += rng.normal(0.0, case.accel_sd, 3)
     return sent(t, temperature=read, gyro=gyro, accel=accel), bias
 
 
@@ -194,6 +230,11 @@ CASES = {
     "rover": Case(motion="rover", motion_s=60.0),
     "car": Case(motion="car", motion_s=60.0),
 }
+MOVING = {
+    name: Case(rest_s=0.0, rests=1, motion_s=300.0, motion=name, scale_sd=0.01, accel_sd=0.05)
+    for name in DRIVES
+}
+"""Units that never rest."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

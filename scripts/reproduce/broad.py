@@ -1,4 +1,4 @@
-"""Error over sigma of the estimated attitude on measured motion with optical truth: BROAD recordings.
+"""Measured motion with optical truth: estimates on BROAD recordings, a rest, minutes in a hand, and a rest.
 
 Laidig, Caruso, Cereatti, Seel, "BROAD: a benchmark for robust inertial orientation estimation", Data 6(7):72,
 2021, doi 10.3390/data6070072.  A file a trial, with arrays gyr, rad/s, acc, m/s², opt_quat and movement.
@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 from samples import sent
 from scipy.spatial.transform import Rotation
-from study import Cells, largest, rms
+from study import Cells, largest, matrix, rms
 
 from imumon.blocks import BoolArray, FloatArray, SampleBlock
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.stage import AttitudeEstimate
-from imumon.estimation.gyro_bias.stage import RestAndBias
+from imumon.estimation.gyro_bias.stage import Mode, RestAndBias
 
 HEADS = (
     "trial, during motion", "tilt °", "z rms", "max", "σ °", "free heading °", "z rms", "max", "σ °",
@@ -29,6 +29,8 @@ FORMATS = ("", ".2f", ".2f", ".1f", ".2f", ".2f", ".2f", ".1f", ".2f", ".0f")
 UP = np.array([0.0, 0.0, 1.0])
 TRUTH_SD = np.radians(0.05)
 """Of the optical heading, rad."""
+SETTLED_S, REST_S = 1.0, 20.0
+"""After the motion, and how long the mean of the gyros is that the bias is compared with."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,20 +44,31 @@ class Trial:
     turn_sd: FloatArray
 
 
-def measured_rows(folder: Path, given: AttitudeParameters) -> Iterator[Cells]:
-    """Yield the cells of each trial in a folder."""
-    for trial in measured(folder, given):
+@cache
+def load(path: Path, mode: Mode | None) -> tuple[SampleBlock, FloatArray, BoolArray]:
+    """Return a trial with rest and bias estimated, the true attitude, (n, 4), and which rows move."""
+    with np.load(path) as data:
+        gyro, accel = (data[name].astype(np.float64) for name in ("gyr", "acc"))
+        samples = sent(np.arange(len(gyro)) / float(data["sampling_rate"]), gyro=gyro, accel=accel)
+        truth, moving = data["opt_quat"], data["movement"]
+    stage = RestAndBias(mode=mode) if mode else RestAndBias()
+    return samples.with_columns(stage.process(samples)), truth, moving
+
+
+def attitude_rows(data: Path) -> Iterator[Cells]:
+    """Yield the cells of each trial below a folder of recordings."""
+    for trial in measured(data, AttitudeParameters()):
         claimed = 100.0 * float(np.isfinite(trial.turn_sd).mean())
         yield [trial.name, *_row(trial.tilt, trial.tilt_sd), *_row(trial.turn, trial.turn_sd), claimed]
 
 
-def measured(folder: Path, given: AttitudeParameters) -> Iterator[Trial]:
-    """Yield each trial in a folder; none where it is missing."""
-    for path in sorted(folder.glob("*.npz")):
-        samples, truth, scored = _trial(path)
+def measured(data: Path, given: AttitudeParameters) -> Iterator[Trial]:
+    """Yield the attitude of each trial below a folder of recordings; none where they are missing."""
+    for path in sorted((data / "broad").glob("*.npz")):
+        samples, truth, moving = load(path, "learned")
         found = AttitudeEstimate(given).process(samples)
         q = np.column_stack([found[f"attitude_estimate_{part}"] for part in "wxyz"])
-        scored = scored & np.isfinite(q[:, 0])
+        scored = moving & np.isfinite(truth).all(1) & np.isfinite(q[:, 0])
         tilt_sd, heading_sd = (found[f"attitude_estimate_{name}_sd"][scored] for name in ("tilt", "heading"))
         ours, true = (Rotation.from_quat(each[scored], scalar_first=True) for each in (q, truth))
         cosine = (ours.inv().apply(UP) * true.inv().apply(UP)).sum(1)
@@ -70,16 +83,19 @@ def measured(folder: Path, given: AttitudeParameters) -> Iterator[Trial]:
         )
 
 
-@cache
-def _trial(path: Path) -> tuple[SampleBlock, FloatArray, BoolArray]:
-    """Return a trial as the stages before leave it, the true attitude and which rows are scored."""
-    with np.load(path) as data:
-        gyro, accel = (data[name].astype(np.float64) for name in ("gyr", "acc"))
-        samples = sent(np.arange(len(gyro)) / float(data["sampling_rate"]), gyro=gyro, accel=accel)
-        truth = data["opt_quat"]
-        scored = data["movement"] & np.isfinite(truth).all(1)
-    samples = samples.with_columns(RestAndBias(mode="learned").process(samples))
-    return samples, truth, scored
+def bias_errors(path: Path) -> tuple[FloatArray, FloatArray, float]:
+    """Return error, rad/s, and error over sigma of the bias at the end of the motion, (3,), and the share of
+    motion called rest, %.
+
+    The bias is not known, so it is compared with the mean of the gyros over the rest that follows.
+    """
+    samples, _, moving = load(path, None)
+    end = int(np.flatnonzero(moving)[-1])
+    since_s = (samples["device_time_ns"] - samples["device_time_ns"][end]) * 1e-9
+    after = (since_s >= SETTLED_S) & (since_s < SETTLED_S + REST_S)
+    bias, sd = (matrix(samples, name)[end] for name in ("gyro_bias", "gyro_bias_sd"))
+    error = bias - matrix(samples, "gyro")[after].mean(0)
+    return error, error / sd, 100.0 * float(samples["at_rest"][moving].mean())
 
 
 def _row(error: FloatArray, sd: FloatArray) -> list[float]:
