@@ -34,13 +34,6 @@ def test_a_package_that_gives_fewer_values_is_not_called_equal() -> None:
 def test_a_package_that_is_missing_has_a_row_that_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(race, "named", lambda _: None)
     assert set(column(race.decoders(50, 1), "the other, µs")) == {"not installed"}
-    assert column(race.allan(2000, 1), "deviation") == ["not installed"]
-
-
-def test_allan_deviations_are_those_of_allantools() -> None:
-    table = race.allan(samples=4000, rounds=1)
-    assert len(table.rows) == len(race.DEVIATIONS)
-    assert max(float(text) for text in column(table, "largest difference") if text) < 1e-9
 
 
 def test_the_better_one_is_named() -> None:

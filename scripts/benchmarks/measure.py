@@ -36,13 +36,12 @@ class Table:
 
 @dataclass
 class Bar:
-    """What is demanded, what was measured, and whether a miss is an error."""
+    """What is demanded, and what was measured."""
 
     name: str
     demanded: float
     measured: float
     at_most: bool = False
-    required: bool = False
 
     @property
     def passed(self) -> bool:

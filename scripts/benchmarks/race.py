@@ -1,4 +1,4 @@
-"""Against other programs in one process on the same data: decoders and Allan deviations, which must agree."""
+"""The same bytes through imumon and through other packages, up to their values, which must agree."""
 
 from __future__ import annotations
 
@@ -21,9 +21,6 @@ import numpy as np
 
 from benchmarks.decoding import cut, decoded, feed_all, samples
 from benchmarks.measure import Result, Table, measure
-from imumon.allan.analysis import octaves, variances
-from imumon.allan.covariance import Kind
-from imumon.allan.series import even_channels
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.protocols.device import load_device
 from imumon.protocols.fixed.device import FixedDevice
@@ -37,9 +34,6 @@ LONGEST_WAIT_S = 5.0
 """For a package that reads in a thread of its own."""
 CONSTRUCTS = {"u8": "Int8u", "u16": "Int16u", "i16": "Int16s", "u32": "Int32u", "i32": "Int32s"}
 DEG = math.pi / 180.0
-ALLAN_RATE_HZ, ALLAN_SAMPLES = 400, 400 * 3600
-DEVIATIONS: dict[Kind, str] = {"allan": "oadev", "modified": "mdev", "hadamard": "ohdev"}
-"""The functions of allantools."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,41 +242,6 @@ def decoders(packets: int = PACKETS, rounds: int = ROUNDS) -> Table:
     return result
 
 
-def allan(samples: int = ALLAN_SAMPLES, rounds: int = 20) -> Table:
-    """Measure white noise without gaps, which is all that allantools can be given."""
-    result = Table(
-        "Allan deviation", ["other", "deviation", "the other, s", "imumon, s", "faster", "largest difference"]
-    )
-    result.notes.append(
-        f"{samples} samples of white noise at {ALLAN_RATE_HZ} Hz, averaging times in octaves, one thread. "
-        "imumon computes the three deviations at once, so its time stands beside each. The difference is "
-        "relative, over all averaging times that both give."
-    )
-    name = named("allantools")
-    if name is None:
-        result.rows.append(["allantools", "not installed", "-", "-", "-", "-"])
-        return result
-    values = np.random.default_rng(0).normal(size=samples)
-    time_ns = np.arange(samples) * (1_000_000_000 // ALLAN_RATE_HZ)
-    series = even_channels(time_ns, np.zeros(samples, np.int64), {"": values})[""]
-    factors, other = octaves(series), import_module("allantools")
-
-    def theirs(function: str) -> FloatArray:
-        found = getattr(other, function)(values, ALLAN_RATE_HZ, "freq", factors / ALLAN_RATE_HZ)
-        return np.asarray(found[1], np.float64)
-
-    functions: dict[str, Callable[[], object]] = {"imumon": partial(variances, series, factors)}
-    functions |= {kind: partial(theirs, function) for kind, function in DEVIATIONS.items()}
-    seconds = {name: time * 1e-9 for name, time in measure(functions, rounds).items()}
-    own, mine = variances(series, factors), seconds["imumon"]
-    for kind, function in DEVIATIONS.items():
-        found = theirs(function)
-        apart = np.abs(found / np.sqrt(own[kind][: len(found)]) - 1.0).max()
-        figures = [f"{seconds[kind]:.3f}", f"{mine:.3f}", faster(seconds[kind], mine), f"{apart:.0e}"]
-        result.rows.append([name, f"{kind} ({function})", *figures])
-    return result
-
-
 def race() -> Result:
-    """Run both; nothing here is a bar, as a row says itself who is better."""
-    return [decoders(), allan()], []
+    """Run it; nothing here is a bar, as a row says itself who is better."""
+    return [decoders()], []

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from study import Cells, Options, Study, Table, rms
@@ -14,7 +16,8 @@ from study import Cells, Options, Study, Table, rms
 PAGE = "appendix/ablation-results.md"
 HEADS = ("change", "error, ×", "worst scene, ×", "error/σ rms", "max")
 FORMATS = ("", ".2f", "", ".2f", ".1f")
-Change = TypeVar("Change")
+Change = Sequence[tuple[Any, str, Any]]
+"""Module or class, a name in it, and what stands there instead."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +30,15 @@ class Outcome:
     """Added to errors before their ratio, in their unit: what is next to nothing."""
     z: float
     largest: float
+
+
+@contextmanager
+def changed(change: Change) -> Iterator[None]:
+    """Let a change hold for a while."""
+    with ExitStack() as stack:
+        for place, name, value in change:
+            stack.enter_context(patch.object(place, name, value))
+        yield
 
 
 def row(name: str, found: Sequence[Outcome], base: Sequence[Outcome]) -> Cells:
@@ -42,7 +54,7 @@ def row(name: str, found: Sequence[Outcome], base: Sequence[Outcome]) -> Cells:
 def ablation(
     title: str,
     variants: Mapping[str, Change],
-    outcomes: Callable[[Change | None, range, Path], Iterator[Outcome]],
+    outcomes: Callable[[range, Path], Iterator[Outcome]],
 ) -> Study:
     """Return the study of an estimator's mechanisms.
 
@@ -53,15 +65,16 @@ def ablation(
     variants : dict
         Names, and what is changed.
     outcomes : callable
-        Yields the outcome of every scene with a change, None for none, on seeds and a folder of recordings.
+        Yields the outcome of every scene, on seeds and a folder of recordings.
     """
 
     def tables(given: Options) -> Iterator[Table]:
         most = 2 if given.quick else None
-        base = list(islice(outcomes(None, given.seeds, given.data), most))
+        base = list(islice(outcomes(given.seeds, given.data), most))
         rows = [row("none", base, base)]
         for name, change in islice(variants.items(), most):
-            rows.append(row(name, list(islice(outcomes(change, given.seeds, given.data), most)), base))
+            with changed(change):
+                rows.append(row(name, list(islice(outcomes(given.seeds, given.data), most)), base))
         seeds = f"  Seeds {given.seeds[0]} to {given.seeds[-1]}."
         yield Table(title + seeds, HEADS, rows, formats=FORMATS)
 

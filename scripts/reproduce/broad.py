@@ -44,7 +44,6 @@ class Trial:
     turn_sd: FloatArray
 
 
-@cache
 def load(path: Path, mode: Mode | None) -> tuple[SampleBlock, FloatArray, BoolArray]:
     """Return a trial with rest and bias estimated, the true attitude, (n, 4), and which rows move."""
     with np.load(path) as data:
@@ -53,6 +52,10 @@ def load(path: Path, mode: Mode | None) -> tuple[SampleBlock, FloatArray, BoolAr
         truth, moving = data["opt_quat"], data["movement"]
     stage = RestAndBias(mode=mode) if mode else RestAndBias()
     return samples.with_columns(stage.process(samples)), truth, moving
+
+
+_loaded = cache(load)
+"""For ablations of the attitude, before which nothing changes."""
 
 
 def attitude_rows(data: Path) -> Iterator[Cells]:
@@ -65,7 +68,7 @@ def attitude_rows(data: Path) -> Iterator[Cells]:
 def measured(data: Path, given: AttitudeParameters) -> Iterator[Trial]:
     """Yield the attitude of each trial below a folder of recordings; none where they are missing."""
     for path in sorted((data / "broad").glob("*.npz")):
-        samples, truth, moving = load(path, "learned")
+        samples, truth, moving = _loaded(path, "learned")
         found = AttitudeEstimate(given).process(samples)
         q = np.column_stack([found[f"attitude_estimate_{part}"] for part in "wxyz"])
         scored = moving & np.isfinite(truth).all(1) & np.isfinite(q[:, 0])

@@ -143,10 +143,10 @@ def _moved(case: Case, rng: np.random.Generator, seconds: float) -> tuple[FloatA
     along = ramp[:, 0] * drive.speed * (1.0 + 0.5 * waves(rng, t, drive.slowest_hz, 0.1, 1.0)[:, 0])
     heading = np.cumsum(yaw) / RATE_HZ
     velocity = along[:, np.newaxis] * np.column_stack([np.cos(heading), np.sin(heading), np.zeros(len(t))])
-    (tilt, *tilt_hz), (shake, *shake_hz) = drive.sway, drive.shake
-    rate = np.gradient(ramp * waves(rng, t, *tilt_hz, tilt), 1.0 / RATE_HZ, axis=0)
+    (tilt, low, high), (shake, lowest, highest) = drive.sway, drive.shake
+    rate = np.gradient(ramp * waves(rng, t, low, high, tilt), 1.0 / RATE_HZ, axis=0)
     rate[:, 2] = yaw
-    return rate, np.gradient(velocity, 1.0 / RATE_HZ, axis=0) + ramp * waves(rng, t, *shake_hz, shake)
+    return rate, np.gradient(velocity, 1.0 / RATE_HZ, axis=0) + ramp * waves(rng, t, lowest, highest, shake)
 
 
 def _temperature(case: Case, t: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ from attitude_table import heading_error, tilt_error
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from samples import sent, without
-from study import DOCS, Options, Study, Table
+from study import DOCS, Cells, Options, Study, Table
 from tczupt_study import DPH, LATITUDE_DEG, ZEROING, true_model
 from tczupt_study import simulate as ramp_test
 from thermometers import PER_HOUR
@@ -148,7 +148,7 @@ PICTURES: dict[str, Callable[[], list[Axes]]] = {
 def tables(given: Options) -> Iterator[Table]:
     """Draw the pictures into docs/figures; yield their names and sizes."""
     chosen = [name for name in PICTURES if given.only in name][: 1 if given.quick else None]
-    rows = []
+    rows: list[Cells] = []
     for name in chosen:
         drawn = PICTURES[name]()
         for ax in drawn:

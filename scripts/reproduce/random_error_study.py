@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import allantools
 import numpy as np
@@ -138,14 +139,13 @@ def _cell(series: Sequence[FloatArray]) -> str:
 
 def against_truth(records: Sequence[Record]) -> Table:
     """Errors against the true drift over an hour, and whether the standard deviations are true."""
-    still = np.ones(len(records[0].reading))
     methods: dict[str, Callable[[Record], Output]] = {
-        f"{name}, δ¹ {delta:g}": lambda record, name=name, delta=delta: published(name, record.reading, delta)
+        f"{name}, δ¹ {delta:g}": partial(_published, name, delta)
         for delta in DELTAS
         for name in ("KF", *PUBLISHED)
     }
     for name in ("drift", "exponential 85 s", "exponential 200 s", "hold 60 s"):
-        methods[name] = lambda record, name=name: slow(name, record, still)
+        methods[name] = partial(_slow, name)
     rows = []
     late = slice(60 * RATE_HZ, None)
     for name, method in methods.items():
@@ -156,6 +156,14 @@ def against_truth(records: Sequence[Record]) -> Table:
         rows.append([name, f"{rms(errors):.1f}", f"{min(errors):.0f} to {max(errors):.0f}", sd])
     title = f"Against the true drift, 1 h after the first minute, {len(records)} seeds"
     return Table(title, ["method", "rms °/h", "of seeds", "rms error / sd"], rows)
+
+
+def _published(name: str, delta: float, record: Record) -> Output:
+    return published(name, record.reading, delta)
+
+
+def _slow(name: str, record: Record) -> Output:
+    return slow(name, record, np.ones(len(record.reading)))
 
 
 def journey(records: Sequence[Record]) -> Table:

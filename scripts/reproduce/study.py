@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from difflib import unified_diff
 from importlib import import_module
 from itertools import zip_longest
@@ -80,8 +80,6 @@ class Options:
         The first of everything, in seconds.
     jobs : int
         Processes.
-    lists : dict
-        Values of the study's own options.
     """
 
     seeds: range
@@ -89,7 +87,6 @@ class Options:
     data: Path
     quick: bool
     jobs: int
-    lists: Mapping[str, Sequence[float]]
 
 
 Cell = str | float
@@ -131,15 +128,12 @@ class Study:
         Runs of each scene and their first seed, by default.
     page : str
         Page below docs with the tables of `--write`, between markers with the name of the study or its part.
-    lists : dict
-        Options of its own with lists of numbers, and their defaults.
     """
 
     tables: Callable[[Options], Iterable[Table]]
     seeds: int = 1
     first: int = 0
     page: str = ""
-    lists: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
 
 def rms(values: FloatArray | Sequence[float]) -> float:
@@ -223,8 +217,6 @@ def parser_of(
     parser.add_argument("--beside", type=Path, help="print the rows that differ from those of this page")
     if study.page:
         parser.add_argument("--write", action="store_true", help=f"write the tables into docs/{study.page}")
-    for name, default in study.lists.items():
-        parser.add_argument(f"--{name}", type=float, nargs="+", default=default, help="%(default)s")
     return parser
 
 
@@ -254,9 +246,8 @@ def main(command: str, arguments: Sequence[str]) -> None:
     module, study = study_of(parts[name])
     given = parser_of(command, study, module.__doc__, part).parse_args(arguments)
     count, jobs = (1, 1) if given.quick else (given.seeds, given.jobs)
-    lists = {option: getattr(given, option) for option in study.lists}
     seeds = range(given.first, given.first + count)
-    options = Options(seeds, given.only, given.data, given.quick, jobs, lists)
+    options = Options(seeds, given.only, given.data, given.quick, jobs)
     text = printed(study.tables(options))
     if given.beside:
         print("\n".join(differences(text, given.beside.read_text(encoding="utf-8"))))
