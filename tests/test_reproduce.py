@@ -104,6 +104,15 @@ def test_pages_have_the_markers_of_their_studies(scripts: Path) -> None:
             assert not page or f"<!-- end {part or command} -->" in text, page
 
 
+@pytest.mark.parametrize("part", ["alignment", "attitude", "rest_and_bias", "temperature_rate"])
+def test_ablations_change_what_exists(part: str, scripts: Path) -> None:
+    import study
+
+    module, _ = study.study_of(study.STUDIES["ablation"][part])
+    for name, change in module.VARIANTS.items():
+        assert all(hasattr(place, attribute) for place, attribute, _ in change), name
+
+
 def test_commands_that_the_docs_name_exist() -> None:
     pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
     for page in pages:

@@ -138,10 +138,10 @@ def attitude_sigma() -> list[Axes]:
 
 
 PICTURES: dict[str, Callable[[], list[Axes]]] = {
-    "temperature-rate": temperature_rate,
+    "attitude-sigma": attitude_sigma,
     "turn-or-bias": turn_or_bias,
     "bias-in-motion": bias_in_motion,
-    "attitude-sigma": attitude_sigma,
+    "temperature-rate": temperature_rate,
 }
 
 
