@@ -105,7 +105,8 @@ def test_pages_have_the_markers_of_their_studies(scripts: Path) -> None:
 
 
 @pytest.mark.parametrize("part", ["alignment", "attitude", "rest_and_bias", "temperature_rate"])
-def test_ablations_change_what_exists(part: str, scripts: Path) -> None:
+@pytest.mark.usefixtures("scripts")
+def test_ablations_change_what_exists(part: str) -> None:
     import study
 
     module, _ = study.study_of(study.STUDIES["ablation"][part])

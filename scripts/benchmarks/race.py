@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import math
 import socket
 import tempfile
 import time
-from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -23,7 +21,6 @@ from benchmarks.decoding import cut, decoded, feed_all, samples
 from benchmarks.measure import Result, Table, measure
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.protocols.device import load_device
-from imumon.protocols.fixed.device import FixedDevice
 
 PACKETS = 4000
 CHUNK, THEIR_CHUNK = 65_536, 4096
@@ -32,7 +29,6 @@ ROUNDS = 40
 """Calls of others are long: on a busy machine few of them are not interrupted."""
 LONGEST_WAIT_S = 5.0
 """For a package that reads in a thread of its own."""
-CONSTRUCTS = {"u8": "Int8u", "u16": "Int16u", "i16": "Int16s", "u32": "Int32u", "i32": "Int32s"}
 DEG = math.pi / 180.0
 
 
@@ -61,27 +57,6 @@ class Peer:
     unit: float
     decode: Callable[[Any, bytes, int], Sequence[float]]
     way: str = ""
-
-
-def _construct(construct: Any, data: bytes, _: int) -> Sequence[float]:
-    packets, step = _fixed_packets(construct)
-    return [packet.gyro_x * step for packet in packets.parse(data)]
-
-
-@cache
-def _fixed_packets(construct: Any) -> tuple[Any, float]:
-    """Return the packets of ax1, declared and compiled, and the step of its gyros in rad/s."""
-    device = load_device("ax1")
-    assert isinstance(device, FixedDevice)
-    placed = sorted(device.packet.placed(), key=lambda item: item.at)
-    parts, at = [], 0
-    for item in placed:
-        kind = getattr(construct, CONSTRUCTS[item.value.type] + ("b" if item.big else "l"))
-        parts += [construct.Padding(item.at - at), item.name / kind]
-        at = item.at + kind.sizeof()
-    packet = construct.Struct(*parts, construct.Padding(device.packet.length - at))
-    step = next(item.value.factor for item in placed if item.name == "gyro_x")
-    return construct.GreedyRange(packet.compile()), step
 
 
 def _mscl(mscl: Any, data: bytes, count: int) -> Sequence[float]:
@@ -129,29 +104,6 @@ def _mavlink(common: Any, data: bytes, _: int) -> Sequence[float]:
     return [message.xgyro for message in messages]
 
 
-class _Port:
-    """Bytes as a port of pyserial; the receiver ends with the last."""
-
-    def __init__(self, data: bytes, receiver: Any) -> None:
-        self._data = io.BytesIO(data)
-        self._receiver = receiver
-
-    def read(self, size: int) -> bytes:
-        read = self._data.read(size)
-        self._receiver.should_exit = not read
-        return read
-
-
-def _witmotion(witmotion: Any, data: bytes, _: int) -> Sequence[float]:
-    """Run its receiving loop, which has no way in but a serial port, over bytes in memory."""
-    receiver = object.__new__(witmotion.IMU)
-    receiver.should_exit, receiver.subscribers = False, defaultdict(list)
-    receiver.ser, found = _Port(data, receiver), list[Any]()
-    receiver.subscribe(found.append, witmotion.protocol.AngularVelocityMessage)
-    receiver._rxloop()
-    return [message.w[0] for message in found]
-
-
 def _nmea(pynmea2: Any, data: bytes, _: int) -> Sequence[float]:
     reader, text = pynmea2.NMEAStreamReader(), data.decode("ascii")
     parts = (text[start : start + THEIR_CHUNK] for start in range(0, len(text), THEIR_CHUNK))
@@ -159,13 +111,11 @@ def _nmea(pynmea2: Any, data: bytes, _: int) -> Sequence[float]:
 
 
 PEERS = (
-    Peer("construct", "construct", "ax1", "gyro_x", 1.0, _construct, "declared and compiled; no checksum"),
     Peer("pymscl", "mscl", "microstrain", "gyro_x", 1.0, _mscl, "the maker's; from a local socket"),
     Peer("ximu3", "ximu3", "ximu3", "gyro_x", DEG, _ximu3, "the maker's; from a file"),
     Peer(
         "pymavlink", "pymavlink.dialects.v20.common", "mavlink", "gyro_x", 1.0, _mavlink, "the protocol's own"
     ),
-    Peer("witmotion", "witmotion", "witmotion", "gyro_x", DEG, _witmotion, "not the maker's"),
     Peer("pynmea2", "pynmea2", "nmea", "roll", DEG, _nmea),
 )
 NOTES = (

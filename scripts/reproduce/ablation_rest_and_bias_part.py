@@ -77,8 +77,7 @@ def _in_a_hand(name: str, seed: int) -> tuple[FloatArray, FloatArray]:
     """Return error and error over sigma at the ends of rests, before the next, and in motion."""
     record = simulate(CASES[name], seed)
     error, sd, _ = estimated(CASES[name], record)
-    where = places(record.rest)
-    at = np.concatenate([where.ends, where.before, where.motion[::50]])
+    at, _ = places(record.rest)
     return error[at].ravel(), (error / sd)[at].ravel()
 
 

@@ -24,9 +24,9 @@ from rest_scenes import (
     TURN_RATE_HZ,
     TURNS,
     Scene,
-    Tally,
     bias_over_sigma,
     measure_with_bias,
+    percent,
     steady_turn,
     vqf_rest,
 )
@@ -90,18 +90,17 @@ def rest_rows(seeds: range, _: Path) -> Iterator[Row]:
     scenes += [(name, partial(make, FULL_RATE_HZ, 2 * SECONDS)) for name, make in SCENES.items()]
     for grade in SENSORS:
         for name, make in scenes:
-            ours, theirs, ratios = Tally(), Tally(), []
+            found, ratios = [], []
             for seed in seeds:
                 scene = make(seed)
                 samples, truth = measure_with_bias(scene, grade, seed)
-                found = samples.with_columns(RestAndBias().process(samples))
-                ours.add(scene.t, scene.rest, found["at_rest"] == 1)
-                theirs.add(scene.t, scene.rest, vqf_rest(samples))
-                ratios.append(bias_over_sigma(found, truth)[:: round(TURN_RATE_HZ)].ravel())
-            peers = {"VQF": theirs.percent()[0], "rest found": ours.percent()[1]}
-            yield Row(
-                "rest", f"{name}, {grade.name}", "% false", ours.percent()[0], np.concatenate(ratios), peers
-            )
+                ours = samples.with_columns(RestAndBias().process(samples))
+                found.append((scene.rest, ours["at_rest"] == 1, vqf_rest(samples)))
+                ratios.append(bias_over_sigma(ours, truth)[:: round(TURN_RATE_HZ)].ravel())
+            rest, by_us, by_vqf = (np.concatenate(of) for of in zip(*found, strict=True))
+            peers = {"VQF": percent(by_vqf, ~rest), "rest found": percent(by_us, rest)}
+            false = percent(by_us, ~rest)
+            yield Row("rest", f"{name}, {grade.name}", "% false", false, np.concatenate(ratios), peers)
 
 
 def thermometer_rows(seeds: range, _: Path) -> Iterator[Row]:
@@ -125,8 +124,8 @@ def thermometer_rows(seeds: range, _: Path) -> Iterator[Row]:
 def thermometer_peers(
     kind: Kind, profile: Profile, length: float, start: float, seeds: range
 ) -> dict[str, float]:
-    """Return the rms of others' rates in °C/h: of a smoother and of a Kalman filter of two states."""
-    found: dict[str, list[FloatArray]] = {"Savitzky-Golay": [], "Kalman": []}
+    """Return the rms of the rate in °C/h by a smoother."""
+    found = []
     for seed in seeds:
         rng = np.random.default_rng(seed)
         t = np.arange(int(length * kind.rate_hz)) / kind.rate_hz
@@ -138,23 +137,8 @@ def thermometer_peers(
         window = min(round(SMOOTH_S / dt), len(seconds)) // 2 * 2 - 1
         smooth = savgol_filter(seconds, window, 2, deriv=1, delta=dt)
         late = (np.arange(len(seconds)) + 1) * dt > start
-        found["Savitzky-Golay"].append((smooth - truth)[late] * PER_HOUR)
-        found["Kalman"].append((two_states(seconds, dt, kind) - truth)[late] * PER_HOUR)
-    return {name: rms(np.concatenate(parts)) for name, parts in found.items()}
-
-
-def two_states(readings: FloatArray, dt: float, kind: Kind) -> FloatArray:
-    """Return the rate by a Kalman filter of temperature and rate, which walks by 1e-5 °C/s in √s."""
-    noise = max(kind.step**2 / 12.0, 1e-8) + float(np.var(np.diff(readings)) / 2.0)
-    x, p = np.array([readings[0], 0.0]), np.diag([noise, 1e-2])
-    step, walk = np.array([[1.0, dt], [0.0, 1.0]]), np.diag([0.0, 1e-10 * dt])
-    rates = np.empty(len(readings))
-    for k, reading in enumerate(readings):
-        x, p = step @ x, step @ p @ step.T + walk
-        gain = p[:, 0] / (p[0, 0] + noise)
-        x, p = x + gain * (reading - x[0]), p - np.outer(gain, p[0])
-        rates[k] = x[1]
-    return rates
+        found.append((smooth - truth)[late] * PER_HOUR)
+    return {"Savitzky-Golay": rms(np.concatenate(found))}
 
 
 def north_rows(seeds: range, _: Path) -> Iterator[Row]:
@@ -176,14 +160,13 @@ def bias_rows(seeds: range, _: Path) -> Iterator[Row]:
         for seed in seeds:
             record = simulate(case, seed)
             error, sd, estimates = estimated(case, record)
-            where = places(record.rest)
-            rows = np.concatenate([where.ends, where.before, where.motion[:: round(RATE_HZ)]])
+            rows, motion = places(record.rest)
             ratios.append((error / sd)[rows].ravel())
-            mistakes.append(error[where.motion].ravel())
+            mistakes.append(error[motion].ravel())
             time_s = estimates.samples["device_time_ns"] * 1e-9
             run = Run(scenario, estimates.samples, record.bias, record.earth, time_s, record.rest)
             for peer, method in DEFAULTS.items():
-                peers[peer].append((method(run) - record.bias - record.earth)[where.motion].ravel())
+                peers[peer].append((method(run) - record.bias - record.earth)[motion].ravel())
         others = {peer: rms(np.concatenate(parts)) / DEG_PER_H for peer, parts in peers.items()}
         found = np.concatenate(ratios)
         yield Row("bias", name, "°/h", rms(np.concatenate(mistakes)) / DEG_PER_H, found, others)

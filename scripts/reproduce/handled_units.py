@@ -237,21 +237,14 @@ MOVING = {
 """Units that never rest."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Places:
-    """Samples at the ends of rests, before the next, and all in motion, from the end of the first rest on."""
-
-    ends: IntArray
-    before: IntArray
-    motion: IntArray
-
-
-def places(rest: BoolArray) -> Places:
-    """Return where to look."""
+def places(rest: BoolArray) -> tuple[IntArray, IntArray]:
+    """Return the rows that are scored (ends of rests, before the next, once a second in motion), and those
+    in motion; from the end of the first rest on."""
     moving = np.flatnonzero(~rest)
+    motion = moving[moving > FIRST_REST_S * RATE_HZ]
     leaves = np.flatnonzero(rest[:-1] & ~rest[1:])
     comes = np.flatnonzero(~rest[:-1] & rest[1:])
-    return Places(leaves[1:], comes, moving[moving > FIRST_REST_S * RATE_HZ])
+    return np.concatenate([leaves[1:], comes, motion[:: round(RATE_HZ)]]), motion
 
 
 def estimated(case: Case, record: Record) -> tuple[FloatArray, FloatArray, Record]:

@@ -1,4 +1,4 @@
-"""Scenes for the rest detector: what a unit does, what sensors of grades read, and what is counted."""
+"""Scenes for the rest detector: what a unit does, what sensors of grades read, and what is taken for rest."""
 
 from __future__ import annotations
 
@@ -263,27 +263,9 @@ def measure_with_bias(scene: Scene, grade: Grade, seed: int) -> tuple[SampleBloc
     return sent(scene.t, gyro=gyro, accel=accel), BIAS + walk
 
 
-@dataclass
-class Tally:
-    """Sums over runs: seconds of rest and of motion, and those found and missed."""
-
-    rest: float = 0.0
-    rest_found: float = 0.0
-    motion: float = 0.0
-    motion_missed: float = 0.0
-
-    def add(self, t: FloatArray, rest: BoolArray, found: BoolArray) -> None:
-        """Add a run: times, truth, and what was found."""
-        dt = t[1] - t[0]
-        self.rest += rest.sum() * dt
-        self.rest_found += (rest & found).sum() * dt
-        self.motion += (~rest).sum() * dt
-        self.motion_missed += (~rest & found).sum() * dt
-
-    def percent(self) -> tuple[float, float]:
-        """Return the shares of motion taken for rest, and of rest found, NaN without any."""
-        missed = 100.0 * self.motion_missed / self.motion if self.motion else np.nan
-        return missed, 100.0 * self.rest_found / self.rest if self.rest else np.nan
+def percent(found: BoolArray, where: BoolArray) -> float:
+    """Return the share of samples somewhere that are taken for rest, NaN where there are none."""
+    return 100.0 * float(found[where].mean()) if where.any() else np.nan
 
 
 def vqf_rest(samples: SampleBlock) -> BoolArray:

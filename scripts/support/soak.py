@@ -43,11 +43,6 @@ def _medium(folder: Path, short: bool) -> Iterator[Row]:
         yield medium.measure(folder, rate_hz, 3.0 if short else 20.0)
 
 
-def _documents(folder: Path, short: bool) -> Iterator[Row]:
-    yield from documents.attack_all(folder)
-    yield documents.mutate_devices(200 if short else 2000, 1)
-
-
 def _endurance(folder: Path, short: bool) -> Iterator[Row]:
     yield endurance.accelerated(folder, 400.0, 0.1 if short else 2.0)
     yield endurance.real_time(folder, 1000.0, 0.5 if short else 30.0)
@@ -74,7 +69,7 @@ SECTIONS: dict[str, Section] = {
     "disk": lambda folder, short: disk.attack_all(folder, 1 if short else 5),
     "viewer": lambda folder, short: viewer.attack_all(folder, 2.0 if short else 20.0),
     "medium": _medium,
-    "documents": _documents,
+    "documents": lambda folder, _: documents.attack_all(folder),
     "fuzz": lambda _, short: fuzz.fuzz_all(50 if short else 5000, 1),
     "streams": lambda _, short: fuzz.stream_all(2_000 if short else 10_000_000, 1),
     "interrupts": lambda folder, short: interrupts.interrupt_all(
