@@ -57,7 +57,7 @@ class BatchFir:
         return self.estimate, float(dh @ x), float(np.sqrt(h @ p @ h)), float(np.sqrt(dh @ p @ dh))
 
 
-@pytest.mark.parametrize(("noise", "hours"), [(0.0, 3.0), (0.005, 1.2)])
+@pytest.mark.parametrize(("noise", "hours"), [(0.0, 3.0), (0.005, 0.8)])
 def test_state_is_the_batch_fit_of_every_buffer_over_hours(noise: float, hours: float) -> None:
     temperature, _ = self_heating(hours)
     reading = quantized(temperature, noise)
