@@ -47,7 +47,7 @@ def sessions(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def long_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("batch") / "long"
-    return tiny(folder, seconds=1300.0, scenario="self-heating", rate_hz=2.0)
+    return tiny(folder, seconds=2400.0, scenario="self-heating", rate_hz=2.0)
 
 
 @pytest.fixture(scope="module")
