@@ -20,8 +20,6 @@ FOLDER = ROOT / "scripts" / "reproduce"
 COMMANDS = sorted(path.name for path in FOLDER.iterdir() if path.is_file() and os.access(path, os.X_OK))
 LEFT_OUT = {"ablation", "plans", "measured"}
 """Parts whose smallest run takes minutes, or wants a recording."""
-OWN = {"ablation", "field"}
-"""Commands with a command line of their own."""
 NAMED = re.compile(r"scripts/(\w+(?:/\w+)?)(?:\.py)?")
 
 
@@ -34,7 +32,7 @@ def commands() -> list[tuple[str, ...]]:
         for command, known in study.STUDIES.items()
         for part in known
     ]
-    return [*((name,) for name in sorted(OWN)), *(one for one in parts if not LEFT_OUT & {*one})]
+    return [one for one in parts if not LEFT_OUT & {*one}]
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +90,7 @@ def test_a_small_run_goes_to_its_end(
 def test_every_study_has_a_command() -> None:
     import study
 
-    assert {*study.STUDIES, *OWN, "study"} == set(COMMANDS)
+    assert {*study.STUDIES, "study"} == set(COMMANDS)
     assert all((FOLDER / name).resolve() == FOLDER / "study" for name in study.STUDIES)
 
 
@@ -100,10 +98,20 @@ def test_pages_have_the_markers_of_their_studies(scripts: Path) -> None:
     import study
 
     for command, parts in study.STUDIES.items():
-        for part, module in parts.items():
-            page = import_module(module).STUDY.page
+        for part, place in parts.items():
+            page = study.study_of(place)[1].page
             text = (scripts.parents[1] / "docs" / page).read_text(encoding="utf-8") if page else ""
             assert not page or f"<!-- end {part or command} -->" in text, page
+
+
+@pytest.mark.parametrize("part", ["alignment", "attitude", "rest_and_bias", "temperature_rate"])
+@pytest.mark.usefixtures("scripts")
+def test_ablations_change_what_exists(part: str) -> None:
+    import study
+
+    module, _ = study.study_of(study.STUDIES["ablation"][part])
+    for name, change in module.VARIANTS.items():
+        assert all(hasattr(place, attribute) for place, attribute, _ in change), name
 
 
 def test_commands_that_the_docs_name_exist() -> None:

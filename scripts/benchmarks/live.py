@@ -17,7 +17,7 @@ import numpy as np
 import psutil
 from rerun.experimental import ViewerClient
 
-from benchmarks.measure import Bar, Table
+from benchmarks.measure import Bar, Result, Table
 from imumon.protocols.device import load_device
 from imumon.simulation.virtual_device import VirtualDevice
 from imumon.view.viewer import VIEWER_PORT, Answer, probe, proxy_url, start_viewer
@@ -39,7 +39,7 @@ class Cost:
     load: float
 
 
-def run() -> tuple[list[Table], list[Bar]]:
+def live() -> Result:
     """Record a virtual AHRS with the native view, on a viewer without a screen."""
     table = Table(
         "Live run with the native view",

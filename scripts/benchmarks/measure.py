@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import os
 import platform
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from statistics import median
 from time import perf_counter_ns
 
 ROUNDS = 40
@@ -16,14 +16,6 @@ ROUND_NS = 4_000_000
 """Each function has about this long in each round."""
 BUSY = 0.5
 """Load of others from which on the figures are low."""
-
-
-@dataclass(frozen=True)
-class Time:
-    """Nanoseconds of one call: the best of all, and the median."""
-
-    best: float
-    median: float
 
 
 @dataclass
@@ -35,16 +27,21 @@ class Table:
     rows: list[list[str]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
+    def markdown(self) -> str:
+        """Return the table in Markdown."""
+        rule = ["---", *["---:"] * (len(self.headings) - 1)]
+        lines = [f"| {' | '.join(row)} |" for row in (self.headings, rule, *self.rows)]
+        return "\n".join([f"## {self.title}\n", *lines, *(f"\n{note}" for note in self.notes), ""])
+
 
 @dataclass
 class Bar:
-    """What is demanded, what was measured, and whether a miss is an error."""
+    """What is demanded, and what was measured."""
 
     name: str
     demanded: float
     measured: float
     at_most: bool = False
-    required: bool = False
 
     @property
     def passed(self) -> bool:
@@ -52,17 +49,21 @@ class Bar:
         return self.measured <= self.demanded if self.at_most else self.measured >= self.demanded
 
 
-def measure(functions: Mapping[str, Callable[[], object]], rounds: int = ROUNDS) -> dict[str, Time]:
-    """Return the time of each function; all of them take turns, so many rounds long."""
+Result = tuple[list[Table], list[Bar]]
+"""What a section gives."""
+
+
+def measure(functions: Mapping[str, Callable[[], object]], rounds: int = ROUNDS) -> dict[str, float]:
+    """Return the best time of each function, ns; all of them take turns, so many rounds long."""
     repeats = {}
     for name, function in functions.items():
         function()  # compiles, and warms the caches
         repeats[name] = max(1, min(2000, ROUND_NS // max(_once(function), 1)))
-    times: dict[str, list[int]] = {name: [] for name in functions}
+    best = dict.fromkeys(functions, math.inf)
     for _ in range(rounds):
         for name, function in functions.items():
-            times[name] += [_once(function) for _ in range(repeats[name])]
-    return {name: Time(min(values), median(values)) for name, values in times.items()}
+            best[name] = min(best[name], *(_once(function) for _ in range(repeats[name])))
+    return best
 
 
 def _once(function: Callable[[], object]) -> int:
@@ -71,44 +72,15 @@ def _once(function: Callable[[], object]) -> int:
     return perf_counter_ns() - start
 
 
-@dataclass(frozen=True)
-class Machine:
-    """What the figures were measured on."""
-
-    cpu: str
-    cores: int
-    python: str
-    numpy: str
-    numba: str
-    load_before: float
-
-    @property
-    def busy(self) -> bool:
-        """Return whether others used the machine when the run began."""
-        return self.load_before > BUSY
-
-    def facts(self) -> dict[str, object]:
-        """Return the facts by name."""
-        return asdict(self)
-
-
-def machine() -> Machine:
-    """Return the facts about this machine; the load is that of the last minute, before the run."""
-    cpu = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
+def machine() -> str:
+    """Return the facts about this machine, with a warning when others used it in the last minute."""
+    cpu, info = platform.processor() or platform.machine(), Path("/proc/cpuinfo")
     if info.exists():
         names = [line.split(":", 1)[1] for line in info.read_text().splitlines() if "model name" in line]
         cpu = names[0].strip() if names else cpu
-    return Machine(
-        cpu=cpu,
-        cores=os.cpu_count() or 1,
-        python=platform.python_version(),
-        numpy=version("numpy"),
-        numba=version("numba"),
-        load_before=round(os.getloadavg()[0], 2),
-    )
-
-
-def millions(packets: float, time_ns: float) -> float:
-    """Return millions a second."""
-    return packets / time_ns * 1e3
+    load = os.getloadavg()[0]
+    facts = f"{cpu}, {os.cpu_count()} cores, one used; Python {platform.python_version()}"
+    facts += f", NumPy {version('numpy')}, numba {version('numba')}; load before the run {load:.2f}."
+    if load > BUSY:
+        facts += f"\nWarning: the load was above {BUSY}: others used the machine, so the figures are low."
+    return facts

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
-from unittest.mock import patch
 
 import alignment_site
 import numpy as np
-from ablation_outcome import Outcome
+from ablations import Change, Outcome, ablation, changed
 from alignment_site_scenes import CREEPS, SCENES, Record, Scene
 from alignment_site_scenes import record as record_of
+from study import rms
 
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment import aligner, cells, hypotheses, sensor_errors, sway
 
-Change = Sequence[tuple[Any, str, Any]]
-"""Module, constant, and what it is instead."""
 VARIANTS: Mapping[str, Change] = {
     "cells: 48 alone": [(cells, "CELLS", (48,))],
     "cells: also 48 and 12": [(cells, "CELLS", (96, 48, 24, 12, 6))],
@@ -86,19 +82,19 @@ def _recorded(scene: Scene, seconds: float, seed: int) -> Record:
     return _RECORDS[scene.name, seed]
 
 
-def outcomes(change: Change | None, seeds: range, data: Path) -> Iterator[Outcome]:  # noqa: ARG001 - as all parts
-    """Yield the outcome of every scene and time with a change; there are no measured data."""
+def outcomes(seeds: range, data: Path) -> Iterator[Outcome]:
+    """Yield the outcome of every scene and time; there are no measured data."""
+    del data
     scenes = {scene.name: scene for scene in (*SCENES, *CREEPS, KNOCKED)}
-    with ExitStack() as stack:
-        stack.enter_context(patch.object(alignment_site, "record", _recorded))
-        for module, name, value in change or ():
-            stack.enter_context(patch.object(module, name, value))
-        for name in CHOSEN:
+    for name in CHOSEN:
+        with changed([(alignment_site, "record", _recorded)]):
             found = np.array([alignment_site.outcome(scenes[name], seed)[0] for seed in seeds])
-            for k, second in enumerate(alignment_site.AT_S):
-                error, sd = found[:, k, :2].T
-                wrong = np.where(np.isfinite(error), error, np.fmin(sd, HIDDEN_DEG))
-                ratio = np.abs((error / sd)[np.isfinite(error)])
-                rms = float(np.sqrt(np.mean(ratio**2))) if len(ratio) else 0.0
-                largest = float(ratio.max(initial=0.0))
-                yield Outcome(f"{name}, {second} s", alignment_site.rms(wrong), FLOOR_DEG, rms, largest)
+        for k, second in enumerate(alignment_site.AT_S):
+            error, sd = found[:, k, :2].T
+            wrong = np.where(np.isfinite(error), error, np.fmin(sd, HIDDEN_DEG))
+            ratio = (error / sd)[np.isfinite(error)]
+            z, largest = float(np.nan_to_num(rms(ratio))), float(np.abs(ratio).max(initial=0.0))
+            yield Outcome(f"{name}, {second} s", rms(wrong), FLOOR_DEG, z, largest)
+
+
+STUDY = ablation(TITLE, VARIANTS, outcomes)

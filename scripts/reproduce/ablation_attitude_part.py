@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
-from ablation_outcome import Outcome
-from attitude_measured import measured
+from ablations import Change, Outcome, ablation
 from attitude_scenes import SCENES, calibrated, simulate
 from attitude_table import heading_error, rms, tilt_error
+from broad import measured
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.attitude import heading_sigma, tilt_sigma
@@ -30,8 +28,6 @@ MAGNETIC = ("by hand", "by hand, magnet on the body", "by hand, magnet put on", 
 RATE_HZ, FLOOR_DEG = 50.0, 0.01
 TITLE = "Attitude, °: the angles are those of VQF in all rows, so the first columns are of the median sigma."
 _learned: Callable[[tilt_sigma.Gyros], float] = tilt_sigma.Gyros.variance.fget  # type: ignore[attr-defined]  # mypy takes the property for its value
-Change = tuple[Any, str, Any]
-"""Object, name and what stands there instead."""
 
 
 def _prior(_: tilt_sigma.Gyros) -> float:
@@ -51,7 +47,7 @@ def _as_in_motion(tilt: tilt_sigma.TiltSigma, slot: tilt_sigma.Slot) -> float:
     return tilt._in_motion(slot, float(((slot.up - tilt.ups[0]) ** 2).sum()))
 
 
-VARIANTS: dict[str, list[Change]] = {
+VARIANTS: dict[str, Change] = {
     "lag 3 s, which confirms no gyro": [(tilt_sigma, "LAG_S", 3.0)],
     "lag 12 s": [(tilt_sigma, "LAG_S", 12.0)],
     "scale not learned": [(tilt_sigma.Gyros, "variance", property(_prior))],
@@ -96,20 +92,17 @@ def simulated(name: str, with_mag: bool, seed: int) -> Input:
     return Input(samples, record.attitude, record.axes)
 
 
-def outcomes(change: list[Change] | None, seeds: range, data: Path) -> Iterator[Outcome]:
-    """Yield the outcome of every scene with a change; the error is the median sigma, for the angles stay."""
-    with ExitStack() as patches:
-        for where, name, value in change or []:
-            patches.enter_context(patch.object(where, name, value))
-        for name, with_mag in [*((name, False) for name in FREE), *((name, True) for name in MAGNETIC)]:
-            found = [_errors(simulated(name, with_mag, seed), with_mag) for seed in seeds]
-            tilt, tilt_sd, turn, turn_sd = (np.concatenate(each) for each in zip(*found, strict=True))
-            if not with_mag:
-                yield _outcome(f"{name}, tilt", tilt, tilt_sd)
-            yield _outcome(f"{name}, {'magnetic' if with_mag else 'free'} heading", turn, turn_sd)
-        for trial in measured(data / "broad", AttitudeParameters()):
-            yield _outcome(f"{trial.name}, tilt", trial.tilt, trial.tilt_sd)
-            yield _outcome(f"{trial.name}, free heading", trial.turn, trial.turn_sd)
+def outcomes(seeds: range, data: Path) -> Iterator[Outcome]:
+    """Yield the outcome of every scene; the error is the median sigma, for the angles stay."""
+    for name, with_mag in [*((name, False) for name in FREE), *((name, True) for name in MAGNETIC)]:
+        found = [_errors(simulated(name, with_mag, seed), with_mag) for seed in seeds]
+        tilt, tilt_sd, turn, turn_sd = (np.concatenate(each) for each in zip(*found, strict=True))
+        if not with_mag:
+            yield _outcome(f"{name}, tilt", tilt, tilt_sd)
+        yield _outcome(f"{name}, {'magnetic' if with_mag else 'free'} heading", turn, turn_sd)
+    for trial in measured(data, AttitudeParameters()):
+        yield _outcome(f"{trial.name}, tilt", trial.tilt, trial.tilt_sd)
+        yield _outcome(f"{trial.name}, free heading", trial.turn, trial.turn_sd)
 
 
 def _errors(given: Input, with_mag: bool) -> list[FloatArray]:
@@ -130,3 +123,6 @@ def _outcome(scene: str, error: FloatArray, sd: FloatArray) -> Outcome:
     return Outcome(
         scene, sigma, FLOOR_DEG, rms(ratio) if known.any() else 0.0, float(np.abs(ratio).max(initial=0.0))
     )
+
+
+STUDY = ablation(TITLE, VARIANTS, outcomes)

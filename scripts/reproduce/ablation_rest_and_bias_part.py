@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
-from types import ModuleType
-from unittest.mock import patch
 
 import numpy as np
-from ablation_outcome import Outcome
-from bias_sigma_records import simulate
-from bias_sigma_table import CASES, estimated, places
-from field_measured import errors
-from rest_detector_scenes import SENSORS, measure_with_bias, steady_turn
-from rest_detector_table import TURN_RATE_HZ
+from ablations import Change, Outcome, ablation
+from broad import bias_errors
+from handled_units import CASES, estimated, places, simulate
+from rest_scenes import SENSORS, TURN_RATE_HZ, measure_with_bias, steady_turn
+from samples import sent
 
-from imumon.blocks import ColumnArray, FloatArray, SampleBlock
+from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.gyro_bias import bank, hypotheses, modes
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.rest import odds, quiet
@@ -37,8 +33,7 @@ LEVEL, NOISY = (0.5, 10.0, 120.0, 90.0), 5
 FLOOR_DPH = 1.0
 FIRST_S = 60.0
 """Of a turn, before which nothing is known of the flicker."""
-Change = tuple[ModuleType, str, object]
-VARIANTS: dict[str, list[Change]] = {
+VARIANTS: dict[str, Change] = {
     "one level of flicker, 10 s": [(modes, "FLICKER_CORNERS_S", (10.0,))],
     "no flicker of 0.1 s": [(modes, "FLICKER_CORNERS_S", (100.0, 10.0, 1.0))],
     "no random walk": [(modes, "WALK_CORNER_S", 1e6)],
@@ -64,29 +59,25 @@ VARIANTS: dict[str, list[Change]] = {
 }
 
 
-def outcomes(change: list[Change] | None, seeds: range, data: Path) -> Iterator[Outcome]:
+def outcomes(seeds: range, data: Path) -> Iterator[Outcome]:
     """Yield the outcome of every scene with a change."""
-    with ExitStack() as patches:
-        for where, name, value in change or []:
-            patches.enter_context(patch.object(where, name, value))
-        for name in HANDS:
-            yield _outcome(name, [_in_a_hand(name, seed) for seed in seeds])
-        for name, turn in {**TURNS, **LONG, **TILTED}.items():
-            for grade, which in GRADES.items():
-                yield _outcome(f"{name}, {grade}", [_turned(turn, which, seed) for seed in seeds])
-        yield _outcome("0.5 °/s about a level axis, noisy", [_turned(LEVEL, NOISY, seed) for seed in seeds])
-        yield _outcome("walk of 6 °/h/√s at rest", [_walking(seed) for seed in seeds])
-        for path in sorted((data / "broad").glob("*.npz")):
-            error, ratio, _ = errors(path)
-            yield _outcome(path.stem, [(error, ratio)])
+    for name in HANDS:
+        yield _outcome(name, [_in_a_hand(name, seed) for seed in seeds])
+    for name, turn in {**TURNS, **LONG, **TILTED}.items():
+        for grade, which in GRADES.items():
+            yield _outcome(f"{name}, {grade}", [_turned(turn, which, seed) for seed in seeds])
+    yield _outcome("0.5 °/s about a level axis, noisy", [_turned(LEVEL, NOISY, seed) for seed in seeds])
+    yield _outcome("walk of 6 °/h/√s at rest", [_walking(seed) for seed in seeds])
+    for path in sorted((data / "broad").glob("*.npz")):
+        error, ratio, _ = bias_errors(path)
+        yield _outcome(path.stem, [(error, ratio)])
 
 
 def _in_a_hand(name: str, seed: int) -> tuple[FloatArray, FloatArray]:
     """Return error and error over sigma at the ends of rests, before the next, and in motion."""
     record = simulate(CASES[name], seed)
     error, sd, _ = estimated(CASES[name], record)
-    where = places(record.rest)
-    at = np.concatenate([where.ends, where.before, where.motion[::50]])
+    at, _ = places(record.rest)
     return error[at].ravel(), (error / sd)[at].ravel()
 
 
@@ -103,13 +94,7 @@ def _walking(seed: int) -> tuple[FloatArray, FloatArray]:
     walk = np.cumsum(3e-5 / np.sqrt(rate_hz) * rng.standard_normal((n, 3)), axis=0)
     gyro = walk + 3e-4 * np.sqrt(rate_hz) * rng.standard_normal((n, 3))
     accel = 0.02 * rng.standard_normal((n, 3)) + [0.0, 0.0, 9.81]
-    columns: dict[str, ColumnArray] = {
-        "device_time_ns": np.rint(np.arange(n) / rate_hz * 1e9).astype(np.int64),
-        "segment": np.zeros(n, np.int64),
-    }
-    for name, values in (("gyro", gyro), ("accel", accel)):
-        columns |= {f"{name}_{axis}": values[:, i] for i, axis in enumerate("xyz")}
-    samples = SampleBlock(columns)
+    samples = sent(np.arange(n) / rate_hz, gyro=gyro, accel=accel)
     samples = samples.with_columns(RestAndBias().process(samples))
     return _once_a_second(samples, walk, rate_hz)
 
@@ -131,3 +116,6 @@ def _outcome(scene: str, found: list[tuple[FloatArray, FloatArray]]) -> Outcome:
     return Outcome(
         scene, rms, FLOOR_DPH, float(np.sqrt(np.nanmean(ratio**2))), float(np.nanmax(np.abs(ratio)))
     )
+
+
+STUDY = ablation(TITLE, VARIANTS, outcomes)

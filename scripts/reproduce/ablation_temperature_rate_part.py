@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
-from ablation_outcome import Outcome
-from temperature_rate_records import PER_HOUR, centred
-from thermometer_kinds import KINDS, Profile, constant, drifting, ramp, thermostat
-from thermometers_table import errors, largest, rms
+from ablations import Change, Outcome, ablation
+from study import largest, rms
+from thermometers import KINDS, PER_HOUR, Profile, constant, drifting, errors, ramp, thermostat
 
 from imumon.blocks import FloatArray
 from imumon.estimation.temperature_rate import filter as filter_module
@@ -51,8 +49,7 @@ SCENES: list[tuple[str, str, Profile, float, float]] = [
 STEPS_DEGC = (0.0, 0.0625, 0.5, 1.0)
 
 MODELS = Models()
-Change = tuple[Any, str, Any]
-"""Object, name and what stands there instead."""
+HERE = sys.modules[__name__]
 SLOW_CODES = tuple(model for model in CODE_MODELS if model.slow)
 
 
@@ -72,7 +69,7 @@ def _entering_only(*given: Any) -> tuple[Correction, None]:
     return evaluate(*given)[0], None
 
 
-VARIANTS: dict[str, Models | list[Change]] = {
+VARIANTS: dict[str, Change] = {
     "a code that stays is no evidence on slow errors": [(measurement, "RENEWAL", 0.0)],
     "no soft edges": [(measurement, "SOFT", 0.0)],
     "no code is a surprise": [(measurement, "SURPRISE", 1e-300)],
@@ -83,25 +80,46 @@ VARIANTS: dict[str, Models | list[Change]] = {
     "all readings independent": [(Thermometer, "independent", _count)],
     "no repeats known by a leap": [(Thermometer, "leaps", _never)],
     "no repeats known": [(thermometer, "MOST_REPEAT_S", 0.0)],
-    "7 white sigmas, not 13": replace(
-        MODELS,
-        code_models=(*(code_model(w) for w in (0.02, 0.06, 0.12, 0.2, 0.28, 0.36, 0.45)), *SLOW_CODES),
-    ),
-    "10 white sigmas, not 13": replace(
-        MODELS, code_models=(*(code_model(0.02 * 25.0 ** (i / 9.0)) for i in range(10)), *SLOW_CODES)
-    ),
-    "no code models with a slow error": replace(
-        MODELS, code_models=tuple(model for model in CODE_MODELS if not model.slow)
-    ),
-    "no mean models with a slow error": replace(MODELS, mean_models=MEAN_MODELS[:1]),
-    "no 1/f models": replace(
-        MODELS,
-        code_models=tuple(model for model in CODE_MODELS if not model.walk_per_s),
-        mean_models=tuple(model for model in MEAN_MODELS if not model.walk_per_s),
-    ),
-    "5 jerk PSDs, not 9": replace(MODELS, jerk_psds=MODELS.jerk_psds[::2]),
-    "the jerk PSD changes once in 10,000 s, not 500": replace(MODELS, change_per_s=1e-4),
-    "the jerk PSD changes once in 100 s, not 500": replace(MODELS, change_per_s=1e-2),
+    "7 white sigmas, not 13": [
+        (
+            HERE,
+            "MODELS",
+            replace(
+                MODELS,
+                code_models=(
+                    *(code_model(w) for w in (0.02, 0.06, 0.12, 0.2, 0.28, 0.36, 0.45)),
+                    *SLOW_CODES,
+                ),
+            ),
+        )
+    ],
+    "10 white sigmas, not 13": [
+        (
+            HERE,
+            "MODELS",
+            replace(
+                MODELS, code_models=(*(code_model(0.02 * 25.0 ** (i / 9.0)) for i in range(10)), *SLOW_CODES)
+            ),
+        )
+    ],
+    "no code models with a slow error": [
+        (HERE, "MODELS", replace(MODELS, code_models=tuple(model for model in CODE_MODELS if not model.slow)))
+    ],
+    "no mean models with a slow error": [(HERE, "MODELS", replace(MODELS, mean_models=MEAN_MODELS[:1]))],
+    "no 1/f models": [
+        (
+            HERE,
+            "MODELS",
+            replace(
+                MODELS,
+                code_models=tuple(model for model in CODE_MODELS if not model.walk_per_s),
+                mean_models=tuple(model for model in MEAN_MODELS if not model.walk_per_s),
+            ),
+        )
+    ],
+    "5 jerk PSDs, not 9": [(HERE, "MODELS", replace(MODELS, jerk_psds=MODELS.jerk_psds[::2]))],
+    "the jerk PSD changes once in 10,000 s, not 500": [(HERE, "MODELS", replace(MODELS, change_per_s=1e-4))],
+    "the jerk PSD changes once in 100 s, not 500": [(HERE, "MODELS", replace(MODELS, change_per_s=1e-2))],
     "least probability of a filter 1e-30": [(filter_module, "LEAST_PROBABILITY", 1e-30)],
     "any acceleration at the start": [(filter_module, "LONG_S", 1e30)],
     "no walk in the output": [(output, "LONG_S", 0.0)],
@@ -118,16 +136,12 @@ VARIANTS: dict[str, Models | list[Change]] = {
 }
 
 
-def outcomes(change: Models | list[Change] | None, seeds: range, data: Path) -> Iterator[Outcome]:
+def outcomes(seeds: range, data: Path) -> Iterator[Outcome]:
     """Yield the scenes, then the measured record where its folder exists."""
-    models = change if isinstance(change, Models) else MODELS
-    with ExitStack() as patches:
-        for where, name, value in change if isinstance(change, list) else ():
-            patches.enter_context(patch.object(where, name, value))
-        yield from simulated(models, seeds)
-        path = data / "chamber-cycle" / "cooling-heating.csv"
-        if path.exists():
-            yield from measured(models, path)
+    yield from simulated(MODELS, seeds)
+    path = data / "chamber-cycle" / "cooling-heating.csv"
+    if path.exists():
+        yield from measured(MODELS, path)
 
 
 def simulated(models: Models, seeds: range) -> Iterator[Outcome]:
@@ -149,8 +163,8 @@ def measured(models: Models, path: Path) -> Iterator[Outcome]:
     table = np.genfromtxt(path, delimiter=",", names=True)
     time_ns = np.round(table["t_s"] * 1e9).astype(np.int64)
     reading: FloatArray = np.asarray(table["temperature"], np.float64)
-    _, rate = centred(time_ns, reading, HALF_S)
-    late = (time_ns - time_ns[0]) * 1e-9 > RECORD_SETTLED_S
+    t = (time_ns - time_ns[0]) * 1e-9
+    rate, late = local_rate(t, reading), t > RECORD_SETTLED_S
     for step in STEPS_DEGC:
         rounded = step * np.round(reading / step) if step else reading
         estimator = MultipleModelRate(models=models)
@@ -158,3 +172,17 @@ def measured(models: Models, path: Path) -> Iterator[Outcome]:
         off = (found.rate - rate)[late]
         z = off / found.rate_sd[late]
         yield Outcome(f"chamber, steps of {step:g} °C", rms(off) * PER_HOUR, FLOOR, rms(z), largest(z))
+
+
+def local_rate(t: FloatArray, reading: FloatArray) -> FloatArray:
+    """Return the rate of local cubic fits to all readings within ±`HALF_S` of times in s, (n,)."""
+    rate = np.empty(len(t))
+    for i, now in enumerate(t):
+        middle = min(max(now, HALF_S), t[-1] - HALF_S)
+        a, b = np.searchsorted(t, [middle - HALF_S, middle + HALF_S])
+        fit = np.polynomial.Polynomial.fit(t[a:b], reading[a:b], 3)
+        rate[i] = fit.deriv()(now)
+    return rate
+
+
+STUDY = ablation(TITLE, VARIANTS, outcomes)

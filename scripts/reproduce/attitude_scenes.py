@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from bias_sigma_records import SENSORS, waves
+from handled_units import SENSORS, waves
 from samples import sent
 from scipy.spatial.transform import Rotation
 

@@ -6,15 +6,11 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
-from pathlib import Path
 from typing import Literal, cast
 
-import figures
+import broad
 import imufusion
 import numpy as np
-from attitude_measured import FORMATS as MEASURED_FORMATS
-from attitude_measured import HEADS as MEASURED_HEADS
-from attitude_measured import measured_rows
 from attitude_scenes import SCENES, Record, calibrated, simulate
 from samples import without
 from scipy.spatial.transform import Rotation
@@ -30,7 +26,7 @@ from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import STANDARD_GRAVITY
 
-RATES_HZ = (50.0, 100.0, 400.0)
+RATES_HZ = (50.0, 400.0)
 HEADS = (
     "scene", "Hz", "magnetometer", "tilt °", "VQF", "imufusion", "z rms", "max", "σ °",
     "heading °", "VQF", "imufusion", "z rms", "max", "σ °", "claimed %",
@@ -141,7 +137,7 @@ def tables(given: Options) -> Iterator[Table]:
     """Yield the simulated scenes and the measured recordings."""
     kinds = [
         (name, rate_hz, with_mag)
-        for name, rate_hz, with_mag in product(SCENES, given.lists["rates"], (True, False))
+        for name, rate_hz, with_mag in product(SCENES, RATES_HZ, (True, False))
         if given.only in name and (with_mag or not SCENES[name].magnet)
     ]
     made = partial(simulate, seconds=QUICK_S) if given.quick else simulate
@@ -153,33 +149,9 @@ def tables(given: Options) -> Iterator[Table]:
         note = f"Worst over its bar: {max(bad for bad, _ in rows):.2f}."
         yield Table("", HEADS, worst_first(rows), note, FORMATS)
     if given.only in ("", "measured") and not given.quick:
-        folder = given.data / "broad"
-        found = list(measured_rows(folder, AttitudeParameters()))
-        note = "" if found else f"No recordings in {folder}."
-        yield Table("Measured", MEASURED_HEADS, found, note, MEASURED_FORMATS)
+        found = list(broad.attitude_rows(given.data))
+        note = "" if found else f"No recordings in {given.data / 'broad'}."
+        yield Table("Measured", broad.HEADS, found, note, broad.FORMATS)
 
 
-def draw(_: Options) -> Iterator[Path]:
-    """Draw a unit that is turned by hand, without a magnetometer: error of tilt and heading beside sigma."""
-    record = simulate(SCENES["by hand"], 50.0, 9700)
-    samples = without(record.samples, "mag")
-    for stage in (RestAndBias(mode="learned"), AttitudeEstimate()):
-        samples = samples.with_columns(stage.process(samples))
-    known = int(np.argmax(np.isfinite(samples["attitude_estimate_tilt_sd"]))) + 1
-    samples, truth = samples.rows(known, len(samples)), record.attitude[known:]
-    q = np.column_stack([samples[f"attitude_estimate_{part}"] for part in "wxyz"])
-    heading_sd = samples["attitude_estimate_heading_sd"]
-    tilt = np.linalg.norm(tilt_error(q, truth), axis=1)
-    turn = np.abs(heading_error(q, truth, int(np.argmax(np.isfinite(heading_sd))), True))
-    t = samples["device_time_ns"] * 1e-9
-    title = "Turned by hand for 30 s, at rest for 10 s, and so on; no magnetometer"
-    drawn = figures.axes(title, 2, x="s", size=(8.0, 5.0))
-    both = ((tilt, np.sqrt(2.0) * samples["attitude_estimate_tilt_sd"]), (turn, heading_sd))
-    for ax, name, (error, sd) in zip(drawn, ("tilt", "free heading"), both, strict=True):
-        ax.fill_between(t, np.degrees(sd), alpha=0.3, label=f"sigma of the {name}")
-        ax.plot(t, np.degrees(error), linewidth=0.8, label="error")
-        ax.set_ylabel(f"{name}, deg")
-    yield figures.save(drawn, "attitude", "sigma")
-
-
-STUDY = Study(tables, 4, 700, "appendix/attitude-results.md", draw, {"rates": RATES_HZ})
+STUDY = Study(tables, 4, 700, "appendix/attitude-results.md")

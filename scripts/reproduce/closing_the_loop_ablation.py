@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
-from ablation_table import PAGE, write
+from ablations import PAGE, Change, changed
 from closing_the_loop_measured import chamber_run, split
 from closing_the_loop_statistics import Result, is_outside, jobs, right, run_case
 from study import Options, Study, Table, spread
@@ -21,8 +19,6 @@ from imumon.lab.diagnosis.candidates import Candidate
 from imumon.lab.diagnosis.choice import PROVEN
 from imumon.lab.diagnosis.diagnose import diagnose
 
-Change = Sequence[tuple[Any, str, Any]]
-"""Module, class or function, a name in it, and what it is instead."""
 SHARES = (0.5, 0.55, 0.6, 0.65, 0.7, 0.75)
 """Of the chamber's record that is trained on."""
 TITLE = (
@@ -89,22 +85,15 @@ MECHANISMS: Mapping[str, Change] = {
 """What is left out, one by one."""
 
 
-def _changed(name: str) -> ExitStack:
-    stack = ExitStack()
-    for place, key, value in MECHANISMS.get(name, ()):
-        stack.enter_context(patch.object(place, key, value))
-    return stack
-
-
 def _case(job: tuple[str, Any]) -> list[Result]:
-    with _changed(job[0]):
+    with changed(MECHANISMS.get(job[0], ())):
         return run_case(job[1])
 
 
 def _chamber(name: str, folder: Path) -> list[float]:
     """Return what x and z are left with, °/s, and x by the whole record on the same course once more."""
     run = chamber_run(folder)
-    with _changed(name):
+    with changed(MECHANISMS.get(name, ())):
         found = [diagnose(*split(run, share), sensors=("gyro",)).verdicts for share in SHARES]
         again = replace(run, name="the same course once more", start_ns=10**13)
         whole = diagnose([run], [again], sensors=("gyro",)).verdicts[0]
@@ -129,7 +118,7 @@ HEADS = ("without", "right", "false", "left, ×", "worst, ×", "chamber x", "z",
 
 
 def tables(given: Options) -> Iterator[Table]:
-    """Yield the table, and write it into the page of all ablations."""
+    """Yield the table."""
     cases = [
         case
         for case in jobs(len(given.seeds), "lag and" if given.quick else "", given.seeds[0])
@@ -143,11 +132,8 @@ def tables(given: Options) -> Iterator[Table]:
         base = base or found
         rows.append(_row(name, found, base, _chamber(name, given.data / "chamber-cycle")))
         print(*rows[-1], sep=" | ", file=sys.stderr, flush=True)
-    table = Table("", HEADS, rows)
-    if not given.quick:
-        title = f"{TITLE}  {len(cases)} cases, first seed {given.seeds[0]}."
-        write("diagnosis", title, table.markdown().splitlines(), PAGE)
-    yield table
+    title = f"{TITLE}  {len(cases)} cases, first seed {given.seeds[0]}."
+    yield Table(title, HEADS, rows)
 
 
-STUDY = Study(tables, seeds=4, first=900)
+STUDY = Study(tables, seeds=4, first=900, page=PAGE)

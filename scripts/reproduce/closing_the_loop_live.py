@@ -60,7 +60,7 @@ NOTHING: Mapping[str, tuple[Sequence[str], Mapping[str, Any]]] = {
     f"nothing, {BEYOND}": (NOISES[:2], {}),
 }
 """Sessions of which nothing is missing: noises, and what else a setting has."""
-QUICK = "driven: load"
+QUICK = "nothing, white"
 HEADS = ("effect", "floors", "named", "right", "first named, min, median", "°/h before", "after")
 REPORT = re.compile(r"MODEL CAN BE BETTER: (.*?): ([\d.e+-]+) become ([\d.e+-]+) °/h")
 

@@ -7,20 +7,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import figures
 import numpy as np
 from study import Options, Study, Table
 
-from imumon.blocks import BoolArray, FloatArray
+from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias.stage import RestDetector
-from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
-from imumon.lab.diagnosis.fit import Fit, FittedPart, TestScore
+from imumon.lab.diagnosis.diagnose import diagnose
+from imumon.lab.diagnosis.fit import FittedPart
 from imumon.lab.diagnosis.report import report
 from imumon.lab.diagnosis.runs import SECOND_NS, Run, read_runs
 from imumon.lab.diagnosis.verdict import ChannelVerdict
 
 SHARES = (0.5, 0.6, 0.65, 0.7)
-DRAWN = 0.65
 HEADS = (
     "train on", "axis", "floor", "train before", "after", "test before", "after", "covered", "verdict",
 )  # fmt: skip
@@ -103,38 +101,4 @@ def _deg(value: float) -> str:
     return "-" if not np.isfinite(value) else f"{np.degrees(value):.4f}"
 
 
-def draw(given: Options) -> Iterator[Path]:
-    """Draw what is left before and after, in time and against temperature, per axis."""
-    run = chamber_run(given.data / "chamber-cycle")
-    diagnosis = diagnose(*split(run, DRAWN), sensors=("gyro",))
-    title = "Left over in time, the test right of the line, and against temperature, the test as crosses"
-    panes = figures.axes(title, 3, 2, size=(9.0, 7.5))
-    for verdict, left, right in zip(diagnosis.verdicts, panes[::2], panes[1::2], strict=True):
-        for what, model, scored, color in (
-            ("before", verdict.before, verdict.test_before, "tab:gray"),
-            ("after", verdict.after, verdict.test_after, "tab:red"),
-        ):
-            assert scored is not None
-            minutes, residual, temperature, where = _whole(diagnosis, verdict, model, scored)
-            left.plot(minutes, residual, ".", ms=3, color=color, label=what)
-            right.plot(temperature[~where], residual[~where], ".", ms=3, color=color)
-            right.plot(temperature[where], residual[where], "x", ms=3, color=color)
-        left.axvline(diagnosis.train[0].duration_s / 60, color="black", lw=0.8)
-        left.set(ylabel=f"{verdict.name}, deg/s", xlabel="min")
-        right.set_xlabel("degC")
-    yield figures.save(panes, "closing-the-loop", "chamber-cycle")
-
-
-def _whole(
-    diagnosis: Diagnosis, verdict: ChannelVerdict, model: Fit, scored: TestScore
-) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    """Return minutes, residual, °/s, temperature and which are of the test."""
-    runs = [*diagnosis.train, *diagnosis.test]
-    minutes = np.concatenate([run.time_s for run in runs]) / 60
-    temperature = np.concatenate([run.temperature[verdict.channel.temperature] for run in runs])
-    test = [np.where(use, left, np.nan) for left, use in zip(scored.residual, scored.counted, strict=True)]
-    residual = np.degrees(np.concatenate([model.train, *test]))
-    return minutes, residual, temperature, np.arange(len(minutes)) >= len(model.train)
-
-
-STUDY = Study(tables, draw=draw)
+STUDY = Study(tables)

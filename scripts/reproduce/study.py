@@ -1,4 +1,4 @@
-"""The runner of the studies: options, tables in Markdown, pages, figures, and comparison with a page.
+"""The runner of the studies: options, tables in Markdown, pages, and comparison with a page.
 
 A study is a module with `STUDY`.  It defines which scenes, methods and errors make a table; all else is here.
 """
@@ -6,17 +6,17 @@ A study is a module with `STUDY`.  It defines which scenes, methods and errors m
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from difflib import unified_diff
 from importlib import import_module
 from itertools import zip_longest
 from pathlib import Path
+from types import ModuleType
 from typing import TypeVar, cast
 
 import numpy as np
@@ -28,28 +28,39 @@ DOCS = ROOT / "docs"
 RMS_BAR, LARGEST_BAR = 1.8, 7.0
 """Error over sigma, rms and largest, beyond which a row is bad."""
 STUDIES: Mapping[str, Mapping[str, str]] = {
-    "alignment": {"": "alignment_figures"},
+    "ablation": {
+        "alignment": "ablation_alignment_part",
+        "temperature_rate": "ablation_temperature_rate_part",
+        "attitude": "ablation_attitude_part",
+        "rest_and_bias": "ablation_rest_and_bias_part",
+    },
     "alignment_site": {"": "alignment_site"},
-    "allan_terms": {"": "allan_terms_table"},
+    "allan_terms": {"": "allan_terms_study"},
     "attitude": {"": "attitude_table"},
-    "bias_race": {"": "bias_race_table"},
+    "bias_race": {"": "bias_race_study"},
     "closing_the_loop": {
         "simulated": "closing_the_loop_statistics",
         "live": "closing_the_loop_live",
         "plans": "closing_the_loop_plans",
         "measured": "closing_the_loop_measured",
         "ablation": "closing_the_loop_ablation",
-        "steps": "closing_the_loop_steps",
     },
-    "moving_bias": {"": "moving_bias_table"},
-    "random_error": {"": "random_error_table"},
-    "rest_figure": {"": "rest_figure"},
+    "field": {
+        "rest": "field_table:REST",
+        "thermometer": "field_table:THERMOMETER",
+        "north": "field_table:NORTH",
+        "bias": "field_table:BIAS",
+        "moving": "field_table:MOVING_BIAS",
+        "surprises": "field_table:SURPRISE",
+        "measured": "field_table:MEASURED",
+    },
+    "pictures": {"": "pictures"},
+    "random_error": {"": "random_error_study"},
     "smoothing": {"": "smoothing_table"},
-    "tczupt": {"": "tczupt_table"},
-    "temperature_rate": {"": "temperature_rate_figures"},
-    "thermal_calibration": {"": "thermal_calibration_table"},
+    "tczupt": {"": "tczupt_study"},
+    "thermal_calibration": {"": "thermal_calibration_study"},
 }
-"""The module of each study, by command and `--part`; the first part is the default."""
+"""Where each study is, MODULE or MODULE:NAME, by command and `--part`; the first is the default."""
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
@@ -69,8 +80,6 @@ class Options:
         The first of everything, in seconds.
     jobs : int
         Processes.
-    lists : dict
-        Values of the study's own options.
     """
 
     seeds: range
@@ -78,7 +87,6 @@ class Options:
     data: Path
     quick: bool
     jobs: int
-    lists: Mapping[str, Sequence[float]]
 
 
 Cell = str | float
@@ -120,18 +128,12 @@ class Study:
         Runs of each scene and their first seed, by default.
     page : str
         Page below docs with the tables of `--write`, between markers with the name of the study or its part.
-    draw : callable, optional
-        Draws the figures below docs/figures, and yields their paths.
-    lists : dict
-        Options of its own with lists of numbers, and their defaults.
     """
 
     tables: Callable[[Options], Iterable[Table]]
     seeds: int = 1
     first: int = 0
     page: str = ""
-    draw: Callable[[Options], Iterator[Path]] | None = None
-    lists: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
 
 def rms(values: FloatArray | Sequence[float]) -> float:
@@ -212,26 +214,26 @@ def parser_of(
     parser.add_argument("--data", type=Path, default=data, help="folder of the measured recordings")
     parser.add_argument("--jobs", type=int, default=2, help="processes, where a study has some (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="the first of everything, in seconds")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of Markdown")
     parser.add_argument("--beside", type=Path, help="print the rows that differ from those of this page")
-    parser.add_argument("--figures", action="store_true", help="draw the figures, and nothing else")
     if study.page:
         parser.add_argument("--write", action="store_true", help=f"write the tables into docs/{study.page}")
-    for name, default in study.lists.items():
-        parser.add_argument(f"--{name}", type=float, nargs="+", default=default, help="%(default)s")
     return parser
 
 
-def printed(tables: Iterable[Table], as_json: bool) -> str:
+def printed(tables: Iterable[Table]) -> str:
     """Print tables as they come, and return all of them in Markdown."""
     done = []
     for table in tables:
-        done.append(table)
-        if not as_json:
-            print(table.markdown(), flush=True)
-    if as_json:
-        print(json.dumps([asdict(table) for table in done], ensure_ascii=False))
-    return "\n".join(table.markdown() for table in done)
+        done.append(table.markdown())
+        print(done[-1], flush=True)
+    return "\n".join(done)
+
+
+def study_of(place: str) -> tuple[ModuleType, Study]:
+    """Return the module of a study and the study, given its place in `STUDIES`."""
+    name, _, attribute = place.partition(":")
+    module = import_module(name)
+    return module, cast(Study, getattr(module, attribute or "STUDY"))
 
 
 def main(command: str, arguments: Sequence[str]) -> None:
@@ -241,18 +243,12 @@ def main(command: str, arguments: Sequence[str]) -> None:
     if len(parts) > 1:
         part.add_argument("--part", choices=list(parts))
     name = getattr(part.parse_known_args(arguments)[0], "part", None) or next(iter(parts))
-    module = import_module(parts[name])
-    study = cast(Study, module.STUDY)
+    module, study = study_of(parts[name])
     given = parser_of(command, study, module.__doc__, part).parse_args(arguments)
     count, jobs = (1, 1) if given.quick else (given.seeds, given.jobs)
-    lists = {option: getattr(given, option) for option in study.lists}
     seeds = range(given.first, given.first + count)
-    options = Options(seeds, given.only, given.data, given.quick, jobs, lists)
-    if given.figures:
-        for path in study.draw(options) if study.draw else ():
-            print(path.relative_to(ROOT))
-        return
-    text = printed(study.tables(options), given.json)
+    options = Options(seeds, given.only, given.data, given.quick, jobs)
+    text = printed(study.tables(options))
     if given.beside:
         print("\n".join(differences(text, given.beside.read_text(encoding="utf-8"))))
     if study.page and given.write:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
 import tempfile
@@ -23,24 +22,20 @@ from support.screenshots import COLORS, PICTURES, studio
 from tests.faults.rack import Feeder, packets, write_rack
 
 RATE_HZ = 400.0
+UNITS, SECONDS = 16, 90.0
 DEAD_FOR_S = 1.5
 """Before the picture of the page a process is killed."""
 
 
 def main() -> None:
     """Let a rack run, and photograph it."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--units", type=int, default=16)
-    parser.add_argument("--seconds", type=float, default=90.0)
-    parser.add_argument("--out", type=Path, default=PICTURES)
-    options = parser.parse_args()
-    names = [f"unit-{number:02d}" for number in range(1, options.units + 1)]
+    names = [f"unit-{number:02d}" for number in range(1, UNITS + 1)]
     with tempfile.TemporaryDirectory(prefix="imumon-") as scratch, studio() as place:
         folder = Path(scratch)
         device = folder / "fast.yaml"
         text = device_text("ax1")[0].replace("name: ax1", "name: fast")
         device.write_text(text.replace("baudrates: [115200", "baudrates: [921600"))
-        sent = packets(load_device(str(device)), RATE_HZ, options.seconds + 60.0)
+        sent = packets(load_device(str(device)), RATE_HZ, SECONDS + 60.0)
         rec = rr.RecordingStream(APPLICATION, recording_id="rack")
         rec.set_sinks(rr.GrpcSink(place.url))
         logger = UnitsLogger(rec, ViewSetup("rack bench", "rack", several=True), rec.send_blueprint)
@@ -55,12 +50,12 @@ def main() -> None:
                     time.sleep(0.1)
                 feeder.start()
                 killed, began_s = False, time.monotonic()
-                while (passed_s := time.monotonic() - began_s) < options.seconds:
+                while (passed_s := time.monotonic() - began_s) < SECONDS:
                     rack.look()
                     logger.log(items)
                     items.clear()
                     time.sleep(0.2)
-                    if passed_s > options.seconds - DEAD_FOR_S and not killed:
+                    if passed_s > SECONDS - DEAD_FOR_S and not killed:
                         killed = True
                         os.kill(rack.units[-2].process.pid, signal.SIGKILL)  # type: ignore[union-attr]
                 arrangement = logger.arrangement
@@ -73,7 +68,7 @@ def main() -> None:
                     picture = folder / f"{name}.png"
                     place.viewer.save_screenshot(str(picture))
                     small = Image.open(picture).convert("RGB").quantize(COLORS)
-                    small.save(options.out / picture.name, optimize=True)
+                    small.save(PICTURES / picture.name, optimize=True)
             finally:
                 rack.stop()
         rec.disconnect()

@@ -7,6 +7,7 @@ import platform
 import re
 import warnings
 from collections.abc import Callable, Iterator
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -31,50 +32,15 @@ DOCS = Path(__file__).parents[2] / "docs" / "reliability.md"
 Section = Callable[[Path, bool], Iterator[Row]]
 
 
-def _damage(folder: Path, short: bool) -> Iterator[Row]:
-    yield from damage.attack_all(folder, 10 if short else 100, 1)
-    yield from damage.truncate_all(folder, 41 if short else 1)
-
-
 def _killed(folder: Path, short: bool) -> Iterator[Row]:
     for rate_hz in (100.0, 1000.0):
         yield killed.kill_many(folder, rate_hz, 2 if short else 50, 1)
     yield from killed.interrupt_all(folder, 1 if short else 5)
 
 
-def _disk(folder: Path, short: bool) -> Iterator[Row]:
-    yield from disk.attack_all(folder, 1 if short else 5)
-
-
-def _line(folder: Path, short: bool) -> Iterator[Row]:
-    yield from line.attack_all(folder, 1 if short else 10, 1)
-
-
-def _viewer(folder: Path, short: bool) -> Iterator[Row]:
-    yield from viewer.attack_all(folder, 2.0 if short else 20.0)
-
-
 def _medium(folder: Path, short: bool) -> Iterator[Row]:
     for rate_hz in (100.0, 1000.0, 10_000.0):
         yield medium.measure(folder, rate_hz, 3.0 if short else 20.0)
-
-
-def _documents(folder: Path, short: bool) -> Iterator[Row]:
-    yield from documents.attack_all(folder)
-    yield documents.mutate_devices(200 if short else 2000, 1)
-
-
-def _fuzz(_: Path, short: bool) -> Iterator[Row]:
-    yield from fuzz.fuzz_all(50 if short else 5000, 1)
-
-
-def _streams(_: Path, short: bool) -> Iterator[Row]:
-    yield from fuzz.stream_all(2_000 if short else 10_000_000, 1)
-
-
-def _interrupts(folder: Path, short: bool) -> Iterator[Row]:
-    moments = interrupts.moments()
-    yield from interrupts.interrupt_all(folder, moments[::10] if short else moments)
 
 
 def _endurance(folder: Path, short: bool) -> Iterator[Row]:
@@ -94,32 +60,26 @@ def _rack(folder: Path, short: bool) -> Iterator[Row]:
         yield rack.measure(folder / view, 4 if short else 16, 400.0, 0.25 if short else 10.0, view)
 
 
-def _cost(_: Path, short: bool) -> Iterator[Row]:
-    yield from cost.measure_all(("ax1", "sbg") if short else None)
-
-
-def _recovery(_: Path, short: bool) -> Iterator[Row]:
-    yield from recovery.attack_rows(["one sample of 1e30", "10 s of NaN, all"] if short else None)
-
-
-def _devices(_: Path, short: bool) -> Iterator[Row]:
-    yield from recovery.variant_rows(("0.1 Hz", "all constant zero") if short else None)
-
-
 SECTIONS: dict[str, Section] = {
-    "damage": _damage,
-    "line": _line,
+    "damage": lambda folder, short: chain(
+        damage.attack_all(folder, 10 if short else 100, 1), damage.truncate_all(folder, 41 if short else 1)
+    ),
+    "line": lambda folder, short: line.attack_all(folder, 1 if short else 10, 1),
     "killed": _killed,
-    "disk": _disk,
-    "viewer": _viewer,
+    "disk": lambda folder, short: disk.attack_all(folder, 1 if short else 5),
+    "viewer": lambda folder, short: viewer.attack_all(folder, 2.0 if short else 20.0),
     "medium": _medium,
-    "documents": _documents,
-    "fuzz": _fuzz,
-    "streams": _streams,
-    "interrupts": _interrupts,
-    "cost": _cost,
-    "recovery": _recovery,
-    "devices": _devices,
+    "documents": lambda folder, _: documents.attack_all(folder),
+    "fuzz": lambda _, short: fuzz.fuzz_all(50 if short else 5000, 1),
+    "streams": lambda _, short: fuzz.stream_all(2_000 if short else 10_000_000, 1),
+    "interrupts": lambda folder, short: interrupts.interrupt_all(
+        folder, interrupts.moments()[:: 10 if short else 1]
+    ),
+    "cost": lambda _, short: cost.measure_all(("ax1", "sbg") if short else None),
+    "recovery": lambda _, short: recovery.attack_rows(
+        ["one sample of 1e30", "10 s of NaN, all"] if short else None
+    ),
+    "devices": lambda _, short: recovery.variant_rows(("0.1 Hz", "all constant zero") if short else None),
     "endurance": _endurance,
 }
 LONG: dict[str, Section] = {"days": _days, "rack": _rack}

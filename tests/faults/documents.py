@@ -6,14 +6,12 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import numpy as np
-
 from imumon.allan.parameters import Noise
 from imumon.config import load_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.fleet.rack.description import load_rack
 from imumon.models.model import load_model
-from imumon.protocols.device import device_text, load_device, parse_device
+from imumon.protocols.device import device_text, load_device
 from imumon.recordings.importing import TableImport
 from imumon.recordings.metadata import read_metadata
 from imumon.run.setup import load_setup
@@ -102,42 +100,3 @@ def attack_all(folder: Path) -> Iterator[Row]:
         yield Row(
             f"hostile {kind} file", len(DOCUMENTS), "; ".join(bad) or "each refused in words", held=not bad
         )
-
-
-def mutate(text: str, rng: np.random.Generator) -> str:
-    """Return a text with some of its tokens exchanged for hostile ones."""
-    tokens = [
-        "1e400",
-        ".nan",
-        "-.inf",
-        "99999999999999999999",
-        "[",
-        "{",
-        "&a",
-        "*a",
-        "!!int",
-        "\x00",
-        "~",
-        "0",
-    ]
-    tokens += ["10^10^10^10 deg/s", "1/0", '"', "- - - -", "\t", "? ", "\u2028", "-1", "9" * 400, "../../x"]
-    words = text.split(" ")
-    for _ in range(int(rng.integers(1, 4))):
-        words[int(rng.integers(len(words)))] = tokens[int(rng.integers(len(tokens)))]
-    return " ".join(words)
-
-
-def mutate_devices(times: int, seed: int) -> Row:
-    """Load changed files of a known device; one that is taken must make a decoder that decodes."""
-    rng = np.random.default_rng(seed)
-    text, taken, slowest = device_text("ax1")[0], 0, 0.0
-    for _ in range(times):
-        began = time.process_time()
-        try:
-            decoder = parse_device(mutate(text, rng), "device.yaml").decoder()
-            decoder.feed(rng.bytes(200), 0)
-            taken += 1
-        except ImumonError:
-            pass
-        slowest = max(slowest, time.process_time() - began)
-    return Row("device file with hostile words", times, f"{taken} taken and decoding, the others refused")

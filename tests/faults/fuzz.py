@@ -111,6 +111,15 @@ def _decode(name: str) -> Callable[[bytes, Path], object]:
     return read
 
 
+def _device(data: bytes, folder: Path) -> object:
+    """Load a device file; one that is taken makes a decoder that decodes."""
+    path = folder / "file.yaml"
+    path.write_bytes(data)
+    decoder = load_device(str(path)).decoder()
+    decoder.feed(bytes(200), 0)
+    return decoder.counters()
+
+
 def _session(name: str, other: bytes) -> Callable[[bytes, Path], object]:
     """Open and run a session of which one file is changed; `other` is the one that is not."""
 
@@ -193,6 +202,7 @@ def targets() -> dict[str, Target]:
     texts = {kind: text.encode() for kind, text in DOCUMENTS.items()}
     texts |= {"session": session, "device": device_text("ax1")[0].encode()}
     found = {kind: Target(texts[kind], _loader(load)) for kind, load in LOADERS.items()}
+    found["device"] = Target(texts["device"], _device)
     found["session folder, session.yaml"] = Target(session, _session(METADATA_NAME, wire))
     found["session folder, wire.mcap"] = Target(wire, _session(WIRE_NAME, session))
     csv = b"t,gx,gy,gz,temp\n" + b"".join(b"%d.5,1,2,3,25.0\n" % n for n in range(30))

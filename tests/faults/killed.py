@@ -20,9 +20,8 @@ import numpy as np
 from imumon.protocols.device import load_device
 from imumon.recordings.source import open_source
 from imumon.recordings.wire_reader import WireReader
-from imumon.simulation.unit import SimulatedUnit, load_scenario
-from imumon.simulation.unit.unit import MICROSECOND
 from imumon.transport.reader import Bytes
+from tests.faults.rack import packets
 from tests.faults.rows import Row
 from tests.waiting import LIMIT_S
 
@@ -87,10 +86,7 @@ class Line:
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         self.path = os.ttyname(self._slave)
-        device = load_device("ax1")
-        scenario = load_scenario("bench").played(rate_hz, device.axes)
-        unit = SimulatedUnit(scenario, 0, device.decoder().timing.tick_ns or MICROSECOND)
-        self._packets = device.encoder().encode(unit.samples(round(prepared_s * rate_hz)))
+        self._packets = packets(load_device("ax1"), rate_hz, prepared_s)
         self._rate_hz = rate_hz
         self.sent: list[int] = []
         """Bytes sent after each packet."""

@@ -80,8 +80,6 @@ class Feeder:
         self._at = dict.fromkeys(names, 0)
         self.lost = dict.fromkeys(names, 0)
         """Bytes that a port did not take: its buffer was full, as nobody had read it."""
-        self.losing: list[tuple[float, str]] = []
-        """When a port did not take all, s since the begin, and which."""
         self.flooding: set[str] = set()
         """Ports that get junk, as much as they take, in place of packets."""
         self._ending = threading.Event()
@@ -121,8 +119,6 @@ class Feeder:
                 elif name not in self.flooding:
                     self._at[name] += len(data)
                     self.lost[name] += len(data) - taken
-                    if taken < len(data):
-                        self.losing.append((time.monotonic() - began_s, name))
             if time.monotonic() - began_s > seconds and min(self._at.values()) >= due:
                 return
 
@@ -203,26 +199,12 @@ def measure(folder: Path, units: int, rate_hz: float, minutes: float, view: str)
         f"{units} units at {rate_hz:g} Hz for {minutes:g} min, --view {view}",
         1,
         f"{missing:,} of {units * len(feeder.stream):,} bytes missing on disk, {wrong} recordings differ"
-        f" from what was sent{_moments(feeder.losing)}, {deaths} processes died; a unit takes"
+        f" from what was sent, {deaths} processes died; a unit takes"
         f" {np.mean(cpu):.1%} of a core ({min(cpu):.1%} to {max(cpu):.1%}) and {np.mean(memory):.0f} MB,"
         f" all {sum(cpu):.0%} and {sum(memory):.0f} MB; {beside}; load average of the machine {load:.1f}"
         f" before and {os.getloadavg()[0]:.1f} after, {os.cpu_count()} cores",
         held=not (missing or wrong or deaths),
     )
-
-
-def _moments(losing: Sequence[tuple[float, str]]) -> str:
-    """Return at how many moments something was lost, and by how many units at once: those within a second."""
-    if not losing:
-        return ""
-    units: list[set[str]] = []
-    before_s = -math.inf
-    for at_s, name in losing:
-        if at_s - before_s > 1.0:
-            units.append(set())
-        before_s = at_s
-        units[-1].add(name)
-    return f" (at {len(units)} moments, of {', '.join(str(len(one)) for one in units[:20])} units at once)"
 
 
 class Costs:

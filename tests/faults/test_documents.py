@@ -13,7 +13,7 @@ from imumon.files import LARGEST_TEXT, read_text
 from imumon.protocols.device import load_device, parse_device
 from imumon.run.setup import parse_setup
 from imumon.units import EXAMPLES, parse_unit
-from tests.faults.documents import DOCUMENTS, LOADERS, attack_all, device_with, mutate_devices, refused
+from tests.faults.documents import DOCUMENTS, LOADERS, attack_all, device_with, refused
 
 
 class Numbers(StrictModel):
@@ -100,7 +100,3 @@ def test_numbers_are_taken_in_range_and_depth_only(values: list[float], depth: i
     with pytest.raises(ImumonError, match=r"x\.yaml:1: ") as caught:
         parse_yaml(text, Numbers, "x.yaml")
     assert caught.value.reason is Reason.BAD_CONFIG
-
-
-def test_changed_device_files_are_refused_or_decode() -> None:
-    assert mutate_devices(150, 1).held

@@ -119,7 +119,7 @@ def warming_model(slope_dph: float) -> BiasModel:
 
 
 @pytest.mark.parametrize("method", ["dense_zupt", "dense_tczupt"])
-def test_live_it_follows_a_ramp_and_holds_in_motion_whatever_the_blocks(method: str) -> None:
+def test_live_it_follows_a_ramp_and_holds_in_motion(method: str) -> None:
     n = 15000
     temperature = 25.0 + np.maximum(np.arange(n) / 100 - 60.0, 0.0) / 30.0
     thermal = 40.0 * DPH * (temperature - 30.0)
@@ -131,10 +131,7 @@ def test_live_it_follows_a_ramp_and_holds_in_motion_whatever_the_blocks(method: 
     block = block.with_columns({"gyro_x": block["gyro_x"] + 0.5 * (1 - rest)})
     settings = replace(SETTINGS, bias_sd=3.0 * DPH)
 
-    def stage() -> DenseZupt:
-        return DenseZupt(method, settings, warming_model(40.0))
-
-    whole = stage().process(block)
+    whole = DenseZupt(method, settings, warming_model(40.0)).process(block)
     bias, sd = whole[f"{method}_gyro_bias_x"], whole[f"{method}_gyro_bias_sd_x"]
     assert np.isnan(bias[:5990]).all()
     error = (bias - thermal) / DPH
@@ -142,8 +139,3 @@ def test_live_it_follows_a_ramp_and_holds_in_motion_whatever_the_blocks(method: 
     assert np.abs(error[6100:]).max() < 8.8
     assert (np.diff(sd[10100:11000]) >= 0.0).all()
     assert sd[10990] > sd[9990]
-    for size in (1, 999):
-        one = stage()
-        parts = [one.process(block.rows(i, min(i + size, n))) for i in range(0, n if size > 1 else 200, size)]
-        piece = np.concatenate([part[f"{method}_gyro_bias_x"] for part in parts])
-        np.testing.assert_array_equal(piece, bias[: len(piece)])

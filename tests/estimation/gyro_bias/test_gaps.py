@@ -9,7 +9,6 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from tests.estimation.gyro_bias.records import DPH, Truth, record, slope_model, vector, with_rest
-from tests.estimation.gyro_bias.test_stage import in_parts
 
 RATE_HZ, LAG_S, SLOPE = 20.0, 30.0, np.array([60.0, -90.0, 20.0]) * DPH
 BEFORE_S, AFTER_S = 600.0, 20.0
@@ -60,16 +59,6 @@ def test_behind_a_gap_it_has_the_bias_again_within_seconds() -> None:
     block, bias = warmed(1100.0, 1)
     added = GyroBias(mode="learned").process(block)
     assert np.abs(vector(added)[-1] - bias[-1]).max() < 30.0 * DPH
-
-
-def test_a_gap_is_the_same_whatever_the_division_into_blocks() -> None:
-    block, _ = warmed(60.0, 2)
-    first = round(BEFORE_S * RATE_HZ)
-    whole = GyroBias(mode="learned").process(block)
-    for sizes in ([first], [first - 1, 2, 500], [first + 1, 7]):
-        parts = in_parts(block, GyroBias(mode="learned"), sizes)
-        for name, values in whole.items():
-            np.testing.assert_array_equal(parts[name], values, err_msg=name)
 
 
 def test_with_a_model_the_lag_that_nobody_saw_is_in_the_sigma() -> None:

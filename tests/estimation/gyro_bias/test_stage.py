@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
@@ -21,7 +21,6 @@ from tests.estimation.gyro_bias.records import (
     Truth,
     local_earth,
     record,
-    slope_model,
     vector,
     with_rest,
 )
@@ -34,17 +33,6 @@ def run(block: SampleBlock, stage: GyroBias | None = None) -> Mapping[str, Colum
     return (stage or GyroBias()).process(block)
 
 
-def in_parts(block: SampleBlock, stage: GyroBias, sizes: Sequence[int]) -> dict[str, ColumnArray]:
-    parts, start = [], 0
-    for k in range(len(block)):
-        if start >= len(block):
-            break
-        stop = min(len(block), start + sizes[k % len(sizes)])
-        parts.append(SampleBlock(stage.process(block.rows(start, stop))))
-        start = stop
-    return dict(join(parts).columns)
-
-
 def test_columns_units_and_the_corrected_rate() -> None:
     stage: Estimator = GyroBias()
     block, bias = record(SLOW, 120.0, 1)
@@ -55,27 +43,6 @@ def test_columns_units_and_the_corrected_rate() -> None:
     assert np.abs(vector(added)[-1] - bias[-1]).max() < 5 * vector(added, "gyro_bias_sd")[-1].max()
     innovations = vector(added, "zupt_innovation")
     assert np.isfinite(innovations[:, 0]).sum() == pytest.approx(116, abs=5)
-
-
-@pytest.mark.parametrize("mode", ["standard", "thermal", "learned"])
-def test_the_division_into_blocks_does_not_matter(mode: str) -> None:
-    rng = np.random.default_rng(4)
-    n = 200 * 20
-    temperature = 25.0 + np.arange(n) / n * 5 + rng.normal(size=n) * 0.01
-    temperature[rng.random(n) < 0.3] = np.nan
-    block, _ = record(SLOW, 200.0, 2, temperature=temperature)
-    rest = np.ones(n, bool)
-    rest[1800:2100] = False
-    gyro = block["gyro_x"].copy()
-    gyro[rng.random(n) < 0.05] = np.nan
-    segment = np.repeat([0, 1], [3200, 800])
-    block = with_rest(block, rest).with_columns({"gyro_x": gyro, "segment": segment})
-    settings = {"model": slope_model(20.0), "mode": mode, "latitude_deg": 40.0, "heading_deg": 10.0}
-    whole = run(block, GyroBias(**settings))  # type: ignore[arg-type] # one dictionary for four keywords
-    parts = in_parts(block, GyroBias(**settings), [1, 7, 300, 2, 64])  # type: ignore[arg-type] # the same
-    for name, values in whole.items():
-        np.testing.assert_array_equal(parts[name], values)
-    assert np.isfinite(whole["gyro_bias_x"][-1])
 
 
 def test_rows_before_the_first_gyro_do_not_matter() -> None:

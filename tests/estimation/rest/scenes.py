@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.signal import lfilter
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import RestDetector
@@ -38,6 +39,19 @@ def noise(
     gyro = gyro_sd * rng.standard_normal((n, 3)) + bias
     accel = accel_sd * rng.standard_normal((n, 3)) + [0.0, 0.0, -GRAVITY]
     return np.arange(n) / rate_hz, gyro, accel
+
+
+def flicker(
+    gyro: FloatArray, rate_hz: float, sd: float, seed: int, taus_s: tuple[float, ...] = (10.0, 100.0, 1000.0)
+) -> FloatArray:
+    """Return what a flickering bias adds to gyros: processes of one standard deviation, rad/s, (n, 3)."""
+    rng, bias = np.random.default_rng(seed), np.zeros_like(gyro)
+    for tau_s in taus_s:
+        keeps = np.exp(-1.0 / (rate_hz * tau_s))
+        drive = np.sqrt(1.0 - keeps**2) * rng.standard_normal(gyro.shape)
+        drive[0] /= np.sqrt(1.0 - keeps**2)
+        bias += sd * lfilter([1.0], [1.0, -keeps], drive, axis=0)
+    return bias
 
 
 def rolled(accel: FloatArray, roll: FloatArray) -> FloatArray:

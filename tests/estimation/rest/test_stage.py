@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
@@ -193,23 +191,6 @@ def test_a_change_of_rate_is_survived() -> None:
     keep = (t < 20.0) | (np.arange(len(t)) % 10 == 0)
     rest = detect(block(t[keep], gyro[keep], accel[keep]))
     assert np.all(rest[t[keep] > 35.0] == 1)
-
-
-@pytest.mark.parametrize("step", [1e-9, 0.25 * DEG])
-def test_the_division_into_blocks_does_not_matter(step: float) -> None:
-    t, gyro, accel = noise(60.0)
-    gyro[(t > 20) & (t < 23), 2] += 30.0 * DEG
-    gyro = step * np.round(gyro / step)
-    accel[::7] = np.nan
-    samples = block(t, gyro, accel)
-    whole = RestDetector().process(samples)
-    rng = np.random.default_rng(1)
-    cuts = [0, *sorted(rng.integers(0, len(t), 200).tolist()), len(t)]
-    stage = RestDetector()
-    parts = [stage.process(samples.rows(a, b)) for a, b in pairwise(cuts)]
-    for name, values in whole.items():
-        assert np.array_equal(np.concatenate([part[name] for part in parts]), values)
-    assert 0 < whole["at_rest"].mean() < 1
 
 
 @pytest.mark.parametrize(

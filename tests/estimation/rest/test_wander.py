@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias.stage import RestDetector
-from tests.estimation.rest.scenes import DEG, block, noise, rolled
+from tests.estimation.rest.scenes import DEG, block, flicker, noise, rolled
 
 TAUS_S = (1.0, 10.0, 100.0, 1000.0)
 
@@ -19,23 +18,12 @@ def found(t: FloatArray, gyro: FloatArray, accel: FloatArray) -> tuple[FloatArra
     return result["at_rest"], result["turn_hypothesis_z"]
 
 
-def wandering(gyro: FloatArray, rate_hz: float, sd: float, seed: int) -> FloatArray:
-    """Return what a flickering bias adds: processes of one standard deviation, rad/s."""
-    rng, bias = np.random.default_rng(seed), np.zeros_like(gyro)
-    for tau_s in TAUS_S:
-        keeps = np.exp(-1.0 / (rate_hz * tau_s))
-        drive = np.sqrt(1.0 - keeps**2) * rng.standard_normal(gyro.shape)
-        drive[0] /= np.sqrt(1.0 - keeps**2)
-        bias += sd * lfilter([1.0], [1.0, -keeps], drive, axis=0)
-    return bias
-
-
 @pytest.mark.parametrize("seed", [11, 12])
 def test_a_ramp_of_temperature_leaves_no_hypothesis(seed: int) -> None:
     """The slope bends from 60 to 92 °/h/K: what seemed to be a turn at first goes with the temperature."""
     t, gyro, accel = noise(900.0, 10.0, gyro_sd=2e-4)
     warm = np.clip((t - 100.0) / 30.0, 0.0, 8.0) - np.clip((t - 500.0) / 30.0, 0.0, 8.0)
-    gyro += wandering(gyro, 10.0, 2.0 / 3600.0 * DEG, seed)
+    gyro += flicker(gyro, 10.0, 2.0 / 3600.0 * DEG, seed, TAUS_S)
     gyro[:, 2] += (60.0 * warm + 2.0 * warm**2) / 3600.0 * DEG
     result = RestDetector().process(block(t, gyro, accel).with_columns({"temperature": 25.0 + warm}))
     hypothesis = result["turn_hypothesis_z"] * 3600.0 / DEG
@@ -56,7 +44,7 @@ def test_a_step_of_the_vertical_rate_is_in_doubt_however_small_until_the_old_mea
 @pytest.mark.parametrize("seed", [3, 5])
 def test_a_turn_that_begins_slowly_on_a_coarse_gyro_is_no_creep(seed: int) -> None:
     t, gyro, accel = noise(420.0, 25.0, gyro_sd=0.025 * DEG, seed=seed)
-    gyro += wandering(gyro, 25.0, 25.0 / 3600.0 * DEG, seed)
+    gyro += flicker(gyro, 25.0, 25.0 / 3600.0 * DEG, seed, TAUS_S)
     gyro[:, 2] += 0.5 * DEG * np.clip((t - 150.0) / 120.0, 0.0, 1.0)
     gyro = 0.06 * DEG * np.round(gyro / (0.06 * DEG))
     rest, _ = found(t, gyro, accel)
@@ -68,7 +56,7 @@ def test_a_turn_that_begins_slowly_on_a_coarse_gyro_is_seen_as_soon_as_noise_all
     rested = []
     for seed in range(20, 24):
         t, gyro, accel = noise(180.0, 25.0, gyro_sd=0.025 * DEG, seed=seed)
-        gyro += wandering(gyro, 25.0, 10.0 / 3600.0 * DEG, seed)
+        gyro += flicker(gyro, 25.0, 10.0 / 3600.0 * DEG, seed, TAUS_S)
         gyro[:, 2] += 0.5 * DEG * np.clip((t - 150.0) / 120.0, 0.0, 1.0)
         rest, _ = found(t, 0.06 * DEG * np.round(gyro / (0.06 * DEG)), accel)
         rested.append(rest[t > 150.0].sum() / 25.0)
@@ -80,7 +68,7 @@ def test_a_tilt_that_begins_slowly_is_seen_where_gravity_follows_it(follows: boo
     """Gyros and gravity take 7 s; the specific force alone may drift, and the gyros may creep."""
     for seed in range(20, 23):
         t, gyro, accel = noise(180.0, 25.0, gyro_sd=4e-6, accel_sd=2.5e-3, seed=seed)
-        gyro += wandering(gyro, 25.0, 0.1 / 3600.0 * DEG, seed)
+        gyro += flicker(gyro, 25.0, 0.1 / 3600.0 * DEG, seed, TAUS_S)
         rate = 0.5 * DEG * np.clip((t - 150.0) / 120.0, 0.0, 1.0)
         gyro[:, 0] += rate
         rest, _ = found(t, gyro, rolled(accel, np.cumsum(rate) / 25.0) if follows else accel)

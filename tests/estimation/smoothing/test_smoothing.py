@@ -16,8 +16,8 @@ from imumon.geodesy import DEG_PER_H
 from imumon.simulation.unit.scenario import Scenario
 from imumon.simulation.unit.unit import SimulatedUnit
 from tests.estimation.rest.scenes import block as noisy
-from tests.estimation.rest.scenes import noise
-from tests.estimation.rest.test_wander import wandering
+from tests.estimation.rest.scenes import flicker, noise
+from tests.estimation.rest.test_wander import TAUS_S
 
 RATE_HZ = 50
 
@@ -146,8 +146,8 @@ def test_a_jump_that_the_model_lacks_shows_in_the_disagreement() -> None:
 def test_a_slow_turn_that_is_taken_for_rest_is_doubted_in_both_directions() -> None:
     """0.05 °/s for 8 min: at its end a filter that runs backward sees a mean as steady as that of a bias."""
     t, gyro, accel = noise(780.0, 10.0, gyro_sd=4e-4)
-    gyro += wandering(gyro, 10.0, 20.0 * DEG_PER_H, 2)
-    still = noise(780.0, 10.0, gyro_sd=0.0)[1] + wandering(gyro, 10.0, 20.0 * DEG_PER_H, 2)
+    gyro += flicker(gyro, 10.0, 20.0 * DEG_PER_H, 2, TAUS_S)
+    still = noise(780.0, 10.0, gyro_sd=0.0)[1] + flicker(gyro, 10.0, 20.0 * DEG_PER_H, 2, TAUS_S)
     gyro[:, 2] += 180.0 * DEG_PER_H * np.clip(np.minimum(t - 150.0, 640.0 - t) / 10.0, 0.0, 1.0)
     samples = noisy(t, gyro, accel)
     for stage in (TemperatureRate(), RestAndBias()):

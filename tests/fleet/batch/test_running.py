@@ -287,7 +287,8 @@ def _defect(_: Job) -> list[Row]:
     raise ZeroDivisionError("of a test")
 
 
-def test_nobody_at_the_address() -> None:
+def test_nobody_at_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("imumon.fleet.batch.running.CONNECT_S", 1.0)
     with pytest.raises(ImumonError) as caught, workers("tcp://127.0.0.1:1", 1):
         pass
     assert caught.value.reason is Reason.NOT_FOUND

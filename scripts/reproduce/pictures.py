@@ -1,0 +1,165 @@
+"""The pictures at the head of the pages about temperature rate, rest, gyro bias and attitude."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from attitude_scenes import SCENES
+from attitude_scenes import simulate as turned_unit
+from attitude_table import heading_error, tilt_error
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from samples import sent, without
+from study import DOCS, Cells, Options, Study, Table
+from tczupt_study import DPH, LATITUDE_DEG, ZEROING, true_model
+from tczupt_study import simulate as ramp_test
+from thermometers import PER_HOUR
+
+from imumon.blocks import FloatArray
+from imumon.estimation.attitude.stage import AttitudeEstimate
+from imumon.estimation.gyro_bias.stage import GyroBias, RestAndBias
+from imumon.estimation.temperature_rate.method import MultipleModelRate
+from imumon.papers.fir import FirRate, Params
+
+FOLDER = DOCS / "figures"
+DEG = np.pi / 180.0
+
+
+def axes(title: str, rows: int, x: str = "s") -> list[Axes]:
+    """Return the axes of a new figure, one below the other."""
+    figure = Figure(figsize=(8.0, 2.2 * rows + 1.0), dpi=80)
+    drawn = [figure.add_subplot(rows, 1, row + 1) for row in range(rows)]
+    figure.suptitle(title, fontsize=10)
+    for ax in drawn:
+        ax.set_xlabel(x)
+        ax.grid(alpha=0.3)
+    return drawn
+
+
+def temperature_rate() -> list[Axes]:
+    """Draw rates of a unit that heats itself from 34 to 67 °C, read in steps of 0.05 °C at 10 Hz."""
+    step, rate_hz, difference_s, most = 0.05, 10, 180, 20.0
+    t = np.arange(3 * 3600 * rate_hz) / rate_hz
+    temperature = 67.3 - 33.0 * np.exp(-t / 2700.0) + 0.25 * np.sin(2.0 * np.pi * t / 3600.0)
+    truth = np.gradient(temperature, t)
+    noise = 0.002 * np.random.default_rng(1).standard_normal(len(t))
+    reading = step * np.round((temperature + noise) / step)
+    time_ns, segment = np.rint(t * 1e9).astype(np.int64), np.zeros(len(t), np.int64)
+    width = difference_s * rate_hz
+    difference = np.full(len(t), np.nan)
+    difference[width:] = (reading[width:] - reading[:-width]) / difference_s
+    fir, bank = (
+        method.process(time_ns, segment, reading)
+        for method in (FirRate(Params(step, 300.0, 180.0, 1000)), MultipleModelRate())
+    )
+    (ax,) = axes("A unit that heats itself, read in steps of 0.05 °C", 1, "min")
+    each = slice(None, None, 50)
+    low, high = (PER_HOUR * (fir.rate + sign * 2.0 * fir.rate_sd)[each] for sign in (-1.0, 1.0))
+    ax.fill_between(t[each] / 60.0, low, high, color="C1", alpha=0.3)
+    curves = {
+        "differences over 180 s": difference,
+        "published filter (FIR 300/180) ± 2σ": fir.rate,
+        "imumon": bank.rate,
+        "truth": truth,
+    }
+    for name, rate in curves.items():
+        ax.plot(t[each] / 60.0, PER_HOUR * rate[each], linewidth=0.9, label=name)
+    ax.set(ylim=(-3.0, most), ylabel="°C/h")
+    return [ax]
+
+
+def turn_or_bias() -> list[Axes]:
+    """Draw a knock, a slow turn and a jump of the bias: what is called rest, and the bias meanwhile."""
+    rate_hz, n = 100, 48_000
+    rng, t = np.random.default_rng(9800), np.arange(n) / rate_hz
+    gyro = 0.05 * DEG * rng.standard_normal((n, 3))
+    accel = 0.01 * rng.standard_normal((n, 3)) + [0.0, 0.0, 9.80665]
+    bias = np.where(t > 330.0, 0.35, 0.3)
+    gyro[:, 2] += DEG * (bias + 0.5 * ((t > 150.0) & (t < 210.0)))
+    knock = (t > 90.0) & (t < 91.0)
+    gyro[knock] += 1.5 * DEG * rng.standard_normal((knock.sum(), 3))
+    samples = sent(t, gyro=gyro, accel=accel)
+    samples = samples.with_columns(RestAndBias().process(samples))
+    rate, found, sd = (samples[name] / DEG for name in ("gyro_z", "gyro_bias_z", "gyro_bias_sd_z"))
+    above, below = axes("A knock (90 s), a turn of 0.5 °/s (150 s), a jump of the bias by 180 °/h (330 s)", 2)
+    above.plot(t[::rate_hz], rate.reshape(-1, rate_hz).mean(1), linewidth=0.9, label="gyro z, means of 1 s")
+    above.fill_between(t, -0.2, 1.0, where=samples["at_rest"] == 1, alpha=0.2, color="C2", label="at rest")
+    above.set(ylim=(-0.2, 1.0), ylabel="°/s")
+    below.fill_between(t, found - 2.0 * sd, found + 2.0 * sd, alpha=0.3, label="bias ± 2σ")
+    below.plot(t, found, linewidth=0.9, label="bias")
+    below.plot(t, bias, "k--", linewidth=0.9, label="truth")
+    below.set(ylim=(0.2, 0.5), ylabel="bias of z, °/s")
+    return [above, below]
+
+
+def bias_in_motion() -> list[Axes]:
+    """Draw the bias of y less the truth on a ramp of temperature without rest from 330 s on."""
+    record = ramp_test("crs05-ramp", 0)
+    block = record.block.with_columns({"at_rest": (record.seconds < 330.0).astype(np.int64)})
+    (ax,) = axes("No update from 330 s on: bias of y less the truth, with 2σ", 1, "s after the zeroing")
+    part = slice(ZEROING, None, 50)
+    for name, stage in {
+        "held (standard)": GyroBias(latitude_deg=LATITUDE_DEG, heading_deg=0.0),
+        "thermal": GyroBias(None, true_model(), "thermal", LATITUDE_DEG, 0.0),
+    }.items():
+        added = stage.process(block)
+        error = ((added["gyro_bias_y"] - record.bias[:, 1]) / DPH)[part]
+        sd = (added["gyro_bias_sd_y"] / DPH)[part]
+        ax.plot(record.seconds[part], error, linewidth=1.0, label=name)
+        ax.fill_between(record.seconds[part], error - 2.0 * sd, error + 2.0 * sd, alpha=0.2)
+    ax.set_ylabel("°/h")
+    return [ax]
+
+
+def attitude_sigma() -> list[Axes]:
+    """Draw error of tilt and heading beside sigma of a unit that is turned by hand without a magnetometer."""
+    record = turned_unit(SCENES["by hand"], 50.0, 9700)
+    samples = without(record.samples, "mag")
+    for stage in (RestAndBias(mode="learned"), AttitudeEstimate()):
+        samples = samples.with_columns(stage.process(samples))
+    known = int(np.argmax(np.isfinite(samples["attitude_estimate_tilt_sd"]))) + 1
+    samples, truth = samples.rows(known, len(samples)), record.attitude[known:]
+    q = np.column_stack([samples[f"attitude_estimate_{part}"] for part in "wxyz"])
+    heading_sd = samples["attitude_estimate_heading_sd"]
+    turn = np.abs(heading_error(q, truth, int(np.argmax(np.isfinite(heading_sd))), True))
+    tilt, tilt_sd = np.linalg.norm(tilt_error(q, truth), axis=1), samples["attitude_estimate_tilt_sd"]
+    t = samples["device_time_ns"] * 1e-9
+    drawn = axes("Turned by hand for 30 s, at rest for 10 s, and so on; no magnetometer", 2)
+    pairs: list[tuple[str, FloatArray, FloatArray]] = [
+        ("tilt", tilt, np.sqrt(2.0) * tilt_sd),
+        ("free heading", turn, heading_sd),
+    ]
+    for ax, (name, error, sd) in zip(drawn, pairs, strict=True):
+        ax.fill_between(t, np.degrees(sd), alpha=0.3, label=f"sigma of the {name}")
+        ax.plot(t, np.degrees(error), linewidth=0.8, label="error")
+        ax.set_ylabel(f"{name}, °")
+    return drawn
+
+
+PICTURES: dict[str, Callable[[], list[Axes]]] = {
+    "attitude-sigma": attitude_sigma,
+    "turn-or-bias": turn_or_bias,
+    "bias-in-motion": bias_in_motion,
+    "temperature-rate": temperature_rate,
+}
+
+
+def tables(given: Options) -> Iterator[Table]:
+    """Draw the pictures into docs/figures; yield their names and sizes."""
+    chosen = [name for name in PICTURES if given.only in name][: 1 if given.quick else None]
+    rows: list[Cells] = []
+    for name in chosen:
+        drawn = PICTURES[name]()
+        for ax in drawn:
+            ax.legend(fontsize=8)
+        figure = drawn[0].figure
+        assert isinstance(figure, Figure)
+        figure.tight_layout()
+        path = FOLDER / f"{name}.png"
+        figure.savefig(path, metadata={"Software": None})
+        rows.append([path.relative_to(DOCS).as_posix(), path.stat().st_size / 1000.0])
+    yield Table("", ["picture", "kB"], rows, formats=("", ".0f"))
+
+
+STUDY = Study(tables)
