@@ -1,10 +1,12 @@
-"""The pictures at the head of the pages about temperature rate, rest, gyro bias and attitude."""
+"""The pictures of the docs that are drawn, not taken of the live view."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+import loop_pictures
 import numpy as np
+import sketches
 from attitude_scenes import SCENES
 from attitude_scenes import simulate as turned_unit
 from attitude_table import heading_error, tilt_error
@@ -142,6 +144,11 @@ PICTURES: dict[str, Callable[[], list[Axes]]] = {
     "turn-or-bias": turn_or_bias,
     "bias-in-motion": bias_in_motion,
     "temperature-rate": temperature_rate,
+    "closing-the-loop/steps": loop_pictures.steps,
+    "closing-the-loop/chamber-cycle": loop_pictures.chamber_cycle,
+    "glossary/allan": sketches.allan_curve,
+    "glossary/axes": sketches.body_axes,
+    "glossary/bias-over-temperature": sketches.biases_over_temperature,
 }
 
 
@@ -152,11 +159,13 @@ def tables(given: Options) -> Iterator[Table]:
     for name in chosen:
         drawn = PICTURES[name]()
         for ax in drawn:
-            ax.legend(fontsize=8)
+            if ax.get_legend_handles_labels()[0]:
+                ax.legend(fontsize=8)
         figure = drawn[0].figure
         assert isinstance(figure, Figure)
         figure.tight_layout()
         path = FOLDER / f"{name}.png"
+        path.parent.mkdir(exist_ok=True)
         figure.savefig(path, metadata={"Software": None})
         rows.append([path.relative_to(DOCS).as_posix(), path.stat().st_size / 1000.0])
     yield Table("", ["picture", "kB"], rows, formats=("", ".0f"))

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from study import DOCS
 
 from imumon.blocks import FloatArray
 
@@ -54,11 +51,11 @@ def biases(degc: FloatArray) -> dict[str, FloatArray]:
     }
 
 
-def draw_biases() -> Path:
+def biases_over_temperature() -> list[Axes]:
     """Draw the bias over temperature of each sketch, warming and cooling in two colours."""
     degc = course()
     turned = len(degc) // 2
-    figure = Figure(figsize=(9.0, 5.0), layout="constrained")
+    figure = Figure(figsize=(9.0, 5.0), dpi=100)
     for panel, (name, bias) in zip(
         figure.subplots(2, 3, sharex=True, sharey=True).flat, biases(degc).items(), strict=True
     ):
@@ -67,20 +64,19 @@ def draw_biases() -> Path:
         panel.set_title(name)
         panel.grid(alpha=0.3)
     axes = figure.axes
-    axes[0].legend()
     for panel in axes[3:]:
         panel.set_xlabel("temperature [°C]")
     for panel in axes[::3]:
         panel.set_ylabel("bias [°/h]")
-    return _saved(figure, "bias-over-temperature")
+    return figure.axes
 
 
-def draw_allan() -> Path:
+def allan_curve() -> list[Axes]:
     """Draw the Allan deviation of a gyro with three terms, and what each part of it means."""
     tau_s = np.geomspace(1.0, 30000.0, 200)
     hours = tau_s / 3600.0
     white, flat, walk = ARW / np.sqrt(hours), 0.664 * INSTABILITY + 0.0 * hours, WALK * np.sqrt(hours / 3.0)
-    figure = Figure(figsize=(8.0, 4.6), layout="constrained")
+    figure = Figure(figsize=(8.0, 4.6), dpi=100)
     panel = figure.subplots()
     panel.loglog(
         tau_s, np.sqrt(white**2 + flat**2 + walk**2), color="C0", linewidth=2.5, label="Allan deviation"
@@ -112,13 +108,12 @@ def draw_allan() -> Path:
         panel.annotate(text, to, at, color=color, arrowprops={"arrowstyle": "->", "color": color})
     panel.set(xlabel="averaging time τ [s]", ylabel="°/h", ylim=(0.2, 30.0))
     panel.grid(alpha=0.3, which="both")
-    panel.legend(loc="upper right")
-    return _saved(figure, "allan")
+    return figure.axes
 
 
-def draw_axes() -> Path:
+def body_axes() -> list[Axes]:
     """Draw FRD and FLU on a case."""
-    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+    figure = Figure(figsize=(8.0, 3.6), dpi=100)
     for panel, (name, right, down) in zip(
         figure.subplots(1, 2), (("FRD", 1.0, 1.0), ("FLU", -1.0, -1.0)), strict=True
     ):
@@ -131,7 +126,7 @@ def draw_axes() -> Path:
         panel.set_title(f"{name}: at rest and level z reads {reads} m/s²")
         panel.set(xlim=(-1.5, 1.9), ylim=(-1.3, 1.3), aspect="equal")
         panel.axis("off")
-    return _saved(figure, "axes")
+    return figure.axes
 
 
 def _draw_case(panel: Axes) -> None:
@@ -147,10 +142,3 @@ def _draw_case(panel: Axes) -> None:
 def _arrow(panel: Axes, to: tuple[float, float], text: str, color: str) -> None:
     panel.annotate("", to, (0.0, 0.0), arrowprops={"arrowstyle": "-|>", "color": color, "linewidth": 2.5})
     panel.text(1.15 * to[0], 1.15 * to[1], text, color=color, ha="center", va="center", fontsize=11)
-
-
-def _saved(figure: Figure, name: str) -> Path:
-    path = DOCS / "figures" / "glossary" / f"{name}.png"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=100, metadata={"Software": None})
-    return path
