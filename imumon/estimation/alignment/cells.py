@@ -28,9 +28,9 @@ KNOCK = 10.0
 tilts the unit by 0.005° leaves a heading error of 1.1° after 2 minutes, not 0.01°."""
 MIN_VARIANCE = 1e-24
 """Lower bound of a variance, (rad/s)² or rad², for readings that do not change at all."""
-CREEP_CELLS, CREEP_RATIO = 12, 8.0
-"""Ratio of the variance of 12 cells of the vertical gyro to their white noise above which the unit is taken
-to rotate slowly about the vertical (creep of a tripod head)."""
+CREEP_CELLS, CREEP_YAW, CREEP_NOISE = 12, 3e-4, 4.0
+"""A unit creeps about the vertical whose angle by means of 12 cells of the vertical gyro, less their mean,
+varies by more than 0.3 mrad and more than 4 times what the white noise turns in this time."""
 
 
 class Cells(NamedTuple):
@@ -54,11 +54,11 @@ class Cells(NamedTuple):
         """Mean of the used cells, rad/s."""
         return complex(self.rate[self.used].mean())
 
-    @property
-    def correlation(self) -> FloatArray:
-        """Correlation of white noise in the used cells, (m, m)."""
-        apart = np.abs(np.subtract.outer(np.flatnonzero(self.used), np.flatnonzero(self.used)))
-        return np.asarray((apart == 0) + OVERLAP * (apart == 1))
+
+def correlation(used: BoolArray) -> FloatArray:
+    """Return the correlation of white noise in those of the cells that are used, (m, m)."""
+    apart = np.abs(np.subtract.outer(np.flatnonzero(used), np.flatnonzero(used)))
+    return np.asarray((apart == 0) + OVERLAP * (apart == 1))
 
 
 def hann_windows(n: int, cells: int) -> FloatArray:
@@ -88,17 +88,25 @@ def scatter(values: ColumnArray, used: BoolArray, order: int) -> tuple[float, Bo
     return max(float(square[used].sum()), MIN_VARIANCE) / max(freedom - 2.0, 1.0), used, freedom
 
 
-def rotates_slowly(data: HorizontalRows) -> bool:
-    """Return whether the vertical gyro varies by more than its noise: a slow rotation about the vertical."""
-    if len(data.valid) < 2 * (CREEP_CELLS + 1):
-        return False
-    windows = hann_windows(len(data.valid), CREEP_CELLS)
-    means = (windows @ data.vertical)[windows @ ~data.valid == 0.0]
-    white = 0.5 * float(np.mean(np.diff(data.vertical[data.valid]) ** 2)) * float(np.sum(windows[0] ** 2))
-    return len(means) > MIN_CELLS and bool(np.var(means) > CREEP_RATIO * white)
+def steady_from(data: HorizontalRows) -> int | None:
+    """Return the row from which on the unit does not creep about the vertical; None if it does to the end."""
+    n = len(data.valid)
+    for start in (0, n // 4, n // 2, 3 * n // 4):
+        vertical, valid = data.vertical[start:], data.valid[start:]
+        if len(valid) < 2 * (CREEP_CELLS + 1):
+            return None if start else 0
+        windows = hann_windows(len(valid), CREEP_CELLS)
+        means = (windows @ vertical)[windows @ ~valid == 0.0]
+        if len(means) < MIN_CELLS:
+            continue
+        yaw = np.cumsum(means - means.mean()) * data.row_s * len(valid) / (CREEP_CELLS + 1)
+        noise = math.sqrt(0.5 * np.mean(np.diff(vertical[valid]) ** 2) * len(valid)) * data.row_s
+        if np.ptp(yaw) < max(CREEP_YAW, CREEP_NOISE * noise):
+            return start
+    return None
 
 
-def divide(data: HorizontalRows, rate: ColumnArray, creeps: bool) -> Cells | None:
+def divide(data: HorizontalRows, rate: ColumnArray) -> Cells | None:
     """Return the division into cells with the smallest variance of the mean; None if the record is too short.
 
     Longer cells suppress more sway, but estimate the noise from fewer degrees of freedom: they must be better
@@ -124,8 +132,7 @@ def divide(data: HorizontalRows, rate: ColumnArray, creeps: bool) -> Cells | Non
                 rate=cells,
                 variance=variance,
                 vertical=float(vertical[up_used].mean()),
-                # The scatter of a unit that creeps contains the rotation itself.
-                vertical_variance=2.0 * float(vertical[up_used].var()) if creeps else up_variance * of_mean,
+                vertical_variance=up_variance * of_mean,
                 white=min(variance, up_variance) * data.row_s / float(np.sum(windows[0] ** 2)),
             )
     return best

@@ -43,6 +43,11 @@ class Slot:
         """Beginning, s since the first sample."""
         return SLOT_S * self.index
 
+    @property
+    def ended_s(self) -> float:
+        """End, s since the first sample."""
+        return SLOT_S * (self.index + 1)
+
 
 @dataclass
 class Record:
@@ -108,6 +113,11 @@ class HorizontalRows:
     vertical: FloatArray
     alpha: ColumnArray
     attitude: FloatArray
+
+    def since(self, row: int) -> HorizontalRows:
+        """Return the rows from one on."""
+        parts = (values[row:] for values in (self.valid, self.rate, self.vertical, self.alpha))
+        return HorizontalRows(self.row_s, *parts, self.attitude)
 
 
 def horizontal_rows(

@@ -55,7 +55,6 @@ class Status:
     first sample until the heading settled, None if it is not settled, and `remaining_s` the predicted time
     until then, None if unknown or never; `wanted_sd` is the sigma wanted.  `assumed_bias` is the bias of the
     gyro that points east up to which sigma holds, None where it is declared or measured in two positions.
-    `tilt_probability` is that of a tilt of the unit rather than a drift of an accelerometer.
 
     `positions` counts the positions, the present one included; `position_s` is the time at rest in it, and
     `position_sd` that of the heading by its white noise alone.  `turned` is the angle about the vertical
@@ -71,7 +70,6 @@ class Status:
     rest_s: float
     elapsed_s: float
     assumed_bias: float | None
-    tilt_probability: float
     positions: int
     position_s: float
     position_sd: float

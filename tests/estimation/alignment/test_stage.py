@@ -225,12 +225,8 @@ def test_without_an_observable_heading_the_chart_shows_what_the_device_says_as_s
 def test_a_known_warm_up_tells_a_tilt_from_a_drift() -> None:
     known = {"amplitude_ug": [83.7, 83.7, 0.0], "time_constant_s": 150.0, "amplitude_sd_ug": 2.0}
     sinking = {"kind": "rotation", "at_s": 5.0, "duration_s": 500.0, "pitch_deg_per_s": 2e-5}
-    block = samples(scenario(200.0, warm_up=(83.7, 150.0)))
-    still, _ = aligned(block, {"known_warm_up": known})
-    assert still.status.tilt_probability < 0.05
     block = samples(scenario(200.0, warm_up=(83.7, 150.0), motion=[sinking]))
     stage, _ = aligned(block, {"known_warm_up": known})
-    assert stage.status.tilt_probability > 0.9
     assert stage.status.shown is not None
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 3.0 * math.degrees(stage.status.shown.sd)
     assert abs(error_deg(stage.status.estimates["gyro_mean"].heading, 30.0)) > 0.1
@@ -240,15 +236,13 @@ def test_a_known_warm_up_keeps_its_time_constant() -> None:
     # What remains of a warm-up has its time constant, which a settling tripod may have as well.
     known = {"amplitude_ug": [83.7, 83.7, 0.0], "time_constant_s": 20.0, "amplitude_sd_ug": 20.0}
     stage, _ = aligned(samples(scenario(150.0, warm_up=(113.7, 20.0))), {"known_warm_up": known})
-    assert stage.status.tilt_probability < 0.5
     assert stage.status.shown is not None
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 0.03
 
 
-def test_a_tripod_that_begins_to_sink_is_said_and_borne() -> None:
+def test_a_tripod_that_begins_to_sink_is_in_the_sigma() -> None:
     sinking = {"kind": "rotation", "at_s": 100.0, "duration_s": 500.0, "pitch_deg_per_s": 2e-5}
     stage, _ = aligned(samples(scenario(300.0, warm_up=(1e-3, 100.0), motion=[sinking])))
-    assert any("tilting" in text for text in stage.notices())
     assert stage.status.shown is not None
     assert abs(error_deg(stage.status.shown.heading, 30.0)) < 3.0 * math.degrees(stage.status.shown.sd)
 
@@ -256,7 +250,6 @@ def test_a_tripod_that_begins_to_sink_is_said_and_borne() -> None:
 @pytest.mark.parametrize("tau_s", [80.0, 300.0])
 def test_a_warm_up_is_not_taken_for_a_tilt(tau_s: float) -> None:
     stage, _ = aligned(samples(scenario(120.0, warm_up=(83.7, tau_s))))
-    assert stage.status.tilt_probability < 0.5
     assert stage.status.phase == "settled"
 
 
