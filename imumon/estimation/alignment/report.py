@@ -49,7 +49,7 @@ class Status:
 
     `phase` is waiting, coarse, aligning, settled, not observable or disturbed.  `estimates` are the joint
     fit, which is the heading shown, and plain and Hann-weighted mean of the gyros; empty before the first
-    fit.  `substitute` is name and angle of what is shown where the heading is not observable.
+    fit.
 
     `rest_s` and `elapsed_s` are the time at rest and since the first sample; `settled_s` is the time from the
     first sample until the heading settled, None if it is not settled, and `remaining_s` the predicted time
@@ -63,7 +63,6 @@ class Status:
 
     phase: str
     estimates: Mapping[str, Estimate]
-    substitute: tuple[str, float]
     settled_s: float | None
     remaining_s: float | None
     wanted_sd: float
@@ -92,13 +91,11 @@ class Status:
 
 
 def heading_text(status: Status) -> str:
-    """Return the heading with its sigma, or the reason why there is none and what is shown instead."""
+    """Return the heading with its sigma, or the reason why there is none."""
     if status.shown is None:
         return "no heading yet"
     if not status.observable:
-        name, angle = status.substitute
-        other = f" {math.degrees(angle) % 360.0:.1f}°" if math.isfinite(angle) else ""
-        return f"heading not observable with this gyro; shown instead: {name}{other}"
+        return "heading not observable with this gyro"
     return f"{math.degrees(status.shown.heading) % 360.0:.3f}° ± {math.degrees(status.shown.sd):.3f}°"
 
 

@@ -57,7 +57,6 @@ class Alignment:
         """Sign of the body z axis: 1 down, -1 up, 0 not known yet."""
         self._prefix = "aligned_" if {"roll", "pitch"} & set(sent) else ""
         self._has_data = False
-        self._yaw = math.nan
         self._origin_ns = self._segment = self._run = 0
         """The first time of the segment, its number in the data, and by the count of segments."""
         self._index = -1
@@ -100,8 +99,6 @@ class Alignment:
             self._prefix = "aligned_" if "roll" in block or "pitch" in block else self._prefix
             self._row = dict.fromkeys((column.name for column in self.columns), math.nan)
         slots = self._slots.process(block["device_time_ns"], block["segment"], _inputs(block))
-        yaw = block.columns.get("yaw", np.empty(0))
-        self._yaw = next(iter(yaw[np.isfinite(yaw)][-1:].tolist()), self._yaw)
         names, before = list(self._row), np.array(list(self._row.values()))
         rows = np.empty((len(slots), len(names)))
         for k in range(len(slots)):
@@ -183,15 +180,9 @@ class Alignment:
         fit = None if last is None else last.fit
         declared = self._parameters.gyro_bias_sd_deg_per_h is not None
         one_position = last is not None and last.number == 1 and aligner.observable and not declared
-        magnetic, substitute = self._row["heading_magnetic"], ("nothing", math.nan)
-        if math.isfinite(magnetic):
-            substitute = ("magnetic, not true north", magnetic)
-        if math.isfinite(self._yaw):
-            substitute = ("the device's own yaw", self._yaw)
         return Status(
             phase=self._phase(),
             estimates=aligner.estimates,
-            substitute=substitute,
             settled_s=aligner.settled_s,
             remaining_s=aligner.remaining_s,
             wanted_sd=math.radians(self._parameters.settled_deg),
@@ -221,7 +212,7 @@ class Alignment:
         phase, level = self.status.phase, LEVELS.get(self.status.phase, Level.PLAIN)
         by = "joint fit" if self.status.observable else "none yet"
         if phase == "not observable":
-            phase, by = "not observable with this gyro", self.status.substitute[0]
+            phase = "not observable with this gyro"
         return {"alignment": LaneState(phase, level), "heading by": LaneState(by)}
 
     def charts(self) -> Sequence[Chart]:

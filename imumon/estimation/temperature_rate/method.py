@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from imumon.blocks import NO_INT, FloatArray, IntArray
-from imumon.estimation.temperature_rate.filter import Filters, Models, correct, predict, start
+from imumon.estimation.temperature_rate.filter import Filters, correct, predict, start
 from imumon.estimation.temperature_rate.gate import Gate, Outcome
 from imumon.estimation.temperature_rate.measurement import evaluate
 from imumon.estimation.temperature_rate.output import Output, extrapolate, output
@@ -26,8 +26,7 @@ class MultipleModelRate:
     A declared quantization step, °C, holds until the first change of the readings.
     """
 
-    def __init__(self, step_degc: float | None = None, models: Models | None = None) -> None:
-        self._models = models or Models()
+    def __init__(self, step_degc: float | None = None) -> None:
         self.thermometer = Thermometer(StepFinder(step_degc) if step_degc else StepFinder())
         self.stuck_degc = math.nan
         """Where readings stuck last after a leap that no temperature makes, °C; NaN if they never did."""
@@ -53,6 +52,18 @@ class MultipleModelRate:
         known = (segment == output_segment) & (age >= 0.0)
         return extrapolate(age, known, reading, Output(*held(slots.row, outputs, before, n).T))
 
+    def faults(self, declared_degc: float | None) -> dict[str, str]:
+        """Return what is wrong with the readings, and with a declared step, by kind."""
+        faults = {}
+        if math.isfinite(self.stuck_degc):
+            faults["stuck"] = (
+                f"it leapt to {self.stuck_degc:g} °C, as no temperature does, and stuck there: "
+                "taken for a fault of the thermometer until it changes"
+            )
+        if declared_degc and (found := self.thermometer.finder.contradiction(declared_degc)) is not None:
+            faults["step"] = f"step_degc contradicts the data: {found}"
+        return faults
+
     def _begin(self, origin_ns: int) -> None:
         self.thermometer.begin()
         self._gate, self._output = Gate(), Output()
@@ -70,10 +81,10 @@ class MultipleModelRate:
         if slot.end_s - self._gate.used_s > GAP_S:
             self._filters, self._output = None, Output()
         if self._filters is not None:
-            self._filters = predict(self._models, self.thermometer, self._filters, slot.time_s)
+            self._filters = predict(self.thermometer, self._filters, slot.time_s)
         shown = self._measure(slot)
         if shown is not None:
-            self._output = output(self._models, self.thermometer, shown, self._output, slot.end_s)
+            self._output = output(self.thermometer, shown, self._output, slot.end_s)
         return self._output
 
     def _measure(self, slot: Slot) -> Filters | None:
@@ -92,9 +103,9 @@ class MultipleModelRate:
             return filters
         thermometer.learn(new, anew=outcome is Outcome.RESTART)
         if outcome is Outcome.RESTART or filters is None:
-            self._filters, self._output = start(self._models, thermometer, new), Output()
+            self._filters, self._output = start(thermometer, new), Output()
             return self._filters
-        entering, confining = evaluate(self._models, thermometer, new, filters.reading)
+        entering, confining = evaluate(thermometer, new, filters.reading)
         self._filters = correct(filters, entering)
         return correct(self._filters, confining) if confining else self._filters
 

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray
 from imumon.estimation.temperature_rate import measurement
-from imumon.estimation.temperature_rate.filter import RATE, Models
+from imumon.estimation.temperature_rate.filter import CODE, RATE
 from imumon.estimation.temperature_rate.filter import start as start_filters
 from imumon.estimation.temperature_rate.measurement import evaluate
 from imumon.estimation.temperature_rate.method import MultipleModelRate
@@ -173,15 +173,15 @@ def test_a_spike_at_the_end_of_a_silent_slot_restarts_nothing() -> None:
 
 
 def test_equal_readings_two_codes_from_the_last_are_known_to_a_code_not_better() -> None:
-    models, thermometer = Models(), Thermometer(StepFinder(0.1), slots=1)
+    thermometer = Thermometer(StepFinder(0.1), slots=1)
     slot = Slot(
         time_s=0.5, end_s=1.0, count=2, mean=25.2, variance=0.0, low=25.2, high=25.2, before=25.0, first=25.2,
         last=25.2, changes=1, step_squares=0.04, gap_s=0.5, spacing_s=1.0,
     )  # fmt: skip
-    filters = start_filters(models, thermometer, slot)
+    filters = start_filters(thermometer, slot)
     filters.p[RATE, RATE] = 0.0
-    found, _ = evaluate(models, thermometer, slot, filters.reading)
-    sd = np.sqrt(filters.reading.variance + found.variance_change)[models.code]
+    found, _ = evaluate(thermometer, slot, filters.reading)
+    sd = np.sqrt(filters.reading.variance + found.variance_change)[CODE]
     assert sd.min() > 0.25 * 0.1
 
 
