@@ -27,9 +27,9 @@ from imumon.estimation.alignment.cells import (
     scatter,
     steady_from,
     trend,
+    without_sway,
 )
 from imumon.estimation.alignment.record import HorizontalRows
-from imumon.estimation.alignment.sway import without_sway
 
 SETTLING_TAU_S = np.geomspace(5.0, 640.0, 8)
 """Time constants of a tripod that settles, in octaves."""
@@ -67,7 +67,6 @@ def tilt_hypotheses(neighbours: int = 3) -> FloatArray:
 
 
 TILTS = tilt_hypotheses()
-TILT_PRIOR = np.array([1.0 - P_SETTLES] + [P_SETTLES / (len(TILTS) - 1)] * (len(TILTS) - 1))
 
 
 class Information(NamedTuple):
@@ -207,5 +206,6 @@ def _of_each_hypothesis(known: Information, warm_up: WarmUp) -> tuple[FloatArray
     of_rate, evidence = known.without(sd)
     precision = of_rate.matrix[:, 0, 0]
     mean = of_rate.vector[:, 0, :] / precision[:, None]
-    evidence += 0.5 * precision * np.sum(mean**2, axis=1) - np.log(precision) + np.log(np.tile(TILT_PRIOR, 2))
+    prior = np.r_[1.0 - P_SETTLES, np.full(len(TILTS) - 1, P_SETTLES / (len(TILTS) - 1))]
+    evidence += 0.5 * precision * np.sum(mean**2, axis=1) - np.log(precision) + np.log(np.tile(prior, 2))
     return evidence, mean @ np.array([1.0, 1j]), 1.0 / precision
