@@ -15,7 +15,7 @@ from imumon.blocks import NO_INT, FloatArray, IntArray
 from imumon.estimation.temperature_rate.filter import Filters, correct, predict, start
 from imumon.estimation.temperature_rate.measurement import evaluate
 from imumon.estimation.temperature_rate.output import Output, extrapolate, output
-from imumon.estimation.temperature_rate.thermometer import SLOT_S, Slot, StepFinder, Thermometer
+from imumon.estimation.temperature_rate.thermometer import SLOT_S, UNKNOWN_STEP_DEGC, Slot, Thermometer
 from imumon.filters.rates import FASTEST_RATE, RateEstimate
 from imumon.filters.slots import SlotGatherer, Slots, held
 
@@ -101,7 +101,7 @@ class MultipleModelRate:
     """
 
     def __init__(self, step_degc: float | None = None) -> None:
-        self.thermometer = Thermometer(StepFinder(step_degc) if step_degc else StepFinder())
+        self.thermometer = Thermometer(step_degc or UNKNOWN_STEP_DEGC)
         self.stuck_degc = math.nan
         """Where readings stuck last after a leap that no temperature makes, °C; NaN if they never did."""
         self._gatherer = SlotGatherer(1, round(SLOT_S * 1e9))
@@ -125,18 +125,6 @@ class MultipleModelRate:
         age = np.asarray((time_ns - output_ns) * 1e-9, np.float64)
         known = (segment == output_segment) & (age >= 0.0)
         return extrapolate(age, known, reading, Output(*held(slots.row, outputs, before, n).T))
-
-    def faults(self, declared_degc: float | None) -> dict[str, str]:
-        """Return what is wrong with the readings, and with a declared step, by kind."""
-        faults = {}
-        if math.isfinite(self.stuck_degc):
-            faults["stuck"] = (
-                f"it leapt to {self.stuck_degc:g} °C, as no temperature does, and stuck there: "
-                "taken for a fault of the thermometer until it changes"
-            )
-        if declared_degc and (found := self.thermometer.finder.contradiction(declared_degc)) is not None:
-            faults["step"] = f"step_degc contradicts the data: {found}"
-        return faults
 
     def _begin(self, origin_ns: int) -> None:
         self.thermometer.begin()

@@ -64,9 +64,9 @@ class TemperatureRate:
         channel.begun |= bool(begun[-1:].any())
         method = channel.method
         found = method.process(block["device_time_ns"][begun], block["segment"][begun], reading[begun])
-        if isinstance(method, MultipleModelRate):
-            for kind, text in method.faults(self._parameters.step_degc).items():
-                self._notice(name, kind, text)
+        if isinstance(method, MultipleModelRate) and np.isfinite(method.stuck_degc):
+            text = f"it leapt to {method.stuck_degc:g} °C, as no temperature does, and stuck there: "
+            self._notice(name, "stuck", text + "taken for a fault of the thermometer until it changes")
         estimates = np.full((4, len(block)), np.nan)
         estimates[:, begun] = found.temperature, found.rate, found.temperature_sd, found.rate_sd
         return estimates
@@ -85,7 +85,7 @@ class TemperatureRate:
         self._notices.setdefault((name, kind), f"{name}: {text}")
 
     def notices(self) -> list[str]:
-        """Return, once each, what is wrong with the declared step and with the readings; for the log."""
+        """Return, once each, what is wrong with the readings; for the log."""
         new = [*self._notices.values()][self._reported :]
         self._reported += len(new)
         return new

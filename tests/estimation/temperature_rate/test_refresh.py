@@ -8,7 +8,7 @@ import pytest
 from imumon.blocks import FloatArray
 from imumon.estimation.temperature_rate.filter import MEAN_MODELS, mean_model, slow_error
 from imumon.estimation.temperature_rate.method import MultipleModelRate
-from imumon.estimation.temperature_rate.thermometer import StepFinder, Thermometer
+from imumon.estimation.temperature_rate.thermometer import Thermometer
 from tests.estimation.temperature_rate.records import clock, quantized, steady
 
 STEP, RATE_HZ = 0.0625, 20.0
@@ -101,7 +101,7 @@ def test_readings_far_apart_are_neighbours_whatever_the_jitter(interval_s: float
 
 def test_the_slow_error_of_a_sensor_read_every_10_s_is_what_its_spacing_shows() -> None:
     row = MEAN_MODELS.index(mean_model(1.0, 5.0)) - len(MEAN_MODELS)
-    thermometer = Thermometer(rho=0.01, finder=StepFinder(0.001))
+    thermometer = Thermometer(0.001, rho=0.01)
     of_a_second, _ = slow_error(thermometer)
     thermometer.spacing_s = 10.0
     variance, _ = slow_error(thermometer)
