@@ -178,8 +178,6 @@ class Alignment:
         aligner = self._aligner
         last = aligner.positions[-1] if aligner.positions else None
         fit = None if last is None else last.fit
-        declared = self._parameters.gyro_bias_sd_deg_per_h is not None
-        one_position = last is not None and last.number == 1 and aligner.observable and not declared
         return Status(
             phase=self._phase(),
             estimates=aligner.estimates,
@@ -188,7 +186,6 @@ class Alignment:
             wanted_sd=math.radians(self._parameters.settled_deg),
             rest_s=aligner.rest_s,
             elapsed_s=SLOT_S * (self._index + 1),
-            assumed_bias=aligner.heading_sd * aligner.earth_horizontal if one_position else None,
             positions=0 if last is None else last.number,
             position_s=0.0 if last is None else last.record.rest_s,
             position_sd=math.inf if fit is None else math.sqrt(fit.variance.min()) / aligner.earth_horizontal,
@@ -253,8 +250,9 @@ class Alignment:
             "latitude is wrong": status.phase == "not observable",
             "alignment: the gyros' turn-on bias is not declared (gyro_bias_sd_deg_per_h), and from one "
             "position it cannot be separated from the earth's rotation: sigma takes it for that of gyros of "
-            "such noise, and is too small where it is larger; a turn by half a circle and a rest remove it": (
-                status.assumed_bias is not None and status.phase in ("aligning", "settled")
+            f"such noise, and is too small where it is larger ({math.radians(horizontal):.2g} °/h of the "
+            "gyro that points east turn the heading by 1°); a turn by half a circle and a rest remove it": (
+                declared is None and status.positions == 1 and status.phase in ("aligning", "settled")
             ),
             "alignment: the rates contradict the declared bias of the gyros, or the latitude is wrong": (
                 posterior is not None and posterior.bias_size > limit
