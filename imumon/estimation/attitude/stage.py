@@ -12,9 +12,8 @@ import numpy as np
 from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock, missing
 from imumon.columns import Column
 from imumon.estimation.attitude.fusion import ROW, Fusion, Rows, heading, matrices
-from imumon.estimation.attitude.heading_sigma import HeadingSigma
 from imumon.estimation.attitude.parameters import AttitudeParameters
-from imumon.estimation.attitude.tilt_sigma import SLOT_S, Accelerometers, Gyros, Slot, TiltSigma
+from imumon.estimation.attitude.sigma import SLOT_S, Accelerometers, Gyros, HeadingSigma, Slot, TiltSigma
 from imumon.estimation.rest.parameters import retired
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL
