@@ -241,14 +241,19 @@ class Aligner:
 
     @property
     def remaining_s(self) -> float | None:
-        """Time until white noise alone would reach the wanted sigma; None if unknown or never."""
+        """Time until the wanted sigma, if all of sigma that is no bias is noise; None if unknown or never."""
         if self.posterior is None or not self.observable:
             return None
         wanted = math.radians(self.parameters.settled_deg)
         if self.heading_sd <= wanted:
             return 0.0
-        left = wanted**2 - self.posterior.bias_sd**2
-        return max(self.rest_s * (self.posterior.noise_sd**2 / left - 1.0), 1.0) if left > 0.0 else None
+        # Several positions separate the bias from the earth rate.
+        bias_sd = 0.0
+        if self.positions[-1].number == 1:
+            by_level = self.errors.accel_bias * math.tan(self.latitude)
+            bias_sd = math.hypot(self.posterior.bias_size / self.earth_horizontal, by_level)
+        left, noise = wanted**2 - bias_sd**2, max(self.heading_sd**2 - bias_sd**2, 0.0)
+        return max(self.rest_s * (noise / left - 1.0), 1.0) if left > 0.0 else None
 
     @property
     def turned(self) -> float:

@@ -36,14 +36,12 @@ QUARTIC = 0.152
 class HeadingPosterior(NamedTuple):
     """The posterior of the direction of north.
 
-    `north` is counter-clockwise in the reference frame, rad, `sd` its standard deviation, `noise_sd` that
-    without any bias, and `bias_sd` what a bias adds to it.  `bias_size`, rad/s, is the root mean square size.
+    `north` is counter-clockwise in the reference frame, rad, `sd` its standard deviation, and `bias_size`,
+    rad/s, the root mean square size of a gyro's bias.
     """
 
     north: float
     sd: float
-    noise_sd: float
-    bias_sd: float
     bias_size: float
 
 
@@ -60,7 +58,6 @@ def heading_posterior(
     log_weight = (log_density[:, None] + log_factor + errors.log_prior).ravel()
     matrix, vector = of_north.matrix.reshape(-1, 2, 2), of_north.vector.reshape(-1, 2)
     part, angle, height, sharpness = peaks(matrix, vector)
-    hypothesis, size = np.divmod(part, len(sizes))
 
     # Each peak is a von Mises distribution with this concentration; moments of their mixture.
     log_mass = log_weight[part] + height + np.log(i0e(sharpness))
@@ -70,18 +67,10 @@ def heading_posterior(
     north = float(np.angle(np.sum(mass * length * np.exp(1j * angle))))
     off = np.remainder(angle - north + np.pi, 2.0 * np.pi) - np.pi
     spread = np.minimum(-2.0 * np.log(np.maximum(length, 1e-9)), ANY_ANGLE_SD**2)
-
-    east = np.array([-math.sin(north), math.cos(north)])
-    noise, whole = (
-        float(mass @ (1.0 / np.maximum(east @ form @ east, 1e-30)))
-        for form in (joint.matrix[hypothesis, :2, :2], matrix[part])
-    )
     return HeadingPosterior(
         north=north,
         sd=min(math.sqrt(np.sum(mass * (spread + off**2))), ANY_ANGLE_SD),
-        noise_sd=min(math.sqrt(noise), ANY_ANGLE_SD),
-        bias_sd=math.sqrt(max(whole - noise, 0.0)),
-        bias_size=math.sqrt(mass @ np.mean(errors.sizes**2, axis=1)[size]),
+        bias_size=math.sqrt(mass @ np.mean(errors.sizes**2, axis=1)[part % len(sizes)]),
     )
 
 
