@@ -12,7 +12,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment.hypotheses import PositionFit, WarmUp, fit_position
-from imumon.estimation.alignment.motion import CALM_SLOTS, Motion, Outcome
+from imumon.estimation.alignment.motion import CALM_SLOTS, Motion
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.posterior import HeadingPosterior, heading_posterior
 from imumon.estimation.alignment.record import (
@@ -93,21 +93,20 @@ class Aligner:
 
     def step(self, slot: Slot, at_rest: bool, turn: Turn) -> str | None:
         """Process a slot with its turn and the rest detector's flag; return why to start anew, or None."""
-        outcome, motion = self.motion.classify(slot, at_rest, turn), self.motion
-        if outcome is Outcome.MOVING:
-            if motion.moving and slot.ended_s - motion.begun_s > LONGEST_MOTION_S:
-                return f"the unit turned at {motion.begun_s:.1f} s for {LONGEST_MOTION_S:g} s"
-        elif outcome is Outcome.REST:
-            self._add_rest(slot)
-        elif outcome is Outcome.RETURNED:
-            for one in motion.end():
-                self._add_rest(one)
-        elif outcome is Outcome.SETTLED and not self.positions:
-            rest = motion.end()
+        motion = self.motion
+        rest, begins = motion.step(slot, at_rest, turn)
+        if not rest:
+            lost = motion.moving and slot.ended_s - motion.begun_s > LONGEST_MOTION_S
+            return f"the unit turned at {motion.begun_s:.1f} s for {LONGEST_MOTION_S:g} s" if lost else None
+        if begins and not self.positions:
             self._begin_position(first_attitude(_mean_force(rest)), 0.0, 1, rest)
-        elif outcome is Outcome.SETTLED and not self._end_turn():
+        elif begins and not self._end_turn(rest):
             return f"the unit turned at {motion.begun_s:.1f} s by an angle that is not known"
-        if not motion.moving and self.rest_s >= self.due_s:
+        elif not begins:
+            for one in rest:
+                self._add_rest(one)
+        motion.end()
+        if self.rest_s >= self.due_s:
             self._update_heading()
         return None
 
@@ -132,12 +131,11 @@ class Aligner:
         for slot in rest:
             self._add_rest(slot)
 
-    def _end_turn(self) -> bool:
-        """Begin a position after a turn; return whether the angle of the turn is known."""
+    def _end_turn(self, rest: Sequence[Slot]) -> bool:
+        """Begin a position with the rest after a turn; return whether the angle of the turn is known."""
         motion, errors, before = self.motion, self.errors, self.positions[-1]
         self._fit_position()
-        force = _mean_force(list(motion.pending)[CALM_SLOTS // 2 :])
-        attitude = upright(self.attitude[0], force)
+        attitude = upright(self.attitude[0], _mean_force(rest[CALM_SLOTS // 2 :]))
         variance = motion.azimuth_variance(before.attitude, errors.scale) + motion.unexplained_variance(
             before.attitude, attitude[2], errors.scale, math.sqrt(2.0) * errors.accel_bias
         )
@@ -154,7 +152,7 @@ class Aligner:
         before.record.sums = np.empty((0, 7))
         motion.recent.clear()
         variance += before.azimuth_variance + self.crept**2
-        self._begin_position(attitude, variance, before.number + new, motion.end())
+        self._begin_position(attitude, variance, before.number + new, rest)
         return True
 
     @property

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field
-from enum import Enum
 
 import numpy as np
 
@@ -28,15 +27,6 @@ MOST_PENDING = 480
 """Slots: 2 minutes of a motion, or before the first rest, may turn out to be rest; what is older is lost."""
 SAME_ATTITUDE = 1e-4
 """rad: a turn by less leaves the attitude as it is."""
-
-
-class Outcome(Enum):
-    """Classification of a slot."""
-
-    MOVING = "no rest yet, or the attitude follows the gyros"
-    REST = "the slot is added to the record"
-    RETURNED = "the attitude is unchanged: the pending slots are added to the record"
-    SETTLED = "a rest begins, the first or after a turn: a new record with the pending slots"
 
 
 @dataclass
@@ -65,14 +55,18 @@ class Motion:
         """Whether the unit moves, or came to rest less than 2 s ago."""
         return self.rest_rate is not None and bool(self.pending)
 
-    def classify(self, slot: Slot, at_rest: bool, turn: Turn) -> Outcome:
-        """Return the outcome of a slot with its turn: that of the first condition that holds."""
+    def step(self, slot: Slot, at_rest: bool, turn: Turn) -> tuple[list[Slot], bool]:
+        """Return the slots at rest that are known with this slot and its turn, and whether a rest begins.
+
+        There are none before the first rest and in motion.  After a motion that leaves the attitude as it was
+        they are all of its slots; a rest that begins, the first one or after a turn, has those before it.
+        """
         if self.rest_rate is None:
             self.pending.append(slot)
-            return Outcome.SETTLED if at_rest and self._first_rest() else Outcome.MOVING
+            return (list(self.pending), True) if at_rest and self._first_rest() else ([], False)
         in_motion = self._is_motion(slot)
         if not (self.pending or in_motion):
-            return Outcome.REST
+            return [slot], False
         if not self.pending:
             self.begun_s = slot.begun_s
         if in_motion:
@@ -81,11 +75,9 @@ class Motion:
         self.turn = self.turn.then(turn.less(self.rest_rate))
         calm = list(self.pending)[-CALM_SLOTS:]
         if any(self._is_motion(one) for one in calm):
-            return Outcome.MOVING
-        if angle_of(self.turn.rotation) <= max(SAME_ATTITUDE, 6.0 * self._noise):
-            return Outcome.RETURNED
-        self.pending = deque(calm, MOST_PENDING)
-        return Outcome.SETTLED
+            return [], False
+        turned = angle_of(self.turn.rotation) > max(SAME_ATTITUDE, 6.0 * self._noise)
+        return calm if turned else list(self.pending), turned
 
     def _first_rest(self) -> bool:
         """Return whether the unit rests for the first time; if so, drop the slots before that rest."""
@@ -113,12 +105,10 @@ class Motion:
         if self.since_update >= SWAYING_SLOTS:
             self._update_rest_rate(np.array(self.recent))
 
-    def end(self) -> list[Slot]:
-        """End the motion; return the slots that belong to the rest."""
-        rest = list(self.pending)
+    def end(self) -> None:
+        """End the motion."""
         self.pending.clear()
         self.turn = STILL
-        return rest
 
     @property
     def _noise(self) -> float:
