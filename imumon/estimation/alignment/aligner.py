@@ -264,8 +264,10 @@ class Aligner:
         """Fit the rest since the last fit; return the heading in each position of a segment."""
         if self.positions:
             self._update_heading()
+        if self.posterior is None:
+            return []
         found = []
-        for one in self.positions if self.posterior is not None else []:
+        for one in self.positions:
             variance = self.posterior.sd**2 + self.positions[-1].azimuth_variance - one.azimuth_variance
             sd = min(math.sqrt(variance), ANY_ANGLE_SD)
             shown = self.posterior.north if sd < math.radians(self.parameters.observable_deg) else math.nan

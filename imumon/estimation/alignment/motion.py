@@ -91,6 +91,7 @@ class Motion:
         return True
 
     def _is_motion(self, slot: Slot) -> bool:
+        assert self.rest_rate is not None
         return float(np.abs(slot.rate - self.rest_rate).max()) > self.limit
 
     def _update_rest_rate(self, rates: FloatArray) -> None:

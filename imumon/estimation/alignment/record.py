@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -116,8 +116,8 @@ class HorizontalRows:
 
     def since(self, row: int) -> HorizontalRows:
         """Return the rows from one on."""
-        parts = (values[row:] for values in (self.valid, self.rate, self.vertical, self.alpha))
-        return HorizontalRows(self.row_s, *parts, self.attitude)
+        valid, rate = self.valid[row:], self.rate[row:]
+        return replace(self, valid=valid, rate=rate, vertical=self.vertical[row:], alpha=self.alpha[row:])
 
 
 def horizontal_rows(
