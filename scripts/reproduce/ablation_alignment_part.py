@@ -17,6 +17,7 @@ from alignment_site_scenes import record as record_of
 
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment import aligner, cells, hypotheses, sensor_errors
+from imumon.estimation.alignment.parameters import RemainingWarmUp
 
 Change = Sequence[tuple[Any, str, Any]]
 """Module, constant, and what it is instead."""
@@ -27,7 +28,7 @@ VARIANTS: Mapping[str, Change] = {
     "sway": [(cells, "LEAST_ROWS", 1_000_000)],
     "sway with fewer than 5 periods": [(cells, "MIN_PERIODS", 5.0)],
     "a creep is left out": [(cells, "CREEP_YAW", math.inf)],
-    "warm-up": [(aligner, "WarmUp", lambda *_: hypotheses.WarmUp(hypotheses.NOTHING))],
+    "warm-up": [(aligner, "RemainingWarmUp", lambda: RemainingWarmUp(hypotheses.NOTHING))],
     "settling": [(hypotheses, "P_SETTLES", 1e-9)],
     "settling: one exponential": [(hypotheses, "TILTS", hypotheses.tilt_hypotheses(1))],
     "settling: all exponentials": [(hypotheses, "TILTS", hypotheses.tilt_hypotheses(8))],

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.alignment.hypotheses import PositionFit, WarmUp, fit_position
+from imumon.estimation.alignment.hypotheses import PositionFit, fit_position
 from imumon.estimation.alignment.motion import CALM_SLOTS, Motion
-from imumon.estimation.alignment.parameters import AlignmentParameters
+from imumon.estimation.alignment.parameters import AlignmentParameters, RemainingWarmUp
 from imumon.estimation.alignment.posterior import HeadingPosterior, heading_posterior
 from imumon.estimation.alignment.record import (
     Record,
@@ -171,10 +171,7 @@ class Aligner:
         """Fit the present position, and both means of its gyros; return whether the record is long enough."""
         here, known = self.positions[-1], self.parameters.known_warm_up
         data = horizontal_rows(here.record, here.attitude, EARTH_RATE * math.sin(self.latitude), known)
-        warm_up = WarmUp()
-        if known is not None and known.amplitude_sd_g is not None:
-            warm_up = WarmUp(known.amplitude_sd_g, known.time_constants_s)
-        fit = fit_position(data, warm_up)
+        fit = fit_position(data, RemainingWarmUp() if known is None else known.remaining)
         if fit is None:
             return False
         here.fit = fit

@@ -29,6 +29,7 @@ from imumon.estimation.alignment.cells import (
     trend,
     without_sway,
 )
+from imumon.estimation.alignment.parameters import RemainingWarmUp
 from imumon.estimation.alignment.record import HorizontalRows
 
 SETTLING_TAU_S = np.geomspace(5.0, 640.0, 8)
@@ -44,13 +45,6 @@ OFFSET_SD = 1e-3
 """Standard deviation of the constant part of α, and of its step in a knock, rad."""
 LIKELY = -15.0
 """Log weight relative to the largest below which a hypothesis is dropped."""
-
-
-class WarmUp(NamedTuple):
-    """Warm-up of the accelerometers: standard deviation of its amplitudes, g, and their time constants, s."""
-
-    sd: float = 1e-4
-    tau_s: Sequence[float] = (100.0, 300.0, 1000.0)
 
 
 def tilt_hypotheses(neighbours: int = 3) -> FloatArray:
@@ -134,7 +128,7 @@ class PositionFit(NamedTuple):
         return self._replace(log_weight=np.zeros(1), rate=np.array([mean]), variance=np.array([variance]))
 
 
-def fit_position(data: HorizontalRows, warm_up: WarmUp) -> PositionFit | None:
+def fit_position(data: HorizontalRows, warm_up: RemainingWarmUp) -> PositionFit | None:
     """Return the fit of one position given each hypothesis; None if too little of the record is steady.
 
     What came before the unit crept about the vertical is left out.
@@ -199,7 +193,9 @@ def _by_accelerometers(
     return information(design, means[used] - means[used].mean(), covariance)
 
 
-def _of_each_hypothesis(known: Information, warm_up: WarmUp) -> tuple[FloatArray, ColumnArray, FloatArray]:
+def _of_each_hypothesis(
+    known: Information, warm_up: RemainingWarmUp
+) -> tuple[FloatArray, ColumnArray, FloatArray]:
     """Return log weight, mean rate and variance of each part, of standing or settling, warm or not, (38,)."""
     sizes = np.array([[NOTHING], [warm_up.sd]]) * np.ones(len(warm_up.tau_s))
     sd = np.hstack([np.tile(TILTS, (2, 1)), np.repeat(sizes, len(TILTS), axis=0)])
