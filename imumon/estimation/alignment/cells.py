@@ -16,7 +16,7 @@ from imumon.blocks import BoolArray, ColumnArray, FloatArray
 from imumon.estimation.alignment.record import HorizontalRows
 
 CELLS = (96, 24, 6)
-"""Candidate numbers of windows in a record; ablation: 48 alone makes 2.4 times the error."""
+"""Candidate numbers of windows in a record; ablation: 48 alone makes 2.6 times the error."""
 MIN_CELLS = 5
 """Fewer used cells give no scatter about a trend."""
 OVERLAP = 1.0 / 6.0
