@@ -9,8 +9,7 @@ import numpy as np
 
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import RestAndBias
-from imumon.estimation.smoothing.backward import backward
-from imumon.estimation.smoothing.record import Record, Recorder
+from imumon.estimation.smoothing.record import Record, Recorder, backward
 from imumon.estimation.smoothing.stage import Smoothed, SmoothedEstimates, still_heading
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.pipeline import Estimator, SampleSink

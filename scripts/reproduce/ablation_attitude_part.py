@@ -15,7 +15,7 @@ from attitude_table import heading_error, rms, tilt_error
 from broad import measured
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.estimation.attitude import heading_sigma, tilt_sigma
+from imumon.estimation.attitude import sigma
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import RestAndBias
@@ -27,48 +27,48 @@ FREE = (
 MAGNETIC = ("by hand", "by hand, magnet on the body", "by hand, magnet put on", "at rest, magnet comes near")
 RATE_HZ, FLOOR_DEG = 50.0, 0.01
 TITLE = "Attitude, °: the angles are those of VQF in all rows, so the first columns are of the median sigma."
-_learned: Callable[[tilt_sigma.Gyros], float] = tilt_sigma.Gyros.variance.fget  # type: ignore[attr-defined]  # mypy takes the property for its value
+_learned: Callable[[sigma.Gyros], float] = sigma.Gyros.variance.fget  # type: ignore[attr-defined]  # mypy takes the property for its value
 
 
-def _prior(_: tilt_sigma.Gyros) -> float:
-    return tilt_sigma.SCALE_SD**2
+def _prior(_: sigma.Gyros) -> float:
+    return sigma.SCALE_SD**2
 
 
-def _bounded(gyros: tilt_sigma.Gyros) -> float:
-    return min(_learned(gyros), tilt_sigma.SCALE_SD**2)
+def _bounded(gyros: sigma.Gyros) -> float:
+    return min(_learned(gyros), sigma.SCALE_SD**2)
 
 
 def _nothing(*_: Any) -> float:
     return 0.0
 
 
-def _as_in_motion(tilt: tilt_sigma.TiltSigma, slot: tilt_sigma.Slot) -> float:
+def _as_in_motion(tilt: sigma.TiltSigma, slot: sigma.Slot) -> float:
     tilt.rested = True
     return tilt._in_motion(slot, float(((slot.up - tilt.ups[0]) ** 2).sum()))
 
 
 VARIANTS: dict[str, Change] = {
-    "lag 3 s, which confirms no gyro": [(tilt_sigma, "LAG_S", 3.0)],
-    "lag 12 s": [(tilt_sigma, "LAG_S", 12.0)],
-    "scale not learned": [(tilt_sigma.Gyros, "variance", property(_prior))],
-    "learned scale at most s0": [(tilt_sigma.Gyros, "variance", property(_bounded))],
-    "s0 1 %": [(tilt_sigma, "SCALE_SD", 0.01)],
-    "s0 4 %": [(tilt_sigma, "SCALE_SD", 0.04)],
-    "g0 0.5 rad²": [(tilt_sigma, "SCALE_TURN", 0.5)],
-    "g0 8 rad²": [(tilt_sigma, "SCALE_TURN", 8.0)],
-    "no delay": [(tilt_sigma.TiltSigma, "_delay", _nothing)],
-    "all gyros confirmed": [(tilt_sigma, "CONFIRMING_TURN", -1.0), (tilt_sigma, "LARGEST_CHANGE", 1e9)],
-    "confirmed at 1 rad²": [(tilt_sigma, "CONFIRMING_TURN", 1.0)],
-    "largest change 1 %": [(tilt_sigma, "LARGEST_CHANGE", 0.01)],
-    "largest change 10 %": [(tilt_sigma, "LARGEST_CHANGE", 0.1)],
-    "a0 5 mg": [(tilt_sigma, "ACCEL_SD", 0.05)],
-    "a0 15 mg": [(tilt_sigma, "ACCEL_SD", 0.15)],
-    "force less gravity not used": [(tilt_sigma.Accelerometers, "learn", _nothing)],
-    "rest not used": [(tilt_sigma.TiltSigma, "_at_rest", _as_in_motion)],
-    "i0 1 %": [(heading_sigma, "IRON", 0.01)],
-    "i0 4 %": [(heading_sigma, "IRON", 0.04)],
-    "iron forgotten in 0.1 s": [(heading_sigma, "IRON_MEMORY_S", 0.1)],
-    "iron forgotten in 300 s": [(heading_sigma, "IRON_MEMORY_S", 300.0)],
+    "lag 3 s, which confirms no gyro": [(sigma, "LAG_S", 3.0)],
+    "lag 12 s": [(sigma, "LAG_S", 12.0)],
+    "scale not learned": [(sigma.Gyros, "variance", property(_prior))],
+    "learned scale at most s0": [(sigma.Gyros, "variance", property(_bounded))],
+    "s0 1 %": [(sigma, "SCALE_SD", 0.01)],
+    "s0 4 %": [(sigma, "SCALE_SD", 0.04)],
+    "g0 0.5 rad²": [(sigma, "SCALE_TURN", 0.5)],
+    "g0 8 rad²": [(sigma, "SCALE_TURN", 8.0)],
+    "no delay": [(sigma.TiltSigma, "_delay", _nothing)],
+    "all gyros confirmed": [(sigma, "CONFIRMING_TURN", -1.0), (sigma, "LARGEST_CHANGE", 1e9)],
+    "confirmed at 1 rad²": [(sigma, "CONFIRMING_TURN", 1.0)],
+    "largest change 1 %": [(sigma, "LARGEST_CHANGE", 0.01)],
+    "largest change 10 %": [(sigma, "LARGEST_CHANGE", 0.1)],
+    "a0 5 mg": [(sigma, "ACCEL_SD", 0.05)],
+    "a0 15 mg": [(sigma, "ACCEL_SD", 0.15)],
+    "force less gravity not used": [(sigma.Accelerometers, "learn", _nothing)],
+    "rest not used": [(sigma.TiltSigma, "_at_rest", _as_in_motion)],
+    "i0 1 %": [(sigma, "IRON", 0.01)],
+    "i0 4 %": [(sigma, "IRON", 0.04)],
+    "iron forgotten in 0.1 s": [(sigma, "IRON_MEMORY_S", 0.1)],
+    "iron forgotten in 300 s": [(sigma, "IRON_MEMORY_S", 300.0)],
 }
 """What is left out or set otherwise."""
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +16,10 @@ from imumon.estimation.temperature_rate import filter as filter_module
 from imumon.estimation.temperature_rate import measurement, method, output, thermometer
 from imumon.estimation.temperature_rate.filter import (
     CODE_MODELS,
+    JERK_PSDS,
     MEAN_MODELS,
     Correction,
-    Models,
+    NoiseModel,
     code_model,
 )
 from imumon.estimation.temperature_rate.measurement import evaluate
@@ -48,9 +47,16 @@ SCENES: list[tuple[str, str, Profile, float, float]] = [
 ]
 STEPS_DEGC = (0.0, 0.0625, 0.5, 1.0)
 
-MODELS = Models()
-HERE = sys.modules[__name__]
 SLOW_CODES = tuple(model for model in CODE_MODELS if model.slow)
+
+
+def _noise(
+    codes: tuple[NoiseModel, ...] = CODE_MODELS, means: tuple[NoiseModel, ...] = MEAN_MODELS
+) -> Change:
+    """Return what replaces the models of the noise."""
+    noise = np.array([*codes, *means]).T[:, :, np.newaxis]
+    rows = {"NOISE": noise, "CODE": slice(0, len(codes)), "MEAN": slice(len(codes), None)}
+    return [(module, name, each) for module in (filter_module, measurement) for name, each in rows.items()]
 
 
 def _never(*_: Any) -> bool:
@@ -80,46 +86,21 @@ VARIANTS: dict[str, Change] = {
     "all readings independent": [(Thermometer, "independent", _count)],
     "no repeats known by a leap": [(Thermometer, "leaps", _never)],
     "no repeats known": [(thermometer, "MOST_REPEAT_S", 0.0)],
-    "7 white sigmas, not 13": [
-        (
-            HERE,
-            "MODELS",
-            replace(
-                MODELS,
-                code_models=(
-                    *(code_model(w) for w in (0.02, 0.06, 0.12, 0.2, 0.28, 0.36, 0.45)),
-                    *SLOW_CODES,
-                ),
-            ),
-        )
-    ],
-    "10 white sigmas, not 13": [
-        (
-            HERE,
-            "MODELS",
-            replace(
-                MODELS, code_models=(*(code_model(0.02 * 25.0 ** (i / 9.0)) for i in range(10)), *SLOW_CODES)
-            ),
-        )
-    ],
-    "no code models with a slow error": [
-        (HERE, "MODELS", replace(MODELS, code_models=tuple(model for model in CODE_MODELS if not model.slow)))
-    ],
-    "no mean models with a slow error": [(HERE, "MODELS", replace(MODELS, mean_models=MEAN_MODELS[:1]))],
-    "no 1/f models": [
-        (
-            HERE,
-            "MODELS",
-            replace(
-                MODELS,
-                code_models=tuple(model for model in CODE_MODELS if not model.walk_per_s),
-                mean_models=tuple(model for model in MEAN_MODELS if not model.walk_per_s),
-            ),
-        )
-    ],
-    "5 jerk PSDs, not 9": [(HERE, "MODELS", replace(MODELS, jerk_psds=MODELS.jerk_psds[::2]))],
-    "the jerk PSD changes once in 10,000 s, not 500": [(HERE, "MODELS", replace(MODELS, change_per_s=1e-4))],
-    "the jerk PSD changes once in 100 s, not 500": [(HERE, "MODELS", replace(MODELS, change_per_s=1e-2))],
+    "7 white sigmas, not 13": _noise(
+        (*(code_model(w) for w in (0.02, 0.06, 0.12, 0.2, 0.28, 0.36, 0.45)), *SLOW_CODES)
+    ),
+    "10 white sigmas, not 13": _noise(
+        (*(code_model(0.02 * 25.0 ** (i / 9.0)) for i in range(10)), *SLOW_CODES)
+    ),
+    "no code models with a slow error": _noise(tuple(model for model in CODE_MODELS if not model.slow)),
+    "no mean models with a slow error": _noise(means=MEAN_MODELS[:1]),
+    "no 1/f models": _noise(
+        tuple(model for model in CODE_MODELS if not model.walk_per_s),
+        tuple(model for model in MEAN_MODELS if not model.walk_per_s),
+    ),
+    "5 jerk PSDs, not 9": [(filter_module, "JERK_PSDS", JERK_PSDS[::2])],
+    "the jerk PSD changes once in 10,000 s, not 500": [(filter_module, "CHANGE_PER_S", 1e-4)],
+    "the jerk PSD changes once in 100 s, not 500": [(filter_module, "CHANGE_PER_S", 1e-2)],
     "least probability of a filter 1e-30": [(filter_module, "LEAST_PROBABILITY", 1e-30)],
     "any acceleration at the start": [(filter_module, "LONG_S", 1e30)],
     "no walk in the output": [(output, "LONG_S", 0.0)],
@@ -138,27 +119,25 @@ VARIANTS: dict[str, Change] = {
 
 def outcomes(seeds: range, data: Path) -> Iterator[Outcome]:
     """Yield the scenes, then the measured record where its folder exists."""
-    yield from simulated(MODELS, seeds)
+    filter_module.dynamics.cache_clear()  # it is made of constants that a variant may change
+    yield from simulated(seeds)
     path = data / "chamber-cycle" / "cooling-heating.csv"
     if path.exists():
-        yield from measured(MODELS, path)
+        yield from measured(path)
 
 
-def simulated(models: Models, seeds: range) -> Iterator[Outcome]:
+def simulated(seeds: range) -> Iterator[Outcome]:
     """Yield the simulated scenes."""
     kinds = {kind.name: kind for kind in KINDS}
     for name, what, profile, length_s, start_s in SCENES:
-        runs = [
-            errors(kinds[name], profile, length_s, seed, lambda: MultipleModelRate(models=models))
-            for seed in seeds
-        ]
+        runs = [errors(kinds[name], profile, length_s, seed, MultipleModelRate) for seed in seeds]
         off, z = (
             np.concatenate([run[key][run["t"] > start_s] for run in runs]) for key in ("rate", "rate_z")
         )
         yield Outcome(f"{name}, {what}", rms(off), FLOOR, rms(z), largest(z))
 
 
-def measured(models: Models, path: Path) -> Iterator[Outcome]:
+def measured(path: Path) -> Iterator[Outcome]:
     """Yield the chamber record at each step size, against a local cubic of the unrounded one."""
     table = np.genfromtxt(path, delimiter=",", names=True)
     time_ns = np.round(table["t_s"] * 1e9).astype(np.int64)
@@ -167,8 +146,7 @@ def measured(models: Models, path: Path) -> Iterator[Outcome]:
     rate, late = local_rate(t, reading), t > RECORD_SETTLED_S
     for step in STEPS_DEGC:
         rounded = step * np.round(reading / step) if step else reading
-        estimator = MultipleModelRate(models=models)
-        found = estimator.process(time_ns, np.zeros(len(rounded), np.int64), rounded)
+        found = MultipleModelRate().process(time_ns, np.zeros(len(rounded), np.int64), rounded)
         off = (found.rate - rate)[late]
         z = off / found.rate_sd[late]
         yield Outcome(f"chamber, steps of {step:g} °C", rms(off) * PER_HOUR, FLOOR, rms(z), largest(z))

@@ -12,8 +12,7 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.stage import Alignment
 from imumon.estimation.gyro_bias.stage import RestAndBias
-from imumon.estimation.smoothing.backward import backward
-from imumon.estimation.smoothing.record import Record, Recorder
+from imumon.estimation.smoothing.record import Record, Recorder, backward
 from imumon.estimation.smoothing.stage import SmoothedEstimates, still_heading
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H

@@ -1,7 +1,8 @@
-"""A record in Hann-weighted cells: an angle that stays bounded falls out of their mean.
+"""A record without its sway, in Hann-weighted cells: an angle that stays bounded falls out of their mean.
 
-The windows overlap by half, and their sum is flat with smooth ends.  The scatter of the cells about a slow
-trend is their noise, and a cell far beyond that is a knock.
+The strongest spectral line of the sway is fitted beside a slow trend.  The windows overlap by half, and their
+sum is flat with smooth ends.  The scatter of the cells about a slow trend is their noise, and a cell far
+beyond that is a knock.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from imumon.blocks import BoolArray, ColumnArray, FloatArray
 from imumon.estimation.alignment.record import HorizontalRows
 
 CELLS = (96, 24, 6)
-"""Candidate numbers of windows in a record; ablation: 48 alone makes 2.4 times the error."""
+"""Candidate numbers of windows in a record; ablation: 48 alone makes 2.6 times the error."""
 MIN_CELLS = 5
 """Fewer used cells give no scatter about a trend."""
 OVERLAP = 1.0 / 6.0
@@ -28,9 +29,9 @@ KNOCK = 10.0
 tilts the unit by 0.005° leaves a heading error of 1.1° after 2 minutes, not 0.01°."""
 MIN_VARIANCE = 1e-24
 """Lower bound of a variance, (rad/s)² or rad², for readings that do not change at all."""
-CREEP_CELLS, CREEP_RATIO = 12, 8.0
-"""Ratio of the variance of 12 cells of the vertical gyro to their white noise above which the unit is taken
-to rotate slowly about the vertical (creep of a tripod head)."""
+CREEP_CELLS, CREEP_YAW, CREEP_NOISE = 12, 3e-4, 4.0
+"""A unit creeps about the vertical whose angle by means of 12 cells of the vertical gyro, less their mean,
+varies by more than 0.3 mrad and more than 4 times what the white noise turns in this time."""
 
 
 class Cells(NamedTuple):
@@ -54,11 +55,11 @@ class Cells(NamedTuple):
         """Mean of the used cells, rad/s."""
         return complex(self.rate[self.used].mean())
 
-    @property
-    def correlation(self) -> FloatArray:
-        """Correlation of white noise in the used cells, (m, m)."""
-        apart = np.abs(np.subtract.outer(np.flatnonzero(self.used), np.flatnonzero(self.used)))
-        return np.asarray((apart == 0) + OVERLAP * (apart == 1))
+
+def correlation(used: BoolArray) -> FloatArray:
+    """Return the correlation of white noise in those of the cells that are used, (m, m)."""
+    apart = np.abs(np.subtract.outer(np.flatnonzero(used), np.flatnonzero(used)))
+    return np.asarray((apart == 0) + OVERLAP * (apart == 1))
 
 
 def hann_windows(n: int, cells: int) -> FloatArray:
@@ -88,17 +89,25 @@ def scatter(values: ColumnArray, used: BoolArray, order: int) -> tuple[float, Bo
     return max(float(square[used].sum()), MIN_VARIANCE) / max(freedom - 2.0, 1.0), used, freedom
 
 
-def rotates_slowly(data: HorizontalRows) -> bool:
-    """Return whether the vertical gyro varies by more than its noise: a slow rotation about the vertical."""
-    if len(data.valid) < 2 * (CREEP_CELLS + 1):
-        return False
-    windows = hann_windows(len(data.valid), CREEP_CELLS)
-    means = (windows @ data.vertical)[windows @ ~data.valid == 0.0]
-    white = 0.5 * float(np.mean(np.diff(data.vertical[data.valid]) ** 2)) * float(np.sum(windows[0] ** 2))
-    return len(means) > MIN_CELLS and bool(np.var(means) > CREEP_RATIO * white)
+def steady_from(data: HorizontalRows) -> int | None:
+    """Return the row from which on the unit does not creep about the vertical; None if it does to the end."""
+    n = len(data.valid)
+    for start in (0, n // 4, n // 2, 3 * n // 4):
+        vertical, valid = data.vertical[start:], data.valid[start:]
+        if len(valid) < 2 * (CREEP_CELLS + 1):
+            return None if start else 0
+        windows = hann_windows(len(valid), CREEP_CELLS)
+        means = (windows @ vertical)[windows @ ~valid == 0.0]
+        if len(means) < MIN_CELLS:
+            continue
+        yaw = np.cumsum(means - means.mean()) * data.row_s * len(valid) / (CREEP_CELLS + 1)
+        noise = math.sqrt(0.5 * np.mean(np.diff(vertical[valid]) ** 2) * len(valid)) * data.row_s
+        if np.ptp(yaw) < max(CREEP_YAW, CREEP_NOISE * noise):
+            return start
+    return None
 
 
-def divide(data: HorizontalRows, rate: ColumnArray, creeps: bool) -> Cells | None:
+def divide(data: HorizontalRows, rate: ColumnArray) -> Cells | None:
     """Return the division into cells with the smallest variance of the mean; None if the record is too short.
 
     Longer cells suppress more sway, but estimate the noise from fewer degrees of freedom: they must be better
@@ -124,8 +133,74 @@ def divide(data: HorizontalRows, rate: ColumnArray, creeps: bool) -> Cells | Non
                 rate=cells,
                 variance=variance,
                 vertical=float(vertical[up_used].mean()),
-                # The scatter of a unit that creeps contains the rotation itself.
-                vertical_variance=2.0 * float(vertical[up_used].var()) if creeps else up_variance * of_mean,
+                vertical_variance=up_variance * of_mean,
                 white=min(variance, up_variance) * data.row_s / float(np.sum(windows[0] ** 2)),
             )
     return best
+
+
+LEAST_ROWS = 60
+"""Rows of the record that a line needs."""
+LINE_RATIO = 40.0
+"""Ratio of the power of a line to the median of the spectrum; white noise exceeds it with probability e^-40
+a bin."""
+MIN_PERIODS = 1.5
+"""A line with fewer periods in the record is left to the trend and the settling hypotheses."""
+FEW_PERIODS, RESIDUAL_SHARE = 5.0, 0.3
+"""A line with fewer periods than this must reduce the residual variance to this share: a knock has power at
+all frequencies, too."""
+
+
+def without_sway(
+    rate: ColumnArray, alpha: ColumnArray, valid: BoolArray, slow: FloatArray
+) -> tuple[ColumnArray, FloatArray]:
+    """Return rates, rad/s, and α, rad, of horizontal axes, (n,) each, without their line, (2, n).
+
+    The line is found in the rate, and fitted beside slow functions of time, (n, m).  The second result,
+    (n, 4) or (n, 0), are its basis functions times its amplitude, rad/s: its uncertainty.
+    """
+    n, given = len(rate), np.column_stack([rate, alpha])
+    slow = slow / np.sqrt(np.sum(slow**2, axis=0)) * valid[:, None]
+    rate = rate * valid
+    left = rate - slow @ _least_squares(slow, rate)
+    omega = _strongest(left * np.hanning(n + 2)[1:-1]) if n >= LEAST_ROWS else None
+    if omega is None:
+        return given.T, np.zeros((n, 0))
+    line = _line(n, omega)
+    columns = np.column_stack([slow, line * valid[:, None]])
+    amplitudes = _least_squares(columns, given * valid[:, None])
+    remains = rate - columns @ amplitudes[:, 0]
+    reduced = np.vdot(remains, remains).real < RESIDUAL_SHARE * np.vdot(left, left).real
+    if omega * n < FEW_PERIODS * math.tau and not reduced:
+        return given.T, np.zeros((n, 0))
+    swing = line @ amplitudes[-4:]
+    size = math.sqrt(2.0 * float(np.mean(np.abs(swing[:, 0]) ** 2)))
+    return np.asarray((given - swing).T), line * size
+
+
+def _line(n: int, omega: float) -> FloatArray:
+    """Return the basis functions of a line, (n, 4); omega in rad a row.
+
+    They are cosine and sine, and both times the time from -1 to 1: so the amplitude may change along the
+    record, and the frequency by a fraction of a period in the record.
+    """
+    row = np.arange(n) - 0.5 * (n - 1)
+    wave = np.column_stack([np.cos(omega * row), np.sin(omega * row)])
+    return np.column_stack([wave, wave * (row / (0.5 * n))[:, None]])
+
+
+def _strongest(left: ColumnArray) -> float | None:
+    """Return the frequency of the strongest line, rad a row, or None when there is none."""
+    n = len(left)
+    bins = 1 << (8 * n - 1).bit_length()  # at least eight to a period in the record
+    least = math.ceil(MIN_PERIODS * bins / n)
+    axes = np.column_stack([left.real, left.imag])
+    power = np.sum(np.abs(np.fft.rfft(axes, bins, axis=0)) ** 2, axis=1)[least : bins // 2]
+    peak = int(np.argmax(power))
+    return math.tau * (least + peak) / bins if power[peak] > LINE_RATIO * np.median(power) else None
+
+
+def _least_squares(columns: FloatArray, data: ColumnArray) -> ColumnArray:
+    normal = columns.T @ columns
+    normal.flat[:: len(normal) + 1] *= 1.0 + 1e-9
+    return np.asarray(np.linalg.solve(normal, columns.T @ data))

@@ -6,13 +6,13 @@ A turn is followed by the gyros, sample by sample (`imumon.filters.turns`), less
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
-from enum import Enum
 
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.alignment.record import SLOT_S, Slot
+from imumon.estimation.alignment.record import Slot
 from imumon.filters.turns import STILL, Turn, angle_of
 from imumon.geodesy import EARTH_RATE
 
@@ -23,22 +23,10 @@ SWAYING_RATE = 20e-3
 """rad/s: at the start, a rate that varies by less for 10 s is taken for rest."""
 CALM_SLOTS, SWAYING_SLOTS, MEDIAN_SLOTS = 8, 40, 120
 """Slots: 2 s of calm are a rest, 10 s of sway at the start; the rate at rest is the median of 30 s."""
+MOST_PENDING = 480
+"""Slots: 2 minutes of a motion, or before the first rest, may turn out to be rest; what is older is lost."""
 SAME_ATTITUDE = 1e-4
 """rad: a turn by less leaves the attitude as it is."""
-LONGEST_MOTION_S = 120.0
-"""After a longer motion the alignment starts anew."""
-
-
-class Outcome(Enum):
-    """Classification of a slot."""
-
-    WAITING = "no rest yet"
-    FIRST_REST = "the first position begins"
-    REST = "the slot is added to the record"
-    TURNING = "the attitude follows the gyros"
-    SAME_ATTITUDE = "the attitude is unchanged: the slots of the motion are added to the record"
-    TURNED = "the attitude has changed: a new record begins, and the motion is left out"
-    LOST = "motion for too long: the alignment starts anew"
 
 
 @dataclass
@@ -49,40 +37,57 @@ class Motion:
     """Median rate at rest, rad/s, (3,); None before the first rest."""
     limit: float = MOTION_RATE
     """Distance from it that is still rest, rad/s."""
-    recent: list[FloatArray] = field(default_factory=list)
-    """Rates of slots at rest in this position, of the last 30 to 40 s."""
+    recent: deque[FloatArray] = field(default_factory=lambda: deque(maxlen=MEDIAN_SLOTS))
+    """Rates of slots at rest in this position."""
     since_update: int = 0
     """Slots at rest since the median was updated, in earlier positions, too: a strong sway is taken for turns
     until then."""
-    pending: list[Slot] = field(default_factory=list)
+    pending: deque[Slot] = field(default_factory=lambda: deque(maxlen=MOST_PENDING))
     """Slots of the motion; before the first rest, those that may belong to it."""
     turn: Turn = STILL
     """Since the motion began."""
+    begun_s: float = 0.0
+    ended_s: float = 0.0
+    """Of the motion, s since the first sample."""
 
-    def classify(self, slot: Slot, at_rest: bool) -> Outcome:
-        """Return the outcome of a slot: that of the first condition that holds."""
+    @property
+    def moving(self) -> bool:
+        """Whether the unit moves, or came to rest less than 2 s ago."""
+        return self.rest_rate is not None and bool(self.pending)
+
+    def step(self, slot: Slot, at_rest: bool, turn: Turn) -> tuple[list[Slot], bool]:
+        """Return the slots at rest that are known with this slot and its turn, and whether a rest begins.
+
+        There are none before the first rest and in motion.  After a motion that leaves the attitude as it was
+        they are all of its slots; a rest that begins, the first one or after a turn, has those before it.
+        """
         if self.rest_rate is None:
-            self.pending = [*self.pending[1 - 4 * MEDIAN_SLOTS :], slot]  # of 2 minutes
-            return Outcome.FIRST_REST if at_rest and self._first_rest() else Outcome.WAITING
-        if not (self.moving or self._is_motion(slot)):
-            return Outcome.REST
+            self.pending.append(slot)
+            return (list(self.pending), True) if at_rest and self._first_rest() else ([], False)
+        in_motion = self._is_motion(slot)
+        if not (self.pending or in_motion):
+            return [slot], False
+        if not self.pending:
+            self.begun_s = slot.begun_s
+        if in_motion:
+            self.ended_s = slot.ended_s
         self.pending.append(slot)
-        if self.moving_s > LONGEST_MOTION_S:
-            return Outcome.LOST
-        if any(self._is_motion(one) for one in self.pending[-CALM_SLOTS:]):
-            return Outcome.TURNING
-        same = angle_of(self.turn.rotation) <= max(SAME_ATTITUDE, 6.0 * self._noise)
-        return Outcome.SAME_ATTITUDE if same else Outcome.TURNED
+        self.turn = self.turn.then(turn.less(self.rest_rate))
+        calm = list(self.pending)[-CALM_SLOTS:]
+        if any(self._is_motion(one) for one in calm):
+            return [], False
+        turned = angle_of(self.turn.rotation) > max(SAME_ATTITUDE, 6.0 * self._noise)
+        return calm if turned else list(self.pending), turned
 
     def _first_rest(self) -> bool:
         """Return whether the unit rests for the first time; if so, drop the slots before that rest."""
-        rates = np.array([one.rate for one in self.pending[-SWAYING_SLOTS:]])
+        rates = np.array([one.rate for one in self.pending])[-SWAYING_SLOTS:]
         calm = len(rates) >= CALM_SLOTS and np.ptp(rates[-CALM_SLOTS:], axis=0).max() < MOTION_RATE
         if not (calm or (len(rates) == SWAYING_SLOTS and np.ptp(rates, axis=0).max() < SWAYING_RATE)):
             return False
         self._update_rest_rate(rates[-CALM_SLOTS:] if calm else rates)
         while any(self._is_motion(one) for one in self.pending):
-            del self.pending[0]
+            self.pending.popleft()
         return True
 
     def _is_motion(self, slot: Slot) -> bool:
@@ -99,30 +104,12 @@ class Motion:
         self.recent.append(rate)
         self.since_update += 1
         if self.since_update >= SWAYING_SLOTS:
-            del self.recent[:-MEDIAN_SLOTS]
             self._update_rest_rate(np.array(self.recent))
 
-    def follow(self, turn: Turn) -> FloatArray:
-        """Add the turn of a slot; return its rotation, (3, 3)."""
-        assert self.rest_rate is not None
-        turn = turn.less(self.rest_rate)
-        self.turn = self.turn.then(turn)
-        return turn.rotation
-
-    def end(self) -> list[Slot]:
-        """End the motion; return its slots."""
-        pending, self.pending, self.turn = self.pending, [], STILL
-        return pending
-
-    @property
-    def moving(self) -> bool:
-        """Whether the unit moves, or came to rest less than 2 s ago."""
-        return self.rest_rate is not None and bool(self.pending)
-
-    @property
-    def moving_s(self) -> float:
-        """Length of the motion, with the calm after it."""
-        return SLOT_S * (self.pending[-1].index + 1 - self.pending[0].index)
+    def end(self) -> None:
+        """End the motion."""
+        self.pending.clear()
+        self.turn = STILL
 
     @property
     def _noise(self) -> float:
@@ -130,15 +117,16 @@ class Motion:
         if len(self.recent) < 2:
             return SAME_ATTITUDE
         spread = float(np.std(np.array(self.recent), axis=0).max()) * self.pending[-1].length_s
-        return spread * math.sqrt(len(self.pending) + len(self.pending) ** 2 / len(self.recent))
+        slots = (self.pending[-1].ended_s - self.begun_s) / self.pending[-1].length_s
+        return spread * math.sqrt(slots + slots**2 / len(self.recent))
 
-    def azimuth_variance(self, before: FloatArray, seconds: float, scale_sd: float) -> float:
-        """Return the variance of the angle by which the unit turned about the vertical in `seconds`, rad².
+    def azimuth_variance(self, before: FloatArray, scale_sd: float) -> float:
+        """Return the variance of the angle by which the unit has turned about the vertical, rad².
 
         `before` (3, 3) is the attitude at the beginning, `scale_sd` is of scale factor and misalignment.
         """
         # The earth rate turns against the body: up to all of it is wrong while it turns by a radian.
-        drift = EARTH_RATE * seconds * min(self.turn.path, 1.0)
+        drift = EARTH_RATE * (self.ended_s - self.begun_s) * min(self.turn.path, 1.0)
         return self._gyro_variance(before[2], scale_sd) + self._noise**2 + drift**2
 
     def unexplained_variance(

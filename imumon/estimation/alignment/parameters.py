@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -16,6 +16,13 @@ from imumon.models.model import BiasModel
 
 _Micro = Annotated[float, Field(ge=-1e5, le=1e5)]
 _Seconds = Annotated[float, Field(gt=0.0, le=1e5)]
+
+
+class RemainingWarmUp(NamedTuple):
+    """Warm-up of the accelerometers: standard deviation of its amplitudes, g, and their time constants, s."""
+
+    sd: float = 1e-4
+    tau_s: tuple[float, ...] = (100.0, 300.0, 1000.0)
 
 
 class KnownWarmUp(StrictModel):
@@ -42,18 +49,14 @@ class KnownWarmUp(StrictModel):
         return np.asarray(1e-6 * course * np.array(self.amplitude_ug))
 
     @property
-    def time_constants_s(self) -> tuple[float, ...]:
-        """Different time constants of the axes that warm up, s."""
-        pairs = zip(self.time_constant_s, self.amplitude_ug, strict=True)
-        return tuple(sorted({tau_s for tau_s, amplitude in pairs if amplitude}))
-
-    @property
-    def amplitude_sd_g(self) -> float | None:
-        """Standard deviation of what remains of the warm-up, g; None if it is not known."""
+    def remaining(self) -> RemainingWarmUp:
+        """What remains of the warm-up when this is subtracted; that of any unit if no sd is given."""
         if self.amplitude_sd_ug is None:
-            return None
-        relative = self.time_constant_sd_s * len(self.time_constant_s) / sum(self.time_constant_s)
-        return 1e-6 * math.hypot(self.amplitude_sd_ug, relative * max(map(abs, self.amplitude_ug)))
+            return RemainingWarmUp()
+        pairs = list(zip(self.time_constant_s, self.amplitude_ug, strict=True))
+        largest, mean_s = max(abs(size) for _, size in pairs), sum(self.time_constant_s) / len(pairs)
+        sd_ug = math.hypot(self.amplitude_sd_ug, self.time_constant_sd_s / mean_s * largest)
+        return RemainingWarmUp(1e-6 * sd_ug, tuple(sorted({tau_s for tau_s, size in pairs if size})))
 
     @field_validator("time_constant_s", mode="before")
     @classmethod

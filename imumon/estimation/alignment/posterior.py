@@ -14,7 +14,6 @@ earth rate.  That turns with the body as well, and is a part of s.
 
 from __future__ import annotations
 
-import cmath
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -37,39 +36,28 @@ QUARTIC = 0.152
 class HeadingPosterior(NamedTuple):
     """The posterior of the direction of north.
 
-    `north` is counter-clockwise in the reference frame at the end of the last position, rad, `sd` its
-    standard deviation, `noise_sd` that without any bias, and `bias_sd` what a bias adds to it.  `bias_size`,
-    rad/s, is the root mean square of the size of a bias, and `tilt_probability` that of a unit that settles.
+    `north` is counter-clockwise in the reference frame, rad, `sd` its standard deviation, and `bias_size`,
+    rad/s, the root mean square size of a gyro's bias.
     """
 
     north: float
     sd: float
-    noise_sd: float
-    bias_sd: float
     bias_size: float
-    tilt_probability: float
 
 
 def heading_posterior(
-    fits: Sequence[PositionFit],
-    azimuth_variances: FloatArray,
-    latitude: float,
-    errors: SensorErrors,
-    rough_north: float,
+    fits: Sequence[PositionFit], azimuth_variances: FloatArray, latitude: float, errors: SensorErrors
 ) -> HeadingPosterior:
-    """Return the heading at the end of the last position, at a latitude, rad.
+    """Return the heading at a latitude, rad, by the last position and the averaged fits of those before.
 
     `azimuth_variances` (p,) are of the angle by which the unit was turned since the first position, rad².
-    Earlier positions count by mean and variance over their hypotheses.  `rough_north`, rad, is the direction
-    across which the bias of the vertical gyro turns the rates of a unit that creeps.
     """
-    joint, log_density = _linear_model(fits, azimuth_variances, latitude, errors.flicker, rough_north)
+    joint, log_density = _linear_model(fits, azimuth_variances, latitude, errors.flicker)
     sizes = np.hypot(errors.sizes, errors.accel_bias * EARTH_RATE * math.sin(latitude))
     of_north, log_factor = Information(joint.matrix[:, None], joint.vector[:, None]).without(sizes)
     log_weight = (log_density[:, None] + log_factor + errors.log_prior).ravel()
     matrix, vector = of_north.matrix.reshape(-1, 2, 2), of_north.vector.reshape(-1, 2)
     part, angle, height, sharpness = peaks(matrix, vector)
-    hypothesis, size = np.divmod(part, len(sizes))
 
     # Each peak is a von Mises distribution with this concentration; moments of their mixture.
     log_mass = log_weight[part] + height + np.log(i0e(sharpness))
@@ -79,55 +67,30 @@ def heading_posterior(
     north = float(np.angle(np.sum(mass * length * np.exp(1j * angle))))
     off = np.remainder(angle - north + np.pi, 2.0 * np.pi) - np.pi
     spread = np.minimum(-2.0 * np.log(np.maximum(length, 1e-9)), ANY_ANGLE_SD**2)
-
-    east = np.array([-math.sin(north), math.cos(north)])
-    noise, whole = (
-        float(mass @ (1.0 / np.maximum(east @ form @ east, 1e-30)))
-        for form in (joint.matrix[hypothesis, :2, :2], matrix[part])
-    )
     return HeadingPosterior(
         north=north,
         sd=min(math.sqrt(np.sum(mass * (spread + off**2))), ANY_ANGLE_SD),
-        noise_sd=min(math.sqrt(noise), ANY_ANGLE_SD),
-        bias_sd=math.sqrt(max(whole - noise, 0.0)),
-        bias_size=math.sqrt(mass @ np.mean(errors.sizes**2, axis=1)[size]),
-        tilt_probability=float(mass @ fits[-1].settles[hypothesis]),
+        bias_size=math.sqrt(mass @ np.mean(errors.sizes**2, axis=1)[part % len(sizes)]),
     )
 
 
 def _linear_model(
-    fits: Sequence[PositionFit],
-    azimuth_variances: FloatArray,
-    latitude: float,
-    flicker: float,
-    rough_north: float,
+    fits: Sequence[PositionFit], azimuth_variances: FloatArray, latitude: float, flicker: float
 ) -> tuple[Information, FloatArray]:
     """Return the information on z and b of each hypothesis, (h,), and the log density without them, (h,)."""
     horizontal, vertical = EARTH_RATE * math.cos(latitude), EARTH_RATE * math.sin(latitude)
     model = Information(np.zeros((1, 5, 5)), np.zeros((1, 5, 1)))
     log_density = fits[-1].log_weight
-    yaw, creep_s = 0.0, 0.0
-    since = azimuth_variances[-1] - azimuth_variances
-    for fit, azimuth_variance in zip(fits[::-1], since[::-1], strict=True):
-        mean, variance = (fit.rate, fit.variance) if fit is fits[-1] else fit.moments()
-        to_now = cmath.exp(-1j * yaw)
-        rate = mean * to_now
+    for fit, azimuth_variance in zip(fits, azimuth_variances[-1] - azimuth_variances, strict=True):
+        rate = fit.rate
         observed = np.column_stack([rate.real, rate.imag, np.full(len(rate), fit.vertical - vertical)])
-        of_horizontal = variance + horizontal**2 * azimuth_variance
-        of_vertical = np.full(len(rate), fit.vertical_variance)
-        weight = 1.0 / (np.column_stack([of_horizontal, of_horizontal, of_vertical]) + flicker**2)
-        # A creep is followed by the vertical gyro, whose bias turns the rates across north: those of the
-        # position by half of what it adds up to, and those of earlier positions by all of it.
-        by_vertical = -1j * cmath.exp(1j * rough_north) * horizontal * (creep_s + 0.5 * fit.creep_s)
-        by_bias = fit.bias_rotation * to_now * (fit.attitude[0] + 1j * fit.attitude[1])
-        by_bias = by_bias + by_vertical * fit.attitude[2]
-        design = np.zeros((3, 5))
-        design[0, 0] = design[1, 1] = horizontal
-        design[:, 2:] = by_bias.real, by_bias.imag, fit.attitude[2]
+        of_level = fit.variance + horizontal**2 * azimuth_variance
+        variance = np.column_stack([of_level, of_level, np.full(len(rate), fit.vertical_variance)])
+        weight = 1.0 / (variance + flicker**2)
+        design = np.hstack([horizontal * np.eye(3, 2), fit.attitude])
         weighted = design.T * weight[:, None, :]
         model = model.plus(Information(weighted @ design, weighted @ observed[:, :, None]))
         log_density = log_density - 0.5 * np.sum(weight * observed**2 - np.log(weight), axis=1)
-        yaw, creep_s = yaw + fit.yaw, creep_s + fit.creep_s
     return model, log_density
 
 

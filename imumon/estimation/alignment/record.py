@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -42,6 +42,11 @@ class Slot:
     def begun_s(self) -> float:
         """Beginning, s since the first sample."""
         return SLOT_S * self.index
+
+    @property
+    def ended_s(self) -> float:
+        """End, s since the first sample."""
+        return SLOT_S * (self.index + 1)
 
 
 @dataclass
@@ -108,6 +113,11 @@ class HorizontalRows:
     vertical: FloatArray
     alpha: ColumnArray
     attitude: FloatArray
+
+    def since(self, row: int) -> HorizontalRows:
+        """Return the rows from one on."""
+        valid, rate = self.valid[row:], self.rate[row:]
+        return replace(self, valid=valid, rate=rate, vertical=self.vertical[row:], alpha=self.alpha[row:])
 
 
 def horizontal_rows(

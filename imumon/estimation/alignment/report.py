@@ -6,8 +6,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from imumon.geodesy import DEG_PER_H
-
 ANY_ANGLE_SD = math.pi / math.sqrt(3.0)
 """Standard deviation of an angle that is uniform on the circle, rad."""
 HOPELESS_S = 120.0
@@ -49,13 +47,11 @@ class Status:
 
     `phase` is waiting, coarse, aligning, settled, not observable or disturbed.  `estimates` are the joint
     fit, which is the heading shown, and plain and Hann-weighted mean of the gyros; empty before the first
-    fit.  `substitute` is name and angle of what is shown where the heading is not observable.
+    fit.
 
     `rest_s` and `elapsed_s` are the time at rest and since the first sample; `settled_s` is the time from the
     first sample until the heading settled, None if it is not settled, and `remaining_s` the predicted time
-    until then, None if unknown or never; `wanted_sd` is the sigma wanted.  `assumed_bias` is the bias of the
-    gyro that points east up to which sigma holds, None where it is declared or measured in two positions.
-    `tilt_probability` is that of a tilt of the unit rather than a drift of an accelerometer.
+    until then, None if unknown or never; `wanted_sd` is the sigma wanted.
 
     `positions` counts the positions, the present one included; `position_s` is the time at rest in it, and
     `position_sd` that of the heading by its white noise alone.  `turned` is the angle about the vertical
@@ -64,14 +60,11 @@ class Status:
 
     phase: str
     estimates: Mapping[str, Estimate]
-    substitute: tuple[str, float]
     settled_s: float | None
     remaining_s: float | None
     wanted_sd: float
     rest_s: float
     elapsed_s: float
-    assumed_bias: float | None
-    tilt_probability: float
     positions: int
     position_s: float
     position_sd: float
@@ -94,13 +87,11 @@ class Status:
 
 
 def heading_text(status: Status) -> str:
-    """Return the heading with its sigma, or the reason why there is none and what is shown instead."""
+    """Return the heading with its sigma, or the reason why there is none."""
     if status.shown is None:
         return "no heading yet"
     if not status.observable:
-        name, angle = status.substitute
-        other = f" {math.degrees(angle) % 360.0:.1f}°" if math.isfinite(angle) else ""
-        return f"heading not observable with this gyro; shown instead: {name}{other}"
+        return "heading not observable with this gyro"
     return f"{math.degrees(status.shown.heading) % 360.0:.3f}° ± {math.degrees(status.shown.sd):.3f}°"
 
 
@@ -122,12 +113,6 @@ def rows(status: Status) -> dict[str, str]:
     texts = {"heading": heading_text(status), "settled": f"no {wanted}: {to_go_text(status)}"}
     if status.settled_s is not None:
         texts["settled"] = f"yes, {status.settled_s:.1f} s after the first sample {wanted}"
-    if status.assumed_bias is not None:
-        texts["condition"] = (
-            "the gyros' turn-on bias is not declared: sigma is right only if the bias of the gyro that "
-            f"points east is below {status.assumed_bias / DEG_PER_H:.2g} °/h, which turns the heading by one "
-            "sigma; declare it (gyro_bias_sd_deg_per_h), or measure it with --positions 2"
-        )
     texts["data"] = f"{min(status.rest_s, status.elapsed_s):.0f} of {status.elapsed_s:.0f} s counted"
     if status.positions > 1:
         texts["positions"] = f"{status.positions}, the last turned by {math.degrees(status.turned):.1f}°"

@@ -52,9 +52,6 @@ WORSE = np.array(
 P_WORSE = 0.003
 """Prior probability of any of these factors (assumed), as rare as a normal value beyond three sigmas.
 Ablation: without it, errors are up to 39 sigma."""
-P_WORSE_CREEPING = 0.15
-"""The same where the unit creeps, so that the vertical gyro does not show its bias (assumed).  Ablation:
-with 0.003, errors of gyros of 0.5 °/h are up to 40 sigma, not 9."""
 P_WORSE_THAN_DECLARED = 0.001
 """Prior probability that a declared bias is exceeded by any of these factors (assumed)."""
 
@@ -73,9 +70,9 @@ class SensorErrors(NamedTuple):
     accel_bias: float
 
 
-def sensor_errors(noise: float, parameters: AlignmentParameters, creeps: bool) -> SensorErrors:
+def sensor_errors(noise: float, parameters: AlignmentParameters) -> SensorErrors:
     """Return the declared errors, and the regression on an angular random walk, rad/√s, for the others."""
-    typical, p_worse = GYRO_BIAS.at(noise), P_WORSE_CREEPING if creeps else P_WORSE
+    typical, p_worse = GYRO_BIAS.at(noise), P_WORSE
     alike, share = typical * np.exp(LOG_SIZES), np.exp(-0.5 * (LOG_SIZES / LOG_SIZE_SD) ** 2)
     if parameters.gyro_bias_sd_deg_per_h is not None:
         declared = max(parameters.gyro_bias_sd_deg_per_h * DEG_PER_H, 1e-11)  # zero has no logarithm

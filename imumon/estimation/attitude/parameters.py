@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import AliasChoices, BeforeValidator, Field
+from pydantic import AliasChoices, Field
 
 from imumon.config import StrictModel
-
-Retired = Annotated[None, BeforeValidator(lambda _: None)]
-"""A key of earlier versions: any value is read and dropped, and a session does not write it again."""
+from imumon.estimation.rest.parameters import Retired
 
 
 def _retired(sensor: str) -> Any:
@@ -40,8 +38,3 @@ class AttitudeParameters(StrictModel):
     accel_error_probability: Retired = _retired("accel")
     axes_error_probability: Retired = _retired("axes")
     magnet_error_probability: Retired = _retired("magnet")
-
-    @property
-    def retired(self) -> list[str]:
-        """The keys that were given and are not used any more."""
-        return sorted(name for name in self.model_fields_set if name.endswith("_error_probability"))

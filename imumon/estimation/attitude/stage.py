@@ -12,9 +12,9 @@ import numpy as np
 from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock, missing
 from imumon.columns import Column
 from imumon.estimation.attitude.fusion import ROW, Fusion, Rows, heading, matrices
-from imumon.estimation.attitude.heading_sigma import HeadingSigma
 from imumon.estimation.attitude.parameters import AttitudeParameters
-from imumon.estimation.attitude.tilt_sigma import SLOT_S, Accelerometers, Gyros, Slot, TiltSigma
+from imumon.estimation.attitude.sigma import SLOT_S, Accelerometers, Gyros, HeadingSigma, Slot, TiltSigma
+from imumon.estimation.rest.parameters import retired
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.geodesy import EARTH_RATE, LEAST_HORIZONTAL
 from imumon.lane import LaneState, Level
@@ -229,7 +229,7 @@ class AttitudeEstimate:
 
     def notices(self) -> list[str]:
         """Return once what an attitude lacks and its reinitializations, where the device sends none."""
-        conditions = {f"attitude: {name} is not used any more": True for name in self._parameters.retired}
+        conditions = {f"attitude: {name} is not used any more": True for name in retired(self._parameters)}
         if not self._device_has_attitude:
             conditions |= self._conditions()
         texts = [text for text, true in conditions.items() if true and text not in self._reported]

@@ -91,7 +91,7 @@ class SmoothedEstimates:
     record : Record
         Of the first run.
     backward : dict of str to array (n,)
-        As from `imumon.estimation.smoothing.backward.backward`.
+        As from `imumon.estimation.smoothing.record.backward`.
     heading : Smoothed, optional
         As from `still_heading`.
     """

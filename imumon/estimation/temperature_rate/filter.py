@@ -78,36 +78,19 @@ MEAN_MODELS = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Models:
-    """The models of the sensor noise, k, and of the temperature, m; none is tuned to a sensor."""
-
-    code_models: tuple[NoiseModel, ...] = CODE_MODELS
-    mean_models: tuple[NoiseModel, ...] = MEAN_MODELS
-    jerk_psds: tuple[float, ...] = tuple(10.0 ** (-23.0 + 2.5 * i) for i in range(9))
-    """Power spectral densities q of white jerk, °C²/s⁵.  The rate gains √(q t³/3) in a time t: with the
-    least, 0.17 °C/h in a day; with the largest, 1 °C/min in a second."""
-    change_per_s: float = 2e-3
-    """Probability per second that the jerk PSD changes to a neighbour's."""
-
-    @cached_property
-    def noise(self) -> FloatArray:
-        """The four fields of every `NoiseModel`, code models first, (4, k, 1)."""
-        return np.array([*self.code_models, *self.mean_models], np.float64).T[:, :, np.newaxis]
-
-    @property
-    def code(self) -> slice:
-        """Rows of the code models."""
-        return slice(0, len(self.code_models))
-
-    @property
-    def mean(self) -> slice:
-        """Rows of the mean models."""
-        return slice(len(self.code_models), None)
+NOISE: FloatArray = np.array([*CODE_MODELS, *MEAN_MODELS], np.float64).T[:, :, np.newaxis]
+"""The four fields of every `NoiseModel`, (4, k, 1)."""
+CODE, MEAN = slice(0, len(CODE_MODELS)), slice(len(CODE_MODELS), None)
+"""Rows of the code and of the mean models."""
+JERK_PSDS = 10.0 ** (-23.0 + 2.5 * np.arange(9.0))
+"""Power spectral densities q of white jerk, °C²/s⁵, (m,).  The rate gains √(q t³/3) in a time t: with the
+least, 0.17 °C/h in a day; with the largest, 1 °C/min in a second."""
+CHANGE_PER_S = 2e-3
+"""Probability per second that the jerk PSD changes to a neighbour's."""
 
 
 @lru_cache(maxsize=64)
-def dynamics(models: Models, dt: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+def dynamics(dt: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return F, F ⊗ F, the decay of e, Q and the transitions of dt seconds: acceleration with white jerk.
 
     F is (4, 4) and has 1 in place of φ = exp(-dt/τ) of e, which depends on the noise model: the decay,
@@ -117,18 +100,12 @@ def dynamics(models: Models, dt: float) -> tuple[FloatArray, FloatArray, FloatAr
     f: FloatArray = np.eye(STATES)
     f[TEMPERATURE, RATE] = f[RATE, ACCELERATION] = dt
     f[TEMPERATURE, ACCELERATION] = 0.5 * dt**2
-    decay = np.ones((STATES, len(models.noise[0]), 1))
-    decay[ERROR] = np.exp(-dt / models.noise[2])
-    q = np.array(
-        [
-            [dt**5 / 20.0, dt**4 / 8.0, dt**3 / 6.0],
-            [dt**4 / 8.0, dt**3 / 3.0, dt**2 / 2.0],
-            [dt**3 / 6.0, dt**2 / 2.0, dt],
-        ]
-    )
-    transition = mode_transition(len(models.jerk_psds), min(dt * models.change_per_s, 0.4))
-    f_kron_f = np.asarray(np.kron(f, f), np.float64)
-    return f, f_kron_f, decay, q[:, :, np.newaxis, np.newaxis] * models.jerk_psds, transition
+    decay = np.ones((STATES, NOISE.shape[1], 1))
+    decay[ERROR] = np.exp(-dt / NOISE[2])
+    by_jerk = np.array([[dt**2 / 2.0], [dt], [1.0]])  # Q is the integral of (t²/2, t, 1) times its transpose
+    q = dt * by_jerk * by_jerk.T / np.array([[5.0, 4.0, 3.0], [4.0, 3.0, 2.0], [3.0, 2.0, 1.0]])
+    transition = mode_transition(len(JERK_PSDS), min(dt * CHANGE_PER_S, 0.4))
+    return f, np.asarray(np.kron(f, f), np.float64), decay, q[:, :, None, None] * JERK_PSDS, transition
 
 
 class Predicted(NamedTuple):
@@ -175,39 +152,39 @@ class Filters:
         return mixture(self.mu, self.reading.mean, self.reading.variance)
 
 
-def start(models: Models, thermometer: Thermometer, slot: Slot) -> Filters:
+def start(thermometer: Thermometer, slot: Slot) -> Filters:
     """Return filters that begin at a slot's mean with any rate."""
-    k, m = models.noise.shape[1], len(models.jerk_psds)
+    k, m = NOISE.shape[1], len(JERK_PSDS)
     x, p = np.zeros((STATES, k, m)), np.zeros((STATES, STATES, k, m))
     x[TEMPERATURE] = slot.mean
     p[TEMPERATURE, TEMPERATURE] = thermometer.step**2 + thermometer.rho + slot.variance
     p[RATE, RATE] = FASTEST_RATE**2
-    p[ACCELERATION, ACCELERATION] = np.minimum(START_ACCELERATION**2, np.array(models.jerk_psds) * LONG_S)
-    p[ERROR, ERROR] = slow_error(models, thermometer)[0]
+    p[ACCELERATION, ACCELERATION] = np.minimum(START_ACCELERATION**2, JERK_PSDS * LONG_S)
+    p[ERROR, ERROR] = slow_error(thermometer)[0]
     return Filters(x, p, np.full((k, m), 1.0 / (k * m)), slot.time_s)
 
 
-def slow_error(models: Models, thermometer: Thermometer) -> tuple[FloatArray, FloatArray]:
+def slow_error(thermometer: Thermometer) -> tuple[FloatArray, FloatArray]:
     """Return the variance of e in °C² and of its walk in °C²/s, of every noise model, (k, 1)."""
-    _, slow, slow_s, walk_per_s = models.noise
+    _, slow, slow_s, walk_per_s = NOISE
     # Of the variance of e, second differences of slot means, ρ, show (1 - φ)(3 - φ)/3.
     keep = np.exp(-thermometer.spacing_s / slow_s)
     scale = thermometer.variance / ((1.0 - keep) * (3.0 - keep) / 3.0)
     walk_scale = np.full_like(slow_s, thermometer.variance / thermometer.spacing_s)
-    scale[models.code] = walk_scale[models.code] = thermometer.step**2
+    scale[CODE] = walk_scale[CODE] = thermometer.step**2
     return slow * scale, walk_per_s * walk_scale
 
 
-def predict(models: Models, thermometer: Thermometer, filters: Filters, time_s: float) -> Filters:
+def predict(thermometer: Thermometer, filters: Filters, time_s: float) -> Filters:
     """Mix the filters of each noise model (IMM) and advance all to a time: x = F x, P = F P Fᵀ + Q."""
     dt = round(max(time_s - filters.time_s, 0.0), 3)
-    f, f_kron_f, decay, q, transition = dynamics(models, dt)
+    f, f_kron_f, decay, q, transition = dynamics(dt)
     x, p, mu = mix(filters.x, filters.p, filters.mu, transition)
     shape = x.shape
     x = (f @ x.reshape(STATES, -1)).reshape(shape) * decay
     p = (f_kron_f @ p.reshape(STATES**2, -1)).reshape(STATES, *shape)
     p *= decay[:, np.newaxis] * decay
-    variance, walk = slow_error(models, thermometer)
+    variance, walk = slow_error(thermometer)
     p[:ERROR, :ERROR] += q
     p[ERROR, ERROR] += variance * (1.0 - decay[ERROR] ** 2)
     p[TEMPERATURE, TEMPERATURE] += walk * dt

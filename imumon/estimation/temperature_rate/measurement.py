@@ -32,7 +32,7 @@ import numpy as np
 from scipy.special import log_ndtr, ndtr, ndtri
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.filter import Correction, Models, Predicted
+from imumon.estimation.temperature_rate.filter import CODE, MEAN, NOISE, Correction, Predicted
 from imumon.estimation.temperature_rate.thermometer import Slot, Thermometer
 
 ROOT_2_PI = math.sqrt(2.0 * math.pi)
@@ -63,30 +63,27 @@ class Codes(NamedTuple):
     """Of y as these models predict it, °C and °C², (code models, m)."""
 
 
-def evaluate(
-    models: Models, thermometer: Thermometer, slot: Slot, y: Predicted
-) -> tuple[Correction, Correction | None]:
+def evaluate(thermometer: Thermometer, slot: Slot, y: Predicted) -> tuple[Correction, Correction | None]:
     """Return the evidence of a slot with readings for all filters, by the table above.
 
     The second is for the output only, of a code that does not enter the states; None where there is none.
     """
-    white, step, n = models.noise[0], thermometer.step, thermometer.independent(slot)
-    code, mean = models.code, models.mean
-    motion = y.square_rate[code] * slot.spacing_s**2 / 12.0
-    sigma = np.sqrt(white[code] * step**2 + motion)
-    codes = Codes(slot, step, n, sigma, y.mean[code], y.variance[code])
+    white, step, n = NOISE[0], thermometer.step, thermometer.independent(slot)
+    motion = y.square_rate[CODE] * slot.spacing_s**2 / 12.0
+    sigma = np.sqrt(white[CODE] * step**2 + motion)
+    codes = Codes(slot, step, n, sigma, y.mean[CODE], y.variance[CODE])
     span = (slot.highest - slot.lowest) / step
     output_only = None
     if span > 1.5 and slot.high > slot.low:
-        of_codes = _many_codes(codes, white[code])
+        of_codes = _many_codes(codes, white[CODE])
     elif 0.5 <= span <= 1.5:
         of_codes = _two_codes(codes)
     else:
-        of_codes, confined = _one_code(codes, models.noise[2, code])
-        output_only = Correction(*(np.concatenate([part, np.zeros_like(y.mean[mean])]) for part in confined))
+        of_codes, confined = _one_code(codes, NOISE[2, CODE])
+        output_only = Correction(*(np.concatenate([part, np.zeros_like(y.mean[MEAN])]) for part in confined))
     # The mean of a slot is on a lattice of d/n.
-    noise = white[mean] * thermometer.variance + (step / n) ** 2 / (2.0 * math.pi)
-    of_means = _gaussian(y.mean[mean], y.variance[mean], slot.mean, noise, step / n)
+    noise = white[MEAN] * thermometer.variance + (step / n) ** 2 / (2.0 * math.pi)
+    of_means = _gaussian(y.mean[MEAN], y.variance[MEAN], slot.mean, noise, step / n)
     return Correction(*map(np.concatenate, zip(of_codes, of_means, strict=True))), output_only
 
 

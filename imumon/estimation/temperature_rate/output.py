@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray
-from imumon.estimation.temperature_rate.filter import LONG_S, RATE, TEMPERATURE, Filters, Models, slow_error
+from imumon.estimation.temperature_rate.filter import LONG_S, RATE, TEMPERATURE, Filters, slow_error
 from imumon.estimation.temperature_rate.thermometer import REVERSALS, SLOT_S, Thermometer
 from imumon.filters.multiple_models import mixture
 from imumon.filters.rates import FASTEST_RATE, UNSEEN_RATE, RateEstimate
@@ -46,14 +46,12 @@ class Output(NamedTuple):
     """Standard deviation of a single reading, °C."""
 
 
-def output(
-    models: Models, thermometer: Thermometer, filters: Filters, before: Output, end_s: float
-) -> Output:
+def output(thermometer: Thermometer, filters: Filters, before: Output, end_s: float) -> Output:
     """Return mean and standard deviation of the mixture from the end of a slot on."""
     mu, x, p = filters.mu, filters.x, filters.p
     temperature, variance = mixture(mu, x[TEMPERATURE], p[TEMPERATURE, TEMPERATURE])
     rate, rate_variance = mixture(mu, x[RATE], p[RATE, RATE])
-    slow, walk = slow_error(models, thermometer)
+    slow, walk = slow_error(thermometer)
     edge_sd = thermometer.step * (LINEARITY if thermometer.reversals >= REVERSALS else HYSTERESIS)
     variance += SLOW_MEAN**2 * float((mu * (slow + walk * LONG_S)).sum())
     variance += edge_sd**2 + (rate * thermometer.repeat_s) ** 2 / 3.0

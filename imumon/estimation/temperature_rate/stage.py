@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -12,7 +11,6 @@ import numpy as np
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.columns import Column
 from imumon.estimation.temperature_rate.method import MultipleModelRate
-from imumon.estimation.temperature_rate.thermometer import StepFinder
 from imumon.filters.rates import RateMethod
 from imumon.protocols.thermometer import TemperatureRateParameters
 
@@ -62,13 +60,11 @@ class TemperatureRate:
         what follows must not depend on that.
         """
         reading = self._reading(name, block)
-        valid = np.isfinite(reading)
-        begun = np.logical_or.accumulate(valid) | math.isfinite(channel.last)
-        if valid.any():
-            self._compare_step(name, channel, reading[valid])
+        begun = np.logical_or.accumulate(np.isfinite(reading)) | channel.begun
+        channel.begun |= bool(begun[-1:].any())
         method = channel.method
         found = method.process(block["device_time_ns"][begun], block["segment"][begun], reading[begun])
-        if isinstance(method, MultipleModelRate) and math.isfinite(method.stuck_degc):
+        if isinstance(method, MultipleModelRate) and np.isfinite(method.stuck_degc):
             text = f"it leapt to {method.stuck_degc:g} °C, as no temperature does, and stuck there: "
             self._notice(name, "stuck", text + "taken for a fault of the thermometer until it changes")
         estimates = np.full((4, len(block)), np.nan)
@@ -85,24 +81,11 @@ class TemperatureRate:
             self._notice(name, "outside", text + "highest_degc): is its unit right?")
         return np.where(inside, given, np.nan)
 
-    def _compare_step(self, name: str, channel: _Channel, reading: FloatArray) -> None:
-        """Compare the declared step with that of the first 1000 changes of valid readings."""
-        declared, finder = self._parameters.step_degc, channel.finder
-        before = channel.last if math.isfinite(channel.last) else reading[0]
-        channel.last = float(reading[-1])
-        if declared is None or finder.changes >= 1000:
-            return
-        changes = np.abs(np.diff(reading, prepend=before))
-        for change in changes[changes > 0.0].tolist():
-            finder.learn(change)
-        if (found := finder.contradiction(declared)) is not None:
-            self._notice(name, "step", f"step_degc contradicts the data: {found}")
-
     def _notice(self, name: str, kind: str, text: str) -> None:
         self._notices.setdefault((name, kind), f"{name}: {text}")
 
     def notices(self) -> list[str]:
-        """Return, once each, what is wrong with the declared step and with the readings; for the log."""
+        """Return, once each, what is wrong with the readings; for the log."""
         new = [*self._notices.values()][self._reported :]
         self._reported += len(new)
         return new
@@ -110,11 +93,10 @@ class TemperatureRate:
 
 @dataclass(slots=True)
 class _Channel:
-    """The method of a channel, the step that its readings show, and the last of them, °C."""
+    """The method of a channel, and whether there was a reading."""
 
     method: RateMethod
-    finder: StepFinder = field(default_factory=StepFinder)
-    last: float = math.nan
+    begun: bool = False
 
 
 def _columns(channel: str) -> list[Column]:

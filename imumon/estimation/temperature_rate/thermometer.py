@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from imumon.filters.rates import FASTEST_RATE
 
@@ -65,54 +65,14 @@ class Slot:
 
 
 @dataclass(slots=True)
-class StepFinder:
-    """Finds the quantization step: the least change, of which the others are multiples."""
-
-    size: float = UNKNOWN_STEP_DEGC
-    """The step as far as it is known, °C: one that is declared holds until the first change."""
-    multiples: int = 0
-    """Changes that were multiples of it."""
-    misses: int = 0
-    """Changes that were none, of up to 8 steps: farther multiples are met by chance."""
-    changes: int = 0
-    """All changes since it was first found."""
-
-    @property
-    def confirmed_step(self) -> float | None:
-        """The step in °C, None while fewer than 8 changes or too many that are no multiples show it."""
-        confirmed = self.multiples >= 8 and self.misses < 0.25 * self.multiples and self.size >= 1e-4
-        return self.size if confirmed else None
-
-    def learn(self, change: float) -> None:
-        """Learn from the distance of two readings, °C."""
-        if not change > 1e-5 or (self.multiples == 0 and change > LARGEST_STEP_DEGC):
-            return  # readings that are equal but for their format, or the end of a fault
-        self.changes += 1
-        ratio = change / self.size
-        if self.multiples == 0 or ratio < 0.75:
-            self.size, self.multiples, self.misses, self.changes = change, 1, 0, 1
-        elif ratio <= 8.5:
-            fits = abs(ratio - round(ratio)) < 0.2  # 0.0625 written with two digits is off by a sixth
-            self.multiples += fits
-            self.misses += not fits
-            if fits and ratio < 1.5:
-                self.size += (change - self.size) / min(self.multiples, 64)
-
-    def contradiction(self, declared: float) -> str | None:
-        """Return what the readings show in place of a declared step in °C, or None."""
-        step = self.confirmed_step
-        if step is not None and abs(step / declared - 1.0) > 0.2:
-            return f"the readings change in steps of {step:.4g} °C, not of {declared:.4g} °C"
-        if step is None and self.changes >= 100:
-            return f"the readings do not change in steps of {declared:.4g} °C, nor in any other"
-        return None
-
-
-@dataclass(slots=True)
 class Thermometer:
     """Running numbers that describe a thermometer; they outlive segments."""
 
-    finder: StepFinder = field(default_factory=StepFinder)
+    step: float = UNKNOWN_STEP_DEGC
+    """The quantization step d as far as it is known, °C: the least change, of which others are multiples; one
+    that is declared holds until the first change."""
+    multiples: int = 0
+    """Changes that were multiples of it."""
     slots: int = 0
     """Slots whose mean was measured."""
     means: tuple[float, ...] = ()
@@ -143,11 +103,6 @@ class Thermometer:
     """Whether a reading has skipped a code after a silence: a temperature passes each, a repeat does not."""
     repeat_s: float = 0.0
     """How long a reading is repeated: the least time between changes; 0 unless noise or a leap shows it."""
-
-    @property
-    def step(self) -> float:
-        """The step d in °C as far as it is known."""
-        return self.finder.size
 
     @property
     def neighbour_s(self) -> float:
@@ -215,8 +170,8 @@ class Thermometer:
         self.means = (slot.mean,) if anew else (*self.means[-2:], slot.mean)
         self.fresh_s, self.spacing_s = slot.end_s, slot.spacing_s
         if slot.changes:
-            self.finder.learn(abs(slot.first - slot.before))
-            self.finder.learn(slot.highest - slot.lowest)
+            self.learn_step(abs(slot.first - slot.before))
+            self.learn_step(slot.highest - slot.lowest)
         if len(self.means) == 3:
             bend = (self.means[0] - 2.0 * self.means[1] + self.means[2]) ** 2 / 6.0
             self.rho = averaged(self.rho, bend, self.slots - 2)
@@ -226,6 +181,18 @@ class Thermometer:
             self._learn_repeats(slot)
         if slot.changes or not math.isfinite(self.changed_s):
             self.changed_s = slot.time_s
+
+    def learn_step(self, change: float) -> None:
+        """Learn the step from the distance of two readings, °C."""
+        if not change > 1e-5 or (self.multiples == 0 and change > LARGEST_STEP_DEGC):
+            return  # readings that are equal but for their format, or the end of a fault
+        ratio = change / self.step
+        if self.multiples == 0 or ratio < 0.75:
+            self.step, self.multiples = change, 1
+        elif ratio <= 8.5 and abs(ratio - round(ratio)) < 0.2:  # 0.0625 with two digits is off by a sixth
+            self.multiples += 1
+            if ratio < 1.5:
+                self.step += (change - self.step) / min(self.multiples, 64)
 
     def _learn_scatter(self, slot: Slot) -> None:
         variance = slot.variance + 0.5 * (self.means[-1] - self.means[-2]) ** 2

@@ -17,6 +17,8 @@ from imumon.lane import LaneState, Level
 SUSPECT = Column("model_suspect", "1", "int64", "1 once the bias filter is caught at being wrong, else 0")
 EXPLAINING_SHARE = 0.7
 """A pattern explains the innovations with at least this share of the strongest evidence.  Assumed."""
+DRIVERS = (Pattern.TEMPERATURE, Pattern.RATE, Pattern.TIME)
+"""Of a bias; the other patterns are of the innovations themselves."""
 
 
 class ModelWatch:
@@ -109,28 +111,21 @@ def interpret(peaks: FloatArray, modelled: bool) -> tuple[str, str]:
         Of `State`.
     """
     least = EXPLAINING_SHARE * float(peaks.max())
-    explains = {pattern: bool((peaks[:, pattern == PATTERNS] >= least).any()) for pattern in Pattern}
-    named = [driver for driver in (Pattern.TEMPERATURE, Pattern.RATE, Pattern.TIME) if explains[driver]]
-    does = f"follow {' or '.join(named)}"
-    if not named:
-        named = [Pattern.AUTOCORRELATION if explains[Pattern.AUTOCORRELATION] else Pattern.VARIANCE]
-        does = named[0]
-    shown = [pattern in named for pattern in PATTERNS]
-    axes = ", ".join(axis for axis, of in zip("xyz", peaks[:, shown].max(1), strict=True) if of >= least)
-    thermal = not modelled and set(named) <= {Pattern.TEMPERATURE, Pattern.RATE}
-    reason = "bias follows temperature" if thermal else f"innovations {does}"
+    explains = [pattern for pattern in Pattern if peaks[:, pattern == PATTERNS].max() >= least]
+    named = [pattern for pattern in explains if pattern in DRIVERS] or explains[:1]
+    does = f"follow {' or '.join(named)}" if named[0] in DRIVERS else str(named[0])
+    highest = peaks[:, np.isin(PATTERNS, named)].max(1)
+    axes = ", ".join(axis for axis, peak in zip("xyz", highest, strict=True) if peak >= least)
     start = f"MODEL SUSPECT: on {axes} the innovations of the bias filter {does}"
-    return reason, f"{start}; {_advice(named, thermal, modelled)}"
+    return f"innovations {does}", f"{start}; {_advice(named, modelled)}"
 
 
-def _advice(named: list[Pattern], thermal: bool, modelled: bool) -> str:
+def _advice(named: list[Pattern], modelled: bool) -> str:
     """Return what may be the cause, and which command tests it."""
-    if thermal:
-        return (
-            "the bias follows temperature, and there is no model: imumon calibrate SESSION --out MODEL.yaml"
-        )
     if named == [Pattern.VARIANCE]:
         return "the noise declared is too small, or something shakes the unit: imumon allan SESSION"
+    if not modelled and set(named) <= {Pattern.TEMPERATURE, Pattern.RATE}:
+        return "there is no model of the bias: imumon calibrate SESSION --out MODEL.yaml"
     effects = ", ".join(dict.fromkeys(effect for pattern in named for effect in suspected_by(pattern)))
     lacks = "the model lacks" if modelled else "there may be"
     # A session that ran with a model has it.

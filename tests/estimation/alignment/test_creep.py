@@ -1,9 +1,8 @@
-"""A unit that turns about the vertical more slowly than slots tell: heading goes along, or sigma says so."""
+"""A unit that turns about the vertical more slowly than slots show: sigma has it, and it is left out."""
 
 from __future__ import annotations
 
 import math
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -32,28 +31,27 @@ def found(
     return np.array([(off + 180.0) % 360.0 - 180.0, math.degrees(out["heading_sd"][-1])])
 
 
-@cache
-def turned_sd() -> float:
-    return float(found(260.0, 180.0, HALF_TURN, bias=2.0)[1])
-
-
 @pytest.mark.parametrize(
     ("degrees", "begin_s", "seconds"),
     [(0.3, 60.0, 20.0), (0.3, 60.0, 200.0), (1.0, 60.0, 60.0), (10.0, 60.0, 200.0), (10.0, 0.0, 20.0)],
 )
-def test_the_heading_goes_along_with_a_head_that_creeps(
-    degrees: float, begin_s: float, seconds: float
-) -> None:
-    off, sd = found(300.0, degrees, crept(degrees, begin_s, seconds))
+def test_a_head_that_has_crept_shows_north_again(degrees: float, begin_s: float, seconds: float) -> None:
+    off, sd = found(600.0, degrees, crept(degrees, begin_s, seconds))
     assert abs(off) < 4.0 * sd
-    assert sd < 0.5
+    assert sd < 0.1
+
+
+def test_while_a_head_creeps_sigma_has_what_it_has_turned() -> None:
+    off, sd = found(150.0, 1.5, crept(3.0, 60.0, 180.0))
+    assert np.isnan(off) or abs(off) < 3.0 * sd
+    assert sd > 0.5
 
 
 @pytest.mark.parametrize("degrees", [0.3, 1.0, 5.0])
 def test_a_creep_after_half_a_turn_of_gyros_with_a_bias(degrees: float) -> None:
     off, sd = found(260.0, 180.0 + degrees, HALF_TURN, crept(degrees, 100.0, 140.0), bias=2.0)
-    assert abs(off) < 4.0 * sd
-    assert sd < 1.5 * turned_sd()
+    assert np.isnan(off) or abs(off) < 4.0 * sd
+    assert sd < 1.2 * degrees
 
 
 @pytest.mark.parametrize("bias", [2.0, 30.0])
@@ -62,12 +60,6 @@ def test_a_creep_before_half_a_turn_of_gyros_with_a_bias(bias: float) -> None:
     off, sd = found(260.0, 181.0, crept(1.0, 0.0, 100.0), half, bias=bias)
     assert abs(off) < 4.0 * sd
     assert sd < 1.0
-
-
-@pytest.mark.parametrize("degrees", [0.3, 3.0, 10.0])
-def test_a_creep_all_along_at_a_changing_rate_is_told_by_the_rate_of_the_earth(degrees: float) -> None:
-    off, sd = found(200.0, degrees, crept(degrees, 0.0, 200.0))
-    assert abs(off) < min(4.0 * sd, 0.2)
 
 
 def test_a_creep_of_a_head_that_leans_turns_the_tilt_too() -> None:
@@ -82,17 +74,6 @@ def test_a_creep_of_a_head_that_leans_turns_the_tilt_too() -> None:
         assert stage.status.shown is not None
         errors.append(error_deg(stage.status.shown.heading, heading))
     assert np.sqrt(np.mean(np.square(errors))) < 0.5
-
-
-def test_a_recording_that_ends_in_a_turn_has_the_creep_before_it() -> None:
-    away = {"kind": "turn", "at_s": 230.0, "duration_s": 10.0, "heading_deg": 90.0}
-    motion = [crept(5.0, 20.0, 300.0), away]
-    plan = scenario(234.0, arw=ARW, rate_hz=50.0, warm_up=(0.0, 100.0), motion=motion)
-    stage, _ = aligned(samples(plan), {"accel_bias_sd_ug": 30.0})
-    (position,) = stage.finish()
-    share = 210.0 / 300.0
-    truth = 30.0 + 5.0 * share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
-    assert abs(error_deg(position.heading, truth)) < 0.3
 
 
 def test_a_creep_all_along_at_a_constant_rate_is_in_the_sigma() -> None:

@@ -41,7 +41,7 @@ def test_a_row_is_the_mean_of_its_samples_and_missing_without_any() -> None:
 @pytest.mark.parametrize("rate_hz", [1.0, 2.9, 3.5, 4.0])
 def test_a_device_with_a_sample_a_slot_at_most_leaves_no_row_empty(rate_hz: float) -> None:
     stage, _ = aligned(samples(scenario(120.0, rate_hz=rate_hz)))
-    record = stage._aligner.state.positions[-1].record
+    record = stage._aligner.positions[-1].record
     assert record is not None
     assert record.rows()[0].all()
     assert record.rest_s == pytest.approx(120.0, abs=3.0)

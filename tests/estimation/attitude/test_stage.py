@@ -9,10 +9,9 @@ from scipy.spatial.transform import Rotation
 from imumon.blocks import NO_INT, FloatArray, SampleBlock
 from imumon.config import parse_yaml
 from imumon.estimation.attitude.fusion import ROW
-from imumon.estimation.attitude.heading_sigma import HeadingSigma
 from imumon.estimation.attitude.parameters import AttitudeParameters
+from imumon.estimation.attitude.sigma import Accelerometers, Gyros, HeadingSigma, Slot
 from imumon.estimation.attitude.stage import AttitudeEstimate, tilt_into_heading
-from imumon.estimation.attitude.tilt_sigma import Accelerometers, Gyros, Slot
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.models.magnetometer import MagnetometerModel

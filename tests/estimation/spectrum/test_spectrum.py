@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import SampleBlock
-from imumon.estimation.spectrum.stage import LiveSpectrum
-from imumon.estimation.spectrum.welch import peaks, welch
+from imumon.estimation.spectrum.stage import LiveSpectrum, peaks, welch
 
 
 @pytest.mark.parametrize("rate", [20.0, 100.0, 1000.0])

@@ -12,11 +12,11 @@ from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray
 from imumon.estimation.temperature_rate import measurement
-from imumon.estimation.temperature_rate.filter import RATE, Models
+from imumon.estimation.temperature_rate.filter import CODE, RATE
 from imumon.estimation.temperature_rate.filter import start as start_filters
 from imumon.estimation.temperature_rate.measurement import evaluate
 from imumon.estimation.temperature_rate.method import MultipleModelRate
-from imumon.estimation.temperature_rate.thermometer import Slot, StepFinder, Thermometer
+from imumon.estimation.temperature_rate.thermometer import Slot, Thermometer
 from imumon.filters.rates import RateEstimate
 from tests.estimation.temperature_rate.records import PER_HOUR, clock, quantized, self_heating, steady
 
@@ -95,7 +95,7 @@ def test_the_step_is_found_whatever_was_declared(step: float, declared: float | 
     time_ns, segment = clock(len(reading))
     method = MultipleModelRate(declared)
     method.process(time_ns, segment, reading)
-    assert method.thermometer.finder.confirmed_step == pytest.approx(step, rel=1e-3)
+    assert method.thermometer.step == pytest.approx(step, rel=1e-3)
 
 
 def test_a_sensor_without_steps_is_estimated_from_its_noise() -> None:
@@ -173,15 +173,15 @@ def test_a_spike_at_the_end_of_a_silent_slot_restarts_nothing() -> None:
 
 
 def test_equal_readings_two_codes_from_the_last_are_known_to_a_code_not_better() -> None:
-    models, thermometer = Models(), Thermometer(StepFinder(0.1), slots=1)
+    thermometer = Thermometer(0.1, slots=1)
     slot = Slot(
         time_s=0.5, end_s=1.0, count=2, mean=25.2, variance=0.0, low=25.2, high=25.2, before=25.0, first=25.2,
         last=25.2, changes=1, step_squares=0.04, gap_s=0.5, spacing_s=1.0,
     )  # fmt: skip
-    filters = start_filters(models, thermometer, slot)
+    filters = start_filters(thermometer, slot)
     filters.p[RATE, RATE] = 0.0
-    found, _ = evaluate(models, thermometer, slot, filters.reading)
-    sd = np.sqrt(filters.reading.variance + found.variance_change)[models.code]
+    found, _ = evaluate(thermometer, slot, filters.reading)
+    sd = np.sqrt(filters.reading.variance + found.variance_change)[CODE]
     assert sd.min() > 0.25 * 0.1
 
 

@@ -118,21 +118,6 @@ def test_wrong_parameters_are_refused_with_the_line(text: str, said: str) -> Non
     assert "device.yaml:1" in caught.value.seen
 
 
-@pytest.mark.parametrize("method", ["level_bank", "fir_exponential"])
-def test_a_declared_step_that_contradicts_the_data_is_said_once(method: str) -> None:
-    parameters = TemperatureRateParameters.model_validate({"method": method, "step_degc": 0.2})
-    stage = temperature_rate(parameters)
-    temperature, _ = self_heating(0.2)
-    samples = block(temperature=quantized(temperature, 0.0))
-    assert stage.notices() == []
-    stage.process(samples)
-    (text,) = stage.notices()
-    assert text.startswith("temperature: step_degc contradicts the data")
-    assert "0.05 °C, not of 0.2 °C" in text
-    stage.process(samples)
-    assert stage.notices() == []
-
-
 def test_a_reading_that_changes_in_the_first_second_of_a_segment_is_taken() -> None:
     segments, n = 6, 500
     temperature = np.tile(np.repeat([20.0, 20.05], (150, n - 150)), segments)
