@@ -2,7 +2,7 @@
 
 A frame begins with a sync pattern; its length is fixed, in a field, or follows from what its header says; a
 checksum tells whether it came whole.  A family of devices says so in a `Frame` for each kind of packet, and
-`FramedDecoder` does the rest: every byte becomes part of a packet, is skipped, or is pending.
+`Decoder` does the rest: every byte becomes part of a packet, is skipped, or is pending.
 
 The bytes are searched when somebody takes what they hold (live 12 times a second), not as they come: so a
 read of a few bytes costs next to nothing, and what is found does not depend on how the stream was cut.
@@ -15,15 +15,16 @@ ends behind it is accepted, too; bytes count once.  Not so inside a packet that 
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from imumon.blocks import BoolArray, IntArray
-from imumon.protocols.base import Decoder, Packets
+from imumon.blocks import BoolArray, IntArray, SampleBlock, join, missing
+from imumon.columns import Column
+from imumon.protocols.base import Groups, Packets, Timing
 from imumon.protocols.stream import CHUNK, ByteArray
 from imumon.transport.statistics import Counters
 
@@ -32,6 +33,8 @@ INCOMPLETE, NO_PACKET, IMPOSSIBLE, BAD_SUM = -1, -2, -3, -4
 
 MOST_AT_ONCE = 1 << 20
 """Bytes that are searched at once at the most: what is made of them takes twenty times as much memory."""
+MOST_NOTICES = 1000
+"""Different notices that a decoder gives at the most; more would be a stream of rubbish."""
 
 Lengths = Callable[[ByteArray, IntArray], IntArray]
 """Takes the bytes and places of sync patterns, (n,); returns the whole length or one of the codes, (n,)."""
@@ -133,8 +136,10 @@ def windows(held: ByteArray, at: IntArray, size: int) -> ByteArray:
     return every[at].view(np.uint8).reshape(-1, size)
 
 
-class FramedDecoder(Decoder):
-    """Finds packets by frames, and keeps count of every byte; a subclass reads what is in them.
+class Decoder(ABC):
+    """Turns a byte stream into columns, whatever the chunking; `take` returns what has come since.
+
+    It finds packets by frames and keeps count of every byte; a subclass reads what is in them.
 
     Parameters
     ----------
@@ -142,24 +147,43 @@ class FramedDecoder(Decoder):
         Kinds of packets; where two begin at the same place the first that is valid counts.
     """
 
+    timing: Timing
+    groups: Groups | None = None
+    """Groups of the fields, for a protocol that may spread one moment over several packets; else None."""
+
     def __init__(self, frames: Sequence[Frame]) -> None:
-        super().__init__()
         self._frames = tuple(frames)
+        self._done: list[Packets] = []
+        self._notices: dict[str, bool] = {}
+        self._warned: dict[str, bool] = {}
         self._parts: list[bytes] = []
         self._waiting = 0  # bytes in the parts
         self._rest = b""  # searched, and still part of what may become a packet
         self._overlap = 0  # bytes at the front of the rest that belong to the packet accepted last
+        # Bytes up to each end, counted from the first, arrived at these times.
         self._ends: list[IntArray] = []
-        self._times: list[
-            IntArray
-        ] = []  # bytes up to each end, counted from the first, arrived at these times
+        self._times: list[IntArray] = []
         self._searched = 0  # bytes before the rest
         self._received = self._in_packets = self._checksum_errors = self._length_errors = 0
         self._by_frame = [0] * len(self._frames)
 
+    @property
+    @abstractmethod
+    def columns(self) -> tuple[Column, ...]:
+        """Columns of the blocks that `take` returns now; a device may begin to send more."""
+
+    @property
+    @abstractmethod
+    def possible_columns(self) -> tuple[Column, ...]:
+        """All columns that may ever come."""
+
     @abstractmethod
     def _read(self, found: Found, arrival_ns: IntArray) -> Packets:
         """Return what the packets carry: a row for each that has something for a row, in order."""
+
+    def feed(self, data: bytes | memoryview | ByteArray, arrival_ns: int) -> None:
+        """Take bytes that arrived at `arrival_ns` (Unix time, ns)."""
+        self.feed_reads(data, np.array([len(data)]), np.array([arrival_ns]))
 
     def feed_reads(self, data: bytes | memoryview | ByteArray, ends: IntArray, arrivals_ns: IntArray) -> None:
         """Take the bytes of several reads: of each where it ends in the data, and when it arrived."""
@@ -173,12 +197,43 @@ class FramedDecoder(Decoder):
             if self._waiting > CHUNK:
                 self._search(final=False)
 
-    def finish(self) -> None:
-        """Decode what is held; see `Decoder.finish`."""
-        self._search(final=True)
+    def take(self) -> SampleBlock:
+        """Return the packets decoded since the last call, a row each."""
+        return self.take_packets().block
 
-    def _settle(self) -> None:
+    def take_packets(self) -> Packets:
+        """Return the packets decoded since the last call, with the groups of their fields."""
         self._search(final=False)
+        done, self._done = self._done, []
+        if not done:
+            empty = {column.name: missing(0, column.dtype) for column in self.columns}
+            return Packets(SampleBlock(empty), np.zeros(0, np.int64))
+        return Packets(join([part.block for part in done]), np.concatenate([part.groups for part in done]))
+
+    def notices(self) -> list[str]:
+        """Return, once each, what the device said that is not data (errors, warnings, configuration)."""
+        self._search(final=False)
+        return _once(self._notices)
+
+    def warnings(self) -> list[str]:
+        """Return, once each, why numbers are not fit for an estimate: the device has corrected them, say."""
+        return _once(self._warned)
+
+    def _say(self, text: str) -> None:
+        """Keep a notice unless it was given before."""
+        if len(self._notices) < MOST_NOTICES:
+            self._notices.setdefault(text, False)
+
+    def _warn(self, text: str) -> None:
+        self._warned.setdefault(text, False)
+
+    def finish(self) -> None:
+        """Decode what is held on the understanding that no more bytes come.
+
+        A damaged header that claims a long packet holds back the packets behind it until that length has
+        arrived; at the end of the data they are found.  What is pending afterwards is a packet cut short.
+        """
+        self._search(final=True)
 
     def counters(self) -> Counters:
         """Return what became of the bytes so far."""
@@ -234,6 +289,13 @@ class FramedDecoder(Decoder):
         outside = (at >= np.maximum(covered, self._overlap)) & (at < rest)
         self._checksum_errors += int(np.sum(outside & (verdict == BAD_SUM)))
         self._length_errors += int(np.sum(outside & (verdict == IMPOSSIBLE)))
+
+
+def _once(texts: dict[str, bool]) -> list[str]:
+    """Return the texts that were not given before."""
+    new = [text for text, given in texts.items() if not given]
+    texts.update(dict.fromkeys(new, True))
+    return new
 
 
 UNKNOWN = -5

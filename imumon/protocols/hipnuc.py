@@ -12,15 +12,12 @@ from fractions import Fraction
 from math import pi
 from typing import Final
 
-import numpy as np
-
-from imumon.blocks import IntArray
 from imumon.columns import KNOWN, Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import Timing
 from imumon.protocols.checksums import CRCS
 from imumon.protocols.frame_checks import CyclicCheck, rearranged
-from imumon.protocols.framing import Found, Frame, counted_length
+from imumon.protocols.framing import Frame, counted_length
 from imumon.protocols.messages import (
     Message,
     Part,
@@ -119,6 +116,9 @@ def of_bits(bits: int) -> Message:
     return Message(f"imu83:{bits:#x}", at, tuple(parts))
 
 
+MESSAGES = PACKETS | {OF_BITS: of_bits(sum(1 << bit for bit in BITS))}
+
+
 def _header_behind(size: int) -> list[int]:
     return [*range(4), *range(HEADER, size), 4, 5]
 
@@ -141,28 +141,27 @@ class HipnucDecoder(TableDecoder):
     def _message(self, key: int) -> Message | None:
         return of_bits(key >> 8) if key & 0xFF == OF_BITS else super()._message(key)
 
-    def _keys(self, found: Found) -> IntArray:
-        keys = np.where(found.length > HEADER, _byte(found, HEADER), -1)
-        variable = np.flatnonzero((keys == OF_BITS) & (found.length >= HEADER + 8))
-        bits = sum(_byte(found, HEADER + 4 + k)[variable] << 8 * k for k in range(4))
-        keys[variable] = np.asarray(bits) << 8 | OF_BITS
-        if np.any((keys >= 0) & ~np.isin(keys & 0xFF, (*PACKETS, OF_BITS))):
+    def _signature(self, packet: bytes) -> Sequence[int]:
+        places = (HEADER, *range(HEADER + 4, HEADER + 8)) if packet[HEADER:][:1] == b"\x83" else (HEADER,)
+        return [place for place in places if place < len(packet)]
+
+    def _key(self, packet: bytes) -> int:
+        tag, bits = packet[HEADER:][:1], packet[HEADER + 4 : HEADER + 8]
+        if tag and tag[0] not in (*PACKETS, OF_BITS):
             self._say("packets with other tags than 0x81, 0x83 and 0x91 are counted and not read")
-        return keys
-
-
-def _byte(found: Found, place: int) -> IntArray:
-    return found.held[np.minimum(found.at + place, len(found.held) - 1)].astype(np.int64)
+        key = int.from_bytes(tag, "little")
+        return int.from_bytes(bits, "little") << 8 | key if key == OF_BITS and len(bits) == 4 else key
 
 
 HIPNUC = TableFamily(
-    PACKETS,
+    MESSAGES,
     [Frame("HiPNUC", SYNC, counted_length(2, 2, HEADER, LONGEST), _RIGHT)],
     HipnucDecoder,
     _wrapped,
     Timing(tick_ns=Fraction(1000)),
     HEADER,
     HEADER,
+    (HEADER,),
 )
 
 
@@ -175,4 +174,4 @@ class HipnucDevice(TableDevice):
         """Make an encoder that sends what the device would send."""
         bits = [int(n.partition(":")[2], 16) for n in self.sends if n.startswith("imu83:0x")]
         messages = PACKETS | {b << 8 | OF_BITS: of_bits(b) for b in bits}
-        return replace(HIPNUC, messages=messages).encoder(self.sends)
+        return TableEncoder(replace(HIPNUC, messages=messages), self.sends)

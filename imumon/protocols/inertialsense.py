@@ -11,11 +11,11 @@ from typing import Final
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, IntArray
+from imumon.blocks import ColumnArray
 from imumon.columns import KNOWN
 from imumon.protocols.base import Timing
 from imumon.protocols.frame_checks import Fletcher
-from imumon.protocols.framing import Found, Frame, counted_length
+from imumon.protocols.framing import Frame, counted_length
 from imumon.protocols.messages import Message, TableDecoder, TableDevice, TableFamily, part, whole
 from imumon.protocols.numbers import Columns, Derived
 from imumon.protocols.stream import LONGEST_PACKET
@@ -86,13 +86,11 @@ def _wrapped(key: int, payload: bytes) -> bytes:
 class InertialSenseDecoder(TableDecoder):
     """Decodes data sets that come whole; other packets are counted."""
 
-    def _keys(self, found: Found) -> IntArray:
-        flags = found.held[found.at + 2]
-        in_part = flags & WITH_OFFSET != 0
-        if np.any(in_part):
+    def _key(self, packet: bytes) -> int:
+        flags = packet[2]
+        if flags & WITH_OFFSET:
             self._say("data sets that come in part are counted and not read")
-        data = np.isin(flags & 0x0F, (DATA, SET_DATA)) & ~in_part
-        return np.where(data, found.held[found.at + 3].astype(np.int64), -1)
+        return packet[3] if flags & (WITH_OFFSET | 0x0F) in (DATA, SET_DATA) else -1
 
 
 class InertialSenseDevice(TableDevice):
@@ -106,4 +104,5 @@ class InertialSenseDevice(TableDevice):
         Timing(tick_ns=Fraction(1)),
         HEADER,
         AROUND,
+        head=(2, 3),
     )

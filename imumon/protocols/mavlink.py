@@ -124,7 +124,7 @@ def _right(header: int, held: ByteArray, at: IntArray, length: IntArray) -> Bool
 class MavlinkDecoder(TableDecoder):
     """Decodes the inertial messages of the first vehicle that is heard."""
 
-    _vehicle = -1
+    _vehicle = b""
 
     def _plain(self, found: Found) -> Found:
         """Return the messages as those of version 2 with all their zeros."""
@@ -140,19 +140,16 @@ class MavlinkDecoder(TableDecoder):
         begins = np.arange(len(found)) * size
         return Found(held.reshape(-1), begins, np.full(len(found), size), found.frame)
 
-    def _keys(self, found: Found) -> IntArray:
-        keys = _number(found.held, found.at, HEADERS[SECOND])
-        vehicle = found.held[found.at + 5].astype(np.int64) << 8 | found.held[found.at + 6]
-        if self._vehicle < 0 and len(vehicle):
-            self._vehicle = int(vehicle[0])
-        others = vehicle != self._vehicle
-        if np.any(others):
-            self._say(
-                f"only vehicle {self._vehicle >> 8}, component {self._vehicle & 0xFF} is read of several"
-            )
-        if np.any(np.isin(keys, (26, 27))):
+    def _key(self, packet: bytes) -> int:
+        vehicle, key = packet[5:7], int.from_bytes(packet[7:10], "little")
+        self._vehicle = self._vehicle or vehicle
+        if key in (26, 27):
             self._warn("rates of SCALED_IMU and RAW_IMU have steps of 206 deg/h: HIGHRES_IMU is finer")
-        return np.where(others, -1, keys)
+        if vehicle != self._vehicle:
+            number, component = self._vehicle
+            self._say(f"only vehicle {number}, component {component} is read of several")
+            return -1
+        return key
 
 
 def _wrapped(key: int, payload: bytes) -> bytes:
@@ -175,4 +172,5 @@ class MavlinkDevice(TableDevice):
         Timing(tick_ns=Fraction(1000)),
         HEADERS[SECOND],
         HEADERS[SECOND],
+        head=(5, 6, 7, 8, 9),
     )

@@ -16,9 +16,8 @@ import numpy as np
 from imumon.blocks import NO_INT, ColumnArray
 from imumon.columns import KNOWN, Column
 from imumon.geodesy import STANDARD_GRAVITY as G
-from imumon.protocols.base import MAIN, ONLY_CORRECTED, Timing, chosen
+from imumon.protocols.base import MAIN, Timing, chosen
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.epochs import GENERATION
 from imumon.protocols.mip_filter import (
     GAUSS,
     GPS_TIME,
@@ -32,7 +31,7 @@ from imumon.protocols.mip_filter import (
     valid,
 )
 from imumon.protocols.numbers import NO_GROUP, Columns, Derived, Value
-from imumon.protocols.tagged import COUNTED, LIST, MIP, Field, FieldTable, TaggedDecoder
+from imumon.protocols.tagged import MIP, Field, FieldTable, TaggedDecoder, TaggedEncoder
 from imumon.protocols.tagged_columns import (
     MATRIX,
     QUATERNION,
@@ -42,7 +41,6 @@ from imumon.protocols.tagged_columns import (
     number,
     vector,
 )
-from imumon.protocols.tagged_encoder import TaggedEncoder
 
 WEEK_NS = 7 * 86_400 * 10**9
 
@@ -65,11 +63,8 @@ SET_NAMES = {
 }
 """Names of the descriptor sets."""
 
-ROLES = {
-    **dict.fromkeys(range(0x80, 0x100), COUNTED),
-    **dict.fromkeys((SENSOR, FILTER, *GNSS), LIST),
-}
-"""Data sets without fields for a row are counted; commands and replies are messages."""
+DATA_SETS = range(0x80, 0x100)
+"""Those without fields for a row are counted; commands and replies are messages."""
 
 ERRORS = {1: "unknown command", 2: "invalid checksum", 3: "invalid parameter", 4: "failed", 5: "timed out"}
 """Codes of an acknowledgement that is none."""
@@ -272,21 +267,18 @@ class MipDecoder(TaggedDecoder):
         Nominal rate of the packets.
     """
 
+    _remedy = "; send ScaledGyro besides CompensatedRate"
+
     def __init__(
         self, attitude: Attitude = "filter", clock: Clock = "reference", rate_hz: float | None = None
     ) -> None:
         timing = Timing(tick_ns=Fraction(1), rate_hz=rate_hz)
-        super().__init__(_table(attitude, clock), MIP, ROLES, SET_NAMES, timing)
+        super().__init__(
+            _table(attitude, clock), MIP, (SENSOR, FILTER, *GNSS), SET_NAMES, timing, counted=DATA_SETS
+        )
 
     def _type_name(self, kind: int) -> str:
         return SET_NAMES.get(kind, f"set 0x{kind:02X}")
-
-    def warnings(self) -> list[str]:
-        """Return, once, that only corrected rates come."""
-        received = {field.name: n for field, n in self.received_fields().items()}
-        if received.get("CompensatedRate", 0) >= GENERATION and "ScaledGyro" not in received:
-            self._warn(f"{ONLY_CORRECTED}; send ScaledGyro besides CompensatedRate")
-        return super().warnings()
 
     def _field_name(self, key: int) -> str:
         name = next((field.name for field in self.table.fields if field.key == key), f"0x{key & 0xFF:02X}")
@@ -324,7 +316,7 @@ class MipEncoder(TaggedEncoder):
     ) -> None:
         there = {f.name: f for f in mip_fields(attitude, clock) if f.key >> 8 == descriptor_set and f.values}
         fields = chosen(names, there, f"field of descriptor set 0x{descriptor_set:02X}")
-        super().__init__(fields, _derived(clock), MIP, descriptor_set, LIST)
+        super().__init__(fields, _derived(clock), MIP, descriptor_set)
 
 
 class MipDevice(DeviceFile):

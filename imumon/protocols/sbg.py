@@ -16,7 +16,7 @@ from imumon.columns import KNOWN
 from imumon.protocols.base import Timing
 from imumon.protocols.checksums import CRCS
 from imumon.protocols.frame_checks import CyclicCheck
-from imumon.protocols.framing import Found, Frame, counted_length
+from imumon.protocols.framing import Frame, counted_length
 from imumon.protocols.messages import Message, TableDecoder, TableDevice, TableFamily, part, whole
 from imumon.protocols.numbers import Columns, Derived
 from imumon.protocols.stream import LONGEST_PACKET, ByteArray
@@ -110,11 +110,10 @@ def _wrapped(key: int, payload: bytes) -> bytes:
 class SbgDecoder(TableDecoder):
     """Decodes the logs of class 0; all other frames are counted."""
 
-    def _keys(self, found: Found) -> IntArray:
-        kind = found.held[found.at + 3]
-        if np.any(kind & LARGE):
+    def _key(self, packet: bytes) -> int:
+        if packet[3] & LARGE:
             self._say("logs in several pages are counted and not read")
-        return np.where(kind == 0, found.held[found.at + 2].astype(np.int64), -1)
+        return packet[2] if packet[3] == 0 else -1
 
 
 class SbgDevice(TableDevice):
@@ -128,4 +127,5 @@ class SbgDevice(TableDevice):
         Timing(tick_ns=Fraction(1000), tick_bits=32),
         HEADER,
         AROUND,
+        head=(2, 3),
     )

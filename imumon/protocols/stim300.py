@@ -14,17 +14,15 @@ from functools import partial
 from math import pi
 from typing import Final, Literal
 
-import numpy as np
 from pydantic import PositiveFloat, model_validator
 
-from imumon.blocks import IntArray
 from imumon.columns import KNOWN, Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import Timing
 from imumon.protocols.checksums import CRCS
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.frame_checks import CyclicCheck
-from imumon.protocols.framing import Found, Frame, fixed_length
+from imumon.protocols.framing import Frame, fixed_length
 from imumon.protocols.messages import Message, Part, TableDecoder, TableEncoder, TableFamily, part, whole
 from imumon.protocols.tagged_columns import known, number, vector
 
@@ -107,9 +105,9 @@ class StimDecoder(TableDecoder):
         super().__init__(family, rate_hz)
         self._assumed = assumed
 
-    def _keys(self, found: Found) -> IntArray:
+    def _key(self, packet: bytes) -> int:
         self._say(self._assumed)
-        return found.held[found.at].astype(np.int64)
+        return packet[0]
 
 
 class StimDevice(DeviceFile):
@@ -142,12 +140,12 @@ class StimDevice(DeviceFile):
         )
         timing = Timing(tick_ns=Fraction(TICK_NS), tick_bits=8)
         wrap = partial(_wrapped, line_end=self.line_end)
-        return TableFamily(messages, frames, decodes, wrap, timing, 0, CRC_SIZE, big=True)
+        return TableFamily(messages, frames, decodes, wrap, timing, 0, CRC_SIZE, (0,), big=True)
 
     def decoder(self) -> TableDecoder:
         """Make a decoder for this device."""
-        return self._family.decoder(self.rate_hz)
+        return self._family.decodes(self._family, self.rate_hz)
 
     def encoder(self) -> TableEncoder:
         """Make an encoder that sends what the device would send."""
-        return self._family.encoder([self.sends])
+        return TableEncoder(self._family, [self.sends])

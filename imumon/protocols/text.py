@@ -28,8 +28,8 @@ from imumon.protocols.device import DeviceFile
 from imumon.protocols.fixed.description import NumberField, NumberName, timing_of
 from imumon.protocols.frame_checks import Trailing
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Check, Found, Frame, Lengths
+from imumon.protocols.layouts import LayoutDecoder, groups_of
 from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING
-from imumon.protocols.payload import LayoutDecoder
 from imumon.protocols.stream import ByteArray
 
 LINE_END: Final = 0x0A
@@ -344,9 +344,10 @@ class TextDecoder(LayoutDecoder):
             for x, read in zip(lines, readers, strict=True)
         ]
         timing = timing_of([field for line in lines for field in line.fields], rate_hz)
-        super().__init__(frames, timing)
-        for line, read in zip(lines, readers, strict=True):
-            self._add(LineLayout(read, line.places))
+        self._lines = [LineLayout(read, line.places) for line, read in zip(lines, readers, strict=True)]
+        super().__init__(frames, timing, groups_of(self._lines), ())
+        for layout in self._lines:
+            self._add(layout)
 
     def _layout_numbers(self, found: Found) -> IntArray:
         return found.frame

@@ -18,9 +18,9 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, IntArray
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.protocols.base import MAIN, Timing
+from imumon.protocols.base import MAIN, Packets, Timing
 from imumon.protocols.frame_checks import Sum
-from imumon.protocols.framing import INCOMPLETE, NO_PACKET, Found, Frame, fixed_length, unchecked, windows
+from imumon.protocols.framing import INCOMPLETE, NO_PACKET, Found, Frame, fixed_length, unchecked
 from imumon.protocols.messages import Message, Part, TableDecoder, TableDevice, TableFamily, part
 from imumon.protocols.numbers import NO_GROUP, Columns, Derived
 from imumon.protocols.stream import ByteArray
@@ -33,7 +33,7 @@ FORCE_FACTOR, RATE_FACTOR, ANGLE_FACTOR = (
 )
 HEADER, PAYLOAD, SIZE = 2, 8, 11
 SHORT, LONG = 20, 28
-COMBINED, RATE_TYPE = 0x61, 0x52
+COMBINED = 0x61
 ZEROS: Final = 10
 """Frames in a row with three rates of zero, after which it is said: with noise that needs much luck."""
 
@@ -172,24 +172,25 @@ class WitMotionDecoder(TableDecoder):
 
     _zeros = 0
 
-    def _keys(self, found: Found) -> IntArray:
-        kind = found.held[found.at + 1].astype(np.int64)
-        self._look_for_zeros(found, kind)
-        return np.where(kind == COMBINED, kind << 8 | found.length, kind)
+    def _key(self, packet: bytes) -> int:
+        return packet[1] << 8 | len(packet) if packet[1] == COMBINED else packet[1]
 
-    def _look_for_zeros(self, found: Found, kind: IntArray) -> None:
-        """Say when the rates of frames in a row are exactly zero."""
-        at = (found.at + np.where(kind == COMBINED, 8, 2))[(kind == RATE_TYPE) | (kind == COMBINED)]
-        still = ~np.any(windows(found.held, at, 6), axis=1)
+    def _read(self, found: Found, arrival_ns: IntArray) -> Packets:
+        """Read the packets, and warn when the rates of many in a row are exactly zero."""
+        packets = super()._read(found, arrival_ns)
+        if RATE[0].name not in packets.block:
+            return packets
+        rates = np.column_stack([packets.block[column.name] for column in RATE])
+        still = ~np.any(rates[~np.isnan(rates[:, 0])], axis=1)
         run = np.arange(1, len(still) + 1) + self._zeros
-        moved = np.maximum.accumulate(np.where(still, 0, run)) if len(still) else run
-        run = run - moved
+        run = run - np.maximum.accumulate(np.where(still, 0, run))
         self._zeros = int(run[-1]) if len(run) else self._zeros
         if np.any(run >= ZEROS):
             self._warn(
                 "the device sends rates of exactly zero: at rest it takes off what it holds for bias, "
                 "so bias and noise found from them mean nothing"
             )
+        return packets
 
 
 class WitMotionDevice(TableDevice):
@@ -203,5 +204,6 @@ class WitMotionDevice(TableDevice):
         Timing(tick_ns=Fraction(1_000_000)),
         HEADER,
         HEADER,
+        head=(1,),
         apart=("gnss",),
     )

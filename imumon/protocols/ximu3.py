@@ -119,8 +119,8 @@ class XimuDecoder(TableDecoder):
         held = np.frombuffer(b"".join(parts), np.uint8)
         return Found(held, np.cumsum(lengths) - lengths, lengths, found.frame)
 
-    def _keys(self, found: Found) -> IntArray:
-        return found.held[found.at].astype(np.int64) & ~BINARY
+    def _key(self, packet: bytes) -> int:
+        return packet[0] & ~BINARY
 
 
 def _as_binary(message: bytes) -> bytes:
@@ -145,4 +145,4 @@ FRAMES = [
 class XimuDevice(TableDevice):
     """Device file of an x-IMU3."""
 
-    family = TableFamily(MESSAGES, FRAMES, XimuDecoder, _wrapped, Timing(tick_ns=Fraction(1000)), 1, 1)
+    family = TableFamily(MESSAGES, FRAMES, XimuDecoder, _wrapped, Timing(tick_ns=Fraction(1000)), 1, 1, (0,))

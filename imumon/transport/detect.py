@@ -41,7 +41,7 @@ ODD = frozenset(b"\x00\xff")
 
 
 class Candidate(Protocol):
-    """What is asked of a protocol; every `imumon.protocols.base.Decoder` can do it."""
+    """What is asked of a protocol; every `imumon.protocols.framing.Decoder` can do it."""
 
     def feed(self, data: bytes, arrival_ns: int) -> None:
         """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""

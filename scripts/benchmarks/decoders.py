@@ -11,9 +11,9 @@ import numpy as np
 from benchmarks.measure import Bar, Table, Time, measure, millions
 from benchmarks.streams import Damaged, damage, samples
 from imumon.blocks import SampleBlock, join
-from imumon.protocols.base import Decoder
 from imumon.protocols.device import DeviceFile, load_device
 from imumon.protocols.fixed.device import FixedDevice
+from imumon.protocols.framing import Decoder
 from imumon.protocols.stream import ByteArray
 
 CHUNKS = (256, 1024, 4096, 16_384, 65_536, 262_144, 1_048_576)

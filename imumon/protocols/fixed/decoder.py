@@ -12,7 +12,7 @@ from imumon.blocks import NO_INT, ColumnArray, IntArray
 from imumon.protocols.fixed.description import Packet
 from imumon.protocols.frame_checks import rearranged
 from imumon.protocols.framing import IMPOSSIBLE, Check, Found, Frame, unchecked
-from imumon.protocols.payload import LayoutDecoder, Record
+from imumon.protocols.layouts import LayoutDecoder, Record, groups_of
 from imumon.protocols.stream import ByteArray
 
 
@@ -50,11 +50,11 @@ class FixedDecoder(LayoutDecoder):
         counted = next((t for t in timings if t.counter_bits is not None), timings[0])
         timed = next((t for t in timings if t.tick_ns is not None), timings[0])
         timing = replace(timed, counter_bits=counted.counter_bits)
-        super().__init__([_frame(packet, name) for packet in packets], timing)
-        for packet in packets:
-            self._add(DescribedLayout(packet))
-        if len(packets) == 1:
-            self.groups = None  # each packet is a row
+        self._packets = [DescribedLayout(packet) for packet in packets]
+        groups = groups_of(self._packets) if len(packets) > 1 else None
+        super().__init__([_frame(packet, name) for packet in packets], timing, groups, ())
+        for layout in self._packets:
+            self._add(layout)
 
     def _layout_numbers(self, found: Found) -> IntArray:
         return found.frame

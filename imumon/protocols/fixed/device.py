@@ -6,9 +6,10 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from imumon.protocols.base import Decoder, Encoder
+from imumon.protocols.base import Encoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.fixed.description import Packet
+from imumon.protocols.framing import Decoder
 
 
 class FixedDevice(DeviceFile):

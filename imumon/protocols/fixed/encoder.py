@@ -9,8 +9,7 @@ import numpy as np
 from imumon.blocks import SampleBlock
 from imumon.protocols.base import Encoder
 from imumon.protocols.fixed.description import Packet
-from imumon.protocols.numbers import packed
-from imumon.protocols.stream import ByteArray
+from imumon.protocols.numbers import write
 
 
 class FixedEncoder(Encoder):
@@ -26,17 +25,16 @@ class FixedEncoder(Encoder):
 
 
 def _encoded(packet: Packet, block: SampleBlock) -> list[bytes]:
-    sent: ByteArray = np.zeros((len(block), packet.length), np.uint8)
+    columns, numbers, turns = dict(block.columns), packet.placed(), packet.turns()
+    for item in numbers:
+        when = turns.get(item.name)
+        if when is not None and item.name in block and when.column in block:
+            there = block[when.column] % when.modulo == when.equals
+            columns[item.name] = np.where(there, block[item.name], item.value.offset)  # a raw zero
+    sent = write(packet.name or "packet", numbers, packet.length, columns, np.arange(len(block)))
     sent[:, : len(packet.sync)] = packet.sync
     for at, byte in packet.length_bytes():
         sent[:, at] = byte
-    turns, rows = packet.turns(), np.arange(len(block))
-    for item in packet.placed():
-        number = packed(packet.name or "packet", item.value, block.columns, rows)
-        when = turns.get(item.name)
-        if when is not None and when.column in block:
-            number = number * (block[when.column] % when.modulo == when.equals)[:, np.newaxis]
-        sent[:, item.at : item.end] |= number if item.big else number[:, ::-1]
     field, check = packet.checksum, packet.check()
     if check is not None:
         begin = np.arange(len(sent)) * packet.length

@@ -10,8 +10,7 @@ from imumon.columns import KNOWN
 from imumon.protocols.base import Timing
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.numbers import Derived
-from imumon.protocols.tagged import FIXED, XBUS, FieldTable, TaggedDecoder
-from imumon.protocols.tagged_encoder import TaggedEncoder
+from imumon.protocols.tagged import XBUS, FieldTable, TaggedDecoder, TaggedEncoder
 from imumon.protocols.xsens.fields import DERIVED, DEVICE_TICKS_OF_UTC
 from imumon.protocols.xsens.messages import (
     CONFIGURATION,
@@ -47,12 +46,12 @@ class MTDataDecoder(TaggedDecoder):
             tick_ns=Fraction(1) if "_utc_year" in sent else None,
             rate_hz=rate_hz,
         )
-        super().__init__(FieldTable([field], _DERIVED), XBUS, {MTDATA: FIXED}, NAMES, timing)
+        super().__init__(FieldTable([field], _DERIVED), XBUS, [MTDATA], NAMES, timing, bare=True)
         self.reference_frame: Literal["NWU", "NED"] = profile.output_settings.frame
 
     def notices(self) -> list[str]:
         """Return, once each, what the device said that is not data, and a length that does not fit."""
-        self._settle()
+        self._search(final=False)
         seen = self.wrong_length
         if seen:
             fitting = profiles_of_length(seen)
@@ -86,7 +85,7 @@ class MTDataEncoder(TaggedEncoder):
     """Makes MTData messages by a profile."""
 
     def __init__(self, profile: Profile) -> None:
-        super().__init__([mtdata_field(profile)], _DERIVED, XBUS, MTDATA, FIXED)
+        super().__init__([mtdata_field(profile)], _DERIVED, XBUS, MTDATA, bare=True)
 
 
 class MTDataDevice(DeviceFile, Profile):
