@@ -22,7 +22,7 @@ from imumon.protocols.xsens.messages import (
     configured_devices,
     describe,
 )
-from imumon.protocols.xsens.profile import Profile, mtdata_field, profile_lines, profiles_of_length
+from imumon.protocols.xsens.profile import Profile, mtdata_field, profile_lines
 
 _DERIVED: tuple[Derived, ...] = (DEVICE_TICKS_OF_UTC, *DERIVED)
 
@@ -52,13 +52,10 @@ class MTDataDecoder(TaggedDecoder):
     def notices(self) -> list[str]:
         """Return, once each, what the device said that is not data, and a length that does not fit."""
         self._search(final=False)
-        seen = self.wrong_length
-        if seen:
-            fitting = profiles_of_length(seen)
-            hint = f"; {seen} bytes fit {' or '.join(fitting)}" if fitting else ""
+        if self.wrong_length:
             self._say(
-                f"MTData of {seen} bytes came where the profile makes {self.table.fields[0].size}: "
-                f"change output_mode or output_settings in a copy of the device file{hint}"
+                f"MTData of {self.wrong_length} bytes came where the profile makes {self.table.fields[0].size}: "
+                "change output_mode or output_settings in a copy of the device file"
             )
         return super().notices()
 
@@ -68,9 +65,8 @@ class MTDataDecoder(TaggedDecoder):
             yield "the device sends MTData2, which needs the device xsens"
         elif kind == CONFIGURATION:
             for size, mode, settings in configured_devices(payload):
-                yield _as_profile(
-                    mode, settings, f"the device says that it sends {size} bytes with this profile"
-                )
+                intro = f"the device says that it sends {size} bytes with this profile"
+                yield _as_profile(mode, settings, intro)
         elif kind == OUTPUT_MODE and len(payload) == 2:
             yield _as_profile(int.from_bytes(payload, "big"), None, "the device says that its mode is")
         elif kind == OUTPUT_SETTINGS and len(payload) == 4:

@@ -26,7 +26,6 @@ from imumon.protocols.xsens.profile import (
     Profile,
     mtdata_field,
     profile_lines,
-    profiles_of_length,
 )
 from tests.protocols.streams import chunkings, damage, feed_in_chunks, xbus_message
 from tests.protocols.tagged_twin import FIXED, assert_same, decode_plainly
@@ -182,15 +181,8 @@ def test_a_length_that_does_not_fit_is_an_error_that_says_what_to_change() -> No
     assert decoder.counters().bytes_skipped == len(b"".join(wrong))
     (notice,) = decoder.notices()
     assert "MTData of 54 bytes came where the profile makes 58" in notice
-    assert "output_mode: [calibrated, orientation] with orientation: quaternion" in notice
+    assert "change output_mode or output_settings" in notice
     assert decoder.notices() == []
-
-
-def test_profiles_of_a_length_have_that_length() -> None:
-    assert any(
-        "output_mode: [orientation] with orientation: euler" in text for text in profiles_of_length(14)
-    )
-    assert profiles_of_length(8) == []
 
 
 def configuration(mode: int, settings: int, length: int) -> bytes:
