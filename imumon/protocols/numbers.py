@@ -104,7 +104,7 @@ class Placed(NamedTuple):
         elif value.type == "fp1632":
             raw = _of_fp1632(raw)
         if value.mask:
-            raw = (raw.astype(np.uint64) & np.uint64(value.mask)) >> np.uint64(value.lowest_bit)  # type: ignore[assignment]  # unsigned on the way
+            raw = (raw.astype(np.uint64) & np.uint64(value.mask)) >> np.uint64(value.lowest_bit)
         if value.column.dtype == "int64" and kind.integer:
             whole = raw.astype(np.int64) * int(value.factor)
             if kind.signed or self.name in WRAPPING:

@@ -377,7 +377,7 @@ class TaggedEncoder(Encoder):
         found = [~is_missing(columns[column.name]) for column in field.columns if column.name in columns]
         if self._bare or not found:
             return np.ones(n, np.bool_)
-        return np.any(found, axis=0)
+        return np.asarray(np.any(found, axis=0))
 
     def _packets(
         self, fields: Sequence[Field], columns: Mapping[str, ColumnArray], rows: IntArray

@@ -53,8 +53,9 @@ class MTDataDecoder(TaggedDecoder):
         """Return, once each, what the device said that is not data, and a length that does not fit."""
         self._search(final=False)
         if self.wrong_length:
+            expected = self.table.fields[0].size
             self._say(
-                f"MTData of {self.wrong_length} bytes came where the profile makes {self.table.fields[0].size}: "
+                f"MTData of {self.wrong_length} bytes came where the profile makes {expected}: "
                 "change output_mode or output_settings in a copy of the device file"
             )
         return super().notices()
