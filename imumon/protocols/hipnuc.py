@@ -29,7 +29,20 @@ from imumon.protocols.messages import (
     whole,
 )
 from imumon.protocols.numbers import NUMBER_TYPES
-from imumon.protocols.tagged_columns import ANGLES, QUATERNION, count, known, number, vector
+from imumon.protocols.tagged_columns import (
+    ANGLES,
+    FORCE,
+    MAG,
+    PRESSURE,
+    QUATERNION,
+    RATE,
+    TEMPERATURE,
+    TICKS,
+    count,
+    known,
+    number,
+    vector,
+)
 
 SYNC = b"\x5a\xa5"
 HEADER, LONGEST = 6, 512 + 6
@@ -38,8 +51,6 @@ SHORT_FORCE: Final = 0.0048828
 SHORT_MAG: Final = 0.030517
 OF_BITS = 0x83
 
-FORCE, RATE, MAG = (known(*(f"{base}_{axis}" for axis in "xyz")) for base in ("accel", "gyro", "mag"))
-TEMPERATURE, PRESSURE = known("temperature"), known("pressure")
 STATUS = part(1, "u16", [KNOWN["status"]])
 INS_STATUS = whole(3, "u8", "ins_status", "status of the filter")
 PLACE = known("longitude", "latitude", "altitude")
@@ -48,7 +59,7 @@ FREE_ENU = vector("free_accel_enu", "m/s^2", "acceleration without gravity, east
 
 PACKETS = {
     0x91: Message("imu91", 76, (STATUS, part(3, "i8", TEMPERATURE), part(4, "f32", PRESSURE),
-                                part(8, "u32", [KNOWN["device_ticks"]], 1000.0),
+                                part(8, "u32", TICKS, 1000.0),
                                 part(12, "f32", FORCE, STANDARD_GRAVITY), part(24, "f32", RATE, DEGREE),
                                 part(36, "f32", MAG), part(48, "f32", ANGLES, DEGREE),
                                 part(60, "f32", QUATERNION))),
@@ -77,7 +88,7 @@ BITS: dict[int, Bit] = {
     2: ("f32", MAG, 1.0, 12),
     3: ("f32", ANGLES, DEGREE, 12),
     4: ("f32", QUATERNION, 1.0, 16),
-    5: ("u64", [KNOWN["device_ticks"]], 1.0, 8),
+    5: ("u64", TICKS, 1.0, 8),
     6: ("", (), 1.0, 8),
     7: ("f32", PRESSURE, 1.0, 4),
     8: ("f32", TEMPERATURE, 1.0, 4),

@@ -28,7 +28,7 @@ from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame, count
 from imumon.protocols.layouts import Alike, Layout, LayoutDecoder, Record, groups_of
 from imumon.protocols.numbers import Placed, Value, write
 from imumon.protocols.stream import LONGEST_PACKET, ByteArray
-from imumon.protocols.text import LineLayout, Place, line_lengths, lines_right, sentence_body
+from imumon.protocols.text import LineLayout, line_lengths, lines_right, sentence_body
 from imumon.protocols.vectornav_fields import (
     COMMON,
     FILTERED,
@@ -60,21 +60,20 @@ def read_header(packet: bytes) -> Header | int:
         return IMPOSSIBLE
     items: list[Item] = []
     for group in groups:
-        first, more = 0, group in GROUPS
+        left, more = GROUPS.get(group, ()), group in GROUPS
         if not more:
             return IMPOSSIBLE
         while more:
             if at + 2 > len(packet):
                 return INCOMPLETE
-            word = int.from_bytes(packet[at : at + 2], "little")
+            word = packet[at] | packet[at + 1] << 8
             at += 2
-            more = group != COMMON and bool(word >> 15)
-            bits = [first + k for k in range(16 if group == COMMON else 15) if word >> k & 1]
-            found = [GROUPS[group][bit] if bit < len(GROUPS[group]) else None for bit in bits]
-            items += [item for item in found if item is not None]
-            if None in found:
+            more = group != COMMON and word >= 0x8000
+            word &= 0xFFFF if group == COMMON else 0x7FFF
+            if word >> len(left):
                 return IMPOSSIBLE
-            first += 16
+            items += [item for k, item in enumerate(left[:16]) if word >> k & 1 and item is not None]
+            left = left[16:]
     return Header(tuple(items), at) if items else IMPOSSIBLE
 
 
@@ -221,8 +220,7 @@ class VectorNavDecoder(LayoutDecoder):
         numbers = _renamed(self._numbers_of(alike), self._factory)
         if alike.frame == SENTENCE:
             self._tell(alike.packet.decode("ascii", "replace"))
-            places = [Place(n.value.column, n.value.factor) for n in numbers if n.value.column is not None]
-            layout: Layout = LineLayout(_numbers_of, places)
+            layout: Layout = LineLayout(_numbers_of, numbers)
         else:
             layout = Record(numbers)
         if "gyro_x" in layout.of_column and "gyro" not in self._factory:
