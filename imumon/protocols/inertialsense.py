@@ -37,6 +37,8 @@ SYNC = b"\xef\x49"
 HEADER, AROUND = 6, 8
 DATA, SET_DATA, WITH_OFFSET = 4, 5, 0x20
 KILOPASCAL: Final = 1000.0
+USUAL_S: Final = 0.004
+"""Time over which a virtual device sums increments when nothing says it, s."""
 
 TIME = part(0, "f64", TICKS, 1e9)
 DELTA_TIME = [number("delta_time", "s", "time over which the increments were summed")]
@@ -54,12 +56,9 @@ def _mean_rates(columns: Columns) -> list[ColumnArray]:
     return [np.where(np.isfinite(mean), mean, np.nan) for mean in means]
 
 
-def _increments(columns: Columns) -> list[ColumnArray]:
-    return [columns[column.name] * columns["delta_time"] for column in (*RATE, *FORCE)]
-
-
 def _with_increments(columns: Columns) -> list[ColumnArray]:
-    return [columns["delta_time"], *_increments(columns)]
+    interval = columns.get("delta_time", np.full(len(columns["gyro_x"]), USUAL_S))
+    return [interval, *(columns[column.name] * interval for column in (*RATE, *FORCE))]
 
 
 MEANS = Derived(tuple(c.name for c in (*DELTA_TIME, *THETA, *DELTA_VELOCITY)), (*RATE, *FORCE), _mean_rates,

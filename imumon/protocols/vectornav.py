@@ -140,21 +140,21 @@ def _sentence(text: str) -> tuple[str, list[str]] | None:
     if values is not None:
         if fields and fields[-1][:1] in ("S", "T") and len(fields) > len(values):
             fields = fields[: len(values)]  # the appendix with status or time
-        if len(fields) != len(values) or any(_real(text) is None for text in fields):
+        if len(fields) != len(values) or "_" in body or _floats(fields) is None:
             return None
     return name, fields
 
 
-def _real(text: str) -> float | None:
+def _floats(fields: Sequence[str]) -> list[float] | None:
     try:
-        return float(text) if "_" not in text else None
+        return [float(field) for field in fields]
     except ValueError:
         return None
 
 
 def _numbers_of(text: str) -> list[float] | None:
     read = _sentence(text)
-    return None if read is None else [float(field) for field in read[1]]
+    return None if read is None else _floats(read[1])
 
 
 BINARY, SENTENCE = 0, 2
