@@ -175,7 +175,7 @@ class VectorNavDecoder(LayoutDecoder):
         layouts = [Record(item.placed(0)) for item in ITEMS]
         groups = groups_of(layouts, SIDE_GROUPS, apart=tuple(RECEIVERS.values()))
         timing = Timing(tick_ns=Fraction(1), rate_hz=rate_hz)
-        super().__init__(frames, timing, groups, [c for layout in layouts for c in layout.columns])
+        super().__init__(frames, timing, groups, ())
         self._factory: frozenset[str] = frozenset()
         """Quantities that have come as they were calibrated in the factory."""
 
