@@ -19,15 +19,15 @@ from imumon.protocols.stream import ByteArray
 def aligned(held: ByteArray, first: IntArray, last: IntArray) -> Iterator[tuple[IntArray, ByteArray]]:
     """Yield numbers of spans, and their bytes with zeros before the shorter ones, (m, longest).
 
-    Those of one length come at once; others with those that are at most twice as long.
+    Those of the most frequent length come at once; others with those that are at most twice as long.
     """
     sizes = last - first
-    if len(sizes) and np.all(sizes == sizes[0]):
-        yield np.arange(len(sizes)), windows(held, first, int(sizes[0]))
-        return
-    octaves = np.frexp(sizes)[1]
-    for octave in np.flatnonzero(np.bincount(octaves)).tolist():
-        which = np.flatnonzero(octaves == octave)
+    usual = int(np.argmax(np.bincount(sizes))) if len(sizes) else 0
+    which = np.flatnonzero(sizes == usual)
+    yield which, windows(held, first[which], usual)
+    octaves = np.where(sizes == usual, 0, np.frexp(sizes)[1] + 1)
+    for octave in np.flatnonzero(np.bincount(octaves, minlength=1)[1:]).tolist():
+        which = np.flatnonzero(octaves == octave + 1)
         place = last[which, np.newaxis] + np.arange(-int(sizes[which].max()), 0)
         there = place >= first[which, np.newaxis]
         yield which, np.where(there, held[np.where(there, place, 0)], np.uint8(0))

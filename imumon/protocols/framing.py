@@ -257,15 +257,9 @@ class Decoder(ABC):
         self._parts.clear()
         self._waiting = 0
         candidates = _Candidates(self._frames, np.frombuffer(data, np.uint8), final)
-        sure = candidates.followed(self._overlap)
-        visible = candidates.outside(sure)
-        taken, rest, overlap = candidates.walk(visible, self._overlap)
-        if not candidates.contains(taken, sure):
-            # A packet that should not be ends inside a sure one: what is in the sure ones counts, too.
-            visible = candidates.outside(sure[:0])
-            taken, rest, overlap = candidates.walk(visible, self._overlap)
+        taken, rest, overlap = candidates.walk(self._overlap)
         found = candidates.found(taken)
-        self._count(found, candidates.at[visible], candidates.verdict[visible], rest)
+        self._count(found, candidates.at, candidates.verdict, rest)
         ends, times = np.concatenate(self._ends), np.concatenate(self._times)
         if len(found):
             last = self._searched + found.at + found.length
@@ -298,89 +292,46 @@ def _once(texts: dict[str, bool]) -> list[str]:
     return new
 
 
-UNKNOWN = -5
-"""Instead of a verdict: its checksum has not been looked at."""
-
-
 class _Candidates:
-    """Places of sync patterns in order, with the frames they are of; of several frames the first comes first.
+    """Places of sync patterns in order, one for each place, with what a packet there would be.
 
-    Checksums cost most, and most places in the middle of a packet are no packets.  So first the candidates
-    are checked that another one follows at once; what is inside of those that are right need not be.
+    The first frame counts that finds a packet there; or that may still find one, when more bytes come.
     """
 
     def __init__(self, frames: Sequence[Frame], held: ByteArray, final: bool) -> None:
         self._frames, self._held, self._final = frames, held, final
         places = [frame.places(held) for frame in frames]
-        self.at = np.concatenate(places)
-        self.frame = np.repeat(np.arange(len(frames)), [len(one) for one in places])
-        measured = [f.measured(held, one) for f, one in zip(frames, places, strict=True) if len(one)]
-        length = np.concatenate([*measured, np.zeros(0, np.int64)])
+        at = np.concatenate(places)
+        frame = np.repeat(np.arange(len(frames)), [len(one) for one in places])
+        verdicts = [self._verdicts(f, one) for f, one in zip(frames, places, strict=True) if len(one)]
+        verdict = np.concatenate([*verdicts, np.zeros(0, np.int64)])
         if len(frames) > 1:
-            order = np.argsort(self.at, kind="stable")
-            self.at, self.frame, length = self.at[order], self.frame[order], length[order]
-        self.length = length
-        self.verdict = np.where(length > 0, UNKNOWN, length)
+            hopeless = (verdict <= 0) & (final | (verdict != INCOMPLETE))
+            order = np.argsort(2 * at + hopeless, kind="stable")
+            order = order[np.diff(at[order], prepend=-1) > 0]
+            at, frame, verdict = at[order], frame[order], verdict[order]
+        self.at, self._frame, self.verdict = at, frame, verdict
         self._begins = np.zeros(len(held) + 1, np.bool_)
-        self._begins[self.at] = True
+        self._begins[at] = True
 
-    def _check(self, which: IntArray) -> None:
-        """Look at the checksums of some candidates."""
-        which = which[self.verdict[which] == UNKNOWN]
-        for number in np.flatnonzero(np.bincount(self.frame[which])).tolist():
-            mine = which[self.frame[which] == number]
-            self.verdict[mine] = self._frames[number].verdicts(
-                self._held, self.at[mine], self.length[mine], self._final
-            )
-
-    def followed(self, done: int) -> IntArray:
-        """Return valid packets, one behind the other from `done` on, each with a sync pattern behind it."""
-        tails = np.array([len(frame.tail) for frame in self._frames])[self.frame]
-        end = self.at + self.length
-        last = len(self._begins) - 1
-        followed = self._begins[np.minimum(end, last)] | self._begins[np.minimum(end + tails, last)]
-        sure = np.flatnonzero((self.length > 0) & followed & (self.at >= done))
-        self._check(sure)
-        sure = sure[self.verdict[sure] > 0]
-        end = self.at[sure] + self.verdict[sure]
-        before = np.maximum.accumulate(np.concatenate([[done], end[:-1]])) if len(sure) else end
-        return sure[self._begins[end] & (self.at[sure] >= before)]
-
-    def outside(self, packets: IntArray) -> IntArray:
-        """Return the candidates that do not begin within these packets, one for each place.
-
-        The first frame counts that finds a packet there; or that may still find one, when more bytes come.
-        """
-        inside = np.searchsorted(self.at[packets], self.at) - 1
-        ends = np.concatenate([self.at[packets] + self.verdict[packets], [0]])
-        visible = np.flatnonzero(self.at >= ends[inside])
-        self._check(visible)
-        at = self.at[visible]
-        if np.all(np.diff(at)):
-            return visible
-        verdict = self.verdict[visible]
-        hopeless = (verdict <= 0) & (self._final | (verdict != INCOMPLETE))
-        visible = visible[np.lexsort((self.frame[visible], hopeless, at))]
-        return visible[np.diff(self.at[visible], prepend=-1) > 0]
-
-    def contains(self, some: IntArray, others: IntArray) -> bool:
-        """Return whether the others are among some candidates."""
-        there = np.zeros(len(self.at), np.bool_)
-        there[some] = True
-        return bool(np.all(there[others]))
+    def _verdicts(self, frame: Frame, at: IntArray) -> IntArray:
+        """Return for each place the length of the packet there, or why there is none."""
+        verdict = frame.measured(self._held, at)
+        whole = np.flatnonzero(verdict > 0)
+        verdict[whole] = frame.verdicts(self._held, at[whole], verdict[whole], self._final)
+        return verdict
 
     def found(self, which: IntArray) -> Found:
         """Return some candidates as packets."""
-        return Found(self._held, self.at[which], self.verdict[which], self.frame[which])
+        return Found(self._held, self.at[which], self.verdict[which], self._frame[which])
 
-    def walk(self, visible: IntArray, done: int) -> tuple[IntArray, int, int]:
+    def walk(self, done: int) -> tuple[IntArray, int, int]:
         """Return which candidates are taken, where the rest begins, and how many of its bytes are taken.
 
         A candidate that is not complete holds back what follows; at the end of the data it is passed over,
         and stays pending when no packet follows.
         """
-        verdict = self.verdict[visible]
-        of_interest = visible[(verdict > 0) | (verdict == INCOMPLETE)]
+        of_interest = np.flatnonzero((self.verdict > 0) | (self.verdict == INCOMPLETE))
         at, verdict = self.at[of_interest], self.verdict[of_interest]
         # Most packets stand one directly behind the other: such a run is taken at once.
         joined = (verdict[:-1] > 0) & (verdict[1:] > 0) & (at[1:] == at[:-1] + verdict[:-1])
@@ -397,7 +348,7 @@ class _Candidates:
                 stop = int(run_end[k])
                 runs.append(of_interest[k:stop])
                 done, pending, k = int(at[stop - 1] + verdict[stop - 1]), -1, stop
-                is_checked = self._frames[self.frame[of_interest[stop - 1]]].check is not unchecked
+                is_checked = self._frames[self._frame[of_interest[stop - 1]]].check is not unchecked
             elif not self._final:
                 rest = start
                 break

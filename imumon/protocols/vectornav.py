@@ -109,11 +109,11 @@ def _length(packet: bytes) -> int:
 
 
 def _lengths(held: ByteArray, at: IntArray) -> IntArray:
-    length, left = np.zeros(len(at), np.int64), np.arange(len(at))
+    length, left, stream = np.zeros(len(at), np.int64), np.arange(len(at)), held.tobytes()
     for _ in range(min(KINDS, len(at))):
         if not len(left):
             break
-        packet = held[at[left[0]] :][:LONGEST_PACKET].tobytes()
+        packet = stream[at[left[0]] :][:LONGEST_PACKET]
         header = read_header(packet[:MOST_HEADER])
         same = left == left[0]
         if isinstance(header, Header) and not any(item.repeat for item in header.items):
@@ -122,8 +122,8 @@ def _lengths(held: ByteArray, at: IntArray) -> IntArray:
             same[whole] = np.all(heads == np.frombuffer(packet[: header.size], np.uint8), axis=1)
         length[left[same]] = _length(packet)
         left = left[~same]
-    for k in left.tolist():
-        length[k] = _length(held[at[k] :][:LONGEST_PACKET].tobytes())
+    for k, place in zip(left.tolist(), at[left].tolist(), strict=True):
+        length[k] = _length(stream[place : place + LONGEST_PACKET])
     return length
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import pi
 
 from imumon.columns import KNOWN, Column
@@ -24,7 +25,7 @@ FILTERED = ("gyro", "accel", "mag")
 """What the device sends both as it was calibrated in the factory and as its filter has left it."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Item:
     """A field of a binary group: its name, its numbers, and the group of columns that it belongs to.
 
@@ -39,7 +40,7 @@ class Item:
     repeat: int = 0
     counter: int = 0
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Bytes of the field without its repetitions."""
         return sum(NUMBER_TYPES[value.type].size for value in self.values) or self.skipped
