@@ -119,8 +119,8 @@ def _propose(received: dict[int | None, bytearray], evidence: list[Evidence]) ->
             at = "" if rate is None else f"at {rate} baud "
             every = " or ".join(map(str, lengths))
             note(
-                f"{at}the bytes begin alike every {every} bytes: packets of several lengths, and no checksum"
-                " that imumon knows fits them; no device file is proposed"
+                f"{at}the bytes begin alike every {every} bytes: packets of several lengths, or with a"
+                " checksum that imumon does not know; no device file is proposed"
             )
     return None
 

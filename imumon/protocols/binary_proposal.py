@@ -1,15 +1,15 @@
 """A device file proposed from binary packets of fixed length that no device file describes.
 
 What repeats at a fixed distance is the sync pattern, and the distance is the length.  Every checksum of the
-catalogue is tried at the end of the packet.  Bytes that count are found by their differences; all others stay
-unknown, for somebody to fill in.
+catalogue is tried at the end of the packet.  A counter and a clock are found by their differences; all other
+bytes stay unknown, for somebody to fill in.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -68,8 +68,7 @@ class Proposal:
         return self.checked, self.covered
 
 
-@dataclass(frozen=True, slots=True)
-class _Check:
+class _Check(NamedTuple):
     """A checksum at the end of packets, over all bytes from `first` on."""
 
     name: str
@@ -81,31 +80,15 @@ class _Check:
     def trailing(self) -> Trailing:
         return trailing(self.name, self.first, self.big, self.zeros)
 
-    def right(self, kind: _Kind) -> int:
+    def right(self, packets: ByteArray) -> int:
         """Return in how many packets it fits."""
-        n, size = kind.packets.shape
-        right = self.trailing(kind.packets.reshape(-1), np.arange(n) * size, np.full(n, size))
+        n, size = packets.shape
+        right = self.trailing(packets.reshape(-1), np.arange(n) * size, np.full(n, size))
         return int(np.count_nonzero(right))
 
 
-@dataclass(frozen=True, slots=True)
-class _Kind:
-    """Packets of one length: where they begin, their bytes (n, length)."""
-
-    at: IntArray
-    packets: ByteArray
-
-    @property
-    def length(self) -> int:
-        return int(self.packets.shape[1])
-
-    def rate(self, seconds: float) -> float:
-        """Return how many come a second."""
-        return len(self.at) / seconds if seconds > 0 else 0.0
-
-
 def propose(data: bytes, seconds: float, baudrate: int | None) -> Proposal | None:
-    """Return a device file for binary packets; None when nothing repeats as packets do.
+    """Return a device file for binary packets of one length; None when nothing repeats as they do.
 
     Parameters
     ----------
@@ -120,11 +103,9 @@ def propose(data: bytes, seconds: float, baudrate: int | None) -> Proposal | Non
     seconds *= len(held) / max(len(data), 1)
     best: Proposal | None = None
     for anchors, lengths in _repeating(held):
-        found = _proposal(held, anchors, lengths, seconds, baudrate)
-        if found is not None and (best is None or found.weight > best.weight):
-            best = found
-        if best is not None and best.checked:
-            break
+        if len(lengths) == 1 and (best is None or not best.checked):
+            found = _proposal(held, anchors, int(lengths[0]), seconds, baudrate)
+            best = max(filter(None, (best, found)), key=lambda one: one.weight, default=None)
     return best
 
 
@@ -168,29 +149,36 @@ def _repeating(held: ByteArray) -> list[tuple[IntArray, IntArray]]:
 
 
 def _proposal(
-    held: ByteArray, anchors: IntArray, lengths: IntArray, seconds: float, baudrate: int | None
+    held: ByteArray, anchors: IntArray, length: int, seconds: float, baudrate: int | None
 ) -> Proposal | None:
-    """Return the device file for packets of these lengths that repeat a pattern at these places."""
-    distances = np.diff(anchors)
-    apart = {n: anchors[:-1][distances == n] for n in lengths.tolist()}
-    main = max(apart, key=lambda n: n * len(apart[n]))
-    shift, check = _beginning(held, apart[main], main)
-    if shift is None or (check is None and len(apart) > 1):
+    """Return the device file for packets of a length that repeat a pattern at these places."""
+    at = anchors[:-1][np.diff(anchors) == length]
+    shift, check = _beginning(held, at, length)
+    if shift is None:
         return None
-    kinds = [_cut(held, places, n, shift) for n, places in apart.items()]
-    if check is not None:
-        kinds = [k for k in kinds if check.right(k) >= RIGHT * len(k.at) and _constant(k.packets)[0]]
-    covered = sum(kind.packets.size for kind in kinds) / len(held)
+    at = at + shift
+    at = at[(at >= 0) & (at + length <= len(held))]
+    packets = windows(held, at, length)
+    covered = packets.size / len(held)
     if covered < (COVERED if check else COVERED_UNCHECKED):
         return None
-    text = "\n".join([*_head(kinds, seconds, baudrate, covered), *_layouts(kinds, check, seconds)]) + "\n"
-    return Proposal(text, check is not None, covered)
+    rate = len(at) / seconds if seconds > 0 else 0.0
+    text = [
+        "# Proposed from what came; the reasons stand beside the lines.  Look at it before you trust it.",
+        f"# {covered:.0%} of the bytes are in {len(at)} packets that begin alike, with another behind.",
+        "format: imumon-device/1", "name: proposed", "title: proposed from binary packets",
+        'verified: "nothing: proposed from the stream"', "protocol: fixed",
+        "axes: FLU  # cannot be seen: x forward, y left, z up, or FRD",
+        f"rate_hz: {max(rate / covered, 0.01):.3g}  # in {seconds:.2g} s",
+        f"serial: {{baudrates: [{baudrate or 115_200}]}}", "packet:",
+        *(f"  {line}" for line in _layout(at, packets, check, rate)), "",
+    ]  # fmt: skip
+    return Proposal("\n".join(text), check is not None, covered)
 
 
-def _cut(held: ByteArray, anchors: IntArray, length: int, shift: int) -> _Kind:
-    at = anchors + shift
-    at = at[(at >= 0) & (at + length <= len(held))]
-    return _Kind(at, windows(held, at, length))
+def _cut(held: ByteArray, at: IntArray, length: int) -> ByteArray:
+    """Return the packets that begin at these places, (n, length)."""
+    return windows(held, at[(at >= 0) & (at + length <= len(held))], length)
 
 
 def _constant(packets: ByteArray) -> BoolArray:
@@ -200,7 +188,7 @@ def _constant(packets: ByteArray) -> BoolArray:
 
 def _beginning(held: ByteArray, anchors: IntArray, length: int) -> tuple[int | None, _Check | None]:
     """Return where packets begin, from the pattern on, and their checksum; None where nothing tells it."""
-    constant = _constant(_cut(held, anchors, length, 0).packets)
+    constant = _constant(_cut(held, anchors, length))
     begins = np.flatnonzero(constant & ~np.roll(constant, 1))
     # The high byte of a sum may be constant as well: then the packet begins behind it.
     places = np.append(begins, (begins + 1) % length)
@@ -208,7 +196,7 @@ def _beginning(held: ByteArray, anchors: IntArray, length: int) -> tuple[int | N
     shifts = np.where(places > length // 2, places - length, places).tolist()
     best: tuple[float, int, int, _Check] | None = None
     for shift in shifts:
-        packets = np.unique(_cut(held, anchors, length, shift).packets, axis=0)
+        packets = np.unique(_cut(held, anchors + shift, length), axis=0)
         packets = packets[np.linspace(0, len(packets) - 1, min(len(packets), TRIED_PACKETS)).astype(int)]
         for right, check in _fitting(packets):
             if best is None or (right, check.trailing.size) > best[:2]:
@@ -238,51 +226,22 @@ def _fitting(packets: ByteArray) -> Iterator[tuple[float, _Check]]:
                     yield float(right[k]) / n, _Check(name, int(firsts[k]), big, zeros)
 
 
-def _head(kinds: list[_Kind], seconds: float, baudrate: int | None, covered: float) -> Iterator[str]:
-    """Yield the lines of the file that do not describe packets."""
-    n = sum(len(kind.packets) for kind in kinds)
-    rate = max(kind.rate(seconds) for kind in kinds) / covered
-    yield "# Proposed from what came; the reasons stand beside the lines.  Look at it before you trust it."
-    yield f"# {covered:.0%} of the bytes are in {n} packets that begin alike, each with another behind it."
-    if len(kinds) > 1:
-        sizes = ", ".join(f"{len(kind.packets)} of {kind.length} bytes" for kind in kinds)
-        yield f"# They are of several lengths: {sizes}."
-    yield from ("format: imumon-device/1", "name: proposed", "title: proposed from binary packets")
-    yield 'verified: "nothing: proposed from the stream"'
-    yield f"protocol: {'fixed' if len(kinds) == 1 else 'fixed-several'}"
-    yield "axes: FLU  # cannot be seen: x forward, y left, z up, or FRD"
-    yield f"rate_hz: {max(rate, 0.01):.3g}  # in {seconds:.2g} s"
-    yield f"serial: {{baudrates: [{baudrate or 115_200}]}}"
-
-
-def _layouts(kinds: list[_Kind], check: _Check | None, seconds: float) -> Iterator[str]:
+def _layout(at: IntArray, packets: ByteArray, check: _Check | None, rate: float) -> Iterator[str]:
     """Yield the description of the packets."""
-    if len(kinds) == 1:
-        yield "packet:"
-        yield from (f"  {line}" for line in _layout(kinds[0], check, seconds, several=False))
-        return
-    yield f"sends: [packet_{kinds[0].length}]"
-    yield "packets:"
-    for kind in kinds:
-        yield f"  - name: packet_{kind.length}"
-        yield from (f"    {line}" for line in _layout(kind, check, seconds, several=True))
-
-
-def _layout(kind: _Kind, check: _Check | None, seconds: float, several: bool) -> Iterator[str]:
-    """Yield the description of one packet."""
-    prefix = f"packet_{kind.length}_" if several else ""
-    packets, length = kind.packets, kind.length
+    length = packets.shape[1]
     constant, usual = _constant(packets), np.median(packets, axis=0).astype(int)
     sync = int(np.argmin(np.append(constant[:LONGEST_SYNC], False)))
-    if not several:
-        if check is not None and 2 <= check.first < sync:
-            sync = check.first
-        while sync > (1 if check else 2) and usual[sync - 1] in HIGH_BYTES:
-            sync -= 1
-    at = length - (0 if check is None else check.trailing.size)
+    if check is not None and 2 <= check.first < sync:
+        sync = check.first
+    while sync > (1 if check else 2) and usual[sync - 1] in HIGH_BYTES:
+        sync -= 1
+    end = length - (0 if check is None else check.trailing.size)
     known = np.ones(length, np.bool_)
-    known[sync:at] = False
-    fields = _counting(kind, known, kind.rate(seconds))
+    known[sync:end] = False
+    follows = np.diff(at) == length
+    before, after = packets[:-1][follows], packets[1:][follows]
+    enough = len(before) >= LEAST_PACKETS // 2
+    fields = [*_counter(before, after, known), *_clock(before, after, known, rate)] if enough else []
     yield f"length: {length}"
     yield f"byte_order: {'big' if any(order == 'big' for _, _, order in fields) else 'little'}"
     if sync > 2 and (check is None or check.first < sync):
@@ -293,10 +252,11 @@ def _layout(kind: _Kind, check: _Check | None, seconds: float, several: bool) ->
         yield "# another baud rate the bytes may repeat as well."
         yield "checksum: {type: none, first: 0, last: 0, at: 0}"
     else:
-        keys = f"type: {check.name}, first: {check.first}, last: {at - 1}, at: {at}"
-        order = f", byte_order: {'big' if check.big else 'little'}" if at < length - 1 else ""
+        keys = f"type: {check.name}, first: {check.first}, last: {end - 1}, at: {end}"
+        order = f", byte_order: {'big' if check.big else 'little'}" if end < length - 1 else ""
         zeros = f", zeros: {check.zeros}" if check.zeros else ""
-        yield f"checksum: {{{keys}{order}{zeros}}}  # right in {check.right(kind)} of {len(packets)} packets"
+        right = f"right in {check.right(packets)} of {len(packets)} packets"
+        yield f"checksum: {{{keys}{order}{zeros}}}  # {right}"
     yield "fields:"
     for why, keys, _ in fields:
         yield f"  # {why}"
@@ -305,26 +265,12 @@ def _layout(kind: _Kind, check: _Check | None, seconds: float, several: bool) ->
     for run in np.split(unknown, np.flatnonzero(np.diff(unknown) > 1) + 1):
         yield "  # unknown: give type, column or columns, scale and unit"
         for part in np.split(run, range(BYTES_PER_LINE, len(run), BYTES_PER_LINE)):
-            names = ", ".join(f"{prefix}byte_{k}" for k in part)
-            yield f"  - {{at: {part[0]}, type: u8, columns: [{names}]}}{_always(part, constant, usual)}"
-
-
-def _always(part: IntArray, constant: BoolArray, usual: IntArray) -> str:
-    same = [f"{k} (0x{usual[k]:02X})" for k in part if constant[k]]
-    return f"  # always the same: {', '.join(same)}" if same else ""
-
-
-def _counting(kind: _Kind, known: BoolArray, rate: float) -> list[tuple[str, str, str]]:
-    """Return reason, keys and byte order of the counter and the clock, and mark their bytes as known."""
-    follows = np.diff(kind.at) == kind.length
-    before, after = kind.packets[:-1][follows], kind.packets[1:][follows]
-    if len(before) < LEAST_PACKETS // 2:
-        return []
-    return [*_counter(before, after, known), *_clock(before, after, known, rate)]
+            names = ", ".join(f"byte_{k}" for k in part)
+            yield f"  - {{at: {part[0]}, type: u8, columns: [{names}]}}"
 
 
 def _counter(before: ByteArray, after: ByteArray, known: BoolArray) -> Iterator[tuple[str, str, str]]:
-    """Yield the byte or word that rises by one a packet; of a larger word its low byte counts as well."""
+    """Yield the word or the low bits of a byte that rise by one a packet, and mark them as known."""
     for order in ("big", "little"):
         step, free = _steps(before, after, known, 2, order)
         carried = np.any((_numbers(after, 2, order) & 0xFF == 0) & (step == 1), axis=0)
@@ -339,10 +285,8 @@ def _counter(before: ByteArray, after: ByteArray, known: BoolArray) -> Iterator[
         known[k] = True
         bits = "" if n == 0 else f", mask: {masks[n]:#x}"
         wrapped = np.any(after[:, k] & masks[n] < before[:, k] & masks[n])
-        why = "rises by one a packet" + (
-            "" if wrapped else "; it did not wrap, so how many bits it has is a guess"
-        )
-        yield why, f"at: {k}, type: u8, column: packet_counter{bits}", ""
+        guess = "" if wrapped else "; it did not wrap, so how many bits it has is a guess"
+        yield f"rises by one a packet{guess}", f"at: {k}, type: u8, column: packet_counter{bits}", ""
 
 
 def _clock(
@@ -356,9 +300,7 @@ def _clock(
         steady = free & (middle > 1) & (np.mean(np.abs(step - middle) <= 0.2 * middle, axis=0) >= COUNTS)
         for k in np.flatnonzero(steady).tolist():
             for unit, size in UNITS.items():
-                best = min(
-                    best, (abs(float(middle[k]) * size * rate - 1.0), unit, k, order, float(middle[k]))
-                )
+                best = min(best, (abs(middle[k] * size * rate - 1.0), unit, k, order, float(middle[k])))
     _, unit, k, order, middle_step = best
     if unit:
         known[k : k + 4] = True

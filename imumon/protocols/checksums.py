@@ -19,17 +19,8 @@ class Crc:
     final_xor: int
 
 
-SIMPLE = (
-    "none",
-    "sum8",
-    "sum8-negated",
-    "xor8",
-    "sum16",
-    "sum16-words-le",
-    "sum16-words-be",
-    "fletcher16",
-    "fletcher16-256",
-)
+SIMPLE = ("none", "sum8", "sum8-negated", "xor8", "sum16", "sum16-words-le", "sum16-words-be", "fletcher16",
+          "fletcher16-256")  # fmt: skip
 """Names of the others.
 
 sum8-negated makes the sum of all bytes and the checksum zero.  sum16-words-* adds numbers of 16 bits, low
@@ -54,21 +45,3 @@ CRCS = {
 """CRCs by the names of the catalogue, with a hyphen behind the width."""
 
 CHECKSUM_NAMES = (*SIMPLE, *CRCS)
-
-
-def reversed_bits(value: int, width: int) -> int:
-    """Return the bits in reverse order."""
-    return int(f"{value:0{width}b}"[::-1], 2)
-
-
-def crc_of_bytes(crc: Crc) -> list[int]:
-    """Return the register after each byte, started from zero, its bits in the order of the catalogue."""
-    found = []
-    for byte in range(256):
-        register = reversed_bits(byte, 8) if crc.reflected else byte
-        register <<= crc.width - 8
-        for _ in range(8):
-            register = register << 1 ^ (crc.polynomial if register >> (crc.width - 1) & 1 else 0)
-            register &= (1 << crc.width) - 1
-        found.append(register)
-    return found

@@ -14,7 +14,8 @@ from imumon.config import StrictModel, parse_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.files import bundled, read_text
 from imumon.plugins import DEVICES, plugins
-from imumon.protocols.base import Decoder, Encoder
+from imumon.protocols.base import Encoder
+from imumon.protocols.framing import Decoder
 from imumon.protocols.ranges import Ranges
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.transport.settings import PortSettings

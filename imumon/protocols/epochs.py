@@ -21,9 +21,10 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-from imumon.blocks import NO_INT, BoolArray, ColumnArray, IntArray, SampleBlock, join, missing
+from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join, missing
 from imumon.compiled import alone, inner, njit, record, records
 from imumon.protocols.base import COMMON, Groups, Packets
+from imumon.protocols.numbers import is_missing
 
 GENERATION = 32
 """Epochs after which it is known what an epoch may have; a field that is rarer comes out a row later."""
@@ -205,8 +206,8 @@ class EpochAssembler:
         group_masks = np.zeros(len(self._groups.names), np.int64)
         for name, group in self._groups.of_column.items():
             if name in block:
-                values, bit = block[name], self._bit(name)
-                _mark(values, NO_INT if values.dtype == np.int64 else np.nan, bit, masks)
+                bit = self._bit(name)
+                masks[~is_missing(block[name])] |= bit
                 group_masks[group] |= bit
         return masks, group_masks
 
@@ -222,25 +223,17 @@ class EpochAssembler:
         self, stream: str, block: SampleBlock, entries: RecordArray, place: IntArray, n: int
     ) -> SampleBlock:
         """Return n rows of a stream, `place` being those of the entries; the first arrival counts."""
-        row, own = entries["row"], entries["own"]
-        known = self._columns[stream]
-        exact = len(self._bits) <= BITS
-        somewhere, everywhere = np.bitwise_or.reduce(own), np.bitwise_and.reduce(own)
+        row, known = entries["row"], self._columns[stream]
         columns: dict[str, ColumnArray] = {}
         for name, values in block.columns.items():
-            bit = self._bit(name) if name in self._groups.of_column else 0
-            if bit and not somewhere & bit and name not in known:
-                continue
             taken = values[row]
-            if exact and bit:
-                present, all_present = own & bit != 0, bool(everywhere & bit)
-            else:
-                present = _present(taken) & (own & bit != 0) if bit else _present(taken)
-                all_present = bool(present.all())
-                if name not in known and name not in COMMON and not present.any():
-                    continue
+            present = ~is_missing(taken)
+            if name in self._groups.of_column:
+                present &= entries["own"] & self._bit(name) != 0
+            if name not in known and name not in COMMON and not present.any():
+                continue
             known.add(name)
-            if len(row) == n and all_present:
+            if len(row) == n and present.all():
                 columns[name] = taken
                 continue
             columns[name] = missing(n, values.dtype)
@@ -263,10 +256,6 @@ class EpochAssembler:
 def _array(made: Sequence[Any]) -> RecordArray:
     """Return the records as NumPy sees them."""
     return cast(RecordArray, made)
-
-
-def _present(values: ColumnArray) -> BoolArray:
-    return np.asarray(values != NO_INT if values.dtype == np.int64 else ~np.isnan(values))
 
 
 def _counted(block: SampleBlock, behind: IntArray, held: int) -> list[tuple[int, int]]:
@@ -302,14 +291,6 @@ def _keys(block: SampleBlock) -> tuple[IntArray, IntArray]:
             kind[there] = number
             key[there] = block[name][there]
     return kind, key
-
-
-@njit
-def _mark(values: ColumnArray, absent: float, bit: int, masks: IntArray) -> None:
-    """Set the bit where there is a value: not NaN, and not what stands for none among integers."""
-    for i in range(len(values)):
-        if values[i] == values[i] and values[i] != absent:
-            masks[i] |= bit
 
 
 @njit

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from imumon.blocks import BoolArray, IntArray
-from imumon.protocols.checksums import CRCS, Crc, crc_of_bytes, reversed_bits
+from imumon.protocols.checksums import CRCS, Crc
 from imumon.protocols.framing import Check, windows
 from imumon.protocols.stream import ByteArray
 
@@ -19,15 +19,15 @@ from imumon.protocols.stream import ByteArray
 def aligned(held: ByteArray, first: IntArray, last: IntArray) -> Iterator[tuple[IntArray, ByteArray]]:
     """Yield numbers of spans, and their bytes with zeros before the shorter ones, (m, longest).
 
-    Those of one length come at once; others with those that are at most twice as long.
+    Those of the most frequent length come at once; others with those that are at most twice as long.
     """
     sizes = last - first
-    if len(sizes) and np.all(sizes == sizes[0]):
-        yield np.arange(len(sizes)), windows(held, first, int(sizes[0]))
-        return
-    octaves = np.frexp(sizes)[1]
-    for octave in np.flatnonzero(np.bincount(octaves)).tolist():
-        which = np.flatnonzero(octaves == octave)
+    usual = int(np.argmax(np.bincount(sizes))) if len(sizes) else 0
+    which = np.flatnonzero(sizes == usual)
+    yield which, windows(held, first[which], usual)
+    octaves = np.where(sizes == usual, 0, np.frexp(sizes)[1] + 1)
+    for octave in np.flatnonzero(np.bincount(octaves, minlength=1)[1:]).tolist():
+        which = np.flatnonzero(octaves == octave + 1)
         place = last[which, np.newaxis] + np.arange(-int(sizes[which].max()), 0)
         there = place >= first[which, np.newaxis]
         yield which, np.where(there, held[np.where(there, place, 0)], np.uint8(0))
@@ -214,10 +214,16 @@ def by_distance(crc: Crc, longest: int) -> tuple[IntArray, IntArray]:
 
     Shapes: (longest * 256,), distance first, and (longest + 1,).
     """
-    mask = (1 << crc.width) - 1
-    step = np.array(
-        [reversed_bits(one, crc.width) if crc.reflected else one for one in crc_of_bytes(crc)], np.int64
-    )
+    top, mask = crc.width - 1, (1 << crc.width) - 1
+    polynomial, initial = crc.polynomial, crc.initial
+    if crc.reflected:
+        polynomial, initial = (int(f"{n:0{crc.width}b}"[::-1], 2) for n in (polynomial, initial))
+    step = np.arange(256) << (0 if crc.reflected else crc.width - 8)
+    for _ in range(8):
+        if crc.reflected:
+            step = (step >> 1) ^ np.where(step & 1, polynomial, 0)
+        else:
+            step = ((step << 1) & mask) ^ np.where(step >> top & 1, polynomial, 0)
 
     def with_zero(register: IntArray) -> IntArray:
         """Return the register after one more byte, which is zero."""
@@ -227,8 +233,7 @@ def by_distance(crc: Crc, longest: int) -> tuple[IntArray, IntArray]:
 
     table = np.empty((longest, 256), np.uint16 if crc.width == 16 else np.uint32)
     empty = np.empty(longest + 1, np.int64)
-    empty[0] = reversed_bits(crc.initial, crc.width) if crc.reflected else crc.initial
-    added = step
+    empty[0], added = initial, step
     for k in range(longest):
         table[k] = added
         added = with_zero(added)

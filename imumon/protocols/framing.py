@@ -2,7 +2,7 @@
 
 A frame begins with a sync pattern; its length is fixed, in a field, or follows from what its header says; a
 checksum tells whether it came whole.  A family of devices says so in a `Frame` for each kind of packet, and
-`FramedDecoder` does the rest: every byte becomes part of a packet, is skipped, or is pending.
+`Decoder` does the rest: every byte becomes part of a packet, is skipped, or is pending.
 
 The bytes are searched when somebody takes what they hold (live 12 times a second), not as they come: so a
 read of a few bytes costs next to nothing, and what is found does not depend on how the stream was cut.
@@ -15,15 +15,16 @@ ends behind it is accepted, too; bytes count once.  Not so inside a packet that 
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from imumon.blocks import BoolArray, IntArray
-from imumon.protocols.base import Decoder, Packets
+from imumon.blocks import BoolArray, IntArray, SampleBlock, join, missing
+from imumon.columns import Column
+from imumon.protocols.base import Groups, Packets, Timing
 from imumon.protocols.stream import CHUNK, ByteArray
 from imumon.transport.statistics import Counters
 
@@ -32,6 +33,8 @@ INCOMPLETE, NO_PACKET, IMPOSSIBLE, BAD_SUM = -1, -2, -3, -4
 
 MOST_AT_ONCE = 1 << 20
 """Bytes that are searched at once at the most: what is made of them takes twenty times as much memory."""
+MOST_NOTICES = 1000
+"""Different notices that a decoder gives at the most; more would be a stream of rubbish."""
 
 Lengths = Callable[[ByteArray, IntArray], IntArray]
 """Takes the bytes and places of sync patterns, (n,); returns the whole length or one of the codes, (n,)."""
@@ -133,8 +136,10 @@ def windows(held: ByteArray, at: IntArray, size: int) -> ByteArray:
     return every[at].view(np.uint8).reshape(-1, size)
 
 
-class FramedDecoder(Decoder):
-    """Finds packets by frames, and keeps count of every byte; a subclass reads what is in them.
+class Decoder(ABC):
+    """Turns a byte stream into columns, whatever the chunking; `take` returns what has come since.
+
+    It finds packets by frames and keeps count of every byte; a subclass reads what is in them.
 
     Parameters
     ----------
@@ -142,24 +147,43 @@ class FramedDecoder(Decoder):
         Kinds of packets; where two begin at the same place the first that is valid counts.
     """
 
+    timing: Timing
+    groups: Groups | None = None
+    """Groups of the fields, for a protocol that may spread one moment over several packets; else None."""
+
     def __init__(self, frames: Sequence[Frame]) -> None:
-        super().__init__()
         self._frames = tuple(frames)
+        self._done: list[Packets] = []
+        self._notices: dict[str, bool] = {}
+        self._warned: dict[str, bool] = {}
         self._parts: list[bytes] = []
         self._waiting = 0  # bytes in the parts
         self._rest = b""  # searched, and still part of what may become a packet
         self._overlap = 0  # bytes at the front of the rest that belong to the packet accepted last
+        # Bytes up to each end, counted from the first, arrived at these times.
         self._ends: list[IntArray] = []
-        self._times: list[
-            IntArray
-        ] = []  # bytes up to each end, counted from the first, arrived at these times
+        self._times: list[IntArray] = []
         self._searched = 0  # bytes before the rest
         self._received = self._in_packets = self._checksum_errors = self._length_errors = 0
         self._by_frame = [0] * len(self._frames)
 
+    @property
+    @abstractmethod
+    def columns(self) -> tuple[Column, ...]:
+        """Columns of the blocks that `take` returns now; a device may begin to send more."""
+
+    @property
+    @abstractmethod
+    def possible_columns(self) -> tuple[Column, ...]:
+        """All columns that may ever come."""
+
     @abstractmethod
     def _read(self, found: Found, arrival_ns: IntArray) -> Packets:
         """Return what the packets carry: a row for each that has something for a row, in order."""
+
+    def feed(self, data: bytes | memoryview | ByteArray, arrival_ns: int) -> None:
+        """Take bytes that arrived at `arrival_ns` (Unix time, ns)."""
+        self.feed_reads(data, np.array([len(data)]), np.array([arrival_ns]))
 
     def feed_reads(self, data: bytes | memoryview | ByteArray, ends: IntArray, arrivals_ns: IntArray) -> None:
         """Take the bytes of several reads: of each where it ends in the data, and when it arrived."""
@@ -173,12 +197,43 @@ class FramedDecoder(Decoder):
             if self._waiting > CHUNK:
                 self._search(final=False)
 
-    def finish(self) -> None:
-        """Decode what is held; see `Decoder.finish`."""
-        self._search(final=True)
+    def take(self) -> SampleBlock:
+        """Return the packets decoded since the last call, a row each."""
+        return self.take_packets().block
 
-    def _settle(self) -> None:
+    def take_packets(self) -> Packets:
+        """Return the packets decoded since the last call, with the groups of their fields."""
         self._search(final=False)
+        done, self._done = self._done, []
+        if not done:
+            empty = {column.name: missing(0, column.dtype) for column in self.columns}
+            return Packets(SampleBlock(empty), np.zeros(0, np.int64))
+        return Packets(join([part.block for part in done]), np.concatenate([part.groups for part in done]))
+
+    def notices(self) -> list[str]:
+        """Return, once each, what the device said that is not data (errors, warnings, configuration)."""
+        self._search(final=False)
+        return _once(self._notices)
+
+    def warnings(self) -> list[str]:
+        """Return, once each, why numbers are not fit for an estimate: the device has corrected them, say."""
+        return _once(self._warned)
+
+    def _say(self, text: str) -> None:
+        """Keep a notice unless it was given before."""
+        if len(self._notices) < MOST_NOTICES:
+            self._notices.setdefault(text, False)
+
+    def _warn(self, text: str) -> None:
+        self._warned.setdefault(text, False)
+
+    def finish(self) -> None:
+        """Decode what is held on the understanding that no more bytes come.
+
+        A damaged header that claims a long packet holds back the packets behind it until that length has
+        arrived; at the end of the data they are found.  What is pending afterwards is a packet cut short.
+        """
+        self._search(final=True)
 
     def counters(self) -> Counters:
         """Return what became of the bytes so far."""
@@ -202,15 +257,9 @@ class FramedDecoder(Decoder):
         self._parts.clear()
         self._waiting = 0
         candidates = _Candidates(self._frames, np.frombuffer(data, np.uint8), final)
-        sure = candidates.followed(self._overlap)
-        visible = candidates.outside(sure)
-        taken, rest, overlap = candidates.walk(visible, self._overlap)
-        if not candidates.contains(taken, sure):
-            # A packet that should not be ends inside a sure one: what is in the sure ones counts, too.
-            visible = candidates.outside(sure[:0])
-            taken, rest, overlap = candidates.walk(visible, self._overlap)
+        taken, rest, overlap = candidates.walk(self._overlap)
         found = candidates.found(taken)
-        self._count(found, candidates.at[visible], candidates.verdict[visible], rest)
+        self._count(found, candidates.at, candidates.verdict, rest)
         ends, times = np.concatenate(self._ends), np.concatenate(self._times)
         if len(found):
             last = self._searched + found.at + found.length
@@ -236,89 +285,53 @@ class FramedDecoder(Decoder):
         self._length_errors += int(np.sum(outside & (verdict == IMPOSSIBLE)))
 
 
-UNKNOWN = -5
-"""Instead of a verdict: its checksum has not been looked at."""
+def _once(texts: dict[str, bool]) -> list[str]:
+    """Return the texts that were not given before."""
+    new = [text for text, given in texts.items() if not given]
+    texts.update(dict.fromkeys(new, True))
+    return new
 
 
 class _Candidates:
-    """Places of sync patterns in order, with the frames they are of; of several frames the first comes first.
+    """Places of sync patterns in order, one for each place, with what a packet there would be.
 
-    Checksums cost most, and most places in the middle of a packet are no packets.  So first the candidates
-    are checked that another one follows at once; what is inside of those that are right need not be.
+    The first frame counts that finds a packet there; or that may still find one, when more bytes come.
     """
 
     def __init__(self, frames: Sequence[Frame], held: ByteArray, final: bool) -> None:
         self._frames, self._held, self._final = frames, held, final
         places = [frame.places(held) for frame in frames]
-        self.at = np.concatenate(places)
-        self.frame = np.repeat(np.arange(len(frames)), [len(one) for one in places])
-        measured = [f.measured(held, one) for f, one in zip(frames, places, strict=True) if len(one)]
-        length = np.concatenate([*measured, np.zeros(0, np.int64)])
+        at = np.concatenate(places)
+        frame = np.repeat(np.arange(len(frames)), [len(one) for one in places])
+        verdicts = [self._verdicts(f, one) for f, one in zip(frames, places, strict=True) if len(one)]
+        verdict = np.concatenate([*verdicts, np.zeros(0, np.int64)])
         if len(frames) > 1:
-            order = np.argsort(self.at, kind="stable")
-            self.at, self.frame, length = self.at[order], self.frame[order], length[order]
-        self.length = length
-        self.verdict = np.where(length > 0, UNKNOWN, length)
+            hopeless = (verdict <= 0) & (final | (verdict != INCOMPLETE))
+            order = np.argsort(2 * at + hopeless, kind="stable")
+            order = order[np.diff(at[order], prepend=-1) > 0]
+            at, frame, verdict = at[order], frame[order], verdict[order]
+        self.at, self._frame, self.verdict = at, frame, verdict
         self._begins = np.zeros(len(held) + 1, np.bool_)
-        self._begins[self.at] = True
+        self._begins[at] = True
 
-    def _check(self, which: IntArray) -> None:
-        """Look at the checksums of some candidates."""
-        which = which[self.verdict[which] == UNKNOWN]
-        for number in np.flatnonzero(np.bincount(self.frame[which])).tolist():
-            mine = which[self.frame[which] == number]
-            self.verdict[mine] = self._frames[number].verdicts(
-                self._held, self.at[mine], self.length[mine], self._final
-            )
-
-    def followed(self, done: int) -> IntArray:
-        """Return valid packets, one behind the other from `done` on, each with a sync pattern behind it."""
-        tails = np.array([len(frame.tail) for frame in self._frames])[self.frame]
-        end = self.at + self.length
-        last = len(self._begins) - 1
-        followed = self._begins[np.minimum(end, last)] | self._begins[np.minimum(end + tails, last)]
-        sure = np.flatnonzero((self.length > 0) & followed & (self.at >= done))
-        self._check(sure)
-        sure = sure[self.verdict[sure] > 0]
-        end = self.at[sure] + self.verdict[sure]
-        before = np.maximum.accumulate(np.concatenate([[done], end[:-1]])) if len(sure) else end
-        return sure[self._begins[end] & (self.at[sure] >= before)]
-
-    def outside(self, packets: IntArray) -> IntArray:
-        """Return the candidates that do not begin within these packets, one for each place.
-
-        The first frame counts that finds a packet there; or that may still find one, when more bytes come.
-        """
-        inside = np.searchsorted(self.at[packets], self.at) - 1
-        ends = np.concatenate([self.at[packets] + self.verdict[packets], [0]])
-        visible = np.flatnonzero(self.at >= ends[inside])
-        self._check(visible)
-        at = self.at[visible]
-        if np.all(np.diff(at)):
-            return visible
-        verdict = self.verdict[visible]
-        hopeless = (verdict <= 0) & (self._final | (verdict != INCOMPLETE))
-        visible = visible[np.lexsort((self.frame[visible], hopeless, at))]
-        return visible[np.diff(self.at[visible], prepend=-1) > 0]
-
-    def contains(self, some: IntArray, others: IntArray) -> bool:
-        """Return whether the others are among some candidates."""
-        there = np.zeros(len(self.at), np.bool_)
-        there[some] = True
-        return bool(np.all(there[others]))
+    def _verdicts(self, frame: Frame, at: IntArray) -> IntArray:
+        """Return for each place the length of the packet there, or why there is none."""
+        verdict = frame.measured(self._held, at)
+        whole = np.flatnonzero(verdict > 0)
+        verdict[whole] = frame.verdicts(self._held, at[whole], verdict[whole], self._final)
+        return verdict
 
     def found(self, which: IntArray) -> Found:
         """Return some candidates as packets."""
-        return Found(self._held, self.at[which], self.verdict[which], self.frame[which])
+        return Found(self._held, self.at[which], self.verdict[which], self._frame[which])
 
-    def walk(self, visible: IntArray, done: int) -> tuple[IntArray, int, int]:
+    def walk(self, done: int) -> tuple[IntArray, int, int]:
         """Return which candidates are taken, where the rest begins, and how many of its bytes are taken.
 
         A candidate that is not complete holds back what follows; at the end of the data it is passed over,
         and stays pending when no packet follows.
         """
-        verdict = self.verdict[visible]
-        of_interest = visible[(verdict > 0) | (verdict == INCOMPLETE)]
+        of_interest = np.flatnonzero((self.verdict > 0) | (self.verdict == INCOMPLETE))
         at, verdict = self.at[of_interest], self.verdict[of_interest]
         # Most packets stand one directly behind the other: such a run is taken at once.
         joined = (verdict[:-1] > 0) & (verdict[1:] > 0) & (at[1:] == at[:-1] + verdict[:-1])
@@ -335,7 +348,7 @@ class _Candidates:
                 stop = int(run_end[k])
                 runs.append(of_interest[k:stop])
                 done, pending, k = int(at[stop - 1] + verdict[stop - 1]), -1, stop
-                is_checked = self._frames[self.frame[of_interest[stop - 1]]].check is not unchecked
+                is_checked = self._frames[self._frame[of_interest[stop - 1]]].check is not unchecked
             elif not self._final:
                 rest = start
                 break

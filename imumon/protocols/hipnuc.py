@@ -12,15 +12,12 @@ from fractions import Fraction
 from math import pi
 from typing import Final
 
-import numpy as np
-
-from imumon.blocks import IntArray
 from imumon.columns import KNOWN, Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import Timing
 from imumon.protocols.checksums import CRCS
 from imumon.protocols.frame_checks import CyclicCheck, rearranged
-from imumon.protocols.framing import Found, Frame, counted_length
+from imumon.protocols.framing import Frame, counted_length
 from imumon.protocols.messages import (
     Message,
     Part,
@@ -32,7 +29,20 @@ from imumon.protocols.messages import (
     whole,
 )
 from imumon.protocols.numbers import NUMBER_TYPES
-from imumon.protocols.tagged_columns import ANGLES, QUATERNION, count, known, number, vector
+from imumon.protocols.tagged_columns import (
+    ANGLES,
+    FORCE,
+    MAG,
+    PRESSURE,
+    QUATERNION,
+    RATE,
+    TEMPERATURE,
+    TICKS,
+    count,
+    known,
+    number,
+    vector,
+)
 
 SYNC = b"\x5a\xa5"
 HEADER, LONGEST = 6, 512 + 6
@@ -41,8 +51,6 @@ SHORT_FORCE: Final = 0.0048828
 SHORT_MAG: Final = 0.030517
 OF_BITS = 0x83
 
-FORCE, RATE, MAG = (known(*(f"{base}_{axis}" for axis in "xyz")) for base in ("accel", "gyro", "mag"))
-TEMPERATURE, PRESSURE = known("temperature"), known("pressure")
 STATUS = part(1, "u16", [KNOWN["status"]])
 INS_STATUS = whole(3, "u8", "ins_status", "status of the filter")
 PLACE = known("longitude", "latitude", "altitude")
@@ -51,7 +59,7 @@ FREE_ENU = vector("free_accel_enu", "m/s^2", "acceleration without gravity, east
 
 PACKETS = {
     0x91: Message("imu91", 76, (STATUS, part(3, "i8", TEMPERATURE), part(4, "f32", PRESSURE),
-                                part(8, "u32", [KNOWN["device_ticks"]], 1000.0),
+                                part(8, "u32", TICKS, 1000.0),
                                 part(12, "f32", FORCE, STANDARD_GRAVITY), part(24, "f32", RATE, DEGREE),
                                 part(36, "f32", MAG), part(48, "f32", ANGLES, DEGREE),
                                 part(60, "f32", QUATERNION))),
@@ -80,7 +88,7 @@ BITS: dict[int, Bit] = {
     2: ("f32", MAG, 1.0, 12),
     3: ("f32", ANGLES, DEGREE, 12),
     4: ("f32", QUATERNION, 1.0, 16),
-    5: ("u64", [KNOWN["device_ticks"]], 1.0, 8),
+    5: ("u64", TICKS, 1.0, 8),
     6: ("", (), 1.0, 8),
     7: ("f32", PRESSURE, 1.0, 4),
     8: ("f32", TEMPERATURE, 1.0, 4),
@@ -119,6 +127,9 @@ def of_bits(bits: int) -> Message:
     return Message(f"imu83:{bits:#x}", at, tuple(parts))
 
 
+MESSAGES = PACKETS | {OF_BITS: of_bits(sum(1 << bit for bit in BITS))}
+
+
 def _header_behind(size: int) -> list[int]:
     return [*range(4), *range(HEADER, size), 4, 5]
 
@@ -141,28 +152,27 @@ class HipnucDecoder(TableDecoder):
     def _message(self, key: int) -> Message | None:
         return of_bits(key >> 8) if key & 0xFF == OF_BITS else super()._message(key)
 
-    def _keys(self, found: Found) -> IntArray:
-        keys = np.where(found.length > HEADER, _byte(found, HEADER), -1)
-        variable = np.flatnonzero((keys == OF_BITS) & (found.length >= HEADER + 8))
-        bits = sum(_byte(found, HEADER + 4 + k)[variable] << 8 * k for k in range(4))
-        keys[variable] = np.asarray(bits) << 8 | OF_BITS
-        if np.any((keys >= 0) & ~np.isin(keys & 0xFF, (*PACKETS, OF_BITS))):
+    def _signature(self, packet: bytes) -> Sequence[int]:
+        places = (HEADER, *range(HEADER + 4, HEADER + 8)) if packet[HEADER:][:1] == b"\x83" else (HEADER,)
+        return [place for place in places if place < len(packet)]
+
+    def _key(self, packet: bytes) -> int:
+        tag, bits = packet[HEADER:][:1], packet[HEADER + 4 : HEADER + 8]
+        if tag and tag[0] not in (*PACKETS, OF_BITS):
             self._say("packets with other tags than 0x81, 0x83 and 0x91 are counted and not read")
-        return keys
-
-
-def _byte(found: Found, place: int) -> IntArray:
-    return found.held[np.minimum(found.at + place, len(found.held) - 1)].astype(np.int64)
+        key = int.from_bytes(tag, "little")
+        return int.from_bytes(bits, "little") << 8 | key if key == OF_BITS and len(bits) == 4 else key
 
 
 HIPNUC = TableFamily(
-    PACKETS,
+    MESSAGES,
     [Frame("HiPNUC", SYNC, counted_length(2, 2, HEADER, LONGEST), _RIGHT)],
     HipnucDecoder,
     _wrapped,
     Timing(tick_ns=Fraction(1000)),
     HEADER,
     HEADER,
+    (HEADER,),
 )
 
 
@@ -175,4 +185,4 @@ class HipnucDevice(TableDevice):
         """Make an encoder that sends what the device would send."""
         bits = [int(n.partition(":")[2], 16) for n in self.sends if n.startswith("imu83:0x")]
         messages = PACKETS | {b << 8 | OF_BITS: of_bits(b) for b in bits}
-        return replace(HIPNUC, messages=messages).encoder(self.sends)
+        return TableEncoder(replace(HIPNUC, messages=messages), self.sends)

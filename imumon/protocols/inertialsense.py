@@ -11,29 +11,40 @@ from typing import Final
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, IntArray
-from imumon.columns import KNOWN
+from imumon.blocks import ColumnArray
 from imumon.protocols.base import Timing
 from imumon.protocols.frame_checks import Fletcher
-from imumon.protocols.framing import Found, Frame, counted_length
+from imumon.protocols.framing import Frame, counted_length
 from imumon.protocols.messages import Message, TableDecoder, TableDevice, TableFamily, part, whole
 from imumon.protocols.numbers import Columns, Derived
 from imumon.protocols.stream import LONGEST_PACKET
-from imumon.protocols.tagged_columns import ANGLES, known, number, vector
+from imumon.protocols.tagged_columns import (
+    ANGLES,
+    FORCE,
+    MAG,
+    PLACE,
+    PRESSURE,
+    QUATERNION,
+    RATE,
+    STATUS,
+    TEMPERATURE,
+    TICKS,
+    number,
+    vector,
+)
 
 SYNC = b"\xef\x49"
 HEADER, AROUND = 6, 8
 DATA, SET_DATA, WITH_OFFSET = 4, 5, 0x20
 KILOPASCAL: Final = 1000.0
+USUAL_S: Final = 0.004
+"""Time over which a virtual device sums increments when nothing says it, s."""
 
-TIME = part(0, "f64", [KNOWN["device_ticks"]], 1e9)
-FORCE, RATE, MAG = (known(*(f"{base}_{axis}" for axis in "xyz")) for base in ("accel", "gyro", "mag"))
-STATUS = [KNOWN["status"]]
+TIME = part(0, "f64", TICKS, 1e9)
 DELTA_TIME = [number("delta_time", "s", "time over which the increments were summed")]
 THETA = vector("delta_theta", "rad", "rotation over the sample")
 DELTA_VELOCITY = vector("delta_velocity", "m/s", "velocity increment")
 BODY_VELOCITY = vector("velocity_body", "m/s", "velocity in the body frame")
-POSITION = known("latitude", "longitude", "altitude")
 OF_WEEK = (whole(0, "u32", "gps_week", "GPS week"), part(4, "f64", [number("gps_time_of_week", "s", "GPS")]))
 FILTER = (whole(12, "u32", "ins_status", "status of the filter, bits"),
           whole(16, "u32", "hardware_status", "status of the hardware, bits"))  # fmt: skip
@@ -45,12 +56,9 @@ def _mean_rates(columns: Columns) -> list[ColumnArray]:
     return [np.where(np.isfinite(mean), mean, np.nan) for mean in means]
 
 
-def _increments(columns: Columns) -> list[ColumnArray]:
-    return [columns[column.name] * columns["delta_time"] for column in (*RATE, *FORCE)]
-
-
 def _with_increments(columns: Columns) -> list[ColumnArray]:
-    return [columns["delta_time"], *_increments(columns)]
+    interval = columns.get("delta_time", np.full(len(columns["gyro_x"]), USUAL_S))
+    return [interval, *(columns[column.name] * interval for column in (*RATE, *FORCE))]
 
 
 MEANS = Derived(tuple(c.name for c in (*DELTA_TIME, *THETA, *DELTA_VELOCITY)), (*RATE, *FORCE), _mean_rates,
@@ -61,20 +69,20 @@ DATA_SETS = {
     97: Message("imu_raw", 36, (TIME, part(8, "u32", STATUS), part(12, "f32", RATE), part(24, "f32", FORCE))),
     3: Message("pimu", 40, (TIME, part(8, "f32", DELTA_TIME), part(12, "u32", STATUS), part(16, "f32", THETA),
                             part(28, "f32", DELTA_VELOCITY)), derived=(MEANS,)),
-    11: Message("sys_sensors", 80, (TIME, part(8, "f32", known("temperature")), part(12, "f32", RATE),
+    11: Message("sys_sensors", 80, (TIME, part(8, "f32", TEMPERATURE), part(12, "f32", RATE),
                                     part(24, "f32", FORCE), part(36, "f32", MAG),
-                                    part(48, "f32", known("pressure"), KILOPASCAL)), "sensors"),
+                                    part(48, "f32", PRESSURE, KILOPASCAL)), "sensors"),
     10: Message("sys_params", 64, (whole(0, "u32", "time_of_week_ms", "GPS time of week", "ms"),
-                                   part(12, "f32", known("temperature"))), "temperature"),
+                                   part(12, "f32", TEMPERATURE)), "temperature"),
     52: Message("mag", 20, (TIME, part(8, "f32", MAG)), "mag"),
-    53: Message("baro", 24, (TIME, part(8, "f32", known("pressure"), KILOPASCAL),
+    53: Message("baro", 24, (TIME, part(8, "f32", PRESSURE, KILOPASCAL),
                              part(12, "f32", [number("altitude_msl", "m", "from the pressure")]),
                              part(16, "f32", [number("baro_temperature", "degC", "of the barometer")])),
                 "pressure"),
     4: Message("ins_1", 80, (*OF_WEEK, *FILTER, part(20, "f32", ANGLES), part(32, "f32", BODY_VELOCITY),
-                             part(44, "f64", POSITION)), "filter"),
-    5: Message("ins_2", 72, (*OF_WEEK, *FILTER, part(20, "f32", known("q_w", "q_x", "q_y", "q_z")),
-                             part(36, "f32", BODY_VELOCITY), part(48, "f64", POSITION)), "filter"),
+                             part(44, "f64", PLACE)), "filter"),
+    5: Message("ins_2", 72, (*OF_WEEK, *FILTER, part(20, "f32", QUATERNION),
+                             part(36, "f32", BODY_VELOCITY), part(48, "f64", PLACE)), "filter"),
 }  # fmt: skip
 """Data sets by their identifier."""
 
@@ -86,13 +94,11 @@ def _wrapped(key: int, payload: bytes) -> bytes:
 class InertialSenseDecoder(TableDecoder):
     """Decodes data sets that come whole; other packets are counted."""
 
-    def _keys(self, found: Found) -> IntArray:
-        flags = found.held[found.at + 2]
-        in_part = flags & WITH_OFFSET != 0
-        if np.any(in_part):
+    def _key(self, packet: bytes) -> int:
+        flags = packet[2]
+        if flags & WITH_OFFSET:
             self._say("data sets that come in part are counted and not read")
-        data = np.isin(flags & 0x0F, (DATA, SET_DATA)) & ~in_part
-        return np.where(data, found.held[found.at + 3].astype(np.int64), -1)
+        return packet[3] if flags & (WITH_OFFSET | 0x0F) in (DATA, SET_DATA) else -1
 
 
 class InertialSenseDevice(TableDevice):
@@ -106,4 +112,5 @@ class InertialSenseDevice(TableDevice):
         Timing(tick_ns=Fraction(1)),
         HEADER,
         AROUND,
+        head=(2, 3),
     )

@@ -16,7 +16,6 @@ from typing import Final
 import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, IntArray
-from imumon.columns import KNOWN
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, Timing
 from imumon.protocols.checksums import CRCS
@@ -25,7 +24,19 @@ from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame, windo
 from imumon.protocols.messages import Message, TableDecoder, TableDevice, TableFamily, part, whole
 from imumon.protocols.numbers import Columns, Derived
 from imumon.protocols.stream import ByteArray
-from imumon.protocols.tagged_columns import ANGLES, QUATERNION, count, known, number, vector
+from imumon.protocols.tagged_columns import (
+    ANGLES,
+    FORCE,
+    MAG,
+    PRESSURE,
+    QUATERNION,
+    RATE,
+    TEMPERATURE,
+    TICKS,
+    count,
+    number,
+    vector,
+)
 
 FIRST, SECOND = b"\xfe", b"\xfd"
 HEADERS = {FIRST: 6, SECOND: 10}
@@ -35,8 +46,6 @@ GAUSS, HECTOPASCAL = 100.0, 100.0
 LONGEST: Final = 64
 """Bytes of the longest payload in the table, with its extensions."""
 
-FORCE, RATE, MAG = (known(*(f"{base}_{axis}" for axis in "xyz")) for base in ("accel", "gyro", "mag"))
-TICKS = [KNOWN["device_ticks"]]
 HUNDREDTHS = count("_hundredths", "temperature, 0 when there is none")
 FILTER_RATE = vector("gyro_compensated", "rad/s", "angular rate less the filter's bias")
 
@@ -51,7 +60,7 @@ def _of_celsius(columns: Columns) -> list[ColumnArray]:
     return [np.where(np.isnan(columns["temperature"]), 0, np.where(raw == 0, 1, raw)).astype(np.int64)]
 
 
-CELSIUS = Derived((HUNDREDTHS.name,), known("temperature"), _to_celsius, _of_celsius)
+CELSIUS = Derived((HUNDREDTHS.name,), TEMPERATURE, _to_celsius, _of_celsius)
 
 
 def _imu(
@@ -70,14 +79,14 @@ def _imu(
 MESSAGES = {
     105: Message("highres_imu", 63, (part(0, "u64", TICKS), part(8, "f32", FORCE), part(20, "f32", RATE),
                                      part(32, "f32", MAG, GAUSS),
-                                     part(44, "f32", known("pressure"), HECTOPASCAL),
+                                     part(44, "f32", PRESSURE, HECTOPASCAL),
                                      part(52, "f32", [number("pressure_altitude", "m", "from the pressure")]),
-                                     part(56, "f32", known("temperature")),
+                                     part(56, "f32", TEMPERATURE),
                                      whole(60, "u16", "updated", "which values are new, bits")), least=1),
     26: _imu(4, 22, 24, "scaled_imu", "u32", 1000.0, MAIN),
     27: _imu(8, 27, 29, "raw_imu", "u64", 1.0, MAIN),
     29: Message("scaled_pressure", 16, (part(0, "u32", TICKS, 1000.0),
-                                        part(4, "f32", known("pressure"), HECTOPASCAL)), "pressure", least=1),
+                                        part(4, "f32", PRESSURE, HECTOPASCAL)), "pressure", least=1),
     30: Message("attitude", 28, (part(0, "u32", TICKS, 1000.0), part(4, "f32", ANGLES),
                                  part(16, "f32", FILTER_RATE)), "attitude", least=1),
     31: Message("attitude_quaternion", 32, (part(0, "u32", TICKS, 1000.0), part(4, "f32", QUATERNION),
@@ -124,7 +133,7 @@ def _right(header: int, held: ByteArray, at: IntArray, length: IntArray) -> Bool
 class MavlinkDecoder(TableDecoder):
     """Decodes the inertial messages of the first vehicle that is heard."""
 
-    _vehicle = -1
+    _vehicle = b""
 
     def _plain(self, found: Found) -> Found:
         """Return the messages as those of version 2 with all their zeros."""
@@ -140,19 +149,16 @@ class MavlinkDecoder(TableDecoder):
         begins = np.arange(len(found)) * size
         return Found(held.reshape(-1), begins, np.full(len(found), size), found.frame)
 
-    def _keys(self, found: Found) -> IntArray:
-        keys = _number(found.held, found.at, HEADERS[SECOND])
-        vehicle = found.held[found.at + 5].astype(np.int64) << 8 | found.held[found.at + 6]
-        if self._vehicle < 0 and len(vehicle):
-            self._vehicle = int(vehicle[0])
-        others = vehicle != self._vehicle
-        if np.any(others):
-            self._say(
-                f"only vehicle {self._vehicle >> 8}, component {self._vehicle & 0xFF} is read of several"
-            )
-        if np.any(np.isin(keys, (26, 27))):
+    def _key(self, packet: bytes) -> int:
+        vehicle, key = packet[5:7], int.from_bytes(packet[7:10], "little")
+        self._vehicle = self._vehicle or vehicle
+        if key in (26, 27):
             self._warn("rates of SCALED_IMU and RAW_IMU have steps of 206 deg/h: HIGHRES_IMU is finer")
-        return np.where(others, -1, keys)
+        if vehicle != self._vehicle:
+            number, component = self._vehicle
+            self._say(f"only vehicle {number}, component {component} is read of several")
+            return -1
+        return key
 
 
 def _wrapped(key: int, payload: bytes) -> bytes:
@@ -175,4 +181,5 @@ class MavlinkDevice(TableDevice):
         Timing(tick_ns=Fraction(1000)),
         HEADERS[SECOND],
         HEADERS[SECOND],
+        head=(5, 6, 7, 8, 9),
     )

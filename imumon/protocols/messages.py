@@ -1,8 +1,8 @@
 """Families whose packets carry an identifier and numbers at fixed places: tables of messages.
 
-A family is a table of `Message`, frames, and a method that says where the identifier stands: `TableFamily`.
-Older devices send shorter messages and newer ones longer: what is behind the last number that is known is
-passed over, and numbers behind the end are absent.
+A family is a table of `Message`, frames, and a `TableDecoder` that says where the identifier stands.  Older
+devices send shorter messages and newer ones longer: what is behind the last number that is known is passed
+over, and numbers behind the end are absent.
 """
 
 from __future__ import annotations
@@ -14,14 +14,21 @@ from typing import ClassVar
 
 import numpy as np
 
-from imumon.blocks import IntArray, SampleBlock
+from imumon.blocks import SampleBlock
 from imumon.columns import Column
 from imumon.protocols.base import COMMON, MAIN, Encoder, Timing, chosen
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.framing import Found, Frame
-from imumon.protocols.numbers import NO_GROUP, NUMBER_TYPES, Derived, Placed, Value, packed
-from imumon.protocols.payload import LayoutDecoder, Record, alike
-from imumon.protocols.stream import ByteArray
+from imumon.protocols.framing import Frame
+from imumon.protocols.layouts import Alike, Layout, LayoutDecoder, Record, groups_of
+from imumon.protocols.numbers import (
+    NO_GROUP,
+    NUMBER_TYPES,
+    Derived,
+    Placed,
+    Value,
+    with_sources,
+    write,
+)
 from imumon.protocols.tagged_columns import count
 
 Part = tuple[Placed, ...]
@@ -56,19 +63,19 @@ class Message:
     least: int = 0
     """Bytes of the shortest payload that is read; `size` when 0."""
 
-    @property
-    def numbers(self) -> list[Placed]:
-        """All numbers, with their groups."""
+    def numbers(self, start: int, size: int, big: bool) -> list[Placed]:
+        """Return the numbers of packets whose payload begins at `start` and has `size` bytes."""
         return [
-            item._replace(group=NO_GROUP if item.name in COMMON else item.group or self.group)
+            Placed(
+                item.value,
+                start + item.at,
+                NO_GROUP if item.name in COMMON else item.group or self.group,
+                big,
+            )
             for one in self.parts
             for item in one
+            if item.end <= size
         ]
-
-    def layout(self, start: int, size: int, big: bool) -> Record:
-        """Return the layout of packets whose payload begins at `start` and has `size` bytes."""
-        numbers = [item._replace(at=start + item.at, big=big) for item in self.numbers if item.end <= size]
-        return Record(numbers, self.derived)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,18 +95,16 @@ class TableFamily:
     start: int
     more: int
     """Bytes before the payload; bytes of the packet besides the payload."""
+    head: tuple[int, ...]
+    """Places of the bytes that tell what a packet carries."""
     big: bool = False
     """Whether the most significant byte comes first."""
     apart: Sequence[str] = ()
     """Groups that never join the main rows."""
 
-    def decoder(self, rate_hz: float | None) -> TableDecoder:
-        """Make a decoder for packets that come at this nominal rate."""
-        return self.decodes(self, rate_hz)
-
-    def encoder(self, sends: Sequence[str]) -> TableEncoder:
-        """Make an encoder of the messages of these names."""
-        return TableEncoder(self, sends)
+    def layout(self, message: Message, size: int) -> Record:
+        """Return the layout of packets with so many bytes of payload."""
+        return Record(message.numbers(self.start, size, self.big), message.derived)
 
 
 class TableDevice(DeviceFile):
@@ -110,55 +115,43 @@ class TableDevice(DeviceFile):
 
     def decoder(self) -> TableDecoder:
         """Make a decoder for this device."""
-        return self.family.decoder(self.rate_hz)
+        return self.family.decodes(self.family, self.rate_hz)
 
     def encoder(self) -> TableEncoder:
         """Make an encoder that sends what the device would send."""
-        return self.family.encoder(self.sends)
+        return TableEncoder(self.family, self.sends)
 
 
 class TableDecoder(LayoutDecoder):
     """Decodes the messages of a family."""
 
     def __init__(self, family: TableFamily, rate_hz: float | None) -> None:
-        there = (item.group for message in family.messages.values() for item in message.numbers)
-        groups = tuple(dict.fromkeys(group for group in there if group not in (MAIN, NO_GROUP)))
-        super().__init__(family.frames, replace(family.timing, rate_hz=rate_hz), groups, family.apart)
         self._family = family
-        self._numbers: dict[tuple[int, int], int] = {}
-
-    @property
-    def possible_columns(self) -> tuple[Column, ...]:
-        """Columns of all messages of the table."""
-        layouts = [m.layout(0, m.size, self._family.big) for m in self._family.messages.values()]
-        columns = {column.name: column for layout in layouts for column in layout.columns}
-        return tuple((columns | self._columns).values())
+        layouts = [family.layout(message, message.size) for message in family.messages.values()]
+        super().__init__(
+            family.frames,
+            replace(family.timing, rate_hz=rate_hz),
+            groups_of(layouts, apart=family.apart),
+            [column for layout in layouts for column in layout.columns],
+        )
 
     @abstractmethod
-    def _keys(self, found: Found) -> IntArray:
-        """Return the identifier of each packet; what is not in the table is only counted."""
+    def _key(self, packet: bytes) -> int:
+        """Return the identifier of a packet; what is not in the table is only counted."""
 
     def _message(self, key: int) -> Message | None:
         """Return what an identifier means."""
         return self._family.messages.get(key)
 
-    def _layout_numbers(self, found: Found) -> IntArray:
-        numbers = np.full(len(found), -1, np.int64)
-        sizes = found.length - self._family.more
-        kinds, which = alike(self._keys(found) << 16 | sizes.clip(0, 0xFFFF))
-        for k, kind in enumerate(kinds.tolist()):
-            numbers[which == k] = self._number(kind >> 16, kind & 0xFFFF)
-        return numbers
+    def _signature(self, packet: bytes) -> Sequence[int]:
+        del packet
+        return self._family.head
 
-    def _number(self, key: int, size: int) -> int:
-        """Return the number of the layout of a message with so many bytes of payload."""
-        message = self._message(key)
+    def _layout(self, alike: Alike) -> Layout | None:
+        message, size = self._message(self._key(alike.packet)), len(alike.packet) - self._family.more
         if message is None or size < (message.least or message.size):
-            return -1
-        of = key, min(size, message.size)
-        if of not in self._numbers:
-            self._numbers[of] = self._add(message.layout(self._family.start, of[1], self._family.big))
-        return self._numbers[of]
+            return None
+        return self._family.layout(message, min(size, message.size))
 
 
 class TableEncoder(Encoder):
@@ -179,19 +172,10 @@ class TableEncoder(Encoder):
 
     def encode(self, block: SampleBlock) -> list[bytes]:
         """Return the packets of each row; see `imumon.protocols.base.Encoder`."""
-        parts = [
-            [self._family.wrap(key, row.tobytes()) for row in self._payload(message, block)]
-            for key, message in self._sent
-        ]
+        rows, parts = np.arange(len(block)), list[list[bytes]]()
+        for key, message in self._sent:
+            numbers = message.numbers(0, message.size, self._family.big)
+            columns = with_sources(block.columns, message.derived, [item.name for item in numbers])
+            payloads = write(message.name, numbers, message.size, columns, rows)
+            parts.append([self._family.wrap(key, payload.tobytes()) for payload in payloads])
         return [b"".join(row) for row in zip(*parts, strict=True)]
-
-    def _payload(self, message: Message, block: SampleBlock) -> ByteArray:
-        columns = dict(block.columns)
-        for made in message.derived:
-            if all(column.name in columns for column in made.results):
-                columns |= dict(zip(made.sources, made.encode(columns), strict=True))
-        payload, rows = np.zeros((len(block), message.size), np.uint8), np.arange(len(block))
-        for item in message.numbers:
-            most_first = packed(message.name, item.value, columns, rows)
-            payload[:, item.at : item.end] = most_first if self._family.big else most_first[:, ::-1]
-        return payload

@@ -16,14 +16,14 @@ import numpy as np
 from imumon.blocks import NO_INT, ColumnArray
 from imumon.columns import KNOWN, Column
 from imumon.geodesy import STANDARD_GRAVITY as G
-from imumon.protocols.base import MAIN, ONLY_CORRECTED, Timing, chosen
+from imumon.protocols.base import MAIN, Timing, chosen
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.epochs import GENERATION
 from imumon.protocols.mip_filter import (
     GAUSS,
     GPS_TIME,
     MILLIBAR,
     Attitude,
+    Row,
     counted,
     doubles,
     euler,
@@ -32,7 +32,7 @@ from imumon.protocols.mip_filter import (
     valid,
 )
 from imumon.protocols.numbers import NO_GROUP, Columns, Derived, Value
-from imumon.protocols.tagged import COUNTED, LIST, MIP, Field, FieldTable, TaggedDecoder
+from imumon.protocols.tagged import MIP, Field, FieldTable, TaggedDecoder, TaggedEncoder
 from imumon.protocols.tagged_columns import (
     MATRIX,
     QUATERNION,
@@ -42,7 +42,6 @@ from imumon.protocols.tagged_columns import (
     number,
     vector,
 )
-from imumon.protocols.tagged_encoder import TaggedEncoder
 
 WEEK_NS = 7 * 86_400 * 10**9
 
@@ -65,11 +64,8 @@ SET_NAMES = {
 }
 """Names of the descriptor sets."""
 
-ROLES = {
-    **dict.fromkeys(range(0x80, 0x100), COUNTED),
-    **dict.fromkeys((SENSOR, FILTER, *GNSS), LIST),
-}
-"""Data sets without fields for a row are counted; commands and replies are messages."""
+DATA_SETS = range(0x80, 0x100)
+"""Those without fields for a row are counted; commands and replies are messages."""
 
 ERRORS = {1: "unknown command", 2: "invalid checksum", 3: "invalid parameter", 4: "failed", 5: "timed out"}
 """Codes of an acknowledgement that is none."""
@@ -82,58 +78,43 @@ def _shared(descriptor_set: int, clock: Clock) -> list[Field]:
     reference = (
         KNOWN["device_ticks"] if clock == "reference" else count("reference_time", "device clock", "ns")
     )
-    table: tuple[tuple[int, str, tuple[Value, ...]], ...] = (
+    since = "since the last packet"
+    table: list[Row] = [
         (0xD5, "ReferenceTime", (Value(reference, "u64"),)),
         (0xD3, "GpsTime", GPS_TIME),
-        (
-            0xD7,
-            "ExternalTime",
-            (counted("external_time", "external clock", "u64", "ns"), valid("external_time")),
-        ),
+        (0xD7, "ExternalTime", (counted("external_time", "external clock", "u64", "ns"),
+                                valid("external_time"))),
         (0xD0, "EventSource", (counted("event_source", "trigger of the packet; 0: none", "u8"),)),
         (0xD1, "Ticks", (counted("base_ticks", "base periods since power-up", "u32"),)),
-        (0xD2, "DeltaTicks", (counted("delta_base_ticks", "base periods since the last packet", "u32"),)),
-        (0xD4, "DeltaTime", doubles((number("delta_time", "s", "external time since the last packet"),))),
-        (
-            0xD6,
-            "ReferenceTimeDelta",
-            (counted("delta_reference_time", "since the last packet", "u64", "ns"),),
-        ),
-        (
-            0xD8,
-            "ExternalTimeDelta",
-            (
-                counted("delta_external_time", "since the last packet", "u64", "ns"),
-                valid("delta_external_time"),
-            ),
-        ),
-    )
+        (0xD2, "DeltaTicks", (counted("delta_base_ticks", f"base periods {since}", "u32"),)),
+        (0xD4, "DeltaTime", doubles((number("delta_time", "s", f"external time {since}"),))),
+        (0xD6, "ReferenceTimeDelta", (counted("delta_reference_time", since, "u64", "ns"),)),
+        (0xD8, "ExternalTimeDelta", (counted("delta_external_time", since, "u64", "ns"),
+                                     valid("delta_external_time"))),
+    ]  # fmt: skip
     return [Field(descriptor_set << 8 | code, name, values, NO_GROUP) for code, name, values in table]
 
 
 def _sensor_fields(attitude: Attitude) -> list[Field]:
     own = attitude == "imu"
     quaternion = QUATERNION if own else vector("imu_q", "1", "attitude of the complementary filter", "wxyz")
-    angles = euler("" if own else "imu_")
-    temperature = number("temperature", "degC", "mean sensor temperature")
-    table: tuple[tuple[int, str, tuple[Value, ...]], ...] = (
+    temperatures = (
+        number("temperature_min", "degC", "lowest sensor temperature"),
+        number("temperature_max", "degC", "highest sensor temperature"),
+        number("temperature", "degC", "mean sensor temperature"),
+    )
+    odometer = (
+        number("odometer_speed", "m/s", "speed of the odometer"),
+        number("odometer_accuracy", "m/s", "accuracy of that speed"),
+    )
+    table: list[Row] = [
         (0x05, "ScaledGyro", floats(known("gyro_x", "gyro_y", "gyro_z"))),
         (0x04, "ScaledAccel", floats(known("accel_x", "accel_y", "accel_z"), G)),
         (0x06, "ScaledMag", floats(known("mag_x", "mag_y", "mag_z"), GAUSS)),
-        (
-            0x14,
-            "Temperature",
-            floats(
-                (
-                    number("temperature_min", "degC", "lowest sensor temperature"),
-                    number("temperature_max", "degC", "highest sensor temperature"),
-                    temperature,
-                )
-            ),
-        ),
-        (0x17, "ScaledPressure", (Value(KNOWN["pressure"], "f32", MILLIBAR),)),
+        (0x14, "Temperature", floats(temperatures)),
+        (0x17, "ScaledPressure", floats(known("pressure"), MILLIBAR)),
         (0x0A, "ImuQuaternion", floats(quaternion)),
-        (0x0C, "ImuEuler", floats(angles)),
+        (0x0C, "ImuEuler", floats(euler("" if own else "imu_"))),
         (0x09, "ImuMatrix", floats(MATRIX) if own else ()),
         (0x07, "DeltaTheta", floats(vector("delta_theta", "rad", "rotation over the sample"))),
         (0x08, "DeltaVelocity", floats(vector("delta_velocity", "m/s", "velocity increment"), G)),
@@ -141,15 +122,7 @@ def _sensor_fields(attitude: Attitude) -> list[Field]:
         (0x11, "UpVector", floats(vector("up", "m/s^2", "vertical in the body"), G)),
         (0x12, "SensorGpsTime", GPS_TIME),
         (0x18, "Overrange", (counted("overrange", "sensors out of range, bits", "u16"),)),
-        (
-            0x40,
-            "Odometer",
-            (
-                Value(number("odometer_speed", "m/s", "speed of the odometer"), "f32"),
-                Value(number("odometer_accuracy", "m/s", "accuracy of that speed"), "f32"),
-                valid("odometer"),
-            ),
-        ),
+        (0x40, "Odometer", (*floats(odometer), valid("odometer"))),
         (0x01, "RawAccel", floats(vector("raw_accel", "1", "accelerometer, raw counts"))),
         (0x02, "RawGyro", floats(vector("raw_gyro", "1", "gyroscope, raw counts"))),
         (0x03, "RawMag", floats(vector("raw_mag", "1", "magnetometer, raw counts"))),
@@ -157,13 +130,9 @@ def _sensor_fields(attitude: Attitude) -> list[Field]:
         (0x0B, "ImuUpdateMatrix", ()),
         (0x0D, "RawTemperature", ()),
         (0x0E, "InternalTimestamp", (counted("internal_timestamp", "internal clock of old devices", "u32"),)),
-        (
-            0x0F,
-            "PpsTimestamp",
-            (counted("pps_seconds", "time since the last pulse, s", "u32", "s"),
-             counted("pps_microseconds", "and us", "u32", "us")),
-        ),
-    )  # fmt: skip
+        (0x0F, "PpsTimestamp", (counted("pps_seconds", "time since the last pulse, s", "u32", "s"),
+                                counted("pps_microseconds", "and us", "u32", "us"))),
+    ]  # fmt: skip
     return [
         Field(SENSOR << 8 | code, name, values, _SENSOR_GROUPS.get(code, MAIN))
         for code, name, values in table
@@ -190,36 +159,21 @@ def _gnss_fields(descriptor_set: int) -> list[Field]:
             number(f"{prefix}_{name}", unit, f"receiver {prefix}: {name}") for name, unit in names_and_units
         )
 
-    place = doubles(of(("latitude", "deg"), ("longitude", "deg"), ("altitude", "m"), ("altitude_msl", "m")))
-    accuracy = floats(of(("horizontal_accuracy", "m"), ("vertical_accuracy", "m")))
-    motion = ("velocity_north", "velocity_east", "velocity_down", "speed", "ground_speed")
+    place = of(("latitude", "deg"), ("longitude", "deg"), ("altitude", "m"), ("altitude_msl", "m"))
+    accuracy = of(("horizontal_accuracy", "m"), ("vertical_accuracy", "m"))
+    motion = of(("velocity_north", "m/s"), ("velocity_east", "m/s"), ("velocity_down", "m/s"),
+                ("speed", "m/s"), ("ground_speed", "m/s"))  # fmt: skip
     degree = np.pi / 180
-    return [
-        Field(
-            descriptor_set << 8 | 0x03, "Position", (*place, *accuracy, valid(f"{prefix}_position")), prefix
-        ),
-        Field(
-            descriptor_set << 8 | 0x05,
-            "Velocity",
-            (
-                *floats(of(*((name, "m/s") for name in motion))),
-                *floats(of(("course", "rad")), degree),
-                *floats(of(("speed_accuracy", "m/s"))),
-                *floats(of(("course_accuracy", "rad")), degree),
-                valid(f"{prefix}_velocity"),
-            ),
-            prefix,
-        ),
-        Field(
-            descriptor_set << 8 | 0x07,
-            "Dop",
-            (
-                *floats(of(*((f"{x}dop", "1") for x in ("g", "p", "h", "v", "t", "n", "e")))),
-                valid(f"{prefix}_dop"),
-            ),
-            prefix,
-        ),
+    velocity = (*floats(motion), *floats(of(("course", "rad")), degree),
+                *floats(of(("speed_accuracy", "m/s"))), *floats(of(("course_accuracy", "rad")), degree),
+                valid(f"{prefix}_velocity"))  # fmt: skip
+    dilutions = floats(of(*((f"{x}dop", "1") for x in "gphvtne")))
+    table: list[Row] = [
+        (0x03, "Position", (*doubles(place), *floats(accuracy), valid(f"{prefix}_position"))),
+        (0x05, "Velocity", velocity),
+        (0x07, "Dop", (*dilutions, valid(f"{prefix}_dop"))),
     ]
+    return [Field(descriptor_set << 8 | code, name, values, prefix) for code, name, values in table]
 
 
 def mip_fields(attitude: Attitude = "filter", clock: Clock = "reference") -> list[Field]:
@@ -272,21 +226,18 @@ class MipDecoder(TaggedDecoder):
         Nominal rate of the packets.
     """
 
+    _remedy = "; send ScaledGyro besides CompensatedRate"
+
     def __init__(
         self, attitude: Attitude = "filter", clock: Clock = "reference", rate_hz: float | None = None
     ) -> None:
         timing = Timing(tick_ns=Fraction(1), rate_hz=rate_hz)
-        super().__init__(_table(attitude, clock), MIP, ROLES, SET_NAMES, timing)
+        super().__init__(
+            _table(attitude, clock), MIP, (SENSOR, FILTER, *GNSS), SET_NAMES, timing, counted=DATA_SETS
+        )
 
     def _type_name(self, kind: int) -> str:
         return SET_NAMES.get(kind, f"set 0x{kind:02X}")
-
-    def warnings(self) -> list[str]:
-        """Return, once, that only corrected rates come."""
-        received = {field.name: n for field, n in self.received_fields().items()}
-        if received.get("CompensatedRate", 0) >= GENERATION and "ScaledGyro" not in received:
-            self._warn(f"{ONLY_CORRECTED}; send ScaledGyro besides CompensatedRate")
-        return super().warnings()
 
     def _field_name(self, key: int) -> str:
         name = next((field.name for field in self.table.fields if field.key == key), f"0x{key & 0xFF:02X}")
@@ -324,7 +275,7 @@ class MipEncoder(TaggedEncoder):
     ) -> None:
         there = {f.name: f for f in mip_fields(attitude, clock) if f.key >> 8 == descriptor_set and f.values}
         fields = chosen(names, there, f"field of descriptor set 0x{descriptor_set:02X}")
-        super().__init__(fields, _derived(clock), MIP, descriptor_set, LIST)
+        super().__init__(fields, _derived(clock), MIP, descriptor_set)
 
 
 class MipDevice(DeviceFile):

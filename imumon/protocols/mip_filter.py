@@ -56,46 +56,42 @@ def euler(prefix: str) -> tuple[Column, ...]:
 
 
 _VECTORS = (
-    (0x06, "GyroBias", "gyro_bias", "rad/s", "estimated gyroscope bias"),
-    (0x07, "AccelBias", "accel_bias", "m/s^2", "estimated accelerometer bias"),
-    (0x08, "PositionSigma", "position_sigma", "m", "position uncertainty north, east, down"),
-    (0x09, "VelocitySigma", "velocity_sigma", "m/s", "velocity uncertainty north, east, down"),
-    (0x0A, "EulerSigma", "euler_sigma", "rad", "uncertainty of roll, pitch, yaw"),
-    (0x0B, "GyroBiasSigma", "gyro_bias_sigma", "rad/s", "uncertainty of the gyroscope bias"),
-    (0x0C, "AccelBiasSigma", "accel_bias_sigma", "m/s^2", "uncertainty of the accelerometer bias"),
-    (0x0D, "LinearAcceleration", "free_accel", "m/s^2", "acceleration without gravity"),
-    (0x0E, "CompensatedRate", "gyro_compensated", "rad/s", "angular rate less the estimated bias"),
-    (0x13, "GravityVector", "gravity", "m/s^2", "gravity in the body"),
-    (0x16, "GyroScale", "gyro_scale_error", "1", "estimated scale error of the gyroscope"),
-    (0x17, "AccelScale", "accel_scale_error", "1", "estimated scale error of the accelerometer"),
-    (0x18, "GyroScaleSigma", "gyro_scale_error_sigma", "1", "uncertainty of that"),
-    (0x19, "AccelScaleSigma", "accel_scale_error_sigma", "1", "uncertainty of that"),
-    (0x1A, "MagBias", "mag_bias", "uT", "estimated magnetometer bias"),
-    (0x1B, "MagBiasSigma", "mag_bias_sigma", "uT", "uncertainty of that"),
-    (0x1C, "CompensatedAcceleration", "accel_compensated", "m/s^2", "specific force less the estimated bias"),
-    (0x25, "HardIron", "mag_hard_iron", "uT", "estimated hard iron"),
-    (0x28, "HardIronSigma", "mag_hard_iron_sigma", "uT", "uncertainty of that"),
-    (0x2C, "MagResidual", "mag_residual", "uT", "residual of the magnetometer"),
-    (0x30, "AntennaOffset", "antenna_offset", "m", "estimated offset of the antenna"),
-    (0x31, "AntennaOffsetSigma", "antenna_offset_sigma", "m", "uncertainty of that"),
-    (0x36, "PositionEcefSigma", "ecef_sigma", "m", "uncertainty of the earth-fixed position"),
-    (0x37, "VelocityEcefSigma", "ecef_velocity_sigma", "m/s", "uncertainty of the earth-fixed velocity"),
-    (0x41, "VelocityEcef", "ecef_velocity", "m/s", "velocity, earth-centred earth-fixed"),
+    (0x06, 0x0B, "GyroBias", "gyro_bias", "rad/s", "estimated gyroscope bias"),
+    (0x07, 0x0C, "AccelBias", "accel_bias", "m/s^2", "estimated accelerometer bias"),
+    (0, 0x08, "Position", "position", "m", "position north, east, down"),
+    (0, 0x09, "Velocity", "velocity", "m/s", "velocity north, east, down"),
+    (0, 0x0A, "Euler", "euler", "rad", "roll, pitch, yaw"),
+    (0x0D, 0, "LinearAcceleration", "free_accel", "m/s^2", "acceleration without gravity"),
+    (0x0E, 0, "CompensatedRate", "gyro_compensated", "rad/s", "angular rate less the estimated bias"),
+    (0x13, 0, "GravityVector", "gravity", "m/s^2", "gravity in the body"),
+    (0x16, 0x18, "GyroScale", "gyro_scale_error", "1", "estimated scale error of the gyroscope"),
+    (0x17, 0x19, "AccelScale", "accel_scale_error", "1", "estimated scale error of the accelerometer"),
+    (0x1A, 0x1B, "MagBias", "mag_bias", "uT", "estimated magnetometer bias"),
+    (0x1C, 0, "CompensatedAcceleration", "accel_compensated", "m/s^2", "specific force less the bias"),
+    (0x25, 0x28, "HardIron", "mag_hard_iron", "uT", "estimated hard iron"),
+    (0x2C, 0, "MagResidual", "mag_residual", "uT", "residual of the magnetometer"),
+    (0x30, 0x31, "AntennaOffset", "antenna_offset", "m", "estimated offset of the antenna"),
+    (0, 0x36, "PositionEcef", "ecef", "m", "earth-fixed position"),
+    (0x41, 0x37, "VelocityEcef", "ecef_velocity", "m/s", "velocity, earth-centred earth-fixed"),
 )
-"""Code, name, column, unit and meaning of three numbers and their validity."""
+"""Code, code of the uncertainty (0: none), name, column, unit and meaning of three numbers."""
 
 _MATRICES = (
-    (0x26, "SoftIron", "mag_soft_iron", "1", "estimated soft iron"),
-    (0x29, "SoftIronSigma", "mag_soft_iron_sigma", "1", "uncertainty of that"),
-    (0x2A, "MagCovariance", "mag_covariance", "1", "covariance of the magnetometer, as it is sent"),
+    (0x26, 0x29, "SoftIron", "mag_soft_iron", "1", "estimated soft iron"),
+    (0x2A, 0, "MagCovariance", "mag_covariance", "1", "covariance of the magnetometer, as it is sent"),
 )
 _SINGLE = (
-    (0x0F, "GravityMagnitude", "gravity_magnitude", "m/s^2", "gravity of WGS-84"),
-    (0x21, "PressureAltitude", "pressure_altitude", "m", "altitude of the pressure"),
-    (0x22, "DensityAltitude", "density_altitude", "m", "altitude of the density"),
-    (0x47, "OdometerScale", "odometer_scale_error", "1", "estimated scale error of the odometer"),
-    (0x48, "OdometerScaleSigma", "odometer_scale_error_sigma", "1", "uncertainty of that"),
+    (0x0F, 0, "GravityMagnitude", "gravity_magnitude", "m/s^2", "gravity of WGS-84"),
+    (0x21, 0, "PressureAltitude", "pressure_altitude", "m", "altitude of the pressure"),
+    (0x22, 0, "DensityAltitude", "density_altitude", "m", "altitude of the density"),
+    (0x47, 0x48, "OdometerScale", "odometer_scale_error", "1", "estimated scale error of the odometer"),
 )
+_SUFFIXES = (
+    (_VECTORS, ("_x", "_y", "_z")),
+    (_MATRICES, tuple(f"_{i}{j}" for i in "123" for j in "123")),
+    (_SINGLE, ("",)),
+)
+"""How the columns of these end."""
 _NOT_READ = (
     (0x23, "MagScale"), (0x24, "MagScaleSigma"), (0x27, "CompensatedMag"), (0x2B, "GravityCovariance"),
     (0x2D, "MagFilteredResidual"),
@@ -103,14 +99,20 @@ _NOT_READ = (
 """Named by the vendor without saying what is in them."""
 
 
-def _three(code: int, name: str, column: str, unit: str, what: str) -> Row:
-    factor = GAUSS if unit == "uT" else 1.0
-    return code, name, (*floats(vector(column, unit, what), factor), valid(column))
-
-
-def _nine(code: int, name: str, column: str, unit: str, what: str) -> Row:
-    columns = [number(f"{column}_{i}{j}", unit, what) for i in "123" for j in "123"]
-    return code, name, (*floats(columns), valid(column))
+def _estimated() -> list[Row]:
+    """Return fields of numbers of one unit, their uncertainties, and the validity of each."""
+    found = []
+    for table, suffixes in _SUFFIXES:
+        for code, sigma, name, column, unit, what in table:
+            for at, more, of in ((code, "", ""), (sigma, "Sigma", "uncertainty of: ")):
+                own = column + more.replace("Sigma", "_sigma")
+                columns = [
+                    number(own + suffix, unit, f"{of}{what}{suffix.replace('_', ', ')}")
+                    for suffix in suffixes
+                ]
+                values = (*floats(columns, GAUSS if unit == "uT" else 1.0), valid(own))
+                found += [(at, name + more, values)] if at else []
+    return found
 
 
 def _aiding() -> list[Row]:
@@ -211,10 +213,7 @@ def filter_fields(descriptor_set: int, attitude: Attitude) -> list[Field]:
         (0x02, "Velocity", (*floats(velocity), valid("velocity"))),
         (0x11, "FilterGpsTime", GPS_TIME),
         (0x10, "FilterStatus", status),
-        *(_three(*row) for row in _VECTORS),
-        *(_nine(*row) for row in _MATRICES),
-        *((code, name, (*floats([number(column, unit, what)]), valid(column)))
-          for code, name, column, unit, what in _SINGLE),
+        *_estimated(),
         *_models(),
         *_aiding(),
         *((code, name, ()) for code, name in _NOT_READ),

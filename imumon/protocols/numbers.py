@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -15,8 +15,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.protocols.stream import ByteArray
 
 
-@dataclass(frozen=True, slots=True)
-class NumberType:
+class NumberType(NamedTuple):
     """How a number is laid out: its bytes, whether it is an integer, and whether it has a sign."""
 
     size: int
@@ -30,23 +29,14 @@ class NumberType:
         return (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if self.signed else (0, (1 << bits) - 1)
 
 
-NUMBER_TYPES: dict[str, NumberType] = {
-    "u8": NumberType(1, True, False),
-    "i8": NumberType(1, True, True),
-    "u16": NumberType(2, True, False),
-    "i16": NumberType(2, True, True),
-    "u24": NumberType(3, True, False),
-    "i24": NumberType(3, True, True),
-    "u32": NumberType(4, True, False),
-    "i32": NumberType(4, True, True),
-    "u64": NumberType(8, True, False),
-    "i64": NumberType(8, True, True),
-    "f32": NumberType(4, False, True),
-    "f64": NumberType(8, False, True),
-    # Xsens: 32 bits of fraction, then 16 bits of integer part, together a 48-bit two's complement number.
-    "fp1632": NumberType(6, False, True),
+NUMBER_TYPES = {
+    f"{kind}{bits}": NumberType(bits // 8, kind != "f", kind != "u")
+    for kind, widths in {"u": (8, 16, 24, 32, 64), "i": (8, 16, 24, 32, 64), "f": (32, 64)}.items()
+    for bits in widths
 }
 """Number types by the name that device files use."""
+# Xsens: 32 bits of fraction, then 16 bits of integer part, together a 48-bit two's complement number.
+NUMBER_TYPES["fp1632"] = NumberType(6, False, True)
 
 WRAPPING = ("packet_counter", "device_ticks")
 """Columns of which only the low bits are sent."""
@@ -114,8 +104,7 @@ class Placed(NamedTuple):
         elif value.type == "fp1632":
             raw = _of_fp1632(raw)
         if value.mask:
-            picked = (raw.astype(np.uint64) & np.uint64(value.mask)) >> np.uint64(value.lowest_bit)
-            raw = picked
+            raw = (raw.astype(np.uint64) & np.uint64(value.mask)) >> np.uint64(value.lowest_bit)
         if value.column.dtype == "int64" and kind.integer:
             whole = raw.astype(np.int64) * int(value.factor)
             if kind.signed or self.name in WRAPPING:
@@ -164,52 +153,59 @@ def is_missing(values: ColumnArray) -> BoolArray:
     return np.isnan(values) if values.dtype.kind == "f" else values == NO_INT
 
 
-def packed(name: str, value: Value, columns: Columns, rows: npt.NDArray[np.intp]) -> ByteArray:
-    """Return the bytes of one number of a field of this name, most significant first, (n, size).
+def write(
+    what: str, numbers: Sequence[Placed], size: int, columns: Columns, rows: npt.NDArray[np.intp]
+) -> ByteArray:
+    """Return packets with these numbers, (n, size); other bytes, and columns that are not there, are zero.
 
-    Raises BAD_DATA when a value does not fit.
+    Raises BAD_DATA when a value does not fit; `what` is what the packets are called in it.
     """
+    packets: ByteArray = np.zeros((len(rows), size), np.uint8)
+    for item in numbers:
+        if item.name in columns:
+            most_first = _packed(f"{what}, column {item.name}", item.value, columns[item.name][rows])
+            packets[:, item.at : item.end] |= most_first if item.big else most_first[:, ::-1]
+    return packets
+
+
+def _packed(where: str, value: Value, numbers: ColumnArray) -> ByteArray:
+    """Return the bytes of a number, most significant first, (n, size)."""
     kind = NUMBER_TYPES[value.type]
-    if value.column is None or value.column.name not in columns:
-        return np.zeros((len(rows), kind.size), np.uint8)
-    numbers = columns[value.column.name][rows]
-    where = f"{name}, column {value.column.name}"
     if value.type in ("f32", "f64"):
-        return _pack_float((numbers - value.offset) / value.factor, kind, where)
+        numbers = (numbers - value.offset) / value.factor
+        if kind.size == 4:
+            _refuse(np.isfinite(numbers) & (np.abs(numbers) > _FLOAT32_MAX), numbers, where)
+        return numbers.astype(f">f{kind.size}").view(np.uint8).reshape(-1, kind.size)
     numbers = np.where(is_missing(numbers), value.offset if numbers.dtype.kind == "f" else 0, numbers)
-    if numbers.dtype.kind == "f" or value.factor != 1.0:
+    if numbers.dtype.kind == "f" or value.factor != 1.0 or value.type == "fp1632":
         scaled = (numbers - value.offset) / value.factor * (2.0**32 if value.type == "fp1632" else 1.0)
         _refuse(~np.isfinite(scaled) | (np.abs(scaled) > 2.0**62), numbers, where)
         numbers = np.rint(scaled).astype(np.int64)
-    elif value.type == "fp1632":
-        numbers = numbers * (1 << 32)
     if value.mask:
         numbers = numbers << value.lowest_bit & value.mask
-    elif value.column.name not in WRAPPING:
-        _refuse_outside(numbers, kind, where)
+    elif value.column is not None and value.column.name not in WRAPPING and kind.size < 8:
+        low, high = kind.range
+        _refuse((numbers < low) | (numbers > high), numbers, where)
     most_first = numbers.astype(">i8").view(np.uint8).reshape(-1, 8)[:, 8 - kind.size :]
     # The fraction of fp16.32 goes before the integer part.
     return most_first[:, [2, 3, 4, 5, 0, 1]] if value.type == "fp1632" else most_first
 
 
-def _pack_float(numbers: FloatArray, kind: NumberType, where: str) -> ByteArray:
-    if kind.size == 4:
-        _refuse(np.isfinite(numbers) & (np.abs(numbers) > _FLOAT32_MAX), numbers, where)
-    return numbers.astype(f">f{kind.size}").view(np.uint8).reshape(-1, kind.size)
-
-
-def _refuse_outside(numbers: ColumnArray, kind: NumberType, where: str) -> None:
-    if kind.size == 8:
-        return
-    low, high = kind.range
-    _refuse((numbers < low) | (numbers > high), numbers, where)
-
-
 def _refuse(bad: BoolArray, numbers: ColumnArray, where: str) -> None:
     if np.any(bad):
-        first = int(np.argmax(bad))
         raise ImumonError(
             Reason.BAD_DATA,
-            f"{where}: {numbers[first]} does not fit ({int(np.sum(bad))} of {len(bad)} values)",
+            f"{where}: {numbers[np.argmax(bad)]} does not fit ({np.sum(bad)} of {len(bad)} values)",
             "choose a wider number format or a larger scale, or leave the column out",
         )
+
+
+def with_sources(
+    columns: Columns, derived: Sequence[Derived], sent: Collection[str]
+) -> dict[str, ColumnArray]:
+    """Return the columns, and those from which others are computed, as far as they are sent."""
+    found = dict(columns)
+    for made in derived:
+        if {*made.sources} <= {*sent} and all(column.name in columns for column in made.results):
+            found |= dict(zip(made.sources, made.encode(columns), strict=True))
+    return found

@@ -16,11 +16,22 @@ from imumon.columns import KNOWN
 from imumon.protocols.base import Timing
 from imumon.protocols.checksums import CRCS
 from imumon.protocols.frame_checks import CyclicCheck
-from imumon.protocols.framing import Found, Frame, counted_length
+from imumon.protocols.framing import Frame, counted_length
 from imumon.protocols.messages import Message, TableDecoder, TableDevice, TableFamily, part, whole
 from imumon.protocols.numbers import Columns, Derived
 from imumon.protocols.stream import LONGEST_PACKET, ByteArray
-from imumon.protocols.tagged_columns import ANGLES, count, known, number, vector
+from imumon.protocols.tagged_columns import (
+    ANGLES,
+    FORCE,
+    PLACE,
+    QUATERNION,
+    RATE,
+    TEMPERATURE,
+    TICKS,
+    count,
+    number,
+    vector,
+)
 
 SYNC, END = b"\xff\x5a", 0x33
 HEADER, AROUND = 6, 9
@@ -30,9 +41,8 @@ HIGH_RATE = 1 << 10
 """Bit of the status of IMU_SHORT: the rates have the scale of fast sensors."""
 FAST, FINE = 12_304_174.0, 67_108_864.0
 
-TIME = part(0, "u32", [KNOWN["device_ticks"]])
+TIME = part(0, "u32", TICKS)
 STATUS = part(4, "u16", [KNOWN["status"]])
-FORCE, RATE, MAG = (known(*(f"{base}_{axis}" for axis in "xyz")) for base in ("accel", "gyro", "mag"))
 RAW_RATE = tuple(count(f"_rate_{axis}", "rate as it is sent") for axis in "xyz")
 FILTER = count("filter_status", "mode of the filter and what it uses, bits")
 
@@ -66,19 +76,19 @@ NED = (vector("rate_ned", "rad/s", "angular rate, bias and earth rate taken off,
 
 LOGS = {
     44: Message("imu_short", 32, (TIME, STATUS, part(6, "i32", FORCE, 2.0**-20), part(18, "i32", RAW_RATE),
-                                  part(30, "i16", known("temperature"), 1 / 256)), derived=(RATES,)),
+                                  part(30, "i16", TEMPERATURE, 1 / 256)), derived=(RATES,)),
     3: Message("imu_data", 58, (TIME, STATUS, part(6, "f32", FORCE), part(18, "f32", RATE),
-                                part(30, "f32", known("temperature"))), least=34),
+                                part(30, "f32", TEMPERATURE)), least=34),
     4: Message("mag", 30, (TIME, whole(4, "u16", "mag_status", "status of the magnetometer"),
                            part(6, "f32", vector("mag", "a.u.", "field, 1 when calibrated"))), "mag"),
     6: Message("ekf_euler", 40, (TIME, part(4, "f32", ANGLES), part(16, "f32", ANGLE_SIGMA),
                                  part(28, "u32", [FILTER]), part(32, "f32", DECLINATION)),
                 "filter", least=32),
-    7: Message("ekf_quat", 44, (TIME, part(4, "f32", known("q_w", "q_x", "q_y", "q_z")),
+    7: Message("ekf_quat", 44, (TIME, part(4, "f32", QUATERNION),
                                 part(20, "f32", ANGLE_SIGMA), part(32, "u32", [FILTER]),
                                 part(36, "f32", DECLINATION)), "filter", least=36),
     8: Message("ekf_nav", 72, (TIME, part(4, "f32", VELOCITY), part(16, "f32", VELOCITY_SIGMA),
-                               part(28, "f64", known("latitude", "longitude", "altitude")),
+                               part(28, "f64", PLACE),
                                part(52, "f32", [number("undulation", "m", "of the geoid")]),
                                part(56, "f32", POSITION_SIGMA), part(68, "u32", [FILTER])), "filter"),
     1: Message("status", 27, (TIME, whole(4, "u16", "general_status", "power, temperature, processor, bits"),
@@ -110,11 +120,10 @@ def _wrapped(key: int, payload: bytes) -> bytes:
 class SbgDecoder(TableDecoder):
     """Decodes the logs of class 0; all other frames are counted."""
 
-    def _keys(self, found: Found) -> IntArray:
-        kind = found.held[found.at + 3]
-        if np.any(kind & LARGE):
+    def _key(self, packet: bytes) -> int:
+        if packet[3] & LARGE:
             self._say("logs in several pages are counted and not read")
-        return np.where(kind == 0, found.held[found.at + 2].astype(np.int64), -1)
+        return packet[2] if packet[3] == 0 else -1
 
 
 class SbgDevice(TableDevice):
@@ -128,4 +137,5 @@ class SbgDevice(TableDevice):
         Timing(tick_ns=Fraction(1000), tick_bits=32),
         HEADER,
         AROUND,
+        head=(2, 3),
     )

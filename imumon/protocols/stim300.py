@@ -14,19 +14,17 @@ from functools import partial
 from math import pi
 from typing import Final, Literal
 
-import numpy as np
 from pydantic import PositiveFloat, model_validator
 
-from imumon.blocks import IntArray
-from imumon.columns import KNOWN, Column
+from imumon.columns import Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import Timing
 from imumon.protocols.checksums import CRCS
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.frame_checks import CyclicCheck
-from imumon.protocols.framing import Found, Frame, fixed_length
+from imumon.protocols.framing import Frame, fixed_length
 from imumon.protocols.messages import Message, Part, TableDecoder, TableEncoder, TableFamily, part, whole
-from imumon.protocols.tagged_columns import known, number, vector
+from imumon.protocols.tagged_columns import FORCE, RATE, TICKS, known, number, vector
 
 TICK_NS: Final = 500_000
 """The counter counts samples of the internal 2000 Hz, not datagrams."""
@@ -62,8 +60,8 @@ def _blocks(output: Output, accel_range_g: AccelRange, rate_hz: float | None) ->
     force = STANDARD_GRAVITY * 2.0**-bits if output == "rate" else 2.0 ** -(bits + 3) * per_sample
     tilt = STANDARD_GRAVITY * 2.0**-22 if output == "rate" else 2.0**-25 * per_sample
     return {
-        "gyro": ("i24", known("gyro_x", "gyro_y", "gyro_z"), rate),
-        "acc": ("i24", known("accel_x", "accel_y", "accel_z"), force),
+        "gyro": ("i24", RATE, rate),
+        "acc": ("i24", FORCE, force),
         "incl": ("i24", vector("inclinometer", "m/s^2", "specific force of the inclinometer"), tilt),
         "gyro_temp": ("i16", known("temperature_x", "temperature_y", "temperature_z"), 2.0**-8),
         "acc_temp": ("i16", vector("accel_temperature", "degC", "of the accelerometer"), 2.0**-8),
@@ -84,7 +82,7 @@ def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) 
                 parts.append(part(at, kind, columns, factor))
                 at += BLOCK_SIZES[name]
                 parts.append(whole(at - 1, "u8", f"{name}_status", f"status of {name}, bits; 0 is good"))
-            parts.append(part(at, "u8", [KNOWN["device_ticks"]]))
+            parts.append(part(at, "u8", TICKS))
             parts.append(part(at + 1, "u16", [number("latency", "us", "measurement to transmission")]))
             messages[key] = Message(f"{key:02X}", at + 3, tuple(parts))
     return messages
@@ -107,9 +105,9 @@ class StimDecoder(TableDecoder):
         super().__init__(family, rate_hz)
         self._assumed = assumed
 
-    def _keys(self, found: Found) -> IntArray:
+    def _key(self, packet: bytes) -> int:
         self._say(self._assumed)
-        return found.held[found.at].astype(np.int64)
+        return packet[0]
 
 
 class StimDevice(DeviceFile):
@@ -142,12 +140,12 @@ class StimDevice(DeviceFile):
         )
         timing = Timing(tick_ns=Fraction(TICK_NS), tick_bits=8)
         wrap = partial(_wrapped, line_end=self.line_end)
-        return TableFamily(messages, frames, decodes, wrap, timing, 0, CRC_SIZE, big=True)
+        return TableFamily(messages, frames, decodes, wrap, timing, 0, CRC_SIZE, (0,), big=True)
 
     def decoder(self) -> TableDecoder:
         """Make a decoder for this device."""
-        return self._family.decoder(self.rate_hz)
+        return self._family.decodes(self._family, self.rate_hz)
 
     def encoder(self) -> TableEncoder:
         """Make an encoder that sends what the device would send."""
-        return self._family.encoder([self.sends])
+        return TableEncoder(self._family, [self.sends])

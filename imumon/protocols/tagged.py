@@ -1,4 +1,4 @@
-"""Packets that are lists of identified fields (Xbus, MIP): what their fields are, and the decoder.
+"""Packets that are lists of identified fields (Xbus, MIP): what their fields are, decoder and encoder.
 
 ====  =======================================  ==============================  =========================
       packet                                   field                           checksum
@@ -9,8 +9,7 @@ MIP   75, 65, type, length, fields             size of the field, identifier,  t
                                                data                            Fletcher, modulo 256
 ====  =======================================  ==============================  =========================
 
-Packets of one length whose field headers are the same carry the same numbers at the same places.  So the
-first packet of each such layout is walked field by field, and all that are like it are read at once.
+Packets of one length whose field headers are the same carry the same numbers at the same places.
 
 Other Xbus addresses than FF (the device on its own) and 01 are those of trackers behind an Xbus Master, which
 answer only to commands; taking them for packets would make noise of every FA in damaged data.
@@ -18,16 +17,16 @@ answer only to commands; taking them for packets would make noise of every FA in
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import BoolArray, IntArray
-from imumon.columns import KNOWN, Column
-from imumon.protocols.base import COMMON, MAIN, Groups, Timing
+from imumon.blocks import BoolArray, ColumnArray, IntArray, SampleBlock
+from imumon.columns import Column
+from imumon.errors import ImumonError, Reason
+from imumon.protocols.base import COMMON, MAIN, Encoder, Groups, Timing
 from imumon.protocols.frame_checks import Fletcher, Sum, Trailing
 from imumon.protocols.framing import (
     IMPOSSIBLE,
@@ -37,23 +36,23 @@ from imumon.protocols.framing import (
     Frame,
     Lengths,
     counted_length,
-    windows,
 )
-from imumon.protocols.numbers import NUMBER_TYPES, Derived, Placed, Value
-from imumon.protocols.payload import LayoutDecoder, Record
+from imumon.protocols.layouts import Alike, Layout, LayoutDecoder, Record
+from imumon.protocols.numbers import (
+    NUMBER_TYPES,
+    Derived,
+    Placed,
+    Value,
+    is_missing,
+    with_sources,
+    write,
+)
 from imumon.protocols.stream import ByteArray
 from imumon.transport.statistics import Counters
 
-MESSAGE, LIST, FIXED, COUNTED = range(4)
-"""What a packet type is: told to the user, a list of fields, one field without header, or only counted."""
-
 ANY_SIZE = -1
-"""Size of a field that is recognised, counted and skipped whatever its length."""
+"""Size of a field that is recognised and skipped whatever its length."""
 LONGEST_XBUS_PAYLOAD = 2048
-MOST_UNKNOWN = 64
-"""Kinds of unknown fields that are counted one by one; all further ones are counted with the last."""
-MOST_LAYOUTS = 4096
-"""Layouts that are kept: so many come of random bytes alone."""
 KIND_AT = 2
 """Place of the packet type."""
 OTHER = "other"
@@ -79,71 +78,59 @@ class Form(NamedTuple):
 
     name: str
     sync: bytes
-    start: bytes
-    """What the encoder begins a packet with."""
     lengths: Lengths
     check: Trailing
     longest: int
     """Most bytes of a payload."""
-    begin: Callable[[Sequence[int]], int]
+    start: Callable[[int, int], bytes]
+    """Makes what is before the payload, of the packet type and the bytes of the payload."""
+    begin: Callable[[bytes], int]
     """Place of the payload in a packet, of which at least the first four bytes are given."""
     header: int
     """Bytes of a field before its data."""
-    key: Callable[[Sequence[int], int], int]
-    """Key of the field whose header begins at this place of the packet."""
-    size: Callable[[Sequence[int], int], int]
-    """Bytes of its data."""
+    head: Callable[[int, int], bytes]
+    """Makes these bytes, of the key of the field and the bytes of its data."""
+    field: Callable[[bytes, int], tuple[int, int]]
+    """Key of the field whose header begins at this place of the packet, and the bytes of its data."""
 
 
-def _xbus_begin(packet: Sequence[int]) -> int:
+def _xbus_start(kind: int, size: int) -> bytes:
+    return bytes([0xFA, 0xFF, kind, *([0xFF, size >> 8, size & 0xFF] if size >= 0xFF else [size])])
+
+
+def _xbus_begin(packet: bytes) -> int:
     return 6 if packet[3] == 0xFF else 4
 
 
-def _xbus_key(packet: Sequence[int], at: int) -> int:
-    return packet[at] << 8 | packet[at + 1]
+def _xbus_head(key: int, size: int) -> bytes:
+    return bytes([key >> 8, key & 0xFF, size])
 
 
-def _xbus_size(packet: Sequence[int], at: int) -> int:
-    return packet[at + 2]
+def _xbus_field(packet: bytes, at: int) -> tuple[int, int]:
+    return packet[at] << 8 | packet[at + 1], packet[at + 2]
 
 
-def _mip_begin(packet: Sequence[int]) -> int:
+def _mip_start(kind: int, size: int) -> bytes:
+    return bytes([0x75, 0x65, kind, size])
+
+
+def _mip_begin(packet: bytes) -> int:
     del packet
     return 4
 
 
-def _mip_key(packet: Sequence[int], at: int) -> int:
-    return packet[KIND_AT] << 8 | packet[at + 1]
+def _mip_head(key: int, size: int) -> bytes:
+    return bytes([size + 2, key & 0xFF])
 
 
-def _mip_size(packet: Sequence[int], at: int) -> int:
-    return packet[at] - 2
+def _mip_field(packet: bytes, at: int) -> tuple[int, int]:
+    return packet[KIND_AT] << 8 | packet[at + 1], packet[at] - 2
 
 
-XBUS = Form(
-    name="Xbus",
-    sync=b"\xfa",
-    start=b"\xfa\xff",
-    lengths=xbus_lengths,
-    check=Sum(first=1, negated=True),
-    longest=LONGEST_XBUS_PAYLOAD,
-    begin=_xbus_begin,
-    header=3,
-    key=_xbus_key,
-    size=_xbus_size,
-)
-MIP = Form(
-    name="MIP",
-    sync=b"\x75\x65",
-    start=b"\x75\x65",
-    lengths=counted_length(3, 1, 6, 261),
-    check=Fletcher(),
-    longest=255,
-    begin=_mip_begin,
-    header=2,
-    key=_mip_key,
-    size=_mip_size,
-)
+XBUS = Form("Xbus", b"\xfa", xbus_lengths, Sum(first=1, negated=True), LONGEST_XBUS_PAYLOAD,
+            _xbus_start, _xbus_begin, 3, _xbus_head, _xbus_field)  # fmt: skip
+MIP = Form("MIP", b"\x75\x65", counted_length(3, 1, 6, 261), Fletcher(), 255,
+           _mip_start, _mip_begin, 2, _mip_head, _mip_field)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,6 +156,14 @@ class Field:
         """Columns of the values."""
         return tuple(value.column for value in self.values if value.column is not None)
 
+    def placed(self, at: int) -> list[Placed]:
+        """Return the numbers of a field whose data begin here."""
+        found = []
+        for value in self.values:
+            found.append(Placed(value, at, self.group, big=True))
+            at += NUMBER_TYPES[value.type].size
+        return found
+
 
 class FieldTable:
     """The fields of a protocol.
@@ -188,41 +183,26 @@ class FieldTable:
     ) -> None:
         self.fields = tuple(fields)
         self.derived = tuple(derived)
-        self.columns = {column.name: column for field in reversed(fields) for column in field.columns}
-        self.groups = self._group(apart)
-        self._of_key: dict[int, list[Field]] = {}
-        for field in fields:
-            self._of_key.setdefault(field.key, []).append(field)
-
-    def find(self, key: int, size: int) -> Field | None:
-        """Return the field with this key and so many bytes; None when there is none."""
-        fields = reversed(self._of_key.get(key, ()))
-        return next((field for field in fields if field.size in (size, ANY_SIZE)), None)
-
-    def _group(self, apart: Collection[str]) -> Groups:
-        """Return the groups of the columns; a column of fields of several groups has that of the first."""
-        there = dict.fromkeys(field.group for field in self.fields if field.group)
+        sent = {column.name: column for field in fields for column in field.columns}
+        made = [column for item in derived if sent.keys() >= {*item.sources} for column in item.results]
+        self.columns = [column for column in (*sent.values(), *made) if not column.name.startswith("_")]
+        there = dict.fromkeys(field.group for field in fields if field.group)
         names = tuple(dict.fromkeys((MAIN, *there, OTHER)))
         of_column: dict[str, int] = {}
-        for field in self.fields:
+        for field in fields:
             for column in field.columns if field.group else ():
                 if column.name not in COMMON:
                     of_column.setdefault(column.name, names.index(field.group))
-        for derived in self.derived:
-            group = of_column.get(derived.sources[0])
-            for column in derived.results if group is not None else ():
-                of_column.setdefault(column.name, group or 0)
-        return Groups(names, of_column, tuple(name in apart for name in names))
+        for item in derived:
+            if item.sources[0] in of_column:
+                results = dict.fromkeys((c.name for c in item.results), of_column[item.sources[0]])
+                of_column |= results | of_column
+        self.groups = Groups(names, of_column, tuple(name in apart for name in names))
+        self._of_size = {(field.key, field.size): field for field in fields}
 
-
-class _Contents(NamedTuple):
-    """What is in packets that are alike."""
-
-    layout: int
-    """Number of their layout; -1: nothing for a row."""
-    known: tuple[Field, ...]
-    unknown: tuple[tuple[int, int], ...]
-    """Key and size of fields that the table lacks."""
+    def find(self, key: int, size: int) -> Field | None:
+        """Return the field with this key and so many bytes; None when there is none."""
+        return self._of_size.get((key, size)) or self._of_size.get((key, ANY_SIZE))
 
 
 class TaggedDecoder(LayoutDecoder):
@@ -231,77 +211,71 @@ class TaggedDecoder(LayoutDecoder):
     Parameters
     ----------
     table : FieldTable
-        With a role FIXED, its first field is the whole payload.
+        What the fields mean.
     form : Form
         XBUS or MIP.
-    roles : mapping of int to int
-        What each packet type is; those not named are messages.
+    data : collection of int
+        Types of packets that carry data.
     type_names : mapping of int to str
         Names of the packet types; those not named are shown as numbers.
     timing : Timing
         How the device counts time.
+    counted : collection of int
+        Types that are only counted; those that are neither are messages.
+    bare : bool
+        Whether a packet has no field headers: its payload is the first field of the table.
     """
 
     def __init__(
         self,
         table: FieldTable,
         form: Form,
-        roles: Mapping[int, int],
+        data: Collection[int],
         type_names: Mapping[int, str],
         timing: Timing,
+        counted: Collection[int] = (),
+        bare: bool = False,
     ) -> None:
-        super().__init__([Frame(form.name, form.sync, form.lengths, form.check, fits=self._fits)], timing)
+        frame = Frame(form.name, form.sync, form.lengths, form.check, fits=self._fits)
+        super().__init__([frame], timing, table.groups, table.columns)
         self.table = table
-        self.groups = table.groups
-        self._form = form
-        self._type_names = type_names
-        self._roles = np.full(256, MESSAGE, np.int64)
-        self._roles[list(roles)] = list(roles.values())
-        self._is_data = (self._roles == LIST) | (self._roles == FIXED)
+        self._form, self._type_names, self._bare = form, type_names, bare
+        self._is_data = np.isin(np.arange(256), [*data])
+        self._is_message = ~self._is_data & ~np.isin(np.arange(256), [*counted])
         self._types = np.zeros(256, np.int64)
-        self._contents: dict[tuple[int, ...], _Contents] = {}
-        self._known: Counter[Field] = Counter()
-        self._unknown: Counter[tuple[int, int]] = Counter()
+        self._known: set[Field] = set()
         self.wrong_length = 0
         """Bytes of the latest payload that did not fit the one field of a packet."""
 
-    # What is in a packet
-
-    def _walk(self, packet: Sequence[int]) -> tuple[list[tuple[int, int, int]], list[int], bool]:
+    def _split(self, packet: bytes) -> tuple[list[tuple[int, int, int]], list[int], bool]:
         """Return key, place and size of each field, where headers are, and if the fields fill the payload."""
         form = self._form
         at, end = form.begin(packet), len(packet) - form.check.size
         places = [*range(KIND_AT, at)]
-        if self._roles[packet[KIND_AT]] == FIXED:
+        if self._bare:
             only = self.table.fields[0]
             return [(only.key, at, end - at)], places, end - at == only.size
         fields = []
-        while at + form.header <= end and (size := form.size(packet, at)) >= 0:
+        while at + form.header <= end:
+            key, size = form.field(packet, at)
+            if size < 0:
+                break
             places += range(at, at + form.header)
-            fields.append((form.key(packet, at), at + form.header, size))
+            fields.append((key, at + form.header, size))
             at += form.header + size
         return fields, places, at == end
 
-    def _alike(self, found: Found) -> Iterator[tuple[IntArray, list[int], list[tuple[int, int, int]], bool]]:
-        """Yield the rows of packets whose headers are the same, their first packet, and what `_walk` says."""
-        left = np.arange(len(found))
-        while len(left):
-            size = int(found.length[left[0]])
-            packet = found.held[found.at[left[0]] :][:size].tolist()
-            fields, places, fills = self._walk(packet)
-            same = found.length[left] == size
-            heads = windows(found.held, found.at[left[same]], size)[:, places]
-            same[same] = np.all(heads == np.array(packet, np.uint8)[places], axis=1)
-            yield left[same], packet, fields, fills
-            left = left[~same]
+    def _signature(self, packet: bytes) -> Sequence[int]:
+        return self._split(packet)[1]
 
     def _fits(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
         """Tell of packets with a right checksum whether their payload is what their type says."""
         fits = np.ones(len(at), np.bool_)
         data = np.flatnonzero(self._is_data[held[at + KIND_AT]])
-        for rows, packet, fields, fills in self._alike(Found(held, at[data], length[data], data)):
-            fits[data[rows]] = fills
-            if not fills and self._roles[packet[KIND_AT]] == FIXED:
+        for alike in self._alike(Found(held, at[data], length[data], np.zeros(len(data), np.int64))):
+            fields, _, fills = self._split(alike.packet)
+            fits[data[alike.rows]] = fills
+            if self._bare and not fills:
                 self.wrong_length = fields[0][2]
         return fits
 
@@ -309,53 +283,30 @@ class TaggedDecoder(LayoutDecoder):
         kind = found.held[found.at + KIND_AT]
         numbers = np.full(len(found), -1, np.int64)
         self._types += np.bincount(kind, minlength=256)
-        for row in np.flatnonzero(self._roles[kind] == MESSAGE).tolist():
-            message = found.held[found.at[row] :][: found.length[row]]
-            begin = self._form.begin(message[:4].tolist())
-            for text in self._describe(int(kind[row]), message[begin : -self._form.check.size].tobytes()):
+        for row in np.flatnonzero(self._is_message[kind]).tolist():
+            message = found.held[found.at[row] :][: found.length[row]].tobytes()
+            payload = message[self._form.begin(message) : -self._form.check.size]
+            for text in self._describe(int(kind[row]), payload):
                 self._say(text)
-        if len(self._contents) > MOST_LAYOUTS:
-            self._contents.clear()
-            self._forget_layouts()
         data = np.flatnonzero(self._is_data[kind])
-        for rows, packet, fields, _ in self._alike(found.only(data)):
-            contents = self._contents_of(fields, packet[KIND_AT])
-            numbers[data[rows]] = contents.layout
-            for known in contents.known:
-                self._known[known] += len(rows)
-            for unknown in contents.unknown:
-                is_counted = unknown in self._unknown or len(self._unknown) < MOST_UNKNOWN
-                self._unknown[unknown if is_counted else next(reversed(self._unknown))] += len(rows)
+        numbers[data] = super()._layout_numbers(found.only(data))
         return numbers
 
-    def _contents_of(self, fields: Sequence[tuple[int, int, int]], kind: int) -> _Contents:
-        signature = (kind, *(number for field in fields for number in field))
-        if signature not in self._contents:
-            self._contents[signature] = self._new_contents(fields)
-        return self._contents[signature]
-
-    def _new_contents(self, fields: Sequence[tuple[int, int, int]]) -> _Contents:
+    def _layout(self, alike: Alike) -> Layout | None:
         """Work out what packets with these fields carry; of several numbers for a column the last counts."""
-        names = self.table.groups.names
-        placed: dict[str, Placed] = {}
-        known, unknown, bits = list[Field](), list[tuple[int, int]](), 0
-        for key, at, size in fields:
+        numbers = list[Placed]()
+        for key, at, size in self._split(alike.packet)[0]:
             field = self.table.find(key, size)
             if field is None:
-                unknown.append((key, size))
+                self._say(f"field {self._field_name(key)} of {size} bytes is not known and is passed over")
                 continue
-            known.append(field)
-            bits |= 1 << names.index(field.group) if field.group else 0
-            for value in field.values:
-                if value.column is not None:
-                    placed[value.column.name] = Placed(value, at, field.group, big=True)
-                at += NUMBER_TYPES[value.type].size
-        layout = -1
-        if placed:
-            layout = self._add_layout(
-                Record([*placed.values()], self.table.derived), bits or 1 << len(names) - 1
-            )
-        return _Contents(layout, tuple(known), tuple(unknown))
+            self._known.add(field)
+            numbers = field.placed(at)[::-1] + numbers
+        return Record(numbers, self.table.derived) if any(item.name for item in numbers) else None
+
+    @property
+    def _no_group(self) -> int:
+        return 1 << len(self.table.groups.names) - 1
 
     # What is said of it
 
@@ -364,35 +315,79 @@ class TaggedDecoder(LayoutDecoder):
         del kind, payload
         return ()
 
-    def notices(self) -> list[str]:
-        """Return, once each, what the device said that is not data, and what of it is not understood."""
-        for (key, size), _ in self.unknown_fields().items():
-            self._say(f"field {self._field_name(key)} of {size} bytes is not known and is passed over")
-        return super().notices()
-
     def _field_name(self, key: int) -> str:
         return f"0x{key:04X}"
 
     def _type_name(self, kind: int) -> str:
         return self._type_names.get(kind, f"0x{kind:02X}")
 
-    def unknown_fields(self) -> dict[tuple[int, int], int]:
-        """Return how often fields came that the table lacks, by identifier and size."""
-        self._settle()
-        return dict(self._unknown)
-
-    def received_fields(self) -> dict[Field, int]:
-        """Return how often each known field came, those that did not left out."""
-        self._settle()
-        return dict(self._known)
-
-    @property
-    def possible_columns(self) -> tuple[Column, ...]:
-        """Time of arrival and the columns of all fields of the protocol."""
-        return (KNOWN["arrival_time_ns"], *self.table.columns.values())
-
     def counters(self) -> Counters:
         """Return what became of the bytes so far."""
         counts = super().counters()
         named = {self._type_name(kind): n for kind, n in enumerate(self._types.tolist()) if n}
         return replace(counts, packets_by_type=named)
+
+
+class TaggedEncoder(Encoder):
+    """Makes one Xbus or MIP packet per row.
+
+    Raises BAD_CONFIG when a field has no values to encode or the packet becomes too long.
+
+    Parameters
+    ----------
+    fields : sequence of Field
+        What a packet carries, in this order.  A field of which a row has no value is left out.
+    derived : sequence of Derived
+        How columns that are not sent are turned into those that are.
+    form : Form
+        XBUS or MIP.
+    kind : int
+        Packet type.
+    bare : bool
+        Whether fields have no headers; then all are sent.
+    """
+
+    def __init__(
+        self, fields: Sequence[Field], derived: Sequence[Derived], form: Form, kind: int, bare: bool = False
+    ) -> None:
+        if empty := [field.name for field in fields if not field.values]:
+            raise ImumonError(Reason.BAD_CONFIG, f"{', '.join(empty)}: carries nothing that can be encoded")
+        longest = sum((0 if bare else form.header) + field.size for field in fields)
+        if longest > form.longest:
+            raise ImumonError(Reason.BAD_CONFIG, f"a packet with these fields has {longest} bytes, too many")
+        self._fields, self._derived = tuple(fields), tuple(derived)
+        self._form, self._kind, self._bare = form, kind, bare
+
+    def encode(self, block: SampleBlock) -> list[bytes]:
+        """Return a packet for each row, of fields that have a value; see `imumon.protocols.base.Encoder`."""
+        sent = [column.name for field in self._fields for column in field.columns]
+        columns = with_sources(block.columns, self._derived, sent)
+        present = np.column_stack([self._present(field, columns, len(block)) for field in self._fields])
+        packets: list[bytes] = [b""] * len(block)
+        patterns, which = np.unique(present, axis=0, return_inverse=True)
+        for number, pattern in enumerate(patterns):
+            rows = np.flatnonzero(which.reshape(-1) == number)
+            fields = [field for field, there in zip(self._fields, pattern, strict=True) if there]
+            for row, packet in zip(rows, self._packets(fields, columns, rows), strict=True):
+                packets[row] = packet.tobytes()
+        return packets
+
+    def _present(self, field: Field, columns: Mapping[str, ColumnArray], n: int) -> BoolArray:
+        """Tell in which rows there is something to send; a field without any column is sent as zero."""
+        found = [~is_missing(columns[column.name]) for column in field.columns if column.name in columns]
+        if self._bare or not found:
+            return np.ones(n, np.bool_)
+        return np.asarray(np.any(found, axis=0))
+
+    def _packets(
+        self, fields: Sequence[Field], columns: Mapping[str, ColumnArray], rows: IntArray
+    ) -> ByteArray:
+        """Return packets of these fields, (n, size)."""
+        heads = [b"" if self._bare else self._form.head(field.key, field.size) for field in fields]
+        start = self._form.start(self._kind, sum(len(h) + f.size for h, f in zip(heads, fields, strict=True)))
+        fixed, numbers = bytearray(start), list[Placed]()
+        for head, field in zip(heads, fields, strict=True):
+            numbers += field.placed(len(fixed) + len(head))
+            fixed += head + bytes(field.size)
+        bodies = write("packet", numbers, len(fixed), columns, rows) | np.frombuffer(fixed, np.uint8)
+        return self._form.check.sealed_rows(bodies)

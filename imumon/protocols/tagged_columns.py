@@ -38,6 +38,9 @@ def date(prefix: str) -> tuple[Column, ...]:
     return tuple(count(f"_{prefix}{part}", part) for part in DATE_PARTS)
 
 
+FORCE, RATE, MAG = (known(*(f"{base}_{axis}" for axis in "xyz")) for base in ("accel", "gyro", "mag"))
+TICKS, STATUS, TEMPERATURE = known("device_ticks"), known("status"), known("temperature")
+PRESSURE, PLACE = known("pressure"), known("latitude", "longitude", "altitude")
 QUATERNION, ANGLES = known("q_w", "q_x", "q_y", "q_z"), known("roll", "pitch", "yaw")
 MATRIX = tuple(
     number(f"_matrix_{i}{j}", "1", "rotation matrix, reference to body") for i in "123" for j in "123"

@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial, reduce
 from math import isfinite
 from operator import xor
@@ -20,16 +19,15 @@ from typing import Any, Final, Literal, Self
 import numpy as np
 from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 
-from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
-from imumon.columns import Column
+from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.config import StrictModel
 from imumon.protocols.base import COMMON, MAIN, Encoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.fixed.description import NumberField, NumberName, timing_of
 from imumon.protocols.frame_checks import Trailing
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Check, Found, Frame, Lengths
-from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING
-from imumon.protocols.payload import LayoutDecoder
+from imumon.protocols.layouts import LayoutDecoder, groups_of
+from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING, Placed, Value, is_missing
 from imumon.protocols.stream import ByteArray
 
 LINE_END: Final = 0x0A
@@ -105,9 +103,10 @@ class Line(StrictModel):
         return [key for field in self.fields for key in field.keys]
 
     @property
-    def places(self) -> list[Place]:
-        """What each number is."""
-        return [Place(*field.scaled(name)) for field in self.fields for name in field.names]
+    def numbers(self) -> list[Placed]:
+        """What each number is; its place in the line does not count."""
+        scaled = [field.scaled(name) for field in self.fields for name in field.names]
+        return [Placed(Value(column, "f64", factor, offset), 0) for column, factor, offset in scaled]
 
     def read(self, text: str) -> list[float] | None:
         """Return the numbers of a line, in the order of the columns; None when it is not one of these."""
@@ -238,29 +237,6 @@ def _tree(leaves: dict[str, float]) -> Any:
     return list(branches.values()) if all(head.isdigit() for head in heads) else branches
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Column, scale and offset of a number of a line."""
-
-    column: Column
-    scale: float
-    offset: float = 0.0
-
-    def decoded(self, raw: FloatArray) -> ColumnArray:
-        """Return the values of the column."""
-        values = raw * self.scale + self.offset
-        if self.column.dtype == "float64":
-            return values
-        whole = np.abs(values) < 2.0**62
-        return np.where(whole, np.rint(np.where(whole, values, 0)).astype(np.int64), NO_INT)
-
-    def raw(self, values: ColumnArray) -> FloatArray:
-        """Return the numbers to be sent; what is missing is zero."""
-        if self.column.dtype == "int64":
-            values = np.where(values == NO_INT, 0, values)
-        return np.nan_to_num((values.astype(np.float64) - self.offset) / self.scale)
-
-
 class LineLayout:
     """What lines of one kind carry.
 
@@ -268,20 +244,20 @@ class LineLayout:
     ----------
     read : callable
         Returns the numbers of a line.
-    places : sequence of Place
+    numbers : sequence of Placed
         What each of them is.
     """
 
-    def __init__(self, read: Callable[[str], list[float] | None], places: Sequence[Place]) -> None:
-        self._read, self.places = read, places
-        self.columns = tuple(place.column for place in places)
+    def __init__(self, read: Callable[[str], list[float] | None], numbers: Sequence[Placed]) -> None:
+        self._read, self._numbers = read, numbers
+        self.columns = tuple(n.value.column for n in numbers if n.value.column is not None)
         self.of_column = {c.name: MAIN for c in self.columns if c.name not in COMMON}
 
     def read(self, found: Found) -> dict[str, ColumnArray]:
         """Return a value a line for each column."""
         lines = (self._read(text) for text in _texts(found.held, found.at, found.length))
-        numbers = np.array([line for line in lines if line is not None])
-        return {p.column.name: p.decoded(numbers[:, k]) for k, p in enumerate(self.places)}
+        table = np.array([line for line in lines if line is not None])
+        return {number.name: number.read(table[:, k]) for k, number in enumerate(self._numbers)}
 
 
 def _texts(held: ByteArray, at: IntArray, length: IntArray) -> list[str]:
@@ -344,9 +320,10 @@ class TextDecoder(LayoutDecoder):
             for x, read in zip(lines, readers, strict=True)
         ]
         timing = timing_of([field for line in lines for field in line.fields], rate_hz)
-        super().__init__(frames, timing)
-        for line, read in zip(lines, readers, strict=True):
-            self._add(LineLayout(read, line.places))
+        self._lines = [LineLayout(read, line.numbers) for line, read in zip(lines, readers, strict=True)]
+        super().__init__(frames, timing, groups_of(self._lines), ())
+        for layout in self._lines:
+            self._add(layout)
 
     def _layout_numbers(self, found: Found) -> IntArray:
         return found.frame
@@ -356,15 +333,19 @@ class TextEncoder(Encoder):
     """Makes the lines of a sample, one after the other."""
 
     def __init__(self, lines: Sequence[Line]) -> None:
-        self._lines = [(line, line.places) for line in lines]
+        self._lines = lines
 
     def encode(self, block: SampleBlock) -> list[bytes]:
         """Return the lines of each row; see `imumon.protocols.base.Encoder`."""
-        zeros = np.zeros(len(block))
         parts = []
-        for line, places in self._lines:
-            raw = [p.raw(block[p.column.name]) if p.column.name in block else zeros for p in places]
-            parts.append([line.write(row) for row in line.wrapped(np.column_stack(raw)).tolist()])
+        for line in self._lines:
+            table = np.zeros((len(block), len(line.numbers)))
+            for k, number in enumerate(line.numbers):
+                if number.name in block:
+                    values = block[number.name]
+                    raw = (values - number.value.offset) / number.value.factor
+                    table[:, k] = np.where(is_missing(values), 0.0, raw)
+            parts.append([line.write(row) for row in line.wrapped(table).tolist()])
         return [b"".join(row) for row in zip(*parts, strict=True)]
 
 

@@ -10,8 +10,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -41,31 +40,22 @@ QUANTITIES: Final = {
     "mag": re.compile(r"^(imu[._ ]?)?m(ag)?[._ ]?([xyz012])$", re.I),
 }
 NAMED_TEMPERATURE: Final = re.compile(r"^t(emp(erature)?)?([._ ]?(c|degc))?$", re.I)
-TIMES: Final = re.compile(r"^(t|time|ts|timestamp|millis|micros|time_(us|ms|s))$", re.I)
+
+Guess = tuple[str, str]
+"""What stands in the file for a field besides its place, and why."""
 
 
-Keys = Mapping[str, Any]
-"""Keys of the description of a line."""
+class _Lines(NamedTuple):
+    """Lines of one kind."""
 
-
-@dataclass(frozen=True, slots=True)
-class _Guess:
-    """A field: its first column, how many, and what stands in the file for it."""
-
-    first: int
-    count: int
-    keys: str
-    why: str
-
-
-@dataclass(frozen=True, slots=True)
-class _Lines:
-    """Lines of one kind: keys of its description, names of the columns or "", and numbers, (n, m)."""
-
-    keys: Keys
+    keys: Mapping[str, Any]
+    """Keys of the description of a line."""
+    places: Sequence[int | str]
+    """Place or key of each column."""
     names: Sequence[str]
+    """Name of each column, or ""."""
     numbers: FloatArray
-    by_key: bool
+    """Numbers, (n, columns)."""
 
 
 def propose(data: bytes, seconds: float, baudrate: int | None) -> str | None:
@@ -84,12 +74,11 @@ def propose(data: bytes, seconds: float, baudrate: int | None) -> str | None:
     lines = [line for line in lines if line.strip()]
     if len(lines) < LEAST_LINES:
         return None
-    kinds: tuple[Callable[[list[str]], _Lines | None], ...] = (_json, _pairs, _delimited)
-    found = next((kind for read in kinds if (kind := read(lines)) is not None), None)
+    readers: tuple[Callable[[list[str]], _Lines | None], ...] = (_json, _pairs, _delimited)
+    found = next((table for read in readers if (table := read(lines)) is not None), None)
     if found is None:
         return None
     rate = len(found.numbers) / seconds if seconds > 0 else 0.0
-    guesses = _guesses(found, rate)
     text = [
         "# Proposed from what came; every reason stands beside its line.  Look at it before you trust it.",
         "format: imumon-device/1", "name: proposed", "title: proposed from lines of text",
@@ -99,34 +88,22 @@ def propose(data: bytes, seconds: float, baudrate: int | None) -> str | None:
         f"serial: {{baudrates: [{baudrate or 115_200}]}}", "lines:", "  - name: line",
         *(f"    {key}: {json.dumps(value)}" for key, value in found.keys.items()), "    fields:",
     ]  # fmt: skip
-    for guess in guesses:
-        place = json.dumps(_stem(found.names, guess)) if found.by_key else str(guess.first)
-        text.append(f"      # {guess.why}")
-        text.append(f"      - {{{'key' if found.by_key else 'at'}: {place}, {guess.keys}}}")
+    for place, (keys, why) in zip(found.places, _guesses(found, rate), strict=True):
+        text.append(f"      # {why}")
+        text.append(f"      - {{{'at' if isinstance(place, int) else 'key'}: {json.dumps(place)}, {keys}}}")
     return "\n".join(text) + "\n"
 
 
-def _stem(names: Sequence[str], guess: _Guess) -> str:
-    """Return the key of a field: of several columns the part before ".0"."""
-    name = names[guess.first]
-    return name if guess.count == 1 else name.rpartition(".")[0]
-
-
-def _read(keys: Keys, fields: Sequence[Any], lines: Sequence[str]) -> FloatArray | None:
-    """Return the numbers of the lines that are of a kind, (n, m), when nearly all are."""
+def _read(
+    keys: Mapping[str, Any], places: Sequence[int | str], names: Sequence[str], lines: Sequence[str]
+) -> _Lines | None:
+    """Return the lines as they are described, when nearly all are so."""
+    place = "key" if isinstance(places[0], str) else "at"
+    fields = [{place: at, "column": f"value_{k}"} for k, at in enumerate(places)]
     line = Line.model_validate({**keys, "name": "line", "fields": fields})
     rows = [numbers for text in lines if (numbers := line.read(text)) is not None]
-    return np.array(rows) if len(rows) >= max(LEAST_LINES, SAME * len(lines)) else None
-
-
-def _leaves(tree: Any, path: str = "") -> list[str]:
-    """Return the paths to the numbers of a JSON value."""
-    if isinstance(tree, dict | list):
-        items = tree.items() if isinstance(tree, dict) else enumerate(tree)
-        return [
-            leaf for key, branch in items for leaf in _leaves(branch, f"{path}.{key}" if path else str(key))
-        ]
-    return [path] if isinstance(tree, int | float) and not isinstance(tree, bool) else []
+    enough = len(rows) >= max(LEAST_LINES, SAME * len(lines))
+    return _Lines(keys, places, names, np.array(rows)) if enough else None
 
 
 def _json(lines: list[str]) -> _Lines | None:
@@ -136,7 +113,16 @@ def _json(lines: list[str]) -> _Lines | None:
             shapes[tuple(_leaves(json.loads(text)))] += 1
         except (ValueError, RecursionError):
             continue
-    return _keyed({"form": "json"}, shapes, lines)
+    names = shapes.most_common(1)[0][0] if shapes else ()
+    return _read({"form": "json"}, names, names, lines) if names else None
+
+
+def _leaves(tree: Any, path: str = "") -> list[str]:
+    """Return the paths to the numbers of a JSON value."""
+    if isinstance(tree, dict | list):
+        items = tree.items() if isinstance(tree, dict) else enumerate(tree)
+        return [leaf for key, branch in items for leaf in _leaves(branch, f"{path}.{key}".lstrip("."))]
+    return [path] if isinstance(tree, int | float) and not isinstance(tree, bool) else []
 
 
 def _pairs(lines: list[str]) -> _Lines | None:
@@ -144,30 +130,20 @@ def _pairs(lines: list[str]) -> _Lines | None:
         shapes: Counter[tuple[str, ...]] = Counter()
         for text in lines:
             words = [re.split("[:=]", word, maxsplit=1) for word in text.split(separator)]
-            pairs = [word for word in words if len(word) == 2 and NUMBER.fullmatch(word[1].strip())]
-            if len(pairs) == len(words):
-                shapes[tuple(name.strip() for name, _ in pairs)] += 1
-        found = _keyed({"form": "pairs", "separator": separator}, shapes, lines)
-        if found is not None:
+            if all(len(word) == 2 and NUMBER.fullmatch(word[1].strip()) for word in words):
+                shapes[tuple(word[0].strip() for word in words)] += 1
+        names = shapes.most_common(1)[0][0] if shapes else ()
+        if names and (found := _read({"form": "pairs", "separator": separator}, names, names, lines)):
             return found
     return None
 
 
-def _keyed(keys: Keys, shapes: Counter[tuple[str, ...]], lines: list[str]) -> _Lines | None:
-    if not shapes or not shapes.most_common(1)[0][0]:
-        return None
-    names = shapes.most_common(1)[0][0]
-    fields = [{"key": name, "column": f"value_{k}"} for k, name in enumerate(names)]
-    numbers = _read(keys, fields, lines)
-    return None if numbers is None else _Lines(keys, names, numbers, True)
-
-
 def _delimited(lines: list[str]) -> _Lines | None:
     for prefix, checksum in _beginnings(lines):
-        bodies = [x.rpartition("*")[0] if checksum else x for x in lines if x.startswith(prefix)]
+        begun = [x for x in lines if x.startswith(prefix)]
         for separator in (",", ";", "\t", "|", " "):
             apart = None if separator == " " else separator
-            rows = [body[len(prefix) :].split(apart) for body in bodies]
+            rows = [(x.rpartition("*")[0] if checksum else x)[len(prefix) :].split(apart) for x in begun]
             size = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
             whole = [row for row in rows if len(row) == size]
             numeric = [
@@ -177,165 +153,86 @@ def _delimited(lines: list[str]) -> _Lines | None:
             ]
             if not numeric or (size == 1 and separator != " "):
                 continue
-            keys = {"prefix": prefix, "separator": separator, "values": size}
-            keys["checksum"] = "xor8" if checksum else "none"
-            fields = [{"at": k, "column": f"value_{k}"} for k in numeric]
-            numbers = _read(keys, fields, [x for x in lines if x.startswith(prefix)])
-            if numbers is not None:
-                all_columns = np.full((len(numbers), size), np.nan)
-                all_columns[:, numeric] = numbers
-                headers = (h.lstrip("#% ").split(apart) for h in lines if not any(c.isdigit() for c in h))
-                names = next((h for h in headers if len(h) == size), [""] * size)
-                return _Lines(keys, [name.strip() for name in names], all_columns, False)
+            headers = (h.lstrip("#% ").split(apart) for h in lines if not any(c.isdigit() for c in h))
+            names = next((h for h in headers if len(h) == size), [""] * size)
+            keys = {"prefix": prefix, "separator": separator, "values": size, "checksum": checksum or "none"}
+            if found := _read(keys, numeric, [names[k].strip() for k in numeric], begun):
+                return found
     return None
 
 
-def _beginnings(lines: list[str]) -> list[tuple[str, bool]]:
-    """Return the usual beginnings of lines, none last, and whether a checksum ends these lines."""
+def _beginnings(lines: list[str]) -> list[tuple[str, str]]:
+    """Return the usual beginnings of lines, none last, and the checksum that ends these lines."""
     found = Counter(re.match(r"[^0-9+\-.]*", text)[0] for text in lines)  # type: ignore[index]  # it may be empty
     usual = [
         begin for begin, n in found.most_common() if n >= max(LEAST_LINES, 0.2 * len(lines)) and begin.strip()
     ]
     starred = sum(bool(re.search(r"\*[0-9A-Fa-f]{2}\s*$", text)) for text in lines) >= SAME * len(lines)
-    return [*((begin, starred and begin.startswith("$")) for begin in usual), ("", False)]
+    return [*((begin, "xor8" if starred and begin[0] == "$" else "") for begin in usual), ("", "")]
 
 
-def _guesses(found: _Lines, rate: float) -> list[_Guess]:
-    """Return what the columns are taken for, in their order."""
+def _guesses(found: _Lines, rate: float) -> list[Guess]:
+    """Return what each column is taken for."""
     x, names = found.numbers, found.names
-    free = set(range(x.shape[1])) - {k for k in range(x.shape[1]) if np.isnan(x[:, k]).all()}
-    guesses: list[_Guess] = []
-
-    def take(guess: _Guess | None) -> None:
-        if guess is not None:
-            free.difference_update(range(guess.first, guess.first + guess.count))
-            guesses.append(guess)
-
-    for k in sorted(free):
-        take(_time(x[:, k], k, names[k], rate))
-    for size, tell in ((4, _quaternion), (3, _vector)):
-        for k in range(x.shape[1] - size + 1):
-            together = {*range(k, k + size)} <= free
-            if together and (not found.by_key or _listed(names[k : k + size])):
-                take(tell(x[:, k : k + size], k, names[k : k + size], rate))
-    for k in sorted(free):
-        if found.by_key:
-            take(_of_axis(x, names, k))
-    for k in sorted(free):
-        take(_temperature(x[:, k], k, names[k]))
-    for k in sorted(free):
-        take(_Guess(k, 1, f"column: {_own_name(names[k], k)}", "nothing tells what it is"))
-    return sorted(guesses, key=lambda guess: guess.first)
+    taken = {k: guess for k in range(len(names)) if (guess := _time(x[:, k], rate)) is not None}
+    for k in range(len(names) - 2):
+        three = range(k, k + 3)
+        vector = None if taken.keys() & {*three} else _vector(x[:, three], [names[j] for j in three])
+        for j, axis in zip(three, "xyz", strict=True):
+            if vector is not None:
+                own = names[j][-1:].lower()
+                what, unit, why = vector
+                taken[j] = f"column: {what}_{own if own in tuple('xyz') else axis}, {unit}", why
+    return [taken.get(k) or _single(x[:, k], k, names[k]) for k in range(len(names))]
 
 
-def _listed(names: Sequence[str]) -> bool:
-    """Return whether names are the elements of one list."""
-    stems = {name.rpartition(".")[0] for name in names}
-    return len(stems) == 1 and "" not in stems and all(n.endswith(f".{k}") for k, n in enumerate(names))
-
-
-def _own_name(name: str, k: int) -> str:
-    plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
-    return f"{plain}_raw" if plain and plain[0].isalpha() else f"value_{k}"
-
-
-def _time(x: FloatArray, k: int, name: str, rate: float) -> _Guess | None:
+def _time(x: FloatArray, rate: float) -> Guess | None:
+    """Return what a column is that rises, as time does or by one a line."""
     step = np.diff(x)
-    middle = float(np.median(step)) if len(step) else 0.0
+    middle = float(np.median(step))
     if middle <= 0 or np.mean(step > 0) < SAME:
         return None
     whole = bool(np.all(x == np.rint(x)))
     for unit, size in UNITS.items():
-        ratio = middle * size * rate
-        if 0.7 < ratio < 1.4:
-            kind = "type: u32, " if whole else ""
+        if 0.7 < middle * size * rate < 1.4:
             why = f"rises by {middle:.6g} a line: at {rate:.4g} lines a second that is {unit}"
-            return _Guess(k, 1, f"{kind}column: device_ticks, unit: {unit}", why)
-    if whole and middle == 1.0:
-        return _Guess(k, 1, "type: u32, column: packet_counter", "rises by one a line")
-    return (
-        _Guess(k, 1, "column: time_raw", "rises, in no unit that fits the rate")
-        if TIMES.match(name)
-        else None
-    )
+            return f"{'type: u32, ' if whole else ''}column: device_ticks, unit: {unit}", why
+    return ("type: u32, column: packet_counter", "rises by one a line") if whole and middle == 1.0 else None
 
 
-def _quaternion(x: FloatArray, k: int, names: Sequence[str], rate: float) -> _Guess | None:
-    del names, rate
-    norm = np.linalg.norm(x, axis=1)
-    if np.all(np.abs(norm - 1) < 0.01) and np.all(np.abs(x) <= 1):
-        return _Guess(
-            k, 4, "columns: [q_w, q_x, q_y, q_z]", "the norm of the four is 1; the order is a guess"
-        )
-    return None
-
-
-def _named(names: Sequence[str]) -> str | None:
-    """Return the quantity that the names of three columns tell."""
-    return next((what for what, pattern in QUANTITIES.items() if all(map(pattern.match, names))), None)
-
-
-def _vector(x: FloatArray, k: int, names: Sequence[str], rate: float) -> _Guess | None:
-    del rate
+def _vector(x: FloatArray, names: Sequence[str]) -> tuple[str, str, str] | None:
+    """Return quantity, scale and unit, and the reason, of three columns; None when nothing tells."""
     norm = np.linalg.norm(x, axis=1)
     mean, scatter = float(norm.mean()), float(norm.std())
-    steady = mean > 0 and scatter < STEADY * mean
-    named = _named(names)
-    how = f"named so; norm {mean:.4g} with scatter {scatter:.2g}" if named else f"norm {mean:.4g}, steady"
-    gravity = next((g for g in GRAVITIES if abs(mean / g - 1) < NEAR), None) if steady else None
-    if gravity is not None and named in (None, "accel"):
-        unit, scale = GRAVITIES[gravity]
-        scale = "" if scale == "1" else f", scale: {scale}"
-        return _Guess(
-            k, 3, f"columns: {_columns('accel')}{scale}, unit: {unit}", f"{how}: gravity is {gravity:g}"
-        )
-    if steady and named in (None, "mag"):
-        for (low, high), unit in FIELDS.items():
-            if low <= mean <= high:
-                return _Guess(
-                    k, 3, f"columns: {_columns('mag')}, unit: {unit}", f"{how}: as the earth's field"
-                )
+    named = next((what for what, pattern in QUANTITIES.items() if all(map(pattern.match, names))), None)
+    how = f"{'named so; ' if named else ''}norm {mean:.4g} with scatter {scatter:.2g}"
+    if mean > 0 and scatter < STEADY * mean:
+        gravity = next((g for g in GRAVITIES if abs(mean / g - 1) < NEAR), None)
+        if gravity is not None and named in (None, "accel"):
+            unit, scale = GRAVITIES[gravity]
+            return "accel", f"scale: {scale}, unit: {unit}", f"{how}: gravity is {gravity:g}"
+        field = next((unit for (low, high), unit in FIELDS.items() if low <= mean <= high), None)
+        if field is not None and named in (None, "mag"):
+            return "mag", f"unit: {field}", f"{how}: as the earth's field"
     if named == "gyro" or (named is None and _about_zero(x)):
         why = "named so" if named else "about zero on all three axes"
-        unit = "deg/s"
-        return _Guess(k, 3, f"columns: {_columns('gyro')}, unit: {unit}",
-                      f"{why}; rad/s or deg/s cannot be seen at rest: turn by 90 deg and look")  # fmt: skip
+        return "gyro", "unit: deg/s", f"{why}; rad/s or deg/s cannot be seen at rest: turn by 90 deg and look"
     return None
-
-
-def _of_axis(x: FloatArray, names: Sequence[str], k: int) -> _Guess | None:
-    """Return what a column of pairs is by its name; the unit by the norm of the three that go together."""
-    for what, pattern in QUANTITIES.items():
-        match = pattern.match(names[k])
-        if match is None:
-            continue
-        all_three = [j for j, name in enumerate(names) if pattern.match(name)]
-        guess = (
-            _vector(x[:, all_three], 0, [names[j] for j in all_three], 0.0) if len(all_three) == 3 else None
-        )
-        if guess is None:
-            return None
-        axis = dict(zip("012xyz", "xyzxyz", strict=True))[match[match.lastindex or 0].lower()]
-        return _Guess(k, 1, re.sub(r"columns: \[.*\]", f"column: {what}_{axis}", guess.keys), guess.why)
-    return None
-
-
-def _columns(what: str) -> str:
-    return f"[{', '.join(f'{what}_{axis}' for axis in 'xyz')}]"
 
 
 def _about_zero(x: FloatArray) -> bool:
     """Test whether three columns are about zero for numbers with their scatter: noise and a small offset."""
     scatter = x.std(axis=0)
-    return bool(
-        np.all(scatter > 0) and np.all(np.abs(x.mean(axis=0)) < 30 * scatter.max()) and np.abs(x).max() < 300
-    )
+    offset = np.abs(x.mean(axis=0))
+    return bool(np.all(scatter > 0) and np.all(offset < 30 * scatter.max()) and np.abs(x).max() < 300)
 
 
-def _temperature(x: FloatArray, k: int, name: str) -> _Guess | None:
-    near = x.min() >= -40 and x.max() <= 85 and np.ptp(x) < 2
-    if NAMED_TEMPERATURE.match(name) and near:
-        return _Guess(k, 1, "column: temperature, unit: degC", f"named so, {x.mean():.4g}")
-    if not name and near and 10 <= x.mean() <= 60:
-        return _Guess(k, 1, "column: temperature, unit: degC", f"{x.mean():.4g} and nearly constant")
-    return None
+def _single(x: FloatArray, k: int, name: str) -> Guess:
+    """Return what a column is taken for that belongs to no other."""
+    steady = x.min() >= -40 and x.max() <= 85 and np.ptp(x) < 2
+    if steady and (NAMED_TEMPERATURE.match(name) or (not name and 10 <= x.mean() <= 60)):
+        why = "named so" if name else "nearly constant"
+        return "column: temperature, unit: degC", f"{why}, {x.mean():.4g}"
+    plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+    own = f"{plain}_raw" if plain[:1].isalpha() else f"value_{k}"
+    return f"column: {own}", "nothing tells what it is"

@@ -18,17 +18,17 @@ from typing import Literal
 
 import numpy as np
 
-from imumon.blocks import BoolArray, IntArray, SampleBlock
+from imumon.blocks import IntArray, SampleBlock
 from imumon.columns import KNOWN
 from imumon.protocols.base import MAIN, Encoder, Timing, chosen
 from imumon.protocols.checksums import CRCS
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.frame_checks import CyclicCheck
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame, counted_length, windows
-from imumon.protocols.numbers import NUMBER_TYPES, Placed, Value, packed
-from imumon.protocols.payload import Layout, LayoutDecoder, Record
+from imumon.protocols.layouts import Alike, Layout, LayoutDecoder, Record, groups_of
+from imumon.protocols.numbers import Placed, Value, write
 from imumon.protocols.stream import LONGEST_PACKET, ByteArray
-from imumon.protocols.text import LineLayout, Place, line_lengths, lines_right, sentence_body
+from imumon.protocols.text import LineLayout, line_lengths, lines_right, sentence_body
 from imumon.protocols.vectornav_fields import (
     COMMON,
     FILTERED,
@@ -38,10 +38,11 @@ from imumon.protocols.vectornav_fields import (
     SENTENCES,
     SIDE_GROUPS,
     Item,
-    size_of,
 )
 
 MOST_HEADER = 64
+KINDS = 8
+"""Headers that are looked for in all packets at once; packets with rarer ones are measured one by one."""
 
 
 def read_header(packet: bytes) -> Header | int:
@@ -59,21 +60,20 @@ def read_header(packet: bytes) -> Header | int:
         return IMPOSSIBLE
     items: list[Item] = []
     for group in groups:
-        first, more = 0, group in GROUPS
+        left, more = GROUPS.get(group, ()), group in GROUPS
         if not more:
             return IMPOSSIBLE
         while more:
             if at + 2 > len(packet):
                 return INCOMPLETE
-            word = int.from_bytes(packet[at : at + 2], "little")
+            word = packet[at] | packet[at + 1] << 8
             at += 2
-            more = group != COMMON and bool(word >> 15)
-            bits = [first + k for k in range(16 if group == COMMON else 15) if word >> k & 1]
-            found = [GROUPS[group][bit] if bit < len(GROUPS[group]) else None for bit in bits]
-            items += [item for item in found if item is not None]
-            if None in found:
+            more = group != COMMON and word >= 0x8000
+            word &= 0xFFFF if group == COMMON else 0x7FFF
+            if word >> len(left):
                 return IMPOSSIBLE
-            first += 16
+            items += [item for k, item in enumerate(left[:16]) if word >> k & 1 and item is not None]
+            left = left[16:]
     return Header(tuple(items), at) if items else IMPOSSIBLE
 
 
@@ -84,7 +84,7 @@ class Header:
     items: tuple[Item, ...]
     size: int
 
-    def offsets(self, packet: ByteArray) -> list[int] | int:
+    def offsets(self, packet: bytes) -> list[int] | int:
         """Return where each field of a packet begins and where the last ends, or why that is not known."""
         at, places = self.size, []
         for item in self.items:
@@ -92,106 +92,39 @@ class Header:
             if item.repeat:
                 if at + item.counter >= len(packet):
                     return INCOMPLETE
-                at += item.repeat * int(packet[at + item.counter])
-            at += size_of(item)
+                at += item.repeat * packet[at + item.counter]
+            at += item.size
             if at + 2 > LONGEST_PACKET:
                 return IMPOSSIBLE
         return [*places, at]
 
 
-_POPCOUNT = np.array([bin(byte & 0x7F).count("1") for byte in range(256)])
-_WIDEST = 16
-"""Bytes of a header of all groups of the first byte."""
-OFTEN = 8
-"""A header counts as often when it is more than this part of what is left."""
-
-
-def _sizes() -> tuple[IntArray, BoolArray, BoolArray]:
-    """Return by group, half of the word and its value: bytes of the fields; if all are known; if it goes on.
-
-    Shapes (8, 2, 256).  A word goes on when its last bit or a field that counts itself is set.
-    """
-    sizes = np.zeros((8, 2, 256), np.int64)
-    known, longer = np.zeros((8, 2, 256), np.bool_), np.zeros((8, 2, 256), np.bool_)
-    for group, half, value in np.ndindex(sizes.shape):
-        items = GROUPS.get(group, ())
-        bits = [8 * half + k for k in range(8) if value >> k & 1]
-        more = group != COMMON and 15 in bits
-        found = [items[bit] if bit < len(items) else None for bit in bits if not (more and bit == 15)]
-        known[group, half, value] = None not in found
-        longer[group, half, value] = more or any(item is not None and item.repeat for item in found)
-        sizes[group, half, value] = sum(size_of(item) for item in found if item is not None)
-    return sizes, known, longer
-
-
-_SIZES, _KNOWN, _LONGER = _sizes()
-
-
-def _headers(held: ByteArray, at: IntArray) -> ByteArray:
-    """Return the bytes of each header as its first group byte has them, and zeros, (n, 16)."""
-    inside = np.all(at + _WIDEST <= len(held))
-    headers = windows(held if inside else np.pad(held, (0, _WIDEST)), at, _WIDEST)
-    size = 2 + 2 * _POPCOUNT[headers[:, 1]]
-    return headers * (np.arange(_WIDEST) < size[:, np.newaxis])
-
-
-def _alike(headers: ByteArray) -> tuple[IntArray, IntArray]:
-    """Return numbers of different headers, and which of these each is.
-
-    A stream has few kinds of packets, so they are told apart one after the other; of what is rare by then
-    some may be the same.
-    """
-    words = headers.view(np.uint64)
-    which, left, different = np.zeros(len(headers), np.int64), np.arange(len(headers)), list[int]()
-    often = True
-    while often and len(left):
-        first, before = int(left[0]), len(left)
-        equal = (words[left, 0] == words[first, 0]) & (words[left, 1] == words[first, 1])
-        which[left[equal]] = len(different)
-        different.append(first)
-        left = left[~equal]
-        often = before - len(left) > before // OFTEN
-    which[left] = len(different) + np.arange(len(left))
-    return np.array([*different, *left.tolist()], np.int64), which
-
-
-def _lengths(held: ByteArray, at: IntArray) -> IntArray:
-    """Return the length of the packet at each place; see `imumon.protocols.framing.Lengths`."""
-    headers = _headers(held, at)
-    different, which = _alike(headers)
-    length, size, alone = _announced(headers[different])
-    length, size, alone = length[which], size[which], alone[which]
-    for k in np.flatnonzero(alone | (at + size > len(held))).tolist():
-        packet = held[at[k] :]
-        length[k] = _length(packet, read_header(packet[:MOST_HEADER].tobytes()))
-    return length
-
-
-def _announced(headers: ByteArray) -> tuple[IntArray, IntArray, BoolArray]:
-    """Return length of the packets, bytes of the headers, and which have to be read one by one.
-
-    Those are headers with a second group byte or word, and with fields that count themselves.
-    """
-    rows = np.arange(len(headers))
-    place, length = np.full(len(headers), 2), np.zeros(len(headers), np.int64)
-    good, alone = headers[:, 1] != 0, headers[:, 1] >= 0x80
-    announced = int(np.bitwise_or.reduce(headers[:, 1])) if len(headers) else 0
-    for group in (group for group in range(1, 8) if announced >> group - 1 & 1):
-        there = headers[:, 1] >> (group - 1) & 1 != 0
-        for half in range(2):
-            word = headers[rows, np.minimum(place, _WIDEST - 1)]
-            length += np.where(there, _SIZES[group, half, word], 0)
-            good &= ~there | _KNOWN[group, half, word]
-            alone |= there & _LONGER[group, half, word]
-            place += there
-    return np.where(good & (length > 0), place + length + 2, IMPOSSIBLE), place, good & alone
-
-
-def _length(packet: ByteArray, header: Header | int) -> int:
+def _length(packet: bytes) -> int:
+    """Return the length of a packet, or why it is none; see `imumon.protocols.framing.Lengths`."""
+    header = read_header(packet[:MOST_HEADER])
     if isinstance(header, int):
         return header
     offsets = header.offsets(packet)
     return offsets if isinstance(offsets, int) else offsets[-1] + 2
+
+
+def _lengths(held: ByteArray, at: IntArray) -> IntArray:
+    length, left, stream = np.zeros(len(at), np.int64), np.arange(len(at)), held.tobytes()
+    for _ in range(min(KINDS, len(at))):
+        if not len(left):
+            break
+        packet = stream[at[left[0]] :][:LONGEST_PACKET]
+        header = read_header(packet[:MOST_HEADER])
+        same = left == left[0]
+        if isinstance(header, Header) and not any(item.repeat for item in header.items):
+            whole = np.flatnonzero(at[left] + header.size <= len(held))
+            heads = windows(held, at[left[whole]], header.size)
+            same[whole] = np.all(heads == np.frombuffer(packet[: header.size], np.uint8), axis=1)
+        length[left[same]] = _length(packet)
+        left = left[~same]
+    for k, place in zip(left.tolist(), at[left].tolist(), strict=True):
+        length[k] = _length(stream[place : place + LONGEST_PACKET])
+    return length
 
 
 XMODEM = CyclicCheck(CRCS["crc16-xmodem"], first=1, big=True)
@@ -207,25 +140,27 @@ def _sentence(text: str) -> tuple[str, list[str]] | None:
     if values is not None:
         if fields and fields[-1][:1] in ("S", "T") and len(fields) > len(values):
             fields = fields[: len(values)]  # the appendix with status or time
-        if len(fields) != len(values) or any(_real(text) is None for text in fields):
+        if len(fields) != len(values) or "_" in body or _floats(fields) is None:
             return None
     return name, fields
 
 
-def _real(text: str) -> float | None:
+def _floats(fields: Sequence[str]) -> list[float] | None:
     try:
-        return float(text) if "_" not in text else None
+        return [float(field) for field in fields]
     except ValueError:
         return None
 
 
 def _numbers_of(text: str) -> list[float] | None:
     read = _sentence(text)
-    return None if read is None else [float(field) for field in read[1]]
+    return None if read is None else _floats(read[1])
 
 
 BINARY, SENTENCE = 0, 2
 """Numbers of their frames."""
+ITEMS = [item for items in GROUPS.values() for item in items if item is not None and item.values]
+"""All fields that are read."""
 
 
 class VectorNavDecoder(LayoutDecoder):
@@ -237,103 +172,63 @@ class VectorNavDecoder(LayoutDecoder):
             Frame("split", b"\xfb\x00", counted_length(4, 2, 8, LONGEST_PACKET), XMODEM),
             Frame("ascii", b"$VN", line_lengths(after_end=False), lines_right(_sentence)),
         )
+        layouts = [Record(item.placed(0)) for item in ITEMS]
+        groups = groups_of(layouts, SIDE_GROUPS, apart=tuple(RECEIVERS.values()))
         timing = Timing(tick_ns=Fraction(1), rate_hz=rate_hz)
-        super().__init__(frames, timing, SIDE_GROUPS, apart=tuple(RECEIVERS.values()))
-        # Some quantities are in fields of two groups: which counts is not for the order of the packets.
-        for item in (item for items in GROUPS.values() for item in items if item is not None and item.group):
-            group = (MAIN, *SIDE_GROUPS).index(item.group)
-            self._of_column |= {
-                v.column.name: group
-                for v in item.values
-                if v.column is not None and v.column.name not in self._of_column
-            }
-        self._kinds: dict[bytes, int] = {}
-        self._known: list[_Kind] = []
+        super().__init__(frames, timing, groups, ())
         self._factory: frozenset[str] = frozenset()
-        self._numbers: dict[tuple[int, frozenset[str]], int] = {}
+        """Quantities that have come as they were calibrated in the factory."""
 
     def _layout_numbers(self, found: Found) -> IntArray:
-        kinds = self._kinds_of(found)
+        """Number the layouts; where calibrated quantities begin, the filtered ones step back."""
+        all_alike = list(self._alike(found))
         numbers = np.full(len(found), -1, np.int64)
-        begin = 0
-        firsts = sorted(zip(*np.unique(kinds, return_index=True)[::-1], strict=True))
-        for first, kind in [(int(f), int(k)) for f, k in firsts if k >= 0] + [(len(found), -1)]:
-            new = frozenset() if kind < 0 else self._known[kind].factory - self._factory
-            if new or kind < 0:
-                numbers[begin:first] = self._numbered(kinds[begin:first])
+        for alike in all_alike:
+            new = _factory(self._numbers_of(alike)) - self._factory
+            if new:
                 self._factory |= new
-                begin = first
+                self._numbers.clear()
+                for earlier in all_alike:
+                    numbers[earlier.rows[earlier.rows > alike.rows[0]]] = self._number(earlier)
+            numbers[alike.rows] = self._number(alike)
         return numbers
 
-    def _kinds_of(self, found: Found) -> IntArray:
-        """Return the number of the kind of each packet, its header; -1: one that is only counted."""
-        kinds = np.full(len(found), -1, np.int64)
-        binary = np.flatnonzero(found.frame == BINARY)
-        first, same = _alike(_headers(found.held, found.at[binary]))
-        of_header = np.array([self._kind(found, k) for k in binary[first].tolist()], np.int64)
-        kinds[binary] = of_header[same]
-        alone = np.array([self._known[k].alone for k in of_header.tolist()], np.bool_)[same]
-        for k in [*binary[alone].tolist(), *np.flatnonzero(found.frame == SENTENCE).tolist()]:
-            kinds[k] = self._kind(found, k)
-        return kinds
-
-    def _kind(self, found: Found, k: int) -> int:
-        """Return the number of the kind of one packet."""
-        packet = found.held[found.at[k] : found.at[k] + found.length[k]]
-        if found.frame[k] == SENTENCE:
-            key = packet[:6].tobytes()
-            if key not in self._kinds:
-                self._tell(packet.tobytes().decode("ascii", "replace"))
-            placed = [(value, 0, MAIN) for value in SENTENCES.get(key[3:].decode("ascii", "replace"), ())]
-            return self._known_kind(key, placed, alone=False)
-        header = read_header(packet[:MOST_HEADER].tobytes())
-        assert not isinstance(header, int)
-        repeats = any(item.repeat for item in header.items)
-        key = packet[: header.size].tobytes() + (len(packet).to_bytes(2, "big") if repeats else b"")
-        if key in self._kinds:
-            return self._kinds[key]
+    def _signature(self, packet: bytes) -> Sequence[int]:
+        if packet[:1] == b"$":
+            return range(6)
+        header = read_header(packet[:MOST_HEADER])
+        if packet[0] != 0xFA or isinstance(header, int):
+            return ()
         offsets = header.offsets(packet)
         assert not isinstance(offsets, int)
-        placed = []
-        for item, at in zip(header.items, offsets[:-1], strict=True):
-            for value in item.values:
-                placed.append((value, at, item.group))
-                at += NUMBER_TYPES[value.type].size
-        alone = repeats or packet[1] >= 0x80 or header.size != 2 + 2 * int(_POPCOUNT[packet[1]])
-        return self._known_kind(key, placed, alone)
+        counters = [at + item.counter for item, at in zip(header.items, offsets, strict=False) if item.repeat]
+        return [*range(header.size), *counters]
 
-    def _known_kind(self, key: bytes, placed: Sequence[tuple[Value, int, str]], alone: bool) -> int:
-        if key not in self._kinds:
-            there = {value.column.name for value, _, _ in placed if value.column is not None}
-            factory = frozenset(base for base in FILTERED if f"{base}_x" in there)
-            self._kinds[key] = len(self._known)
-            self._known.append(_Kind(tuple(placed), factory, alone, key[:1] != b"\xfa"))
-        return self._kinds[key]
+    def _numbers_of(self, alike: Alike) -> list[Placed]:
+        """Return the numbers of packets; those of a sentence are in its order."""
+        if alike.frame == SENTENCE:
+            values = SENTENCES.get(alike.packet[3:6].decode("ascii", "replace"), ())
+            return [Placed(value, 0, MAIN) for value in values]
+        header = read_header(alike.packet[:MOST_HEADER])
+        if alike.frame != BINARY or isinstance(header, int):
+            return []
+        offsets = header.offsets(alike.packet)
+        assert not isinstance(offsets, int)
+        return [n for item, at in zip(header.items, offsets, strict=False) for n in item.placed(at)]
 
-    def _numbered(self, kinds: IntArray) -> IntArray:
-        """Return the number of the layout of each kind, as what is known of the stream has it."""
-        numbers = np.full(len(kinds), -1, np.int64)
-        for kind in np.unique(kinds[kinds >= 0]).tolist():
-            key = kind, self._factory
-            if key not in self._numbers:
-                self._numbers[key] = self._layout(self._known[kind])
-            numbers[kinds == kind] = self._numbers[key]
-        return numbers
-
-    def _layout(self, kind: _Kind) -> int:
-        """Add the layout of a kind of packet; return its number, or -1 when it has nothing for a row."""
-        alone = [base for base in FILTERED if base not in self._factory | kind.factory]
-        placed = [(_without_suffix(value, alone), at, group) for value, at, group in kind.placed]
-        layout: Layout = Record([Placed(*item) for item in placed])
-        if kind.text:
-            places = [Place(v.column, v.factor) for v, _, _ in placed if v.column is not None]
-            layout = LineLayout(_numbers_of, places)
-        if "gyro_x" in layout.of_column and "gyro" in alone:
+    def _layout(self, alike: Alike) -> Layout | None:
+        numbers = _renamed(self._numbers_of(alike), self._factory)
+        if alike.frame == SENTENCE:
+            self._tell(alike.packet.decode("ascii", "replace"))
+            layout: Layout = LineLayout(_numbers_of, numbers)
+        else:
+            layout = Record(numbers)
+        if "gyro_x" in layout.of_column and "gyro" not in self._factory:
             self._warn(
                 "the angular rate is that of the device's filter, which has taken its own estimate of "
                 "the gyro bias off: what imumon finds is the rest of it; send UncompGyro, Imu or $VNIMU"
             )
-        return self._add(layout) if layout.columns else -1
+        return layout if layout.columns else None
 
     def _tell(self, line: str) -> None:
         """Say what a sentence says that is not data."""
@@ -345,22 +240,22 @@ class VectorNavDecoder(LayoutDecoder):
             self._say(f"sentence $VN{read[0]} is counted and not read")
 
 
-@dataclass(frozen=True, slots=True)
-class _Kind:
-    """Packets with one header: their numbers, and which quantities they have as calibrated in the factory."""
-
-    placed: tuple[tuple[Value, int, str], ...]
-    factory: frozenset[str]
-    alone: bool
-    """Whether other packets may have the same first bytes."""
-    text: bool
+def _factory(numbers: Sequence[Placed]) -> frozenset[str]:
+    """Return of which quantities there are numbers as they were calibrated in the factory."""
+    names = {number.name for number in numbers}
+    return frozenset(base for base in FILTERED if f"{base}_x" in names)
 
 
-def _without_suffix(value: Value, bases: Sequence[str]) -> Value:
-    """Return the number for the column without "compensated" when it is of one of these."""
-    name = "" if value.column is None else value.column.name
-    base, _, axis = name.partition("_compensated_")
-    return Value(KNOWN[f"{base}_{axis}"], value.type, value.factor) if axis and base in bases else value
+def _renamed(numbers: Sequence[Placed], factory: frozenset[str]) -> list[Placed]:
+    """Return the numbers; those of the filter have the plain names where nothing comes as calibrated."""
+    bases = {*FILTERED} - factory
+    plain = {f"{base}_compensated_{axis}": f"{base}_{axis}" for base in bases for axis in "xyz"}
+    return [
+        number._replace(value=Value(KNOWN[plain[number.name]], number.value.type, number.value.factor))
+        if number.name in plain
+        else number
+        for number in numbers
+    ]
 
 
 class VectorNavEncoder(Encoder):
@@ -386,22 +281,19 @@ class VectorNavEncoder(Encoder):
         for group, bit, _ in sent:
             words[group] = words.get(group, 0) | 1 << bit
         groups = sum(1 << group - 1 for group in words if group < 8)
-        header = bytes([0xFA, groups]) + b"".join(word.to_bytes(2, "little") for word in words.values())
-        self._header = np.frombuffer(header, np.uint8)
-        factory = {base for base in FILTERED for *_, item in sent if f"{base}_x" in _names(item)}
-        bases = [base for base in FILTERED if base not in factory]
-        self._values = [_without_suffix(value, bases) for *_, item in sent for value in item.values]
+        self._header = bytes([0xFA, groups]) + b"".join(word.to_bytes(2, "little") for word in words.values())
+        numbers, self._size = list[Placed](), len(self._header)
+        for *_, item in sent:
+            numbers += item.placed(self._size)
+            self._size += item.size
+        self._numbers = _renamed(numbers, _factory(numbers))
 
     def encode(self, block: SampleBlock) -> list[bytes]:
         """Return one packet per row; see `imumon.protocols.base.Encoder`."""
         rows = np.arange(len(block))
-        parts = [packed("binary output", v, block.columns, rows)[:, ::-1] for v in self._values]
-        packets = np.concatenate([np.tile(self._header, (len(block), 1)), *parts], axis=1)
+        packets = write("binary output", self._numbers, self._size, block.columns, rows)
+        packets[:, : len(self._header)] = np.frombuffer(self._header, np.uint8)
         return [packet.tobytes() for packet in XMODEM.sealed_rows(packets)]
-
-
-def _names(item: Item) -> set[str]:
-    return {value.column.name for value in item.values if value.column is not None}
 
 
 class VectorNavDevice(DeviceFile):

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import pi
 
 from imumon.columns import KNOWN, Column
 from imumon.protocols.base import MAIN
-from imumon.protocols.numbers import NO_GROUP, NUMBER_TYPES, Value
+from imumon.protocols.numbers import NO_GROUP, NUMBER_TYPES, Placed, Value
 from imumon.protocols.tagged_columns import count, known, number, vector
 
 DEGREE = pi / 180
@@ -24,20 +25,33 @@ FILTERED = ("gyro", "accel", "mag")
 """What the device sends both as it was calibrated in the factory and as its filter has left it."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Item:
     """A field of a binary group: its name, its numbers, and the group of columns that it belongs to.
 
-    A field that only counts bytes has none but `size`; one with `repeat` has so many more bytes for each
-    count of the byte at `counter`.
+    A field that is passed over has none but a number of bytes; one with `repeat` has so many more bytes for
+    each count of the byte at `counter`.
     """
 
     name: str
     values: tuple[Value, ...] = ()
     group: str = MAIN
-    size: int = 0
+    skipped: int = 0
     repeat: int = 0
     counter: int = 0
+
+    @cached_property
+    def size(self) -> int:
+        """Bytes of the field without its repetitions."""
+        return sum(NUMBER_TYPES[value.type].size for value in self.values) or self.skipped
+
+    def placed(self, at: int) -> list[Placed]:
+        """Return the numbers of a field that begins here."""
+        found = []
+        for value in self.values:
+            found.append(Placed(value, at, self.group))
+            at += NUMBER_TYPES[value.type].size
+        return found
 
 
 def _numbers(columns: Sequence[Column | None], kind: str = "f32", factor: float = 1.0) -> tuple[Value, ...]:
@@ -208,11 +222,6 @@ GROUPS: dict[int, tuple[Item | None, ...]] = {
     **{group: _receiver_items(prefix) for group, prefix in RECEIVERS.items()},
 }
 """Fields of each group by bit; None is a bit that has none."""
-
-
-def size_of(item: Item) -> int:
-    """Return the bytes of a field without its repetitions."""
-    return sum(NUMBER_TYPES[value.type].size for value in item.values) or item.size
 
 
 _RATE, _FORCE, _FIELD = RATE.values, FORCE.values, FIELD.values

@@ -11,20 +11,35 @@ Many units send a rate of exactly zero while they take themselves to be at rest.
 from __future__ import annotations
 
 from fractions import Fraction
+from functools import partial
 from math import pi
 from typing import Final
 
 import numpy as np
 
 from imumon.blocks import ColumnArray, IntArray
+from imumon.columns import KNOWN, Column
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.protocols.base import MAIN, Timing
+from imumon.protocols.base import MAIN, Packets, Timing
 from imumon.protocols.frame_checks import Sum
-from imumon.protocols.framing import INCOMPLETE, NO_PACKET, Found, Frame, fixed_length, unchecked, windows
+from imumon.protocols.framing import INCOMPLETE, NO_PACKET, Found, Frame, fixed_length, unchecked
 from imumon.protocols.messages import Message, Part, TableDecoder, TableDevice, TableFamily, part
 from imumon.protocols.numbers import NO_GROUP, Columns, Derived
 from imumon.protocols.stream import ByteArray
-from imumon.protocols.tagged_columns import ANGLES, calendar, count, known, number, unix_seconds, vector
+from imumon.protocols.tagged_columns import (
+    ANGLES,
+    FORCE,
+    PRESSURE,
+    QUATERNION,
+    RATE,
+    TEMPERATURE,
+    calendar,
+    count,
+    known,
+    number,
+    unix_seconds,
+    vector,
+)
 
 FORCE_FACTOR, RATE_FACTOR, ANGLE_FACTOR = (
     16 * STANDARD_GRAVITY / 32768,
@@ -33,7 +48,7 @@ FORCE_FACTOR, RATE_FACTOR, ANGLE_FACTOR = (
 )
 HEADER, PAYLOAD, SIZE = 2, 8, 11
 SHORT, LONG = 20, 28
-COMBINED, RATE_TYPE = 0x61, 0x52
+COMBINED = 0x61
 ZEROS: Final = 10
 """Frames in a row with three rates of zero, after which it is said: with noise that needs much luck."""
 
@@ -46,26 +61,28 @@ def _date(at: int) -> Part:
 
 DATE_PARTS = ("year", "month", "day", "hour", "minute", "second", "millisecond")
 DATE = tuple(f"_{name}" for name in DATE_PARTS)
-FORCE = known("accel_x", "accel_y", "accel_z")
-RATE = known("gyro_x", "gyro_y", "gyro_z")
 CLOCK = count("device_clock", "calendar of the device as Unix time; not that of the sample", "ns")
 SATELLITES, SPEED = [count("gnss_satellites", "in use")], [number("gnss_speed", "m/s", "over ground")]
 DILUTIONS = [number(f"gnss_{c}dop", "1", "dilution") for c in "phv"]
 RECEIVER = number("gnss_altitude", "m", "of the receiver"), number("gnss_course", "rad", "of the receiver")
 
 
-def _unix_ms(columns: Columns) -> IntArray:
-    """Return milliseconds since 1970 of a date."""
+def _time_of_date(per_ms: int, columns: Columns) -> list[ColumnArray]:
+    """Return the time since 1970 of a date, `per_ms` counts a millisecond."""
     year, month, *parts, ms = (columns[name] for name in DATE)
     seconds = unix_seconds(year + 2000, np.clip(month, 1, 12), *parts)
-    return seconds * 1000 + ms
+    return [(seconds * 1000 + ms) * per_ms]
 
 
-def _date_of(unix_ms: ColumnArray) -> list[ColumnArray]:
-    """Return the parts of a date of milliseconds since 1970."""
-    seconds, ms = np.divmod(unix_ms, 1000)
+def _date_of_time(name: str, per_ms: int, columns: Columns) -> list[ColumnArray]:
+    seconds, ms = np.divmod(columns[name] // per_ms, 1000)
     year, *parts = calendar(seconds)
     return [year - 2000, *parts, ms]
+
+
+def _of_date(column: Column, per_ms: int) -> Derived:
+    to_time, to_date = partial(_time_of_date, per_ms), partial(_date_of_time, column.name, per_ms)
+    return Derived(DATE, (column,), to_time, to_date)
 
 
 def _degrees(value: ColumnArray) -> ColumnArray:
@@ -88,22 +105,6 @@ HEIGHT = [number("pressure_altitude", "m", "from the pressure")]
 PLACE = [count("_longitude", "longitude"), count("_latitude", "latitude")]
 
 
-def _clock_of(c: Columns) -> list[ColumnArray]:
-    return [_unix_ms(c) * 1_000_000]
-
-
-def _date_of_clock(c: Columns) -> list[ColumnArray]:
-    return _date_of(c["device_clock"] // 1_000_000)
-
-
-def _ticks_of(c: Columns) -> list[ColumnArray]:
-    return [_unix_ms(c)]
-
-
-def _date_of_ticks(c: Columns) -> list[ColumnArray]:
-    return _date_of(c["device_ticks"])
-
-
 def _degrees_of(c: Columns) -> list[ColumnArray]:
     return [_degrees(c["_longitude"]), _degrees(c["_latitude"])]
 
@@ -112,24 +113,24 @@ def _digits_of(c: Columns) -> list[ColumnArray]:
     return [_digits(c["longitude"]), _digits(c["latitude"])]
 
 
-OF_DATE = Derived(DATE, (CLOCK,), _clock_of, _date_of_clock)
-OF_SAMPLE = Derived(DATE, known("device_ticks"), _ticks_of, _date_of_ticks)
+OF_DATE = _of_date(CLOCK, 1_000_000)
+OF_SAMPLE = _of_date(KNOWN["device_ticks"], 1)
 """The 28 bytes of 0x61 have the time of the sample itself."""
 OF_PLACE = Derived(("_longitude", "_latitude"), known("longitude", "latitude"), _degrees_of, _digits_of)
 
 TYPES = {
     0x50: _message("time", _date(0), group=NO_GROUP, derived=OF_DATE),
-    0x51: _message("accel", part(0, "i16", FORCE, FORCE_FACTOR), part(6, "i16", known("temperature"), 0.01)),
+    0x51: _message("accel", part(0, "i16", FORCE, FORCE_FACTOR), part(6, "i16", TEMPERATURE, 0.01)),
     0x52: _message("gyro", part(0, "i16", RATE, RATE_FACTOR)),
     0x53: _message("angle", part(0, "i16", ANGLES, ANGLE_FACTOR), group="attitude"),
     0x54: _message("mag", part(0, "i16", vector("mag", "a.u.", "magnetic field, raw counts")), group="mag"),
     0x55: _message("ports", part(0, "u16", PORTS), group="status"),
-    0x56: _message("pressure", part(0, "u32", known("pressure")), part(4, "i32", HEIGHT, 0.01),
+    0x56: _message("pressure", part(0, "u32", PRESSURE), part(4, "i32", HEIGHT, 0.01),
                    group="pressure"),
     0x57: _message("position", part(0, "i32", PLACE), group="gnss", derived=OF_PLACE),
     0x58: _message("speed", part(0, "i16", RECEIVER[:1], 0.1), part(2, "i16", RECEIVER[1:], pi / 1800),
                    part(4, "u32", SPEED, 1 / 3600), group="gnss"),
-    0x59: _message("quaternion", part(0, "i16", known("q_w", "q_x", "q_y", "q_z"), 1 / 32768),
+    0x59: _message("quaternion", part(0, "i16", QUATERNION, 1 / 32768),
                    group="attitude"),
     0x5A: _message("satellites", part(0, "u16", SATELLITES), part(2, "u16", DILUTIONS, 0.01), group="gnss"),
 }  # fmt: skip
@@ -172,24 +173,25 @@ class WitMotionDecoder(TableDecoder):
 
     _zeros = 0
 
-    def _keys(self, found: Found) -> IntArray:
-        kind = found.held[found.at + 1].astype(np.int64)
-        self._look_for_zeros(found, kind)
-        return np.where(kind == COMBINED, kind << 8 | found.length, kind)
+    def _key(self, packet: bytes) -> int:
+        return packet[1] << 8 | len(packet) if packet[1] == COMBINED else packet[1]
 
-    def _look_for_zeros(self, found: Found, kind: IntArray) -> None:
-        """Say when the rates of frames in a row are exactly zero."""
-        at = (found.at + np.where(kind == COMBINED, 8, 2))[(kind == RATE_TYPE) | (kind == COMBINED)]
-        still = ~np.any(windows(found.held, at, 6), axis=1)
+    def _read(self, found: Found, arrival_ns: IntArray) -> Packets:
+        """Read the packets, and warn when the rates of many in a row are exactly zero."""
+        packets = super()._read(found, arrival_ns)
+        if RATE[0].name not in packets.block:
+            return packets
+        rates = np.column_stack([packets.block[column.name] for column in RATE])
+        still = ~np.any(rates[~np.isnan(rates[:, 0])], axis=1)
         run = np.arange(1, len(still) + 1) + self._zeros
-        moved = np.maximum.accumulate(np.where(still, 0, run)) if len(still) else run
-        run = run - moved
+        run = run - np.maximum.accumulate(np.where(still, 0, run))
         self._zeros = int(run[-1]) if len(run) else self._zeros
         if np.any(run >= ZEROS):
             self._warn(
                 "the device sends rates of exactly zero: at rest it takes off what it holds for bias, "
                 "so bias and noise found from them mean nothing"
             )
+        return packets
 
 
 class WitMotionDevice(TableDevice):
@@ -203,5 +205,6 @@ class WitMotionDevice(TableDevice):
         Timing(tick_ns=Fraction(1_000_000)),
         HEADER,
         HEADER,
+        head=(1,),
         apart=("gnss",),
     )

@@ -17,13 +17,22 @@ from typing import Final
 import numpy as np
 
 from imumon.blocks import BoolArray, IntArray
-from imumon.columns import KNOWN, Column
+from imumon.columns import Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, Timing
 from imumon.protocols.framing import Found, Frame
 from imumon.protocols.messages import Message, TableDecoder, TableDevice, TableFamily, part
 from imumon.protocols.stream import ByteArray
-from imumon.protocols.tagged_columns import known, number, vector
+from imumon.protocols.tagged_columns import (
+    ANGLES,
+    FORCE,
+    QUATERNION,
+    RATE,
+    TEMPERATURE,
+    TICKS,
+    number,
+    vector,
+)
 from imumon.protocols.text import NUMBER, line_lengths, lines_right
 
 BINARY: Final = 0x80
@@ -41,12 +50,12 @@ MATRIX = [number(f"matrix_{i}{j}", "1", "rotation matrix") for i in "xyz" for j 
 
 Kind = tuple[str, str, list[tuple[Sequence[Column], float]]]
 KINDS: dict[str, Kind] = {
-    "I": ("inertial", MAIN, [(known("gyro_x", "gyro_y", "gyro_z"), DEGREE),
-                             (known("accel_x", "accel_y", "accel_z"), STANDARD_GRAVITY)]),
+    "I": ("inertial", MAIN, [(RATE, DEGREE),
+                             (FORCE, STANDARD_GRAVITY)]),
     "M": ("magnetometer", "mag", [(vector("mag", "a.u.", "magnetic field, 1 when calibrated"), 1.0)]),
-    "T": ("temperature", "temperature", [(known("temperature"), 1.0)]),
-    "Q": ("quaternion", "attitude", [(known("q_w", "q_x", "q_y", "q_z"), 1.0)]),
-    "A": ("euler", "attitude", [(known("roll", "pitch", "yaw"), DEGREE)]),
+    "T": ("temperature", "temperature", [(TEMPERATURE, 1.0)]),
+    "Q": ("quaternion", "attitude", [(QUATERNION, 1.0)]),
+    "A": ("euler", "attitude", [(ANGLES, DEGREE)]),
     "R": ("matrix", "attitude", [(MATRIX, 1.0)]),
     "L": ("linear", "attitude", [(vector("free_accel", "m/s^2", "without gravity"), STANDARD_GRAVITY)]),
     "E": ("earth", "attitude", [(vector("earth_accel", "m/s^2", "without gravity, in the reference frame"),
@@ -65,7 +74,7 @@ KINDS: dict[str, Kind] = {
 
 def _message(letter: str) -> Message:
     name, group, vectors = KINDS[letter]
-    at, parts = TIME_SIZE, [part(0, "u64", [KNOWN["device_ticks"]])]
+    at, parts = TIME_SIZE, [part(0, "u64", TICKS)]
     for columns, factor in vectors:
         parts.append(part(at, "f32", columns, factor))
         at += 4 * len(columns)
@@ -119,8 +128,8 @@ class XimuDecoder(TableDecoder):
         held = np.frombuffer(b"".join(parts), np.uint8)
         return Found(held, np.cumsum(lengths) - lengths, lengths, found.frame)
 
-    def _keys(self, found: Found) -> IntArray:
-        return found.held[found.at].astype(np.int64) & ~BINARY
+    def _key(self, packet: bytes) -> int:
+        return packet[0] & ~BINARY
 
 
 def _as_binary(message: bytes) -> bytes:
@@ -145,4 +154,4 @@ FRAMES = [
 class XimuDevice(TableDevice):
     """Device file of an x-IMU3."""
 
-    family = TableFamily(MESSAGES, FRAMES, XimuDecoder, _wrapped, Timing(tick_ns=Fraction(1000)), 1, 1)
+    family = TableFamily(MESSAGES, FRAMES, XimuDecoder, _wrapped, Timing(tick_ns=Fraction(1000)), 1, 1, (0,))

@@ -40,7 +40,7 @@ TEXT, ODD = b"\t\r\n" + bytes(range(0x20, 0x7F)), b"\x00\xff"
 
 
 class Candidate(Protocol):
-    """What is asked of a protocol; every `imumon.protocols.base.Decoder` can do it."""
+    """What is asked of a protocol; every `imumon.protocols.framing.Decoder` can do it."""
 
     def feed(self, data: bytes, arrival_ns: int) -> None:
         """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""

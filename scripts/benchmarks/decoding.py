@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.measure import Bar, Result, Table, measure
 from imumon.blocks import ColumnArray, SampleBlock, join
 from imumon.pipeline import Digest, Pipeline
-from imumon.protocols.base import Decoder
+from imumon.protocols.framing import Decoder
 from imumon.protocols.device import DeviceFile, device_names, load_device
 from imumon.protocols.fixed.device import FixedDevice
 from imumon.protocols.stream import ByteArray

@@ -10,7 +10,10 @@ import numpy as np
 
 from imumon.blocks import NO_INT, SampleBlock
 from imumon.protocols.numbers import NUMBER_TYPES
-from imumon.protocols.tagged import ANY_SIZE, FIXED, LIST, MIP, XBUS, Field, Form
+from imumon.protocols.tagged import ANY_SIZE, MIP, XBUS, Field, Form
+
+MESSAGE, LIST, FIXED, COUNTED = range(4)
+"""What a packet type is: a message, a list of fields, one field without header, or only counted."""
 
 
 def candidate(data: bytes, at: int, framing: Form) -> int | str:

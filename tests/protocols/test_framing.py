@@ -123,11 +123,11 @@ import sys
 import numpy as np
 from imumon.blocks import SampleBlock
 from imumon.protocols.device import device_names, load_device
-from imumon.protocols.framing import FramedDecoder
+from imumon.protocols.framing import Decoder
 for name in device_names():
     device = load_device(name)
     decoder = device.decoder()
-    if isinstance(decoder, FramedDecoder):
+    if isinstance(decoder, Decoder):
         decoder.feed(b"".join(device.encoder().encode(SampleBlock({"gyro_x": np.ones(3)}))), 0)
         decoder.take_packets(), decoder.counters()
         print(name)

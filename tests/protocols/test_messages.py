@@ -185,3 +185,10 @@ def test_a_message_that_is_not_there_is_named(device: str) -> None:
     wrong = "\n".join("sends: [nonsense]" if line.startswith("sends:") else line for line in text.split("\n"))
     with pytest.raises(ImumonError, match="nonsense"):
         parse_device(wrong, source).encoder()
+
+
+def test_increments_are_sent_without_an_interval() -> None:
+    device = load_device("inertialsense").model_copy(update={"sends": ["pimu"]})
+    sent = {f"{what}_{axis}": np.array([0.5]) for what in ("gyro", "accel") for axis in "xyz"}
+    block = feed_in_chunks(device.decoder(), device.encoder().encode(SampleBlock(sent))[0], [9])
+    assert block["gyro_x"][0] == pytest.approx(0.5)

@@ -8,19 +8,16 @@ import pytest
 from imumon.blocks import NO_INT, SampleBlock
 from imumon.columns import KNOWN, Column
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.base import MOST_NOTICES, Timing
+from imumon.protocols.base import Timing
+from imumon.protocols.framing import MOST_NOTICES
 from imumon.protocols.numbers import Derived, Value
 from imumon.protocols.tagged import (
-    COUNTED,
-    FIXED,
-    LIST,
-    MESSAGE,
     XBUS,
     Field,
     FieldTable,
     TaggedDecoder,
+    TaggedEncoder,
 )
-from imumon.protocols.tagged_encoder import TaggedEncoder
 from tests.protocols.streams import feed_in_chunks, xbus_message
 
 WIDE, LEVEL = Column("wide", "1", "int64"), Column("level", "m")
@@ -43,8 +40,8 @@ TABLE = FieldTable(FIELDS, [DOUBLE])
 class Talker(TaggedDecoder):
     """A decoder that repeats what it was told."""
 
-    def __init__(self, role: int = LIST) -> None:
-        super().__init__(TABLE, XBUS, {0x36: role, 0x40: COUNTED}, {0x36: "data"}, Timing())
+    def __init__(self, bare: bool = False) -> None:
+        super().__init__(TABLE, XBUS, [0x36], {0x36: "data"}, Timing(), counted=[0x40], bare=bare)
 
     def _describe(self, kind: int, payload: bytes) -> Iterable[str]:
         yield f"{kind:02X} {payload.hex()}"
@@ -59,8 +56,7 @@ def test_a_field_may_have_several_sizes() -> None:
     decoder = Talker()
     decoder.feed(data((0x0101, b"\xff\xff")) + data((0x0101, b"\xff" * 8)) + data((0x0101, b"\x00")), 0)
     assert decoder.take()["wide"].tolist() == [65_535, -1]
-    assert decoder.unknown_fields() == {(0x0101, 1): 1}
-    assert {field.size: n for field, n in decoder.received_fields().items()} == {2: 1, 8: 1}
+    assert decoder.notices() == ["field 0x0101 of 1 bytes is not known and is passed over"]
 
 
 def test_computed_values_fill_in_where_none_were_sent() -> None:
@@ -132,7 +128,7 @@ def test_arrival_is_that_of_the_last_byte() -> None:
 
 
 def test_packets_of_a_thousand_layouts_are_read_in_bounded_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("imumon.protocols.tagged.MOST_LAYOUTS", 50)
+    monkeypatch.setattr("imumon.protocols.layouts.MOST_LAYOUTS", 50)
     decoder = Talker()
     for number in range(1000):
         unknown = (0x0900 + number, b"")
@@ -142,21 +138,20 @@ def test_packets_of_a_thousand_layouts_are_read_in_bounded_memory(monkeypatch: p
 
 
 def test_a_fixed_payload_is_the_first_field_of_the_table() -> None:
-    decoder = Talker(FIXED)
+    decoder = Talker(bare=True)
     decoder.feed(xbus_message(0x36, b"\x12\x34") + xbus_message(0x36, b"\x12\x34\x56"), 0)
     assert decoder.take()["wide"].tolist() == [0x1234]
     assert decoder.counters().length_errors == 1
 
 
 def test_the_role_of_a_type_that_is_not_named_is_a_message() -> None:
-    assert MESSAGE == 0
     decoder = Talker()
     decoder.feed(xbus_message(0x99), 0)
     assert decoder.notices() == ["99 "]
 
 
 def test_the_encoder_sends_columns_that_the_block_lacks_as_zero() -> None:
-    encoder = TaggedEncoder([FIELDS[1], FIELDS[2], FIELDS[3]], [DOUBLE], XBUS, 0x36, LIST)
+    encoder = TaggedEncoder([FIELDS[1], FIELDS[2], FIELDS[3]], [DOUBLE], XBUS, 0x36)
     (packet,) = encoder.encode(SampleBlock({"wide": np.array([-3])}))
     decoder = Talker()
     decoder.feed(packet, 0)
@@ -167,10 +162,10 @@ def test_the_encoder_sends_columns_that_the_block_lacks_as_zero() -> None:
 def test_the_encoder_refuses_a_packet_that_is_too_long() -> None:
     long = Field(0x0505, "long", tuple(Value(KNOWN["roll"], "f64") for _ in range(31)))
     with pytest.raises(ImumonError, match="2259 bytes") as caught:
-        TaggedEncoder([long] * 9, [], XBUS, 0x36, LIST)
+        TaggedEncoder([long] * 9, [], XBUS, 0x36)
     assert caught.value.reason is Reason.BAD_CONFIG
 
 
 def test_an_empty_block_makes_no_packets() -> None:
-    encoder = TaggedEncoder([FIELDS[0]], [], XBUS, 0x36, LIST)
+    encoder = TaggedEncoder([FIELDS[0]], [], XBUS, 0x36)
     assert encoder.encode(SampleBlock({"wide": np.zeros(0, np.int64)})) == []

@@ -1,11 +1,12 @@
 from __future__ import annotations
 
 import csv
+import struct
 
 import numpy as np
 import pytest
 
-from imumon.blocks import SampleBlock
+from imumon.blocks import NO_INT, SampleBlock
 from imumon.errors import ImumonError
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import load_device
@@ -122,3 +123,13 @@ def test_fields_that_count_themselves(satellites: int) -> None:
 def test_a_field_that_is_not_there_is_named() -> None:
     with pytest.raises(ImumonError, match=r"Imu\.Nonsense"):
         VectorNavEncoder(["Imu.Nonsense"])
+
+
+def test_packets_of_the_third_receiver_are_read_between_others() -> None:
+    inertial = XMODEM.sealed(bytes.fromhex("fa04 0800") + struct.pack("<3f", 1.0, 2.0, 3.0))
+    third = XMODEM.sealed(bytes.fromhex("fa80 10 0800") + bytes([7]))
+    both = XMODEM.sealed(bytes.fromhex("fa81 10 8000 1800") + struct.pack("<3fBB", 1.0, 2.0, 3.0, 8, 3))
+    decoder = VectorNavDecoder()
+    block = feed_in_chunks(decoder, (inertial + third + both) * 40, [100])
+    assert decoder.counters().bytes_skipped == decoder.counters().length_errors == 0
+    assert block["gnss3_satellites"][:3].tolist() == [NO_INT, 7, 8]

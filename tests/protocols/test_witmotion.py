@@ -7,6 +7,7 @@ from imumon.blocks import SampleBlock
 from imumon.errors import ImumonError
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import load_device
+from imumon.protocols.messages import TableEncoder
 from imumon.protocols.witmotion import WitMotionDevice
 from tests.protocols.streams import feed_in_chunks
 
@@ -16,7 +17,7 @@ COMBINED = bytes.fromhex("5561 d8fd3905de05 bb01ff00fbff ab0fb1ed808a 1a0616 0e2
 
 
 def test_a_frame_worked_out_by_hand() -> None:
-    block = feed_in_chunks(FAMILY.decoder(None), bytes.fromhex("5551000000000008C4097B"), [4])
+    block = feed_in_chunks(FAMILY.decodes(FAMILY, None), bytes.fromhex("5551000000000008C4097B"), [4])
     assert block["accel_z"][0] == pytest.approx(9.80665)
     assert block["temperature"][0] == pytest.approx(25.0)
 
@@ -24,7 +25,7 @@ def test_a_frame_worked_out_by_hand() -> None:
 def test_frames_of_one_sample_are_one_row() -> None:
     rng = np.random.default_rng(0)
     sent = {name: rng.normal(0, 0.5, 300) for name in ("gyro_x", "accel_y", "roll", "temperature", "q_w")}
-    packets = FAMILY.encoder(["accel", "gyro", "angle"]).encode(SampleBlock(sent))
+    packets = TableEncoder(FAMILY, ["accel", "gyro", "angle"]).encode(SampleBlock(sent))
     pipeline = Pipeline(load_device("witmotion"), [])
     for k, packet in enumerate(packets):
         pipeline.feed(packet, (k + 1) * 100_000_000)
@@ -36,7 +37,7 @@ def test_frames_of_one_sample_are_one_row() -> None:
 
 
 def test_the_combined_form_counts_when_the_next_follows() -> None:
-    decoder = FAMILY.decoder(None)
+    decoder = FAMILY.decodes(FAMILY, None)
     block = feed_in_chunks(decoder, COMBINED * 3, [9])
     assert len(block) == 2
     assert block["accel_x"][0] / 9.80665 == pytest.approx(-0.2695, abs=1e-4)
@@ -48,7 +49,7 @@ def test_the_combined_form_counts_when_the_next_follows() -> None:
 
 
 def test_the_short_combined_form() -> None:
-    block = feed_in_chunks(FAMILY.decoder(None), COMBINED[:20] * 4, [7])
+    block = feed_in_chunks(FAMILY.decodes(FAMILY, None), COMBINED[:20] * 4, [7])
     assert len(block) == 3
     assert "device_ticks" not in block
 
@@ -56,8 +57,8 @@ def test_the_short_combined_form() -> None:
 @pytest.mark.parametrize(("zeros", "said"), [(9, False), (10, True)])
 def test_rates_of_exactly_zero_are_said(zeros: int, said: bool) -> None:
     rate = np.r_[np.ones(20), np.zeros(zeros), np.ones(20)]
-    decoder = FAMILY.decoder(None)
-    for packet in FAMILY.encoder(["gyro"]).encode(SampleBlock({"gyro_z": rate})):
+    decoder = FAMILY.decodes(FAMILY, None)
+    for packet in TableEncoder(FAMILY, ["gyro"]).encode(SampleBlock({"gyro_z": rate})):
         decoder.feed(packet, 0)
         decoder.take()
     assert any("exactly zero" in text for text in decoder.warnings()) is said
@@ -66,11 +67,11 @@ def test_rates_of_exactly_zero_are_said(zeros: int, said: bool) -> None:
 def test_a_position_is_in_degrees() -> None:
     value = 12_030_00000  # 120 degrees, 30.00000 minutes
     body = bytes([0x55, 0x57]) + value.to_bytes(4, "little") + (-value).to_bytes(4, "little", signed=True)
-    block = feed_in_chunks(FAMILY.decoder(None), body + bytes([sum(body) & 0xFF]), [3])
+    block = feed_in_chunks(FAMILY.decodes(FAMILY, None), body + bytes([sum(body) & 0xFF]), [3])
     assert block["longitude"][0] == pytest.approx(120.5)
     assert block["latitude"][0] == pytest.approx(-120.5)
 
 
 def test_a_frame_that_is_not_there_is_named() -> None:
     with pytest.raises(ImumonError, match="sonar"):
-        FAMILY.encoder(["sonar"])
+        TableEncoder(FAMILY, ["sonar"])

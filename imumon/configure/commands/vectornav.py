@@ -11,8 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-import numpy as np
-
 from imumon.configure.commands.core import (
     BAUD,
     SAVE_S,
@@ -158,7 +156,7 @@ class Output:
         header = self._announced
         if header is None:
             return 0
-        offsets = header.offsets(np.zeros(512, np.uint8))
+        offsets = header.offsets(bytes(512))
         return 0 if isinstance(offsets, int) else offsets[-1] + 2
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from imumon.configure.commands.core import Message, packets_among
 from imumon.configure.commands.witmotion import (
     BAUD_CODES,
@@ -22,6 +24,7 @@ from imumon.configure.commands.witmotion import (
 from imumon.configure.firmware.core import Firmware, Output
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Frame, fixed_length, unchecked
+from imumon.protocols.messages import TableEncoder
 from imumon.protocols.witmotion import SIZE, TYPES, WitMotionDevice
 
 WRITE = Frame("write", b"\xff\xaa", fixed_length(5), unchecked)
@@ -86,4 +89,4 @@ class WitMotionFirmware(Firmware):
         names = [TYPES[FIRST_FRAME + bit].name for bit in range(len(BITS)) if content >> bit & 1]
         rate = RATES[self.settings.volatile[RATE][0]]
         every = {name: round(FASTEST_HZ / rate) for name in names if name not in NOT_ENCODED}
-        return FASTEST_HZ, [Output(WitMotionDevice.family.encoder, every)]
+        return FASTEST_HZ, [Output(partial(TableEncoder, WitMotionDevice.family), every)]

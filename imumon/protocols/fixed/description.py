@@ -94,44 +94,30 @@ class NumberField(StrictModel):
         if not 0 < abs(_fraction(self.scale)) < LARGEST_NUMBER:
             raise ValueError(f"scale {self.scale} is not a reasonable number")
         for name in self.names:
-            self._check_unit(name, NUMBER_TYPES[self.type].integer)
+            try:
+                self.scaled(name)
+            except ImumonError as error:
+                raise ValueError(f"{name}: {error.seen}") from error
         return self
-
-    def _check_unit(self, name: str, integer: bool) -> None:
-        known = KNOWN.get(name)
-        if known is None or (self.unit == ARBITRARY and name.startswith("mag_")):
-            return
-        if known.dtype == "int64" and name != "device_ticks":
-            plain = self.unit == "1" and self.scale == 1 and self.offset == 0
-            if not integer or not plain:
-                raise ValueError(f"{name} is a plain integer: no scale, offset or unit, and an integer type")
-            return
-        target = "ns" if name == "device_ticks" else known.unit
-        try:
-            exact_conversion(self.unit, target)
-        except ImumonError as error:
-            raise ValueError(f"{name}: {error.seen}") from error
 
     def scaled(self, name: str) -> tuple[Column, float, float]:
         """Return a column, and scale and offset that give it in its unit."""
-        integer = NUMBER_TYPES[self.type].integer
-        known = KNOWN.get(name)
-        if known is not None and known.dtype == "int64":
+        integer, scale, known = NUMBER_TYPES[self.type].integer, _fraction(self.scale), KNOWN.get(name)
+        plain = integer and self.unit == "1" and self.scale == 1 and self.offset == 0
+        if name == "device_ticks":
             # A clock that counts in floating point is made whole nanoseconds; an integer one stays as sent.
-            factor = Fraction(1) if integer else _fraction(self.scale) * exact_conversion(self.unit, "ns")[0]
-            return known, float(factor), 0.0
+            to_ns = exact_conversion(self.unit, "ns")[0]
+            return KNOWN[name], 1.0 if integer else float(scale * to_ns), 0.0
         if known is None or (self.unit == ARBITRARY and name.startswith("mag_")):
-            plain = integer and self.unit == "1" and self.scale == 1 and self.offset == 0
-            dtype: Literal["int64", "float64"] = "int64" if plain else "float64"
             description = self.description or (known.description if known else "")
-            return (
-                Column(name, self.unit, dtype, description),
-                float(_fraction(self.scale)),
-                float(self.offset),
-            )
+            column = Column(name, self.unit, "int64" if plain else "float64", description)
+            return column, float(scale), float(self.offset)
+        if known.dtype == "int64":
+            if not plain:
+                raise ValueError(f"{name} is a plain integer: no scale, offset or unit, and an integer type")
+            return known, 1.0, 0.0
         factor, zero = exact_conversion(self.unit, known.unit)
-        offset = factor * _fraction(self.offset) + zero
-        return known, float(factor * _fraction(self.scale)), float(offset)
+        return known, float(factor * scale), float(factor * _fraction(self.offset) + zero)
 
 
 class PacketField(NumberField):

@@ -115,7 +115,9 @@ def _plain(code: int, name: str, *values: Value) -> Identifier:
 
 
 def _raw(code: int, name: str, *columns: Column) -> Identifier:
-    return Identifier(code, name, tuple(Value(column, "") for column in columns), raw=True)
+    # A temperature is signed in either format.
+    kinds = ["i16" if "temperature" in column.name else "" for column in columns]
+    return Identifier(code, name, tuple(map(Value, columns, kinds)), raw=True)
 
 
 def _trigger(line: int) -> tuple[Value, ...]:
@@ -265,12 +267,6 @@ IDENTIFIERS: tuple[Identifier, ...] = (
     _plain(0xA080, "RawBlob"),
     _plain(0xB010, "AnalogIn1", Value(number("analog_1", "1", "analog input 1, raw counts"), "u16")),
     _plain(0xB020, "AnalogIn2", Value(number("analog_2", "1", "analog input 2, raw counts"), "u16")),
-    _plain(0xC810, "AwindaSnapshot"),
-    _plain(0xC820, "FullSnapshot"),
-    _plain(0xC830, "GloveSnapshotLeft"),
-    _plain(0xC840, "GloveSnapshotRight"),
-    _plain(0xCA30, "GloveDataLeft"),
-    _plain(0xCA40, "GloveDataRight"),
     *(_plain(0xEE00 + 0x10 * line, f"TriggerIn{line}", *_trigger(line)) for line in (1, 2, 3)),
     *(_plain(0x4800 + 0x10 * line, f"TriggerIn{line}", *_trigger(line)) for line in (1, 2, 3)),
 )  # fmt: skip
@@ -279,39 +275,27 @@ IDENTIFIERS: tuple[Identifier, ...] = (
 
 def _variants(identifier: Identifier) -> list[Field]:
     """Return the fields that an identifier stands for, one for each format."""
-    values, name = identifier.values, identifier.name
+    values, forms = identifier.values, list[tuple[int, tuple[Value, ...]]]()
     if identifier.each is not None:
         numbers = sorted(range(MOST_SATELLITES + 1), key=lambda n: n != SATELLITES_SENT)
         more = [[value for k in range(n) for value in identifier.each(k + 1)] for n in numbers]
-        return [Field(identifier.code, name, (*values, *each), identifier.group) for each in more]
-    if identifier.raw:
-        kinds = ("u16", "i16")
-        # The temperature is signed in either format.
-        return [
-            Field(
-                identifier.code | sign,
-                name,
-                tuple(
-                    Value(v.column, "i16" if "temperature" in v.column.name else kinds[sign])
-                    for v in values
-                    if v.column
-                ),
-                identifier.group,
-            )
-            for sign in (0, 1)
+        forms = [(0, (*values, *each)) for each in more]
+    elif identifier.raw:
+        kinds = enumerate(("u16", "i16"))
+        forms = [(sign, tuple(Value(v.column, v.type or kind) for v in values)) for sign, kind in kinds]
+    elif not values:
+        forms = [(0, ()), (1, ())]
+    elif values[0].type:
+        forms = [(0, values)]
+    else:
+        frames = FRAMES.values() if identifier.framed else (0,)
+        forms = [
+            (frame | code, tuple(Value(value.column, kind, value.factor * factor) for value in values))
+            for frame in frames
+            for code, (kind, factor) in enumerate(PRECISIONS.values())
         ]
-    if not values or values[0].type:
-        lows = (0,) if values else (0, 1)
-        return [Field(identifier.code | low, name, values, identifier.group) for low in lows]
     return [
-        Field(
-            identifier.code | frame | precision,
-            name,
-            tuple(Value(value.column, kind, value.factor * factor) for value in values),
-            identifier.group,
-        )
-        for frame in (FRAMES.values() if identifier.framed else (0,))
-        for precision, (kind, factor) in enumerate(PRECISIONS.values())
+        Field(identifier.code | low, identifier.name, content, identifier.group) for low, content in forms
     ]
 
 

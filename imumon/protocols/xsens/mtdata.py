@@ -10,8 +10,7 @@ from imumon.columns import KNOWN
 from imumon.protocols.base import Timing
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.numbers import Derived
-from imumon.protocols.tagged import FIXED, XBUS, FieldTable, TaggedDecoder
-from imumon.protocols.tagged_encoder import TaggedEncoder
+from imumon.protocols.tagged import XBUS, FieldTable, TaggedDecoder, TaggedEncoder
 from imumon.protocols.xsens.fields import DERIVED, DEVICE_TICKS_OF_UTC
 from imumon.protocols.xsens.messages import (
     CONFIGURATION,
@@ -23,7 +22,7 @@ from imumon.protocols.xsens.messages import (
     configured_devices,
     describe,
 )
-from imumon.protocols.xsens.profile import Profile, mtdata_field, profile_lines, profiles_of_length
+from imumon.protocols.xsens.profile import Profile, mtdata_field, profile_lines
 
 _DERIVED: tuple[Derived, ...] = (DEVICE_TICKS_OF_UTC, *DERIVED)
 
@@ -47,19 +46,17 @@ class MTDataDecoder(TaggedDecoder):
             tick_ns=Fraction(1) if "_utc_year" in sent else None,
             rate_hz=rate_hz,
         )
-        super().__init__(FieldTable([field], _DERIVED), XBUS, {MTDATA: FIXED}, NAMES, timing)
+        super().__init__(FieldTable([field], _DERIVED), XBUS, [MTDATA], NAMES, timing, bare=True)
         self.reference_frame: Literal["NWU", "NED"] = profile.output_settings.frame
 
     def notices(self) -> list[str]:
         """Return, once each, what the device said that is not data, and a length that does not fit."""
-        self._settle()
-        seen = self.wrong_length
-        if seen:
-            fitting = profiles_of_length(seen)
-            hint = f"; {seen} bytes fit {' or '.join(fitting)}" if fitting else ""
+        self._search(final=False)
+        if self.wrong_length:
+            expected = self.table.fields[0].size
             self._say(
-                f"MTData of {seen} bytes came where the profile makes {self.table.fields[0].size}: "
-                f"change output_mode or output_settings in a copy of the device file{hint}"
+                f"MTData of {self.wrong_length} bytes came where the profile makes {expected}: "
+                "change output_mode or output_settings in a copy of the device file"
             )
         return super().notices()
 
@@ -69,9 +66,8 @@ class MTDataDecoder(TaggedDecoder):
             yield "the device sends MTData2, which needs the device xsens"
         elif kind == CONFIGURATION:
             for size, mode, settings in configured_devices(payload):
-                yield _as_profile(
-                    mode, settings, f"the device says that it sends {size} bytes with this profile"
-                )
+                intro = f"the device says that it sends {size} bytes with this profile"
+                yield _as_profile(mode, settings, intro)
         elif kind == OUTPUT_MODE and len(payload) == 2:
             yield _as_profile(int.from_bytes(payload, "big"), None, "the device says that its mode is")
         elif kind == OUTPUT_SETTINGS and len(payload) == 4:
@@ -86,7 +82,7 @@ class MTDataEncoder(TaggedEncoder):
     """Makes MTData messages by a profile."""
 
     def __init__(self, profile: Profile) -> None:
-        super().__init__([mtdata_field(profile)], _DERIVED, XBUS, MTDATA, FIXED)
+        super().__init__([mtdata_field(profile)], _DERIVED, XBUS, MTDATA, bare=True)
 
 
 class MTDataDevice(DeviceFile, Profile):

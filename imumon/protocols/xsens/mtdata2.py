@@ -9,8 +9,7 @@ from typing import Literal
 
 from imumon.protocols.base import Timing, chosen
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.tagged import LIST, XBUS, Field, FieldTable, TaggedDecoder
-from imumon.protocols.tagged_encoder import TaggedEncoder
+from imumon.protocols.tagged import XBUS, Field, FieldTable, TaggedDecoder, TaggedEncoder
 from imumon.protocols.xsens.fields import DERIVED, FRAMES, IDENTIFIERS, MTDATA2_FIELDS, PRECISIONS
 from imumon.protocols.xsens.messages import MTDATA, MTDATA2, NAMES, describe, identifier_name
 
@@ -38,13 +37,14 @@ class MTData2Decoder(TaggedDecoder):
 
     def __init__(self, rate_hz: float | None = None) -> None:
         timing = Timing(counter_bits=16, tick_ns=TICK_NS, tick_bits=32, rate_hz=rate_hz)
-        super().__init__(_table(), XBUS, {MTDATA2: LIST}, NAMES, timing)
+        super().__init__(_table(), XBUS, [MTDATA2], NAMES, timing)
 
     @property
     def reference_frame(self) -> Frame | None:
         """Frame of orientation, velocity and free acceleration; None before one of them has come."""
         framed = {item.code for item in IDENTIFIERS if item.framed}
-        codes = [field.key & 0xC for field in self.received_fields() if field.key & 0xFFF0 in framed]
+        self._search(final=False)
+        codes = [field.key & 0xC for field in self._known if field.key & 0xFFF0 in framed]
         frames: tuple[Frame, ...] = ("ENU", "NED", "NWU")
         return next((frame for frame in frames if FRAMES[frame] in codes), None)
 
@@ -92,7 +92,7 @@ class MTData2Encoder(TaggedEncoder):
     """
 
     def __init__(self, names: Sequence[str], precision: Precision = "float32", frame: Frame = "ENU") -> None:
-        super().__init__(find_fields(names, precision, frame), DERIVED, XBUS, MTDATA2, LIST)
+        super().__init__(find_fields(names, precision, frame), DERIVED, XBUS, MTDATA2)
 
 
 class MTData2Device(DeviceFile):

@@ -7,7 +7,6 @@ bits) and SetOutputSettings (32 bits), and the fixed order of the parts of MTDat
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import product
 from typing import Literal
 
 from pydantic import Field as Key
@@ -56,16 +55,9 @@ SETTINGS_BITS = 0x00000FFF | NED_BIT
 """Bits of the output settings that are understood; the others choose between what has one choice only."""
 
 Part = Literal[
-    "temperature",
-    "calibrated",
-    "orientation",
-    "auxiliary",
-    "position",
-    "velocity",
-    "status",
-    "raw_gps",
+    "temperature", "calibrated", "orientation", "auxiliary", "position", "velocity", "status", "raw_gps",
     "raw_inertial",
-]
+]  # fmt: skip
 
 
 class OutputSettings(StrictModel):
@@ -101,21 +93,20 @@ def _name_of(table: dict[str, int], bits: int) -> str:
 def profile_lines(mode: int | None, settings: int | None) -> Iterator[str]:
     """Return what a device says of its mode and settings as lines of a device file."""
     if mode is not None:
-        parts = [name for name, bit in MODE_BITS.items() if mode & bit]
-        rest = mode & ~sum(MODE_BITS.values())
-        yield f"output_mode: [{', '.join(parts)}]" + (f"  # and unknown bits {rest:#06x}" if rest else "")
-    if settings is None:
-        return
-    yield "output_settings:"
-    yield f"  timestamp: {_name_of(TIMESTAMPS, settings & 0x3)}"
-    yield f"  orientation: {_name_of(ORIENTATIONS, settings & 0xC)}"
-    yield f"  calibrated: [{', '.join(n for n, bit in CALIBRATED_OFF.items() if not settings & bit)}]"
-    yield f"  number_format: {_name_of(FORMATS, settings & 0x300)}"
-    yield f"  analog: [{', '.join(str(n) for n, bit in ANALOG_OFF.items() if not settings & bit)}]"
-    yield f"  status: {_name_of(STATUS, settings & 0x80)}"
-    yield f"  frame: {'NED' if settings & NED_BIT else 'NWU'}"
-    if settings & ~SETTINGS_BITS:
-        yield f"  # and unknown bits {settings & ~SETTINGS_BITS:#010x}"
+        unknown = mode & ~sum(MODE_BITS.values())
+        more = f"  # and unknown bits {unknown:#06x}" if unknown else ""
+        yield f"output_mode: [{', '.join(name for name, bit in MODE_BITS.items() if mode & bit)}]{more}"
+    if settings is not None:
+        yield "output_settings:"
+        yield f"  timestamp: {_name_of(TIMESTAMPS, settings & 0x3)}"
+        yield f"  orientation: {_name_of(ORIENTATIONS, settings & 0xC)}"
+        yield f"  calibrated: [{', '.join(n for n, bit in CALIBRATED_OFF.items() if not settings & bit)}]"
+        yield f"  number_format: {_name_of(FORMATS, settings & 0x300)}"
+        yield f"  analog: [{', '.join(str(n) for n, bit in ANALOG_OFF.items() if not settings & bit)}]"
+        yield f"  status: {_name_of(STATUS, settings & 0x80)}"
+        yield f"  frame: {'NED' if settings & NED_BIT else 'NWU'}"
+        if settings & ~SETTINGS_BITS:
+            yield f"  # and unknown bits {settings & ~SETTINGS_BITS:#010x}"
 
 
 def _gps(name: str, unit: str, kind: str, factor: float) -> Value:
@@ -147,20 +138,15 @@ def mtdata_field(profile: Profile) -> Field:
     settings = profile.output_settings
     kind, factor = PRECISIONS[settings.number_format]
     orientation, to_radian = _ORIENTATION[settings.orientation]
-    calibrated = [
-        column for part, columns in _CALIBRATED.items() if part in settings.calibrated for column in columns
-    ]
-    analog = [
-        number(f"analog_{line}", "1", f"analog input {line}, raw counts")
-        for line in sorted(set(settings.analog))
-    ]
+    calibrated = [c for part, columns in _CALIBRATED.items() if part in settings.calibrated for c in columns]
+    analog = [number(f"analog_{line}", "1", f"analog input {line}, raw counts") for line in (1, 2)]
     parts: dict[str, list[Value]] = {
         "raw_inertial": [Value(column, "u16") for column in (*RAW, RAW_TEMPERATURE)],
         "raw_gps": list(_RAW_GPS),
         "temperature": [Value(column, kind, factor) for column in TEMPERATURE],
         "calibrated": [Value(column, kind, factor) for column in calibrated],
         "orientation": [Value(column, kind, factor * to_radian) for column in orientation],
-        "auxiliary": [Value(column, "u16") for column in analog],
+        "auxiliary": [Value(analog[line - 1], "u16") for line in sorted({*settings.analog})],
         "position": [Value(column, kind, factor) for column in known("latitude", "longitude", "altitude")],
         "velocity": [Value(column, kind, factor) for column in VELOCITY],
         "status": [Value(KNOWN["status"], "u8" if settings.status == "compact" else "u32")],
@@ -171,31 +157,3 @@ def mtdata_field(profile: Profile) -> Field:
     if "utc" in settings.timestamp:
         values.extend(UTC_VALUES)
     return Field(0, "MTData", tuple(values))
-
-
-def profiles_of_length(size: int) -> list[str]:
-    """Name usual combinations of mode and settings whose MTData has this length."""
-    found = []
-    choices = product(
-        (True, False), (True, False), (None, "quaternion", "euler", "matrix"), (False, True), (1, 0)
-    )
-    for temperature, calibrated, orientation, status, timestamp in choices:
-        parts = {
-            "temperature": temperature,
-            "calibrated": calibrated,
-            "orientation": orientation,
-            "status": status,
-        }
-        mode = [part for part, on in parts.items() if on]
-        if not mode:
-            continue
-        chosen = {
-            "orientation": orientation or "quaternion",
-            "timestamp": ("none", "sample_counter")[timestamp],
-        }
-        profile = Profile.model_validate({"output_mode": mode, "output_settings": chosen})
-        if mtdata_field(profile).size == size:
-            detail = [f"orientation: {orientation}"] if orientation else []
-            detail.append(f"timestamp: {chosen['timestamp']}")
-            found.append(f"output_mode: [{', '.join(mode)}] with {', '.join(detail)}")
-    return found

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from imumon.blocks import NO_INT, SampleBlock
 from imumon.errors import ImumonError
-from imumon.protocols.base import Decoder
 from imumon.protocols.device import load_device, parse_device
 from imumon.protocols.fixed.device import FixedDevice
+from imumon.protocols.framing import Decoder
 from tests.data_folder import measured
 from tests.protocols.fixed.reference import decode
 
