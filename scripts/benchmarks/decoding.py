@@ -11,9 +11,9 @@ import numpy as np
 from benchmarks.measure import Bar, Result, Table, measure
 from imumon.blocks import ColumnArray, SampleBlock, join
 from imumon.pipeline import Digest, Pipeline
-from imumon.protocols.framing import Decoder
 from imumon.protocols.device import DeviceFile, device_names, load_device
 from imumon.protocols.fixed.device import FixedDevice
+from imumon.protocols.framing import Decoder
 from imumon.protocols.stream import ByteArray
 
 CHUNKS = (256, 1024, 4096, 65_536, 1_048_576)
