@@ -118,9 +118,8 @@ def _publisher(file: Path, out: Path, mode: View, window: float, bind: str) -> V
         recording_id=f"rack-{file.stem}-{time.time_ns()}",
         window_s=window,
         properties={"file": str(file), "sessions": str(out)},
-        several=True,
     )
-    return ViewPublisher(mode, setup, bind=bind).start()
+    return ViewPublisher(mode, setup, bind=bind, module="imumon.fleet.rack.view").start()
 
 
 def trouble(unit: dict[str, Any]) -> str:

@@ -11,7 +11,6 @@ from multiprocessing.connection import Connection
 from imumon.publishing.frames import Delivery
 from imumon.publishing.outlets import make_outlet
 from imumon.view.fed import serve
-from imumon.view.items import item_rows
 
 REPEAT_S = 1.0
 """How often states are said again."""
@@ -34,7 +33,7 @@ def run(stream: Connection, out: Connection) -> None:
                 out.send(now)
                 return
             failed = now.failed + outlet.send(items)
-            now = Delivery(outlet.text, now.taken + sum(map(item_rows, items)), failed)
+            now = Delivery(outlet.text, now.taken + sum(item.rows for item in items), failed)
         if time.monotonic() - repeated >= REPEAT_S:
             repeated = time.monotonic()
             outlet.repeat(time.time_ns())

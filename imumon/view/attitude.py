@@ -13,7 +13,8 @@ from imumon.blocks import FloatArray
 from imumon.charts import AXIS_COLORS, GREY
 from imumon.geodesy import quaternions
 from imumon.view.items import ViewSetup
-from imumon.view.layout import SCENE, Rows
+from imumon.view.layout import SCENE
+from imumon.view.rows import Rows
 from imumon.view.window import Window
 
 STEP_NS = 20_000_000
@@ -96,7 +97,7 @@ class Attitude:
         """Entity of the body."""
         return self.reference.body
 
-    def reach(self, _: Rows) -> None:
+    def ends(self, _: Rows) -> None:
         """Return nothing: a body has no axis."""
 
     def readings(self, _: ViewSetup) -> tuple[()]:

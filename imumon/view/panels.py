@@ -9,7 +9,9 @@ from collections.abc import Iterator
 
 from imumon.charts import AXIS_COLORS, BLUE, GREEN, GREY, ORANGE, RED, VIOLET, Color
 from imumon.view.attitude import EARTH, Attitude
-from imumon.view.layout import Bands, Line, Panel, Strip
+from imumon.view.layout import Bands, Line, Strip
+
+Panel = Strip | Attitude
 
 THERMAL = "Temperature"
 """Tab of the temperature estimates."""

@@ -13,10 +13,10 @@ from imumon.harmless import for_log
 from imumon.view.cards import AXES, Cards, Reading, cell
 from imumon.view.items import Log, Numbers, Samples, State, ViewItem, ViewSetup, merge
 from imumon.view.lanes import states_text
-from imumon.view.layout import Rows
 from imumon.view.log_text import dated
+from imumon.view.panel_log import ShownPanels
 from imumon.view.queue import DropOldestQueue
-from imumon.view.shown import ShownPanels
+from imumon.view.rows import Rows
 
 QUEUE_BYTES = 4 << 20
 HISTORY = 60
@@ -44,7 +44,7 @@ class TerminalView:
 
     def __init__(self, setup: ViewSetup) -> None:
         self._setup = setup
-        self._queue: DropOldestQueue[ViewItem] = DropOldestQueue(QUEUE_BYTES)
+        self._queue = DropOldestQueue(QUEUE_BYTES)
         self._cards = Cards()
         self._panels = ShownPanels(setup)
         self._past: dict[str, deque[float]] = {}

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from imumon.view.layout import Bands, Line, Rows
+from imumon.view.layout import Bands, Line
 from imumon.view.panels import METHODS
+from imumon.view.rows import Rows
 
 
 class _Heard:

@@ -12,10 +12,11 @@ from imumon.blocks import ColumnArray, SampleBlock
 from imumon.charts import BLUE, GREEN, GREY, ORANGE, RED, VIOLET
 from imumon.view.attitude import xyzw
 from imumon.view.items import Instant, Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup, merge
-from imumon.view.layout import INTEGERS, OTHER, Line, Rows, Strip, read_as
+from imumon.view.layout import INTEGERS, OTHER, Line, Strip, read_as
 from imumon.view.log_text import LOG_TEXT
 from imumon.view.logger import StreamLogger, status_card
 from imumon.view.panels import PANELS
+from imumon.view.rows import Rows
 from imumon.view.window import Window
 from tests.view.streams import GYRO, QUATERNION, Stream, block, entities, record_batches, scalars
 

@@ -62,7 +62,7 @@ class Feed:
     """
 
     def __init__(self, session: str, *, pictures: bool) -> None:
-        self._queue: DropOldestQueue[ViewItem] = DropOldestQueue(QUEUE_BYTES)
+        self._queue = DropOldestQueue(QUEUE_BYTES)
         self._pictures = pictures
         self._vitals = Vitals(session)
         self._lanes: dict[str, str] = {}
@@ -83,8 +83,8 @@ class Feed:
             elif isinstance(item, Samples) and not item.stream:
                 self._measure(item.block)
         self._look(progress)
-        pictured = [pictured for item in items if (pictured := picture(item)) is not None]
-        return self._vitals, pictured if self._pictures else []
+        pictured = map(picture, items) if self._pictures else ()
+        return self._vitals, [item for item in pictured if item is not None]
 
     def _measure(self, block: SampleBlock) -> None:
         """Note temperature and bias of the newest samples that have them."""
@@ -121,10 +121,10 @@ def picture(item: ViewItem) -> Samples | Event | None:
 
     Other units have other device clocks; and a chart that is drawn for each unit takes as long as all else.
     """
-    if isinstance(item, Drawing):
-        return None
-    if not isinstance(item, Samples):
-        return None if item.at.host_ns is None else replace(item, at=Instant(None, None, item.at.host_ns))
+    if isinstance(item, Event):
+        hidden = isinstance(item, Drawing) or item.at.host_ns is None
+        return None if hidden else replace(item, at=Instant(None, None, item.at.host_ns))
+    assert isinstance(item, Samples)
     arrival = item.block.columns.get("arrival_time_ns")
     times = arrival if item.host_ns is None else item.host_ns
     if times is None or not item.rows:

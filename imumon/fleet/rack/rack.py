@@ -16,12 +16,13 @@ from typing import Any
 
 from imumon.fleet.rack.description import Plan
 from imumon.fleet.rack.feed import Vitals
+from imumon.fleet.rack.items import OfUnit, Overview
 from imumon.fleet.rack.table import Row, markdown
 from imumon.fleet.rack.unit import Ended, Task, Update, run_unit
 from imumon.lane import LaneState, Level
 from imumon.recordings.lines import waiting
 from imumon.recordings.session_log import SessionLog
-from imumon.view.items import Instant, Log, OfUnit, Overview, Shown, State, ViewSetup
+from imumon.view.items import Instant, Log, State, ViewItem, ViewSetup
 
 LOG_NAME = "rack.jsonl"
 BACKOFF_S = (0.5, 1.0, 2.0, 5.0, 10.0)
@@ -216,7 +217,7 @@ class Rack:
         self,
         folder: Path,
         say: Say,
-        publish: Callable[[Shown], None] | None = None,
+        publish: Callable[[ViewItem], None] | None = None,
         window_s: float = 30.0,
         patience: Patience = Patience(),
     ) -> None:
@@ -388,7 +389,7 @@ class Rack:
         if unit.setup is not None:
             self._show(OfUnit(unit.setup, State(_now(), "unit", state.text, state.level)))
 
-    def _show(self, item: Shown) -> None:
+    def _show(self, item: ViewItem) -> None:
         if self._publish is not None:
             self._publish(item)
 

@@ -11,11 +11,12 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from imumon.fleet.rack.description import load_rack
+from imumon.fleet.rack.items import OfUnit, Overview
 from imumon.fleet.rack.rack import Patience, Rack, Unit
 from imumon.fleet.rack.unit import Task, Update, run_unit
 from imumon.protocols.device import load_device
 from imumon.recordings.folder import open_session
-from imumon.view.items import Log, OfUnit, Overview, Samples, Shown, State
+from imumon.view.items import Log, Samples, State, ViewItem
 from tests.cli.command import imumon
 from tests.faults.killed import OPENED
 from tests.faults.rack import Feeder, packets, rack_command, recorded, write_rack
@@ -46,7 +47,7 @@ class Watching:
 
     def __init__(self, folder: Path) -> None:
         self.said: list[str] = []
-        self.shown: list[Shown] = []
+        self.shown: list[ViewItem] = []
         self.rack = Rack(folder, self._say, self.shown.append, patience=IMPATIENT)
 
     def _say(self, level: str, text: str) -> None:
@@ -133,7 +134,7 @@ def test_a_unit_that_hangs_dies_or_floods_harms_no_other(tmp_path: Path) -> None
     assert any("leaves the rack" in json.loads(line)["text"] for line in log)
 
 
-def _sees_it_all(shown: list[Shown]) -> None:
+def _sees_it_all(shown: list[ViewItem]) -> None:
     """The view is told of every unit, by the host's clock, with a tenth of the work."""
     items = [item for item in shown if isinstance(item, OfUnit)]
     assert len({one.setup.title for one in items}) == len({repr(one.setup) for one in items})  # also anew
