@@ -10,12 +10,12 @@ from __future__ import annotations
 import gc
 import subprocess
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any
 
 from imumon.view.fed import serve
-from imumon.view.items import ViewItem, ViewSetup
+from imumon.view.items import ViewSetup
 from imumon.view.publisher import Report, Start
 from imumon.view.viewer import LIVE_APPLICATION, proxy_url, start_viewer, viewer_port
 from imumon.view.web import serve_page, serve_stream
@@ -23,26 +23,12 @@ from imumon.view.web import serve_page, serve_stream
 if TYPE_CHECKING:
     import rerun as rr
 
+    from imumon.view.logger import StreamLogger
+
 POLL_S = 0.25
 REPEAT_S = 2.0
 """How often states and the log are logged again: viewers take the newest first, and the server forgets the
 oldest.  Until a repetition arrives their panes are empty."""
-
-
-class Logger(Protocol):
-    """What turns items into Rerun calls."""
-
-    def begin(self) -> None:
-        """Log what does not change."""
-
-    def log(self, items: Iterable[ViewItem]) -> None:
-        """Log items."""
-
-    def repeat(self) -> None:
-        """Log the latest states again."""
-
-    def finish(self) -> None:
-        """Log how it was at the end."""
 
 
 class Viewers:
@@ -84,9 +70,9 @@ class Viewers:
 
 
 def run(
-    stream: Connection, out: Connection, make_logger: Callable[[rr.RecordingStream, ViewSetup], Logger]
+    stream: Connection, out: Connection, make_logger: Callable[[rr.RecordingStream, ViewSetup], Any]
 ) -> None:
-    """Take lists of items until the stream ends."""
+    """Take lists of items until the stream ends; what is made logs them as a `StreamLogger` does."""
     start: Start = stream.recv()
     import rerun as rr
 
@@ -112,7 +98,7 @@ def run(
             logger.log(items)
 
 
-def _live_logger(rec: rr.RecordingStream, setup: ViewSetup) -> Logger:
+def _live_logger(rec: rr.RecordingStream, setup: ViewSetup) -> StreamLogger:
     from imumon.view.logger import StreamLogger
 
     return StreamLogger(rec, setup, live=True)

@@ -25,10 +25,6 @@ LOG_LINES = 100
 BARS = "▁▂▃▄▅▆▇█"
 NAME, CELL, UNIT, SPARK = 18, 15, 5, 10
 """Columns of text that the parts of a row take."""
-LEAST_NAME = 6
-"""Letters of a name that still tell what a number is."""
-WIDE = 120
-"""From so many columns on every axis has its sparkline."""
 
 
 class TerminalView:
@@ -95,8 +91,7 @@ class TerminalView:
         """Return the rows of one panel: three axes beside each other, other values below each other."""
         if [one.name for one in readings] == AXES and columns >= NAME + len(AXES) * CELL:
             cells = "".join(f"{cell(one, now):>{CELL}}" for one in readings)
-            shown = readings if columns >= WIDE else [self._liveliest(readings)]
-            sparks = "  ".join(f"{one.name} {self._spark(one)}" for one in shown)
+            sparks = "  ".join(f"{one.name} {self._spark(one)}" for one in readings)
             return [f"{readings[0].row:{NAME}}{cells} {readings[0].unit:{UNIT}} {sparks}"]
         if columns < NAME + CELL + UNIT:
             return [_narrow(_label(one, readings), cell(one, now), one.unit, columns) for one in readings]
@@ -104,15 +99,6 @@ class TerminalView:
             f"{_label(one, readings):{NAME}}{cell(one, now):>{CELL}} {one.unit:{UNIT}} {self._spark(one)}"
             for one in readings
         ]
-
-    def _liveliest(self, readings: Sequence[Reading]) -> Reading:
-        """Return the axis that changes most."""
-
-        def spread(reading: Reading) -> float:
-            known = [value for value in self._past.get(reading.column, ()) if math.isfinite(value)]
-            return max(known) - min(known) if known else -1.0
-
-        return max(readings, key=spread)
 
     def _spark(self, reading: Reading) -> str:
         return sparkline(list(self._past.get(reading.column, ()))[-SPARK:])
@@ -133,15 +119,13 @@ def _label(reading: Reading, readings: Sequence[Reading]) -> str:
 
 
 def _narrow(label: str, value: str, unit: str, columns: int) -> str:
-    """Return a row of few columns: the value whole, its sigma and the whole name where they have room."""
-    if len(value) + len(unit) + 2 + LEAST_NAME > columns:
-        value = value.partition(" ± ")[0]
-    text, words = f"{value} {unit}".rstrip(), label.split()
-    width = columns - len(text) - 1
-    while len(" ".join(words)) > width and max(map(len, words)) > 1:
-        longest = max(range(len(words)), key=lambda at: len(words[at]))
-        words[longest] = words[longest][:-1]
-    return f"{' '.join(words):{max(width, 0)}} {text}"
+    """Return a row of few columns: the value without its sigma, and of its name the end and what has room."""
+    text = f"{value.partition(' ± ')[0]} {unit}".rstrip()
+    room = max(columns - len(text) - 1, 0)
+    if len(label) > room:
+        head, _, last = label.rpartition(" ")
+        label = f"{head[: max(room - len(last) - 1, 0)]} {last}"
+    return f"{label:{room}} {text}"
 
 
 class Screen:
