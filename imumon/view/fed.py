@@ -48,7 +48,7 @@ PARENT_S = 1.0
 TRIM_S = 30.0
 SWITCH_S = 0.0005
 """While one thread is busy, another waits so long for the interpreter at each of ten steps (usual: 5 ms)."""
-MAX_BYTES = 768 << 20
+MAX_BYTES = 1536 << 20
 """More memory (a viewer that takes nothing for half an hour) ends the process; it is started anew."""
 
 
@@ -112,8 +112,7 @@ class FedProcess(ABC):
                 return
             failures = 0 if time.monotonic() - started > STEADY_S else failures + 1
             self._restarts += 1
-            self._queue.closed.wait(BACKOFF_S[min(failures, len(BACKOFF_S) - 1)])
-            if self._queue.closed.is_set():
+            if self._queue.closed.wait(BACKOFF_S[min(failures, len(BACKOFF_S) - 1)]):
                 return
 
     def _run_process(self) -> None:
