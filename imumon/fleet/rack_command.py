@@ -175,9 +175,8 @@ class _Bench:
                 drawn_s = time.monotonic()
                 columns, rows = os.get_terminal_size(sys.stderr.fileno())
                 shown = [f"rack {title}: {in_short(self.rack.rows)}", "", *text_lines(self.rack.rows), ""]
-                room = max(rows - len(shown), 0)
-                found = [*shown, *list(log)[len(log) - min(room, len(log)) :]]
-                screen.show([line[:columns] for line in found[:rows]], columns, rows)
+                newest = list(log)[::-1][: max(rows - len(shown), 0)][::-1]
+                screen.show([line[:columns] for line in [*shown, *newest][:rows]], columns, rows)
 
     def _step(self) -> None:
         """Look after the units, and read the file where it has changed; a bad one changes nothing."""

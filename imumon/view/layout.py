@@ -96,8 +96,6 @@ class Strip:
     """Two level lines, in the unit that is drawn."""
     least: float = 0.0
     """The axis spans at least as much, in the unit that is drawn."""
-    floor: float | None = None
-    """The axis begins here."""
     card: str = ""
     """What the card of the tab calls the present values; it does not show them without."""
     headline: bool = False
@@ -155,7 +153,7 @@ class Strip:
         span = max(self.least, LEAST_STEPS * digit, ROUNDING * float(np.nanmax(np.abs(value))))
         low, high = float(np.nanmin(value - half)), float(np.nanmax(value + half))
         beyond = max(0.0, span - (high - low)) / 2
-        return low - beyond if self.floor is None else min(low, self.floor), high + beyond
+        return low - beyond, high + beyond
 
     def _half_bands(self, rows: Rows) -> FloatArray:
         """Return half of the height of the band about each value, in the unit of the columns, (n, lines)."""

@@ -294,7 +294,6 @@ PANELS: tuple[Panel, ...] = (
         LINK,
         "steps",
         least=4.0,  # a count over 2 s is known to half a packet a second
-        floor=0.0,
         card="packets",
     ),
     Strip(
@@ -304,7 +303,6 @@ PANELS: tuple[Panel, ...] = (
         "%",
         LINK,
         "steps",
-        floor=0.0,
         card="link load",
     ),
     Strip(
@@ -314,7 +312,6 @@ PANELS: tuple[Panel, ...] = (
         place=LINK,
         look="steps",
         least=4.0,  # whole packets
-        floor=0.0,
     ),
 )
 """All panels, in the order in which they stand.  The attitude that comes first turns the body."""

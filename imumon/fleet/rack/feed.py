@@ -82,7 +82,7 @@ class Feed:
                 self._lanes[item.lane] = item.state
             elif isinstance(item, Samples) and not item.stream:
                 self._measure(item.block)
-        self._look(progress)
+        self._measure_cost(progress)
         pictured = map(picture, items) if self._pictures else ()
         return self._vitals, [item for item in pictured if item is not None]
 
@@ -97,14 +97,14 @@ class Feed:
                 row = known[-1]
                 self._vitals = replace(self._vitals, bias=tuple(bias[row]), bias_sd=tuple(sd[row]))
 
-    def _look(self, progress: Progress) -> None:
-        counters, now = progress.counters, time.monotonic()
+    def _measure_cost(self, progress: Progress) -> None:
+        counters, now, memory_mb = progress.counters, time.monotonic(), self._vitals.memory_mb
         if now - self._memory_s > MEMORY_S:
             self._memory_s = now
-            memory = self._process.memory_full_info().pss / MEGABYTE
-            self._vitals = replace(self._vitals, memory_mb=memory)
+            memory_mb = self._process.memory_full_info().pss / MEGABYTE
         self._vitals = replace(
             self._vitals,
+            memory_mb=memory_mb,
             elapsed_s=progress.elapsed_s,
             lanes=dict(self._lanes),
             packets_per_s=progress.packets_per_s,
