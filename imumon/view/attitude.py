@@ -18,7 +18,7 @@ from imumon.view.rows import Rows
 from imumon.view.window import Window
 
 STEP_NS = 20_000_000
-"""The body is redrawn at the most 50 times a second; every quaternion is in ``/samples/attitude``."""
+"""The body is redrawn at the most 50 times a second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +58,8 @@ class Attitude:
         """Return whether each column has a value."""
         return bool(np.isfinite(rows.matrix(self.columns)).any(axis=0).all())
 
-    def declare(self, rec: rr.RecordingStream, *, live: bool) -> None:
+    def declare(self, rec: rr.RecordingStream) -> None:
         """Log the housing with its connector and axes, and the reference axes."""
-        if live:
-            rec.log(f"/samples/{self.key}", rr.SeriesLines(names=list(self.columns)), static=True)
         housing = rr.Boxes3D(
             centers=[[0.0, 0.0, 0.0], [-0.62, 0.0, 0.0], [0.42, 0.0, 0.0]],
             half_sizes=[[0.5, 0.34, 0.13], [0.12, 0.12, 0.07], [0.05, 0.3, 0.135]],
@@ -83,10 +81,8 @@ class Attitude:
         rec.log(f"{self.reference.root}/reference", reference, static=True)
 
     def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
-        """Log the exact values, and turn the body."""
+        """Turn the body."""
         values = rows.matrix(self.columns)
-        if not rows.step_ns:
-            rows.send(rec, f"/samples/{self.key}", values)
         keep: Any = np.isfinite(values).all(axis=1) & rows.thinned(STEP_NS)
         if keep.any():
             turned = rr.Transform3D.columns(quaternion=xyzw(values[keep]))

@@ -86,7 +86,7 @@ class Comparison:
             if not panel.says(rows):
                 return
             line.drawn.append(panel)
-            panel.declare(self._rec, live=False)
+            panel.declare(self._rec)
         panel.log(self._rec, rows)
         ends = panel.ends(rows)
         if ends is not None:

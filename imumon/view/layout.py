@@ -1,8 +1,8 @@
 """Panels as data: which columns make which entities, how they are drawn, and where they stand.
 
 A panel is an entry in `imumon.view.panels.PANELS`; the logger and the blueprint know nothing else, so a panel
-for another estimator is one more entry.  Exact SI values go to ``/samples/<panel>`` as float64; where a
-person reads another unit (°/s, °, %) the converted values go to ``/view/<panel>`` beside it.
+for another estimator is one more entry.  Values go to ``/samples/<panel>`` in the unit of their column, or to
+``/view/<panel>`` in the unit that a person reads (°/s, °, %).
 """
 
 from __future__ import annotations
@@ -26,10 +26,6 @@ FIRST = "Live"
 """The first tab."""
 SCENE, STRIPS = "scene", "strips"
 """Places in the first tab; any other place is a tab of that name."""
-OTHER = "/samples/other"
-"""Float columns that no panel draws: one entity each, in a tab of their own."""
-INTEGERS = "/samples/integers"
-"""Integer columns (device time as sent, counters, status), exact, for those who read the recording."""
 
 BAND_STEP_NS = 200_000_000
 """Estimates with a band are logged at the most five times a second; a replay gives every value."""
@@ -82,7 +78,7 @@ class Strip:
     title: str
     lines: tuple[Line, ...]
     unit: str | None = None
-    """Draw the values in this unit of `FACTORS`, and keep the exact ones in ``/samples`` all the same."""
+    """Draw the values in this unit of `FACTORS`; without, in that of the column."""
     place: str = STRIPS
     """`SCENE`, `STRIPS`, or the name of a tab."""
     look: Literal["lines", "steps", "points"] = "lines"
@@ -115,17 +111,12 @@ class Strip:
         return bool(finite.any(axis=0).all() and (finite & (values != self.silent)).any())
 
     @property
-    def exact(self) -> str:
-        """Entity of the exact values."""
-        return f"/samples/{self.key}"
-
-    @property
     def drawn(self) -> str:
         """Entity of what is drawn."""
-        return self.exact if self.unit is None else f"/view/{self.key}"
+        return f"/samples/{self.key}" if self.unit is None else f"/view/{self.key}"
 
-    def declare(self, rec: rr.RecordingStream, *, live: bool) -> None:  # noqa: ARG002
-        """Log what does not change: names, colours and styles; live also the names of exact values."""
+    def declare(self, rec: rr.RecordingStream) -> None:
+        """Log what does not change: names, colours and styles."""
         style: Any = {
             "names": [line.name for line in self.lines],
             "colors": [list(line.color) for line in self.lines],
@@ -180,17 +171,13 @@ class Strip:
         return read_as(setup, self.lines[0].column)[0] if self.unit is None else self.unit
 
     def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
-        """Log the exact values, and those in the unit that is drawn."""
-        values = rows.matrix(self.columns)
-        exact = self.unit is None or not rows.step_ns
+        """Log the values in the unit that is drawn."""
+        values = self._factor * rows.matrix(self.columns)
         kept: Any = np.isfinite(values).any(axis=1) if self.look == "points" else rows.extremes(values)
         if not kept.any():
             return
         values, rows = values[kept], rows.kept(kept)
-        if exact:
-            rows.send(rec, self.exact, values)
-        if self.unit is not None:
-            rows.send(rec, self.drawn, values * self._factor)
+        rows.send(rec, self.drawn, values)
         if self.limits:
             ends = np.zeros(len(values), np.bool_)
             ends[[0, -1]] = True
@@ -212,10 +199,8 @@ class Strip:
 class Bands(Strip):
     """A panel that draws estimates inside their 2σ bands, in a `unit`."""
 
-    def declare(self, rec: rr.RecordingStream, *, live: bool) -> None:
+    def declare(self, rec: rr.RecordingStream) -> None:
         """Log names and colours; each band is an entity of its own."""
-        if live:
-            rec.log(self.exact, rr.SeriesLines(names=list(self.columns)), static=True)
         for line in self.lines:
             style = rr.Measurements.from_fields(names=[line.name], colors=[list(line.color)], widths=[1.6])
             rec.log(self._entity(line), style, static=True)
@@ -226,12 +211,8 @@ class Bands(Strip):
         return np.column_stack([zero if one.sd is None else 2.0 * rows.columns[one.sd] for one in self.lines])
 
     def log(self, rec: rr.RecordingStream, rows: Rows) -> None:
-        """Log some of the exact values, and the bands, five times a second."""
+        """Log values and bands, five times a second."""
         due = rows.thinned(BAND_STEP_NS)
-        if not due.any():
-            return
-        if not rows.step_ns:
-            rows.kept(due).send(rec, self.exact, rows.matrix(self.columns)[due])
         for line in self.lines:
             value = self._factor * rows.columns[line.column]
             sd = np.zeros_like(value) if line.sd is None else self._factor * rows.columns[line.sd]

@@ -9,11 +9,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 
-from imumon.blocks import NO_INT, IntArray
+from imumon.blocks import IntArray
 from imumon.harmless import for_markdown
 from imumon.lane import Level
 from imumon.view.attitude import DEVICE
@@ -31,16 +30,12 @@ from imumon.view.items import (
     ViewSetup,
 )
 from imumon.view.lanes import COLORED_STATES, declare_lane, lane_path
-from imumon.view.layout import INTEGERS
 from imumon.view.log_text import LOG_TEXT, LogText
 from imumon.view.others import Others
 from imumon.view.painter import Painter
 from imumon.view.panel_log import PanelLog
 from imumon.view.rows import Rows, at_instants, log_markdown
 from imumon.view.window import slow_window
-
-ELSEWHERE = {"device_time_ns", "host_time_ns", "arrival_time_ns", "device_ticks"}
-"""Integer columns that are a timeline, or of the transport: the wire recording has them."""
 
 RECORDED_STEP_NS, STEP_ROWS, LONGEST_STEP_NS = 500_000_000, 50, 2_500_000_000
 """Of so much time a recording of the view keeps the extremes; where fewer samples came in it, of so many, and
@@ -148,7 +143,6 @@ class StreamLogger:
             if self._began_ns is None and rows.clock is not None:
                 self._began_ns = int(rows.clock[0])
         self._log_floats(rows, item.stream)
-        self._log_integers(rows, item.stream)
 
     def _log_floats(self, rows: Rows, stream: str = "") -> None:
         claimed = self._panels.log(rows)
@@ -156,27 +150,6 @@ class StreamLogger:
             if values.dtype == np.float64 and name not in claimed:
                 own = name.removeprefix(f"{stream}_")
                 self._others.log(f"{stream}/{own}" if stream else name, values, rows)
-
-    def _log_integers(self, rows: Rows, stream: str) -> None:
-        integers = {
-            name: values
-            for name, values in rows.columns.items()
-            if values.dtype == np.int64 and name not in ELSEWHERE and (values != NO_INT).any()
-        }
-        device = rows.columns.get("device_time_ns")
-        if device is not None and not (rows.device_ns is not None and np.array_equal(device, rows.device_ns)):
-            integers["device_time_ns"] = device
-        due = (
-            rows.thinned(rows.step_ns)
-            if rows.step_ns
-            else np.ones(len(next(iter(rows.columns.values()))), np.bool_)
-        )
-        if integers and due.any():
-            # As arrays of Arrow, or Rerun tries what they are in six times the time.
-            arrays = {name: pa.array(values[due]) for name, values in integers.items()}
-            columns = rr.AnyValues.columns(True, **arrays)
-            entity = f"{INTEGERS}/{stream}" if stream else INTEGERS
-            self._rec.send_columns(entity, indexes=rows.kept(due).indexes, columns=columns)
 
     def _log_early_events(self, first: Samples) -> None:
         """Show the events before the first sample on the timelines that begin with it."""
@@ -214,10 +187,6 @@ class StreamLogger:
         texts = [self._log_text.text if again else self._log_text.add(line) for line in lines]
         if times.indexes:
             self._has_log = True
-            columns = rr.TextLog.columns(
-                text=[line.text for line in lines], level=[line.level for line in lines]
-            )
-            self._rec.send_columns("/log", indexes=times.indexes, columns=columns)
             log_markdown(self._rec, LOG_TEXT, texts, times)
 
     def _log_kind(self, events: list[Any], times: Rows) -> None:

@@ -8,11 +8,11 @@ import rerun as rr
 from imumon.blocks import ColumnArray
 from imumon.charts import AXIS_COLORS, BLUE, GREEN, RED
 from imumon.view.items import ViewSetup
-from imumon.view.layout import OTHER, read_as
+from imumon.view.layout import read_as
 from imumon.view.rows import Rows
 
-DRAWN = "/view/other"
-"""Columns that a person reads in another unit."""
+OTHER, CONVERTED = "/samples/other", "/view/other"
+"""Entities of columns that are read in their own unit, and in another."""
 PART_COLORS = {**AXIS_COLORS, "roll": RED, "pitch": GREEN, "yaw": BLUE}
 """Colour of a column by how its name ends."""
 
@@ -53,17 +53,14 @@ class Others:
         kept = rows.extremes(numbers[:, np.newaxis]) & np.isfinite(numbers)
         if kept.any():
             _, factor = self._read_as(name)
-            if factor != 1.0 and not rows.step_ns:
-                rows.kept(kept).send(self._rec, path(name), numbers[kept])
             rows.kept(kept).send(self._rec, self._drawn(name), factor * numbers[kept])
 
     def _read_as(self, name: str) -> tuple[str, float]:
         return read_as(self._setup, name.replace("/", "_"))
 
     def _drawn(self, name: str) -> str:
-        """Return the entity of what is drawn: in another unit than the column, beside the exact one."""
-        _, factor = self._read_as(name)
-        return path(name) if factor == 1.0 else f"{DRAWN}/{name}"
+        """Return the entity of a column, by whether it is drawn in its own unit."""
+        return f"{OTHER if self._read_as(name)[1] == 1.0 else CONVERTED}/{name}"
 
     def _alone(self, name: str) -> str:
         unit, _ = self._read_as(name)
@@ -73,8 +70,3 @@ class Others:
         color = PART_COLORS.get(name.rpartition("_")[2])
         look = rr.SeriesLines(names=[name], colors=None if color is None else [list(color)])
         self._rec.log(self._drawn(name), look, static=True)
-
-
-def path(name: str) -> str:
-    """Return the entity of the exact values of a column."""
-    return f"{OTHER}/{name}"

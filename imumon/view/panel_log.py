@@ -61,7 +61,7 @@ class PanelLog:
     """
 
     def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, *, live: bool) -> None:
-        self._rec, self._live = rec, live
+        self._rec = rec
         self._step_ns = LIVE_CARD_NS if live else RECORDED_CARD_NS
         self._panels = ShownPanels(setup)
         self._extents = Extents(rec, live=live)
@@ -76,7 +76,7 @@ class PanelLog:
     def declare(self) -> None:
         """Log what does not change, for a new file."""
         for panel in self._panels.begun.values():
-            panel.declare(self._rec, live=self._live)
+            panel.declare(self._rec)
 
     def log(self, rows: Rows) -> set[str]:
         """Log rows; return the columns that panels draw."""
@@ -84,7 +84,7 @@ class PanelLog:
         for panel in self._panels.drawing(rows):
             claimed.update(panel.columns)
             if self._panels.begins(panel, rows):
-                panel.declare(self._rec, live=self._live)
+                panel.declare(self._rec)
             if panel.key in self._panels.begun:
                 panel.log(self._rec, rows)
                 self._cards.add(self._panels.readings[panel.key], rows.columns)

@@ -27,7 +27,7 @@ class _Heard:
 def test_a_band_named_as_a_session_is_an_entity_whose_name_is_escaped() -> None:
     rec: Any = _Heard()
     panel = Bands("a/b", "title", (Line("x", "run of monday", (1, 2, 3)),), "°/h", METHODS)
-    panel.declare(rec, live=True)
+    panel.declare(rec)
     times = np.arange(3) * 10**9
     panel.log(rec, Rows({"x": np.ones(3)}, None, times, times))
     named = [one for one in rec.entities if "monday" in one]

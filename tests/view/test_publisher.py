@@ -32,7 +32,7 @@ from imumon.view.viewer import (
     viewer_binary,
 )
 from tests.view.conftest import StartViewer
-from tests.view.streams import DEVICE_NS, GYRO, RATE_HZ, Stream, block, scalars
+from tests.view.streams import ACCEL, DEVICE_NS, RATE_HZ, Stream, block, scalars
 from tests.waiting import LIMIT_S, wait_until
 
 Publish = Callable[[Mode, int], ViewPublisher]
@@ -205,10 +205,10 @@ def test_second_reader_gets_exact_samples_from_the_stream(
     whole = path.with_name("whole.rrd")  # the reader was stopped anywhere, maybe within a message
     repair = [str(viewer_binary()), "rrd", "optimize", str(path), "-o", str(whole)]
     subprocess.run(repair, env=quiet_environment(), check=True, capture_output=True)
-    sample, device, _, gyro = scalars([whole], "/samples/gyro")
+    sample, device, _, accel = scalars([whole], "/samples/accel")
     assert len(sample) >= 100
     np.testing.assert_array_equal(device - DEVICE_NS, sample * (1_000_000_000 // RATE_HZ))
-    np.testing.assert_array_equal(gyro, stream.column(GYRO)[sample])
+    np.testing.assert_array_equal(accel, stream.column(ACCEL)[sample])
 
 
 def test_killed_view_process_is_started_again_on_the_same_ports(publish: Publish, port: int) -> None:

@@ -72,7 +72,7 @@ def test_each_unit_has_its_entities_and_a_tab_of_its_own(tmp_path: Path) -> None
     paths = {chunk.entity_path for chunk in RrdReader(str(tmp_path / "a.rrd")).stream()}
     own = {path for path in paths if not path.startswith(("/__", "/overview"))}
     assert {path.split("/")[1] for path in own} == {"left", "right"}
-    for path in ("/left/samples/accel", "/left/view/gyro", "/right/1-Port", "/right/log", "/overview"):
+    for path in ("/left/samples/accel", "/left/view/gyro", "/right/1-Port", "/right/log_text", "/overview"):
         assert path in paths, path
     origins = set(map(str, blueprint_of(tmp_path / "a.rrd")["ViewBlueprint:space_origin"]))
     assert {"/overview", "/left/view/gyro", "/right/view/gyro", "/left/samples/accel"} <= origins
