@@ -48,7 +48,7 @@ PARENT_S = 1.0
 TRIM_S = 30.0
 SWITCH_S = 0.0005
 """While one thread is busy, another waits so long for the interpreter at each of ten steps (usual: 5 ms)."""
-MAX_BYTES = 1536 << 20
+MAX_BYTES = 1024 << 20
 """More memory (a viewer that takes nothing for half an hour) ends the process; it is started anew."""
 
 

@@ -30,7 +30,6 @@ class Vitals:
 
     session: str = ""
     """Folder of its recording; empty while its port cannot be opened."""
-    elapsed_s: float = 0.0
     lanes: Mapping[str, str] = field(default_factory=dict)
     """Present state of each lane: port, data, motion, model."""
     temperature_deg: float = math.nan
@@ -42,7 +41,6 @@ class Vitals:
     packets_lost: int = 0
     """Missing by their counter, or damaged."""
     bytes_received: int = 0
-    bytes_skipped: int = 0
     at_s: float = 0.0
     cpu_s: float = 0.0
     """When this was, by a clock that only goes forwards, and the processor time since its process began."""
@@ -105,12 +103,10 @@ class Feed:
         self._vitals = replace(
             self._vitals,
             memory_mb=memory_mb,
-            elapsed_s=progress.elapsed_s,
             lanes=dict(self._lanes),
             packets_per_s=progress.packets_per_s,
             packets_lost=counters.lost,
             bytes_received=counters.bytes_received,
-            bytes_skipped=counters.bytes_skipped,
             at_s=now,
             cpu_s=time.process_time(),
         )
