@@ -53,13 +53,7 @@ MAX_BYTES = 1024 << 20
 
 
 class FedProcess(ABC):
-    """Feeds a process; nothing that happens there delays the caller.
-
-    Parameters
-    ----------
-    module : str
-        What is run, with `serve` in it.
-    """
+    """Feeds a process that runs a `module`, which calls `serve`; nothing there delays the caller."""
 
     def __init__(self, module: str) -> None:
         self._module = module

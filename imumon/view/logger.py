@@ -99,7 +99,7 @@ class StreamLogger:
         if setup.properties:
             rec.send_property("session", rr.AnyValues(True, **setup.properties))
         down = rr.ViewCoordinates.RIGHT_HAND_Z_DOWN
-        rec.log(DEVICE.root, down if setup.z_down else rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        rec.log(DEVICE, down if setup.z_down else rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._panels.declare()
         self._others.declare()
         for lane, states in self._lanes.items():

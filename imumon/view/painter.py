@@ -27,13 +27,7 @@ def chart_view(key: str, title: str) -> Any:
 
 
 class Painter:
-    """Draws the latest of each chart: live in a thread, as one takes 0.1 s, in which samples go on.
-
-    Parameters
-    ----------
-    live : bool
-        Whether a person is watching.
-    """
+    """Draws the latest of each chart: live in a thread, as one takes 0.1 s, in which samples go on."""
 
     def __init__(self, rec: rr.RecordingStream, *, live: bool) -> None:
         self._rec, self._live = rec, live

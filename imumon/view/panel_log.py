@@ -19,13 +19,7 @@ LIVE_CARD_NS, RECORDED_CARD_NS = 500_000_000, 10_000_000_000
 
 
 class ShownPanels:
-    """The panels that have had a value in each of their columns: the same for the viewer and for a terminal.
-
-    Parameters
-    ----------
-    setup : ViewSetup
-        Units.
-    """
+    """The panels that have had a value in each of their columns, for the viewer and for a terminal."""
 
     def __init__(self, setup: ViewSetup) -> None:
         self.readings = {panel.key: panel.readings(setup) for panel in PANELS}
@@ -52,13 +46,7 @@ class ShownPanels:
 
 
 class PanelLog:
-    """Logs the panels that have had data.
-
-    Parameters
-    ----------
-    live : bool
-        Whether a person is watching.
-    """
+    """Logs the panels that have had data."""
 
     def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, *, live: bool) -> None:
         self._rec = rec

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from imumon.charts import AXIS_COLORS, BLUE, GREEN, GREY, ORANGE, RED, VIOLET, Color
-from imumon.view.attitude import EARTH, Attitude
+from imumon.view.attitude import Attitude
 from imumon.view.layout import Bands, Line, Strip
 
 Panel = Strip | Attitude
@@ -91,7 +91,14 @@ def _phi(key: str, title: str, place: str) -> Panel:
 PANELS: tuple[Panel, ...] = (
     Attitude("attitude", ("q_w", "q_x", "q_y", "q_z")),
     Attitude("attitude_from_angles", ("roll", "pitch", "yaw")),
-    Attitude("attitude_estimate", tuple(f"attitude_estimate_{part}" for part in "wxyz"), EARTH),
+    Attitude(
+        "attitude_estimate",
+        tuple(f"attitude_estimate_{part}" for part in "wxyz"),
+        "/attitude_estimate",
+        "Attitude by the estimator: the device sends none",
+        ("east", "north", "up"),
+        up=1.0,
+    ),
     Strip("gyro", "Angular rate", _axes("gyro"), "°/s", card="angular rate"),
     Strip("accel", "Specific force", _axes("accel"), card="specific force"),
     Strip("mag", "Magnetic field", _axes("mag"), card="magnetic field"),

@@ -14,11 +14,6 @@ class DropOldestQueue:
 
     States and the status card outlive their place in the queue: the latest of each that had to be dropped is
     handed out with the next batch, so that a lane never stays wrong.
-
-    Parameters
-    ----------
-    max_bytes : int
-        Memory that the items may hold.
     """
 
     def __init__(self, max_bytes: int) -> None:

@@ -31,11 +31,6 @@ class TerminalView:
     """Gathers view items and tells what a screen of some size shows of them.
 
     `publish` may be called from any thread and returns at once; `lines` from one thread.
-
-    Parameters
-    ----------
-    setup : ViewSetup
-        Title and units.
     """
 
     def __init__(self, setup: ViewSetup) -> None:
@@ -129,13 +124,7 @@ def _narrow(label: str, value: str, unit: str, columns: int) -> str:
 
 
 class Screen:
-    """Writes lines to a terminal, only those that changed: it stays usable at 9600 baud.
-
-    Parameters
-    ----------
-    write : callable
-        Takes text for the terminal.
-    """
+    """Writes lines to a terminal, only those that changed: it stays usable at 9600 baud."""
 
     def __init__(self, write: Callable[[str], None]) -> None:
         self._write = write

@@ -111,13 +111,7 @@ def _beside(path: Path, device: str) -> str:
 
 
 class Watched:
-    """A rack file that may be changed while the rack runs.
-
-    Parameters
-    ----------
-    path : Path
-        The file, which has been read.
-    """
+    """A rack file that may be changed while the rack runs."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

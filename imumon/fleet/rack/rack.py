@@ -45,11 +45,6 @@ class Process:
     """One life of a unit: its process, and what it has said.
 
     A thread takes what it says, as a process that stops in the middle of a word would stop who listens.
-
-    Parameters
-    ----------
-    task : Task
-        What it is told.
     """
 
     def __init__(self, task: Task) -> None:

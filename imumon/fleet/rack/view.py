@@ -36,13 +36,7 @@ BEHIND = 10
 
 
 class UnitsLogger:
-    """Logs the items of several units to one recording stream; used as a `StreamLogger`.
-
-    Parameters
-    ----------
-    setup : ViewSetup
-        Title and properties of the whole.
-    """
+    """Logs the items of several units to one recording stream; used as a `StreamLogger`."""
 
     def __init__(self, rec: rr.RecordingStream, setup: ViewSetup) -> None:
         self._rec, self._setup = rec, setup
@@ -126,15 +120,7 @@ class UnitsLogger:
 
 
 class Below:
-    """A recording stream as `StreamLogger` uses it, with all entities below one.
-
-    Parameters
-    ----------
-    rec : RecordingStream
-        The stream.
-    root : str
-        The entity, such as ``/unit``.
-    """
+    """A recording stream as `StreamLogger` uses it, with all entities below one."""
 
     def __init__(self, rec: rr.RecordingStream, root: str) -> None:
         self._rec, self._root = rec, root
