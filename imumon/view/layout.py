@@ -17,7 +17,7 @@ from imumon.blocks import FloatArray
 from imumon.charts import COLOR_NAMES, GREY, Color
 from imumon.columns import KNOWN
 from imumon.view.cards import DIGITS, Reading
-from imumon.view.extent import declare_extent, entity
+from imumon.view.extent import RECENT_NS, declare_extent, entity
 from imumon.view.items import ViewSetup
 from imumon.view.rows import Rows
 from imumon.view.window import Window, series_view
@@ -133,16 +133,17 @@ class Strip:
         declare_extent(rec, self.drawn)
 
     def ends(self, rows: Rows) -> tuple[float, float] | None:
-        """Return how far the vertical axis must reach about the latest values, in the unit that is drawn."""
+        """Return how far the vertical axis must reach over the last seconds, in the unit that is drawn."""
         values = self._factor * rows.matrix([line.column for line in self.lines])
         half = self._factor * self._half_bands(rows)
-        row = next(iter(np.flatnonzero(np.isfinite(values + half).any(axis=1))[::-1]), None)
-        if row is None:
+        known = np.isfinite(values + half)
+        if rows.clock is not None:
+            known &= (rows.clock >= rows.clock[-1] - RECENT_NS)[:, np.newaxis]
+        if not known.any():
             return None
-        value, half = values[row], half[row]
+        low, high = float((values - half)[known].min()), float((values + half)[known].max())
         digit = 10.0 ** -DIGITS[self.unit] if self.unit in DIGITS else 0.0
-        span = max(self.least, LEAST_STEPS * digit, ROUNDING * float(np.nanmax(np.abs(value))))
-        low, high = float(np.nanmin(value - half)), float(np.nanmax(value + half))
+        span = max(self.least, LEAST_STEPS * digit, ROUNDING * max(abs(low), abs(high)))
         beyond = max(0.0, span - (high - low)) / 2
         return low - beyond, high + beyond
 
