@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from imumon.view.logger import StreamLogger
 
 POLL_S = 0.25
+LINGER_S = 3.0
+"""So long a native viewer may read what came last, unless the measuring process ends this one sooner."""
 REPEAT_S = 2.0
 """How often states and the log are logged again: viewers take the newest first, and the server forgets the
 oldest.  Until a repetition arrives their panes are empty."""
@@ -93,7 +95,9 @@ def run(
                 items = stream.recv()
             except EOFError:
                 logger.finish()
-                rec.disconnect()  # waits for viewers to take what is left; a stuck one ends with this process
+                rec.flush()
+                if start.mode == "native":
+                    time.sleep(LINGER_S)
                 return
             logger.log(items)
 

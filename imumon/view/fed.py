@@ -43,7 +43,7 @@ STUCK_S = 30.0
 hangs stalls for 16 s and then goes on.)"""
 LOOK_S = 0.5
 """How often it is looked whether it does."""
-GOODBYE_S = 1.0
+GOODBYE_S = 4.0
 PARENT_S = 1.0
 TRIM_S = 30.0
 SWITCH_S = 0.0005

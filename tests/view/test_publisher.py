@@ -182,7 +182,7 @@ def test_what_was_sent_last_is_seen_before_the_view_ends(
     publisher = publish("native", port)
     stream = Stream(publisher.publish)
     stream.run_until(lambda: "sample" in seen(port), "samples seen")
-    for _ in range(100):
+    for _ in range(20):
         stream.send(200)
     publisher.close(LIMIT_S)
     assert wait_until(lambda: seen(port)["sample"][1] == stream.sent - 1), (seen(port), stream.sent)
