@@ -6,14 +6,14 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
-    from imumon.view.items import Shown, ViewSetup
+    from imumon.view.items import ViewItem, ViewSetup
 
 
 class Running(Protocol):
     """An output while a command runs."""
 
     @property
-    def publish(self) -> list[Callable[[Shown], None]]:
+    def publish(self) -> list[Callable[[ViewItem], None]]:
         """Where view items go."""
 
     @property

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from imumon.recordings.folder import Session as RecordedSession
     from imumon.recordings.source import Source
     from imumon.view.compare import Alignment, Session
-    from imumon.view.frames import Report
     from imumon.view.items import ViewSetup
     from imumon.view.viewer import Mode
 
@@ -76,8 +75,7 @@ def command(
 
     from imumon.view.compare import Comparison
     from imumon.view.items import ViewSetup
-    from imumon.view.rrd import APPLICATION
-    from imumon.view.viewer import default_mode
+    from imumon.view.viewer import APPLICATION, default_mode
 
     if out is not None:
         check_output(out)
@@ -203,15 +201,19 @@ def _shown(rec: rr.RecordingStream, setup: ViewSetup, mode: Mode, bind: str) -> 
 
     Raises NOT_FOUND when no viewer comes up.
     """
-    from imumon.view.frames import Start
-    from imumon.view.links import NativeLink, WebLink
+    from imumon.view.viewer import Answer, probe, proxy_url, start_viewer, viewer_port
+    from imumon.view.web import serve_page
 
-    reports: list[Report] = []
-    link = (NativeLink if mode == "native" else WebLink)(Start(setup, mode, bind=bind), reports.append)
+    if mode == "web":
+        return serve_page(rec, setup, bind=bind).url
+    port = viewer_port()
+    viewer = None if probe(port) is Answer.RERUN else start_viewer(port)
     deadline = time.monotonic() + STARTING_S
-    while link.poll(rec) is None:
-        if time.monotonic() > deadline:
-            text = reports[-1].text if reports else "no viewer"
-            raise ImumonError(Reason.NOT_FOUND, text, "use --view web, or --out NAME.rrd")
+    while probe(port) is not Answer.RERUN:
+        if time.monotonic() > deadline or (viewer is not None and viewer.poll() is not None):
+            raise ImumonError(
+                Reason.NOT_FOUND, "the viewer could not start", "use --view web, or --out NAME.rrd"
+            )
         time.sleep(0.1)
-    return reports[-1].url
+    rec.connect_grpc(proxy_url(port))
+    return proxy_url(port)

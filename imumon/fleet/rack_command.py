@@ -118,9 +118,8 @@ def _publisher(file: Path, out: Path, mode: View, window: float, bind: str) -> V
         recording_id=f"rack-{file.stem}-{time.time_ns()}",
         window_s=window,
         properties={"file": str(file), "sessions": str(out)},
-        several=True,
     )
-    return ViewPublisher(mode, setup, bind=bind).start()
+    return ViewPublisher(mode, setup, bind=bind, module="imumon.fleet.rack.view").start()
 
 
 def trouble(unit: dict[str, Any]) -> str:
@@ -176,9 +175,8 @@ class _Bench:
                 drawn_s = time.monotonic()
                 columns, rows = os.get_terminal_size(sys.stderr.fileno())
                 shown = [f"rack {title}: {in_short(self.rack.rows)}", "", *text_lines(self.rack.rows), ""]
-                room = max(rows - len(shown), 0)
-                found = [*shown, *list(log)[len(log) - min(room, len(log)) :]]
-                screen.show([line[:columns] for line in found[:rows]], columns, rows)
+                newest = list(log)[::-1][: max(rows - len(shown), 0)][::-1]
+                screen.show([line[:columns] for line in [*shown, *newest][:rows]], columns, rows)
 
     def _step(self) -> None:
         """Look after the units, and read the file where it has changed; a bad one changes nothing."""

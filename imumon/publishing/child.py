@@ -11,7 +11,6 @@ from multiprocessing.connection import Connection
 from imumon.publishing.outlets import make_outlet
 from imumon.publishing.publisher import Delivery
 from imumon.view.fed import serve
-from imumon.view.items import item_rows
 
 REPEAT_S = 1.0
 """How often states are said again."""
@@ -34,7 +33,7 @@ def run(stream: Connection, out: Connection) -> None:
                 out.send(Delivery(outlet.text, sent=taken - failed, dropped=failed))
                 return
             failed += outlet.send(items)
-            taken += sum(map(item_rows, items))
+            taken += sum(item.rows for item in items)
         if time.monotonic() - repeated_s >= REPEAT_S:
             repeated_s = time.monotonic()
             outlet.repeat(time.time_ns())

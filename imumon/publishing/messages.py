@@ -12,7 +12,7 @@ import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, ColumnArray
 from imumon.protocols.base import MAIN
-from imumon.view.items import Log, Samples, Shown, State
+from imumon.view.items import Log, Samples, State, ViewItem
 
 CLOCKS = ("host_time_ns", "arrival_time_ns")
 """The first that a row has is the time of its message, Unix time in ns."""
@@ -34,7 +34,7 @@ class Message:
 Published = Samples | State | Log
 
 
-def is_published(item: Shown) -> bool:
+def is_published(item: ViewItem) -> bool:
     """Return whether an item of the view is for other programs, too."""
     return isinstance(item, Samples | State | Log)
 

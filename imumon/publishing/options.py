@@ -13,7 +13,7 @@ from imumon.live_output import LiveOutput
 if TYPE_CHECKING:
     from imumon.publishing.publisher import Publisher
     from imumon.publishing.target import Target
-    from imumon.view.items import Shown, ViewSetup
+    from imumon.view.items import ViewItem, ViewSetup
 
 
 class _Publish:
@@ -60,7 +60,7 @@ class Published:
         self._reported: dict[Publisher, str] = {}
 
     @property
-    def publish(self) -> list[Callable[[Shown], None]]:
+    def publish(self) -> list[Callable[[ViewItem], None]]:
         """Where view items go."""
         return [one.publish for one in self._publishers]
 

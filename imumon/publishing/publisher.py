@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from imumon.publishing.messages import is_published
 from imumon.publishing.target import Target
-from imumon.view.fed import PROTOCOL, FedProcess
-from imumon.view.items import Shown, ViewSetup, item_rows
+from imumon.view.fed import FedProcess
+from imumon.view.items import ViewItem, ViewSetup
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +42,7 @@ class Publisher(FedProcess):
         super().__init__("imumon.publishing.child")
         self.target = target
         self._setup = setup
-        self._published = self._handed = self._lost = 0
+        self._published = self._handed_rows = self._lost = 0
         self._closed = False
         self._before, self._now = Delivery(""), Delivery("begins", ready=False)
         """What processes that ended have said together, and what the present one says."""
@@ -53,10 +52,10 @@ class Publisher(FedProcess):
         self._supervisor.start()
         return self
 
-    def publish(self, item: Shown) -> None:
+    def publish(self, item: ViewItem) -> None:
         """Queue an item, when it is for other programs; takes microseconds.  Called from one thread."""
         if is_published(item):
-            self._published += item_rows(item)
+            self._published += item.rows
             super().publish(item)
 
     def close(self, timeout_s: float = 1.5) -> None:
@@ -74,14 +73,13 @@ class Publisher(FedProcess):
         return replace(now, sent=sent, dropped=dropped)
 
     def _first(self) -> tuple[Target, ViewSetup]:
+        if self._restarts:  # what waited for the process is not news any more
+            self._handed(self._queue.take(0.0, 0.0))
         self._count_lost()
         return self.target, self._setup
 
-    def _frames(self, items: Sequence[Shown]) -> list[bytes]:
-        if not items:
-            return []
-        self._handed += sum(map(item_rows, items))
-        return [pickle.dumps(items, PROTOCOL)]
+    def _handed(self, items: Sequence[ViewItem]) -> None:
+        self._handed_rows += sum(item.rows for item in items)
 
     def _received(self, message: Delivery) -> None:
         self._now = message
@@ -89,10 +87,10 @@ class Publisher(FedProcess):
     def _gone(self) -> None:
         before, now = self._before, self._now
         self._before = Delivery("", sent=before.sent + now.sent, dropped=before.dropped + now.dropped)
-        text = "ended" if self._queue.is_closed() else "begins again" if now.ready else now.text
+        text = "ended" if self._queue.closed.is_set() else "begins again" if now.ready else now.text
         self._now = Delivery(text, ready=False)
         self._count_lost()
 
     def _count_lost(self) -> None:
         """What no process took until now is lost."""
-        self._lost = self._handed - self._before.sent - self._before.dropped
+        self._lost = self._handed_rows - self._before.sent - self._before.dropped

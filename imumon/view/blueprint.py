@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import rerun.blueprint as rrb
 
-from imumon.view.extent import columns_of, entity
 from imumon.view.items import ViewSetup
-from imumon.view.layout import FIRST, SCENE, STRIPS, Panel, tab_of
+from imumon.view.layout import FIRST, SCENE, STRIPS, tab_of
 from imumon.view.log_text import LOG_TEXT
 from imumon.view.painter import chart_view
 from imumon.view.panel_log import card_path
+from imumon.view.panels import Panel
 from imumon.view.window import Window, series_view, slow_window
 
 OTHER_TAB = "Other"
-LANE, LANES_FRAME, LOG = 40.0, 42.0, 150.0
-"""Points that a lane takes, title and times of all; that some lines of the log need at least."""
+TAB, LANE, LANES_FRAME, LOG = 560.0, 40.0, 42.0, 150.0
+"""Points: height of a tab in a browser of 1456 x 819; what a lane takes, title and times of all; what some
+lines of the log need at least."""
+MOST_STRIPS = 4
+"""Above each other: in a fifth of a tab only the first of ten steps are fine enough for three numbers."""
 SIDE_CHARTS = 2
 """So many charts stand above each other beside strips.  More get two columns and half of the tab: in a third
 of its height the numbers of a chart cannot be read."""
 CHARTS_ROWS = 6.4
-"""Height of two rows of charts, where a card of one row has 1: it needs a hundred points of `NATIVE_TAB`."""
-NAMES_MARGIN = 0.1
-"""Share of a tab that a legend of whole column names takes; it stays free in each view that has one."""
+"""Height of two rows of charts, where a card of one row has 1: which needs a hundred points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,11 +46,8 @@ class Contents:
     """Views of the columns that no panel draws."""
     cards: tuple[str, ...]
     """Tabs that have a card of numbers."""
-    filled: bool
     full: bool
-    """Whether as much has come as the first tab shows, and as the slow tabs show."""
-    grown_s: float
-    """How much the slow tabs show, s, rounded up to a power of two while they grow."""
+    """Whether as much has come as the slow tabs show."""
 
     def __bool__(self) -> bool:
         """Return whether there is anything besides charts."""
@@ -65,7 +64,7 @@ def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool
     live : bool
         True to follow the last seconds, False for a recording: everything.
     """
-    window = Window(setup.window_s, contents.filled) if live else Window()
+    window = Window(setup.window_s) if live else Window()
     slow = Window(slow_window(setup.window_s), contents.full) if live else Window()
     views: dict[str, list[Any]] = {SCENE: [], STRIPS: []}
     for panel in contents.panels:
@@ -73,20 +72,12 @@ def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool
         views.setdefault(panel.place, []).append(panel.view(setup, shown))
     for place, key, title in contents.charts:
         views.setdefault(place, []).append(chart_view(key, title))
-    margin_s = NAMES_MARGIN * contents.grown_s * columns_of(len(contents.others))
     views[OTHER_TAB] = [
-        series_view(
-            paths[0],
-            title,
-            replace(slow, margin_s=margin_s if len(paths) > 1 else 0.0),
-            others=paths[1:],
-            ends=[entity(paths[0])],
-            legend=len(paths) > 1,
-        )
+        series_view(paths[0], title, slow, others=paths[1:], legend=len(paths) > 1)
         for title, paths in contents.others
     ]
     name = setup.first_tab if live else "Recording"
-    first = _first_tab(name, views, window, contents, setup.tab_height)
+    first = _first_tab(name, views, window, contents)
     tabs = [_tab(place, views[place], contents) for place in views if tab_of(place) != FIRST and views[place]]
     return arranged(rrb.Tabs(first, *tabs), timeline)
 
@@ -132,14 +123,12 @@ def _tab(name: str, views: list[Any], contents: Contents) -> Any:
 
 def _strips(views: list[Any]) -> Any:
     """Return views of series above each other, and beside each other where there are many."""
-    columns = columns_of(len(views))
+    columns = math.ceil(len(views) / MOST_STRIPS)
     return rrb.Vertical(*views) if columns == 1 else rrb.Grid(*views, grid_columns=columns)
 
 
-def _first_tab(
-    name: str, views: dict[str, list[Any]], window: Window, contents: Contents, height: float
-) -> Any:
-    """Return the first tab; if it is `height` points high lanes have what they need, the log the rest."""
+def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents: Contents) -> Any:
+    """Return the first tab; if it is `TAB` points high lanes have what they need, the log the rest."""
     left: list[tuple[float, Any]] = [(1.9, view) for view in views[SCENE]]
     if FIRST in contents.cards:
         left.append((2.9, rrb.TextDocumentView(origin=card_path(FIRST), name="Now")))
@@ -157,7 +146,7 @@ def _first_tab(
         )
         right.append((lanes, states))
     if contents.log:
-        right.append((max(LOG, height - lanes), rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
+        right.append((max(LOG, TAB - lanes), rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
     middle = [(1.0, _strips(views[STRIPS]))] if views[STRIPS] else []
     columns = [(share, part) for share, part in ((3.0, left), (4.6, middle), (3.2, right)) if part]
     return rrb.Horizontal(

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, FloatArray
+from imumon.blocks import ColumnArray
 
 DIGITS = {"°/s": 3, "m/s²": 3, "µT": 2, "a.u.": 4, "°": 2, "°C": 2, "°C/h": 1, "°/h": 1, "1/s": 1, "%": 0}
 """Decimals of a value without a sigma; others have five digits."""
@@ -30,35 +30,12 @@ class Reading:
     headline: bool = False
 
 
-@dataclass(slots=True)
-class Gathered:
-    """The finite values of a column since the card was written; what was shown stays until there are more."""
-
-    total: float = 0.0
-    count: int = 0
-    shown: float = math.nan
-
-    def add(self, values: FloatArray, *, mean: bool) -> None:
-        """Take values: their mean counts, or the last of them."""
-        finite = values[np.isfinite(values)]
-        if len(finite) and mean:
-            self.total, self.count = self.total + float(finite.sum()), self.count + len(finite)
-        elif len(finite):
-            self.total, self.count = float(finite[-1]), 1
-
-    def take(self) -> float:
-        """Return the value to show, and begin anew."""
-        if self.count:
-            self.shown = self.total / self.count
-        self.total, self.count = 0.0, 0
-        return self.shown
-
-
-@dataclass(slots=True)
 class Cards:
-    """Gathers the columns that the cards show."""
+    """Gathers the columns that the cards show; what was shown stays until there are more values."""
 
-    _columns: dict[str, Gathered] = field(default_factory=dict)
+    def __init__(self) -> None:
+        self._sums: dict[str, tuple[float, int]] = {}
+        self._shown: dict[str, float] = {}
 
     def add(self, readings: Iterable[Reading], columns: Mapping[str, ColumnArray]) -> None:
         """Take rows: of a column without a sigma the mean is shown, for single samples cannot be read."""
@@ -68,13 +45,19 @@ class Cards:
                 self._add(reading.sd, columns, mean=False)
 
     def take(self) -> dict[str, float]:
-        """Return the present value of every column, and begin anew."""
-        return {name: gathered.take() for name, gathered in self._columns.items()}
+        """Return the present value of every column that has had one, and begin anew."""
+        self._shown |= {name: total / count for name, (total, count) in self._sums.items()}
+        self._sums.clear()
+        return dict(self._shown)
 
     def _add(self, name: str, columns: Mapping[str, ColumnArray], *, mean: bool) -> None:
-        if name in columns:
-            gathered = self._columns.setdefault(name, Gathered())
-            gathered.add(np.asarray(columns[name], np.float64), mean=mean)
+        values = np.asarray(columns.get(name, ()), np.float64)
+        finite = values[np.isfinite(values)]
+        if len(finite) and mean:
+            total, count = self._sums.get(name, (0.0, 0))
+            self._sums[name] = total + float(finite.sum()), count + len(finite)
+        elif len(finite):
+            self._sums[name] = float(finite[-1]), 1
 
 
 def card(readings: Sequence[Reading], now: Mapping[str, float]) -> str:

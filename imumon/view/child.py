@@ -1,127 +1,112 @@
-"""The view process: takes items from the measuring process and keeps a viewer supplied with them.
+"""The view process: takes items from the measuring process and serves the stream that viewers read.
 
 It may hang, be killed or die without the measuring process noticing more than a word in the status line.
+Viewers come and go as they like: the server keeps the latest `SERVER_MEMORY` of the stream for them.
 Run as ``python -m imumon.view.child`` by `imumon.view.publisher`.
 """
 
 from __future__ import annotations
 
 import gc
-import os
+import subprocess
 import time
-from dataclasses import replace
+from collections.abc import Callable
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from imumon.view.fed import serve
-from imumon.view.frames import Batch, ReplayRequest, Report, Start
-from imumon.view.items import WEB_TAB
+from imumon.view.items import ViewSetup
+from imumon.view.publisher import Report, Start
+from imumon.view.viewer import LIVE_APPLICATION, proxy_url, start_viewer, viewer_port
+from imumon.view.web import serve_page, serve_stream
 
-POLL_S = 0.5
-GOODBYE_S = 0.6
-BEHIND = 10
-"""Where there are many units, their processes come before the view (and a viewer that draws by software)."""
+if TYPE_CHECKING:
+    import rerun as rr
+
+    from imumon.view.logger import StreamLogger
+
+POLL_S = 0.25
+LINGER_S = 3.0
+"""So long a native viewer may read what came last, unless the measuring process ends this one sooner."""
 REPEAT_S = 2.0
-"""So often a browser is told the states and the log again: it takes the newest first, and a slow one would
-have what was said once after all samples since then; until then its panes are empty."""
+"""How often states and the log are logged again: viewers take the newest first, and the server forgets the
+oldest.  Until a repetition arrives their panes are empty."""
 
 
-class Child:
-    """Feeds one recording stream; see `run`.
+class Viewers:
+    """Serves the stream, and reports how that goes.
 
     Parameters
     ----------
     start : Start
-        What to show and where.
-    out : Connection
-        Where reports and requests go.
+        A page for browsers, or a native viewer.
+    report : callable
+        Takes a `Report`, when there is a new one.
     """
 
-    def __init__(self, start: Start, out: Connection) -> None:
-        # Start the viewer first: it comes up while the library loads.
-        from imumon.view.links import NativeLink, WebLink
-
-        self._out = out
-        self._reported: Report | None = None
-        self._link = (NativeLink if start.mode == "native" else WebLink)(start, self._report)
-
-        import rerun as rr
-
-        from imumon.view.in_place import InPlace
-        from imumon.view.logger import StreamLogger
-        from imumon.view.rrd import LIVE_APPLICATION
-        from imumon.view.units import UnitsLogger
-
-        setup = replace(start.setup, tab_height=WEB_TAB) if start.mode == "web" else start.setup
-        self._rec = rr.RecordingStream(LIVE_APPLICATION, recording_id=setup.recording_id)
-        self._arrangement = InPlace(self._rec)
-        show = self._arrangement.send
-        self._logger: Any = (
-            UnitsLogger(self._rec, setup, show)
-            if setup.several
-            else StreamLogger(self._rec, setup, live=True, show=show)
-        )
-        self._repeats = start.mode == "web"
-        self._repeated_s = time.monotonic()
-        self._delivered = -1
-        self._request = 0
-        self._answered = True
+    def __init__(self, start: Start, rec: rr.RecordingStream, report: Callable[[Report], None]) -> None:
+        self._report, self._reported = report, Report("")
+        self._viewer: subprocess.Popen[bytes] | None = None
+        if start.mode == "web":
+            page = serve_page(rec, start.setup, start.web_port, start.bind)
+            self._serving = Report("serving the web viewer", page.url, page.port)
+            return
+        address, port = serve_stream(rec)
+        url = proxy_url(port, address)
+        if start.open_viewer:
+            self._viewer = start_viewer(viewer_port(start.port), url)
+        text = "viewer open" if start.open_viewer else f"`rerun {url}` opens a viewer"
+        self._serving = Report(text, url)
 
     def poll(self) -> None:
-        """Look after the viewer; ask for what it has not seen."""
-        if self._repeats and time.monotonic() - self._repeated_s > REPEAT_S:
-            self._repeated_s = time.monotonic()
-            self._logger.repeat()
-        change = self._link.poll(self._rec)
-        if change is None:
-            return
-        if change.name == "NEW":
-            self._delivered = -1
-            self._arrangement.forget()
-            self._logger.begin()
-        self._request += 1
-        self._answered = False
-        self._out.send(ReplayRequest(self._request, self._delivered))
-
-    def take(self, batch: Batch) -> None:
-        """Log a batch, unless nobody would see it or it is asked for again anyway."""
-        self._answered = self._answered or batch.answers == self._request
-        if self._answered and self._link.connected:
-            self._logger.log(batch.items)
-            self._delivered = batch.number
-
-    def close(self) -> None:
-        """Hand over what is left, within `GOODBYE_S`."""
-        if self._link.connected:
-            self._logger.finish()
-            self._rec.flush(timeout_sec=GOODBYE_S)
-
-    def _report(self, report: Report) -> None:
+        """Find out whether the native viewer is still there."""
+        report, code = self._serving, None if self._viewer is None else self._viewer.poll()
+        if code:
+            text = f"the viewer could not start or go on (exit code {code}); try --view web"
+            report = Report(text, report.url)
+        elif code == 0:
+            report = Report(f"viewer closed; `rerun {report.url}` brings it back", report.url)
         if report != self._reported:
             self._reported = report
-            self._out.send(report)
+            self._report(report)
 
 
-def run(stream: Connection, out: Connection) -> None:
-    """Take batches until the stream ends."""
-    start = stream.recv()
-    if start.setup.several:
-        os.nice(BEHIND)
-    child = Child(start, out)
+def run(
+    stream: Connection, out: Connection, make_logger: Callable[[rr.RecordingStream, ViewSetup], Any]
+) -> None:
+    """Take lists of items until the stream ends; what is made logs them as a `StreamLogger` does."""
+    start: Start = stream.recv()
+    import rerun as rr
+
+    rec = rr.RecordingStream(LIVE_APPLICATION, recording_id=start.setup.recording_id)
+    viewers = Viewers(start, rec, out.send)
+    logger = make_logger(rec, start.setup)
+    logger.begin()
+    logger.log(start.lasting)
     gc.freeze()  # or the circles of pictures wait until they are a quarter of all that was loaded
-    next_poll = 0.0
+    repeated_s = time.monotonic()
     while True:
-        if time.monotonic() >= next_poll:
-            child.poll()
-            next_poll = time.monotonic() + POLL_S
-        if stream.poll(POLL_S / 2):
+        viewers.poll()
+        if time.monotonic() - repeated_s > REPEAT_S:
+            repeated_s = time.monotonic()
+            logger.repeat()
+        if stream.poll(POLL_S):
             try:
-                batch = stream.recv()
+                items = stream.recv()
             except EOFError:
-                child.close()
+                logger.finish()
+                rec.flush()
+                if start.mode == "native":
+                    time.sleep(LINGER_S)
                 return
-            child.take(batch)
+            logger.log(items)
+
+
+def _live_logger(rec: rr.RecordingStream, setup: ViewSetup) -> StreamLogger:
+    from imumon.view.logger import StreamLogger
+
+    return StreamLogger(rec, setup, live=True)
 
 
 if __name__ == "__main__":
-    serve(run, lambda error: Report(error.seen, False, 0, 0, ""))
+    serve(lambda stream, out: run(stream, out, _live_logger), lambda error: Report(error.seen))

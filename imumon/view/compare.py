@@ -9,21 +9,21 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from imumon.blocks import IntArray, SampleBlock
+from imumon.blocks import SampleBlock
 from imumon.charts import BLUE, GREEN, ORANGE, RED, VIOLET, Color
 from imumon.view.blueprint import arranged
-from imumon.view.extent import Extent, entity
+from imumon.view.extent import entity
 from imumon.view.items import Samples, Timebase, ViewSetup
-from imumon.view.layout import FIRST, Rows, Strip, tab_of
+from imumon.view.layout import FIRST, Strip, tab_of
 from imumon.view.logger import RECORDED_STEP_NS
 from imumon.view.panels import PANELS
+from imumon.view.rows import Rows
 from imumon.view.window import Window, series_view
 
 COLORS: tuple[Color, ...] = (BLUE, ORANGE, GREEN, VIOLET, RED)
 """Of the sessions, in their order; with more they come again."""
 COLUMNS = 3
 """Views beside each other in a tab: the three axes."""
-
 NAMES_MARGIN = 0.3
 """Share of the time of all sessions that stays free behind it, for a legend of their names."""
 
@@ -37,8 +37,7 @@ class _Compared:
     panel: Strip
     number: int
     drawn: list[Strip] = field(default_factory=list)
-    extent: Extent = field(default_factory=Extent)
-    ends: tuple[float, float] | None = None
+    ends: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -65,21 +64,21 @@ class Comparison:
 
     def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, align: Alignment) -> None:
         self._rec, self._setup, self._align = rec, setup, align
-        self._compared = {
-            (panel.key, number): _Compared(panel, number)
+        self._compared = [
+            _Compared(panel, number)
             for panel in PANELS
             if isinstance(panel, Strip)
             for number in range(len(panel.lines))
-        }
+        ]
         self._sessions = 0
-        self._blocks = 0
-        self._span = [np.inf, -np.inf]
+        self._first_ns, self._last_ns = np.iinfo(np.int64).max, np.iinfo(np.int64).min
         rec.send_recording_name(setup.title)
 
     def session(self, name: str) -> Session:
         """Begin the next session; `name` is unlike those of the others."""
+        color = COLORS[self._sessions % len(COLORS)]
         self._sessions += 1
-        return Session(self, name, COLORS[(self._sessions - 1) % len(COLORS)])
+        return Session(self, self._align, [(line, line.of(name, color)) for line in self._compared])
 
     def log(self, line: _Compared, panel: Strip, rows: Rows) -> None:
         """Log what a session has of a line."""
@@ -87,66 +86,52 @@ class Comparison:
             if not panel.says(rows):
                 return
             line.drawn.append(panel)
-            panel.declare(self._rec, live=False)
+            panel.declare(self._rec)
         panel.log(self._rec, rows)
-        self._blocks += 1  # sessions overlap in time: the extent is told of a step for each block
-        clock = np.array([self._blocks * 1_000_000_000])
-        line.ends = line.extent.ends(clock, panel.reach(rows)) or line.ends
-
-    def note(self, clock: IntArray) -> None:
-        """Note how far time goes."""
-        self._span = [min(self._span[0], int(clock[0])), max(self._span[1], int(clock[-1]))]
-
-    @property
-    def lines(self) -> list[_Compared]:
-        """All lines, whether a session has them or not."""
-        return list(self._compared.values())
-
-    @property
-    def aligned_at_power_on(self) -> bool:
-        """Whether each session begins at zero."""
-        return self._align == "power-on"
+        ends = panel.ends(rows)
+        if ends is not None:
+            line.ends[panel.key] = ends
+        if rows.clock is not None:
+            self._first_ns = min(self._first_ns, int(rows.clock[0]))
+            self._last_ns = max(self._last_ns, int(rows.clock[-1]))
 
     def arrange(self) -> rrb.Blueprint | None:
         """Send the arrangement, once all is logged, and return it; None when there is nothing to see."""
         tabs: dict[str, list[Any]] = {}
-        for line in self._compared.values():
+        for line in self._compared:
             if line.drawn:
                 place = line.panel.title if tab_of(line.panel.place) == FIRST else line.panel.place
                 tabs.setdefault(place, []).append(self._view(line))
         if not tabs:
             return None
         grids = [rrb.Grid(*views, grid_columns=COLUMNS, name=name) for name, views in tabs.items()]
-        timeline = "device_time" if self.aligned_at_power_on else "host_time"
+        timeline = "device_time" if self._align == "power-on" else "host_time"
         found = arranged(rrb.Tabs(*grids), timeline, play_state="paused")
         self._rec.send_blueprint(found)
         return found
 
     def _view(self, line: _Compared) -> Any:
-        if line.ends is not None:  # at both ends of time: all of a recording is shown
-            times = np.array(self._span, np.int64)
-            rows = Rows({}, None, *((times, None) if self.aligned_at_power_on else (None, times)))
-            rows.send(self._rec, entity(line.drawn[0].drawn), np.array([line.ends, line.ends]))
-        view = line.drawn[0].view(self._setup, self._window)
+        """Return the view of a line; its axis ends behind the data, where the names of the sessions stand."""
+        first = line.drawn[0]
+        until_ns = self._last_ns + NAMES_MARGIN * (self._last_ns - self._first_ns)
+        times = np.array([self._first_ns, until_ns], np.int64)
+        rows = Rows({}, None, *((times, None) if self._align == "power-on" else (None, times)))
+        lows, highs = zip(*line.ends.values(), strict=True)
+        rows.send(self._rec, entity(first.drawn), np.array([[min(lows), max(highs)]] * 2))
+        title = str(first.view(self._setup, Window()).name).replace(line.panel.title, line.title)
         others = [f"{panel.drawn}/**" for panel in line.drawn[1:]]
-        title = str(view.name).replace(line.panel.title, line.title)
-        return series_view(line.drawn[0].drawn, title, self._window, line.panel.y_range, others, legend=True)
-
-    @property
-    def _window(self) -> Window:
-        """The whole of time, and room for the names of the sessions."""
-        first, last = self._span
-        return Window(until_ns=round(last + NAMES_MARGIN * (last - first)))
+        return series_view(first.drawn, title, Window(), line.panel.y_range, others, legend=True)
 
 
 class Session:
     """Logs the samples of one session, blocks in order."""
 
-    def __init__(self, comparison: Comparison, name: str, color: Color) -> None:
-        self._comparison = comparison
+    def __init__(
+        self, comparison: Comparison, align: Alignment, lines: list[tuple[_Compared, Strip]]
+    ) -> None:
+        self._comparison, self._align, self._lines = comparison, align, lines
         self._timebase = Timebase()
         self._began_ns: int | None = None
-        self._lines = [(line, line.of(name, color)) for line in comparison.lines]
 
     def log(self, block: SampleBlock) -> None:
         """Log samples: of each half second the extremes, so that spikes stay."""
@@ -155,17 +140,16 @@ class Session:
         rows = self._rows(self._timebase.samples(block))
         if rows.clock is None:
             return
-        self._comparison.note(rows.clock)
         for line, panel in self._lines:
             if rows.columns.keys() >= set(panel.columns):
                 self._comparison.log(line, panel, rows)
 
     def _rows(self, samples: Samples) -> Rows:
-        if not self._comparison.aligned_at_power_on:
-            return Rows(samples.block.columns, None, None, samples.host_ns, RECORDED_STEP_NS)
+        columns = samples.block.columns
+        if self._align == "host":
+            return Rows(columns, None, None, samples.host_ns, RECORDED_STEP_NS)
         device = samples.host_ns if samples.device_ns is None else samples.device_ns
-        if device is None:
-            return Rows(samples.block.columns, None, None, None, RECORDED_STEP_NS)
-        if self._began_ns is None:
-            self._began_ns = int(device[0])
-        return Rows(samples.block.columns, None, device - self._began_ns, None, RECORDED_STEP_NS)
+        if device is not None:
+            self._began_ns = int(device[0]) if self._began_ns is None else self._began_ns
+            device = device - self._began_ns
+        return Rows(columns, None, device, None, RECORDED_STEP_NS)

@@ -26,7 +26,7 @@ import psutil
 
 from imumon.errors import ImumonError
 from imumon.heap import prepare_heap, trim_heap
-from imumon.view.items import Shown, merge
+from imumon.view.items import ViewItem, merge
 from imumon.view.queue import DropOldestQueue
 from imumon.view.viewer import quiet_environment
 
@@ -43,27 +43,21 @@ STUCK_S = 30.0
 hangs stalls for 16 s and then goes on.)"""
 LOOK_S = 0.5
 """How often it is looked whether it does."""
-GOODBYE_S = 1.0
+GOODBYE_S = 4.0
 PARENT_S = 1.0
 TRIM_S = 30.0
 SWITCH_S = 0.0005
 """While one thread is busy, another waits so long for the interpreter at each of ten steps (usual: 5 ms)."""
-MAX_BYTES = 768 << 20
+MAX_BYTES = 1024 << 20
 """More memory (a viewer that takes nothing for half an hour) ends the process; it is started anew."""
 
 
 class FedProcess(ABC):
-    """Feeds a process; nothing that happens there delays the caller.
-
-    Parameters
-    ----------
-    module : str
-        What is run, with `serve` in it.
-    """
+    """Feeds a process that runs a `module`, which calls `serve`; nothing there delays the caller."""
 
     def __init__(self, module: str) -> None:
         self._module = module
-        self._queue: DropOldestQueue[Shown] = DropOldestQueue(QUEUE_BYTES)
+        self._queue = DropOldestQueue(QUEUE_BYTES)
         self._sending_s = math.inf  # since when
         self._restarts = 0
         self._process: subprocess.Popen[bytes] | None = None
@@ -74,8 +68,8 @@ class FedProcess(ABC):
         """Return what a process that starts is told."""
 
     @abstractmethod
-    def _frames(self, items: Sequence[Shown]) -> list[bytes]:
-        """Return what is to be sent now that these items came, maybe none."""
+    def _handed(self, items: Sequence[ViewItem]) -> None:
+        """Note what left the queue for the process."""
 
     @abstractmethod
     def _received(self, message: Any) -> None:
@@ -85,7 +79,7 @@ class FedProcess(ABC):
     def _gone(self) -> None:
         """Note that the process has ended, and was heard to its end."""
 
-    def publish(self, item: Shown) -> None:
+    def publish(self, item: ViewItem) -> None:
         """Queue an item; takes microseconds, whatever state the process is in."""
         self._queue.put(item)
 
@@ -108,19 +102,12 @@ class FedProcess(ABC):
         while True:
             started = time.monotonic()
             self._run_process()
-            if self._queue.is_closed():
+            if self._queue.closed.is_set():
                 return
             failures = 0 if time.monotonic() - started > STEADY_S else failures + 1
             self._restarts += 1
-            self._wait(BACKOFF_S[min(failures, len(BACKOFF_S) - 1)])
-            if self._queue.is_closed():
+            if self._queue.closed.wait(BACKOFF_S[min(failures, len(BACKOFF_S) - 1)]):
                 return
-
-    def _wait(self, pause_s: float) -> None:
-        """Let time pass while the queue keeps emptying."""
-        end = time.monotonic() + pause_s
-        while (left := end - time.monotonic()) > 0 and not self._queue.is_closed():
-            self._next(wait_s=left)
 
     def _run_process(self) -> None:
         """Run one process from its start to its end."""
@@ -153,23 +140,20 @@ class FedProcess(ABC):
         self._gone()
 
     def _feed(self, process: subprocess.Popen[bytes], pipe: Connection) -> None:
-        """Send frames until the process is gone or everything is sent and the queue closed."""
-        sent = self._send(pipe, [pickle.dumps(self._first(), PROTOCOL)])
+        """Send items until the process is gone or everything is sent and the queue closed."""
+        sent = self._send(pipe, self._first())
         closing = False
         while sent and not closing and process.poll() is None:
-            closing = self._queue.is_closed()
-            sent = self._send(pipe, self._next(wait_s=0.25))
+            closing = self._queue.closed.is_set()
+            items = merge(self._queue.take(BATCH_S, wait_s=0.25))
+            self._handed(items)
+            sent = not items or self._send(pipe, items)
 
-    def _next(self, wait_s: float) -> list[bytes]:
-        """Return the frames of what came; maybe none."""
-        return self._frames(merge(self._queue.take(BATCH_S, wait_s)))
-
-    def _send(self, pipe: Connection, frames: list[bytes]) -> bool:
-        """Send frames; False when the process is gone, maybe since it was killed for taking nothing."""
+    def _send(self, pipe: Connection, frame: object) -> bool:
+        """Send a frame; False when the process is gone, maybe since it was killed for taking nothing."""
         try:
-            for frame in frames:
-                self._sending_s = time.monotonic()
-                pipe.send_bytes(frame)
+            self._sending_s = time.monotonic()
+            pipe.send_bytes(pickle.dumps(frame, PROTOCOL))
         except OSError:
             return False
         finally:

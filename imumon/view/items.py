@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import overload
 
 import numpy as np
 
@@ -12,8 +11,6 @@ from imumon.blocks import NO_INT, BoolArray, IntArray, SampleBlock, join
 from imumon.charts import Chart
 from imumon.lane import Level
 
-NATIVE_TAB, WEB_TAB = 740.0, 560.0
-"""Points of a tab in a window of 1456 x 819: a browser and its page have lines of their own about it."""
 ITEM_BYTES = 512
 """What an item costs in memory beside its arrays, roughly."""
 
@@ -30,8 +27,29 @@ class Instant:
     """Unix time, ns."""
 
 
+class ViewItem:
+    """What the view is told; where it waits in a queue, these say what it costs."""
+
+    __slots__ = ()
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that the item holds, roughly."""
+        return ITEM_BYTES
+
+    @property
+    def rows(self) -> int:
+        """How many samples or events are lost with it."""
+        return 1
+
+    @property
+    def lasting(self) -> str | None:
+        """What a later item with the same text replaces; None for what does not last."""
+        return None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class Samples:
+class Samples(ViewItem):
     """Consecutive samples on the three timelines.
 
     Parameters
@@ -62,16 +80,6 @@ class Samples:
         """Samples in the item."""
         return len(self.block)
 
-    def part(self, start: int, stop: int) -> Samples:
-        """Return rows start..stop as views."""
-        return Samples(
-            None if self.first is None else self.first + start,
-            None if self.device_ns is None else self.device_ns[start:stop],
-            None if self.host_ns is None else self.host_ns[start:stop],
-            self.block.rows(start, stop),
-            self.stream,
-        )
-
     def follows(self, other: Samples) -> bool:
         """Test whether this continues `other` without a gap, on the same timelines, with the same columns."""
         return (
@@ -83,102 +91,68 @@ class Samples:
 
 
 @dataclass(frozen=True, slots=True)
-class Numbers:
-    """Numbers that are not one per sample: packet rate, link load, losses."""
+class Event(ViewItem):
+    """What happens at a moment."""
 
     at: Instant
+
+
+@dataclass(frozen=True, slots=True)
+class Numbers(Event):
+    """Numbers that are not one per sample: packet rate, link load, losses."""
+
     values: Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class State(Event):
     """A lane (port, clock, device, ...) is in this state from now on."""
 
-    at: Instant
     lane: str
     state: str
     level: Level = Level.PLAIN
 
+    @property
+    def lasting(self) -> str:
+        """The lane."""
+        return f"state {self.lane}"
+
 
 @dataclass(frozen=True, slots=True)
-class Log:
+class Log(Event):
     """A line for the log; the level is one of TRACE, DEBUG, INFO, WARN, ERROR, CRITICAL."""
 
-    at: Instant
     text: str
     level: str = "INFO"
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class Status(Event):
     """The status card: what to show, as it is to be read, in order."""
 
-    at: Instant
     fields: Mapping[str, str]
 
+    @property
+    def lasting(self) -> str:
+        """There is one card."""
+        return "status"
+
 
 @dataclass(frozen=True, slots=True)
-class Drawing:
+class Drawing(Event):
     """A chart, as it is from now on."""
 
-    at: Instant
     chart: Chart
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of its curves."""
+        return ITEM_BYTES + self.chart.nbytes
 
-Event = Numbers | State | Log | Status | Drawing
-ViewItem = Samples | Event
-"""What is told of one session."""
-
-
-@dataclass(frozen=True, slots=True)
-class OfUnit:
-    """What is told of one of several units that are shown together; the title of the setup is its name."""
-
-    setup: ViewSetup
-    item: ViewItem
-
-
-@dataclass(frozen=True, slots=True)
-class Overview:
-    """All units that are shown together at a glance, as Markdown, and their names in order."""
-
-    at: Instant
-    markdown: str
-    units: tuple[str, ...]
-
-
-Shown = ViewItem | OfUnit | Overview
-"""What goes to a viewer."""
-
-
-def item_bytes(item: Shown) -> int:
-    """Return the memory that an item holds, roughly."""
-    if isinstance(item, OfUnit):
-        return item_bytes(item.item)
-    if isinstance(item, Drawing):
-        return ITEM_BYTES + item.chart.nbytes
-    return item.nbytes if isinstance(item, Samples) else ITEM_BYTES
-
-
-def item_rows(item: Shown) -> int:
-    """Return how many samples (or events) are lost with this item."""
-    if isinstance(item, OfUnit):
-        return item_rows(item.item)
-    return item.rows if isinstance(item, Samples) else 1
-
-
-def lasting_key(item: Shown) -> str | None:
-    """Return what a later item of the same key replaces, or None for what is not lasting."""
-    if isinstance(item, OfUnit):
-        key = lasting_key(item.item)
-        return None if key is None else f"{item.setup.title}: {key}"
-    if isinstance(item, Overview):
-        return "overview"
-    if isinstance(item, State):
-        return f"state {item.lane}"
-    if isinstance(item, Drawing):
-        return f"chart {item.chart.key}"
-    return "status" if isinstance(item, Status) else None
+    @property
+    def lasting(self) -> str:
+        """The chart's key."""
+        return f"chart {self.chart.key}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,10 +173,6 @@ class ViewSetup:
     """What the first tab is called while the data comes."""
     properties: Mapping[str, str] = field(default_factory=dict)
     """What else describes the session: device, port, rate."""
-    several: bool = False
-    """Whether the items are those of several units, `OfUnit` and `Overview`."""
-    tab_height: float = NATIVE_TAB
-    """Points that a tab has at least, `NATIVE_TAB` or `WEB_TAB`."""
 
 
 class Timebase:
@@ -289,15 +259,11 @@ def first_of_steps(times_ns: IntArray, step_ns: int, before_ns: int | None = Non
     return np.asarray(np.diff(step, prepend=before) != 0)
 
 
-@overload
-def merge(items: Iterable[ViewItem]) -> list[ViewItem]: ...
-@overload
-def merge(items: Iterable[Shown]) -> list[Shown]: ...
-def merge(items: Iterable[Shown]) -> list[ViewItem] | list[Shown]:
+def merge(items: Iterable[ViewItem]) -> list[ViewItem]:
     """Join consecutive samples into few large items; events follow them in their order."""
     runs: list[list[Samples]] = []
     latest: dict[str, list[Samples]] = {}
-    events: list[Shown] = []
+    events: list[ViewItem] = []
     for item in items:
         if not isinstance(item, Samples):
             events.append(item)

@@ -9,7 +9,7 @@ from imumon.harmless import for_markdown
 from imumon.view.items import Log
 
 LOG_TEXT = "/log_text"
-"""Entity of the text; the lines themselves are in ``/log``."""
+"""Entity of the text; all lines are in the log of the session."""
 LINES = 30
 QUIET = ("INFO", "DEBUG", "TRACE")
 """Levels that need not be said."""

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 
-from imumon.blocks import NO_INT, FloatArray, IntArray
-from imumon.charts import Chart
+from imumon.blocks import IntArray
 from imumon.harmless import for_markdown
 from imumon.lane import Level
 from imumon.view.attitude import DEVICE
-from imumon.view.axes import Axes
 from imumon.view.blueprint import Contents, blueprint
 from imumon.view.items import (
     Drawing,
@@ -31,32 +28,20 @@ from imumon.view.items import (
     Status,
     ViewItem,
     ViewSetup,
-    lasting_key,
 )
 from imumon.view.lanes import COLORED_STATES, declare_lane, lane_path
-from imumon.view.layout import INTEGERS, Rows, at_instants, log_markdown
 from imumon.view.log_text import LOG_TEXT, LogText
 from imumon.view.others import Others
-from imumon.view.painter import Painter, log_picture
+from imumon.view.painter import Painter
 from imumon.view.panel_log import PanelLog
-from imumon.view.pictures import picture, pictures_apart
+from imumon.view.rows import Rows, at_instants, log_markdown
 from imumon.view.window import slow_window
-
-Show = Callable[[rrb.Blueprint], None]
-
-ELSEWHERE = {"device_time_ns", "host_time_ns", "arrival_time_ns", "device_ticks"}
-"""Integer columns that are a timeline, or of the transport: the wire recording has them."""
 
 RECORDED_STEP_NS, STEP_ROWS, LONGEST_STEP_NS = 500_000_000, 50, 2_500_000_000
 """Of so much time a recording of the view keeps the extremes; where fewer samples came in it, of so many, and
 never of more time than the last."""
-PICTURE_SHARE = 0.03
-"""Live, drawing charts takes so much of the time at the most."""
-FIRST_PICTURES_S, LATER, PICTURES_S = 30.0, 6.0, 600.0
-"""In a recording charts (25 kB each) are drawn after the first time, then when it is so many times as long,
-at the latest so long after those before, and as they are at the end; these replace those before."""
-NICE = 15
-"""While samples come, they come before the charts of a recording."""
+ARRANGE_S = 5.0
+"""Live, the arrangement is sent so often at the most: it leads whoever looks on back to the first tab."""
 EARLY_EVENTS = 1000
 """Events before the first sample that are shown again on the timelines that begin with it."""
 
@@ -64,8 +49,8 @@ EARLY_EVENTS = 1000
 class StreamLogger:
     """Logs view items to one recording stream.
 
-    Call `begin` whenever the stream has a new reader (first of all, after a reconnect, in a new file), then
-    `log`.  Entities, styles and blueprint follow from the columns that come.
+    Call `begin` at the start and in each new file, then `log`.  Entities, styles and arrangement follow from
+    the columns that come.
 
     Parameters
     ----------
@@ -76,60 +61,50 @@ class StreamLogger:
     live : bool
         Whether the blueprint follows the last seconds or shows all of a recording.
     show : callable, optional
-        Takes the arrangement when it has changed; without, it is sent as a blueprint of its own.
+        Takes the arrangement when it has changed; without, it is sent as a blueprint.
     """
 
     def __init__(
-        self, rec: rr.RecordingStream, setup: ViewSetup, *, live: bool, show: Show | None = None
+        self,
+        rec: rr.RecordingStream,
+        setup: ViewSetup,
+        *,
+        live: bool,
+        show: Callable[[rrb.Blueprint], None] | None = None,
     ) -> None:
-        self._rec = rec
+        self._rec, self._setup, self._live = rec, setup, live
         self._show = show or rec.send_blueprint
-        self._setup = setup
-        self._live = live
-        self._axes = Axes(rec, live=live)
-        self._panels = PanelLog(rec, setup, self._axes, live=live)
-        self._others = Others(rec, setup, self._axes, live=live)
+        self._panels = PanelLog(rec, setup, live=live)
+        self._others = Others(rec, setup)
+        self._painter = Painter(rec, live=live)
         self._lanes: dict[str, dict[str, Level]] = {}
         self._lasting: dict[str, Event] = {}
-        self._charts: dict[str, Chart] = {}
-        self._waiting: dict[str, Drawing] = {}
-        self._painter = Painter(PICTURE_SHARE)
-        self._drawn_s: dict[str, float] = {}
-        self._began_s = time.monotonic()
-        self._pictures_s = FIRST_PICTURES_S
         self._early: list[Event] = []
         self._has_log = False
+        self._log_text = LogText()
         self._timeline = "host_time"
         self._arranged: tuple[Contents, str] | None = None
+        self._arranged_s = -math.inf
         self.arrangement: rrb.Blueprint | None = None
         """The one that was shown last."""
         self._last_ns: dict[str, int] = {}
         self._newest: Rows | None = None
         self._began_ns: int | None = None
-        self._age_ns = 0
         self._step_ns = 0 if live else RECORDED_STEP_NS
-        self._log_text = LogText()
 
-    def begin(self, *, arrange: bool = True) -> None:
-        """Log what does not change (name, properties, styles, arrangement), and the latest states.
-
-        Every blueprint costs two threads and 0.9 MB that Rerun 0.41 never gives back; without `arrange` it is
-        sent again only when there is something new to arrange.
-        """
+    def begin(self) -> None:
+        """Log what does not change (name, properties, styles), and the latest states."""
         rec, setup = self._rec, self._setup
         rec.send_recording_name(setup.title)
         if setup.properties:
             rec.send_property("session", rr.AnyValues(True, **setup.properties))
         down = rr.ViewCoordinates.RIGHT_HAND_Z_DOWN
-        rec.log(DEVICE.root, down if setup.z_down else rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        rec.log(DEVICE, down if setup.z_down else rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._panels.declare()
         self._others.declare()
         for lane, states in self._lanes.items():
             declare_lane(rec, lane, states)
         self._log_events(list(self._lasting.values()), again=True)
-        if arrange:
-            self._arranged = None
-        self._arrange()
 
     def log(self, items: Iterable[ViewItem]) -> None:
         """Log items, samples in batches as they come; join them with `items.merge` first."""
@@ -137,15 +112,16 @@ class StreamLogger:
         for item in items:
             if isinstance(item, Samples):
                 self._log_samples(item)
-            else:
+            elif isinstance(item, Event):
                 events.append(item)
         self._log_events(events)
         early = [event for event in events if event.at.sample is None]
         self._early += early[: EARLY_EVENTS - len(self._early)]
         if self._newest is not None:
             self._panels.log_cards(self._newest)
-        self._draw_charts()
-        self._arrange()
+        self._painter.draw_next()
+        if not self._live or time.monotonic() - self._arranged_s > ARRANGE_S:
+            self._arrange()
 
     def _log_samples(self, item: Samples) -> None:
         count = None if item.first is None else np.arange(item.first, item.first + item.rows, dtype=np.int64)
@@ -162,46 +138,18 @@ class StreamLogger:
             self._timeline = "sample"
         if self._early and item.first is not None:
             self._log_early_events(item)
+        if not item.stream and item.rows:
+            self._newest = rows.kept(np.array([item.rows - 1]))
+            if self._began_ns is None and rows.clock is not None:
+                self._began_ns = int(rows.clock[0])
+        self._log_floats(rows, item.stream)
+
+    def _log_floats(self, rows: Rows, stream: str = "") -> None:
         claimed = self._panels.log(rows)
-        if not item.stream:
-            self._note(rows)
-        self._log_integers(rows, item.stream)
         for name, values in rows.columns.items():
             if values.dtype == np.float64 and name not in claimed:
-                own = name.removeprefix(f"{item.stream}_")
-                self._others.log(f"{item.stream}/{own}" if item.stream else name, values, rows)
-
-    def _note(self, rows: Rows) -> None:
-        """Note how far the data has come: for the cards, and for when the slow tabs are full."""
-        if not len(next(iter(rows.columns.values()), ())):
-            return
-        clock = rows.clock
-        last = len(next(iter(rows.columns.values()))) - 1
-        self._newest = rows.kept(np.array([last]))
-        if clock is not None:
-            self._began_ns = int(clock[0]) if self._began_ns is None else self._began_ns
-            self._age_ns = max(self._age_ns, int(clock[-1]) - self._began_ns)
-
-    def _log_integers(self, rows: Rows, stream: str) -> None:
-        integers = {
-            name: values
-            for name, values in rows.columns.items()
-            if values.dtype == np.int64 and name not in ELSEWHERE and (values != NO_INT).any()
-        }
-        device = rows.columns.get("device_time_ns")
-        if device is not None and not (rows.device_ns is not None and np.array_equal(device, rows.device_ns)):
-            integers["device_time_ns"] = device
-        if integers:
-            if rows.step_ns:
-                due = rows.thinned(rows.step_ns)
-                if not due.any():
-                    return
-                integers, rows = {name: values[due] for name, values in integers.items()}, rows.kept(due)
-            entity = f"{INTEGERS}/{stream}" if stream else INTEGERS
-            # As arrays of Arrow, or Rerun tries what they are in six times the time.
-            arrays = {name: pa.array(values) for name, values in integers.items()}
-            columns = rr.AnyValues.columns(True, **arrays)
-            self._rec.send_columns(entity, indexes=rows.indexes, columns=columns)
+                own = name.removeprefix(f"{stream}_")
+                self._others.log(f"{stream}/{own}" if stream else name, values, rows)
 
     def _log_early_events(self, first: Samples) -> None:
         """Show the events before the first sample on the timelines that begin with it."""
@@ -211,9 +159,8 @@ class StreamLogger:
             if device is not None and first.host_ns is not None and event.at.host_ns is not None:
                 device -= max(0, int(first.host_ns[0]) - event.at.host_ns)
             moved.append(replace(event, at=Instant(first.first, device, None)))
-            key = lasting_key(event)
-            if key is not None and self._lasting[key] is event:
-                self._lasting[key] = moved[-1]
+            if event.lasting is not None and self._lasting[event.lasting] is event:
+                self._lasting[event.lasting] = moved[-1]
         self._early.clear()
         self._log_events(moved, again=True)
 
@@ -222,101 +169,40 @@ class StreamLogger:
 
         What is shown `again` has its place among the newest lines, and in time, already.
         """
-        kinds: dict[tuple[object, ...], list[Event]] = {}
+        kinds: dict[tuple[object, ...], list[Any]] = {}
         for event in events:
             kinds.setdefault(_kind_of(event), []).append(event)
-            key = lasting_key(event)
-            if key is not None and not again:
-                self._lasting[key] = event
+            if event.lasting is not None and not again:
+                self._lasting[event.lasting] = event
+            if isinstance(event, Drawing) and not again:
+                self._painter.add(event)
         for found in kinds.values():
-            self._log_kind(found, again=again)
+            times = at_instants(*(event.at for event in found))
+            if isinstance(found[0], Log):
+                self._log_lines(found, times, again=again)
+            elif times.indexes:
+                self._log_kind(found, times)
 
-    def _log_kind(self, events: list[Any], *, again: bool) -> None:
-        """Log events of one kind."""
-        first, times = events[0], at_instants(*(event.at for event in events))
-        if isinstance(first, Drawing):
-            self._waiting[first.chart.key] = events[-1]
-        elif isinstance(first, Log):
-            texts = [self._log_text.text if again else self._log_text.add(event) for event in events]
-            if times.indexes:
-                self._has_log = True
-                lines = rr.TextLog.columns(
-                    text=[event.text for event in events], level=[event.level for event in events]
-                )
-                self._rec.send_columns("/log", indexes=times.indexes, columns=lines)
-                log_markdown(self._rec, LOG_TEXT, texts, times)
-        elif not times.indexes:
-            return
-        elif isinstance(first, Numbers):
+    def _log_lines(self, lines: Sequence[Log], times: Rows, *, again: bool) -> None:
+        texts = [self._log_text.text if again else self._log_text.add(line) for line in lines]
+        if times.indexes:
+            self._has_log = True
+            log_markdown(self._rec, LOG_TEXT, texts, times)
+
+    def _log_kind(self, events: list[Any], times: Rows) -> None:
+        """Log numbers, the states of a lane, or the status card."""
+        first = events[0]
+        if isinstance(first, Numbers):
             values = {name: np.array([event.values[name] for event in events]) for name in first.values}
-            self._log_numbers(values, times)
+            self._log_floats(Rows(values, times.sample, times.device_ns, times.host_ns, self._step_ns))
         elif isinstance(first, State):
-            self._know_states(events)
+            self._color_states(events)
             change = rr.StateChange.columns(state=[event.state for event in events])
             self._rec.send_columns(lane_path(first.lane), indexes=times.indexes, columns=change)
-        else:
+        elif isinstance(first, Status):
             log_markdown(self._rec, "/status", [status_card(events[-1])], at_instants(events[-1].at))
 
-    def _log_numbers(self, columns: Mapping[str, FloatArray], times: Rows) -> None:
-        rows = Rows(columns, times.sample, times.device_ns, times.host_ns, self._step_ns)
-        claimed = self._panels.log(rows)
-        for name in columns.keys() - claimed:
-            self._others.log(name, columns[name], rows)
-
-    def _draw_charts(self) -> None:
-        """Draw what is waiting and due: live the one that was drawn longest ago."""
-        age_s = time.monotonic() - self._began_s
-        if not self._live:
-            if age_s >= self._pictures_s:
-                self._pictures_s = min(LATER * age_s, age_s + PICTURES_S)
-                self._draw_apart(list(self._waiting.values()), niceness=NICE)
-        elif self._waiting and self._painter.is_free:
-            key = min(self._waiting, key=lambda key: self._drawn_s.get(key, -math.inf))
-            self._drawn_s[key] = age_s
-            self._painter.begin(self._draw(self._waiting.pop(key)))
-
-    def _draw(self, event: Drawing) -> Callable[[], None]:
-        """Return what draws a chart and logs the picture."""
-        chart, times = event.chart, at_instants(event.at)
-        self._charts[chart.key] = chart
-        return lambda: log_picture(self._rec, chart.key, picture(chart), times.indexes)
-
-    def _draw_apart(self, events: Sequence[Drawing], niceness: int = 0) -> None:
-        """Draw charts for a recording, which has the last of each alone, whatever moment is looked at."""
-        self._waiting.clear()
-        self._charts |= {event.chart.key: event.chart for event in events}
-        charts = [event.chart for event in events]
-        for event, blob in zip(events, pictures_apart(charts, niceness=niceness), strict=False):
-            log_picture(self._rec, event.chart.key, blob, [])
-
-    def end_file(self) -> None:
-        """Log what a file of a recording has at its end."""
-        self._axes.finish()
-
-    def finish(self) -> None:
-        """Log the charts and the status card as they are at the end."""
-        self.end_file()
-        self._painter.wait()
-        self._waiting.clear()
-        lasting = self._lasting.values()
-        drawings = [event for event in lasting if isinstance(event, Drawing)]
-        if self._live:
-            for event in drawings:
-                self._draw(event)()
-        else:
-            self._draw_apart(drawings)
-        self._log_events([event for event in lasting if isinstance(event, Status)])
-        self._arrange()
-
-    def repeat(self) -> None:
-        """Log the latest states, status card and log lines once more, for who takes the newest first."""
-        if self._newest is None:
-            return
-        self._log_events([one for one in self._lasting.values() if not isinstance(one, Drawing)], again=True)
-        if self._has_log:
-            log_markdown(self._rec, LOG_TEXT, [self._log_text.text], self._newest)
-
-    def _know_states(self, events: Sequence[State]) -> None:
+    def _color_states(self, events: Sequence[State]) -> None:
         """Declare the colours of a lane anew where it has states that it had not."""
         lane = events[0].lane
         known = self._lanes.setdefault(lane, {})
@@ -327,30 +213,42 @@ class StreamLogger:
         if len(known) > before:
             declare_lane(self._rec, lane, known)
 
-    def _grown_s(self) -> float:
-        """Return how much the slow tabs show, s; while they grow the next power of two."""
-        age_s = max(1.0, 1e-9 * self._age_ns)
-        return min(2.0 ** math.ceil(math.log2(age_s)), slow_window(self._setup.window_s))
+    def end_file(self) -> None:
+        """Log what a file of a recording has at its end."""
+        self._panels.end_file()
+
+    def finish(self) -> None:
+        """Log the charts and the status card as they are at the end."""
+        self.end_file()
+        self._painter.finish()
+        self._log_events([event for event in self._lasting.values() if isinstance(event, Status)])
+        self._arrange()
+
+    def repeat(self) -> None:
+        """Log the latest states, status card and log lines once more, for who takes the newest first."""
+        if self._newest is None:
+            return
+        self._log_events(list(self._lasting.values()), again=True)
+        if self._has_log:
+            log_markdown(self._rec, LOG_TEXT, [self._log_text.text], self._newest)
 
     def _arrange(self) -> None:
         """Send the blueprint when what there is to see has changed."""
-        # A recording is not arranged anew for charts, which are drawn later: an arrangement takes 370 kB.
-        coming = {} if self._live else {key: drawing.chart for key, drawing in self._waiting.items()}
-        charts = (self._charts | coming).values()
+        age_ns = 0
+        if self._live and self._newest is not None and self._newest.clock is not None:
+            age_ns = int(self._newest.clock[0]) - (self._began_ns or 0)
         contents = Contents(
             panels=self._panels.shown,
-            charts=tuple((chart.place, chart.key, chart.title) for chart in charts),
+            charts=tuple(self._painter.titles.values()),
             lanes=tuple(sorted(map(lane_path, self._lanes))),
             log=self._has_log,
             status="status" in self._lasting,
             others=self._others.views,
             cards=tuple(self._panels.readings()),
-            filled=self._live and self._age_ns > 1e9 * self._setup.window_s,
-            full=self._live and self._age_ns > 1e9 * slow_window(self._setup.window_s),
-            grown_s=self._grown_s() if self._live else 0.0,
+            full=age_ns > 1e9 * slow_window(self._setup.window_s),
         )
         if contents and (contents, self._timeline) != self._arranged:
-            self._arranged = contents, self._timeline
+            self._arranged, self._arranged_s = (contents, self._timeline), time.monotonic()
             self.arrangement = blueprint(self._setup, contents, self._timeline, live=self._live)
             self._show(self.arrangement)
 
@@ -371,7 +269,6 @@ def status_card(event: Status) -> str:
 
 def _kind_of(event: Event) -> tuple[object, ...]:
     """Return what events must have in common to be logged together."""
-    at, what = event.at, lasting_key(event)
-    if isinstance(event, Numbers):
-        what = ",".join(event.values)
+    at = event.at
+    what = ",".join(event.values) if isinstance(event, Numbers) else event.lasting
     return type(event), what, at.sample is None, at.device_ns is None, at.host_ns is None

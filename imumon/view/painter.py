@@ -1,23 +1,24 @@
-"""Logs charts as pictures; live they are drawn beside the samples."""
+"""Logs charts as pictures: live they are drawn beside the samples, of a recording at its end."""
 
 from __future__ import annotations
 
 import math
 import threading
 import time
-from collections.abc import Callable
 from typing import Any
 
 import rerun as rr
 import rerun.blueprint as rrb
 
+from imumon.view.items import Drawing
+from imumon.view.pictures import picture
+from imumon.view.rows import at_instants
+
 CHARTS = "/charts"
-
-
-def log_picture(rec: rr.RecordingStream, key: str, blob: bytes, indexes: list[rr.TimeColumn]) -> None:
-    """Log the picture of a chart, a PNG, at one moment; without `indexes` as the only one that there is."""
-    image = rr.EncodedImage.columns(blob=[blob], media_type=["image/png"])
-    rec.send_columns(f"{CHARTS}/{key}", indexes=indexes, columns=image)
+PICTURE_SHARE = 0.03
+"""Live, drawing charts takes so much of the time at the most."""
+COLORS = 32
+"""Of a picture in a recording, which is then a quarter as large; with 16 the axes take each other's."""
 
 
 def chart_view(key: str, title: str) -> Any:
@@ -26,38 +27,45 @@ def chart_view(key: str, title: str) -> Any:
 
 
 class Painter:
-    """Draws live charts in a thread of its own: one takes 0.1 s or longer, in which samples go on.
+    """Draws the latest of each chart: live in a thread, as one takes 0.1 s, in which samples go on."""
 
-    Parameters
-    ----------
-    share : float
-        Of the time that drawing takes at the most.
-    """
-
-    def __init__(self, share: float) -> None:
-        self._share = share
+    def __init__(self, rec: rr.RecordingStream, *, live: bool) -> None:
+        self._rec, self._live = rec, live
+        self._waiting: dict[str, Drawing] = {}
         self._thread: threading.Thread | None = None
         self._next_s = -math.inf
+        self.titles: dict[str, tuple[str, str, str]] = {}
+        """Tab, key and title of every chart, by its key."""
 
-    @property
-    def is_free(self) -> bool:
-        """Return whether the next one can be drawn now."""
-        return time.monotonic() >= self._next_s
+    def add(self, drawing: Drawing) -> None:
+        """Take a chart, which replaces the one before that was not drawn."""
+        chart = drawing.chart
+        self._waiting[chart.key] = drawing
+        self.titles[chart.key] = chart.place, chart.key, chart.title
 
-    def begin(self, draw: Callable[[], None]) -> None:
-        """Draw, when it is free."""
-        self._next_s = math.inf
-        self._thread = threading.Thread(target=self._run, args=[draw], name="painter", daemon=True)
-        self._thread.start()
+    def draw_next(self) -> None:
+        """Begin to draw the one that waits longest, live and when it is time."""
+        if self._live and self._waiting and time.monotonic() >= self._next_s:
+            self._next_s = math.inf
+            drawing = self._waiting.pop(next(iter(self._waiting)))
+            self._thread = threading.Thread(target=self._draw, args=[drawing], name="painter", daemon=True)
+            self._thread.start()
 
-    def wait(self) -> None:
-        """Let what has begun be done."""
+    def finish(self) -> None:
+        """Draw all that wait."""
         if self._thread is not None:
             self._thread.join()
+        for drawing in self._waiting.values():
+            self._draw(drawing)
+        self._waiting.clear()
 
-    def _run(self, draw: Callable[[], None]) -> None:
+    def _draw(self, drawing: Drawing) -> None:
+        """Log the picture of a chart, a PNG; a recording has it whatever moment is looked at."""
         began = time.thread_time()
         try:
-            draw()
+            blob = picture(drawing.chart, None if self._live else COLORS)
+            image = rr.EncodedImage.columns(blob=[blob], media_type=["image/png"])
+            indexes = at_instants(drawing.at).indexes if self._live else []
+            self._rec.send_columns(f"{CHARTS}/{drawing.chart.key}", indexes=indexes, columns=image)
         finally:
-            self._next_s = time.monotonic() + (time.thread_time() - began) / self._share
+            self._next_s = time.monotonic() + (time.thread_time() - began) / PICTURE_SHARE

@@ -2,47 +2,69 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import rerun as rr
 
-from imumon.view.axes import Axes
 from imumon.view.cards import Cards, Reading, card
-from imumon.view.extent import Extent
+from imumon.view.extent import Extents
 from imumon.view.items import ViewSetup
-from imumon.view.layout import FIRST, Panel, Rows, log_markdown, tab_of
-from imumon.view.shown import ShownPanels
-from imumon.view.window import slow_window
+from imumon.view.layout import FIRST, SCENE, tab_of
+from imumon.view.panels import PANELS, Panel
+from imumon.view.rows import Rows, log_markdown
 
 LIVE_CARD_NS, RECORDED_CARD_NS = 500_000_000, 10_000_000_000
 """How often the cards are written: a person cannot read faster; in a recording each costs 2 kB."""
 
 
+class ShownPanels:
+    """The panels that have had a value in each of their columns, for the viewer and for a terminal."""
+
+    def __init__(self, setup: ViewSetup) -> None:
+        self.readings = {panel.key: panel.readings(setup) for panel in PANELS}
+        """What the card shows of each panel, by its key."""
+        self.begun: dict[str, Panel] = {}
+        """Those that have had data, in the order in which they began."""
+        self._drawing: dict[tuple[str, ...], tuple[Panel, ...]] = {}
+
+    def drawing(self, rows: Rows) -> Iterator[Panel]:
+        """Yield the panels of which all columns are there, whether they have a value or not."""
+        names = tuple(rows.columns)
+        if names not in self._drawing:  # the columns of a stream hardly ever change
+            there = set(names)
+            self._drawing[names] = tuple(panel for panel in PANELS if there.issuperset(panel.columns))
+        return iter(self._drawing[names])
+
+    def begins(self, panel: Panel, rows: Rows) -> bool:
+        """Take a new panel up when it has something to say; only one body can turn."""
+        turns = panel.place == SCENE and any(other.place == SCENE for other in self.begun.values())
+        if panel.key in self.begun or turns or not panel.says(rows):
+            return False
+        self.begun[panel.key] = panel
+        return True
+
+
 class PanelLog:
-    """The panels that have had data, in the order in which they stand.
+    """Logs the panels that have had data."""
 
-    Parameters
-    ----------
-    live : bool
-        Whether a person is watching.
-    """
-
-    def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, axes: Axes, *, live: bool) -> None:
-        self._rec, self._setup, self._axes, self._live = rec, setup, axes, live
+    def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, *, live: bool) -> None:
+        self._rec = rec
         self._step_ns = LIVE_CARD_NS if live else RECORDED_CARD_NS
         self._panels = ShownPanels(setup)
-        self._extents: dict[str, Extent] = {}
+        self._extents = Extents(rec, live=live)
         self._cards = Cards()
         self._written_ns: int | None = None
 
     @property
     def shown(self) -> tuple[Panel, ...]:
-        """The panels that have data."""
-        return self._panels.in_order
+        """The panels that have data, in the order in which they stand."""
+        return tuple(panel for panel in PANELS if panel.key in self._panels.begun)
 
     def declare(self) -> None:
-        """Log what does not change, for a new reader."""
+        """Log what does not change, for a new file."""
         for panel in self._panels.begun.values():
-            panel.declare(self._rec, live=self._live)
+            panel.declare(self._rec)
 
     def log(self, rows: Rows) -> set[str]:
         """Log rows; return the columns that panels draw."""
@@ -50,11 +72,14 @@ class PanelLog:
         for panel in self._panels.drawing(rows):
             claimed.update(panel.columns)
             if self._panels.begins(panel, rows):
-                panel.declare(self._rec, live=self._live)
+                panel.declare(self._rec)
             if panel.key in self._panels.begun:
                 panel.log(self._rec, rows)
-                self._log_extent(panel, rows)
                 self._cards.add(self._panels.readings[panel.key], rows.columns)
+                ends = panel.ends(rows)
+                if ends is not None:
+                    last = np.array([len(rows.columns[panel.columns[0]]) - 1])
+                    self._extents.set(panel.drawn, ends, rows.kept(last))
         return claimed
 
     def log_cards(self, newest: Rows) -> None:
@@ -78,19 +103,9 @@ class PanelLog:
                     found.setdefault(place, []).extend(readings)
         return found
 
-    def _log_extent(self, panel: Panel, rows: Rows) -> None:
-        reach = panel.reach(rows)
-        if reach is None:
-            return
-        extent = self._extents.setdefault(panel.key, Extent(self._window_s(panel)))
-        ends = extent.ends(rows.clock, reach)
-        if ends is not None:
-            self._axes.set(panel.drawn, ends, rows.kept(np.array([len(reach.values) - 1])))
-
-    def _window_s(self, panel: Panel) -> float | None:
-        first = tab_of(panel.place) == FIRST
-        shown = self._setup.window_s if first else slow_window(self._setup.window_s)
-        return shown if self._live else None
+    def end_file(self) -> None:
+        """Log what a file of a recording has at its end."""
+        self._extents.finish()
 
 
 def card_path(place: str) -> str:

@@ -8,8 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from imumon.charts import AXIS_COLORS, BLUE, GREEN, GREY, ORANGE, RED, VIOLET, Color
-from imumon.view.attitude import EARTH, Attitude
-from imumon.view.layout import Bands, Line, Panel, Strip
+from imumon.view.attitude import Attitude
+from imumon.view.layout import Bands, Line, Strip
+
+Panel = Strip | Attitude
 
 THERMAL = "Temperature"
 """Tab of the temperature estimates."""
@@ -60,29 +62,26 @@ def _thermal(suffixes: dict[str, Color], readings: str) -> Iterator[Panel]:
         yield Bands(name + "".join(suffixes), title, lines, unit, THERMAL, beside=beside, card=card)
 
 
+def _published(
+    method: str, quantity: str, title: str, unit: str, default: str, line: str = "", color: Color = VIOLET
+) -> Panel:
+    """Return the panel of a quantity by a published method, with the entity of the default beside.
+
+    A `line` is named, and its value has no sigma; otherwise the method's name stands there, in a 2σ band.
+    """
+    column, text = f"{method}_{quantity}", f"{title} ({method}) beside the default"
+    drawn = Line(column, line, color) if line else _with_sd(column, method, color)
+    text = text if line else f"{text}, 2σ"
+    return Bands(column, text, (drawn,), unit, METHODS, beside=f"/view/{default}/**")
+
+
 def _published_temperature(suffix: str, default: str) -> Iterator[Panel]:
     """Yield the panels of the FIR filter for the channel with this ending."""
-    rows = (("temperature_estimate", "Temperature", "°C"), ("temperature_rate", "Temperature rate", "°C/h"))
-    for name, title, unit in rows:
-        column = f"fir_{name}{suffix}"
-        title = f"{title}{suffix.replace('_', ' ')} (fir) beside the default, 2σ"
-        line = _with_sd(column, "fir", VIOLET)
-        yield Bands(column, title, (line,), unit, METHODS, beside=f"/view/{name}{default}/**")
-
-
-def _published_gyro(method: str, title: str, quantity: str, default: str) -> Iterator[Panel]:
-    """Yield the panels of a method, one for each gyro, with the entity of the default beside."""
-    for axis, color in AXIS_COLORS.items():
-        column = f"{method}_{quantity}_{axis}"
-        text = f"{title} {axis} ({method}) beside the default, 2σ"
-        line = _with_sd(column, method, color)
-        yield Bands(column, text, (line,), "°/h", METHODS, beside=f"/view/{default.format(axis=axis)}/**")
-
-
-def _published_heading(method: str, name: str, color: Color) -> Panel:
-    """Return the panel of a heading without a sigma."""
-    column, title = f"{method}_heading", f"Heading ({method}) beside the default"
-    return Bands(column, title, (Line(column, name, color),), "°", METHODS, beside="/view/heading/**")
+    for name, title, unit in (
+        ("temperature_estimate", "Temperature", "°C"),
+        ("temperature_rate", "Temperature rate", "°C/h"),
+    ):
+        yield _published("fir", name + suffix, title + suffix.replace("_", " "), unit, name + default)
 
 
 def _phi(key: str, title: str, place: str) -> Panel:
@@ -92,7 +91,14 @@ def _phi(key: str, title: str, place: str) -> Panel:
 PANELS: tuple[Panel, ...] = (
     Attitude("attitude", ("q_w", "q_x", "q_y", "q_z")),
     Attitude("attitude_from_angles", ("roll", "pitch", "yaw")),
-    Attitude("attitude_estimate", tuple(f"attitude_estimate_{part}" for part in "wxyz"), EARTH),
+    Attitude(
+        "attitude_estimate",
+        tuple(f"attitude_estimate_{part}" for part in "wxyz"),
+        "/attitude_estimate",
+        "Attitude by the estimator: the device sends none",
+        ("east", "north", "up"),
+        up=1.0,
+    ),
     Strip("gyro", "Angular rate", _axes("gyro"), "°/s", card="angular rate"),
     Strip("accel", "Specific force", _axes("accel"), card="specific force"),
     Strip("mag", "Magnetic field", _axes("mag"), card="magnetic field"),
@@ -241,16 +247,31 @@ PANELS: tuple[Panel, ...] = (
     *_published_temperature("", ""),
     *(panel for axis in "xyz" for panel in _published_temperature(f"_{axis}", "_x_y_z")),
     *(
-        panel
+        _published(
+            method,
+            f"random_error_{axis}",
+            f"Random error {axis}",
+            "°/h",
+            f"gyro_random_error_{axis}",
+            color=color,
+        )
         for method in ("stf", "sr_ukf", "sr_rsukf")
-        for panel in _published_gyro(method, "Random error", "random_error", "gyro_random_error_{axis}")
+        for axis, color in AXIS_COLORS.items()
     ),
     *(_phi(f"{method}_phi", f"φ ({method}), 2σ", METHODS) for method in ("sr_ukf", "sr_rsukf")),
-    *_published_gyro("dense_zupt", "Gyro bias", "gyro_bias", "gyro_bias"),
-    *_published_gyro("dense_tczupt", "Gyro bias", "gyro_bias", "gyro_bias"),
-    _published_heading("fixed_gain_loop", "now", GREY),
-    _published_heading("total_average", "average", RED),
-    _published_heading("curve_fit", "curve-fit", ORANGE),
+    *(
+        _published(method, f"gyro_bias_{axis}", f"Gyro bias {axis}", "°/h", "gyro_bias", color=color)
+        for method in ("dense_zupt", "dense_tczupt")
+        for axis, color in AXIS_COLORS.items()
+    ),
+    *(
+        _published(method, "heading", "Heading", "°", "heading", line, color)
+        for method, line, color in (
+            ("fixed_gain_loop", "now", GREY),
+            ("total_average", "average", RED),
+            ("curve_fit", "curve-fit", ORANGE),
+        )
+    ),
     Bands(
         "fixed_gain_loop_control_rate",
         "Horizontal control rates (fixed_gain_loop)",
@@ -280,7 +301,6 @@ PANELS: tuple[Panel, ...] = (
         LINK,
         "steps",
         least=4.0,  # a count over 2 s is known to half a packet a second
-        floor=0.0,
         card="packets",
     ),
     Strip(
@@ -290,7 +310,6 @@ PANELS: tuple[Panel, ...] = (
         "%",
         LINK,
         "steps",
-        floor=0.0,
         card="link load",
     ),
     Strip(
@@ -300,7 +319,6 @@ PANELS: tuple[Panel, ...] = (
         place=LINK,
         look="steps",
         least=4.0,  # whole packets
-        floor=0.0,
     ),
 )
 """All panels, in the order in which they stand.  The attitude that comes first turns the body."""

@@ -3,12 +3,7 @@
 from __future__ import annotations
 
 import io
-import os
-import pickle
-import subprocess
-import sys
 import threading
-from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -25,10 +20,6 @@ ROOM, BOTTOM = {"left": 0.114, "right": 0.985}, 0.086
 """Fixed: to fit them to the labels takes as long as all else."""
 LETTERS = 40
 """So many of a headline fit at full size."""
-COLORS = 32
-"""Of a picture in a recording, which is then a quarter as large; with 16 the axes take each other's."""
-APART_S = 60.0
-"""Longer nobody waits for pictures."""
 LEAST_MARKS, READABLE = 3, ((1,), (1, 2, 5), tuple(range(1, 10)))
 """An axis has so many numbers or more: at the first of these multiples of powers of ten that give them."""
 TOP, NOTE, HEADLINE = 0.98, 0.032, 0.073
@@ -50,28 +41,6 @@ STYLE: Any = {
 
 _ONE_AT_A_TIME = threading.Lock()
 """The figures, and matplotlib's style, are those of the whole program."""
-
-
-def pictures_apart(charts: Sequence[Chart], *, niceness: int = 0) -> list[bytes]:
-    """Return each chart as a small PNG; none when that cannot be.
-
-    They are drawn by a process of its own, which takes the 40 MB of matplotlib with it when it ends.
-    """
-    if not charts:
-        return []
-    try:
-        done = subprocess.run(
-            [sys.executable, "-m", __name__, str(niceness)],
-            input=pickle.dumps(charts),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            timeout=APART_S,
-            check=True,
-        )
-    except (OSError, subprocess.SubprocessError):
-        return []
-    drawn: list[bytes] = pickle.loads(done.stdout)
-    return drawn
 
 
 def picture(chart: Chart, colors: int | None = None) -> bytes:
@@ -167,14 +136,3 @@ def _logarithmic(axes: Any, name: str) -> None:
 def _has_logarithm(chart: Chart, name: str) -> bool:
     values: list[FloatArray] = [getattr(curve, name) for curve in chart.curves]
     return any(bool((np.asarray(part) > 0).any()) for part in values)
-
-
-def _main() -> None:
-    """Draw what comes on the standard input, for `pictures_apart`."""
-    os.nice(int(sys.argv[1]))
-    charts: list[Chart] = pickle.load(sys.stdin.buffer)
-    pickle.dump([picture(chart, COLORS) for chart in charts], sys.stdout.buffer)
-
-
-if __name__ == "__main__":
-    _main()

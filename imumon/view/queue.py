@@ -5,31 +5,24 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from typing import Generic, TypeVar
 
-from imumon.view.items import Shown, item_bytes, item_rows, lasting_key
-
-Kind = TypeVar("Kind", bound=Shown)
+from imumon.view.items import ViewItem
 
 
-class DropOldestQueue(Generic[Kind]):
+class DropOldestQueue:
     """View items in order, at the most `max_bytes` of them.
 
     States and the status card outlive their place in the queue: the latest of each that had to be dropped is
     handed out with the next batch, so that a lane never stays wrong.
-
-    Parameters
-    ----------
-    max_bytes : int
-        Memory that the items may hold.
     """
 
     def __init__(self, max_bytes: int) -> None:
         self._max_bytes = max_bytes
-        self._items: deque[Kind] = deque()
-        self._lasting: dict[str, Kind] = {}
+        self._items: deque[ViewItem] = deque()
+        self._lasting: dict[str, ViewItem] = {}
         self._bytes = 0
-        self._closed = threading.Event()
+        self.closed = threading.Event()
+        """Set once `close` was called."""
         self._taken_s = time.monotonic()
         self._filled = threading.Condition()
         self.dropped = 0
@@ -40,27 +33,27 @@ class DropOldestQueue(Generic[Kind]):
         """Bytes of memory that the items hold."""
         return self._bytes
 
-    def put(self, item: Kind) -> None:
+    def put(self, item: ViewItem) -> None:
         """Append an item; drop the oldest ones when that is too much."""
         with self._filled:
             was_empty = not self._items
             self._items.append(item)
-            self._bytes += item_bytes(item)
+            self._bytes += item.nbytes
             while self._bytes > self._max_bytes:
                 self._drop_oldest()
             if was_empty:
                 self._filled.notify()
 
-    def take(self, apart_s: float, wait_s: float) -> list[Kind]:
+    def take(self, apart_s: float, wait_s: float) -> list[ViewItem]:
         """Return all items, `apart_s` after the last ones or later; an empty list after `wait_s` without any.
 
         When the queue is closed, what is left is returned at once.
         """
         with self._filled:
-            self._filled.wait_for(lambda: self._items or self.is_closed(), wait_s)
+            self._filled.wait_for(lambda: self._items or self.closed.is_set(), wait_s)
             if not self._items:
                 return []
-        self._closed.wait(self._taken_s + apart_s - time.monotonic())
+        self.closed.wait(self._taken_s + apart_s - time.monotonic())
         with self._filled:
             self._taken_s = time.monotonic()
             items = [*self._lasting.values(), *self._items]
@@ -71,19 +64,15 @@ class DropOldestQueue(Generic[Kind]):
 
     def close(self) -> None:
         """End all waiting."""
-        self._closed.set()
+        self.closed.set()
         with self._filled:
             self._filled.notify_all()
 
-    def is_closed(self) -> bool:
-        """Return whether `close` was called."""
-        return self._closed.is_set()
-
     def _drop_oldest(self) -> None:
         item = self._items.popleft()
-        self._bytes -= item_bytes(item)
-        key = lasting_key(item)
+        self._bytes -= item.nbytes
+        key = item.lasting
         if key is not None:
             self._lasting[key] = item
         else:
-            self.dropped += item_rows(item)
+            self.dropped += item.rows

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import threading
-from collections import deque
+import time
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import rerun as rr
 
-from imumon.blocks import IntArray
 from imumon.errors import ImumonError, Reason
 from imumon.heap import trim_heap
-from imumon.view.items import Samples, ViewItem, ViewSetup, item_rows, merge
+from imumon.view.items import ViewItem, ViewSetup, merge
 from imumon.view.logger import StreamLogger
 from imumon.view.queue import DropOldestQueue
-from imumon.view.rrd import APPLICATION
+from imumon.view.viewer import APPLICATION
 
 BATCH_S = 30.0
 """Items of this long become one chunk per panel.  A chunk costs about 1.4 kB beside its rows: with 80 panels
@@ -43,7 +42,7 @@ class ViewRecorder:
     setup : ViewSetup
         As for the live view, so that both are the same recording.
     segment_s : float
-        A new segment begins when this much time has passed in the data.
+        A new segment begins with the first batch after this much time.
     on_error : callable
         Called with `error` once, from the thread that writes.
     """
@@ -61,11 +60,10 @@ class ViewRecorder:
         if not path.parent.is_dir():
             raise ImumonError(Reason.NOT_FOUND, f"there is no folder {path.parent}")
         self._path = path
-        self._segment_ns = round(segment_s * 1e9)
-        self._began_ns: int | None = None
+        self._segment_s, self._opened_s = segment_s, -math.inf
         self._rec = rr.RecordingStream(APPLICATION, recording_id=setup.recording_id)
         self._logger = StreamLogger(self._rec, setup, live=False)
-        self._queue: DropOldestQueue[ViewItem] = DropOldestQueue(QUEUE_BYTES)
+        self._queue = DropOldestQueue(QUEUE_BYTES)
         self._refused = 0
         self._error = ""
         self._on_error = on_error
@@ -110,7 +108,7 @@ class ViewRecorder:
     def _run(self) -> None:
         closing = False
         while not closing:
-            closing = self._queue.is_closed()
+            closing = self._queue.closed.is_set()
             self._write_next()
             trim_heap()
         self._logger.finish()
@@ -120,10 +118,13 @@ class ViewRecorder:
         """Write what has come; where that cannot be, count it."""
         items = merge(self._queue.take(BATCH_S, BATCH_S))
         if items and not self._error:
-            self._write(items)
+            if time.monotonic() - self._opened_s > self._segment_s:
+                self._logger.end_file()
+                self._open_segment()
+            self._logger.log(items)
             self._check()
         elif items:
-            self._refused += sum(map(item_rows, items))
+            self._refused += sum(item.rows for item in items)
 
     def _check(self) -> None:
         """Find out whether Rerun could write; it says so in its log only, or when asked to flush."""
@@ -134,57 +135,10 @@ class ViewRecorder:
                 self._error = f"{self._files[-1]} cannot be written any more: {error}"
                 self._on_error(self._error)
 
-    def _write(self, items: list[ViewItem]) -> None:
-        """Log items in order of their kind; where a segment ends, go on in the next one."""
-        batch: list[ViewItem] = []
-        waiting = deque(items)
-        while waiting:
-            now, rest = self._cut(waiting.popleft())
-            if now is not None:
-                batch.append(now)
-            if rest is not None:
-                early = [item for item in waiting if self._is_before_segment(item)]
-                later = [item for item in waiting if not self._is_before_segment(item)]
-                waiting = deque([rest, *later])
-                self._logger.log([*batch, *early])
-                batch = []
-                self._open_segment()
-        self._logger.log(batch)
-
-    def _is_before_segment(self, item: ViewItem) -> bool:
-        """Return whether an event that stands behind the samples belongs to the segment that ends."""
-        times = _times_ns(item)
-        if isinstance(item, Samples) or self._began_ns is None:
-            return False
-        return times is None or int(times[0]) < self._began_ns
-
-    def _cut(self, item: ViewItem) -> tuple[ViewItem | None, ViewItem | None]:
-        """Return what belongs to this segment and what begins the next, by the time in the data."""
-        times = _times_ns(item)
-        if times is None or not len(times):
-            return item, None
-        if self._began_ns is None:
-            self._began_ns = int(times[0])
-        row = int(np.searchsorted(times, self._began_ns + self._segment_ns))
-        if row == len(times):
-            return item, None
-        self._began_ns = int(times[row])
-        if not isinstance(item, Samples):
-            return None, item
-        return item.part(0, row) if row else None, item.part(row, item.rows)
-
     def _open_segment(self) -> None:
         count = len(self._files)
-        if count:
-            self._logger.end_file()
         path = self._path if count == 0 else self._path.with_suffix(f".{count:04d}{self._path.suffix}")
         self._rec.set_sinks(rr.FileSink(path))
         self._files.append(path)
-        self._logger.begin(arrange=count == 0)
-
-
-def _times_ns(item: ViewItem) -> IntArray | None:
-    """Return the device times of an item, or its host times when the device tells none."""
-    if isinstance(item, Samples):
-        return item.host_ns if item.device_ns is None else item.device_ns
-    return None if item.at.device_ns is None else np.array([item.at.device_ns], np.int64)
+        self._opened_s = time.monotonic()
+        self._logger.begin()

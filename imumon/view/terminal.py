@@ -13,10 +13,10 @@ from imumon.harmless import for_log
 from imumon.view.cards import AXES, Cards, Reading, cell
 from imumon.view.items import Log, Numbers, Samples, State, ViewItem, ViewSetup, merge
 from imumon.view.lanes import states_text
-from imumon.view.layout import Rows
 from imumon.view.log_text import dated
+from imumon.view.panel_log import ShownPanels
 from imumon.view.queue import DropOldestQueue
-from imumon.view.shown import ShownPanels
+from imumon.view.rows import Rows
 
 QUEUE_BYTES = 4 << 20
 HISTORY = 60
@@ -25,26 +25,17 @@ LOG_LINES = 100
 BARS = "▁▂▃▄▅▆▇█"
 NAME, CELL, UNIT, SPARK = 18, 15, 5, 10
 """Columns of text that the parts of a row take."""
-LEAST_NAME = 6
-"""Letters of a name that still tell what a number is."""
-WIDE = 120
-"""From so many columns on every axis has its sparkline."""
 
 
 class TerminalView:
     """Gathers view items and tells what a screen of some size shows of them.
 
     `publish` may be called from any thread and returns at once; `lines` from one thread.
-
-    Parameters
-    ----------
-    setup : ViewSetup
-        Title and units.
     """
 
     def __init__(self, setup: ViewSetup) -> None:
         self._setup = setup
-        self._queue: DropOldestQueue[ViewItem] = DropOldestQueue(QUEUE_BYTES)
+        self._queue = DropOldestQueue(QUEUE_BYTES)
         self._cards = Cards()
         self._panels = ShownPanels(setup)
         self._past: dict[str, deque[float]] = {}
@@ -95,8 +86,7 @@ class TerminalView:
         """Return the rows of one panel: three axes beside each other, other values below each other."""
         if [one.name for one in readings] == AXES and columns >= NAME + len(AXES) * CELL:
             cells = "".join(f"{cell(one, now):>{CELL}}" for one in readings)
-            shown = readings if columns >= WIDE else [self._liveliest(readings)]
-            sparks = "  ".join(f"{one.name} {self._spark(one)}" for one in shown)
+            sparks = "  ".join(f"{one.name} {self._spark(one)}" for one in readings)
             return [f"{readings[0].row:{NAME}}{cells} {readings[0].unit:{UNIT}} {sparks}"]
         if columns < NAME + CELL + UNIT:
             return [_narrow(_label(one, readings), cell(one, now), one.unit, columns) for one in readings]
@@ -104,15 +94,6 @@ class TerminalView:
             f"{_label(one, readings):{NAME}}{cell(one, now):>{CELL}} {one.unit:{UNIT}} {self._spark(one)}"
             for one in readings
         ]
-
-    def _liveliest(self, readings: Sequence[Reading]) -> Reading:
-        """Return the axis that changes most."""
-
-        def spread(reading: Reading) -> float:
-            known = [value for value in self._past.get(reading.column, ()) if math.isfinite(value)]
-            return max(known) - min(known) if known else -1.0
-
-        return max(readings, key=spread)
 
     def _spark(self, reading: Reading) -> str:
         return sparkline(list(self._past.get(reading.column, ()))[-SPARK:])
@@ -133,25 +114,17 @@ def _label(reading: Reading, readings: Sequence[Reading]) -> str:
 
 
 def _narrow(label: str, value: str, unit: str, columns: int) -> str:
-    """Return a row of few columns: the value whole, its sigma and the whole name where they have room."""
-    if len(value) + len(unit) + 2 + LEAST_NAME > columns:
-        value = value.partition(" ± ")[0]
-    text, words = f"{value} {unit}".rstrip(), label.split()
-    width = columns - len(text) - 1
-    while len(" ".join(words)) > width and max(map(len, words)) > 1:
-        longest = max(range(len(words)), key=lambda at: len(words[at]))
-        words[longest] = words[longest][:-1]
-    return f"{' '.join(words):{max(width, 0)}} {text}"
+    """Return a row of few columns: the value without its sigma, and of its name the end and what has room."""
+    text = f"{value.partition(' ± ')[0]} {unit}".rstrip()
+    room = max(columns - len(text) - 1, 0)
+    if len(label) > room:
+        head, _, last = label.rpartition(" ")
+        label = f"{head[: max(room - len(last) - 1, 0)]} {last}"
+    return f"{label:{room}} {text}"
 
 
 class Screen:
-    """Writes lines to a terminal, only those that changed: it stays usable at 9600 baud.
-
-    Parameters
-    ----------
-    write : callable
-        Takes text for the terminal.
-    """
+    """Writes lines to a terminal, only those that changed: it stays usable at 9600 baud."""
 
     def __init__(self, write: Callable[[str], None]) -> None:
         self._write = write

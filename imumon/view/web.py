@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.client
+import ipaddress
 import re
 import socket
 import sys
@@ -15,13 +16,25 @@ from functools import partial
 from html import escape
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.error import URLError
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 from imumon.errors import ImumonError, Reason
-from imumon.view.gate import hidden_address, refusal
-from imumon.view.viewer import proxy_url, start_quietly, viewer_binary
+from imumon.view.items import ViewSetup
+from imumon.view.viewer import (
+    LOCALHOST,
+    SERVER_MEMORY,
+    WEB_PORT,
+    hidden_address,
+    listen,
+    proxy_url,
+    start_quietly,
+    viewer_binary,
+)
+
+if TYPE_CHECKING:
+    import rerun as rr
 
 ASSETS = {
     "/": "text/html; charset=utf-8",
@@ -36,6 +49,36 @@ STREAM_PATH = "/rerun."
 PART_BYTES = 1 << 16
 OURS = {"connection", "keep-alive", "transfer-encoding", "content-length", "host", "origin", "server", "date"}
 """Headers that each of two connections has of its own; ``Host`` and ``Origin`` were judged here."""
+
+
+HOST = re.compile(r"([\w.-]+|\[[0-9a-fA-F:]+\])(?::\d+)?$")
+
+
+def refusal(host: str, origin: str = "") -> str:
+    """Return why a request with these headers is not answered; empty when it is.
+
+    A page of another site that is open in the same browser can send requests to this computer.  Its own name
+    is then in ``Origin``, or in ``Host`` when that name was made to lead here (DNS rebinding).  A name can be
+    made to lead anywhere by who owns it; an address, and this computer's name, cannot.
+    """
+    requested = HOST.match(host)
+    name = requested.group(1).lower() if requested else ""
+    if not _is_here(name):
+        return f"Host {host!r} is neither an address nor the name of this computer: open it by its address"
+    if origin and (urlsplit(origin).hostname or "") != name.strip("[]"):
+        return f"Origin {origin!r} is another site"
+    return ""
+
+
+def _is_here(name: str) -> bool:
+    own = socket.gethostname().lower()
+    if name in ("localhost", own, f"{own}.local"):
+        return True
+    try:
+        ipaddress.ip_address(name.strip("[]"))
+    except ValueError:
+        return False
+    return True
 
 
 def bundled_assets() -> dict[str, bytes]:
@@ -76,6 +119,23 @@ def without_elsewhere(html: str) -> str:
 def titled(html: str, title: str) -> str:
     """Return a page with another title."""
     return re.sub(r"<title>.*?</title>", lambda _: f"<title>{escape(title)}</title>", html, flags=re.DOTALL)
+
+
+def serve_stream(rec: rr.RecordingStream) -> tuple[str, int]:
+    """Let viewers read a stream, and return where."""
+    import rerun as rr
+
+    address = hidden_address()
+    rec.set_sinks(rr.GrpcServerSink(*address, server_memory_limit=SERVER_MEMORY, newest_first=True))
+    return address
+
+
+def serve_page(
+    rec: rr.RecordingStream, setup: ViewSetup, port: int = WEB_PORT, bind: str = LOCALHOST
+) -> WebServer:
+    """Let browsers read a stream, on this port or the next one free."""
+    title = " - ".join(filter(None, (setup.properties.get("device", ""), setup.title, "imumon")))
+    return WebServer(listen(port, bind), serve_stream(rec), title)
 
 
 POLICY = (

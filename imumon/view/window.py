@@ -15,6 +15,7 @@ SLOW_WINDOW_S = 600.0
 """The tabs behind the first show what is slow: the time since the start, then so many seconds at least."""
 TEMPORAL = ("device_time", "host_time")
 ENDLESS = rrb.TimeRangeBoundary.infinite()
+NOW = rrb.TimeRangeBoundary.cursor_relative()
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,18 +26,13 @@ class Window:
     """Length; None for a whole recording."""
     full: bool = True
     """Whether so much has come; until then it begins where the data does."""
-    margin_s: float = 0.0
-    """What stays free on the right, for a legend, s."""
-    until_ns: int | None = None
-    """Where the axis of a whole recording ends; with the data without."""
 
     def looks(self, ends: Sequence[str]) -> dict[Any, Any]:
-        """Return what is queried of the ends of axes: live the latest, which are of the whole window each."""
+        """Return what is queried of the ends of axes: live the latest."""
         if self.seconds is None:
             return {}
         start = rrb.TimeRangeBoundary.cursor_relative(seconds=-LATEST_S)
-        end = rrb.TimeRangeBoundary.cursor_relative()
-        ranges = [rrb.VisibleTimeRange(one, start=start, end=end) for one in TEMPORAL]
+        ranges = [rrb.VisibleTimeRange(one, start=start, end=NOW) for one in TEMPORAL]
         return {one: [rrb.VisibleTimeRanges(ranges)] for one in ends}
 
     @property
@@ -44,16 +40,12 @@ class Window:
         """What is queried, on whichever timeline is chosen."""
         if self.seconds is None:
             return None
-        end = rrb.TimeRangeBoundary.cursor_relative()
-        return [rrb.VisibleTimeRange(timeline, start=self._start, end=end) for timeline in TEMPORAL]
+        return [rrb.VisibleTimeRange(timeline, start=self._start, end=NOW) for timeline in TEMPORAL]
 
     @property
     def axis(self) -> rrb.TimeAxis:
         """What the axis shows; without it the viewer shows a minute around the cursor."""
-        if self.seconds is None:
-            until = ENDLESS if self.until_ns is None else rrb.TimeRangeBoundary.absolute(nanos=self.until_ns)
-            return rrb.TimeAxis(view_range=rr.TimeRange(start=ENDLESS, end=until))
-        end = rrb.TimeRangeBoundary.cursor_relative(seconds=self.margin_s)
+        end = ENDLESS if self.seconds is None else NOW
         return rrb.TimeAxis(view_range=rr.TimeRange(start=self._start, end=end))
 
     @property
@@ -75,7 +67,7 @@ def series_view(
 ) -> Any:
     """Return a view of series over time, with other entities beside the first, and maybe a legend.
 
-    A legend stands in the view, over data where there is no margin: better the title tells the colours.
+    A legend stands in the view, over data: better the title tells the colours.
 
     `ends` are entities that say how far the vertical axis reaches now.
     """

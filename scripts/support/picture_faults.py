@@ -12,15 +12,15 @@ from PIL import Image
 from rerun.chunk import ChunkStore, RrdReader
 
 from imumon.blocks import FloatArray
-from imumon.view.extent import WIDE, entity
-from imumon.view.layout import Panel
+from imumon.view.extent import LATEST_S, entity
+from imumon.view.panels import Panel
 
 LEGEND = 0.86
 """Where the legend of a view begins, as a share of its width."""
 CONTRAST, LEAST_INK = 60, 60
 """A pixel so far from the background, or so colourful, is ink; with less of it a panel is empty."""
 OUTSIDE = 0.02
-"""Share of a band's samples that may be cut off: those that are many times as wide as usual."""
+"""Share of a band's latest samples that may be cut off: the axis follows once a second."""
 
 
 def views_of(container: Any) -> Iterator[Any]:
@@ -53,10 +53,11 @@ def axis_faults(recording: Path, panels: Iterable[Panel], window_s: float) -> li
         low, high = ends[panel][-1, 1:]
         bands = measured(logged, f"{panel.drawn}/**")
         if len(bands):
-            bands = bands[bands[:, 0] > bands[-1, 0] - window_s]
-            half = np.sqrt(bands[:, 2])
-            usual = half <= WIDE * np.median(half)
-            outside = usual & ((bands[:, 1] - half < low) | (bands[:, 1] + half > high))
+            seen = bands[bands[:, 0] > bands[-1, 0] - window_s]
+            low, high = min(low, seen[:, 1].min()), max(high, seen[:, 1].max())
+            now = bands[bands[:, 0] > bands[-1, 0] - LATEST_S]
+            half = np.sqrt(now[:, 2])
+            outside = (now[:, 1] - half < low) | (now[:, 1] + half > high)
             if outside.mean() > OUTSIDE:
                 faults.append(f"{panel.key}: {outside.mean():.0%} of its band outside {low:g} to {high:g}")
     return faults

@@ -14,10 +14,10 @@ from PIL import Image
 
 from imumon.fleet.rack.description import load_rack
 from imumon.fleet.rack.rack import Rack
+from imumon.fleet.rack.view import UnitsLogger
 from imumon.protocols.device import device_text, load_device
-from imumon.view.items import Shown, ViewSetup
-from imumon.view.rrd import APPLICATION
-from imumon.view.units import UnitsLogger
+from imumon.view.items import ViewItem, ViewSetup
+from imumon.view.viewer import APPLICATION
 from support.screenshots import COLORS, PICTURES, studio
 from tests.faults.rack import Feeder, packets, write_rack
 
@@ -38,9 +38,9 @@ def main() -> None:
         sent = packets(load_device(str(device)), RATE_HZ, SECONDS + 60.0)
         rec = rr.RecordingStream(APPLICATION, recording_id="rack")
         rec.set_sinks(rr.GrpcSink(place.url))
-        logger = UnitsLogger(rec, ViewSetup("rack bench", "rack", several=True), rec.send_blueprint)
+        logger = UnitsLogger(rec, ViewSetup("rack bench", "rack"))
         logger.begin()
-        items: list[Shown] = []
+        items: list[ViewItem] = []
         rack = Rack(folder / "sessions", print, items.append)
         with closing(Feeder(folder, names, sent, RATE_HZ)) as feeder:
             rack.change(load_rack(write_rack(folder, feeder, device.name)))

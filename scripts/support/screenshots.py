@@ -20,8 +20,7 @@ from rerun.experimental import ViewerClient
 from imumon.view.items import ViewItem, ViewSetup, merge
 from imumon.view.logger import StreamLogger
 from imumon.view.panels import PANELS
-from imumon.view.rrd import APPLICATION
-from imumon.view.viewer import free_port, proxy_url, quiet_environment, viewer_binary
+from imumon.view.viewer import APPLICATION, free_port, proxy_url, quiet_environment, viewer_binary
 from imumon.view.window import slow_window
 from support.picture_faults import axis_faults, is_empty, views_of
 from support.scenes import scenes, view_items

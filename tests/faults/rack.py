@@ -221,7 +221,7 @@ class Costs:
         self._processes = {"the rack": rack, "the feeder": psutil.Process()}
         for child in rack.children(recursive=True):
             command = " ".join(child.cmdline())
-            if "imumon.view.child" in command:
+            if "imumon.fleet.rack.view" in command:
                 self._processes["the view"] = child
             elif "rerun" in command:
                 self._processes["the viewer"] = child

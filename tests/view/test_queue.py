@@ -6,7 +6,7 @@ import time
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imumon.view.items import Log, Samples, State, Status, Timebase, ViewItem, item_bytes
+from imumon.view.items import Log, Samples, State, Status, Timebase, ViewItem
 from imumon.view.queue import DropOldestQueue
 from tests.view.streams import block
 from tests.waiting import LIMIT_S
@@ -21,7 +21,7 @@ def samples(count: int) -> list[Samples]:
 @given(count=st.integers(1, 40), room=st.integers(1, 20))
 def test_newest_survive_and_the_rest_are_counted(count: int, room: int) -> None:
     items = samples(count)
-    queue: DropOldestQueue[ViewItem] = DropOldestQueue(room * item_bytes(items[0]))
+    queue = DropOldestQueue(room * items[0].nbytes)
     for item in items:
         queue.put(item)
     kept = queue.take(0.0, 0.0)
@@ -32,7 +32,7 @@ def test_newest_survive_and_the_rest_are_counted(count: int, room: int) -> None:
 def test_latest_state_and_status_outlive_their_place() -> None:
     items = samples(5)
     at = Timebase().at(0)
-    queue: DropOldestQueue[ViewItem] = DropOldestQueue(2 * item_bytes(items[0]))
+    queue = DropOldestQueue(2 * items[0].nbytes)
     lasting: list[ViewItem] = [
         State(at, "port", "opening"),
         State(at, "port", "lost"),
@@ -46,14 +46,14 @@ def test_latest_state_and_status_outlive_their_place() -> None:
 
 def test_an_item_larger_than_the_queue_is_dropped_and_counted() -> None:
     item = samples(1)[0]
-    queue: DropOldestQueue[ViewItem] = DropOldestQueue(item_bytes(item) - 1)
+    queue = DropOldestQueue(item.nbytes - 1)
     queue.put(item)
     assert queue.take(0.0, 0.0) == []
     assert queue.dropped == 10
 
 
 def test_take_waits_for_the_first_item() -> None:
-    queue: DropOldestQueue[ViewItem] = DropOldestQueue(1 << 20)
+    queue = DropOldestQueue(1 << 20)
     item = samples(1)[0]
     timer = threading.Timer(0.05, queue.put, [item])
     timer.start()
@@ -62,7 +62,7 @@ def test_take_waits_for_the_first_item() -> None:
 
 
 def test_batches_come_at_once_but_not_sooner_after_each_other() -> None:
-    queue: DropOldestQueue[ViewItem] = DropOldestQueue(1 << 20)
+    queue = DropOldestQueue(1 << 20)
     first, *rest = samples(3)
     asked = time.monotonic()
     queue._taken_s = asked - LIMIT_S  # as if nothing had come for so long
@@ -79,7 +79,7 @@ def test_batches_come_at_once_but_not_sooner_after_each_other() -> None:
 
 
 def test_close_ends_waiting_and_gathering() -> None:
-    queue: DropOldestQueue[ViewItem] = DropOldestQueue(1 << 20)
+    queue = DropOldestQueue(1 << 20)
     queue.put(samples(1)[0])
     timer = threading.Timer(0.05, queue.close)
     timer.start()

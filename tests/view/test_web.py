@@ -8,9 +8,11 @@ import urllib.request
 from collections.abc import Iterator
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from imumon.view.viewer import listen
-from imumon.view.web import WebServer, without_elsewhere
+from imumon.view.web import WebServer, refusal, without_elsewhere
 
 HTML = """<html><head><link rel="preconnect" href="https://fonts.example" />
 <link
@@ -97,3 +99,32 @@ def test_nothing_else_is_passed_on_and_a_stream_that_is_away_is_said(server: Web
         connection.request("POST", path, b"body")
         assert connection.getresponse().status == status
         connection.close()
+
+
+@pytest.mark.parametrize(
+    ("host", "origin", "answered"),
+    [
+        ("127.0.0.1:9876", "", True),
+        ("127.0.0.1:9876", "http://127.0.0.1:9090", True),
+        ("[::1]:9876", "http://[::1]:9090", True),
+        ("10.0.0.5:9876", "http://10.0.0.5:9090", True),
+        ("BENCH-PC:9876", "http://bench-pc:9090", True),
+        ("bench-pc.local", "", True),
+        ("127.0.0.1:9876", "http://evil.example", False),
+        ("127.0.0.1:9876", "null", False),
+        ("evil.example:9876", "http://evil.example:9876", False),
+        ("127.0.0.1.evil.example", "", False),
+        ("127.0.0.1, evil.example", "", False),
+        ("", "", False),
+    ],
+)
+def test_addresses_and_this_computer_are_answered(
+    host: str, origin: str, answered: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(socket, "gethostname", lambda: "bench-pc")
+    assert (refusal(host, origin) == "") == answered
+
+
+@given(st.text(), st.text())
+def test_any_header_is_judged(host: str, origin: str) -> None:
+    refusal(host, origin)

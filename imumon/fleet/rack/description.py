@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
-from pydantic import Field, StringConstraints, ValidationError, model_validator
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from pydantic import Field, StringConstraints
 
 from imumon.config import StrictModel, parse_yaml
-from imumon.errors import ImumonError
+from imumon.errors import ImumonError, Reason
 from imumon.files import read_text
 from imumon.models.model import load_model
 from imumon.protocols.device import device_text, parse_device
@@ -56,31 +54,6 @@ class RackFile(StrictModel):
     default: Shared = Shared()
     units: dict[Name, Place] = Field(min_length=1, max_length=MOST_UNITS)
 
-    @model_validator(mode="after")
-    def _agree(self) -> RackFile:
-        """Every unit has a device, and a port of its own."""
-        wrong = [
-            InitErrorDetails(
-                type=PydanticCustomError("value_error", "{said}", {"said": text}),
-                loc=("units", name, key),
-                input=None,
-            )
-            for name, key, text in self._contradictions()
-        ]
-        if wrong:
-            raise ValidationError.from_exception_data("RackFile", wrong)
-        return self
-
-    def _contradictions(self) -> Iterator[tuple[str, str, str]]:
-        """Yield the unit, the key and what is wrong with it."""
-        ports: dict[str, str] = {}
-        for name, place in self.units.items():
-            if place.device is None and self.default.device is None:
-                yield name, "device", "neither the unit nor the default says which device it is"
-            if place.port in ports:
-                yield name, "port", f"{place.port} is the port of {ports[place.port]} already"
-            ports.setdefault(place.port, name)
-
 
 @dataclass(frozen=True, slots=True)
 class Plan:
@@ -105,10 +78,19 @@ def load_rack(path: Path) -> dict[str, Plan]:
     """
     text = read_text(path, hint=f"give a rack file (format: {FORMAT})")
     rack = parse_yaml(text, RackFile, str(path))
+    ports: dict[str, str] = {}
+    for name, place in rack.units.items():
+        if (other := ports.setdefault(place.port, name)) != name:
+            raise ImumonError(
+                Reason.BAD_CONFIG, f"{path}: units.{name}.port: {place.port} is the port of {other} already"
+            )
     return {name: _plan(name, place, rack.default, path) for name, place in rack.units.items()}
 
 
 def _plan(name: str, place: Place, default: Shared, path: Path) -> Plan:
+    if place.device is None and default.device is None:
+        text = "neither the unit nor the default says which device it is"
+        raise ImumonError(Reason.BAD_CONFIG, f"{path}: units.{name}.device: {text}")
     settings_of = {**default.model_dump(exclude_none=True), **place.model_dump(exclude_none=True)}
     try:
         device = _beside(path, settings_of["device"])
@@ -129,13 +111,7 @@ def _beside(path: Path, device: str) -> str:
 
 
 class Watched:
-    """A rack file that may be changed while the rack runs.
-
-    Parameters
-    ----------
-    path : Path
-        The file, which has been read.
-    """
+    """A rack file that may be changed while the rack runs."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -30,7 +30,6 @@ class Vitals:
 
     session: str = ""
     """Folder of its recording; empty while its port cannot be opened."""
-    elapsed_s: float = 0.0
     lanes: Mapping[str, str] = field(default_factory=dict)
     """Present state of each lane: port, data, motion, model."""
     temperature_deg: float = math.nan
@@ -42,7 +41,6 @@ class Vitals:
     packets_lost: int = 0
     """Missing by their counter, or damaged."""
     bytes_received: int = 0
-    bytes_skipped: int = 0
     at_s: float = 0.0
     cpu_s: float = 0.0
     """When this was, by a clock that only goes forwards, and the processor time since its process began."""
@@ -62,7 +60,7 @@ class Feed:
     """
 
     def __init__(self, session: str, *, pictures: bool) -> None:
-        self._queue: DropOldestQueue[ViewItem] = DropOldestQueue(QUEUE_BYTES)
+        self._queue = DropOldestQueue(QUEUE_BYTES)
         self._pictures = pictures
         self._vitals = Vitals(session)
         self._lanes: dict[str, str] = {}
@@ -82,9 +80,9 @@ class Feed:
                 self._lanes[item.lane] = item.state
             elif isinstance(item, Samples) and not item.stream:
                 self._measure(item.block)
-        self._look(progress)
-        pictured = [pictured for item in items if (pictured := picture(item)) is not None]
-        return self._vitals, pictured if self._pictures else []
+        self._measure_cost(progress)
+        pictured = map(picture, items) if self._pictures else ()
+        return self._vitals, [item for item in pictured if item is not None]
 
     def _measure(self, block: SampleBlock) -> None:
         """Note temperature and bias of the newest samples that have them."""
@@ -97,20 +95,18 @@ class Feed:
                 row = known[-1]
                 self._vitals = replace(self._vitals, bias=tuple(bias[row]), bias_sd=tuple(sd[row]))
 
-    def _look(self, progress: Progress) -> None:
-        counters, now = progress.counters, time.monotonic()
+    def _measure_cost(self, progress: Progress) -> None:
+        counters, now, memory_mb = progress.counters, time.monotonic(), self._vitals.memory_mb
         if now - self._memory_s > MEMORY_S:
             self._memory_s = now
-            memory = self._process.memory_full_info().pss / MEGABYTE
-            self._vitals = replace(self._vitals, memory_mb=memory)
+            memory_mb = self._process.memory_full_info().pss / MEGABYTE
         self._vitals = replace(
             self._vitals,
-            elapsed_s=progress.elapsed_s,
+            memory_mb=memory_mb,
             lanes=dict(self._lanes),
             packets_per_s=progress.packets_per_s,
             packets_lost=counters.lost,
             bytes_received=counters.bytes_received,
-            bytes_skipped=counters.bytes_skipped,
             at_s=now,
             cpu_s=time.process_time(),
         )
@@ -121,10 +117,10 @@ def picture(item: ViewItem) -> Samples | Event | None:
 
     Other units have other device clocks; and a chart that is drawn for each unit takes as long as all else.
     """
-    if isinstance(item, Drawing):
-        return None
-    if not isinstance(item, Samples):
-        return None if item.at.host_ns is None else replace(item, at=Instant(None, None, item.at.host_ns))
+    if isinstance(item, Event):
+        hidden = isinstance(item, Drawing) or item.at.host_ns is None
+        return None if hidden else replace(item, at=Instant(None, None, item.at.host_ns))
+    assert isinstance(item, Samples)
     arrival = item.block.columns.get("arrival_time_ns")
     times = arrival if item.host_ns is None else item.host_ns
     if times is None or not item.rows:

@@ -9,26 +9,29 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from multiprocessing import get_context
-from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
 from imumon.fleet.rack.description import Plan
 from imumon.fleet.rack.feed import Vitals
+from imumon.fleet.rack.items import OfUnit, Overview
 from imumon.fleet.rack.table import Row, markdown
 from imumon.fleet.rack.unit import Ended, Task, Update, run_unit
 from imumon.lane import LaneState, Level
 from imumon.recordings.lines import waiting
 from imumon.recordings.session_log import SessionLog
-from imumon.view.items import Instant, Log, OfUnit, Overview, Shown, State, ViewSetup
+from imumon.view.items import Instant, Log, State, ViewItem, ViewSetup
 
 LOG_NAME = "rack.jsonl"
-BACKOFF_S = (0.5, 1.0, 2.0, 5.0, 10.0)
-"""A unit that dies again and again is begun anew after so long."""
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
+"""A unit that dies is begun anew after the first, one that dies again after twice as long, up to the last."""
 STEADY_S = 30.0
-"""One that lived this long is begun anew after the first of these."""
+"""One that lived this long is begun anew after the first."""
 OVERVIEW_S = 1.0
+FIRST_WORD_S, HANGS_S, KILLED_S = 120.0, 5.0, 35.0
+"""A process that says nothing for so long hangs, and is killed.  Its first word may come later: after an
+installation it compiles what its device needs, as all others do."""
 END_S = 30.0
 """A unit that is asked to end has written everything after this time, or its disk does not answer."""
 STOPPING_S = 0.05
@@ -38,27 +41,10 @@ Say = Callable[[str, str], None]
 Message = Update | Ended
 
 
-@dataclass(frozen=True, slots=True)
-class Patience:
-    """How long a unit may say nothing before it is said to hang, s, and how much longer before it is ended.
-
-    Its first word may come later: after an installation it compiles what its device needs, as all others do.
-    """
-
-    first: float = 120.0
-    later: float = 5.0
-    ended: float = 30.0
-
-
 class Process:
     """One life of a unit: its process, and what it has said.
 
     A thread takes what it says, as a process that stops in the middle of a word would stop who listens.
-
-    Parameters
-    ----------
-    task : Task
-        What it is told.
     """
 
     def __init__(self, task: Task) -> None:
@@ -66,12 +52,12 @@ class Process:
         context.set_forkserver_preload(["imumon.fleet.rack.preload"])
         self._ours, theirs = context.Pipe()
         self.began_s = self.received_s = time.monotonic()
-        self.has_spoken = False
+        self._has_spoken = False
         self._messages: SimpleQueue[Message] = SimpleQueue()
         self._process = context.Process(target=run_unit, args=(task, theirs), name=task.plan.name)
         self._process.start()
         theirs.close()
-        self._listener = threading.Thread(target=self._listen, args=[self._ours], daemon=True)
+        self._listener = threading.Thread(target=self._listen, daemon=True)
         self._listener.start()
 
     @property
@@ -79,11 +65,17 @@ class Process:
         """Number of the process."""
         return self._process.pid or 0
 
+    @property
+    def silent_s(self) -> float:
+        """How long it has said nothing, s; of the wait for its first word what is too long."""
+        silent_s = time.monotonic() - self.received_s
+        return silent_s if self._has_spoken else silent_s - FIRST_WORD_S
+
     def hear(self) -> list[Message]:
         """Return what it has said since the last time."""
         messages = list(waiting(self._messages))
         if messages:
-            self.received_s, self.has_spoken = time.monotonic(), True
+            self.received_s, self._has_spoken = time.monotonic(), True
         return messages
 
     def ask_to_end(self) -> None:
@@ -106,10 +98,10 @@ class Process:
         self._listener.join()
         self._ours.close()
 
-    def _listen(self, channel: Connection) -> None:
+    def _listen(self) -> None:
         with contextlib.suppress(EOFError, OSError):
             while True:
-                self._messages.put(channel.recv())
+                self._messages.put(self._ours.recv())
 
 
 @dataclass(slots=True)
@@ -126,16 +118,14 @@ class Unit:
     """Share of a core, since it was last heard."""
     silent: bool = False
     """Whether its process does not say how it is."""
-    ending: bool = False
-    """Whether it was asked to end, and is not begun anew."""
-    end_by_s: float = math.inf
-    """When it is killed if it has not ended."""
+    end_by_s: float | None = None
+    """When it is killed if it has not ended; None while it was not asked to end."""
     deaths: list[int] = field(default_factory=list)
     """Exit codes of the processes that ended without being asked."""
     interrupted: list[str] = field(default_factory=list)
     """Their sessions."""
-    failures: int = 0
-    """Of these, those of short lives in a row."""
+    pause_s: float = FIRST_PAUSE_S
+    """How long it waits for its next process."""
     begin_s: float = 0.0
     """When its process is to be begun."""
     summaries: list[dict[str, object]] = field(default_factory=list)
@@ -147,7 +137,7 @@ class Unit:
         """How it is, in a word or two: the worst first."""
         lanes = self.vitals.lanes
         if self.process is None:
-            return f"DEAD ({self.deaths[-1]})" if self.deaths and not self.ending else "ended"
+            return f"DEAD ({self.deaths[-1]})" if self.deaths and self.end_by_s is None else "ended"
         if self.silent:
             return "HANGS"
         port, data = lanes.get("port", "starting"), lanes.get("data", "")
@@ -175,10 +165,11 @@ class Unit:
         self.cpu = share(self.vitals, vitals) or self.cpu
         self.vitals = vitals
 
-    def interrupt(self) -> None:
-        """Take note that its process ended without closing the session, if it had one."""
-        if self.vitals.session:
-            self.interrupted.append(self.vitals.session)
+    def pause(self) -> float:
+        """Let it wait for its next process, longer each time; return how long, s."""
+        pause_s, self.pause_s = self.pause_s, min(2.0 * self.pause_s, LONGEST_PAUSE_S)
+        self.begin_s = time.monotonic() + pause_s
+        return pause_s
 
     def as_dict(self) -> dict[str, Any]:
         """Return what ``--json`` says of it."""
@@ -208,31 +199,26 @@ class Rack:
         The view that all share.
     window_s : float
         Seconds that its strips show.
-    patience : Patience
-        With a process that says nothing.
     """
 
     def __init__(
         self,
         folder: Path,
         say: Say,
-        publish: Callable[[Shown], None] | None = None,
+        publish: Callable[[ViewItem], None] | None = None,
         window_s: float = 30.0,
-        patience: Patience = Patience(),
     ) -> None:
-        self._folder, self._window_s, self._patience = folder, window_s, patience
-        self._publish = publish
+        self._folder, self._window_s, self._publish = folder, window_s, publish
         folder.mkdir(parents=True, exist_ok=True)
         self._log = SessionLog(folder / LOG_NAME, say)
         self._present: dict[str, Unit] = {}
         self._leaving: list[Unit] = []
-        self._left: list[Unit] = []
         self._overview_s = 0.0
 
     @property
     def units(self) -> list[Unit]:
         """Those that are here, in order, then those that are being ended."""
-        return [*self._present.values(), *self._leaving]
+        return [*self._present.values(), *(unit for unit in self._leaving if unit.process is not None)]
 
     @property
     def rows(self) -> list[Row]:
@@ -243,11 +229,9 @@ class Rack:
         """Begin the units that are new, end those that are gone, and both where the plan is another one."""
         for name, unit in list(self._present.items()):
             if plans.get(name) != unit.plan:
-                why = "begins anew: other settings" if name in plans else "leaves the rack"
-                self._say(unit, "INFO", why)
+                self._say(unit, "INFO", "begins anew: other settings" if name in plans else "leaves the rack")
                 self._end(unit)
-                del self._present[name]
-                self._leaving.append(unit)
+                self._leaving.append(self._present.pop(name))
         known = self._present
         self._present = {name: known.get(name) or Unit(plan) for name, plan in plans.items()}
         for name in plans.keys() - known.keys():
@@ -258,13 +242,11 @@ class Rack:
         for unit in self.units:
             self._hear(unit)
             self._watch(unit)
-        leaving = {unit.plan.name for unit in self._leaving}
-        for unit in self._present.values():
-            due = unit.process is None and not unit.ending and time.monotonic() >= unit.begin_s
-            if due and unit.plan.name not in leaving:  # its port may be the same
+        ending = {unit.plan.name for unit in self._leaving if unit.process is not None}
+        for name, unit in self._present.items():
+            due = unit.process is None and unit.end_by_s is None and time.monotonic() >= unit.begin_s
+            if due and name not in ending:  # its port may be the same
                 self._begin(unit)
-        self._left += [unit for unit in self._leaving if unit.process is None]
-        self._leaving = [unit for unit in self._leaving if unit.process is not None]
         if time.monotonic() - self._overview_s >= OVERVIEW_S:
             self._overview_s = time.monotonic()
             self._show(Overview(_now(), markdown(self.rows), tuple(self._present)))
@@ -284,7 +266,7 @@ class Rack:
     def as_dict(self) -> dict[str, dict[str, Any]]:
         """Return what ``--json`` says of all units that were there; one that came back is there once."""
         found: dict[str, dict[str, Any]] = {}
-        for unit in [*self._left, *self.units]:
+        for unit in [*self._leaving, *self._present.values()]:
             now, before = unit.as_dict(), found.get(unit.plan.name)
             if before is not None:
                 now |= {name: [*before[name], *now[name]] for name in ("sessions", "deaths", "interrupted")}
@@ -296,20 +278,18 @@ class Rack:
         try:
             unit.process = Process(task)
         except (OSError, EOFError) as error:  # no memory, or no processes, for one more
-            pause_s = self._pause(unit)
-            self._say(unit, "ERROR", f"its process cannot be begun ({error}); again in {pause_s:g} s")
+            self._say(unit, "ERROR", f"its process cannot be begun ({error}); again in {unit.pause():g} s")
             return
         unit.silent = False
         unit.vitals = unit.first = Vitals()
 
     def _end(self, unit: Unit) -> None:
-        unit.ending, unit.end_by_s = True, time.monotonic() + END_S
+        unit.end_by_s = time.monotonic() + END_S
         if unit.process is not None:
             unit.process.ask_to_end()
 
     def _hear(self, unit: Unit) -> None:
-        process = unit.process
-        for message in process.hear() if process is not None else ():
+        for message in unit.process.hear() if unit.process is not None else ():
             for level, text in message.lines:
                 self._log.put(level, f"{unit.plan.name}: {text}")
             if isinstance(message, Ended):
@@ -317,10 +297,11 @@ class Rack:
                 if message.summary is not None:
                     unit.summaries.append(message.summary)
                 continue
-            back = unit.deaths and not unit.first.at_s
+            is_back = unit.silent or (unit.deaths and not unit.first.at_s)
+            unit.silent = False
             unit.received(message.vitals)
             unit.setup = message.setup or unit.setup
-            if back:
+            if is_back:
                 self._lane(unit, LaneState("recording", Level.GOOD))
             if message.setup is not None:
                 for item in message.items:
@@ -336,48 +317,35 @@ class Rack:
             process.close()
             self._hear(unit)
             unit.process = None
-            if not unit.ending:
-                self._mourn(unit, code, time.monotonic() - process.began_s)
-            elif code:
-                unit.interrupt()
-            return
-        if unit.ending:
+            self._note_end(unit, code, time.monotonic() - process.began_s)
+        elif unit.end_by_s is not None:
             if time.monotonic() > unit.end_by_s:
                 unit.end_by_s = math.inf
                 self._say(unit, "ERROR", "did not end, and was killed: what had arrived is on disk")
                 process.kill()
-            return
-        quiet_s = time.monotonic() - process.received_s
-        patience_s = self._patience.later if process.has_spoken else self._patience.first
-        if quiet_s > patience_s and not unit.silent:
-            unit.silent = True
-            self._say(unit, "ERROR", f"its process (pid {process.pid}) hangs: no word for {quiet_s:.1f} s")
-            self._lane(unit, LaneState("HANGS", Level.BAD))
-        elif unit.silent and quiet_s < patience_s:
-            unit.silent = False
-            self._say(unit, "INFO", "its process goes on")
-            self._lane(unit, LaneState("recording", Level.GOOD))
-        elif quiet_s > patience_s + self._patience.ended:
-            self._say(unit, "ERROR", f"its process was ended after {quiet_s:.0f} s without a word")
+        elif process.silent_s > KILLED_S:
+            self._say(unit, "ERROR", f"its process was ended after {process.silent_s:.0f} s without a word")
             process.kill()
             process.received_s = time.monotonic()
+        elif process.silent_s > HANGS_S and not unit.silent:
+            unit.silent = True
+            text = f"its process (pid {process.pid}) hangs: no word for {process.silent_s:.1f} s"
+            self._say(unit, "ERROR", text)
+            self._lane(unit, LaneState("HANGS", Level.BAD))
 
-    def _mourn(self, unit: Unit, code: int, lived_s: float) -> None:
-        unit.deaths.append(code)
-        unit.interrupt()
-        unit.failures = 0 if lived_s > STEADY_S else unit.failures
-        pause_s = self._pause(unit)
-        how = f"signal {-code}" if code < 0 else f"exit code {code}"
-        kept = f"; {unit.vitals.session} has what had arrived" if unit.vitals.session else ""
-        self._say(unit, "ERROR", f"its process died ({how}){kept}; a new one in {pause_s:g} s")
-        self._lane(unit, LaneState(f"DEAD: {how}", Level.BAD))
-
-    def _pause(self, unit: Unit) -> float:
-        """Let a unit wait for its next process, longer each time; return how long, s."""
-        pause_s = BACKOFF_S[min(unit.failures, len(BACKOFF_S) - 1)]
-        unit.failures += 1
-        unit.begin_s = time.monotonic() + pause_s
-        return pause_s
+    def _note_end(self, unit: Unit, code: int, lived_s: float) -> None:
+        """Note that the process of a unit ended, maybe without being asked."""
+        died = unit.end_by_s is None
+        if (died or code) and unit.vitals.session:
+            unit.interrupted.append(unit.vitals.session)
+        if died:
+            unit.deaths.append(code)
+            unit.pause_s = FIRST_PAUSE_S if lived_s > STEADY_S else unit.pause_s
+            how = f"signal {-code}" if code < 0 else f"exit code {code}"
+            kept = f"; {unit.vitals.session} has what had arrived" if unit.vitals.session else ""
+            text = f"its process died ({how}){kept}; a new one in {unit.pause():g} s"
+            self._say(unit, "ERROR", text)
+            self._lane(unit, LaneState(f"DEAD: {how}", Level.BAD))
 
     def _say(self, unit: Unit, level: str, text: str) -> None:
         self._log.put(level, f"{unit.plan.name}: {text}")
@@ -388,7 +356,7 @@ class Rack:
         if unit.setup is not None:
             self._show(OfUnit(unit.setup, State(_now(), "unit", state.text, state.level)))
 
-    def _show(self, item: Shown) -> None:
+    def _show(self, item: ViewItem) -> None:
         if self._publish is not None:
             self._publish(item)
 

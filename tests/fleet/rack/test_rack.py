@@ -10,19 +10,21 @@ from contextlib import closing, contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 
+import pytest
+
 from imumon.fleet.rack.description import load_rack
-from imumon.fleet.rack.rack import Patience, Rack, Unit
+from imumon.fleet.rack.items import OfUnit, Overview
+from imumon.fleet.rack.rack import Rack, Unit
 from imumon.fleet.rack.unit import Task, Update, run_unit
 from imumon.protocols.device import load_device
 from imumon.recordings.folder import open_session
-from imumon.view.items import Log, OfUnit, Overview, Samples, Shown, State
+from imumon.view.items import Log, Samples, State, ViewItem
 from tests.cli.command import imumon
 from tests.faults.killed import OPENED
 from tests.faults.rack import Feeder, packets, rack_command, recorded, write_rack
 from tests.waiting import LIMIT_S, wait_until
 
 RATE_HZ = 100.0
-IMPATIENT = Patience(later=6.0, ended=2.0)
 SENT_S = 600.0
 """As long as a test may take."""
 
@@ -46,8 +48,8 @@ class Watching:
 
     def __init__(self, folder: Path) -> None:
         self.said: list[str] = []
-        self.shown: list[Shown] = []
-        self.rack = Rack(folder, self._say, self.shown.append, patience=IMPATIENT)
+        self.shown: list[ViewItem] = []
+        self.rack = Rack(folder, self._say, self.shown.append)
 
     def _say(self, level: str, text: str) -> None:
         self.said.append(f"{level} {text}")
@@ -71,7 +73,11 @@ class Watching:
         return lambda: self.unit(name).vitals.bytes_received > before + 58 * more
 
 
-def test_a_unit_that_hangs_dies_or_floods_harms_no_other(tmp_path: Path) -> None:
+def test_a_unit_that_hangs_dies_or_floods_harms_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("imumon.fleet.rack.rack.HANGS_S", 6.0)
+    monkeypatch.setattr("imumon.fleet.rack.rack.KILLED_S", 8.0)
     names = ("good", "stopped", "killed", "flooding")
     with feeding(tmp_path, *names) as feeder:
         watching = Watching(tmp_path / "sessions")
@@ -133,7 +139,7 @@ def test_a_unit_that_hangs_dies_or_floods_harms_no_other(tmp_path: Path) -> None
     assert any("leaves the rack" in json.loads(line)["text"] for line in log)
 
 
-def _sees_it_all(shown: list[Shown]) -> None:
+def _sees_it_all(shown: list[ViewItem]) -> None:
     """The view is told of every unit, by the host's clock, with a tenth of the work."""
     items = [item for item in shown if isinstance(item, OfUnit)]
     assert len({one.setup.title for one in items}) == len({repr(one.setup) for one in items})  # also anew

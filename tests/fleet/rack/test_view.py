@@ -7,36 +7,31 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
+from imumon.fleet.rack import view
 from imumon.fleet.rack.feed import picture
-from imumon.view import units
+from imumon.fleet.rack.items import OfUnit, Overview
+from imumon.fleet.rack.view import UnitsLogger
 from imumon.view.blueprint import arranged
 from imumon.view.items import (
     Instant,
     Log,
     Numbers,
-    OfUnit,
-    Overview,
-    Shown,
     State,
     Status,
     Timebase,
     ViewItem,
     ViewSetup,
-    item_bytes,
-    item_rows,
-    lasting_key,
     merge,
 )
 from imumon.view.queue import DropOldestQueue
-from imumon.view.units import UnitsLogger
 from tests.view.streams import block
 from tests.view.test_blueprint import blueprint_of
 
 AT = Instant(None, None, 5_000_000_000)
-WHOLE = ViewSetup("rack bench", "rack", several=True)
+WHOLE = ViewSetup("rack bench", "rack")
 
 
-def of_unit(name: str) -> list[Shown]:
+def of_unit(name: str) -> list[ViewItem]:
     """Return what a unit tells the view, as its process does."""
     timebase = Timebase()
     first = timebase.samples(block(0, 200))
@@ -57,10 +52,10 @@ def page(*names: str) -> Overview:
     return Overview(AT, "| unit |\n|--|\n" + "\n".join(f"| {name} |" for name in names), names)
 
 
-def logged(path: Path, *batches: list[Shown]) -> UnitsLogger:
+def logged(path: Path, *batches: list[ViewItem]) -> UnitsLogger:
     rec = rr.RecordingStream("imumon", recording_id="rack")
     rec.set_sinks(rr.FileSink(path))
-    logger = UnitsLogger(rec, WHOLE, rec.send_blueprint)
+    logger = UnitsLogger(rec, WHOLE)
     logger.begin()
     for batch in batches:
         logger.log(batch)
@@ -77,7 +72,7 @@ def test_each_unit_has_its_entities_and_a_tab_of_its_own(tmp_path: Path) -> None
     paths = {chunk.entity_path for chunk in RrdReader(str(tmp_path / "a.rrd")).stream()}
     own = {path for path in paths if not path.startswith(("/__", "/overview"))}
     assert {path.split("/")[1] for path in own} == {"left", "right"}
-    for path in ("/left/samples/accel", "/left/view/gyro", "/right/1-Port", "/right/log", "/overview"):
+    for path in ("/left/samples/accel", "/left/view/gyro", "/right/1-Port", "/right/log_text", "/overview"):
         assert path in paths, path
     origins = set(map(str, blueprint_of(tmp_path / "a.rrd")["ViewBlueprint:space_origin"]))
     assert {"/overview", "/left/view/gyro", "/right/view/gyro", "/left/samples/accel"} <= origins
@@ -86,7 +81,7 @@ def test_each_unit_has_its_entities_and_a_tab_of_its_own(tmp_path: Path) -> None
 
 
 def test_a_unit_that_leaves_takes_its_tab_along(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(units, "ARRANGE_S", 0.0)
+    monkeypatch.setattr(view, "ARRANGE_S", 0.0)
     both = [*of_unit("left"), *of_unit("right"), page("left", "right")]
     logger = logged(tmp_path / "a.rrd", both, [page("right")], [page("right"), *of_unit("right")])
     assert logger.arrangement is not None
@@ -96,22 +91,22 @@ def test_a_unit_that_leaves_takes_its_tab_along(tmp_path: Path, monkeypatch: pyt
 def test_the_arrangement_is_not_sent_again_while_nothing_is_new(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(units, "ARRANGE_S", 0.0)
+    monkeypatch.setattr(view, "ARRANGE_S", 0.0)
     sent: list[str] = []
 
     def count(tabs: rrb.Tabs, timeline: str) -> rrb.Blueprint:
         sent.append(timeline)
         return arranged(tabs, timeline)
 
-    monkeypatch.setattr(units, "arranged", count)
-    later: list[Shown] = [page("left")]
+    monkeypatch.setattr(view, "arranged", count)
+    later: list[ViewItem] = [page("left")]
     logged(tmp_path / "a.rrd", [*of_unit("left"), page("left")], later, later, later)
     assert sent == ["host_time"]
 
 
 def test_states_of_each_unit_outlive_a_queue_that_is_full() -> None:
     states = [OfUnit(ViewSetup(name, name), State(AT, "port", "open")) for name in ("left", "right")]
-    queue: DropOldestQueue[Shown] = DropOldestQueue(2 * item_bytes(states[0]))
+    queue = DropOldestQueue(2 * states[0].nbytes)
     lines = [OfUnit(states[0].setup, Log(AT, str(number))) for number in range(3)]
     for item in (*states, *lines):
         queue.put(item)
@@ -121,7 +116,7 @@ def test_states_of_each_unit_outlive_a_queue_that_is_full() -> None:
 
 def test_what_is_of_a_unit_counts_as_what_it_is() -> None:
     samples = next(item for item in of_unit("left") if isinstance(item, OfUnit))
-    assert item_rows(samples) == item_rows(samples.item) > 1
-    assert item_bytes(samples) == item_bytes(samples.item)
-    assert lasting_key(page("left")) == "overview"
+    assert samples.rows == samples.item.rows > 1
+    assert samples.nbytes == samples.item.nbytes
+    assert page("left").lasting == "overview"
     assert merge([samples, page("left")]) == [samples, page("left")]

@@ -1,66 +1,59 @@
-"""Several units in one recording: each a tab with its whole live view, before them a page with all."""
+"""The shared view of a rack: a page with all units, behind it each unit's live view as a tab.
+
+Run as ``python -m imumon.fleet.rack.view``, as the view process that `imumon.view.publisher` feeds.
+"""
 
 from __future__ import annotations
 
 import math
+import os
 import re
 import time
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import Any
 
 import rerun as rr
 import rerun.blueprint as rrb
 
+from imumon.fleet.rack.items import OfUnit, Overview
 from imumon.view.blueprint import arranged
-from imumon.view.items import Instant, OfUnit, Overview, Shown, ViewItem, ViewSetup, merge
+from imumon.view.child import run
+from imumon.view.fed import serve
+from imumon.view.items import Instant, ViewItem, ViewSetup, merge
 from imumon.view.lanes import lane_path
-from imumon.view.layout import at_instants, log_markdown
-from imumon.view.logger import Show, StreamLogger
+from imumon.view.logger import StreamLogger
+from imumon.view.publisher import Report
+from imumon.view.rows import at_instants, log_markdown
 from imumon.view.window import Window
 
 OVERVIEW = "/overview"
-ARRANGE_S = 5.0
-"""The arrangement is renewed so often at the most: to find out what is new of 16 units takes 0.2 s."""
+ARRANGE_S = 10.0
+"""The arrangement is sent so often at the most: it leads whoever looks on back to the page."""
 TIMELINE = "host_time"
 """The clocks of devices have nothing in common but that of the computer."""
+BEHIND = 10
+"""The processes of the units come before the view (and a viewer that draws by software)."""
 
 
 class UnitsLogger:
-    """Logs the items of several units to one recording stream; used as a `StreamLogger`.
+    """Logs the items of several units to one recording stream; used as a `StreamLogger`."""
 
-    Parameters
-    ----------
-    rec : RecordingStream
-        Where everything goes.
-    setup : ViewSetup
-        Title and properties of the whole.
-    show : callable
-        Takes the arrangement when it has changed.
-    """
-
-    def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, show: Show) -> None:
-        self._rec, self._setup, self._show = rec, setup, show
+    def __init__(self, rec: rr.RecordingStream, setup: ViewSetup) -> None:
+        self._rec, self._setup = rec, setup
         self._units: dict[str, tuple[ViewSetup, StreamLogger]] = {}
-        self._overview: Overview | None = None
+        self._overview = Overview(Instant(None, None, None), "", ())
         self.arrangement: rrb.Blueprint | None = None
         """The one that was shown last."""
-        self._sent: list[Any] = []
+        self._sent: list[rrb.Blueprint] = []
         self._sent_s = -math.inf
 
     def begin(self) -> None:
-        """Log what does not change, for a new reader, and the latest states."""
+        """Log what does not change."""
         self._rec.send_recording_name(self._setup.title)
         if self._setup.properties:
             self._rec.send_property("rack", rr.AnyValues(True, **self._setup.properties))
-        for _, logger in self._units.values():
-            logger.begin()
-        self._sent, self._sent_s = [], -math.inf
-        if self._overview is not None:
-            self._show_overview(self._overview)
-        self._arrange()
 
-    def log(self, items: Iterable[Shown]) -> None:
+    def log(self, items: Iterable[ViewItem]) -> None:
         """Log items, those of each unit in their order."""
         found: dict[str, list[ViewItem]] = {}
         for item in items:
@@ -71,7 +64,8 @@ class UnitsLogger:
                 self._show_overview(item)
         for unit, own in found.items():
             self._units[unit][1].log(merge(own))
-        self._arrange()
+        if time.monotonic() - self._sent_s > ARRANGE_S:
+            self._arrange()
 
     def repeat(self) -> None:
         """Log the latest states of all units once more, for who takes the newest first."""
@@ -82,14 +76,14 @@ class UnitsLogger:
         """Log how it was at the end."""
         for _, logger in self._units.values():
             logger.finish()
+        self._arrange()
 
     def _meet(self, setup: ViewSetup) -> None:
         """Begin with a unit that is new, or that has begun anew with another device."""
-        setup = replace(setup, tab_height=self._setup.tab_height)
         known = self._units.get(setup.title)
         if known is None or known[0] != setup:
             below: Any = Below(self._rec, f"/{setup.title}")
-            logger = StreamLogger(below, setup, live=True, show=below.take)
+            logger = StreamLogger(below, setup, live=True)
             logger.begin()
             self._units[setup.title] = setup, logger
 
@@ -102,8 +96,6 @@ class UnitsLogger:
 
     def _arrange(self) -> None:
         """Send the arrangement when that of a unit has changed, or which units there are."""
-        if self._overview is None or time.monotonic() - self._sent_s < ARRANGE_S:
-            return
         loggers = [self._units[unit][1] for unit in self._overview.units if unit in self._units]
         arrangements = [logger.arrangement for logger in loggers if logger.arrangement is not None]
         if arrangements == self._sent:
@@ -111,7 +103,7 @@ class UnitsLogger:
         self._sent, self._sent_s = arrangements, time.monotonic()
         tabs = [arrangement.root_container for arrangement in arrangements]
         self.arrangement = arranged(rrb.Tabs(self._first_tab(), *tabs), TIMELINE)
-        self._show(self.arrangement)
+        self._rec.send_blueprint(self.arrangement)
 
     def _first_tab(self) -> Any:
         """Return the page, and below it how the ports of all units have been."""
@@ -128,15 +120,7 @@ class UnitsLogger:
 
 
 class Below:
-    """A recording stream as `StreamLogger` uses it, with all entities below one.
-
-    Parameters
-    ----------
-    rec : RecordingStream
-        The stream.
-    root : str
-        The entity, such as ``/unit``.
-    """
+    """A recording stream as `StreamLogger` uses it, with all entities below one."""
 
     def __init__(self, rec: rr.RecordingStream, root: str) -> None:
         self._rec, self._root = rec, root
@@ -155,14 +139,8 @@ class Below:
     def send_property(self, name: str, values: Any) -> None:
         """Leave the unit's properties out: they are in its session."""
 
-    def take(self, whole: rrb.Blueprint) -> None:
-        """Let the arrangement show what is below the root; a single tab stands for the unit.
-
-        Tabs with one tab a viewer takes out as soon as somebody clicks, and with them the name.
-        """
-        tabs: Any = list(whole.root_container.contents)
-        if len(tabs) == 1:
-            whole.root_container = tabs[0]
+    def send_blueprint(self, whole: rrb.Blueprint) -> None:
+        """Let the arrangement show what is below the root, as a tab with the name of the unit."""
         whole.root_container.name = self._root.removeprefix("/")
         _move(whole.root_container, self._root)
 
@@ -177,3 +155,8 @@ def _move(part: Any, root: str) -> None:
     if not isinstance(part.contents, str):
         part.contents = [re.sub("^/", f"{root}/", path) for path in part.contents]
     part.visualizer_overrides = {f"{root}{path}": look for path, look in part.visualizer_overrides.items()}
+
+
+if __name__ == "__main__":
+    os.nice(BEHIND)
+    serve(lambda stream, out: run(stream, out, UnitsLogger), lambda error: Report(error.seen))

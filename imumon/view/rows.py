@@ -1,0 +1,114 @@
+"""Rows of columns with their times, as Rerun takes them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+
+from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray
+from imumon.view.items import Instant, first_of_steps
+
+SCALARS = rr.Scalars.descriptor_scalars()
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows of columns with their times; a timeline that the rows do not have is None.
+
+    With `step_ns` they are for a recording, which is a picture (the wire has every byte): of each step
+    of time only the extremes are drawn, so that spikes stay, and in one unit.  What began before them, at
+    `before_ns`, the clock of the row before, has been drawn.
+    """
+
+    columns: Mapping[str, ColumnArray]
+    sample: IntArray | None
+    device_ns: IntArray | None
+    host_ns: IntArray | None
+    step_ns: int = 0
+    before_ns: int | None = None
+
+    @cached_property
+    def indexes(self) -> list[rr.TimeColumn]:
+        """The time columns of all rows, as Rerun wants them."""
+        columns = []
+        if self.sample is not None:
+            columns.append(rr.TimeColumn("sample", sequence=self.sample))
+        if self.device_ns is not None:
+            columns.append(rr.TimeColumn("device_time", duration=self.device_ns.view("timedelta64[ns]")))
+        if self.host_ns is not None:
+            columns.append(rr.TimeColumn("host_time", timestamp=self.host_ns.view("datetime64[ns]")))
+        return columns
+
+    @property
+    def clock(self) -> IntArray | None:
+        """Device time, or host time where there is none, ns."""
+        return self.host_ns if self.device_ns is None else self.device_ns
+
+    def kept(self, keep: BoolArray | IntArray) -> Rows:
+        """Return the times of the rows to keep, without their columns; the same for the same rows."""
+        key = keep.dtype.char, keep.tobytes()
+        if key not in self._kept:
+            times = (self.sample, self.device_ns, self.host_ns)
+            sample, device_ns, host_ns = (None if values is None else values[keep] for values in times)
+            self._kept[key] = Rows({}, sample, device_ns, host_ns)
+        return self._kept[key]
+
+    @cached_property
+    def _kept(self) -> dict[tuple[str, bytes], Rows]:
+        """What was kept so far: most panels keep the same rows, and times cost as much as values."""
+        return {}
+
+    def send(self, rec: rr.RecordingStream, entity: str, values: FloatArray) -> None:
+        """Log values at the times of these rows, (n,) or (n, lines).
+
+        The column is that of ``rr.Scalars.columns``, which takes seven times as long to find out its shape.
+        """
+        flat = np.ascontiguousarray(values, np.float64).ravel()
+        offsets = np.arange(len(values) + 1, dtype=np.int32) * np.int32(flat.size // max(len(values), 1))
+        column = rr.ComponentColumn(SCALARS, rr.components.ScalarBatch(pa.array(flat)), offsets=offsets)
+        rec.send_columns(entity, indexes=self.indexes, columns=[column])
+
+    def extremes(self, values: FloatArray) -> BoolArray:
+        """Return which rows have the least or greatest value of a line in its step, or begin one, (n,)."""
+        clock = self.clock
+        if not self.step_ns or clock is None:
+            return np.ones(len(values), np.bool_)
+        keep = self.thinned(self.step_ns)
+        starts = np.flatnonzero(keep[1:]) + 1
+        for start, stop in pairwise([0, *starts.tolist(), len(values)]):
+            part = values[start:stop]
+            keep[start + np.argmin(np.nan_to_num(part, nan=np.inf), axis=0)] = True
+            keep[start + np.argmax(np.nan_to_num(part, nan=-np.inf), axis=0)] = True
+        return keep
+
+    def thinned(self, step_ns: int) -> BoolArray:
+        """Return which rows are the first in a step of time, shape (n,): all when there is no clock."""
+        clock = self.clock
+        if clock is None:
+            return np.ones(len(next(iter(self.columns.values()))), np.bool_)
+        return first_of_steps(clock, max(step_ns, self.step_ns), self.before_ns)
+
+    def matrix(self, names: Sequence[str]) -> FloatArray:
+        """Return the named columns side by side, shape (n, len(names))."""
+        return np.column_stack([self.columns[name] for name in names]).astype(np.float64, copy=False)
+
+
+def at_instants(*instants: Instant) -> Rows:
+    """Return the times of moments that know the same timelines, a row each, without columns."""
+    times = [(at.sample, at.device_ns, at.host_ns) for at in instants]
+    sample, device_ns, host_ns = (
+        None if column[0] is None else np.array(column, np.int64) for column in zip(*times, strict=True)
+    )
+    return Rows({}, sample, device_ns, host_ns)
+
+
+def log_markdown(rec: rr.RecordingStream, entity: str, texts: Sequence[str], times: Rows) -> None:
+    """Log a text as it is from each moment on."""
+    text = rr.TextDocument.columns(text=texts, media_type=["text/markdown"] * len(texts))
+    rec.send_columns(entity, indexes=times.indexes, columns=text)
