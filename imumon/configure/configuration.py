@@ -24,6 +24,13 @@ NEARLY_FULL = 0.8
 """Share of the line from which packets may have to wait."""
 
 
+REPORTED = (
+    "port", "device", "identity", "assumed", "verified", "before", "after", "warnings", "result", "saved",
+    "flash_begun", "restored", "not_restored",
+)  # fmt: skip
+"""Fields of a report that JSON has as they are."""
+
+
 @dataclass(frozen=True, slots=True)
 class Change:
     """A setting that is to change."""
@@ -57,28 +64,13 @@ class Report:
 
     def as_dict(self, link: CommandLink | None) -> dict[str, Any]:
         """Return the report as JSON has it."""
+        sent = link.sent if link else []
         stream = self.stream
         return {
-            "port": self.port,
-            "device": self.device,
-            "identity": self.identity,
-            "assumed": self.assumed,
-            "verified": self.verified,
-            "before": self.before,
-            "after": self.after,
+            **{name: getattr(self, name) for name in REPORTED},
             "plan": [_as_dict(request) for request in self.plan],
-            "sent": [
-                {**_as_dict(item.request), "answered": item.answered} for item in (link.sent if link else ())
-            ],
-            "warnings": self.warnings,
-            "result": self.result,
-            "saved": self.saved,
-            "flash_begun": self.flash_begun,
-            "restored": self.restored,
-            "not_restored": self.not_restored,
-            "stream": None
-            if stream is None
-            else {"seconds": stream.seconds, "rate_hz": stream.rate_hz, "columns": stream.columns},
+            "sent": [{**_as_dict(item.request), "answered": item.answered} for item in sent],
+            "stream": stream and {name: getattr(stream, name) for name in ("seconds", "rate_hz", "columns")},
         }
 
 
@@ -99,15 +91,15 @@ def planned(family: Family, wish: Wish, baudrate: int | None, save: bool, now: i
         )
     values = _with_baud(family, family.wanted({}, wish), baudrate)
     values = {name: values[name] for name in _in_order(values, baudrate, now)}
-    found = [family.hello(), *family.quiet(), *family.questions(), *map(family.read, family.settings())]
+    found = [family.hello, *family.quiet, *family.questions, *map(family.read, family.settings)]
     found += [request for name, value in values.items() for request in family.write(name, value)]
     found += [family.read(name) for name in values]
-    found += family.resume()
+    found += family.resume
     return [*found, *(family.save(tuple(values)) if save and values else ())]
 
 
 def _with_baud(family: Family, values: dict[str, bytes], baudrate: int | None) -> dict[str, bytes]:
-    return values if baudrate is None else {**values, BAUD: family.baud_value(baudrate)}
+    return values if baudrate is None else {**values, BAUD: family.baud_codes[baudrate]}
 
 
 def _in_order(names: Iterable[str], baudrate: int | None, now: int) -> list[str]:
@@ -128,7 +120,7 @@ def check_load(family: Family, values: Mapping[str, bytes], line: PortSettings) 
     if needed <= there:
         return seen
     enough = min(
-        (r for r in family.baudrates if r / line.bits_per_byte * NEARLY_FULL >= needed), default=None
+        (r for r in family.baud_codes if r / line.bits_per_byte * NEARLY_FULL >= needed), default=None
     )
     hint = "ask for fewer outputs or a lower rate"
     raise ImumonError(Reason.BAD_CONFIG, seen, f"{hint}, or --baud {enough}" if enough else hint)
@@ -181,7 +173,7 @@ class Configuration:
             with _uninterrupted():
                 self._restore()
             if isinstance(error, CommandError):
-                raise _explained(error) from error
+                raise ImumonError(Reason.REFUSED if error.refused else Reason.SILENT, str(error)) from error
             raise
 
     def _prepare(self, wish: Wish, baudrate: int | None, save: bool) -> list[Change]:
@@ -191,7 +183,7 @@ class Configuration:
             self._report.warnings.append(f"{others} reads this port, too: answers may go there")
         self._quiet()
         self._family = self._family.learn(self._link.ask)
-        self._present = {name: self._link.ask(self._family.read(name)) for name in self._family.settings()}
+        self._present = {name: self._link.ask(self._family.read(name)) for name in self._family.settings}
         report, family = self._report, self._family
         report.identity = family.identity
         report.before = {name: family.describe(name, value) for name, value in self._present.items()}
@@ -298,7 +290,7 @@ class Configuration:
     def _restore(self) -> None:
         """Put back what was begun, the last first, and let the data come again if they came before."""
         self._report.result = "failed"
-        left, silent = self._begun[::-1], self._link.streaming and bool(self._family.resume())
+        left, silent = self._begun[::-1], self._link.streaming and bool(self._family.resume)
         try:
             if left:
                 self._tell("putting the device back as it was")
@@ -349,10 +341,10 @@ class Configuration:
         self._quiet()
 
     def _quiet(self) -> None:
-        self._try_each(self._family.quiet())
+        self._try_each(self._family.quiet)
 
     def _resume(self) -> None:
-        self._try_each(self._family.resume())
+        self._try_each(self._family.resume)
 
     def _try_each(self, requests: Sequence[Request]) -> None:
         """Ask; a device that does not know how to be quiet is configured between its data."""
@@ -364,22 +356,14 @@ class Configuration:
                     raise
 
 
-def _explained(error: CommandError) -> ImumonError:
-    if error.refused:
-        return ImumonError(Reason.REFUSED, f"{error.request.meaning}: {error.why}")
-    return ImumonError(Reason.SILENT, f"{error.request.meaning}: {error.why}")
-
-
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
     """Hold off Ctrl-C while a device is put back as it was."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    before = {
-        number: signal.signal(number, signal.SIG_IGN) for number in map(signal.Signals.__getitem__, names)
-    }
+    numbers = [one for one in signal.Signals if one.name in ("SIGINT", "SIGTERM", "SIGHUP")]
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
     try:
         yield
     finally:

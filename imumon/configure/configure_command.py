@@ -101,7 +101,7 @@ def _plan(family: Family, wish: Wish, baud: int | None, now: int, save: bool, re
     from imumon.transport.settings import PortSettings
 
     report.plan = planned(family, wish, baud, save, now)
-    report.assumed, report.result = family.assumed(), "planned"
+    report.assumed, report.result = family.assumed, "planned"
     if not wish.empty:
         warning = check_load(family, family.wanted({}, wish), PortSettings(report.port, baud or now))
         report.warnings += [warning] if warning else []

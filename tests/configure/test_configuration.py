@@ -272,7 +272,7 @@ def test_a_dry_run_needs_no_device(name: str) -> None:
 
     family = family_of(load_device(name))
     frames = [request.frame for request in planned(family, WISH, BAUDRATE, save=True, now=9600)]
-    assert frames[0] == family.hello().frame
+    assert frames[0] == family.hello.frame
     assert len(frames) > 6
     with pytest.raises(ImumonError, match="does not know what the device sends now"):
         planned(family, Wish(20.0), None, save=False, now=9600)

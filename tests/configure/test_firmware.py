@@ -56,7 +56,7 @@ def test_a_command_with_a_bad_checksum_is_not_heard(device: VectorNavFirmware) -
 
 def test_a_host_at_another_rate_is_not_understood() -> None:
     with VirtualPort(baudrate=115_200) as device, serial.Serial(device.path, 9600, timeout=1) as host:
-        host.write(VectorNav().hello().frame)
+        host.write(VectorNav().hello.frame)
         heard = device.read(LIMIT_S)
         assert heard
         assert VectorNav().messages(heard)[0] == []

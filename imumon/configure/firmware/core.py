@@ -105,9 +105,9 @@ class Firmware(ABC):
     """Tells commands, which have the same form as answers, and what baud rates are called."""
 
     def __init__(self, device: DeviceFile, settings: dict[str, bytes]) -> None:
-        self.baudrate, known = device.serial.baudrates[0], self.family.baudrates
+        self.baudrate, known = device.serial.baudrates[0], self.family.baud_codes
         named = self.baudrate if self.baudrate in known else known[0]
-        self.settings = Settings(settings | {BAUD: self.family.baud_value(named)})
+        self.settings = Settings(settings | {BAUD: self.family.baud_codes[named]})
         self.streaming = True
         self.faults = Faults()
         self.commands = 0

@@ -128,7 +128,7 @@ class MipFirmware(Firmware):
 
     def _possible(self, name: str, value: bytes) -> bool:
         if name == BAUD:
-            return int.from_bytes(value, "big") in Mip.baudrates
+            return value in Mip.baud_codes.values()
         if name in (SENSOR_STREAM, FILTER_STREAM):
             return len(value) == 1
         of = SENSOR if name == SENSOR_FORMAT else FILTER

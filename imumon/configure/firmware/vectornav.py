@@ -91,7 +91,7 @@ def _names(register: Register) -> list[str]:
 def _possible(name: str, value: bytes) -> bool:
     """Return whether the device takes a value."""
     if name == BAUD:
-        return value.isdigit() and int(value) in VectorNav.baudrates
+        return value in VectorNav.baud_codes.values()
     if name == ASCII:
         return value.isdigit()
     register = Register.read(value)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from imumon.configure.commands.core import Message, packets_among
 from imumon.configure.commands.witmotion import (
-    BAUD_CODES,
     BAUD_REGISTER,
     BITS,
     CONTENT,
@@ -67,7 +66,11 @@ class WitMotionFirmware(Firmware):
         if register == SAVE:
             self.save()
             return b""
-        possible = {RSW: data != b"\0\0", RRATE: data[0] in RATES, BAUD_REGISTER: data[0] in BAUD_CODES}
+        possible = {
+            RSW: data != b"\0\0",
+            RRATE: data[0] in RATES,
+            BAUD_REGISTER: data in self.family.baud_codes.values(),
+        }
         if possible.get(register):
             self.obey(next(name for name, number in REGISTERS.items() if number == register), data)
             self.baudrate = self.baud()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from imumon.configure.commands.core import BAUD, Message
 from imumon.configure.commands.xsens import (
-    BAUD_CODES,
     FASTEST_HZ,
     GO_TO_CONFIG,
     GO_TO_MEASUREMENT,
@@ -78,7 +77,7 @@ class XsensFirmware(Firmware):
 
     def _baudrate(self, data: bytes) -> bytes:
         if data:
-            if data[0] not in BAUD_CODES:
+            if data not in self.family.baud_codes.values():
                 return frame(ERROR, bytes([NO_SUCH_BAUDRATE]))
             self.obey(BAUD, data)
             self.save(BAUD)
