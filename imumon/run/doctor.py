@@ -161,7 +161,7 @@ def _port(port: PortInfo) -> Finding:
 def viewer() -> Iterator[Finding]:
     """Test whether the Rerun viewer is there and starts, and who has its ports."""
     try:
-        command = [viewer_binary(), "--version"]
+        command = [str(viewer_binary()), "--version"]
         done = subprocess.run(
             command, env=quiet_environment(), capture_output=True, text=True, timeout=ANSWER_S, check=True
         )

@@ -106,8 +106,8 @@ class Firmware(ABC):
 
     def __init__(self, device: DeviceFile, settings: dict[str, bytes]) -> None:
         self.baudrate, known = device.serial.baudrates[0], self.family.baud_codes
-        named = self.baudrate if self.baudrate in known else known[0]
-        self.settings = Settings(settings | {BAUD: self.family.baud_codes[named]})
+        named = self.baudrate if self.baudrate in known else next(iter(known))
+        self.settings = Settings(settings | {BAUD: known[named]})
         self.streaming = True
         self.faults = Faults()
         self.commands = 0
