@@ -6,7 +6,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from imumon.configure.command_link import HEAR_S, CommandLink
@@ -78,33 +78,28 @@ def _as_dict(request: Request) -> dict[str, str]:
     return {"meaning": request.meaning, "bytes": request.frame.hex(" ").upper(), "text": request.shown}
 
 
-def planned(family: Family, wish: Wish, baudrate: int | None, save: bool, now: int) -> list[Request]:
+def planned(family: Family, wish: Wish, now: int) -> list[Request]:
     """Return all that would be sent to a device of which only its baud rate `now` is known, in order.
 
     Raises BAD_CONFIG when that depends on what the device sends now.
     """
-    if not wish.empty and (wish.rate_hz is None or wish.outputs is None):
+    if (wish.rate_hz is None) != (wish.outputs is None):
         raise ImumonError(
             Reason.BAD_CONFIG,
             "a dry run sends nothing, so it does not know what the device sends now",
             "give both --rate and --outputs, or leave --dry-run out and --save too: flash stays as it is",
         )
-    values = _with_baud(family, family.wanted({}, wish), baudrate)
-    values = {name: values[name] for name in _in_order(values, baudrate, now)}
+    values = family.wanted({}, wish)
+    names = _in_order(values, wish, now)
     found = [family.hello, *family.quiet, *family.questions, *map(family.read, family.settings)]
-    found += [request for name, value in values.items() for request in family.write(name, value)]
-    found += [family.read(name) for name in values]
-    found += family.resume
-    return [*found, *(family.save(tuple(values)) if save and values else ())]
+    found += [request for name in names for request in family.write(name, values[name])]
+    found += [*map(family.read, names), *family.resume]
+    return [*found, *(family.save(names) if wish.save and names else ())]
 
 
-def _with_baud(family: Family, values: dict[str, bytes], baudrate: int | None) -> dict[str, bytes]:
-    return values if baudrate is None else {**values, BAUD: family.baud_codes[baudrate]}
-
-
-def _in_order(names: Iterable[str], baudrate: int | None, now: int) -> list[str]:
+def _in_order(names: Iterable[str], wish: Wish, now: int) -> list[str]:
     """Return settings in the order of changing: a faster line before more data, a slower one after less."""
-    faster = baudrate is not None and baudrate > now
+    faster = wish.baudrate is not None and wish.baudrate > now
     return sorted(names, key=lambda name: name != BAUD) if faster else list(names)
 
 
@@ -157,7 +152,7 @@ class Configuration:
         self._begun: list[Change] = []
         self._saving: tuple[str, ...] = ()
 
-    def run(self, wish: Wish, baudrate: int | None, save: bool) -> None:
+    def run(self, wish: Wish) -> None:
         """Make the wish true, or leave the device as it was.
 
         Raises BAD_CONFIG when the device has no such rate, or it does not fit through the line; REFUSED when
@@ -165,10 +160,10 @@ class Configuration:
         been put back, and the report says what could not be.
         """
         try:
-            changes = self._prepare(wish, baudrate, save)
-            self._carry_out(changes, wish, baudrate)
-            if save:
-                self._save(wish, baudrate)
+            changes = self._prepare(wish)
+            self._carry_out(changes, wish)
+            if wish.save:
+                self._save(wish)
         except BaseException as error:
             with _uninterrupted():
                 self._restore()
@@ -176,7 +171,7 @@ class Configuration:
                 raise ImumonError(Reason.REFUSED if error.refused else Reason.SILENT, str(error)) from error
             raise
 
-    def _prepare(self, wish: Wish, baudrate: int | None, save: bool) -> list[Change]:
+    def _prepare(self, wish: Wish) -> list[Change]:
         """Read the device and return what is to change, in order; nothing is written yet."""
         if self._link.port.shared_with:
             others = ", ".join(self._link.port.shared_with)
@@ -187,19 +182,17 @@ class Configuration:
         report, family = self._report, self._family
         report.identity = family.identity
         report.before = {name: family.describe(name, value) for name, value in self._present.items()}
-        wanted = _with_baud(family, family.wanted(self._present, wish), baudrate)
+        wanted = family.wanted(self._present, wish)
         after = {**self._present, **wanted}
         report.after = {name: family.describe(name, value) for name, value in after.items()}
         line = self._link.port.settings
         if wanted:
-            full = PortSettings(
-                line.url, baudrate or line.baudrate, line.bytesize, line.parity, line.stopbits
-            )
-            warning = check_load(family, after, full)
+            faster = replace(line, baudrate=wish.baudrate or line.baudrate)
+            warning = check_load(family, after, faster)
             report.warnings += [warning] if warning else []
         changes = [
             Change(name, self._present[name], wanted[name])
-            for name in _in_order(wanted, baudrate, line.baudrate)
+            for name in _in_order(wanted, wish, line.baudrate)
             if not family.settled(name, wanted[name], self._present[name])
         ]
         report.plan = [request for change in changes for request in family.write(change.name, change.after)]
@@ -209,7 +202,7 @@ class Configuration:
                 f"the device tells a baud rate that imumon could not put back: {report.before[BAUD]}",
                 "leave --baud out",
             )
-        if changes and family.stores_at_once and not save:
+        if changes and family.stores_at_once and not wish.save:
             raise ImumonError(
                 Reason.BAD_CONFIG,
                 f"{family.title} devices write what they are told into flash at once, so nothing was changed",
@@ -217,7 +210,7 @@ class Configuration:
             )
         return changes
 
-    def _carry_out(self, changes: Sequence[Change], wish: Wish, baudrate: int | None) -> None:
+    def _carry_out(self, changes: Sequence[Change], wish: Wish) -> None:
         """Write what changes, read it back, and listen to what comes."""
         for request in self._report.plan:
             self._tell(f"  {request.shown}\n      {request.meaning}")
@@ -226,9 +219,7 @@ class Configuration:
             self._report.flash_begun |= self._family.stores_at_once
             self._apply(change.name, change.after)
         self._resume()
-        self._report.result = (
-            "done" if changes else "read" if wish.empty and baudrate is None else "unchanged"
-        )
+        self._report.result = "done" if changes else "read" if wish.only_reads else "unchanged"
         if not changes:
             return
         values = {**self._present, **{change.name: change.after for change in changes}}
@@ -276,9 +267,9 @@ class Configuration:
             raise CommandError(requests[0], f"no answer at {new} baud", refused=False)
         self._quiet()
 
-    def _save(self, wish: Wish, baudrate: int | None) -> None:
+    def _save(self, wish: Wish) -> None:
         """Write into flash what was asked for, also where it was so already."""
-        wanted = _with_baud(self._family, self._family.wanted(self._present, wish), baudrate)
+        wanted = self._family.wanted(self._present, wish)
         self._saving = tuple(wanted)
         requests = self._family.save(self._saving) if wanted else ()
         for request in requests:

@@ -55,15 +55,15 @@ def command(
 
     described = load_device(device)
     family = family_of(described)
-    wish = Wish(rate, None if outputs is None else tuple(dict.fromkeys(_names(outputs))))
-    family.check(wish, baud)
-    if save and wish.empty and baud is None:
+    wish = Wish(rate, None if outputs is None else tuple(dict.fromkeys(_names(outputs))), baud, save)
+    family.check(wish)
+    if save and wish.only_reads:
         raise ImumonError(
             Reason.BAD_CONFIG, "--save, but nothing to save", "give --rate, --outputs or --baud"
         )
     report = Report(described.name, port, verified=family.verified)
     if dry_run:
-        _plan(family, wish, baud, at or described.serial.baudrates[0], save, report)
+        _plan(family, wish, at or described.serial.baudrates[0], report)
         print_json(report.as_dict(None)) if as_json else _show_plan(report)
         return
     from imumon.configure.command_link import connect
@@ -77,7 +77,7 @@ def command(
     link = connect(port, described, family, at)
     say("INFO", f"{family.title} answers on {link.port.settings}")
     try:
-        Configuration(link, family, described, report, note).run(wish, baud, save)
+        Configuration(link, family, described, report, note).run(wish)
     finally:
         link.close()
         if as_json:
@@ -95,15 +95,16 @@ def _names(outputs: str) -> list[str]:
     return names
 
 
-def _plan(family: Family, wish: Wish, baud: int | None, now: int, save: bool, report: Report) -> None:
+def _plan(family: Family, wish: Wish, now: int, report: Report) -> None:
     """Work out what would be sent."""
     from imumon.configure.configuration import check_load, planned
     from imumon.transport.settings import PortSettings
 
-    report.plan = planned(family, wish, baud, save, now)
+    report.plan = planned(family, wish, now)
     report.assumed, report.result = family.assumed, "planned"
-    if not wish.empty:
-        warning = check_load(family, family.wanted({}, wish), PortSettings(report.port, baud or now))
+    if wish.rate_hz is not None:
+        line = PortSettings(report.port, wish.baudrate or now)
+        warning = check_load(family, family.wanted({}, wish), line)
         report.warnings += [warning] if warning else []
 
 

@@ -14,6 +14,7 @@ import pytest
 from imumon.blocks import SampleBlock, join
 from imumon.configure import command_link, measured_stream
 from imumon.configure.command_link import CommandLink
+from imumon.configure.commands.core import Wish
 from imumon.configure.commands.families import family_of
 from imumon.configure.configuration import Configuration, Report
 from imumon.configure.firmware.core import Firmware, Sending
@@ -150,9 +151,9 @@ def looped(monkeypatch: pytest.MonkeyPatch, name: str, rate_hz: float | None = N
     return Looped(port, Configuration(link, family, port.device, report), report)
 
 
-def failed(one: Looped, *arguments: object) -> ImumonError:
+def failed(one: Looped, wish: Wish) -> ImumonError:
     """Return the error of a configuration that must fail."""
     with pytest.raises(ImumonError) as caught:
-        one.configuration.run(*arguments)  # type: ignore[arg-type]
+        one.configuration.run(wish)
     assert one.report.result == "failed"
     return caught.value

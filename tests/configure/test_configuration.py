@@ -26,7 +26,7 @@ UNHEARD = 3
 
 
 def succeeded(one: Looped, wish: Wish = WISH, baudrate: int | None = BAUDRATE, save: bool = True) -> Looped:
-    one.configuration.run(wish, baudrate, save)
+    one.configuration.run(replace(wish, baudrate=baudrate, save=save))
     return one
 
 
@@ -83,7 +83,7 @@ def test_flash_is_written_only_when_asked(monkeypatch: pytest.MonkeyPatch, name:
     one = looped(monkeypatch, name)
     settings = one.port.firmware.settings
     if name == "xsens":
-        assert "flash at once" in failed(one, WISH, BAUDRATE, False).seen
+        assert "flash at once" in failed(one, replace(WISH, baudrate=BAUDRATE)).seen
         assert one.as_found
         return
     succeeded(one, save=False)
@@ -149,7 +149,7 @@ def test_ctrl_c_at_any_command_leaves_the_device_as_it_was(
 
         one.port.on_write = interrupt
         with pytest.raises(KeyboardInterrupt):
-            one.configuration.run(WISH, BAUDRATE, True)
+            one.configuration.run(replace(WISH, baudrate=BAUDRATE, save=True))
         assert one.as_found, k
         assert one.report.result == "failed"
 
@@ -187,7 +187,7 @@ def test_more_than_the_line_carries_is_refused_before_anything_is_written(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     one = looped(monkeypatch, "witmotion")
-    error = failed(one, Wish(200.0, ("inertial", "attitude")), None, False)
+    error = failed(one, Wish(200.0, ("inertial", "attitude")))
     assert "6600 bytes/s are 688% of the 960 bytes/s of 9600 baud" in error.seen
     assert "--baud 115200" in error.hint
     assert one.as_found
@@ -217,7 +217,7 @@ def test_a_device_that_sends_at_another_rate_than_it_says_is_put_back(
     one = looped(monkeypatch, "vectornav")
     real = one.port.firmware.outputs
     monkeypatch.setattr(one.port.firmware, "outputs", lambda: (real()[0] / 2, real()[1]))
-    assert "Hz, not at 20 Hz" in failed(one, WISH, None, False).seen
+    assert "Hz, not at 20 Hz" in failed(one, WISH).seen
     assert one.as_found
 
 
@@ -226,7 +226,7 @@ def test_a_device_that_hardly_sends_is_put_back(monkeypatch: pytest.MonkeyPatch)
     one = looped(monkeypatch, "vectornav")
     real = one.port.firmware.outputs
     monkeypatch.setattr(one.port.firmware, "outputs", lambda: (real()[0] / 20, real()[1]))
-    assert "s, not at 20 Hz" in failed(one, WISH, None, False).seen
+    assert "s, not at 20 Hz" in failed(one, WISH).seen
     assert one.as_found
 
 
@@ -246,7 +246,7 @@ def test_a_baud_rate_that_could_not_be_put_back_is_not_changed(monkeypatch: pyte
     one = looped(monkeypatch, "witmotion")
     settings = one.port.firmware.settings
     settings.volatile[BAUD] = settings.flash[BAUD] = settings.delivered[BAUD] = b"\x77\x00"
-    assert "could not put back: code 119" in failed(one, WISH, BAUDRATE, False).seen
+    assert "could not put back: code 77" in failed(one, replace(WISH, baudrate=BAUDRATE)).seen
     assert one.as_found
 
 
@@ -262,7 +262,7 @@ def test_a_silent_device_is_left_silent_when_it_fails(monkeypatch: pytest.Monkey
     one.port.firmware.streaming = False
     one.configuration._link.streaming = False
     one.port.firmware.faults = Faults(refused=frozenset([12]))
-    failed(one, WISH, None, False)
+    failed(one, WISH)
     assert not one.port.firmware.streaming
 
 
@@ -271,8 +271,10 @@ def test_a_dry_run_needs_no_device(name: str) -> None:
     from imumon.protocols.device import load_device
 
     family = family_of(load_device(name))
-    frames = [request.frame for request in planned(family, WISH, BAUDRATE, save=True, now=9600)]
+    frames = [
+        request.frame for request in planned(family, replace(WISH, baudrate=BAUDRATE, save=True), now=9600)
+    ]
     assert frames[0] == family.hello.frame
     assert len(frames) > 6
     with pytest.raises(ImumonError, match="does not know what the device sends now"):
-        planned(family, Wish(20.0), None, save=False, now=9600)
+        planned(family, Wish(20.0), now=9600)

@@ -130,11 +130,14 @@ class Wish:
 
     rate_hz: float | None = None
     outputs: tuple[str, ...] | None = None
+    baudrate: int | None = None
+    save: bool = False
+    """Whether it is written into flash."""
 
     @property
-    def empty(self) -> bool:
+    def only_reads(self) -> bool:
         """Whether nothing is to be changed."""
-        return self.rate_hz is None and self.outputs is None
+        return self.rate_hz is None and self.outputs is None and self.baudrate is None
 
 
 def packets_among(data: bytes, frame: Frame) -> tuple[list[bytes], int]:
@@ -234,12 +237,13 @@ class Family(ABC):
 
         Raises BAD_CONFIG when the device has no such rate, or nothing is sent that could be kept.
         """
-        if wish.empty:
-            return {}
+        speed = {} if wish.baudrate is None else {BAUD: self.baud_codes[wish.baudrate]}
+        if wish.rate_hz is None and wish.outputs is None:
+            return speed
         rate_hz = wish.rate_hz or (self.rate_hz(present) if present else None)
         if present and rate_hz is None:
             raise nothing_to_keep("rate", "give --rate")
-        return self.of_wish(present, rate_hz, wish.outputs)
+        return self.of_wish(present, rate_hz, wish.outputs) | speed
 
     @abstractmethod
     def of_wish(
@@ -274,7 +278,7 @@ class Family(ABC):
         """Return the baud rate of a value of the setting; None when it is not known."""
         return next((rate for rate, code in self.baud_codes.items() if code == value), None)
 
-    def check(self, wish: Wish, baudrate: int | None) -> None:
+    def check(self, wish: Wish) -> None:
         """Refuse what no device of the family has, before anything is sent.
 
         Raises BAD_CONFIG, naming what there is.
@@ -283,8 +287,8 @@ class Family(ABC):
             if name not in self.columns:
                 what = f"{self.title} devices have no {name} ({OUTPUTS[name]})" if name in OUTPUTS else ""
                 raise _refused(what or f"no output {name!r}", self.columns)
-        if baudrate is not None and baudrate not in self.baud_codes:
-            raise _refused(f"no baud rate {baudrate}", self.baud_codes)
+        if wish.baudrate is not None and wish.baudrate not in self.baud_codes:
+            raise _refused(f"no baud rate {wish.baudrate}", self.baud_codes)
 
 
 def _refused(seen: str, there: Iterable[object]) -> ImumonError:

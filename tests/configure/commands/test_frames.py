@@ -98,11 +98,11 @@ def test_every_family_speaks_the_shared_words(name: str) -> None:
 def test_what_a_family_lacks_is_named() -> None:
     family = witmotion.WitMotion()
     with pytest.raises(ImumonError, match=r"have no increments.*\n.*inertial, magnetometer"):
-        family.check(Wish(10.0, ("increments",)), None)
+        family.check(Wish(10.0, ("increments",)))
     with pytest.raises(ImumonError, match=r"no output 'gyro'"):
-        family.check(Wish(10.0, ("gyro",)), None)
+        family.check(Wish(10.0, ("gyro",)))
     with pytest.raises(ImumonError, match=r"no baud rate 12345\n.*9600"):
-        family.check(Wish(), 12_345)
+        family.check(Wish(baudrate=12_345))
     with pytest.raises(ImumonError, match="does not configure stim300"):
         family_of(load_device("stim300"))
     assert all(load_device(name).protocol in FAMILIES for name in DEVICES)
