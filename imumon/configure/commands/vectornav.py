@@ -210,21 +210,20 @@ class VectorNav(Family):
 
     def read(self, name: str) -> Request:
         """Return $VNRRG."""
-        register, alone = REGISTERS[name], name in (ASCII, BAUD)
+        register = REGISTERS[name]
         found = request(f"VNRRG,{register:02d}", f"read {name}", str(register))
         reader = found.answer
         assert reader is not None
 
-        def first(message: Message) -> bytes | Refusal | None:
-            """Leave the number of the port out, which newer firmware adds."""
-            value = reader(message)
-            return value.split(b",")[0].lstrip(b"0") or b"0" if isinstance(value, bytes) else value
-
         def canonical(message: Message) -> bytes | Refusal | None:
             value = reader(message)
-            return Output.read(value).value if isinstance(value, bytes) else value
+            if not isinstance(value, bytes):
+                return value
+            if name in (ASCII, BAUD):  # newer firmware adds the number of the port
+                return value.split(b",")[0].lstrip(b"0") or b"0"
+            return Output.read(value).value
 
-        return replace(found, answer=first if alone else canonical)
+        return replace(found, answer=canonical)
 
     def write(self, name: str, value: bytes) -> tuple[Request, ...]:
         """Return $VNWRG."""

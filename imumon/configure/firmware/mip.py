@@ -42,10 +42,6 @@ class MipFirmware(Firmware):
         there = mip_fields(self._device.attitude, self._device.clock)
         return [field for field in there if field.key >> 8 == of and field.values]
 
-    def refusal(self, command: Message) -> bytes:
-        """Return an acknowledgement that says no."""
-        return _acknowledged(command, INVALID)
-
     def answer(self, command: Message) -> bytes:
         """Carry a command out."""
         there = fields(command.payload)
@@ -53,34 +49,34 @@ class MipFirmware(Firmware):
         if command.kind == mip.BASE:
             return self._base(command, code)
         if self.old and code in (mip.FORMAT, mip.BASE_RATE):
-            return _acknowledged(command, UNKNOWN)
+            return acknowledged(command, UNKNOWN)
         if code in (mip.BASE_RATE, mip.IMU_BASE_RATE, mip.FILTER_BASE_RATE):
-            return _acknowledged(command, DONE, data[:1] + mip.USUAL_BASE_HZ.to_bytes(2, "big"))
+            return acknowledged(command, DONE, data[:1] + mip.USUAL_BASE_HZ.to_bytes(2, "big"))
         name, of = self._named(code, data[1:])
         if not name:
-            return _acknowledged(command, UNKNOWN)
+            return acknowledged(command, UNKNOWN)
         if data[:1] == mip.READ:
-            return _acknowledged(command, DONE, of + self.settings.volatile[name])
+            return acknowledged(command, DONE, of + self.volatile[name])
         if data[:1] == mip.SAVE:
             self.save(name)
-            return _acknowledged(command, DONE)
+            return acknowledged(command, DONE)
         value = data[1 + len(of) :]
         if data[:1] != mip.APPLY or not self._possible(name, value):
-            return _acknowledged(command, INVALID)
+            return acknowledged(command, INVALID)
         self.obey(name, value)
         self.baudrate = self.baud()
-        return _acknowledged(command, DONE)
+        return acknowledged(command, DONE)
 
     def _base(self, command: Message, code: int) -> bytes:
         if code == mip.DEVICE_INFO:
             texts = ("VIRTUAL", "0000-0001", "1", "", "")
             info = b"\x04\x01" + b"".join(text.rjust(16).encode() for text in texts)
-            return _acknowledged(command, DONE, info)
+            return acknowledged(command, DONE, info)
         if code not in (mip.PING, mip.IDLE, mip.RESUME):
-            return _acknowledged(command, UNKNOWN)
+            return acknowledged(command, UNKNOWN)
         if code != mip.PING:
             self.streaming = code == mip.RESUME
-        return _acknowledged(command, DONE)
+        return acknowledged(command, DONE)
 
     def _named(self, code: int, data: bytes) -> tuple[str, bytes]:
         """Return the setting that a command is about, and the selector that it carries."""
@@ -111,8 +107,8 @@ class MipFirmware(Firmware):
         found = []
         for of, name in FORMATS.items():
             names = {field.key & 0xFF: field.name for field in self._fields(of)}
-            on = self.settings.volatile[STREAMS[of]] == mip.ON
-            every = {names[code]: by for code, by in formatted(self.settings.volatile[name]) if on}
+            on = self.volatile[STREAMS[of]] == mip.ON
+            every = {names[code]: by for code, by in formatted(self.volatile[name]) if on}
             found.append(Output(partial(self._encoder, of), every))
         return mip.USUAL_BASE_HZ, found
 
@@ -120,7 +116,8 @@ class MipFirmware(Firmware):
         return MipEncoder(names, of, self._device.attitude, self._device.clock)
 
 
-def _acknowledged(command: Message, code: int, data: bytes | None = None) -> bytes:
+def acknowledged(command: Message, code: int, data: bytes | None = None) -> bytes:
+    """Return an answer with its code, zero when the command was carried out, and data."""
     there = fields(command.payload)
     number = there[0][0] if there else 0
     parts = [(mip.ACK, bytes([number, code]))]

@@ -37,11 +37,6 @@ class WitMotionFirmware(Firmware):
         packets, done = packets_among(held, WRITE)
         return [Message(packet[2], packet[3:]) for packet in packets], done
 
-    def refusal(self, command: Message) -> bytes:
-        """Do nothing, and say nothing."""
-        del command
-        return b""
-
     def answer(self, command: Message) -> bytes:
         """Carry a command out; only a read is answered."""
         register, data = int(command.kind), command.payload
@@ -66,7 +61,7 @@ class WitMotionFirmware(Firmware):
         return b""
 
     def _four(self, first: int) -> bytes:
-        there = {number: self.settings.volatile[name] for name, number in witmotion.REGISTERS.items()}
+        there = {number: self.volatile[name] for name, number in witmotion.REGISTERS.items()}
         data = b"".join(there.get(first + k, b"\0\0") for k in range(4))
         packet = bytes([0x55, witmotion.REGISTER_ANSWER]) + data
         assert len(packet) == SIZE - 1
@@ -74,8 +69,8 @@ class WitMotionFirmware(Firmware):
 
     def outputs(self) -> tuple[float, list[Output]]:
         """Return the frames of a sample; what the encoder lacks is left out."""
-        content = int.from_bytes(self.settings.volatile[witmotion.CONTENT], "little")
+        content = int.from_bytes(self.volatile[witmotion.CONTENT], "little")
         names = [TYPES[FIRST_FRAME + bit].name for bit in range(len(witmotion.BITS)) if content >> bit & 1]
-        rate = witmotion.RATES[self.settings.volatile[witmotion.RATE][0]]
+        rate = witmotion.RATES[self.volatile[witmotion.RATE][0]]
         every = {name: round(FASTEST_HZ / rate) for name in names if name not in NOT_ENCODED}
         return FASTEST_HZ, [Output(WitMotionDevice.family.encoder, every)]

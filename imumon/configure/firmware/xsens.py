@@ -27,11 +27,6 @@ class XsensFirmware(Firmware):
         output = [(key, xsens.WITH_EVERY_PACKET if key >> 8 in TIMELESS else round(rate_hz)) for key in keys]
         super().__init__(device, {xsens.OUTPUT: xsens.packed(output)})
 
-    def refusal(self, command: Message) -> bytes:
-        """Return an Error message."""
-        del command
-        return frame(ERROR, bytes([INVALID_PARAMETER]))
-
     def answer(self, command: Message) -> bytes:
         """Carry a command out; in the state of measurement only that which ends it."""
         kind, data = int(command.kind), command.payload
@@ -59,7 +54,7 @@ class XsensFirmware(Firmware):
                 return frame(ERROR, bytes([INVALID_PARAMETER]))
             self.obey(xsens.OUTPUT, data)
             self.save(xsens.OUTPUT)
-        return frame(xsens.SET_OUTPUT_CONFIGURATION + 1, self.settings.volatile[xsens.OUTPUT])
+        return frame(xsens.SET_OUTPUT_CONFIGURATION + 1, self.volatile[xsens.OUTPUT])
 
     def _baudrate(self, data: bytes) -> bytes:
         if data:
@@ -67,11 +62,11 @@ class XsensFirmware(Firmware):
                 return frame(ERROR, bytes([NO_SUCH_BAUDRATE]))
             self.obey(BAUD, data)
             self.save(BAUD)
-        return frame(xsens.SET_BAUDRATE + 1, b"" if data else self.settings.volatile[BAUD])
+        return frame(xsens.SET_BAUDRATE + 1, b"" if data else self.volatile[BAUD])
 
     def outputs(self) -> tuple[float, list[Output]]:
         """Return MTData2 messages; each holds what is due."""
-        pairs = entries(self.settings.volatile[xsens.OUTPUT])
+        pairs = entries(self.volatile[xsens.OUTPUT])
         fastest = max((rate for _, rate in pairs if rate != xsens.WITH_EVERY_PACKET), default=0)
         names = {field.key: field.name for field in MTDATA2_FIELDS}
         every = {
