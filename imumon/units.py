@@ -17,7 +17,7 @@ _BASE = {"rad", "s", "m", "kg", "A", "K", "V", "N", "J", "W", "ohm", "Pa", "T", 
 
 _UNITS: dict[str, tuple[str | int | Fraction, str]] = {
     "1": (1, ""), "%": ("0.01", ""), "ppm": ("1e-6", ""),
-    "deg": (_PI / 180, "rad"), "dps": (1, "deg/s"), "rpm": (6, "deg/s"),
+    "deg": (_PI / 180, "rad"), "dps": (1, "deg/s"), "turn": (360, "deg"), "rpm": (6, "deg/s"),
     "min": (60, "s"), "h": (3600, "s"), "day": (86_400, "s"),
     "g": ("9.80665", "m/s^2"),  # in this field never a gram
     "gauss": ("1e-4", "T"), "bar": (100_000, "Pa"), "ft": ("0.3048", "m"), "inch": ("0.0254", "m"),
