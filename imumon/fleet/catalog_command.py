@@ -79,12 +79,11 @@ def _row(unit: Unit, unusual: Sequence[Outlier]) -> list[str]:
     from imumon.lab.diagnosis.figures import shown
 
     factor, _ = shown("rad/s")
-    begun = [entry.session.metadata.created_ns for entry in unit.entries]
     known = [drift for drift in drifts(unit) if drift.per_month == drift.per_month]
     drift = max(known, key=lambda one: abs(one.per_month), default=None)
     return [
         unit.name, unit.device, str(len(unit.entries)), f"{unit.hours:.2f}",
-        day(min(begun, default=None)), day(max(begun, default=None)),
+        day(min(unit.begun, default=None)), day(max(unit.begun, default=None)),
         _from_to(unit.temperatures, 1.0), _from_to(unit.sigmas, factor), str(len(unit.models)),
         "-" if drift is None
         else f"{drift.channel} {factor * drift.per_month:+.2g} ± {factor * drift.per_month_sd:.1g}",

@@ -47,13 +47,12 @@ class Section:
 
 def write_unit(unit: Unit, unusual: Sequence[Outlier], path: Path) -> None:
     """Write the record of a unit; raises OSError when that fails."""
-    begun = [entry.session.metadata.created_ns for entry in unit.entries]
     (low, high), (best, worst) = unit.temperatures, unit.sigmas
     facts = {
         "serial number": unit.name,
         "device": unit.device,
         "sessions": f"{len(unit.entries)}, {unit.hours:.2f} h, "
-        f"{day(min(begun, default=None))} to {day(max(begun, default=None))}",
+        f"{day(min(unit.begun, default=None))} to {day(max(unit.begun, default=None))}",
         "temperature": f"{low:.2f} to {high:.2f} °C",
         "smallest σ of the gyro bias": f"{best * PER_HOUR:.3g} to {worst * PER_HOUR:.3g} {HOURLY}",
         "made by": f"imumon {__version__}",
