@@ -67,5 +67,6 @@ class Spoilt:
             if self.commands not in self.faults.ignored:
                 obey(name, value)
 
-        firmware.answer, firmware.obey = answered, obeyed  # type: ignore[method-assign]
+        setattr(firmware, "answer", answered)  # noqa: B010  (methods of one firmware alone)
+        setattr(firmware, "obey", obeyed)  # noqa: B010
         return self

@@ -79,7 +79,7 @@ def test_without_save_nothing_survives_power_off(tmp_path: Path) -> None:
 def test_what_an_mti_stores_at_once_needs_save(tmp_path: Path) -> None:
     with VirtualDevice(load_device("xsens"), tmp_path / "imu") as virtual:
         done = imumon("configure", virtual.port.path, "--device", "xsens", *ASKED)
-        settings = firmware_of(virtual).settings
+        settings = firmware_of(virtual)
         assert settings.volatile == settings.flash == settings.delivered
     assert done.returncode == 2
     assert "say --save" in done.stderr
