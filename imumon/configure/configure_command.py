@@ -82,7 +82,7 @@ def command(
         link.close()
         if as_json:
             print_json(report.as_dict(link))
-        _tell(report, family, str(link.port.settings))
+        _show(report, family, str(link.port.settings))
     now = link.port.settings.baudrate
     again = f" --baud {now}" if now != described.serial.baudrates[0] and link.port.settings.has_line else ""
     note(f"to watch it: imumon monitor {port} --device {device}{again}")
@@ -119,31 +119,19 @@ def _show_plan(report: Report) -> None:
     note("dry run: nothing was sent, and the port was not opened")
 
 
-def _tell(report: Report, family: Family, line: str) -> None:
-    """Say what was found and what became of it."""
+def _show(report: Report, family: Family, line: str) -> None:
+    """Show what was found, and what became of it."""
     rows = {"device": " ".join((family.title, *report.identity)), "line": line}
     for name, text in report.before.items():
-        new = report.after.get(name, text)
-        changed = report.result == "done" and new != text
-        rows[name] = new if changed else text
-        if changed:
-            rows[f"{name} was"] = text
+        new = report.after.get(name, text) if report.result == "done" else text
+        rows[name] = text if new == text else f"{new}, was: {text}"
     if report.stream is not None:
         rate = f"{report.stream.rate_hz:.4g} Hz" if report.stream.rate_hz else "too slow to tell the rate"
         rows["measured"] = f"{rate}: {', '.join(report.stream.columns)}"
     print_rows(rows)
     warn(report.warnings)
     if report.result == "failed":
-        for text in report.restored:
-            say("INFO", f"put back: {text}")
-        for text in report.not_restored:
-            say("ERROR", f"NOT put back: {text}")
-        if report.not_restored:
-            say("ERROR", _after_power_off(report))
-        elif not report.restored:
-            say("INFO", "no setting was changed")
-        elif report.flash_begun:
-            say("INFO", "flash holds the settings that were put back")
+        _show_restored(report)
         return
     if report.result == "unchanged":
         say("INFO", "the device is set like this already")
@@ -154,7 +142,16 @@ def _tell(report: Report, family: Family, line: str) -> None:
         say("INFO", "not saved: the settings are lost at power-off (--save writes flash)")
 
 
-def _after_power_off(report: Report) -> str:
-    if report.flash_begun:
-        return "flash may hold the new settings: run imumon configure again when the device answers"
-    return "flash was not written: switch the device off and on, and it has its settings of before"
+def _show_restored(report: Report) -> None:
+    for text in report.restored:
+        say("INFO", f"put back: {text}")
+    for text in report.not_restored:
+        say("ERROR", f"NOT put back: {text}")
+    if report.not_restored and report.flash_begun:
+        say("ERROR", "flash may hold the new settings: configure again when the device answers")
+    elif report.not_restored:
+        say("ERROR", "flash was not written: switch the device off and on, and it has its settings of before")
+    elif not report.restored:
+        say("INFO", "no setting was changed")
+    elif report.flash_begun:
+        say("INFO", "flash holds the settings that were put back")
