@@ -155,7 +155,7 @@ class Mip(Family):
     columns: ClassVar[Mapping[str, tuple[str, ...]]] = USUAL_COLUMNS | {"status": ("overrange",)}
     assumed: ClassVar[tuple[str, ...]] = (
         f"base rate {USUAL_BASE_HZ} Hz for sensors and filter; it is asked of the device first",
-        "message format by command 0x0F; older devices take 0x08 and 0x0A",
+        "message format by command 0x0F; older devices are told by 0x08 and 0x0A",
     )
     hello: ClassVar[Request] = request(BASE, PING, b"", "Ping")
     quiet: ClassVar[tuple[Request, ...]] = (
