@@ -9,15 +9,27 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import PATH, console, json_option, print_json, print_rows, results_folder, say, warn
+from imumon.cli.common import (
+    PATH,
+    console,
+    json_option,
+    labelled,
+    print_json,
+    print_rows,
+    results_folder,
+    say,
+    show,
+    warn,
+)
 from imumon.errors import ImumonError, Reason
-from imumon.harmless import for_log
 
 if TYPE_CHECKING:
     from imumon.fleet.catalog.drift import Outlier
     from imumon.fleet.catalog.units import Unit
 
 RESULTS = "catalog"
+WIDEST = 10_000
+"""Characters in which any table has room."""
 HEADS = (
     "unit", "device", "sessions", "h", "first", "last", "°C", "σ, °/h", "models",
     "drift, °/h/month", "outliers",
@@ -97,10 +109,17 @@ def _from_to(of: tuple[float, float], factor: float) -> str:
 
 
 def _show(rows: Sequence[Sequence[str]]) -> None:
+    """Print a table, or where that is wider than the terminal a line for each value."""
     from rich.box import SIMPLE
-    from rich.table import Table
+    from rich.measure import Measurement
+    from rich.table import Column, Table
 
-    table = Table(*HEADS, box=SIMPLE, padding=(0, 1, 0, 0))
+    table = Table(*(Column(head, no_wrap=True) for head in HEADS), box=SIMPLE, padding=(0, 1, 0, 0))
     for row in rows:
-        table.add_row(*map(for_log, row))
-    console().print(table)
+        table.add_row(*row)
+    out = console()
+    if Measurement.get(out, out.options.update(width=WIDEST), table).maximum <= out.width:
+        out.print(table)
+        return
+    for row in rows:
+        show("\n".join([*labelled(dict(zip(HEADS, row, strict=True))), ""]))
