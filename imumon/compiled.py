@@ -1,8 +1,7 @@
 """Compiled functions, kept on disk as numba does, and renewed when any file of their package has changed.
 
-numba keeps compiled code beside the module of a function, or in the user's cache where that cannot be written
-to, and looks whether this one file has changed.  A kernel is also made of what its module imports: other
-kernels, and constants.  So here any file of the package counts (`package_stamp`).
+numba looks whether the one file of a function has changed.  A kernel is also made of what its module imports:
+other kernels, and constants.  So here any file of the package counts (`package_stamp`).
 
 What has to be compiled, and so keeps a command waiting, goes to the logger ``imumon.compiled``.
 """
@@ -19,7 +18,7 @@ from typing import Any, TypeVar, cast, overload
 
 import numba
 import numpy as np
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import FunctionCache
 from numba.core.runtime.nrt import rtsys
 from numba.extending import register_jitable
 
@@ -29,8 +28,8 @@ Fields = TypeVar("Fields")
 PACKAGE = __name__.partition(".")[0]
 
 _log = logging.getLogger(__name__)
-_modules: dict[str, bool] = {}
-"""Modules with kernels, in the order of import, and whether one of these is ready for use."""
+_announced: set[str] = set()
+"""Modules of which it was logged that they are compiled."""
 
 
 @overload
@@ -45,7 +44,6 @@ def njit(function: F | None = None, **options: Any) -> F | Callable[[F], F]:
     if function is None:
         return partial(njit, **options)
     kernel: Any = numba.njit(**{"nogil": True, "no_cfunc_wrapper": True, **options})(function)
-    _modules.setdefault(function.__module__, False)
     kernel._cache = _Cache(function)  # what numba's enable_caching does, with a cache of our own
     compiled: F = kernel
     return compiled
@@ -122,11 +120,6 @@ def _restored(array: Any, at: int) -> Any:
 copyreg.pickle(np.record, _stored)
 
 
-def kernel_modules() -> tuple[str, ...]:
-    """Return the imported modules that have compiled functions, in the order of import."""
-    return tuple(_modules)
-
-
 @cache
 def package_stamp(package: str) -> tuple[int, int]:
     """Return what changes with any source file of a package: newest change, ns, and their bytes."""
@@ -136,28 +129,13 @@ def package_stamp(package: str) -> tuple[int, int]:
     return max((one.st_mtime_ns for one in files), default=0), sum(one.st_size for one in files)
 
 
-# Some of numba is typed, its caches are not.
-
-
-class _Index(IndexDataCacheFile):
-    """The index of a function's stored code; one that names what the sources no longer have is empty."""
-
-    def _load_index(self) -> dict[object, str]:
-        try:
-            return dict(super()._load_index())  # type: ignore[no-untyped-call]
-        except (AttributeError, ImportError):  # a class among the types of the arguments has gone
-            return {}
-
-
 class _Cache(FunctionCache):
-    """The stored code of one function; says what has to be compiled."""
+    """The stored code of one function; logs what has to be compiled."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function)  # type: ignore[no-untyped-call]
+        super().__init__(function)  # type: ignore[no-untyped-call]  # numba's caches have no types
         self._module = function.__module__
-        self._cache_file = _Index(  # type: ignore[no-untyped-call]
-            self._cache_path, self._impl.filename_base, package_stamp(self._module.partition(".")[0])
-        )
+        self._cache_file._source_stamp = package_stamp(self._module.partition(".")[0])
 
     def load_overload(self, sig: object, target_context: object) -> object:
         """Return the stored code for a signature, or None: then numba compiles.
@@ -165,21 +143,13 @@ class _Cache(FunctionCache):
         numba's own would first import all that it may need to compile, 0.2 s: this is what code needs to run.
         """
         rtsys.initialize(target_context)
-        with self._guard_against_spurious_io_errors():
-            code = self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-        if code is None and not _modules[self._module]:
-            _announce(self._module)
-        _modules[self._module] = True
+        try:
+            with self._guard_against_spurious_io_errors():
+                code = self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        except (AttributeError, ImportError):  # a class among the types of the stored arguments has gone
+            self.flush()  # type: ignore[no-untyped-call]
+            code = None
+        if code is None and self._module not in _announced:
+            _announced.add(self._module)
+            _log.info("compiling %s (once)", self._module.removeprefix(f"{PACKAGE}."))
         return code
-
-
-def _announce(module: str) -> None:
-    """Say what is compiled, and what may still come."""
-    left = [_short(name) for name, ready in _modules.items() if not ready and name != module]
-    done = len(_modules) - len(left)
-    then = f"; then {', '.join(left)}" if left else ""
-    _log.info("compiling %s (once), %d of %d%s", _short(module), done, len(_modules), then)
-
-
-def _short(module: str) -> str:
-    return module.removeprefix(f"{PACKAGE}.")

@@ -89,7 +89,6 @@ def parse_yaml(text: str, model: type[Model], source: str) -> Model:
     except (yaml.YAMLError, ValueError, AttributeError, IndexError, TypeError, ArithmeticError) as error:
         # All but the first come from values such as a date with a month 13.
         raise ImumonError(Reason.BAD_CONFIG, f"{source}: not valid YAML: {error}") from error
-    _refuse_duplicate_keys(root, source)
     if root is None or not isinstance(data, dict):
         raise ImumonError(Reason.BAD_CONFIG, f"{source}:1: expected a mapping of keys, got {_kind(data)}")
     try:
@@ -172,7 +171,7 @@ def _refuse_deep(text: str, source: str) -> None:
 
 
 def _refuse_unreasonable(root: yaml.Node | None, loader: Any, source: str) -> None:
-    """Refuse documents that contain themselves or grow by aliases, and numbers that are no quantity."""
+    """Refuse what contains itself, grows by aliases or names a key twice; and numbers that are none."""
     sizes: dict[int, int] = {}
     """Of each node, with all that it contains; 0 while it is being counted."""
 
@@ -188,6 +187,10 @@ def _refuse_unreasonable(root: yaml.Node | None, loader: Any, source: str) -> No
             _refuse_number(node, loader, source)
         elif isinstance(node, yaml.MappingNode):
             inside = [part for pair in node.value for part in pair]
+            keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+            for number, (key, _) in enumerate(node.value):
+                if key.value in keys[:number]:  # YAML loaders take the last
+                    raise _at(key, source, f"key {key.value!r} is there twice")
         else:
             inside = node.value
         sizes[id(node)] = total = 1 + sum(map(size, inside))
@@ -213,22 +216,6 @@ def _refuse_number(node: yaml.ScalarNode, loader: Any, source: str) -> None:
 
 def _at(node: yaml.Node, source: str, seen: str) -> ImumonError:
     return ImumonError(Reason.BAD_CONFIG, f"{source}:{node.start_mark.line + 1}: {seen}")
-
-
-def _refuse_duplicate_keys(node: yaml.Node | None, source: str) -> None:
-    """Refuse a mapping that names a key twice, which YAML loaders silently accept."""
-    if isinstance(node, yaml.MappingNode):
-        seen: set[str] = set()
-        for key, value in node.value:
-            if isinstance(key, yaml.ScalarNode):
-                if key.value in seen:
-                    line = key.start_mark.line + 1
-                    raise ImumonError(Reason.BAD_CONFIG, f"{source}:{line}: key {key.value!r} is there twice")
-                seen.add(key.value)
-            _refuse_duplicate_keys(value, source)
-    elif isinstance(node, yaml.SequenceNode):
-        for value in node.value:
-            _refuse_duplicate_keys(value, source)
 
 
 def _kind(data: object) -> str:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -123,7 +122,7 @@ class Intake:
             self._begin("gyro", gyros, possible, changed)
         if "device_time_ns" in taken and "segment" in taken:
             for unchanged in self._unchanged.values():
-                unchanged.look(taken)
+                unchanged.process(taken)
         taken = taken.with_columns(changed) if changed else taken
         if "segment" in taken:
             self._force.look(taken)
@@ -282,97 +281,71 @@ def _allowed(pairs: IntArray, repeats: IntArray) -> IntArray:
     return np.where(pairs == repeats, 0, allowed)  # it has not said anything else yet
 
 
-class _Start(NamedTuple):
-    """Where an axis began to say what it says: time, readings so far, changes of each axis so far."""
-
-    time_ns: int
-    row: int
-    changes: IntArray
-
-
 class _Unchanged:
-    """Finds axes of a sensor that say the same, or nothing, for long while another axis does not.
+    """Finds axes of a sensor that stay the same, or missing, while another axis changes.
 
-    Whether such an axis is dead, nobody can tell of one whose noise is below its step.  Where all axes stay
-    as they are, as those of a coarse sensor at rest do, or go to and fro between two levels, nothing is said.
+    Tested in windows of `UNCHANGED_S` of device time, which begin anew with each segment.  Whether such an
+    axis is dead, nobody can tell of one whose noise is below its step.  Where all axes stay as they are, as
+    those of a coarse sensor at rest do, or go to and fro between two levels, nothing is reported.
     """
 
     def __init__(self, sensor: str) -> None:
         self._names = tuple(f"{sensor}_{axis}" for axis in "xyz")
         self._unit = RANGES[f"{sensor}_"][2]
         self.found: dict[str, str] = {}
-        """What is to be said of an axis."""
-        self._last, self._segment = np.full(3, np.nan), NO_INT
-        self._rows, self._changes = 0, np.zeros(3, np.int64)
-        """Readings so far, and how many are not the one before."""
-        self._starts = [_Start(0, 0, self._changes)] * 3
+        """Warning by axis."""
+        self._last = np.full(3, np.nan)
+        self._segment, self._began_ns = NO_INT, 0
+        self._readings, self._changes = 0, np.zeros(3, np.int64)
+        """In the window so far: readings, and how many of each axis differ from the one before."""
 
-    def look(self, sent: SampleBlock) -> None:
-        """Look at what was sent, where any axis says something."""
+    def process(self, sent: SampleBlock) -> None:
+        """Take the rows in which any axis has a reading."""
         if not all(name in sent for name in self._names):
             return
         readings = np.stack([sent[name] for name in self._names])
-        time_ns, segment = sent["device_time_ns"], sent["segment"]
-        if np.isnan(readings).any():
-            there = ~np.isnan(readings).all(axis=0)
-            readings, time_ns, segment = readings[:, there], time_ns[there], segment[there]
-        if len(time_ns):
-            self._process(readings, time_ns, segment)
+        there = ~np.isnan(readings).all(axis=0)
+        if not there.any():
+            return
+        readings, time_ns = readings[:, there], sent["device_time_ns"][there]
+        segment = sent["segment"][there]
+        first = readings[:, :1] if self._segment == NO_INT else self._last[:, np.newaxis]
+        before = np.hstack([first, readings[:, :-1]])
+        changed = (readings != before) & ~(np.isnan(readings) & np.isnan(before))
+        at, n = 0, len(time_ns)
+        while at < n:
+            part = int(segment[at])
+            if part != self._segment:
+                self._segment = part
+                self._begin(int(time_ns[at]))
+            rest = at + int(np.argmin(np.append(segment[at:] == part, False)))
+            window_end_ns = self._began_ns + round(UNCHANGED_S * 1e9)
+            stop = at + int(np.searchsorted(time_ns[at:rest], window_end_ns))
+            self._readings += stop - at
+            self._changes += changed[:, at:stop].sum(axis=1)
+            if stop < rest:
+                self._evaluate(readings[:, stop - 1] if stop else self._last)
+                self._begin(int(time_ns[stop]))
+            at = stop
+        self._last = readings[:, -1].copy()
 
-    def _process(self, readings: FloatArray, time_ns: IntArray, segment: IntArray) -> None:
-        n, changed = len(time_ns), np.empty(readings.shape, np.bool_)
-        changed[:, 0] = _differ(readings[:, 0], self._last) | (segment[0] != self._segment)
-        changed[:, 1:] = _differ(readings[:, 1:], readings[:, :-1]) | (segment[1:] != segment[:-1])
-        for axis in range(3):
-            self._starts[axis] = self._follow(axis, changed, readings, time_ns)
-        self._changes = self._changes + changed.sum(axis=1)
-        self._last, self._segment, self._rows = readings[:, -1].copy(), int(segment[-1]), self._rows + n
+    def _begin(self, time_ns: int) -> None:
+        self._began_ns, self._readings, self._changes = time_ns, 0, np.zeros(3, np.int64)
 
-    def _follow(self, axis: int, changed: BoolArray, readings: FloatArray, time_ns: IntArray) -> _Start:
-        """Go through the runs of an axis, which begin where it changed; return where the last one began."""
-
-        def changes(at: int) -> IntArray:
-            return np.asarray(self._changes + changed[:, : at + 1].sum(axis=1))
-
-        def start(at: int) -> _Start:
-            return _Start(int(time_ns[at]), self._rows + at, changes(at))
-
-        begins = np.flatnonzero(changed[axis])
-        firsts, stops = np.concatenate([[0], begins]), np.concatenate([begins, [len(time_ns)]])
-        since = np.concatenate([[self._starts[axis].time_ns], time_ns[begins]])
-        latest = start(int(begins[-1])) if len(begins) else self._starts[axis]
-        for run in np.flatnonzero((stops > 0) & (time_ns[stops - 1] - since >= UNCHANGED_S * 1e9)):
-            at, stop = int(firsts[run]), int(stops[run])
-            begun = start(at) if run else self._starts[axis]
-            while (at := _after(time_ns, at, stop, begun)) < stop:
-                others, pairs = changes(at) - begun.changes, self._rows + at - begun.row
-                lively, sd = int(others.argmax()), (AT_AN_EDGE * (1.0 - AT_AN_EDGE) * pairs) ** 0.5
-                if others[lively] > AT_AN_EDGE * pairs + BEYOND_CHANCE * sd:
-                    self._find(axis, lively, float(readings[axis, at]), begun.time_ns)
-                begun = start(at)
-            latest = begun if run == len(begins) else latest
-        return latest
-
-    def _find(self, axis: int, lively: int, value: float, since_ns: int) -> None:
-        name, unit = self._names[axis], self._unit
-        stuck = (
-            f"{name} says {value:g} {unit} without any change",
-            "it is stuck, or its noise is below its steps",
-        )
-        what, why = (f"{name} says nothing", "it is dead") if np.isnan(value) else stuck
-        since = f"for {UNCHANGED_S:g} s and more, since {since_ns * 1e-9:.3f} s of device time"
-        self.found.setdefault(name, f"{what} {since}, while {self._names[lively]} changes: {why}")
-
-
-def _differ(one: FloatArray, other: FloatArray) -> BoolArray:
-    """Return which readings are not the same; two that are missing are."""
-    differ = np.asarray(one != other)
-    return differ & ((one == one) | (other == other)) if np.isnan(one).any() else differ
-
-
-def _after(time_ns: IntArray, at: int, stop: int, begun: _Start) -> int:
-    """Return from which of these rows on an axis has been the same for `UNCHANGED_S`."""
-    return at + int(np.searchsorted(time_ns[at:stop], begun.time_ns + round(UNCHANGED_S * 1e9)))
+    def _evaluate(self, values: FloatArray) -> None:
+        """Report the axes that did not change in a window; `values` are the last readings."""
+        sd = (AT_AN_EDGE * (1.0 - AT_AN_EDGE) * self._readings) ** 0.5
+        lively = int(self._changes.argmax())
+        if self._changes[lively] <= AT_AN_EDGE * self._readings + BEYOND_CHANCE * sd:
+            return
+        since = f"for {UNCHANGED_S:g} s and more, since {self._began_ns * 1e-9:.3f} s of device time"
+        for axis in np.flatnonzero(self._changes == 0):
+            name = self._names[axis]
+            what, why = f"{name} says nothing", "it is dead"
+            if not np.isnan(values[axis]):
+                what = f"{name} says {values[axis]:g} {self._unit} without any change"
+                why = "it is stuck, or its noise is below its steps"
+            self.found.setdefault(name, f"{what} {since}, while {self._names[lively]} changes: {why}")
 
 
 class _Clock:

@@ -97,7 +97,7 @@ class GuardedStage:
     def notices(self, live: bool) -> list[str]:
         """Return, once each, what it has to say, and why it was switched off."""
         nothing: list[str] = []
-        texts = self._call("notices", lambda: _texts(self.stage.notices()), nothing, live)
+        texts = self._call("notices", lambda: _each_is(str, self.stage.notices(), "text"), nothing, live)
         report, self._report = self._report, []
         return [*texts, *report]
 
@@ -106,7 +106,7 @@ class GuardedStage:
         stage, nothing = self.stage, list[Chart]()
         if not isinstance(stage, Charting):
             return nothing
-        return self._call("charts", lambda: _charts(stage.charts()), nothing, live)
+        return self._call("charts", lambda: _each_is(Chart, stage.charts(), "chart"), nothing, live)
 
     def lanes(self, live: bool) -> Mapping[str, LaneState]:
         """Return the state of each of its lanes as it is now."""
@@ -259,24 +259,18 @@ def _check_column(name: str, values: object, dtype: np.dtype[Any], n: int) -> No
         raise _wrong(f"{name} is {values.dtype} and declared as {dtype}", "return what is declared")
 
 
-def _texts(texts: object) -> list[str]:
-    if not isinstance(texts, list | tuple) or not all(isinstance(text, str) for text in texts):
-        raise _wrong("it returned what is no text", "return a list of str")
-    return [*texts]
-
-
-def _charts(drawn: object) -> list[Chart]:
-    if not isinstance(drawn, list | tuple) or not all(isinstance(chart, Chart) for chart in drawn):
-        raise _wrong("it returned what is no chart", "return a list of imumon.charts.Chart")
-    return [*drawn]
+def _each_is(kind: type[T], found: object, what: str) -> list[T]:
+    """Return a list of a stage; raises BAD_CONFIG when it is none, or holds something else."""
+    if not isinstance(found, list | tuple) or not all(isinstance(one, kind) for one in found):
+        raise _wrong(f"it returned what is no {what}", f"return a list of {kind.__name__}")
+    return [*found]
 
 
 def _lanes(states: object) -> Mapping[str, LaneState]:
-    if isinstance(states, Mapping) and all(isinstance(name, str) for name in states):
-        each = [LaneState(state) if isinstance(state, str) else state for state in states.values()]
-        if all(isinstance(state, LaneState) for state in each):
-            return dict(zip(states, each, strict=True))
-    raise _wrong("it returned what is no state", "return a dict of str: the state of each lane")
+    if not isinstance(states, Mapping) or not all(isinstance(name, str) for name in states):
+        raise _wrong("it returned what is no state", "return a dict of str: the state of each lane")
+    each = [LaneState(state) if isinstance(state, str) else state for state in states.values()]
+    return dict(zip(states, _each_is(LaneState, each, "state"), strict=True))
 
 
 def _wrong(what: str, hint: str) -> ImumonError:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
-
-from imumon import compiled
-from imumon.compiled import kernel_modules
 
 FILES = {
     "__init__.py": "",
@@ -98,18 +97,11 @@ def test_code_of_a_package_that_cannot_be_written_is_kept_elsewhere(package: Pat
     assert list((tmp_path / ".cache").rglob("*.nbi"))
 
 
-def test_modules_with_kernels_are_known() -> None:
-    import imumon.clock.device  # noqa: F401
-
-    assert {"imumon.clock.device", "imumon.clock.host"} <= set(kernel_modules())
-
-
-def test_an_index_that_names_a_class_that_has_gone_is_empty(tmp_path: Path) -> None:
+def test_an_index_that_names_a_class_that_has_gone_is_made_anew(package: Path) -> None:
     """The types of the arguments stand in the index; one of them may have been renamed since."""
-    gone = type("Gone", (), {"__module__": "imumon.compiled", "__qualname__": "Gone"})
-    compiled.__dict__["Gone"] = gone
-    stored = compiled._Index(str(tmp_path), "kernel", "stamp")  # type: ignore[no-untyped-call]
-    stored._save_index({(gone, "x86"): "kernel.1.nbc"})  # type: ignore[no-untyped-call]
-    assert len(stored._load_index()) == 1
-    del compiled.__dict__["Gone"]
-    assert stored._load_index() == {}
+    run(package)
+    for index in package.rglob("*.nbi"):
+        version = pickle.dumps(numba.__version__, protocol=-1)
+        index.write_bytes(version + b"cmade.gone\nGone\n.")
+    assert run(package) == ("7.0 1.5", ["inner", "outer", "unrelated"])
+    assert run(package) == ("7.0 1.5", [])

@@ -269,12 +269,13 @@ def at_50_hz(n: int, seed: int = 0) -> Columns:
 def test_an_axis_that_stays_as_it_is_beside_those_that_do_not_is_told(
     value: float, said: str, since: int
 ) -> None:
-    columns = at_50_hz(3000)
+    columns = at_50_hz(5000)
     columns["gyro_y"][since:] = value
     for sizes in (None, [1], [7, 700], [1499, 2]):
         _, intake = seen(columns, sizes)
         (text,) = intake.notices()
-        lasts = f"for 30 s and more, since {since / 50:.3f} s of device time, while gyro_"
+        window_s = 30.0 if since else 0.0  # the first window in which it never changed
+        lasts = f"for 30 s and more, since {window_s:.3f} s of device time, while gyro_"
         assert text.startswith(f"gyro_y says {said} {lasts}")
         assert not intake.notices()
         assert intake.left_out == 0

@@ -16,14 +16,15 @@ from imumon.cli.common import (
     console,
     device_help,
     json_option,
+    labelled,
     note,
     print_json,
+    show,
     warn,
 )
 from imumon.cli.live_run import PortRun
 from imumon.cli.setup_options import make_setup
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
-from imumon.harmless import for_log
 
 if TYPE_CHECKING:
     from imumon.estimation.alignment.report import Guide, Status
@@ -195,34 +196,26 @@ class _Shown:
     """A line on the terminal: the state, the sigma on its way to the one wanted, and the time to go."""
 
     def __init__(self, stage: Alignment, guide: Guide | None = None) -> None:
-        from rich.progress import BarColumn, Progress, TextColumn
+        from rich.status import Status as Line
 
         self._stage, self._guide = stage, guide
-        self._bar = Progress(
-            TextColumn("{task.description}", markup=False),
-            BarColumn(20),
-            TextColumn("{task.fields[text]}", markup=False),
-            console=console(error=True),
-            transient=True,
-        )
-        self._task = self._bar.add_task("alignment", total=1.0, text="")
+        self._line = Line("alignment", console=console(error=True))
 
     def __enter__(self) -> _Shown:
-        self._bar.start()
+        self._line.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._bar.stop()
+        self._line.stop()
 
     def renew(self) -> None:
         from imumon.estimation.alignment.report import heading_text, to_go_text
 
         status = self._stage.status
-        text = f"{heading_text(status)}; {to_go_text(status)}"
+        text = f"{status.phase}: {heading_text(status)}; {to_go_text(status)}"
         if self._guide is not None and self._guide.instruction:
             text = f"{self._guide.instruction}; {text}"
-        share = 0.0 if status.shown is None else min((status.wanted_sd / status.shown.sd) ** 2, 1.0)
-        self._bar.update(self._task, description=status.phase, completed=share, text=text)
+        self._line.update(text)
 
 
 def _refuse_without_sensors(status: Status, where: str, columns: Sequence[str]) -> None:
@@ -230,15 +223,10 @@ def _refuse_without_sensors(status: Status, where: str, columns: Sequence[str]) 
     if status.phase != "waiting" or status.elapsed_s > 0.0:
         return
     needed = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
-    lacking = [name for name in needed if name not in columns]
-    raise ImumonError(
-        Reason.BAD_DATA,
-        f"{where}: "
-        + (
-            f"there is no {', '.join(lacking)}" if lacking else "fewer than two samples have all six readings"
-        ),
-        "the heading needs angular rate and specific force of all three axes, in the same packets",
-    )
+    lacking = ", ".join(name for name in needed if name not in columns)
+    seen = f"there is no {lacking}" if lacking else "fewer than two samples have all six readings"
+    hint = "the heading needs angular rate and specific force of all three axes, in the same packets"
+    raise ImumonError(Reason.BAD_DATA, f"{where}: {seen}", hint)
 
 
 def as_data(status: Status, positions: int = 1) -> dict[str, object]:
@@ -272,13 +260,9 @@ def _report(status: Status) -> None:
 
     from imumon.estimation.alignment.report import estimator_rows, rows
 
-    out = console()
     if status.rest_s > 0.0:
         table = Table("estimator", "heading [°]", "σ [°]", box=SIMPLE, padding=(0, 1, 0, 0))
         for row in estimator_rows(status):
             table.add_row(*row)
-        out.print(table)
-    texts = rows(status)
-    width = max(map(len, texts))
-    for label, text in texts.items():
-        out.print(f"  {label:<{width}}  {for_log(text)}", soft_wrap=True)
+        console().print(table)
+    show("\n".join(labelled(rows(status))))

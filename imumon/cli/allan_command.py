@@ -33,6 +33,7 @@ def command(
     """
     from imumon.allan import output
     from imumon.allan.analysis import analyse
+    from imumon.allan.odometry import write_kalibr, write_openvins, write_vins
     from imumon.allan.recording import read_channels
     from imumon.estimation.gyro_bias.stage import RestDetector
 
@@ -51,25 +52,16 @@ def command(
     if noise_out is not None:
         output.write_noise(noise_out, results, recording)
         written["noise"] = noise_out
-    written |= _for_odometry(odometry, results, recording)
+    writers = {"kalibr": write_kalibr, "openvins": write_openvins, "vins": write_vins}
+    for name, path in odometry.items():
+        if path is not None:
+            writers[name](path, results, recording)
+            written[name] = path
     if as_json:
         print_json(output.as_json(results))
     else:
         _show(results)
     print_rows({name: str(path) for name, path in written.items()})
-
-
-def _for_odometry(
-    wanted: dict[str, Path | None], results: dict[str, Result], recording: Path
-) -> dict[str, Path]:
-    """Write the files that were asked for; return them by name."""
-    from imumon.allan.odometry import write_kalibr, write_openvins, write_vins
-
-    writers = {"kalibr": write_kalibr, "openvins": write_openvins, "vins": write_vins}
-    written = {name: path for name, path in wanted.items() if path is not None}
-    for name, path in written.items():
-        writers[name](path, results, recording)
-    return written
 
 
 def _of_the_fit(results: dict[str, Result]) -> list[str]:

@@ -183,11 +183,16 @@ def _check_address(bind: str) -> None:
         ) from error
 
 
+def labelled(rows: Mapping[str, str]) -> list[str]:
+    """Return lines with a label each, below each other."""
+    width = max(map(len, rows), default=0)
+    return [f"  {label:<{width}}  {for_log(text)}" for label, text in rows.items()]
+
+
 def print_rows(rows: Mapping[str, str]) -> None:
     """Write labelled lines on standard error."""
-    width = max(map(len, rows), default=0)
-    for label, text in rows.items():
-        note(f"  {label:<{width}}  {for_log(text)}")
+    for line in labelled(rows):
+        note(line)
 
 
 @contextmanager

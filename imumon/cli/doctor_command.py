@@ -25,15 +25,8 @@ def command(folder: Path, as_json: bool) -> int:
     findings = list(examine(folder))
     faults = sum(finding.state is State.FAULT for finding in findings)
     if as_json:
-        print_json(
-            {
-                "findings": [
-                    {"subject": f.subject, "state": f.state.value, "seen": f.seen, "remedy": f.remedy}
-                    for f in findings
-                ],
-                "faults": faults,
-            }
-        )
+        found = [{**finding._asdict(), "state": finding.state.value} for finding in findings]
+        print_json({"findings": found, "faults": faults})
         return EXIT_NEGATIVE if faults else EXIT_OK
     for finding in findings:
         state = click.style(f"{finding.state.value:<8}", fg=COLOURS[finding.state.value])

@@ -53,7 +53,8 @@ def command(
         }
     name_unit(out, serial)
     if report.rows_dropped:
-        say("WARN", f"{report.rows_dropped} of {report.rows_in} rows were dropped, {_why(map_path)}")
+        why = "as their time does not increase" if map_path is None else "as the map asks"
+        say("WARN", f"{report.rows_dropped} of {report.rows_in} rows were dropped, {why}")
     warn(report.warnings)
     if as_json:
         print_json({"session": out, **asdict(report), **chosen})
@@ -80,7 +81,3 @@ def _import_log(path: Path, sensor: str | None, out: Path) -> Any:
     if not readers:
         raise ImumonError(Reason.BAD_CONFIG, f"{path}: a table needs a map", "add --map MAP.yaml")
     return readers[0](path, sensor, out)
-
-
-def _why(map_path: Path | None) -> str:
-    return "as the map asks" if map_path is not None else "as their time does not increase"

@@ -63,20 +63,26 @@ def reading_bar(paths: Sequence[Path], *, quiet: bool) -> Iterator[Tell]:
     if quiet:
         yield lambda _: None
         return
-    from imumon.recordings.source import recorded_bytes
+    from imumon.recordings.source import reading, recorded_bytes
 
     sizes = [recorded_bytes(path) for path in paths]
     known = [size for size in sizes if size is not None]
     total = sum(known) if len(known) == len(sizes) else None
     what = for_log(f"reading {', '.join(path.name for path in paths)}")
-    with _bar(what, total) if sys.stderr.isatty() else _lines(what, total) as tell:
-        yield tell
+    with (_bar if sys.stderr.isatty() else _lines)(what, total) as (count, tell):
+        token = reading.set(count)
+        try:
+            yield tell
+        finally:
+            reading.reset(token)
+
+
+Shown = Iterator[tuple[Callable[[int], object], Tell]]
+"""Two functions: one takes how many bytes more were read, the other what is being done now."""
 
 
 @contextmanager
-def _lines(what: str, total: int | None) -> Iterator[Tell]:
-    from imumon.recordings.source import reading
-
+def _lines(what: str, total: int | None) -> Shown:
     done, now = 0, ""
 
     def count(more: int) -> None:
@@ -87,19 +93,13 @@ def _lines(what: str, total: int | None) -> Iterator[Tell]:
         nonlocal now
         now = text
 
-    token = reading.set(count)
-    try:
-        with progress_lines(lambda: now or (f"{what}: {done / total:.0%}" if total else what), quiet=False):
-            yield tell
-    finally:
-        reading.reset(token)
+    with progress_lines(lambda: now or (f"{what}: {done / total:.0%}" if total else what), quiet=False):
+        yield count, tell
 
 
 @contextmanager
-def _bar(what: str, total: int | None) -> Iterator[Tell]:
+def _bar(what: str, total: int | None) -> Shown:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-    from imumon.recordings.source import reading
 
     columns = (
         TextColumn("{task.description}", markup=False),
@@ -110,12 +110,7 @@ def _bar(what: str, total: int | None) -> Iterator[Tell]:
     )
     with Progress(*columns, console=console(error=True), transient=True) as bar:
         task = bar.add_task(what, total=total)
-
-        def tell(text: str) -> None:
-            bar.update(task, description=for_log(text), total=None)
-
-        token = reading.set(lambda count: bar.advance(task, count))
-        try:
-            yield tell
-        finally:
-            reading.reset(token)
+        yield (
+            lambda more: bar.advance(task, more),
+            lambda text: bar.update(task, description=for_log(text), total=None),
+        )

@@ -32,10 +32,7 @@ from imumon.files import check_output
 from imumon.wings import offers
 
 if TYPE_CHECKING:
-    from imumon.pipeline import Estimator, Pipeline
-    from imumon.recordings.folder import Session
-    from imumon.recordings.source import Source
-    from imumon.run.replay import Comparison
+    from imumon.pipeline import Estimator
     from imumon.view.items import ViewSetup
     from imumon.view.publisher import ViewPublisher
     from imumon.view.viewer import Mode
@@ -89,7 +86,7 @@ def command(
     from imumon.recordings.folder import open_session
     from imumon.recordings.side_tables import Exported, export_run
     from imumon.recordings.source import open_source
-    from imumon.run.narration import Narrator, describe_losses, describe_streams
+    from imumon.run.narration import Narrator, advised, describe_losses, describe_streams, view_setup
     from imumon.run.replay import Comparison, compare_with_live, digested, replay
     from imumon.run.stages import pipeline_of
 
@@ -109,7 +106,8 @@ def command(
     pipeline, digest = pipeline_of(source, setup, more), Digest()
     publisher = narrator = None
     if view != "none":
-        publisher = _begun(view, _shown(source, opened, pipeline, window), bind)
+        units = {column.name: column.unit for column in source.imported} | pipeline.units
+        publisher = _begun(view, view_setup(opened, units, window, replay=True), bind)
         card = {"session": str(session), "replay": "as fast as it goes" if pace is None else f"{pace:g} x"}
         narrator = Narrator(pipeline, None, [publisher.publish], lambda *_: None, card, session)
     blocks = digested(replay(source.items, pipeline, narrator, pace), pipeline, digest)
@@ -124,11 +122,12 @@ def command(
     finally:
         if publisher is not None:
             publisher.close(CLOSE_S)
-    as_live = not smooth and rate is None
     comparison = Comparison(None, "it ran otherwise, by --smooth or --rate")
-    if as_live:
+    if not smooth and rate is None:
         comparison = compare_with_live(opened, setup, digest, pipeline)
-    _warn(source, pipeline, opened.path, comparison)
+    warn(advised(text, opened.path) for text in [*source.warnings(), *pipeline.warnings()])
+    if comparison.identical is False:
+        warn(["the samples differ from those of the live run: another version, or bytes missing"])
     warn(exported.warnings)
     if as_json:
         compared = {"results_digest": digest.hexdigest()} | comparison.as_dict()
@@ -140,7 +139,11 @@ def command(
         "samples": f"{exported.rows:,}, {comparison}",
         "losses": describe_losses(pipeline.counters),
     }
-    print_rows(result | describe_streams(pipeline.counters, exported.tables) | _smoothing(disagreement))
+    result |= describe_streams(pipeline.counters, exported.tables)
+    if disagreement is not None:
+        text = ", ".join(f"{name} {value:.2f}" for name, value in disagreement.items())
+        result["forward less backward"] = f"{text} σ rms" if text else "nothing to compare"
+    print_rows(result)
     return EXIT_NEGATIVE if comparison.identical is False else EXIT_OK
 
 
@@ -174,21 +177,6 @@ def _begun(view: Mode, setup: ViewSetup, bind: str) -> ViewPublisher:
     return publisher
 
 
-def _warn(source: Source, pipeline: Pipeline, session: Path, comparison: Comparison) -> None:
-    from imumon.run.narration import advised
-
-    warn(advised(text, session) for text in [*source.warnings(), *pipeline.warnings()])
-    if comparison.identical is False:
-        warn(["the samples differ from those of the live run: another version, or bytes missing"])
-
-
-def _smoothing(disagreement: dict[str, float] | None) -> dict[str, str]:
-    if disagreement is None:
-        return {}
-    text = ", ".join(f"{name} {value:.2f}" for name, value in disagreement.items())
-    return {"forward less backward": f"{text} σ rms" if text else "nothing to compare"}
-
-
 def _speed(text: str | None, view: str) -> float | None:
     if text is None:
         return None if view == "none" else 1.0
@@ -201,10 +189,3 @@ def _speed(text: str | None, view: str) -> float | None:
     if not 0 < speed < 1e9:
         raise ImumonError(Reason.BAD_CONFIG, f"--speed {text!r}: expected a positive number or max")
     return speed
-
-
-def _shown(source: Source, opened: Session, pipeline: Pipeline, window_s: float) -> ViewSetup:
-    from imumon.run.narration import view_setup
-
-    units = {column.name: column.unit for column in source.imported} | pipeline.units
-    return view_setup(opened, units, window_s, replay=True)

@@ -62,10 +62,8 @@ def command(
 
     given = {"duration_s": duration, "rate_hz": rate}
     plan = load_scenario(scenario).model_copy(update={k: v for k, v in given.items() if v is not None})
-    if out.suffix in TABLES:
-        result = _table(plan, device, seed, out)
-    else:
-        result = _session(plan, device or DEFAULT_DEVICE, seed, out)
+    result = _simulated(plan, device, seed, out)
+    if "session" in result:
         name_unit(out, serial)
     if as_json:
         print_json({"scenario": scenario, "seed": seed, "samples": plan.samples, **result})
@@ -74,27 +72,21 @@ def command(
     )
 
 
-def _session(plan: Scenario, device: str, seed: int, out: Path) -> dict[str, Path]:
+def _simulated(plan: Scenario, device: str | None, seed: int, out: Path) -> dict[str, Path]:
+    """Write a session or a table, in the axes of the device; return what was written."""
     from imumon.protocols.device import device_text, parse_device
-    from imumon.simulation.recording import TRUTH_NAME, record_session
+    from imumon.simulation.recording import TRUTH_NAME, record_session, write_table
 
-    text, source = device_text(device)
-    description = parse_device(text, source)
-    played = plan.played(plan.rate_hz, description.axes)
+    text, source = device_text(device or DEFAULT_DEVICE)
+    described, as_table = parse_device(text, source), out.suffix in TABLES
+    if device is not None or not as_table:
+        plan = plan.played(plan.rate_hz, described.axes)
     with _progress(plan.samples) as progress:
-        record_session(played, description, text, seed, out, progress)
+        if as_table:
+            write_table(plan, seed, out, progress)
+            return {"table": out}
+        record_session(plan, described, text, seed, out, progress)
     return {"session": out, "truth": out / TRUTH_NAME}
-
-
-def _table(plan: Scenario, device: str | None, seed: int, out: Path) -> dict[str, Path]:
-    from imumon.protocols.device import device_text, parse_device
-    from imumon.simulation.recording import write_table
-
-    if device is not None:
-        plan = plan.played(plan.rate_hz, parse_device(*device_text(device)).axes)
-    with _progress(plan.samples) as progress:
-        write_table(plan, seed, out, progress)
-    return {"table": out}
 
 
 @contextmanager

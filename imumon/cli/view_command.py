@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -80,9 +78,7 @@ def command(
     if out is not None:
         check_output(out)
     names = _names(sessions)
-    recorded = [
-        _Recorded.at(path) for path in sessions
-    ]  # what is wrong with one is said before a viewer comes
+    opened = [_opened(path) for path in sessions]  # what is wrong with one is reported before a viewer comes
     setup = ViewSetup(" and ".join(names), f"view-{time.time_ns()}")
     mode = view or default_mode()
     rec = rr.RecordingStream(APPLICATION, recording_id=setup.recording_id)
@@ -95,9 +91,9 @@ def command(
     comparison = Comparison(rec, setup, align)
     titles = []
     with _kept_when_whole(rec, out):
-        for one, name in zip(recorded, names, strict=True):
-            with reading_bar([one.session.path], quiet=as_json):
-                titles.append(_log(one, name, comparison.session(name)))
+        for one, path, name in zip(opened, sessions, names, strict=True):
+            with reading_bar([path], quiet=as_json):
+                titles.append(_log(*one, name, comparison.session(name)))
         if comparison.arrange() is None:
             hint = "an imported table has no times of a computer: --align power-on" if align == "host" else ""
             raise ImumonError(Reason.BAD_DATA, "the sessions have no samples with such times", hint)
@@ -129,46 +125,35 @@ def _kept_when_whole(rec: rr.RecordingStream, out: Path | None) -> Iterator[None
 def _names(paths: Sequence[Path]) -> list[str]:
     """Return what the sessions are called: their folders, with a number where two have the same name."""
     folders = [path.resolve().name for path in paths]
-    seen: Counter[str] = Counter()
-    names = []
-    for folder in folders:
-        seen[folder] += 1
-        names.append(folder if folders.count(folder) == 1 else f"{folder} {seen[folder]}")
-    return names
+    return [
+        name if folders.count(name) == 1 else f"{name} {folders[: at + 1].count(name)}"
+        for at, name in enumerate(folders)
+    ]
 
 
-@dataclass(frozen=True, slots=True)
-class _Recorded:
-    """A session that is open, and the pipeline that it is to run through."""
+def _opened(path: Path) -> tuple[RecordedSession, Source, Pipeline]:
+    """Open a session, with the pipeline that it is to run through.
 
-    session: RecordedSession
-    source: Source
-    pipeline: Pipeline
+    Raises ImumonError as `open_source` and `recorded_setup` do.
+    """
+    from imumon.recordings.folder import open_session
+    from imumon.recordings.source import open_source
+    from imumon.run.setup import recorded_setup
+    from imumon.run.stages import pipeline_of
 
-    @classmethod
-    def at(cls, path: Path) -> _Recorded:
-        """Open it.
-
-        Raises ImumonError as `open_source` and `recorded_setup` do.
-        """
-        from imumon.recordings.folder import open_session
-        from imumon.recordings.source import open_source
-        from imumon.run.setup import recorded_setup
-        from imumon.run.stages import pipeline_of
-
-        session, source = open_session(path), open_source(path)
-        return cls(session, source, pipeline_of(source, recorded_setup(session)))
+    session, source = open_session(path), open_source(path)
+    return session, source, pipeline_of(source, recorded_setup(session))
 
 
-def _log(recorded: _Recorded, name: str, session: Session) -> tuple[dict[str, object], dict[str, str]]:
+def _log(
+    recorded: RecordedSession, source: Source, pipeline: Pipeline, name: str, session: Session
+) -> tuple[dict[str, object], dict[str, str]]:
     """Run a session and log it; return what is told of it, to programs and to people."""
     from imumon.recordings.source import run_over
     from imumon.run.account import Outages, describe_disk, describe_span, file_sizes, wall_clock
     from imumon.run.narration import describe_losses
 
-    source, pipeline, outages = recorded.source, recorded.pipeline, Outages()
-    metadata, path = recorded.session.metadata, recorded.session.path
-    samples = 0
+    metadata, path, outages, samples = recorded.metadata, recorded.path, Outages(), 0
     for block in run_over(outages.watch(source.items), pipeline):
         samples += len(block)
         session.log(block)

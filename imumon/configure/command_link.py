@@ -105,7 +105,7 @@ class CommandLink:
         end = time.monotonic() + seconds
         while True:
             try:
-                self.ask(self._family.hello(), tries=1)
+                self.ask(self._family.hello, tries=1)
             except CommandError as error:
                 if error.refused:
                     return True
@@ -149,7 +149,7 @@ def connect(url: str, device: DeviceFile, family: Family, baudrate: int | None) 
         raise _mute(link, device, rates)
     except BaseException:
         with suppress(ImumonError):
-            for request in family.resume() if family.hello_quiets and link.streaming else ():
+            for request in family.resume if family.hello_quiets and link.streaming else ():
                 link.port.write(request.frame)  # it may have heard the question and be quiet since
         link.close()
         raise

@@ -6,7 +6,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from imumon.configure.command_link import HEAR_S, CommandLink
@@ -22,6 +22,13 @@ LISTENINGS = 3
 """How often a stream may be listened to before it is wrong: a host that stalls sees any rate once."""
 NEARLY_FULL = 0.8
 """Share of the line from which packets may have to wait."""
+
+
+REPORTED = (
+    "port", "device", "identity", "assumed", "verified", "before", "after", "warnings", "result", "saved",
+    "flash_begun", "restored", "not_restored",
+)  # fmt: skip
+"""Fields of a report that JSON has as they are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,28 +64,13 @@ class Report:
 
     def as_dict(self, link: CommandLink | None) -> dict[str, Any]:
         """Return the report as JSON has it."""
+        sent = link.sent if link else []
         stream = self.stream
         return {
-            "port": self.port,
-            "device": self.device,
-            "identity": self.identity,
-            "assumed": self.assumed,
-            "verified": self.verified,
-            "before": self.before,
-            "after": self.after,
+            **{name: getattr(self, name) for name in REPORTED},
             "plan": [_as_dict(request) for request in self.plan],
-            "sent": [
-                {**_as_dict(item.request), "answered": item.answered} for item in (link.sent if link else ())
-            ],
-            "warnings": self.warnings,
-            "result": self.result,
-            "saved": self.saved,
-            "flash_begun": self.flash_begun,
-            "restored": self.restored,
-            "not_restored": self.not_restored,
-            "stream": None
-            if stream is None
-            else {"seconds": stream.seconds, "rate_hz": stream.rate_hz, "columns": stream.columns},
+            "sent": [{**_as_dict(item.request), "answered": item.answered} for item in sent],
+            "stream": stream and {name: getattr(stream, name) for name in ("seconds", "rate_hz", "columns")},
         }
 
 
@@ -86,33 +78,28 @@ def _as_dict(request: Request) -> dict[str, str]:
     return {"meaning": request.meaning, "bytes": request.frame.hex(" ").upper(), "text": request.shown}
 
 
-def planned(family: Family, wish: Wish, baudrate: int | None, save: bool, now: int) -> list[Request]:
+def planned(family: Family, wish: Wish, now: int) -> list[Request]:
     """Return all that would be sent to a device of which only its baud rate `now` is known, in order.
 
     Raises BAD_CONFIG when that depends on what the device sends now.
     """
-    if not wish.empty and (wish.rate_hz is None or wish.outputs is None):
+    if (wish.rate_hz is None) != (wish.outputs is None):
         raise ImumonError(
             Reason.BAD_CONFIG,
             "a dry run sends nothing, so it does not know what the device sends now",
             "give both --rate and --outputs, or leave --dry-run out and --save too: flash stays as it is",
         )
-    values = _with_baud(family, family.wanted({}, wish), baudrate)
-    values = {name: values[name] for name in _in_order(values, baudrate, now)}
-    found = [family.hello(), *family.quiet(), *family.questions(), *map(family.read, family.settings())]
-    found += [request for name, value in values.items() for request in family.write(name, value)]
-    found += [family.read(name) for name in values]
-    found += family.resume()
-    return [*found, *(family.save(tuple(values)) if save and values else ())]
+    values = family.wanted({}, wish)
+    names = _in_order(values, wish, now)
+    found = [family.hello, *family.quiet, *family.questions, *map(family.read, family.settings)]
+    found += [request for name in names for request in family.write(name, values[name])]
+    found += [*map(family.read, names), *family.resume]
+    return [*found, *(family.save(names) if wish.save and names else ())]
 
 
-def _with_baud(family: Family, values: dict[str, bytes], baudrate: int | None) -> dict[str, bytes]:
-    return values if baudrate is None else {**values, BAUD: family.baud_value(baudrate)}
-
-
-def _in_order(names: Iterable[str], baudrate: int | None, now: int) -> list[str]:
+def _in_order(names: Iterable[str], wish: Wish, now: int) -> list[str]:
     """Return settings in the order of changing: a faster line before more data, a slower one after less."""
-    faster = baudrate is not None and baudrate > now
+    faster = wish.baudrate is not None and wish.baudrate > now
     return sorted(names, key=lambda name: name != BAUD) if faster else list(names)
 
 
@@ -128,7 +115,7 @@ def check_load(family: Family, values: Mapping[str, bytes], line: PortSettings) 
     if needed <= there:
         return seen
     enough = min(
-        (r for r in family.baudrates if r / line.bits_per_byte * NEARLY_FULL >= needed), default=None
+        (r for r in family.baud_codes if r / line.bits_per_byte * NEARLY_FULL >= needed), default=None
     )
     hint = "ask for fewer outputs or a lower rate"
     raise ImumonError(Reason.BAD_CONFIG, seen, f"{hint}, or --baud {enough}" if enough else hint)
@@ -165,7 +152,7 @@ class Configuration:
         self._begun: list[Change] = []
         self._saving: tuple[str, ...] = ()
 
-    def run(self, wish: Wish, baudrate: int | None, save: bool) -> None:
+    def run(self, wish: Wish) -> None:
         """Make the wish true, or leave the device as it was.
 
         Raises BAD_CONFIG when the device has no such rate, or it does not fit through the line; REFUSED when
@@ -173,41 +160,39 @@ class Configuration:
         been put back, and the report says what could not be.
         """
         try:
-            changes = self._prepare(wish, baudrate, save)
-            self._carry_out(changes, wish, baudrate)
-            if save:
-                self._save(wish, baudrate)
+            changes = self._prepare(wish)
+            self._carry_out(changes, wish)
+            if wish.save:
+                self._save(wish)
         except BaseException as error:
             with _uninterrupted():
                 self._restore()
             if isinstance(error, CommandError):
-                raise _explained(error) from error
+                raise ImumonError(Reason.REFUSED if error.refused else Reason.SILENT, str(error)) from error
             raise
 
-    def _prepare(self, wish: Wish, baudrate: int | None, save: bool) -> list[Change]:
+    def _prepare(self, wish: Wish) -> list[Change]:
         """Read the device and return what is to change, in order; nothing is written yet."""
         if self._link.port.shared_with:
             others = ", ".join(self._link.port.shared_with)
             self._report.warnings.append(f"{others} reads this port, too: answers may go there")
         self._quiet()
         self._family = self._family.learn(self._link.ask)
-        self._present = {name: self._link.ask(self._family.read(name)) for name in self._family.settings()}
+        self._present = {name: self._link.ask(self._family.read(name)) for name in self._family.settings}
         report, family = self._report, self._family
         report.identity = family.identity
         report.before = {name: family.describe(name, value) for name, value in self._present.items()}
-        wanted = _with_baud(family, family.wanted(self._present, wish), baudrate)
+        wanted = family.wanted(self._present, wish)
         after = {**self._present, **wanted}
         report.after = {name: family.describe(name, value) for name, value in after.items()}
         line = self._link.port.settings
         if wanted:
-            full = PortSettings(
-                line.url, baudrate or line.baudrate, line.bytesize, line.parity, line.stopbits
-            )
-            warning = check_load(family, after, full)
+            faster = replace(line, baudrate=wish.baudrate or line.baudrate)
+            warning = check_load(family, after, faster)
             report.warnings += [warning] if warning else []
         changes = [
             Change(name, self._present[name], wanted[name])
-            for name in _in_order(wanted, baudrate, line.baudrate)
+            for name in _in_order(wanted, wish, line.baudrate)
             if not family.settled(name, wanted[name], self._present[name])
         ]
         report.plan = [request for change in changes for request in family.write(change.name, change.after)]
@@ -217,7 +202,7 @@ class Configuration:
                 f"the device tells a baud rate that imumon could not put back: {report.before[BAUD]}",
                 "leave --baud out",
             )
-        if changes and family.stores_at_once and not save:
+        if changes and family.stores_at_once and not wish.save:
             raise ImumonError(
                 Reason.BAD_CONFIG,
                 f"{family.title} devices write what they are told into flash at once, so nothing was changed",
@@ -225,7 +210,7 @@ class Configuration:
             )
         return changes
 
-    def _carry_out(self, changes: Sequence[Change], wish: Wish, baudrate: int | None) -> None:
+    def _carry_out(self, changes: Sequence[Change], wish: Wish) -> None:
         """Write what changes, read it back, and listen to what comes."""
         for request in self._report.plan:
             self._tell(f"  {request.shown}\n      {request.meaning}")
@@ -234,9 +219,7 @@ class Configuration:
             self._report.flash_begun |= self._family.stores_at_once
             self._apply(change.name, change.after)
         self._resume()
-        self._report.result = (
-            "done" if changes else "read" if wish.empty and baudrate is None else "unchanged"
-        )
+        self._report.result = "done" if changes else "read" if wish.only_reads else "unchanged"
         if not changes:
             return
         values = {**self._present, **{change.name: change.after for change in changes}}
@@ -284,9 +267,9 @@ class Configuration:
             raise CommandError(requests[0], f"no answer at {new} baud", refused=False)
         self._quiet()
 
-    def _save(self, wish: Wish, baudrate: int | None) -> None:
+    def _save(self, wish: Wish) -> None:
         """Write into flash what was asked for, also where it was so already."""
-        wanted = _with_baud(self._family, self._family.wanted(self._present, wish), baudrate)
+        wanted = self._family.wanted(self._present, wish)
         self._saving = tuple(wanted)
         requests = self._family.save(self._saving) if wanted else ()
         for request in requests:
@@ -298,7 +281,7 @@ class Configuration:
     def _restore(self) -> None:
         """Put back what was begun, the last first, and let the data come again if they came before."""
         self._report.result = "failed"
-        left, silent = self._begun[::-1], self._link.streaming and bool(self._family.resume())
+        left, silent = self._begun[::-1], self._link.streaming and bool(self._family.resume)
         try:
             if left:
                 self._tell("putting the device back as it was")
@@ -349,10 +332,10 @@ class Configuration:
         self._quiet()
 
     def _quiet(self) -> None:
-        self._try_each(self._family.quiet())
+        self._try_each(self._family.quiet)
 
     def _resume(self) -> None:
-        self._try_each(self._family.resume())
+        self._try_each(self._family.resume)
 
     def _try_each(self, requests: Sequence[Request]) -> None:
         """Ask; a device that does not know how to be quiet is configured between its data."""
@@ -364,22 +347,14 @@ class Configuration:
                     raise
 
 
-def _explained(error: CommandError) -> ImumonError:
-    if error.refused:
-        return ImumonError(Reason.REFUSED, f"{error.request.meaning}: {error.why}")
-    return ImumonError(Reason.SILENT, f"{error.request.meaning}: {error.why}")
-
-
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
     """Hold off Ctrl-C while a device is put back as it was."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    before = {
-        number: signal.signal(number, signal.SIG_IGN) for number in map(signal.Signals.__getitem__, names)
-    }
+    numbers = [one for one in signal.Signals if one.name in ("SIGINT", "SIGTERM", "SIGHUP")]
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
     try:
         yield
     finally:

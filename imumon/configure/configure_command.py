@@ -55,15 +55,15 @@ def command(
 
     described = load_device(device)
     family = family_of(described)
-    wish = Wish(rate, None if outputs is None else tuple(dict.fromkeys(_names(outputs))))
-    family.check(wish, baud)
-    if save and wish.empty and baud is None:
+    wish = Wish(rate, None if outputs is None else tuple(dict.fromkeys(_names(outputs))), baud, save)
+    family.check(wish)
+    if save and wish.only_reads:
         raise ImumonError(
             Reason.BAD_CONFIG, "--save, but nothing to save", "give --rate, --outputs or --baud"
         )
     report = Report(described.name, port, verified=family.verified)
     if dry_run:
-        _plan(family, wish, baud, at or described.serial.baudrates[0], save, report)
+        _plan(family, wish, at or described.serial.baudrates[0], report)
         print_json(report.as_dict(None)) if as_json else _show_plan(report)
         return
     from imumon.configure.command_link import connect
@@ -77,12 +77,12 @@ def command(
     link = connect(port, described, family, at)
     say("INFO", f"{family.title} answers on {link.port.settings}")
     try:
-        Configuration(link, family, described, report, note).run(wish, baud, save)
+        Configuration(link, family, described, report, note).run(wish)
     finally:
         link.close()
         if as_json:
             print_json(report.as_dict(link))
-        _tell(report, family, str(link.port.settings))
+        _show(report, family, str(link.port.settings))
     now = link.port.settings.baudrate
     again = f" --baud {now}" if now != described.serial.baudrates[0] and link.port.settings.has_line else ""
     note(f"to watch it: imumon monitor {port} --device {device}{again}")
@@ -95,15 +95,16 @@ def _names(outputs: str) -> list[str]:
     return names
 
 
-def _plan(family: Family, wish: Wish, baud: int | None, now: int, save: bool, report: Report) -> None:
+def _plan(family: Family, wish: Wish, now: int, report: Report) -> None:
     """Work out what would be sent."""
     from imumon.configure.configuration import check_load, planned
     from imumon.transport.settings import PortSettings
 
-    report.plan = planned(family, wish, baud, save, now)
-    report.assumed, report.result = family.assumed(), "planned"
-    if not wish.empty:
-        warning = check_load(family, family.wanted({}, wish), PortSettings(report.port, baud or now))
+    report.plan = planned(family, wish, now)
+    report.assumed, report.result = family.assumed, "planned"
+    if wish.rate_hz is not None:
+        line = PortSettings(report.port, wish.baudrate or now)
+        warning = check_load(family, family.wanted({}, wish), line)
         report.warnings += [warning] if warning else []
 
 
@@ -118,31 +119,19 @@ def _show_plan(report: Report) -> None:
     note("dry run: nothing was sent, and the port was not opened")
 
 
-def _tell(report: Report, family: Family, line: str) -> None:
-    """Say what was found and what became of it."""
+def _show(report: Report, family: Family, line: str) -> None:
+    """Show what was found, and what became of it."""
     rows = {"device": " ".join((family.title, *report.identity)), "line": line}
     for name, text in report.before.items():
-        new = report.after.get(name, text)
-        changed = report.result == "done" and new != text
-        rows[name] = new if changed else text
-        if changed:
-            rows[f"{name} was"] = text
+        new = report.after.get(name, text) if report.result == "done" else text
+        rows[name] = text if new == text else f"{new}, was: {text}"
     if report.stream is not None:
         rate = f"{report.stream.rate_hz:.4g} Hz" if report.stream.rate_hz else "too slow to tell the rate"
         rows["measured"] = f"{rate}: {', '.join(report.stream.columns)}"
     print_rows(rows)
     warn(report.warnings)
     if report.result == "failed":
-        for text in report.restored:
-            say("INFO", f"put back: {text}")
-        for text in report.not_restored:
-            say("ERROR", f"NOT put back: {text}")
-        if report.not_restored:
-            say("ERROR", _after_power_off(report))
-        elif not report.restored:
-            say("INFO", "no setting was changed")
-        elif report.flash_begun:
-            say("INFO", "flash holds the settings that were put back")
+        _show_restored(report)
         return
     if report.result == "unchanged":
         say("INFO", "the device is set like this already")
@@ -153,7 +142,16 @@ def _tell(report: Report, family: Family, line: str) -> None:
         say("INFO", "not saved: the settings are lost at power-off (--save writes flash)")
 
 
-def _after_power_off(report: Report) -> str:
-    if report.flash_begun:
-        return "flash may hold the new settings: run imumon configure again when the device answers"
-    return "flash was not written: switch the device off and on, and it has its settings of before"
+def _show_restored(report: Report) -> None:
+    for text in report.restored:
+        say("INFO", f"put back: {text}")
+    for text in report.not_restored:
+        say("ERROR", f"NOT put back: {text}")
+    if report.not_restored and report.flash_begun:
+        say("ERROR", "flash may hold the new settings: configure again when the device answers")
+    elif report.not_restored:
+        say("ERROR", "flash was not written: switch the device off and on, and it has its settings of before")
+    elif not report.restored:
+        say("INFO", "no setting was changed")
+    elif report.flash_begun:
+        say("INFO", "flash holds the settings that were put back")

@@ -9,10 +9,19 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import PATH, console, json_option, print_json, print_rows, results_folder, warn
+from imumon.cli.common import (
+    PATH,
+    console,
+    json_option,
+    labelled,
+    print_json,
+    print_rows,
+    results_folder,
+    say,
+    show,
+    warn,
+)
 from imumon.errors import ImumonError, Reason
-from imumon.files import check_output
-from imumon.harmless import for_log
 
 if TYPE_CHECKING:
     from imumon.fleet.catalog.drift import Outlier
@@ -22,18 +31,9 @@ RESULTS = "catalog"
 WIDEST = 10_000
 """Characters in which any table has room."""
 HEADS = (
-    "unit",
-    "device",
-    "sessions",
-    "h",
-    "first",
-    "last",
-    "°C",
-    "σ, °/h",
-    "models",
-    "drift, °/h/month",
-    "outliers",
-)
+    "unit", "device", "sessions", "h", "first", "last", "°C", "σ, °/h", "models",
+    "drift, °/h/month", "outliers",
+)  # fmt: skip
 
 
 @click.command("catalog")
@@ -43,9 +43,9 @@ HEADS = (
     " DIR/catalog."
 )  # fmt: skip
 @click.option("--out", type=PATH, help="Folder for sessions.parquet, units.parquet and models.parquet.")
-@click.option("--rrd", type=PATH, help="Recording for the viewer: units, and their drift over months.")
+@click.option("--rrd", hidden=True, help="Retired: imumon report UNIT draws the drift.")
 @json_option
-def command(folder: Path, results: Path | None, out: Path | None, rrd: Path | None, as_json: bool) -> None:
+def command(folder: Path, results: Path | None, out: Path | None, rrd: str | None, as_json: bool) -> None:
     """List the units of the sessions in DIR: temperatures, σ, losses, models, their drift, and outliers.
 
     A session that is new is replayed once.  Serial numbers are those given when recording (--serial) or in
@@ -54,24 +54,16 @@ def command(folder: Path, results: Path | None, out: Path | None, rrd: Path | No
     from imumon.fleet.catalog.tables import tables, write_tables
 
     if rrd is not None:
-        if rrd.suffix != ".rrd":
-            raise ImumonError(Reason.BAD_CONFIG, f"{rrd}: a recording of the viewer is a .rrd", "name it so")
-        check_output(rrd, replace=True)
+        say("WARN", "--rrd is retired, and nothing is written: imumon report UNIT draws the drift of a unit")
     with nullcontext() if out is None else results_folder(out):
         units, unusual, left_out = read(folder, results)
         rows = tables(units, unusual)
         written = [] if out is None else write_tables(rows, out)
     warn(f"{row['session']}: {row['error']}" for row in rows["sessions"] if row["error"])
-    shown = [_row(unit, unusual) for unit in units]
-    if rrd is not None:
-        from imumon.fleet.catalog.viewing import write_recording
-
-        write_recording(units, HEADS, shown, rrd)
-        written.append(rrd)
     if as_json:
         print_json(rows | {"left_out": [{"session": place, "error": why} for place, why in left_out.items()]})
     else:
-        _show(shown)
+        _show([_row(unit, unusual) for unit in units])
     print_rows({path.name: str(path) for path in written})
 
 
@@ -99,12 +91,11 @@ def _row(unit: Unit, unusual: Sequence[Outlier]) -> list[str]:
     from imumon.lab.diagnosis.figures import shown
 
     factor, _ = shown("rad/s")
-    begun = [entry.session.metadata.created_ns for entry in unit.entries]
     known = [drift for drift in drifts(unit) if drift.per_month == drift.per_month]
     drift = max(known, key=lambda one: abs(one.per_month), default=None)
     return [
         unit.name, unit.device, str(len(unit.entries)), f"{unit.hours:.2f}",
-        day(min(begun, default=None)), day(max(begun, default=None)),
+        day(min(unit.begun, default=None)), day(max(unit.begun, default=None)),
         _from_to(unit.temperatures, 1.0), _from_to(unit.sigmas, factor), str(len(unit.models)),
         "-" if drift is None
         else f"{drift.channel} {factor * drift.per_month:+.2g} ± {factor * drift.per_month_sd:.1g}",
@@ -121,19 +112,14 @@ def _show(rows: Sequence[Sequence[str]]) -> None:
     """Print a table, or where that is wider than the terminal a line for each value."""
     from rich.box import SIMPLE
     from rich.measure import Measurement
-    from rich.table import Table
+    from rich.table import Column, Table
 
-    table = Table(box=SIMPLE, padding=(0, 1, 0, 0))
-    for head in HEADS:
-        table.add_column(head, no_wrap=True)
+    table = Table(*(Column(head, no_wrap=True) for head in HEADS), box=SIMPLE, padding=(0, 1, 0, 0))
     for row in rows:
         table.add_row(*row)
     out = console()
     if Measurement.get(out, out.options.update(width=WIDEST), table).maximum <= out.width:
         out.print(table)
         return
-    width = max(map(len, HEADS))
     for row in rows:
-        for head, cell in zip(HEADS, map(for_log, row), strict=True):
-            out.print(f"  {head:<{width}}  {cell}", soft_wrap=True)
-        out.print()
+        show("\n".join([*labelled(dict(zip(HEADS, row, strict=True))), ""]))

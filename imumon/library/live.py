@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from queue import SimpleQueue
@@ -15,15 +14,12 @@ from typing import Self
 from imumon.blocks import SampleBlock, join, with_nan
 from imumon.files import as_path
 from imumon.library.arguments import expect, expect_list, expect_seconds, refuse
-from imumon.pipeline import Estimator, Pipeline, PipelineCounters
+from imumon.pipeline import Estimator, PipelineCounters
 from imumon.protocols.device import DeviceFile, device_text, parse_device
-from imumon.recordings.source import feed
-from imumon.run.live import BATCH_S, TICK_S, LiveRun, nothing_decoded, reader_of, waiting, warm_up
-from imumon.run.narration import Narrator
+from imumon.run.live import BATCH_S, DecodedPort, LiveRun, nothing_decoded, warm_up
 from imumon.run.setup import Setup
 from imumon.run.stages import pipeline_of
 from imumon.transport.errors import lost_error, silent_error, wrong_baud_error
-from imumon.transport.reader import Clock, Event, EventKind, Item
 from imumon.transport.settings import PortSettings
 
 _log = logging.getLogger("imumon")
@@ -34,7 +30,7 @@ NEWEST_NS = round(BATCH_S * 1e9)
 Taken = tuple[SampleBlock, Mapping[str, SampleBlock]]
 
 
-class Live(ABC):
+class Live:
     """Samples of a port with the estimates, as they come: iterate over it in a ``with`` statement.
 
     Iterating (``for`` or ``async for``) ends when `close` is called, from this thread or another; a lost port
@@ -45,22 +41,26 @@ class Live(ABC):
         self,
         device: DeviceFile,
         settings: PortSettings,
-        pipeline: Pipeline,
+        run: DecodedPort,
         timeout: float | None,
         latest: bool,
     ) -> None:
-        self.pipeline = pipeline
+        self.pipeline = run.pipeline
         self.side: Mapping[str, SampleBlock] = {}
         """The rows of the side streams that belong to the latest block."""
         self.skipped = 0
         """Rows that came and were left out, with `latest`."""
-        self._device, self._settings = device, settings
+        self._device, self._settings, self._run = device, settings, run
         self._timeout, self._latest = timeout, latest
-        self._ended = False
+        self._ended = self._stopped = False
         self._last_ns: int | None = None
         """Arrival of the last row that was handed out."""
+        self._ready: SimpleQueue[Taken] = SimpleQueue()
+        run.taken = lambda block, side: self._ready.put((block, side))
+        run.open()
+        run.begin([])
         self._next_batch = self._valid_at = time.monotonic()
-        self._before = pipeline.counters
+        self._before = self.counters
         """Counters when the last valid row came."""
 
     def __repr__(self) -> str:
@@ -81,31 +81,23 @@ class Live(ABC):
     @property
     def state(self) -> str:
         """What the port does: open, silent, lost, closed, or does not frame (wrong device or baud rate)."""
-        return self._narrator.state
+        return self._run.narrator.state
 
     @property
     def lag_s(self) -> float:
         """How far the loop is behind: from the last row handed out to the newest bytes, seconds."""
-        newest_ns = self._newest_ns
-        return 0.0 if self._last_ns is None else max(newest_ns - self._last_ns, 0) * 1e-9
+        return 0.0 if self._last_ns is None else max(self._run.newest_ns - self._last_ns, 0) * 1e-9
 
     @property
-    @abstractmethod
-    def _narrator(self) -> Narrator:
-        """What follows the state of port and data."""
+    def session(self) -> Path | None:
+        """Where the recording is; None without."""
+        return self._run.session.path if isinstance(self._run, LiveRun) else None
 
-    @property
-    @abstractmethod
-    def _newest_ns(self) -> int:
-        """Arrival of the newest bytes, Unix time."""
-
-    @abstractmethod
-    def _take(self) -> Taken:
-        """Return at once what came since the last call; at the end of all, set `_ended`."""
-
-    @abstractmethod
     def close(self) -> None:
-        """Close the port; what has come can still be iterated over."""
+        """Close port and recording; what has come can still be iterated over."""
+        if not self._stopped:
+            self._stopped = True
+            self._run.stop()
 
     def __iter__(self) -> Self:
         """Return itself."""
@@ -176,92 +168,14 @@ class Live(ABC):
             raise lost_error(self._settings, f"no row for {waited_s:.1f} s")
         received = now.bytes_received - before.bytes_received
         if received <= now.bytes_pending:  # at most the beginning of a packet came
-            silent_s = (time.time_ns() - self._newest_ns) * 1e-9 if received else waited_s
+            silent_s = (time.time_ns() - self._run.newest_ns) * 1e-9 if received else waited_s
             raise silent_error(self._settings, silent_s)
         framed = (now.bytes_in_packets - before.bytes_in_packets) / received
         never = nothing_decoded(self._settings, self._device, now)
         raise never or wrong_baud_error(self._settings, received / waited_s, framed)
 
-
-class _Unrecorded(Live):
-    """Reads in a thread, and decodes and estimates in the caller's."""
-
-    def __init__(
-        self,
-        device: DeviceFile,
-        settings: PortSettings,
-        pipeline: Pipeline,
-        timeout: float | None,
-        latest: bool,
-    ) -> None:
-        super().__init__(device, settings, pipeline, timeout, latest)
-        pipeline.live = True
-        self._items: SimpleQueue[Item] = SimpleQueue()
-        self._clock, self._next_tick = Clock(), time.monotonic() + TICK_S
-        self._narration = Narrator(pipeline, settings, (), _logged, {}, Path("SESSION"))
-        self._reader = reader_of(device, settings, lambda _: None, self._items.put)
-        self._reader.start()
-
-    @property
-    def _narrator(self) -> Narrator:
-        return self._narration
-
-    @property
-    def _newest_ns(self) -> int:
-        return self._reader.newest_ns
-
-    def close(self) -> None:
-        """Close the port; what has come can still be iterated over."""
-        self._reader.stop()
-
     def _take(self) -> Taken:
-        for item in waiting(self._items):
-            feed(item, self.pipeline)
-            self._narrator.item(item)
-            self._ended = isinstance(item, Event) and item.kind is EventKind.CLOSED
-        if self._ended:
-            self.pipeline.finish()
-        block = self.pipeline.take()
-        self._narrator.samples(block, self.pipeline.side)
-        if self._ended or time.monotonic() >= self._next_tick:
-            self._next_tick = time.monotonic() + TICK_S
-            self._narrator.tick(self._clock.now_ns())
-        return block, self.pipeline.side
-
-
-class _Recorded(Live):
-    """Records, decodes and estimates in threads of its own, and hands the samples on."""
-
-    def __init__(
-        self, device: DeviceFile, settings: PortSettings, run: LiveRun, timeout: float | None, latest: bool
-    ) -> None:
-        super().__init__(device, settings, run.pipeline, timeout, latest)
-        self._run, self._stopped = run, False
-        self._ready: SimpleQueue[Taken] = SimpleQueue()
-        run.taken = lambda block, side: self._ready.put((block, side))
-        run.open()
-        run.begin([])
-
-    @property
-    def session(self) -> Path:
-        """Where the recording is."""
-        return self._run.session.path
-
-    @property
-    def _narrator(self) -> Narrator:
-        return self._run.narrator
-
-    @property
-    def _newest_ns(self) -> int:
-        return self._run.newest_ns
-
-    def close(self) -> None:
-        """Close port and recording; what has come can still be iterated over."""
-        if not self._stopped:
-            self._stopped = True
-            self._run.stop()
-
-    def _take(self) -> Taken:
+        """Return at once what came since the last call; at the end of all, set `_ended`."""
         processing = self._run.processing  # looked at first: what it hands on until its end is taken now
         taken = [self._ready.get() for _ in range(self._ready.qsize())]
         if not taken and not processing:
@@ -324,10 +238,12 @@ def open(
     known, setup = parse_device(text, source), setup or Setup()
     settings = known.port_settings(port, baudrate)
     warm_up(known, setup)
+    run: DecodedPort
     if folder is None:
-        return _Unrecorded(known, settings, pipeline_of(known, setup, stages), timeout, latest)
-    run = LiveRun(known, text, settings, setup, folder, _logged, stages)
-    return _Recorded(known, settings, run, timeout, latest)
+        run = DecodedPort(known, settings, pipeline_of(known, setup, stages), _logged)
+    else:
+        run = LiveRun(known, text, settings, setup, folder, _logged, stages)
+    return Live(known, settings, run, timeout, latest)
 
 
 def _newest(block: SampleBlock) -> SampleBlock:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import errno
-import importlib.util
 import os
 import platform
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from enum import Enum
 from importlib import metadata
+from itertools import chain
 from pathlib import Path
+from typing import NamedTuple
 
 from imumon.errors import ImumonError
 from imumon.run.plugins import installed
@@ -50,42 +50,22 @@ class State(Enum):
     """Something does not work."""
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """Something that was looked at."""
+class Finding(NamedTuple):
+    """Something that was examined: what is there, and what to do about it; nothing when it is good."""
 
     subject: str
-    """What was looked at."""
     state: State
     seen: str
-    """What is there."""
     remedy: str = ""
-    """What to do; empty when it is good."""
 
 
 def examine(folder: Path) -> Iterator[Finding]:
-    """Look at everything that a recording needs, one finding after the other.
-
-    Parameters
-    ----------
-    folder : Path
-        Where sessions are written.
-    """
-    looks: tuple[Callable[[], Iterator[Finding]], ...] = (
-        packages,
-        plug_ins,
-        compiled_code,
-        lambda: disk(folder),
-        serial_ports,
-        viewer,
-        graphics,
-    )
-    for look in looks:
-        yield from look()
+    """Examine everything that a recording needs; `folder` is where sessions are written."""
+    return chain(packages(), plug_ins(), compiled_code(), disk(folder), serial_ports(), viewer(), graphics())
 
 
 def packages() -> Iterator[Finding]:
-    """Look whether each package that imumon requires is there in a version that it takes."""
+    """Test whether each package that imumon requires is there in a version that it takes."""
     from packaging.requirements import Requirement  # a requirement of matplotlib
 
     yield Finding("Python", State.GOOD, f"{platform.python_version()} on {platform.platform(terse=True)}")
@@ -104,14 +84,13 @@ def packages() -> Iterator[Finding]:
         else:
             wrong.append(f"{required.name} {version} is not {required.specifier}")
     if wrong:
-        yield Finding(
-            "packages", State.FAULT, "; ".join(wrong), "install imumon again, with what it requires"
-        )
+        remedy = "install imumon again, with what it requires"
+        yield Finding("packages", State.FAULT, "; ".join(wrong), remedy)
     yield Finding("packages", State.GOOD, ", ".join(found))
 
 
 def plug_ins() -> Iterator[Finding]:
-    """Look whether each plug-in loads."""
+    """Test whether each plug-in loads."""
     found = installed()
     for plugin in found:
         if plugin.problem:
@@ -122,36 +101,24 @@ def plug_ins() -> Iterator[Finding]:
 
 
 def compiled_code() -> Iterator[Finding]:
-    """Look whether compiled code can be kept, and whether there is any."""
-    spec = importlib.util.find_spec(DISTRIBUTION)
-    package = Path(next(iter((spec.submodule_search_locations if spec else None) or [""])))
-    kept = os.environ.get("NUMBA_CACHE_DIR")
-    own = Path.home() / ".cache" / "numba"
-    places = [Path(kept)] if kept else [package, own]
-    usable = [place for place in places if _writable(place)]
-    if not usable:
-        tried = " nor ".join(map(str, places))
-        yield Finding(
-            "compiled code",
-            State.FAULT,
-            f"neither {tried} can be written to, so each start compiles anew",
-            "set NUMBA_CACHE_DIR to a folder of yours",
-        )
-        return
+    """Test whether compiled code can be kept, and whether there is any."""
+    subject, kept = "compiled code", os.environ.get("NUMBA_CACHE_DIR")
+    own = [Path(__file__).parents[1], Path.home() / ".cache" / "numba"]
+    usable = [place for place in ([Path(kept)] if kept else own) if _writable(place)]
     count = sum(1 for place in usable for _ in place.rglob("*.nbi"))
-    if not count:
-        yield Finding(
-            "compiled code",
-            State.WARNING,
-            f"none in {usable[0]}: the first recording waits until it is made",
-            "imumon virtual in one terminal, imumon monitor in another: what they need is then ready",
-        )
-        return
-    yield Finding("compiled code", State.GOOD, f"{count} functions kept in {usable[0]}")
+    if not usable:
+        seen = "no folder for it can be written to, so each start compiles anew"
+        yield Finding(subject, State.FAULT, seen, "set NUMBA_CACHE_DIR to a folder of yours")
+    elif not count:
+        seen = f"none in {usable[0]}: the first recording waits until it is made"
+        remedy = "imumon virtual in one terminal, imumon monitor in another: what they need is then ready"
+        yield Finding(subject, State.WARNING, seen, remedy)
+    else:
+        yield Finding(subject, State.GOOD, f"{count} functions kept in {usable[0]}")
 
 
 def disk(folder: Path) -> Iterator[Finding]:
-    """Look whether the folder of the sessions can be written to, and for how long."""
+    """Test whether the folder of the sessions can be written to, and for how long."""
     there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
     if not _writable(there):
         yield Finding("disk", State.FAULT, f"{there} cannot be written to", "monitor --out writes elsewhere")
@@ -166,32 +133,24 @@ def disk(folder: Path) -> Iterator[Finding]:
 
 
 def serial_ports() -> Iterator[Finding]:
-    """Look whether there are serial ports, and what keeps them from being read well."""
+    """Test whether there are serial ports, and what keeps them from being read well."""
     ports = list_ports()
     if not ports:
-        yield Finding(
-            "serial ports",
-            State.WARNING,
-            "there are none",
-            "plug the adapter in; dmesg tells whether the system saw it.  imumon virtual needs none",
-        )
-    for port in ports:
-        yield _port(port)
+        remedy = "plug the adapter in; dmesg tells whether the system saw it.  imumon virtual needs none"
+        yield Finding("serial ports", State.WARNING, "there are none", remedy)
+    yield from map(_port, ports)
 
 
 def _port(port: PortInfo) -> Finding:
-    settings = PortSettings(port.device)
+    timer = port.latency_timer_ms
     if not port.accessible:
-        error = open_error(settings, PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
+        refused = PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        error = open_error(PortSettings(port.device), refused)
         return Finding(port.device, State.FAULT, error.seen, error.hint)
     if port.holders:
-        return Finding(
-            port.device,
-            State.WARNING,
-            f"{port}: open in {', '.join(port.holders)}",
-            "two readers of one port take bytes from each other: end the other",
-        )
-    timer = port.latency_timer_ms
+        seen = f"{port}: open in {', '.join(port.holders)}"
+        remedy = "two readers of one port take bytes from each other: end the other"
+        return Finding(port.device, State.WARNING, seen, remedy)
     if timer is not None and timer > 1:
         text = latency_text(False, timer, str(latency_timer_path(port.device)))
         seen, _, remedy = text.partition("; to change it: ")
@@ -200,61 +159,44 @@ def _port(port: PortInfo) -> Finding:
 
 
 def viewer() -> Iterator[Finding]:
-    """Look whether the Rerun viewer is there and starts, and who has its ports."""
+    """Test whether the Rerun viewer is there and starts, and who has its ports."""
     try:
-        binary = viewer_binary()
-        words = subprocess.run(
-            [binary, "--version"],
-            env=quiet_environment(),
-            capture_output=True,
-            text=True,
-            timeout=ANSWER_S,
-            check=True,
-        ).stdout.split()
+        command = [str(viewer_binary()), "--version"]
+        done = subprocess.run(
+            command, env=quiet_environment(), capture_output=True, text=True, timeout=ANSWER_S, check=True
+        )
     except ImumonError as error:
         yield Finding("viewer", State.FAULT, error.seen, error.hint)
     except (OSError, subprocess.SubprocessError) as error:
-        yield Finding(
-            "viewer", State.FAULT, f"it does not start: {error}", "pip install --force-reinstall rerun-sdk"
-        )
+        remedy = "pip install --force-reinstall rerun-sdk"
+        yield Finding("viewer", State.FAULT, f"it does not start: {error}", remedy)
     else:
-        yield Finding("viewer", State.GOOD, f"Rerun {words[1] if len(words) > 1 else 'of unknown version'}")
+        version = "".join(done.stdout.split()[1:2])
+        yield Finding("viewer", State.GOOD, f"Rerun {version or 'of unknown version'}")
     for port, use in ((VIEWER_PORT, "a window"), (WEB_PORT, "a browser")):
         if probe(port) in (Answer.OTHER, Answer.SILENT):
-            yield Finding(
-                "viewer",
-                State.WARNING,
-                f"port {port}, where {use} is served, belongs to another program",
-                "nothing to do: the next free one is taken, and the address that is printed says so",
-            )
+            seen = f"port {port}, where {use} is served, belongs to another program"
+            remedy = "nothing to do: the next free one is taken, and the address that is printed says so"
+            yield Finding("viewer", State.WARNING, seen, remedy)
 
 
 def graphics() -> Iterator[Finding]:
-    """Look whether a window can be opened and what draws it."""
+    """Test whether a window can be opened and what draws it."""
     if not has_display():
-        yield Finding(
-            "display",
-            State.WARNING,
-            "there is none: no window can be opened",
-            "--view web shows a run in a browser, --view terminal where it runs",
-        )
+        seen = "there is none: no window can be opened"
+        remedy = "--view web shows a run in a browser, --view terminal where it runs"
+        yield Finding("display", State.WARNING, seen, remedy)
     if sys.platform != "linux":
         return
     drivers = [file.name for place in VULKAN_DRIVERS if place.is_dir() for file in place.glob("*.json")]
     if not drivers:
-        yield Finding(
-            "graphics",
-            State.WARNING,
-            "no Vulkan driver: the viewer's window needs one, or OpenGL",
-            "install that of the graphics card, or mesa-vulkan-drivers, which draws on the processor",
-        )
+        seen = "no Vulkan driver: the viewer's window needs one, or OpenGL"
+        remedy = "install that of the graphics card, or mesa-vulkan-drivers, which draws on the processor"
+        yield Finding("graphics", State.WARNING, seen, remedy)
     elif not any(list(Path("/").glob(pattern[1:])) for pattern in GRAPHICS_CARDS):
-        yield Finding(
-            "graphics",
-            State.WARNING,
-            "no graphics card that this user sees: the window is drawn by the processor, slowly",
-            "--view web shows a run in a browser on another computer; --view terminal needs neither",
-        )
+        seen = "no graphics card that this user sees: the window is drawn by the processor, slowly"
+        remedy = "--view web shows a run in a browser on another computer; --view terminal needs neither"
+        yield Finding("graphics", State.WARNING, seen, remedy)
     else:
         yield Finding("graphics", State.GOOD, ", ".join(sorted(drivers)))
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from imumon.blocks import SampleBlock
+from imumon.blocks import FloatArray, SampleBlock
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.intake import RANGES
 from imumon.magnitudes import GRAVITIES
@@ -31,28 +31,23 @@ class Doubts:
 
     def __init__(self, described: bool) -> None:
         self._described = described
-        self._readings = {"gyro": [0, 0], "accel": [0, 0]}
-        """Of each sensor, those that are impossible, and all."""
-        self._beyond = self._forces = 0
-        """Specific forces beyond `GRAVITIES`, and all."""
+        self._counts = {name: np.zeros(2, np.int64) for name in ("gyro", "accel", "force")}
+        """Readings that no sensor has, specific forces beyond `GRAVITIES`; and all of them."""
 
     def through(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
         """Yield the blocks as they are."""
         for block in blocks:
-            self._look(block)
+            for sensor in ("gyro", "accel"):
+                if (values := block.vector(sensor)) is not None:
+                    self._count(sensor, values, *RANGES[f"{sensor}_"][:2])
+            if (force := block.accel) is not None:
+                with np.errstate(over="ignore"):
+                    size = np.sqrt((force**2).sum(axis=1)) / STANDARD_GRAVITY
+                self._count("force", size, *GRAVITIES)
             yield block
 
-    def _look(self, block: SampleBlock) -> None:
-        for sensor, counts in self._readings.items():
-            if (values := block.vector(sensor)) is not None:
-                low, high, _ = RANGES[f"{sensor}_"]
-                counts[0] += int(((values < low) | (values > high)).sum())
-                counts[1] += int((~np.isnan(values)).sum())
-        if (force := block.accel) is not None:
-            with np.errstate(over="ignore"):
-                size = np.sqrt((force**2).sum(axis=1)) / STANDARD_GRAVITY
-            self._beyond += int(((size < GRAVITIES[0]) | (size > GRAVITIES[1])).sum())
-            self._forces += int((~np.isnan(size)).sum())
+    def _count(self, name: str, values: FloatArray, low: float, high: float) -> None:
+        self._counts[name] += [((values < low) | (values > high)).sum(), (~np.isnan(values)).sum()]
 
     def found(self, counters: PipelineCounters) -> list[str]:
         """Return the warnings, each with its likely cause; nothing where all fits the device file."""
@@ -66,16 +61,18 @@ class Doubts:
                 f"{skipped / received:.0%} of the bytes are in no packet: is the {cause} right in the device"
                 " file?  Else the line is damaged, or something else sends on it"
             )
-        for sensor, (bad, count) in self._readings.items():
+        for sensor in ("gyro", "accel"):
+            bad, count = self._counts[sensor]
             if count >= 3 * LEAST_ROWS and bad > IMPOSSIBLE * count:
                 _, most, unit = RANGES[f"{sensor}_"]
                 texts.append(
                     f"{bad / count:.0%} of the {sensor} readings are beyond {most:g} {unit}, as none can be:"
                     " are byte order, type and place of its fields right in the device file?"
                 )
-        if self._forces >= LEAST_ROWS and self._beyond > 0.5 * self._forces:
+        beyond, forces = self._counts["force"]
+        if forces >= LEAST_ROWS and beyond > 0.5 * forces:
             texts.append(
-                f"{self._beyond / self._forces:.0%} of the specific forces are below {GRAVITIES[0]} or above"
+                f"{beyond / forces:.0%} of the specific forces are below {GRAVITIES[0]} or above"
                 f" {GRAVITIES[1]:g} times gravity: are byte order, scale and unit right in the device file?"
             )
         return texts

@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from queue import SimpleQueue
+from types import MappingProxyType
 
 import numpy as np
 
@@ -116,63 +117,47 @@ class LiveSummary:
         }
 
 
-class LiveRun:
-    """Records and decodes a port until it is stopped.
-
-    Raises EXISTS when the folder holds a session; BAD_CONFIG when it cannot be written.
+class DecodedPort:
+    """A port that is read and decoded in threads of its own until it is stopped; nothing is recorded.
 
     Parameters
     ----------
     device : DeviceFile
         What is on the port.
-    device_yaml : str
-        Text of the device file, kept with the session.
     settings : PortSettings
         The port.
-    setup : Setup
-        What the estimators are told; kept with the session.
-    folder : Path
-        Where the session goes; must not hold one.
+    pipeline : Pipeline
+        Decoder and estimators.
     say : callable
         Where log lines go; called from several threads.
-    stages : sequence of Estimator
-        More stages, behind the others.
-    serial : str or None
-        Serial number of the unit, kept with the session.
+    record : callable
+        Takes all that comes, in the thread that reads.
+    card : mapping of str to str
+        What the status card begins with.
+    session : Path
+        What SESSION stands for in warnings.
     """
 
     def __init__(
         self,
         device: DeviceFile,
-        device_yaml: str,
         settings: PortSettings,
-        setup: Setup,
-        folder: Path,
+        pipeline: Pipeline,
         say: Say,
-        stages: Sequence[Estimator] = (),
-        serial: str | None = None,
+        record: Sink = lambda _: None,
+        card: Mapping[str, str] = MappingProxyType({}),
+        session: Path = Path("SESSION"),
     ) -> None:
-        self._device = device
-        self.pipeline = pipeline_of(device, setup, stages)
+        self.pipeline = pipeline
         self.pipeline.live = True
         self.taken: Callable[[SampleBlock, Mapping[str, SampleBlock]], None] | None = None
         """Given, in the pipeline's thread, the samples and those of the side streams as they come."""
-        self._settings = settings
+        self._device, self._settings = device, settings
         self._items: SimpleQueue[Item] = SimpleQueue()
-        self._marks, self._marking = Marks(folder), threading.Lock()
-        self._digest, self._outages = Digest(), Outages()
-        self._clock = Clock()
+        self._outages, self._clock = Outages(), Clock()
         self._began_ns = self._clock.now_ns()
-        self.session = create_session(folder, self._metadata(device, device_yaml, setup, serial))
-        self._log = SessionLog(self.session.path / LOG_NAME, say)
-        self._say = self._log.put
-        model = setup.model
-        self._of_another = model.of_another(serial) if isinstance(model, BiasModel) else ""
-        self._writer = self._wire_writer()
-        self._recorder = Recorder(self._writer, self._recording_problem, self._save)
-        self._reader = reader_of(device, settings, self._recorder.put, self._items.put)
-        card = {"device": device.title, "port": str(settings), "recording": str(self.session.path)}
-        self.narrator = Narrator(self.pipeline, settings, (), self._say, card, self.session.path)
+        self._reader = reader_of(device, settings, record, self._items.put)
+        self.narrator = Narrator(pipeline, settings, (), say, dict(card), session)
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
         self._progress = self.narrator.progress(self._began_ns)
         self._finished = False
@@ -194,13 +179,117 @@ class LiveRun:
         return self._thread.is_alive()
 
     def open(self) -> None:
+        """Open the port, and read from now on; raises ImumonError the reasons of `Reader.start`."""
+        self._reader.start()
+
+    def begin(self, publish: Sequence[Publish]) -> None:
+        """Decode what has come and what comes, and show it to `publish` as view items."""
+        self.narrator.publish = tuple(publish)
+        self._thread.start()
+
+    def stop(self) -> LiveSummary | None:
+        """Close the port, and decode all that came."""
+        self._reader.stop()
+        if self._thread.ident is not None:
+            self._thread.join()
+        return None
+
+    def _run(self) -> None:
+        """The pipeline thread: ends with the CLOSED event of the reader."""
+        try:
+            closed = False
+            next_tick = time.monotonic()
+            while not closed:
+                closed = self._take_batch()
+                if not closed:
+                    self._take_marks()
+                self._hand_on(self.pipeline.take())
+                if time.monotonic() >= next_tick or closed:
+                    next_tick = time.monotonic() + TICK_S
+                    self._progress = self.narrator.tick(self._clock.now_ns())
+            self.pipeline.finish()
+            self._hand_on(self.pipeline.take())
+            self._progress = self.narrator.ended(self.narrator.tick(self._clock.now_ns()))
+            self._finished = True
+        except ImumonError as error:
+            # Reading and recording go on; what could not be decoded can be decoded from the recording.
+            self.failure = error
+
+    def _hand_on(self, block: SampleBlock) -> None:
+        if self.taken is not None:
+            self.taken(block, self.pipeline.side)
+        self.narrator.samples(block, self.pipeline.side)
+
+    def _take_batch(self) -> bool:
+        """Feed what comes within a batch's time; return True after the last item."""
+        closed = False
+        for item in arrived(self._items):
+            feed(item, self.pipeline)
+            self.narrator.item(item)
+            if isinstance(item, Reads):
+                self._outages.received(int(item.arrivals_ns[-1]))
+            else:
+                self._outages.event(item)
+                closed = item.kind is EventKind.CLOSED
+        return closed
+
+    def _take_marks(self) -> None:
+        """Put marks that were requested into what comes; only a recording has some."""
+
+
+class LiveRun(DecodedPort):
+    """Records and decodes a port until it is stopped.
+
+    Raises EXISTS when the folder holds a session; BAD_CONFIG when it cannot be written.
+
+    Parameters
+    ----------
+    device, settings, say
+        As of `DecodedPort`.
+    device_yaml : str
+        Text of the device file, kept with the session.
+    setup : Setup
+        Parameters of the estimators; kept with the session.
+    folder : Path
+        Where the session goes; must not hold one.
+    stages : sequence of Estimator
+        More stages, behind the others.
+    serial : str or None
+        Serial number of the unit, kept with the session.
+    """
+
+    def __init__(
+        self,
+        device: DeviceFile,
+        device_yaml: str,
+        settings: PortSettings,
+        setup: Setup,
+        folder: Path,
+        say: Say,
+        stages: Sequence[Estimator] = (),
+        serial: str | None = None,
+    ) -> None:
+        pipeline = pipeline_of(device, setup, stages)
+        self._marks, self._marking = Marks(folder), threading.Lock()
+        self._digest = Digest()
+        self.session = create_session(folder, _metadata(device, device_yaml, settings, setup, serial))
+        self._log = SessionLog(self.session.path / LOG_NAME, say)
+        self._say = self._log.put
+        model = setup.model
+        self._of_another = model.of_another(serial) if isinstance(model, BiasModel) else ""
+        self._writer = self._wire_writer(settings)
+        self._recorder = Recorder(self._writer, self._recording_problem, self._save)
+        card = {"device": device.title, "port": str(settings), "recording": str(self.session.path)}
+        super().__init__(device, settings, pipeline, self._say, self._recorder.put, card, self.session.path)
+
+    def open(self) -> None:
         """Open the port, and read and record from now on.
 
         Raises ImumonError the reasons of `Reader.start` when the port cannot be opened; then no session is
         left behind.
         """
         try:
-            self._reader.start()
+            super().open()
         except ImumonError:
             with suppress(OSError):
                 self._writer.close()
@@ -210,21 +299,14 @@ class LiveRun:
         if self._of_another:
             self._say("WARN", self._of_another)
 
-    def begin(self, publish: Sequence[Publish]) -> None:
-        """Decode what has come and what comes, and show it to `publish` as view items."""
-        self.narrator.publish = tuple(publish)
-        self._thread.start()
-
     def stop(self, views: Sequence[str] = ()) -> LiveSummary:
         """Close the port, process and record what came, and close the session.
 
         `views` are the files of the view's recording, for the session's metadata.
         """
         self._take_marks()
-        self._reader.stop()
+        super().stop()
         self._marks.close()
-        if self._thread.ident is not None:
-            self._thread.join()
         wire = self._recorder.stop()
         ended_ns = self._clock.now_ns()
         counters = self.pipeline.counters
@@ -272,10 +354,10 @@ class LiveRun:
             for kind, text in self._marks.take():
                 self._reader.report(kind, text)
 
-    def _wire_writer(self) -> WireWriter:
+    def _wire_writer(self, settings: PortSettings) -> WireWriter:
         metadata = self.session.metadata.for_wire()
         try:
-            return WireWriter(self.session.wire_path, metadata | {"port": str(self._settings)})
+            return WireWriter(self.session.wire_path, metadata | {"port": str(settings)})
         except OSError as error:
             remove_empty(self.session)
             raise ImumonError(
@@ -291,20 +373,9 @@ class LiveRun:
             f"the recording is whole; please report the defect with it: {self.session.path}",
         )
 
-    def _metadata(
-        self, device: DeviceFile, device_yaml: str, setup: Setup, serial: str | None
-    ) -> SessionMetadata:
-        line = asdict(self._settings)
-        return SessionMetadata.begun(
-            "live",
-            self._began_ns,
-            device=device.name,
-            serial=serial,
-            axes=device.axes,
-            device_yaml=device_yaml,
-            pipeline_yaml=setup.text(),
-            port=PortUsed(url=line.pop("url"), settings=line),
-        )
+    def _hand_on(self, block: SampleBlock) -> None:
+        self._digest.update(block, self.pipeline.side)
+        super()._hand_on(block)
 
     def _save(self) -> None:
         """Renew session.yaml and the log, so that a killed session tells how far it came."""
@@ -319,45 +390,21 @@ class LiveRun:
         else:
             self._say("ERROR", problem)
 
-    def _run(self) -> None:
-        """The pipeline thread: ends with the CLOSED event of the reader."""
-        try:
-            closed = False
-            next_tick = time.monotonic()
-            while not closed:
-                closed = self._take_batch()
-                if not closed:
-                    self._take_marks()
-                self._hand_on(self.pipeline.take())
-                if time.monotonic() >= next_tick or closed:
-                    next_tick = time.monotonic() + TICK_S
-                    self._progress = self.narrator.tick(self._clock.now_ns())
-            self.pipeline.finish()
-            self._hand_on(self.pipeline.take())
-            self._progress = self.narrator.ended(self.narrator.tick(self._clock.now_ns()))
-            self._finished = True
-        except ImumonError as error:
-            # Reading and recording go on; what could not be decoded can be decoded from the recording.
-            self.failure = error
 
-    def _hand_on(self, block: SampleBlock) -> None:
-        self._digest.update(block, self.pipeline.side)
-        if self.taken is not None:
-            self.taken(block, self.pipeline.side)
-        self.narrator.samples(block, self.pipeline.side)
-
-    def _take_batch(self) -> bool:
-        """Feed what comes within a batch's time; return True after the last item."""
-        closed = False
-        for item in arrived(self._items):
-            feed(item, self.pipeline)
-            self.narrator.item(item)
-            if isinstance(item, Reads):
-                self._outages.received(int(item.arrivals_ns[-1]))
-            else:
-                self._outages.event(item)
-                closed = item.kind is EventKind.CLOSED
-        return closed
+def _metadata(
+    device: DeviceFile, device_yaml: str, settings: PortSettings, setup: Setup, serial: str | None
+) -> SessionMetadata:
+    line = asdict(settings)
+    return SessionMetadata.begun(
+        "live",
+        time.time_ns(),
+        device=device.name,
+        serial=serial,
+        axes=device.axes,
+        device_yaml=device_yaml,
+        pipeline_yaml=setup.text(),
+        port=PortUsed(url=line.pop("url"), settings=line),
+    )
 
 
 def reader_of(device: DeviceFile, settings: PortSettings, record: Sink, take: Sink) -> Reader:
@@ -367,16 +414,11 @@ def reader_of(device: DeviceFile, settings: PortSettings, record: Sink, take: Si
 
 
 def arrived(items: SimpleQueue[Item]) -> Iterator[Reads | Event]:
-    """Yield what comes within the time of a batch, as `waiting`.
+    """Yield what comes within the time of a batch, reads in a row at once; nothing follows the event CLOSED.
 
     The time is slept through: to be woken by each read costs more than to decode it.
     """
     time.sleep(BATCH_S)
-    return waiting(items)
-
-
-def waiting(items: SimpleQueue[Item]) -> Iterator[Reads | Event]:
-    """Yield what has come, reads in a row at once; nothing follows the event CLOSED."""
     reads: list[Bytes] = []
     for _ in range(items.qsize()):
         item = items.get_nowait()

@@ -39,7 +39,7 @@ def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
             f"{session} is not being recorded",
             "marks are made while imumon monitor runs; its summary names the session",
         )
-    goes_on = kind is not EventKind.MARK and _goes_on(opened.path / REQUESTS, for_log(text))
+    goes_on = kind is not EventKind.MARK and _goes_on(opened.path, for_log(text))
     if kind is EventKind.START and goes_on:
         raise ImumonError(
             Reason.BAD_CONFIG,
@@ -100,19 +100,9 @@ def _request(line: bytes) -> tuple[EventKind, str] | None:
         return None
 
 
-def _goes_on(requests: Path, part: str) -> bool:
+def _goes_on(folder: Path, part: str) -> bool:
     """Test whether the part was begun and not ended; all requests of a recording are there until its end."""
-    try:
-        lines = requests.read_bytes().splitlines()
-    except FileNotFoundError:
-        return False
-    kinds = [
-        kind
-        for line in lines
-        if (found := _request(line)) is not None
-        for kind, text in [found]
-        if text == part and kind is not EventKind.MARK
-    ]
+    kinds = [kind for kind, text in Marks(folder).take() if text == part and kind is not EventKind.MARK]
     return kinds[-1:] == [EventKind.START]
 
 

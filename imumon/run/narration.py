@@ -39,8 +39,6 @@ GARBLED_AFTER_BYTES = 400
 
 RESTLESS = 3
 """A clock that starts anew so often in 2 s is not that of one device: none boots so fast."""
-TEST_S = 600.0
-"""A shorter session is no test: of ten means of 30 s, at rest and settled, it has hardly any."""
 CHART_NS = 5_000_000_000
 """Charts are made anew this often, while samples come: samples wait for it, and the view draws no faster."""
 _MOTION = {0: LaneState("moving"), 1: LaneState("rest", Level.GOOD)}
@@ -86,31 +84,8 @@ class Progress:
 
 
 def advised(text: str, session: Path) -> str:
-    """Return a warning whose commands, for SESSION, name this one: to be copied into a shell.
-
-    What is trained on this one is tested on the latest other session of the same device beside it; without
-    one the diagnosis holds out a part.
-    """
-    if "--train SESSION" in text and (other := _beside(session)) is not None:
-        text = text.replace("--train SESSION", f"--train SESSION --test {shlex.quote(str(other))}")
+    """Return a warning whose commands, for SESSION, name this one: to be copied into a shell."""
     return text.replace("SESSION", shlex.quote(str(session)))
-
-
-def _beside(session: Path) -> Path | None:
-    """Return the latest other session of the same device that is long enough for a test."""
-    from imumon.recordings.folder import sessions_in
-
-    beside = sessions_in(session.parent)
-    own = next((one for one in beside if one.path == session), None)
-    others = [one for one in beside if own is not None and one.metadata.device == own.metadata.device]
-    others = [one for one in others if one is not own]
-    return next((one.path for one in reversed(others) if _lasted_s(one) >= TEST_S), None)
-
-
-def _lasted_s(session: Session) -> float:
-    """Return how long a session lasted, s; 0 of one that has not ended."""
-    metadata = session.metadata
-    return 0.0 if metadata.ended_ns is None else (metadata.ended_ns - metadata.created_ns) * 1e-9
 
 
 class Narrator:
@@ -187,12 +162,10 @@ class Narrator:
 
     def samples(self, block: SampleBlock, side: Mapping[str, SampleBlock] = MappingProxyType({})) -> None:
         """Show samples and those of side streams, and what changed with them."""
-        if len(block):
-            self._main_samples(block)
         for stream, rows in side.items():
             self._emit(self._timebase.side(stream, rows))
-
-    def _main_samples(self, block: SampleBlock) -> None:
+        if not len(block):
+            return
         self._emit(self._timebase.samples(block))
         segment, arrival = int(block["segment"][-1]), int(block["arrival_time_ns"][-1])
         if segment != self._segment:
@@ -206,7 +179,6 @@ class Narrator:
         if status is not None and status[-1] != NO_INT and int(status[-1]) != self._status:
             self._status = int(status[-1])
             self._lane("status", LaneState(f"0x{self._status:04X}"), arrival)
-
         self._watch_motion(block)
 
     def _watch_motion(self, block: SampleBlock) -> None:

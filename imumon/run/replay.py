@@ -9,13 +9,10 @@ from dataclasses import dataclass
 from imumon.blocks import SampleBlock
 from imumon.pipeline import Digest, Pipeline
 from imumon.recordings.folder import Session
-from imumon.recordings.metadata import SessionMetadata
 from imumon.recordings.source import feed, reading, run_over
 from imumon.run.narration import Narrator
 from imumon.run.setup import Setup
-from imumon.stage import is_own
 from imumon.transport.reader import Bytes, Item
-from imumon.version import __version__
 
 BATCH_NS = 50_000_000
 TICK_NS = 500_000_000
@@ -106,7 +103,9 @@ def compare_with_live(session: Session, setup: Setup, digest: Digest, pipeline: 
     if metadata.results_digest is None or setup.text() != metadata.pipeline_yaml:
         return Comparison(None, "there is none of the same setup")
     if not metadata.column_crc32:
-        return _whole(metadata, digest, pipeline)
+        if metadata.results_digest == digest.hexdigest():
+            return Comparison(True, compared=len(digest.columns()))
+        return Comparison(None, "an earlier version kept one digest of all columns, and this is another")
     live, again = metadata.column_crc32, digest.columns(pipeline.irreproducible)
     common = live.keys() & again.keys()
     # No stage makes a column of a side stream: one that lacks was lost.
@@ -116,21 +115,6 @@ def compare_with_live(session: Session, setup: Setup, digest: Digest, pipeline: 
     only_live, only_replay = (tuple(sorted(here.keys() - there.keys() - lost)) for here, there in sides)
     identical = bool(common) and not differing
     return Comparison(identical, "", len(common), tuple(differing), only_live, only_replay)
-
-
-def _whole(metadata: SessionMetadata, digest: Digest, pipeline: Pipeline) -> Comparison:
-    """Compare by one digest of all columns, which is what earlier versions kept."""
-    live = metadata.results_digest
-    if live is None or not live.startswith(Digest.KIND):
-        return Comparison(None, "an earlier version made its digest in another way")
-    if live == digest.hexdigest():
-        return Comparison(True, compared=len(digest.columns()))
-    one = "it has one digest of all columns"
-    if not all(map(is_own, pipeline.estimators)):
-        return Comparison(None, f"{one}, and plug-ins ran in the replay: try imumon --without-plugins replay")
-    if metadata.versions.get("imumon") != __version__:
-        return Comparison(None, f"{one}, and another version of imumon made it")
-    return Comparison(False)
 
 
 def _narrated(

@@ -158,17 +158,15 @@ class VirtualDevice:
             return False
         received = self.port.read()
         if received:
-            before = dict(firmware.settings.volatile)
+            before = dict(firmware.volatile)
             self.port.write(firmware.hear(received))
-            if firmware.unplugged:
-                self.port.unplug()
             if firmware.baudrate != self.port.baudrate:
                 self.port.drain()  # the answer goes at the old rate
                 self.port.baudrate = firmware.baudrate
-            if firmware.settings.volatile != before:
+            if firmware.volatile != before:
                 self._configure()
                 return True
-        return firmware.dead or not firmware.streaming
+        return not firmware.streaming
 
     def _configure(self) -> None:
         """Send from now on what the settings say."""

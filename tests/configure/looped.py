@@ -14,6 +14,7 @@ import pytest
 from imumon.blocks import SampleBlock, join
 from imumon.configure import command_link, measured_stream
 from imumon.configure.command_link import CommandLink
+from imumon.configure.commands.core import Wish
 from imumon.configure.commands.families import family_of
 from imumon.configure.configuration import Configuration, Report
 from imumon.configure.firmware.core import Firmware, Sending
@@ -25,6 +26,7 @@ from imumon.transport.errors import lost_error
 from imumon.transport.port import Port
 from imumon.transport.settings import PortSettings
 from imumon.wings import firmware_of
+from tests.configure.faults import Spoilt
 
 
 @cache
@@ -61,6 +63,7 @@ class LoopedPort:
         made = firmware_of(self.device.protocol)(self.device, rate_hz)
         assert made is not None
         self.firmware: Firmware = made
+        self.spoilt = Spoilt().spoil(made)
         self.settings = PortSettings("/dev/looped", self.device.serial.baudrates[0])
         self.shared_with: tuple[str, ...] = ()
         self.now_s = 1000.0
@@ -70,7 +73,7 @@ class LoopedPort:
         self._answers = b""
         self._samples = 0.0
         self._sending: Sending | None = None
-        self._sent_by = dict(self.firmware.settings.volatile)
+        self._sent_by = dict(self.firmware.volatile)
         self._sent: Counter[float] = Counter()
 
     def monotonic(self) -> float:
@@ -103,15 +106,15 @@ class LoopedPort:
         pass
 
     def _look(self) -> None:
-        if self.firmware.unplugged:
+        if self.spoilt.unplugged:
             raise lost_error(self.settings, "the device hung up")
 
     def _data(self, seconds: float) -> bytes:
         firmware = self.firmware
-        if firmware.dead or not firmware.streaming or self.settings.baudrate != firmware.baudrate:
+        if self.spoilt.dead or not firmware.streaming or self.settings.baudrate != firmware.baudrate:
             return b""
-        if firmware.settings.volatile != self._sent_by:
-            self._sent_by, self._sending = dict(firmware.settings.volatile), firmware.sending()
+        if firmware.volatile != self._sent_by:
+            self._sent_by, self._sending = dict(firmware.volatile), firmware.sending()
         sending = self._sending
         rate = self._rate_hz if sending is None else sending.rate_hz
         self._samples += seconds * rate
@@ -133,8 +136,8 @@ class Looped:
     @property
     def as_found(self) -> bool:
         """Whether volatile settings, flash and line are those that the device was delivered with."""
-        firmware, settings = self.port.firmware, self.port.firmware.settings
-        same = settings.volatile == settings.flash == settings.delivered
+        firmware = self.port.firmware
+        same = firmware.volatile == firmware.flash == firmware.delivered
         return same and firmware.streaming and firmware.baudrate == self.port.device.serial.baudrates[0]
 
 
@@ -150,9 +153,9 @@ def looped(monkeypatch: pytest.MonkeyPatch, name: str, rate_hz: float | None = N
     return Looped(port, Configuration(link, family, port.device, report), report)
 
 
-def failed(one: Looped, *arguments: object) -> ImumonError:
+def failed(one: Looped, wish: Wish) -> ImumonError:
     """Return the error of a configuration that must fail."""
     with pytest.raises(ImumonError) as caught:
-        one.configuration.run(*arguments)  # type: ignore[arg-type]
+        one.configuration.run(wish)
     assert one.report.result == "failed"
     return caught.value

@@ -11,11 +11,11 @@ from imumon.configure import configuration, measured_stream
 from imumon.configure.command_link import CommandLink
 from imumon.configure.commands.core import BAUD, Wish
 from imumon.configure.configuration import planned
-from imumon.configure.firmware.core import Faults
 from imumon.configure.firmware.mip import MipFirmware
 from imumon.configure.measured_stream import Stream
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
+from tests.configure.faults import Faults
 from tests.configure.looped import Looped, failed, looped
 
 DEVICES = ("xsens", "microstrain", "vectornav", "witmotion")
@@ -26,7 +26,7 @@ UNHEARD = 3
 
 
 def succeeded(one: Looped, wish: Wish = WISH, baudrate: int | None = BAUDRATE, save: bool = True) -> Looped:
-    one.configuration.run(wish, baudrate, save)
+    one.configuration.run(replace(wish, baudrate=baudrate, save=save))
     return one
 
 
@@ -54,7 +54,7 @@ def name(request: pytest.FixtureRequest) -> str:
 
 def commands_of(monkeypatch: pytest.MonkeyPatch, name: str) -> int:
     """Return how many commands a configuration takes."""
-    return succeeded(looped(monkeypatch, name)).port.firmware.commands
+    return succeeded(looped(monkeypatch, name)).port.spoilt.commands
 
 
 @pytest.mark.parametrize("rate", [1.0, 10.0, 100.0, 0.0])
@@ -76,14 +76,14 @@ def test_the_load_is_what_really_comes(monkeypatch: pytest.MonkeyPatch, name: st
     one.port.read(1.0)  # what was under way
     heard = sum(len(one.port.read(0.05)) for _ in range(200)) / 10
     family = one.configuration._family
-    assert heard == pytest.approx(family.bytes_per_s(one.port.firmware.settings.volatile), rel=0.01)
+    assert heard == pytest.approx(family.bytes_per_s(one.port.firmware.volatile), rel=0.01)
 
 
 def test_flash_is_written_only_when_asked(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     one = looped(monkeypatch, name)
-    settings = one.port.firmware.settings
+    settings = one.port.firmware
     if name == "xsens":
-        assert "flash at once" in failed(one, WISH, BAUDRATE, False).seen
+        assert "flash at once" in failed(one, replace(WISH, baudrate=BAUDRATE)).seen
         assert one.as_found
         return
     succeeded(one, save=False)
@@ -91,7 +91,7 @@ def test_flash_is_written_only_when_asked(monkeypatch: pytest.MonkeyPatch, name:
     one.port.firmware.power_on()
     assert one.as_found
     saved = succeeded(looped(monkeypatch, name)).port.firmware
-    assert saved.settings.flash == saved.settings.volatile != saved.settings.delivered
+    assert saved.flash == saved.volatile != saved.delivered
     saved.power_on()
     assert saved.baudrate == BAUDRATE
 
@@ -100,7 +100,8 @@ def test_nothing_is_written_when_nothing_is_to_change(monkeypatch: pytest.Monkey
     one = looped(monkeypatch, name)
     succeeded(one, save=True)
     again = looped(monkeypatch, name)
-    again.port.firmware.settings = one.port.firmware.settings
+    there, before = again.port.firmware, one.port.firmware
+    there.volatile, there.flash, there.delivered = before.volatile, before.flash, before.delivered
     again.port.firmware.baudrate = BAUDRATE
     again.port.set_baudrate(BAUDRATE)
     succeeded(again, save=False)
@@ -121,18 +122,18 @@ def test_what_fails_at_any_command_leaves_the_device_as_it_was(
     for k in range(1, total + 1):
         one = looped(monkeypatch, name)
         hit = frozenset(range(k, k + UNHEARD) if fault == "unheard" else [k])
-        one.port.firmware.faults = FAULTS[fault](hit)
+        one.port.spoilt.faults = FAULTS[fault](hit)
         error = outcome(one)
         if error is not None:
             failures += 1
             assert error.reason in (Reason.REFUSED, Reason.SILENT, Reason.BAD_DATA), (k, error)
-            assert one.as_found, (k, error, one.port.firmware.settings)
+            assert one.as_found, (k, error, one.port.firmware.volatile)
             assert not one.report.not_restored, (k, one.report)
         else:
-            volatile = one.port.firmware.settings.volatile
+            volatile = one.port.firmware.volatile
             assert one.port.firmware.baudrate == BAUDRATE, k
             assert one.report.stream is not None
-            assert volatile[BAUD] != one.port.firmware.settings.delivered[BAUD], k
+            assert volatile[BAUD] != one.port.firmware.delivered[BAUD], k
     assert failures >= (2 if fault == "ignored" else 4)
 
 
@@ -149,7 +150,7 @@ def test_ctrl_c_at_any_command_leaves_the_device_as_it_was(
 
         one.port.on_write = interrupt
         with pytest.raises(KeyboardInterrupt):
-            one.configuration.run(WISH, BAUDRATE, True)
+            one.configuration.run(replace(WISH, baudrate=BAUDRATE, save=True))
         assert one.as_found, k
         assert one.report.result == "failed"
 
@@ -160,10 +161,10 @@ def test_what_cannot_be_put_back_is_said(monkeypatch: pytest.MonkeyPatch, name: 
     said = 0
     for k in range(total):
         one = looped(monkeypatch, name)
-        one.port.firmware.faults = Faults(dies_after=k) if end == "dies" else Faults(unplugged_after=k)
+        one.port.spoilt.faults = Faults(dies_after=k) if end == "dies" else Faults(unplugged_after=k)
         error = outcome(one)
         assert error is None or error.reason in (Reason.SILENT, Reason.LOST, Reason.REFUSED)
-        changed = one.port.firmware.settings.volatile != one.port.firmware.settings.delivered
+        changed = one.port.firmware.volatile != one.port.firmware.delivered
         if one.report.result == "failed" and changed:
             said += 1
             assert one.report.not_restored, k
@@ -176,7 +177,7 @@ def test_a_device_that_is_left_silent_is_said_to_be(monkeypatch: pytest.MonkeyPa
     left = 0
     for k in range(2, commands_of(monkeypatch, name)):
         one = looped(monkeypatch, name)
-        one.port.firmware.faults = Faults(dies_after=k)
+        one.port.spoilt.faults = Faults(dies_after=k)
         if outcome(one) is not None and one.report.result == "failed" and not one.port.firmware.streaming:
             left += 1
             assert "sending of data: on" in one.report.not_restored, k
@@ -187,7 +188,7 @@ def test_more_than_the_line_carries_is_refused_before_anything_is_written(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     one = looped(monkeypatch, "witmotion")
-    error = failed(one, Wish(200.0, ("inertial", "attitude")), None, False)
+    error = failed(one, Wish(200.0, ("inertial", "attitude")))
     assert "6600 bytes/s are 688% of the 960 bytes/s of 9600 baud" in error.seen
     assert "--baud 115200" in error.hint
     assert one.as_found
@@ -217,7 +218,7 @@ def test_a_device_that_sends_at_another_rate_than_it_says_is_put_back(
     one = looped(monkeypatch, "vectornav")
     real = one.port.firmware.outputs
     monkeypatch.setattr(one.port.firmware, "outputs", lambda: (real()[0] / 2, real()[1]))
-    assert "Hz, not at 20 Hz" in failed(one, WISH, None, False).seen
+    assert "Hz, not at 20 Hz" in failed(one, WISH).seen
     assert one.as_found
 
 
@@ -226,7 +227,7 @@ def test_a_device_that_hardly_sends_is_put_back(monkeypatch: pytest.MonkeyPatch)
     one = looped(monkeypatch, "vectornav")
     real = one.port.firmware.outputs
     monkeypatch.setattr(one.port.firmware, "outputs", lambda: (real()[0] / 20, real()[1]))
-    assert "s, not at 20 Hz" in failed(one, WISH, None, False).seen
+    assert "s, not at 20 Hz" in failed(one, WISH).seen
     assert one.as_found
 
 
@@ -244,9 +245,9 @@ def test_a_host_that_stalls_once_changes_nothing(monkeypatch: pytest.MonkeyPatch
 
 def test_a_baud_rate_that_could_not_be_put_back_is_not_changed(monkeypatch: pytest.MonkeyPatch) -> None:
     one = looped(monkeypatch, "witmotion")
-    settings = one.port.firmware.settings
+    settings = one.port.firmware
     settings.volatile[BAUD] = settings.flash[BAUD] = settings.delivered[BAUD] = b"\x77\x00"
-    assert "could not put back: code 119" in failed(one, WISH, BAUDRATE, False).seen
+    assert "could not put back: code 77" in failed(one, replace(WISH, baudrate=BAUDRATE)).seen
     assert one.as_found
 
 
@@ -261,8 +262,8 @@ def test_a_silent_device_is_left_silent_when_it_fails(monkeypatch: pytest.Monkey
     one = looped(monkeypatch, "microstrain")
     one.port.firmware.streaming = False
     one.configuration._link.streaming = False
-    one.port.firmware.faults = Faults(refused=frozenset([12]))
-    failed(one, WISH, None, False)
+    one.port.spoilt.faults = Faults(refused=frozenset([12]))
+    failed(one, WISH)
     assert not one.port.firmware.streaming
 
 
@@ -271,8 +272,10 @@ def test_a_dry_run_needs_no_device(name: str) -> None:
     from imumon.protocols.device import load_device
 
     family = family_of(load_device(name))
-    frames = [request.frame for request in planned(family, WISH, BAUDRATE, save=True, now=9600)]
-    assert frames[0] == family.hello().frame
+    frames = [
+        request.frame for request in planned(family, replace(WISH, baudrate=BAUDRATE, save=True), now=9600)
+    ]
+    assert frames[0] == family.hello.frame
     assert len(frames) > 6
     with pytest.raises(ImumonError, match="does not know what the device sends now"):
-        planned(family, Wish(20.0), None, save=False, now=9600)
+        planned(family, Wish(20.0), now=9600)

@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 import serial
 
-from imumon.configure.firmware.core import Faults, Firmware
+from imumon.configure.firmware.core import Firmware
 from imumon.protocols.device import load_device
 from imumon.recordings.table import read_table
 from imumon.simulation.virtual_device import VirtualDevice
 from tests.cli.command import IMUMON, answer, imumon
+from tests.configure.faults import Faults, Spoilt
 from tests.waiting import LIMIT_S, wait_until
 
 ASKED = ("--rate", 20, "--outputs", "inertial,temperature")
@@ -78,7 +79,7 @@ def test_without_save_nothing_survives_power_off(tmp_path: Path) -> None:
 def test_what_an_mti_stores_at_once_needs_save(tmp_path: Path) -> None:
     with VirtualDevice(load_device("xsens"), tmp_path / "imu") as virtual:
         done = imumon("configure", virtual.port.path, "--device", "xsens", *ASKED)
-        settings = firmware_of(virtual).settings
+        settings = firmware_of(virtual)
         assert settings.volatile == settings.flash == settings.delivered
     assert done.returncode == 2
     assert "say --save" in done.stderr
@@ -88,9 +89,9 @@ def test_what_an_mti_stores_at_once_needs_save(tmp_path: Path) -> None:
 def test_a_refusal_is_said_and_put_back(tmp_path: Path) -> None:
     with VirtualDevice(load_device("vectornav"), tmp_path / "imu") as virtual:
         firmware = firmware_of(virtual)
-        firmware.faults = Faults(ignored=frozenset([14]))
+        Spoilt(Faults(ignored=frozenset([14]))).spoil(firmware)
         done = imumon("configure", virtual.port.path, "--device", "vectornav", *ASKED, "--baud", 921_600)
-        assert firmware.settings.volatile == firmware.settings.delivered
+        assert firmware.volatile == firmware.delivered
         assert firmware.baudrate == virtual.port.baudrate == 115_200
         assert firmware.streaming
     assert done.returncode == 1, done.stderr
@@ -100,7 +101,7 @@ def test_a_refusal_is_said_and_put_back(tmp_path: Path) -> None:
 
 def test_an_unplugged_device_is_said_to_be_as_it_is(tmp_path: Path) -> None:
     with VirtualDevice(load_device("vectornav"), tmp_path / "imu") as virtual:
-        firmware_of(virtual).faults = Faults(unplugged_after=10)
+        Spoilt(Faults(unplugged_after=10), virtual.port.unplug).spoil(firmware_of(virtual))
         done = imumon("configure", virtual.port.path, "--device", "vectornav", *ASKED)
     assert done.returncode == 3
     assert "NOT put back: binary output 1" in done.stderr
@@ -117,12 +118,12 @@ def test_ctrl_c_puts_back(number: signal.Signals, tmp_path: Path) -> None:
             text=True,
         )
         try:
-            assert wait_until(lambda: firmware.settings.volatile != firmware.settings.delivered)
+            assert wait_until(lambda: firmware.volatile != firmware.delivered)
             process.send_signal(number)
             _, said = process.communicate(timeout=LIMIT_S)
         finally:
             process.kill()
-        assert firmware.settings.volatile == firmware.settings.delivered == firmware.settings.flash, said
+        assert firmware.volatile == firmware.delivered == firmware.flash, said
         assert firmware.streaming, said
     assert process.returncode == 130
     assert "put back: sensor format" in said
@@ -139,7 +140,7 @@ def test_another_device_is_not_spoken_to(tmp_path: Path) -> None:
 
 def test_a_device_that_only_sends_is_said_to_be_deaf(tmp_path: Path) -> None:
     with VirtualDevice(load_device("vectornav"), tmp_path / "imu") as virtual:
-        firmware_of(virtual).faults = Faults(unheard=frozenset(range(1000)))
+        Spoilt(Faults(unheard=frozenset(range(1000)))).spoil(firmware_of(virtual))
         done = imumon("configure", virtual.port.path, "--device", "vectornav", *ASKED)
     assert done.returncode == 3
     assert "sends, but no vectornav device answers" in done.stderr
@@ -149,7 +150,7 @@ def test_a_device_that_is_silent_is_found_by_asking_and_left_silent(tmp_path: Pa
     with VirtualDevice(load_device("microstrain"), tmp_path / "imu") as virtual:
         firmware = firmware_of(virtual)
         firmware.streaming, firmware.baudrate, virtual.port.baudrate = False, 460_800, 460_800
-        firmware.settings.volatile["baud rate"] = (460_800).to_bytes(4, "big")
+        firmware.volatile["baud rate"] = (460_800).to_bytes(4, "big")
         done = imumon("configure", virtual.port.path, "--device", "microstrain", "--rate", 3)
         assert not firmware.streaming
         looked = answer("configure", virtual.port.path, "--device", "microstrain", "--at", 460_800)
@@ -161,7 +162,7 @@ def test_a_device_that_is_silent_is_found_by_asking_and_left_silent(tmp_path: Pa
 
 def test_json_says_what_failed(tmp_path: Path) -> None:
     with VirtualDevice(load_device("witmotion"), tmp_path / "imu") as virtual:
-        firmware_of(virtual).faults = Faults(ignored=frozenset(range(1000)))
+        Spoilt(Faults(ignored=frozenset(range(1000)))).spoil(firmware_of(virtual))
         done = imumon("configure", virtual.port.path, "--device", "witmotion", *ASKED, "--json")
     assert done.returncode == 1
     result = json.loads(done.stdout)

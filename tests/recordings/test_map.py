@@ -50,7 +50,7 @@ def test_three_temperatures_and_three_angles() -> None:
             "unit: deg",
             r"map.yaml:2: gyro.unit: unit 'deg' does not measure what 'rad/s' measures",
         ),
-        ("  unit: g", "  unit: gram", r"map.yaml:5: accel.unit: unit 'gram' does not measure what"),
+        ("  unit: g", "  unit: gram", r"map.yaml:5: accel.unit: unit 'gram' is not known"),
         ("unit: degC", "unit: xyzzy", r"map.yaml:7: temperature.unit: unit 'xyzzy' is not known"),
         ("unit: s", "unit: m", r"map.yaml:1: time.unit: unit 'm' does not measure"),
         ("unit: s", "unit: s, format: '%d.%m.%Y %H:%M:%S'", r"map.yaml:1: time: .*unit, or the format"),

@@ -110,18 +110,12 @@ def test_a_stage_that_was_switched_off_is_not_compared(tmp_path: Path) -> None:
     assert (mended.identical, mended.only_replay) == (True, ("doubled",))
 
 
-def test_one_digest_of_all_columns_is_compared_where_the_stages_are_the_same(session: Session) -> None:
+def test_one_digest_of_all_columns_is_the_same_or_says_nothing(session: Session) -> None:
     old: dict[str, Any] = {"column_crc32": {}}
     assert compared(session, [Times("doubled", 2.0)], **old).identical is True
     more = compared(session, [Times("doubled", 2.0), Times("tripled", 3.0)], **old)
     assert more.identical is None
-    assert "--without-plugins" in str(more)
-    assert compared(session, [], **old).identical is False
-    versions = session.metadata.versions | {"imumon": "0.0.1"}
-    assert compared(session, [], **old, versions=versions).identical is None
-    older = compared(session, [], **old, results_digest=64 * "a")
-    assert older.identical is None
-    assert "in another way" in str(older)
+    assert "one digest of all columns" in str(more)
 
 
 def test_a_late_column_is_the_same_as_one_that_was_missing() -> None:

@@ -8,7 +8,7 @@ here opens a port: `imumon.configure.configuration` sends.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
@@ -111,17 +111,33 @@ Ask = Callable[[Request], bytes]
 """Sends a request and returns the answer; raises CommandError."""
 
 
+def known(ask: Ask, question: Request) -> bytes | None:
+    """Return the answer, or None when the device refuses.
+
+    Raises CommandError when it does not answer.
+    """
+    try:
+        return ask(question)
+    except CommandError as error:
+        if not error.refused:
+            raise
+        return None
+
+
 @dataclass(frozen=True, slots=True)
 class Wish:
     """What a user asked for; None: as it is."""
 
     rate_hz: float | None = None
     outputs: tuple[str, ...] | None = None
+    baudrate: int | None = None
+    save: bool = False
+    """Whether it is written into flash."""
 
     @property
-    def empty(self) -> bool:
+    def only_reads(self) -> bool:
         """Whether nothing is to be changed."""
-        return self.rate_hz is None and self.outputs is None
+        return self.rate_hz is None and self.outputs is None and self.baudrate is None
 
 
 def packets_among(data: bytes, frame: Frame) -> tuple[list[bytes], int]:
@@ -149,26 +165,39 @@ class Family(ABC):
     """How devices of a family are configured: pure functions of settings, which are bytes under names."""
 
     title: ClassVar[str]
-    columns: ClassVar[Mapping[str, tuple[str, ...]]]
+    columns: ClassVar[Mapping[str, tuple[str, ...]]] = USUAL_COLUMNS
     """For each output the columns of which one must come when it is on."""
-    baudrates: ClassVar[Sequence[int]]
+    baud_codes: ClassVar[Mapping[int, bytes]]
+    """Value of the baud setting for each baud rate."""
     verified: ClassVar[str]
     """Against what the commands were checked."""
     stores_at_once: ClassVar[bool] = False
-    """Whether the device writes into flash whatever it is told."""
+    """Whether the device writes into flash whatever is written."""
     save_confirmed: ClassVar[bool] = True
-    """Whether the device says that it has written into flash."""
+    """Whether the device confirms that it has written into flash."""
     hello_quiets: ClassVar[bool] = False
     """Whether the first question stops the data."""
     reset_s: ClassVar[float] = 0.0
-    """How long the device is deaf after it has changed its baud rate."""
+    """How long the device does not answer after a change of its baud rate."""
     silent_hint: ClassVar[str] = ""
     """What else may be wrong when the device takes its settings and no data come."""
+    assumed: ClassVar[tuple[str, ...]] = ()
+    """What is taken for granted where no device is asked."""
+    settings: tuple[str, ...]
+    """Names of the settings that are read, the baud rate last."""
     identity: tuple[str, ...] = ()
-    """What the device says of itself, after `learn`."""
+    """What the device reports of itself, after `learn`."""
 
     answer_frame: ClassVar[Frame]
     """How what may be an answer is told from other bytes."""
+    hello: ClassVar[Request]
+    """Changes no setting; every device of the family answers."""
+    quiet: ClassVar[tuple[Request, ...]] = ()
+    """Stops the data while the settings change."""
+    resume: ClassVar[tuple[Request, ...]] = ()
+    """Lets the data come again."""
+    questions: ClassVar[tuple[Request, ...]] = ()
+    """What `learn` asks of a device of the newest kind."""
 
     @classmethod
     def of(cls, device: DeviceFile) -> Self:
@@ -186,34 +215,10 @@ class Family(ABC):
         packets, done = packets_among(held, self.answer_frame)
         return [self.message(packet) for packet in packets], done
 
-    @abstractmethod
-    def hello(self) -> Request:
-        """Return a request that changes no setting and that every device of the family answers."""
-
-    def quiet(self) -> tuple[Request, ...]:
-        """Return what stops the data while the settings change."""
-        return ()
-
-    def resume(self) -> tuple[Request, ...]:
-        """Return what lets the data come again."""
-        return ()
-
-    def questions(self) -> tuple[Request, ...]:
-        """Return what `learn` asks of a device of the newest kind."""
-        return ()
-
     def learn(self, ask: Ask) -> Self:
         """Return the family as this device has it: its commands, its base rate."""
         del ask
         return self
-
-    def assumed(self) -> tuple[str, ...]:
-        """Return what is taken for granted where no device is asked."""
-        return ()
-
-    @abstractmethod
-    def settings(self) -> tuple[str, ...]:
-        """Return the names of the settings that are read, the baud rate last."""
 
     @abstractmethod
     def read(self, name: str) -> Request:
@@ -227,22 +232,24 @@ class Family(ABC):
     def save(self, names: Sequence[str]) -> tuple[Request, ...]:
         """Return what writes these settings, or all where a device cannot choose, into flash."""
 
-    @abstractmethod
     def wanted(self, present: Mapping[str, bytes], wish: Wish) -> dict[str, bytes]:
         """Return the settings that make the wish true.
 
-        Raises BAD_CONFIG when the device has no such rate.
+        Raises BAD_CONFIG when the device has no such rate, or nothing is sent that could be kept.
         """
-
-    def wanted_hz(self, present: Mapping[str, bytes], wish: Wish) -> float:
-        """Return the rate that is wished for, else that which is there.
-
-        Raises BAD_CONFIG when there is neither.
-        """
+        speed = {} if wish.baudrate is None else {BAUD: self.baud_codes[wish.baudrate]}
+        if wish.rate_hz is None and wish.outputs is None:
+            return speed
         rate_hz = wish.rate_hz or (self.rate_hz(present) if present else None)
-        if rate_hz is None:
+        if present and rate_hz is None:
             raise nothing_to_keep("rate", "give --rate")
-        return rate_hz
+        return self.of_wish(present, rate_hz, wish.outputs) | speed
+
+    @abstractmethod
+    def of_wish(
+        self, present: Mapping[str, bytes], rate_hz: float | None, outputs: tuple[str, ...] | None
+    ) -> dict[str, bytes]:
+        """Return the settings for a rate and outputs; None where neither wish nor device says which."""
 
     def settled(self, name: str, wanted: bytes, found: bytes) -> bool:
         """Return whether what reads back is what was wanted."""
@@ -257,37 +264,35 @@ class Family(ABC):
     def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
         """Return the rate of the inertial data, or None when none come."""
 
-    @abstractmethod
     def describe(self, name: str, value: bytes) -> str:
-        """Say in words what a value of a setting means."""
+        """Return what a value of a setting means, in words."""
+        if name == BAUD:
+            return str(self.baud_of(value) or f"code {value.hex()}")
+        return self.describe_output(name, value)
 
     @abstractmethod
-    def baud_value(self, baudrate: int) -> bytes:
-        """Return the value of the baud setting."""
+    def describe_output(self, name: str, value: bytes) -> str:
+        """Return what a value of another setting than the baud rate means."""
 
-    @abstractmethod
     def baud_of(self, value: bytes) -> int | None:
-        """Return the baud rate of a value; None when it is not known."""
+        """Return the baud rate of a value of the setting; None when it is not known."""
+        return next((rate for rate, code in self.baud_codes.items() if code == value), None)
 
-    def check(self, wish: Wish, baudrate: int | None) -> None:
+    def check(self, wish: Wish) -> None:
         """Refuse what no device of the family has, before anything is sent.
 
         Raises BAD_CONFIG, naming what there is.
         """
         for name in wish.outputs or ():
-            if name not in OUTPUTS:
-                raise _lacking(f"no output {name!r}", self.columns)
             if name not in self.columns:
-                raise _lacking(f"{self.title} devices have no {name} ({OUTPUTS[name]})", self.columns)
-        if baudrate is not None and baudrate not in self.baudrates:
-            there = ", ".join(map(str, self.baudrates))
-            raise ImumonError(
-                Reason.BAD_CONFIG, f"no baud rate {baudrate}", f"{self.title} devices have {there}"
-            )
+                what = f"{self.title} devices have no {name} ({OUTPUTS[name]})" if name in OUTPUTS else ""
+                raise _refused(what or f"no output {name!r}", self.columns)
+        if wish.baudrate is not None and wish.baudrate not in self.baud_codes:
+            raise _refused(f"no baud rate {wish.baudrate}", self.baud_codes)
 
 
-def _lacking(seen: str, there: Mapping[str, object]) -> ImumonError:
-    return ImumonError(Reason.BAD_CONFIG, seen, f"there are: {', '.join(there)}")
+def _refused(seen: str, there: Iterable[object]) -> ImumonError:
+    return ImumonError(Reason.BAD_CONFIG, seen, f"there are: {', '.join(map(str, there))}")
 
 
 def no_rate(rate_hz: float, there: Sequence[float], why: str) -> ImumonError:
@@ -305,11 +310,13 @@ def nothing_to_keep(what: str, option: str) -> ImumonError:
     )
 
 
-def divisor(base_hz: float, rate_hz: float) -> int:
+def divisor(base_hz: float, rate_hz: float | None) -> int:
     """Return the whole number by which a base rate is divided to give this one.
 
-    Raises BAD_CONFIG when there is none, with the nearest rates.
+    Raises BAD_CONFIG when there is none, with the nearest rates, or no rate is given.
     """
+    if rate_hz is None:
+        raise nothing_to_keep("rate", "give --rate")
     exact = base_hz / rate_hz
     by = min(max(round(exact), 1), MOST_DIVISOR)
     if abs(base_hz / by / rate_hz - 1) <= CLOSE_ENOUGH:

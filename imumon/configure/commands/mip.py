@@ -9,7 +9,7 @@ older ones one for each (0x08, 0x0A): the device is asked which it knows.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -18,13 +18,12 @@ from imumon.configure.commands.core import (
     SAVE_S,
     USUAL_COLUMNS,
     Ask,
-    CommandError,
     Family,
     Message,
     Refusal,
     Request,
-    Wish,
     divisor,
+    known,
     nothing_to_keep,
 )
 from imumon.errors import ImumonError, Reason
@@ -123,6 +122,13 @@ def message_format(items: Sequence[tuple[int, int]]) -> bytes:
     return bytes([len(items)]) + b"".join(bytes([code]) + by.to_bytes(2, "big") for code, by in items)
 
 
+def _base_rate(modern: bool, of: int) -> Request:
+    what = f"base rate of {SET_NAMES[of]}"
+    if modern:
+        return request(THREE_DM, BASE_RATE, bytes([of]), f"GetBaseRate: {what}", 1)
+    return request(THREE_DM, IMU_BASE_RATE if of == SENSOR else FILTER_BASE_RATE, b"", f"Get{what}")
+
+
 @dataclass(frozen=True)
 class Mip(Family):
     """Commands of a MicroStrain device."""
@@ -136,14 +142,32 @@ class Mip(Family):
     """Base rate of each data set that the device has, of those that are configured."""
     speed_in_base: bool = False
     """Whether the baud rate is set by a base command."""
+    settings: tuple[str, ...] = (*OF_SET, BAUD)
     identity: tuple[str, ...] = ()
     answer_frame: ClassVar[Frame] = Frame("MIP", SYNC, counted_length(3, 1, AROUND, LONGEST), CHECK)
     title: ClassVar[str] = "MicroStrain"
     verified: ClassVar[str] = (
         "frames of other programs (0x08, 0x0A), and the virtual device; never a real unit"
     )
-    baudrates: ClassVar[Sequence[int]] = (115_200, 230_400, 460_800, 921_600)
+    baud_codes: ClassVar[Mapping[int, bytes]] = {
+        rate: rate.to_bytes(4, "big") for rate in (115_200, 230_400, 460_800, 921_600)
+    }
     columns: ClassVar[Mapping[str, tuple[str, ...]]] = USUAL_COLUMNS | {"status": ("overrange",)}
+    assumed: ClassVar[tuple[str, ...]] = (
+        f"base rate {USUAL_BASE_HZ} Hz for sensors and filter; it is asked of the device first",
+        "message format by command 0x0F; older devices are told by 0x08 and 0x0A",
+    )
+    hello: ClassVar[Request] = request(BASE, PING, b"", "Ping")
+    quiet: ClassVar[tuple[Request, ...]] = (
+        request(BASE, IDLE, b"", "SetToIdle: no data while settings change"),
+    )
+    resume: ClassVar[tuple[Request, ...]] = (request(BASE, RESUME, b"", "Resume: data again"),)
+    questions: ClassVar[tuple[Request, ...]] = (
+        request(BASE, DEVICE_INFO, b"", "GetDeviceInfo", timeout_s=SAVE_S),
+        _base_rate(True, SENSOR),
+        _base_rate(True, FILTER),
+        request(THREE_DM, UART_BAUD, READ, "read baud rate (UARTBaudRate)"),
+    )
 
     @classmethod
     def of(cls, device: DeviceFile) -> Mip:
@@ -156,57 +180,29 @@ class Mip(Family):
         """Return descriptor set and fields."""
         return Message(packet[2], packet[4:-2])
 
-    def hello(self) -> Request:
-        """Return a ping."""
-        return request(BASE, PING, b"", "Ping")
-
-    def quiet(self) -> tuple[Request, ...]:
-        """Return SetToIdle."""
-        return (request(BASE, IDLE, b"", "SetToIdle: no data while settings change"),)
-
-    def resume(self) -> tuple[Request, ...]:
-        """Return Resume."""
-        return (request(BASE, RESUME, b"", "Resume: data again"),)
-
-    def questions(self) -> tuple[Request, ...]:
-        """Return requests for the name, the base rates, and by which command the baud rate is set."""
-        return (
-            request(BASE, DEVICE_INFO, b"", "GetDeviceInfo", timeout_s=SAVE_S),
-            _base_rate(True, SENSOR),
-            _base_rate(True, FILTER),
-            request(THREE_DM, UART_BAUD, READ, "read baud rate (UARTBaudRate)"),
-        )
-
     def learn(self, ask: Ask) -> Mip:
         """Ask what it is, which commands it knows and its base rates."""
-        about, sensors, _, uart = self.questions()
+        about, sensors, _, uart = self.questions
         info = ask(about)
-        texts = tuple(
-            filter(None, (info[at : at + 16].decode("ascii", "replace").strip(" \0") for at in (2, 18, 34)))
-        )
-        rate = _known(ask, sensors)
-        modern = rate is not None
+        texts = [info[at : at + 16].decode("ascii", "replace").strip(" \0") for at in (2, 18, 34)]
+        sensor_rate = known(ask, sensors)
+        modern = sensor_rate is not None
         answers = {
-            SENSOR: rate if modern else _known(ask, _base_rate(False, SENSOR)),
-            FILTER: _known(ask, _base_rate(modern, FILTER)),
+            SENSOR: sensor_rate if modern else known(ask, _base_rate(False, SENSOR)),
+            FILTER: known(ask, _base_rate(modern, FILTER)),
         }
-        rates = {of: int.from_bytes(answer[:2], "big") for of, answer in answers.items() if answer}
-        rates = {of: base for of, base in rates.items() if base}
+        known_hz = {of: int.from_bytes((answer or b"")[:2], "big") for of, answer in answers.items()}
+        rates = {of: base for of, base in known_hz.items() if base}
         if SENSOR not in rates:
             raise ImumonError(Reason.BAD_DATA, "the device tells no base rate of its sensors")
-        there = replace(self, identity=texts, modern=modern, base_hz=rates)
-        return replace(there, speed_in_base=_known(ask, uart) is None)
-
-    def assumed(self) -> tuple[str, ...]:
-        """Return the base rate."""
-        return (
-            f"base rate {USUAL_BASE_HZ} Hz for sensors and filter; it is asked of the device first",
-            "message format by command 0x0F; older devices are told by 0x08 and 0x0A",
+        return replace(
+            self,
+            identity=tuple(filter(None, texts)),
+            modern=modern,
+            base_hz=rates,
+            settings=(*(name for name, of in OF_SET.items() if of in rates), BAUD),
+            speed_in_base=known(ask, uart) is None,
         )
-
-    def settings(self) -> tuple[str, ...]:
-        """Return formats and streams of the data sets that there are, and the baud rate."""
-        return (*(name for name, of in OF_SET.items() if of in self.base_hz), BAUD)
 
     def _command(self, name: str) -> tuple[int, int, bytes]:
         """Return command set, command, and what follows the function selector."""
@@ -245,31 +241,23 @@ class Mip(Family):
             found.append(0x03 if of == FILTER else 0x0A)
         return [TIME[self.clock][of == FILTER], *found] if found else []
 
-    def wanted(self, present: Mapping[str, bytes], wish: Wish) -> dict[str, bytes]:
+    def of_wish(
+        self, present: Mapping[str, bytes], rate_hz: float | None, outputs: tuple[str, ...] | None
+    ) -> dict[str, bytes]:
         """Return formats and streams; see `Family.wanted`."""
-        if wish.empty:
-            return {}
-        if (
-            wish.outputs
-            and "attitude" in wish.outputs
-            and self.attitude == "filter"
-            and FILTER not in self.base_hz
-        ):
+        if outputs and "attitude" in outputs and self.attitude == "filter" and FILTER not in self.base_hz:
             raise ImumonError(
                 Reason.BAD_CONFIG, "this device has no filter to take an attitude from",
                 "use a device file with attitude: imu (imumon devices microstrain)",
             )  # fmt: skip
-        rate, result = self.wanted_hz(present, wish), {}
+        result: dict[str, bytes] = {}
         for name in (SENSOR_FORMAT, FILTER_FORMAT_NAME):
             of = OF_SET[name]
             if of not in self.base_hz:
                 continue
-            codes = (
-                [code for code, _ in formatted(present[name])]
-                if wish.outputs is None
-                else self._fields(wish.outputs, of)
-            )
-            by = divisor(self.base_hz[of], rate) if codes else 1
+            kept = [code for code, _ in formatted(present.get(name, b""))]
+            codes = kept if outputs is None else self._fields(outputs, of)
+            by = divisor(self.base_hz[of], rate_hz) if codes else 1
             result[name] = message_format([(code, by) for code in codes])
             if codes:
                 result[name.replace("format", "stream")] = ON
@@ -297,10 +285,8 @@ class Mip(Family):
                 total += sum((2 + max(sizes.get(of << 8 | code, 0), 0)) * base / by for code, by in items)
         return total
 
-    def describe(self, name: str, value: bytes) -> str:
-        """Say what a value means."""
-        if name == BAUD:
-            return str(self.baud_of(value) or value.hex())
+    def describe_output(self, name: str, value: bytes) -> str:
+        """Return whether a stream is on, or each field of a format with its rate."""
         if name in (SENSOR_STREAM, FILTER_STREAM):
             return "off" if value == OFF else "on"
         of = OF_SET[name]
@@ -311,28 +297,3 @@ class Mip(Family):
             for code, by in formatted(value)
         ]
         return ", ".join(shown) or "nothing"
-
-    def baud_value(self, baudrate: int) -> bytes:
-        """Return the baud rate as a number of 32 bits."""
-        return baudrate.to_bytes(4, "big")
-
-    def baud_of(self, value: bytes) -> int | None:
-        """Return the baud rate of a value."""
-        return int.from_bytes(value, "big") if len(value) == 4 else None
-
-
-def _base_rate(modern: bool, of: int) -> Request:
-    what = f"base rate of {SET_NAMES[of]}"
-    if modern:
-        return request(THREE_DM, BASE_RATE, bytes([of]), f"GetBaseRate: {what}", 1)
-    return request(THREE_DM, IMU_BASE_RATE if of == SENSOR else FILTER_BASE_RATE, b"", f"Get{what}")
-
-
-def _known(ask: Callable[[Request], bytes], question: Request) -> bytes | None:
-    """Return the answer, or None when the device says no."""
-    try:
-        return ask(question)
-    except CommandError as error:
-        if not error.refused:
-            raise
-        return None

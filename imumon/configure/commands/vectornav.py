@@ -14,13 +14,11 @@ from typing import ClassVar
 from imumon.configure.commands.core import (
     BAUD,
     SAVE_S,
-    USUAL_COLUMNS,
     Ask,
     Family,
     Message,
     Refusal,
     Request,
-    Wish,
     divisor,
     nothing_to_keep,
 )
@@ -50,6 +48,9 @@ FIELDS: Mapping[str, tuple[tuple[int, int], ...]] = {
 Quaternion, VpeStatus.  AngRate and Accel have the filter's bias taken off and are never asked for."""
 FAST_HZ, SLOW_HZ = 800, 400
 """Base rate of the binary outputs of a VN-100 (and 110), and of the others."""
+
+
+BAUDRATES = (9600, 19_200, 38_400, 57_600, 115_200, 128_000, 230_400, 460_800, 921_600)
 
 
 def frame(text: str) -> bytes:
@@ -105,7 +106,7 @@ class Output:
         numbers = [_whole(text, 16) for text in texts[1:]]
         port, by = _whole(first), _whole(texts[0]) if texts else None
         if port is None or by is None or not numbers or None in numbers:
-            return cls(0, 0, 0, ())
+            return NO_OUTPUT
         groups, *words = (number for number in numbers if number is not None)
         return cls(port, by, groups, tuple(words))
 
@@ -160,6 +161,9 @@ class Output:
         return 0 if isinstance(offsets, int) else offsets[-1] + 2
 
 
+NO_OUTPUT = Output(0, 0, 0, ())
+
+
 def _groups(mask: int) -> list[str]:
     return [GROUP_NAMES.get(bit + 1, f"group {bit + 1}") for bit in range(7) if mask >> bit & 1]
 
@@ -170,25 +174,24 @@ class VectorNav(Family):
 
     base_hz: int = FAST_HZ
     """What the divisors of the outputs divide."""
+    settings: tuple[str, ...] = tuple(REGISTERS)
     identity: tuple[str, ...] = ()
     answer_frame: ClassVar[Frame] = Frame("ascii", SYNC, line_lengths(after_end=False), lines_right(_body))
     title: ClassVar[str] = "VectorNav"
     verified: ClassVar[str] = (
         "lines of other programs and of the vendor's, and the virtual device; never a real unit"
     )
-    baudrates: ClassVar[Sequence[int]] = (
-        9600,
-        19_200,
-        38_400,
-        57_600,
-        115_200,
-        128_000,
-        230_400,
-        460_800,
-        921_600,
-    )
+    baud_codes: ClassVar[Mapping[int, bytes]] = {rate: str(rate).encode() for rate in BAUDRATES}
     silent_hint: ClassVar[str] = "the binary output may go to the other serial port of the device"
-    columns: ClassVar[Mapping[str, tuple[str, ...]]] = USUAL_COLUMNS
+    assumed: ClassVar[tuple[str, ...]] = (
+        f"base rate {FAST_HZ} Hz (VN-100, 110); {SLOW_HZ} Hz for the others: the model is asked first",
+        "binary output 1 goes to serial port 1, or where it goes now",
+        "binary outputs 2 and 3 are off; where they are not, they are switched off",
+    )
+    hello: ClassVar[Request] = request("VNRRG,01", "read the model", "1")
+    quiet: ClassVar[tuple[Request, ...]] = (request("VNASY,0", "no data while settings change"),)
+    resume: ClassVar[tuple[Request, ...]] = (request("VNASY,1", "data again"),)
+    questions: ClassVar[tuple[Request, ...]] = (hello, request("VNRRG,04", "read the firmware", "4"))
 
     @staticmethod
     def message(packet: bytes) -> Message:
@@ -197,56 +200,28 @@ class VectorNav(Family):
         assert body is not None
         return Message(body[3:6], body[7:].encode())
 
-    def hello(self) -> Request:
-        """Return a request for the model."""
-        return request("VNRRG,01", "read the model", "1")
-
-    def quiet(self) -> tuple[Request, ...]:
-        """Return $VNASY,0."""
-        return (request("VNASY,0", "no data while settings change"),)
-
-    def resume(self) -> tuple[Request, ...]:
-        """Return $VNASY,1."""
-        return (request("VNASY,1", "data again"),)
-
-    def questions(self) -> tuple[Request, ...]:
-        """Return reads of model and firmware."""
-        return self.hello(), request("VNRRG,04", "read the firmware", "4")
-
     def learn(self, ask: Ask) -> VectorNav:
         """Ask the model, of which the base rate depends, and the firmware."""
-        model, firmware = (ask(question).decode("ascii", "replace") for question in self.questions())
-        return replace(self, base_hz=_base_hz(model), identity=(model, f"firmware {firmware}"))
-
-    def assumed(self) -> tuple[str, ...]:
-        """Return the base rate and the port."""
-        return (
-            f"base rate {FAST_HZ} Hz (VN-100, 110); {SLOW_HZ} Hz for the others: the model is asked first",
-            "binary output 1 goes to serial port 1, or where it goes now",
-            "binary outputs 2 and 3 are off; where they are not, they are switched off",
-        )
-
-    def settings(self) -> tuple[str, ...]:
-        """Return all outputs and the baud rate."""
-        return tuple(REGISTERS)
+        model, firmware = (ask(question).decode("ascii", "replace") for question in self.questions)
+        base_hz = FAST_HZ if model.upper().startswith("VN-1") else SLOW_HZ
+        return replace(self, base_hz=base_hz, identity=(model, f"firmware {firmware}"))
 
     def read(self, name: str) -> Request:
         """Return $VNRRG."""
-        register, alone = REGISTERS[name], name in (ASCII, BAUD)
+        register = REGISTERS[name]
         found = request(f"VNRRG,{register:02d}", f"read {name}", str(register))
         reader = found.answer
         assert reader is not None
 
-        def first(message: Message) -> bytes | Refusal | None:
-            """Leave the number of the port out, which newer firmware adds."""
-            value = reader(message)
-            return value.split(b",")[0].lstrip(b"0") or b"0" if isinstance(value, bytes) else value
-
         def canonical(message: Message) -> bytes | Refusal | None:
             value = reader(message)
-            return Output.read(value).value if isinstance(value, bytes) else value
+            if not isinstance(value, bytes):
+                return value
+            if name in (ASCII, BAUD):  # newer firmware adds the number of the port
+                return value.split(b",")[0].lstrip(b"0") or b"0"
+            return Output.read(value).value
 
-        return replace(found, answer=first if alone else canonical)
+        return replace(found, answer=canonical)
 
     def write(self, name: str, value: bytes) -> tuple[Request, ...]:
         """Return $VNWRG."""
@@ -259,23 +234,22 @@ class VectorNav(Family):
         del names
         return (request("VNWNV", "save all registers", timeout_s=SAVE_S),)
 
-    def wanted(self, present: Mapping[str, bytes], wish: Wish) -> dict[str, bytes]:
+    def of_wish(
+        self, present: Mapping[str, bytes], rate_hz: float | None, outputs: tuple[str, ...] | None
+    ) -> dict[str, bytes]:
         """Return the first binary output; the others and the ASCII output off.  See `Family.wanted`."""
-        if wish.empty:
-            return {}
         now = {name: Output.read(present[name]) for name in (OUTPUT, SECOND, THIRD) if name in present}
-        old = now.get(OUTPUT, Output(0, 0, 0, ()))
-        by, port = divisor(self.base_hz, self.wanted_hz(present, wish)), old.port or 1
-        if wish.outputs is not None:
-            places = [place for name in wish.outputs for place in FIELDS[name]]
+        old = now.get(OUTPUT, NO_OUTPUT)
+        by, port = divisor(self.base_hz, rate_hz), old.port or 1
+        if outputs is not None:
+            places = [place for name in outputs for place in FIELDS[name]]
             new = Output.of(port, by, [TIME_STARTUP, *places])
         elif old.on:
             new = Output(port, by, old.groups, old.words)
         else:
             raise nothing_to_keep("binary output", "give --outputs")
-        off = {
-            name: replace(now[name], port=0).value for name in (SECOND, THIRD) if name in now and now[name].on
-        }
+        others = [name for name in (SECOND, THIRD) if now.get(name, NO_OUTPUT).on]
+        off = {name: replace(now[name], port=0).value for name in others}
         return {ASCII: b"0", **off, OUTPUT: new.value}
 
     def settled(self, name: str, wanted: bytes, found: bytes) -> bool:
@@ -293,27 +267,12 @@ class VectorNav(Family):
         outputs = [Output.read(values[name]) for name in (OUTPUT, SECOND, THIRD) if name in values]
         return sum(output.packet_bytes() * self.base_hz / output.by for output in outputs if output.on)
 
-    def describe(self, name: str, value: bytes) -> str:
-        """Say what a value means."""
-        text = value.decode("ascii", "replace")
-        if name == BAUD:
-            return text
+    def describe_output(self, name: str, value: bytes) -> str:
+        """Return fields, rate and port of a binary output, or the type of the ASCII output."""
         if name == ASCII:
-            return "off" if value == b"0" else f"type {text}"
+            return "off" if value == b"0" else f"type {value.decode('ascii', 'replace')}"
         output = Output.read(value)
         if not output.on:
             return "off"
         rate = f"{self.base_hz / output.by:.6g} Hz ({self.base_hz}/{output.by})"
         return f"{rate} on serial port {output.port}, {', '.join(output.fields())}"
-
-    def baud_value(self, baudrate: int) -> bytes:
-        """Return the baud rate as text."""
-        return str(baudrate).encode()
-
-    def baud_of(self, value: bytes) -> int | None:
-        """Return the baud rate of a value."""
-        return _whole(value.decode("ascii", "replace"))
-
-
-def _base_hz(model: str) -> int:
-    return FAST_HZ if model.upper().startswith("VN-1") else SLOW_HZ

@@ -16,11 +16,11 @@ from typing import ClassVar
 from imumon.configure.commands.core import (
     BAUD,
     CLOSE_ENOUGH,
+    USUAL_COLUMNS,
     Family,
     Message,
     Refusal,
     Request,
-    Wish,
     no_rate,
     nothing_to_keep,
 )
@@ -37,17 +37,8 @@ PAUSE_S = 0.1
 """Between writes: the vendor's code leaves 1 to 200 ms."""
 OPENING = Request("unlock", UNLOCK, None, PAUSE_S)
 RATES = {1: 0.2, 2: 0.5, 3: 1.0, 4: 2.0, 5: 5.0, 6: 10.0, 7: 20.0, 8: 50.0, 9: 100.0, 11: 200.0}
-BAUD_CODES = {
-    1: 4800,
-    2: 9600,
-    3: 19_200,
-    4: 38_400,
-    5: 57_600,
-    6: 115_200,
-    7: 230_400,
-    8: 460_800,
-    9: 921_600,
-}
+BAUDRATES = (4800, 9600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800, 921_600)
+"""By their codes, from 1 on."""
 BITS = ("time", "accel with temperature", "gyro", "angle", "mag", "ports", "pressure", "position", "speed",
         "quaternion", "satellites")  # fmt: skip
 """Frames by the bits of the content register, the first is 0x50."""
@@ -70,6 +61,10 @@ def _registers(message: Message) -> bytes | Refusal | None:
     return message.payload[:2] if message.kind == REGISTER_ANSWER else None
 
 
+def _read(name: str) -> Request:
+    return Request(f"read {name}", frame(READ_ADDRESS, bytes([REGISTERS[name], 0])), _registers)
+
+
 @dataclass(frozen=True)
 class WitMotion(Family):
     """Commands of a WitMotion module."""
@@ -78,32 +73,24 @@ class WitMotion(Family):
     title: ClassVar[str] = "WitMotion"
     verified: ClassVar[str] = "codes of the vendor's sample code, and the virtual device; never a real unit"
     save_confirmed: ClassVar[bool] = False
-    baudrates: ClassVar[Sequence[int]] = tuple(BAUD_CODES.values())
+    baud_codes: ClassVar[Mapping[int, bytes]] = {
+        rate: bytes([code, 0]) for code, rate in enumerate(BAUDRATES, 1)
+    }
     columns: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "inertial": ("gyro_x",),
-        "magnetometer": ("mag_x",),
-        "temperature": ("temperature",),
-        "pressure": ("pressure",),
+        **{name: USUAL_COLUMNS[name] for name in ("inertial", "magnetometer", "temperature", "pressure")},
         "attitude": ("roll",),
     }
+    settings: tuple[str, ...] = tuple(REGISTERS)
+    hello: ClassVar[Request] = _read(RATE)
 
     @staticmethod
     def message(packet: bytes) -> Message:
         """Return type and data."""
         return Message(packet[1], packet[2:10])
 
-    def hello(self) -> Request:
-        """Return a read of the output rate."""
-        return self.read(RATE)
-
-    def settings(self) -> tuple[str, ...]:
-        """Return content, rate and baud rate."""
-        return tuple(REGISTERS)
-
     def read(self, name: str) -> Request:
         """Return a read; its answer has four registers, of which the first is meant."""
-        register = REGISTERS[name]
-        return Request(f"read {name}", frame(READ_ADDRESS, bytes([register, 0])), _registers)
+        return _read(name)
 
     def write(self, name: str, value: bytes) -> tuple[Request, ...]:
         """Return the unlocking and the write, which nothing answers."""
@@ -115,21 +102,20 @@ class WitMotion(Family):
         del names
         return OPENING, Request("save all registers", frame(SAVE, b"\0\0"), None, 0.5)
 
-    def wanted(self, present: Mapping[str, bytes], wish: Wish) -> dict[str, bytes]:
-        """Return content and rate; see `Family.wanted`."""
+    def of_wish(
+        self, present: Mapping[str, bytes], rate_hz: float | None, outputs: tuple[str, ...] | None
+    ) -> dict[str, bytes]:
+        """Return content and rate, as far as they change."""
         result: dict[str, bytes] = {}
-        if wish.outputs is not None:
-            content = reduce(or_, (FRAMES[name] for name in wish.outputs), 0)
-            result[CONTENT] = content.to_bytes(2, "little")
-        elif not wish.empty and present and not any(present[CONTENT]):
+        if outputs is not None:
+            result[CONTENT] = reduce(or_, (FRAMES[name] for name in outputs), 0).to_bytes(2, "little")
+        elif present and not any(present[CONTENT]):
             raise nothing_to_keep("output", "give --outputs")
-        if wish.rate_hz is not None:
-            near = [code for code, rate in RATES.items() if abs(rate / wish.rate_hz - 1) <= CLOSE_ENOUGH]
+        if rate_hz is not None:
+            near = [code for code, rate in RATES.items() if abs(rate / rate_hz - 1) <= CLOSE_ENOUGH]
             if not near:
-                raise no_rate(wish.rate_hz, tuple(RATES.values()), "the device has a list of rates")
+                raise no_rate(rate_hz, tuple(RATES.values()), "the device has a list of rates")
             result[RATE] = bytes([near[0], 0])
-        elif not wish.empty and present and self.rate_hz(present) is None:
-            raise nothing_to_keep("rate", "give --rate")
         return result
 
     def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
@@ -141,20 +127,9 @@ class WitMotion(Family):
         frames = int.from_bytes(values[CONTENT], "little").bit_count()
         return SIZE * frames * (self.rate_hz(values) or 0.0)
 
-    def describe(self, name: str, value: bytes) -> str:
-        """Say what a value means."""
+    def describe_output(self, name: str, value: bytes) -> str:
+        """Return the rate, or the frames of a sample."""
         code = int.from_bytes(value, "little")
-        if name == BAUD:
-            return str(self.baud_of(value) or f"code {code}")
         if name == RATE:
             return f"{RATES[code]:g} Hz" if code in RATES else f"code {code}"
-        there = [frame for bit, frame in enumerate(BITS) if code >> bit & 1]
-        return ", ".join(there) or "nothing"
-
-    def baud_value(self, baudrate: int) -> bytes:
-        """Return the code of a baud rate."""
-        return bytes([next(code for code, rate in BAUD_CODES.items() if rate == baudrate), 0])
-
-    def baud_of(self, value: bytes) -> int | None:
-        """Return the baud rate of a code."""
-        return BAUD_CODES.get(value[0]) if len(value) == 2 else None
+        return ", ".join(frame for bit, frame in enumerate(BITS) if code >> bit & 1) or "nothing"

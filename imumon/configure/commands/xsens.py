@@ -14,15 +14,14 @@ from typing import ClassVar
 from imumon.configure.commands.core import (
     BAUD,
     SAVE_S,
-    USUAL_COLUMNS,
     Ask,
-    CommandError,
     Family,
     Message,
     Refusal,
     Request,
-    Wish,
+    known,
     no_rate,
+    nothing_to_keep,
 )
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.framing import Frame
@@ -38,7 +37,7 @@ OUTPUT = "output configuration"
 WITH_EVERY_PACKET = 0xFFFF
 BAUD_CODES = {0x02: 115_200, 0x0A: 921_600, 0x00: 460_800, 0x01: 230_400, 0x04: 57_600, 0x05: 38_400,
               0x07: 19_200, 0x09: 9600, 0x0C: 2_000_000}  # fmt: skip
-OLD_921600 = 0x80
+OLD_921600 = b"\x80"
 """Another code for 921600 baud, of older units."""
 
 ALWAYS = ((0x1020, WITH_EVERY_PACKET), (0x1060, WITH_EVERY_PACKET))
@@ -50,7 +49,6 @@ IDENTIFIERS: Mapping[str, tuple[int, ...]] = {
     "temperature": (0x0810,),
     "pressure": (0x3010,),
     "attitude": (0x2010,),
-    "status": (0xE020,),
 }
 MOST_HZ = {0x0810: 1, 0x3010: 50, 0xC020: 100}
 """Rates above which the documents have no temperature, pressure, field; the others go up to `FASTEST_HZ`."""
@@ -90,10 +88,19 @@ def packed(outputs: Sequence[tuple[int, int]]) -> bytes:
     return b"".join(code.to_bytes(2, "big") + rate.to_bytes(2, "big") for code, rate in outputs)
 
 
+def _text(payload: bytes) -> str:
+    return payload.decode("ascii", "replace").strip(" \0")
+
+
+def _version(payload: bytes) -> str:
+    return "firmware " + ".".join(map(str, payload[:3]))
+
+
 @dataclass(frozen=True)
 class Xsens(Family):
     """Commands of an MTi."""
 
+    settings: tuple[str, ...] = (OUTPUT, BAUD)
     identity: tuple[str, ...] = ()
     answer_frame: ClassVar[Frame] = Frame("Xbus", SYNC, xbus_lengths, CHECK)
     title: ClassVar[str] = "Xsens MTi"
@@ -101,46 +108,22 @@ class Xsens(Family):
     stores_at_once: ClassVar[bool] = True
     hello_quiets: ClassVar[bool] = True
     reset_s: ClassVar[float] = 5.0
-    baudrates: ClassVar[Sequence[int]] = tuple(BAUD_CODES.values())
-    columns: ClassVar[Mapping[str, tuple[str, ...]]] = USUAL_COLUMNS
+    baud_codes: ClassVar[Mapping[int, bytes]] = {rate: bytes([code]) for code, rate in BAUD_CODES.items()}
+    hello: ClassVar[Request] = request(GO_TO_CONFIG, timeout_s=0.5)  # measuring, an MTi answers nothing else
+    quiet: ClassVar[tuple[Request, ...]] = (request(GO_TO_CONFIG),)
+    resume: ClassVar[tuple[Request, ...]] = (request(GO_TO_MEASUREMENT),)
+    questions: ClassVar[tuple[Request, ...]] = (request(REQ_PRODUCT_CODE), request(REQ_FIRMWARE))
 
     @staticmethod
     def message(packet: bytes) -> Message:
         """Return identifier and data."""
         return Message(packet[2], packet[6 if packet[3] == 0xFF else 4 : -1])
 
-    def hello(self) -> Request:
-        """Return GoToConfig: in the state of measurement an MTi answers nothing else."""
-        return request(GO_TO_CONFIG, timeout_s=0.5)
-
-    def quiet(self) -> tuple[Request, ...]:
-        """Return GoToConfig."""
-        return (request(GO_TO_CONFIG),)
-
-    def resume(self) -> tuple[Request, ...]:
-        """Return GoToMeasurement."""
-        return (request(GO_TO_MEASUREMENT),)
-
-    def questions(self) -> tuple[Request, ...]:
-        """Return requests for product code and firmware."""
-        return request(REQ_PRODUCT_CODE), request(REQ_FIRMWARE)
-
     def learn(self, ask: Ask) -> Xsens:
-        """Ask what it is."""
-        answers = []
-        for question, say in zip(self.questions(), (_text, _version), strict=True):
-            try:
-                answers.append(say(ask(question)))
-            except (
-                CommandError
-            ) as error:  # a unit that does not say what it is can be configured all the same
-                if not error.refused:
-                    raise
-        return replace(self, identity=tuple(answers))
-
-    def settings(self) -> tuple[str, ...]:
-        """Return output configuration and baud rate."""
-        return OUTPUT, BAUD
+        """Ask what it is; a unit that refuses to tell can be configured all the same."""
+        answers = [known(ask, question) for question in self.questions]
+        texts = [of(answer) for of, answer in zip((_text, _version), answers, strict=True) if answer]
+        return replace(self, identity=tuple(texts))
 
     def read(self, name: str) -> Request:
         """Return a request without data, which reads."""
@@ -158,28 +141,35 @@ class Xsens(Family):
         del names
         return ()
 
-    def wanted(self, present: Mapping[str, bytes], wish: Wish) -> dict[str, bytes]:
+    def of_wish(
+        self, present: Mapping[str, bytes], rate_hz: float | None, outputs: tuple[str, ...] | None
+    ) -> dict[str, bytes]:
         """Return the output configuration; see `Family.wanted`."""
-        if wish.empty:
-            return {}
-        rate = self.wanted_hz(present, wish)
-        if rate not in RATES:
-            raise no_rate(rate, RATES, f"the device divides {FASTEST_HZ} Hz by a whole number")
-        if wish.outputs is None:
-            now, fastest = entries(present[OUTPUT]), self.rate_hz(present)
-            timed = [(code, rate if hz == fastest else hz) for code, hz in now if hz != WITH_EVERY_PACKET]
-            kept = [item for item in now if item[1] == WITH_EVERY_PACKET]
-        else:
-            timed = [(code, rate) for name in wish.outputs for code in IDENTIFIERS[name] if name != "status"]
-            kept = [(0xE020, WITH_EVERY_PACKET)] if "status" in wish.outputs else []
+        if rate_hz is None:
+            raise nothing_to_keep("rate", "give --rate")
+        if rate_hz not in RATES:
+            raise no_rate(rate_hz, RATES, f"the device divides {FASTEST_HZ} Hz by a whole number")
+        now = entries(present[OUTPUT]) if outputs is None else []
+        fastest = self.rate_hz(present) if outputs is None else None
+        timed = [(code, rate_hz if hz == fastest else hz) for code, hz in now if hz != WITH_EVERY_PACKET]
+        always = [item for item in now if item[1] == WITH_EVERY_PACKET]
+        for name in outputs or ():
+            if name == "status":
+                always.append((0xE020, WITH_EVERY_PACKET))
+            else:
+                timed += [(code, rate_hz) for code in IDENTIFIERS[name]]
         if not timed:
             raise ImumonError(
-                Reason.BAD_CONFIG, "a status alone has no rate" if kept else "nothing to send", "add inertial"
+                Reason.BAD_CONFIG,
+                "a status alone has no rate" if always else "nothing to send",
+                "add inertial",
             )
-        often = [(code, round(min(hz, rate, MOST_HZ.get(code & 0xFFF0, FASTEST_HZ)))) for code, hz in timed]
-        if max(rates := [hz for _, hz in often]) < rate:
-            raise no_rate(rate, rates, "these outputs are slower")
-        return {OUTPUT: packed((*kept, *often) if wish.outputs is None else (*ALWAYS, *often, *kept))}
+        often = [
+            (code, round(min(hz, rate_hz, MOST_HZ.get(code & 0xFFF0, FASTEST_HZ)))) for code, hz in timed
+        ]
+        if max(rates := [hz for _, hz in often]) < rate_hz:
+            raise no_rate(rate_hz, rates, "these outputs are slower")
+        return {OUTPUT: packed((*always, *often) if outputs is None else (*ALWAYS, *often, *always))}
 
     def settled(self, name: str, wanted: bytes, found: bytes) -> bool:
         """Return whether it reads back; a unit may send what is not inertial more slowly than it was told."""
@@ -204,30 +194,15 @@ class Xsens(Family):
             (3 + max(sizes.get(code, 0), 0)) * min(rate, fastest) for code, rate in entries(values[OUTPUT])
         )
 
-    def describe(self, name: str, value: bytes) -> str:
-        """Say what a value means."""
-        if name == BAUD:
-            return f"{self.baud_of(value) or f'code {value.hex()}'}"
+    def describe_output(self, name: str, value: bytes) -> str:
+        """Return each output with its rate."""
+        del name
         outputs = [
             f"{identifier_name(code)} {'always' if rate == WITH_EVERY_PACKET else f'{rate} Hz'}"
             for code, rate in entries(value)
         ]
         return ", ".join(outputs) or "nothing"
 
-    def baud_value(self, baudrate: int) -> bytes:
-        """Return the code of a baud rate."""
-        return bytes([next(code for code, rate in BAUD_CODES.items() if rate == baudrate)])
-
     def baud_of(self, value: bytes) -> int | None:
         """Return the baud rate of a code."""
-        if len(value) != 1:
-            return None
-        return 921_600 if value[0] == OLD_921600 else BAUD_CODES.get(value[0])
-
-
-def _text(payload: bytes) -> str:
-    return payload.decode("ascii", "replace").strip(" \0")
-
-
-def _version(payload: bytes) -> str:
-    return "firmware " + ".".join(map(str, payload[:3]))
+        return 921_600 if value == OLD_921600 else super().baud_of(value)

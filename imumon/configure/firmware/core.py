@@ -1,10 +1,10 @@
-"""What a virtual device does with commands, whatever its family, and what can go wrong with it."""
+"""What a virtual device does with commands, whatever its family."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import gcd, lcm
 
 import numpy as np
@@ -13,19 +13,6 @@ from imumon.blocks import SampleBlock
 from imumon.configure.commands.core import BAUD, MOST_DIVISOR, Family, Message
 from imumon.protocols.base import Encoder
 from imumon.protocols.device import DeviceFile
-
-
-@dataclass(frozen=True, slots=True)
-class Faults:
-    """What goes wrong; commands count from 1."""
-
-    refused: frozenset[int] = frozenset()
-    unheard: frozenset[int] = frozenset()
-    ignored: frozenset[int] = frozenset()
-    """Commands that the device refuses, does not hear, or confirms and does not carry out."""
-    dies_after: int | None = None
-    unplugged_after: int | None = None
-    """Command after which the device says and sends nothing more, or after which the cable is pulled."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,19 +64,6 @@ class Sending:
         return self._encoders[key]
 
 
-@dataclass
-class Settings:
-    """Settings as they are, in flash, and as delivered."""
-
-    delivered: dict[str, bytes]
-    volatile: dict[str, bytes] = field(init=False)
-    flash: dict[str, bytes] = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Begin as delivered."""
-        self.volatile, self.flash = dict(self.delivered), dict(self.delivered)
-
-
 class Firmware(ABC):
     """Answers commands and says what is to be sent.
 
@@ -105,52 +79,31 @@ class Firmware(ABC):
     """Tells commands, which have the same form as answers, and what baud rates are called."""
 
     def __init__(self, device: DeviceFile, settings: dict[str, bytes]) -> None:
-        self.baudrate, known = device.serial.baudrates[0], self.family.baudrates
-        named = self.baudrate if self.baudrate in known else known[0]
-        self.settings = Settings(settings | {BAUD: self.family.baud_value(named)})
+        self.baudrate, known = device.serial.baudrates[0], self.family.baud_codes
+        named = self.baudrate if self.baudrate in known else next(iter(known))
+        self.delivered = settings | {BAUD: known[named]}
+        self.volatile, self.flash = dict(self.delivered), dict(self.delivered)
+        """Settings as they are, and in flash."""
         self.streaming = True
-        self.faults = Faults()
-        self.commands = 0
-        """Commands that came whole."""
         self._held = b""
-
-    @property
-    def dead(self) -> bool:
-        """Whether the device says and sends nothing more."""
-        return self.faults.dies_after is not None and self.commands > self.faults.dies_after
-
-    @property
-    def unplugged(self) -> bool:
-        """Whether the cable is pulled now."""
-        after = self.faults.unplugged_after
-        return after is not None and self.commands > after
 
     def hear(self, data: bytes) -> bytes:
         """Take bytes from the host and return the answers."""
         messages, done = self.found(self._held + data)
         self._held = (self._held + data)[done:]
-        answers = b""
-        for message in messages:
-            self.commands += 1
-            if self.dead or self.unplugged or self.commands in self.faults.unheard:
-                continue
-            refused = self.commands in self.faults.refused
-            answers += self.refusal(message) if refused else self.answer(message)
-        return answers
+        return b"".join(map(self.answer, messages))
 
     def obey(self, name: str, value: bytes) -> None:
-        """Set a setting, unless the device only says so."""
-        if self.commands not in self.faults.ignored:
-            self.settings.volatile[name] = value
+        """Set a setting."""
+        self.volatile[name] = value
 
     def save(self, *names: str) -> None:
         """Write settings into flash; all when none is named."""
-        for name in names or tuple(self.settings.volatile):
-            self.settings.flash[name] = self.settings.volatile[name]
+        self.flash |= {name: self.volatile[name] for name in names or self.volatile}
 
     def power_on(self) -> None:
         """Begin with the settings in flash."""
-        self.settings.volatile = dict(self.settings.flash)
+        self.volatile = dict(self.flash)
         self.streaming, self._held = True, b""
         self.started()
 
@@ -160,7 +113,7 @@ class Firmware(ABC):
 
     def baud(self) -> int:
         """Return the baud rate of the settings."""
-        return self.family.baud_of(self.settings.volatile[BAUD]) or self.baudrate
+        return self.family.baud_of(self.volatile[BAUD]) or self.baudrate
 
     def found(self, held: bytes) -> tuple[list[Message], int]:
         """Return the commands among bytes, and how many of these are done with."""
@@ -171,17 +124,12 @@ class Firmware(ABC):
         """Carry a command out and return the answer."""
 
     @abstractmethod
-    def refusal(self, command: Message) -> bytes:
-        """Return how the device says no."""
-
-    @abstractmethod
     def outputs(self) -> tuple[float, list[Output]]:
         """Return the base rate and what is sent with the settings as they are."""
 
     def sending(self) -> Sending | None:
         """Return what is sent; None when that is what the device file says, at the rate of the start."""
-        lines = {name for name in self.settings.volatile if "baud" not in name}
-        if all(self.settings.volatile[name] == self.settings.delivered[name] for name in lines):
+        if all(value == self.delivered[name] for name, value in self.volatile.items() if name != BAUD):
             return None
         base_hz, outputs = self.outputs()
         return Sending(base_hz, [output for output in outputs if output.every])

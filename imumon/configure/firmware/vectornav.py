@@ -37,11 +37,6 @@ class VectorNavFirmware(Firmware):
         }
         super().__init__(device, settings)
 
-    def refusal(self, command: Message) -> bytes:
-        """Return an error."""
-        del command
-        return frame(f"VNERR,{INVALID_PARAMETER:02d}")
-
     def answer(self, command: Message) -> bytes:
         """Carry a command out."""
         kind, text = str(command.kind), command.payload.decode()
@@ -61,7 +56,7 @@ class VectorNavFirmware(Firmware):
         if name is None:
             return frame(f"VNERR,{INVALID_REGISTER:02d}")
         if kind == "RRG":
-            return frame(f"VNRRG,{register:02d},{self.settings.volatile[name].decode()}")
+            return frame(f"VNRRG,{register:02d},{self.volatile[name].decode()}")
         if not _possible(name, value.encode()):
             return frame(f"VNERR,{INVALID_PARAMETER:02d}")
         self.obey(name, value.encode())
@@ -72,7 +67,7 @@ class VectorNavFirmware(Firmware):
         """Return the packets of the binary outputs that go to port 1."""
         found = []
         for name in NAMES.values():
-            register = Register.read(self.settings.volatile[name]) if "binary" in name else None
+            register = Register.read(self.volatile[name]) if "binary" in name else None
             if register is not None and register.on and register.port & 1:
                 found.append(Output(VectorNavEncoder, dict.fromkeys(_names(register), register.by)))
         return FAST_HZ, found
@@ -91,7 +86,7 @@ def _names(register: Register) -> list[str]:
 def _possible(name: str, value: bytes) -> bool:
     """Return whether the device takes a value."""
     if name == BAUD:
-        return value.isdigit() and int(value) in VectorNav.baudrates
+        return value in VectorNav.baud_codes.values()
     if name == ASCII:
         return value.isdigit()
     register = Register.read(value)

@@ -122,19 +122,27 @@ class Dataset:
 
     def done(self) -> set[str]:
         """Return the sessions that need not be done again."""
-        found: set[str] = set()
-        for part in self.parts:
-            found.update(pq.read_table(part, columns=["session"])["session"].unique().to_pylist())
-        return found
+        return set(self._rows_of(["session"]))
 
     def failures(self) -> dict[str, str]:
         """Return what failed, and why."""
-        found: dict[str, str] = {}
-        for part in self.parts:
-            rows = pq.read_table(part, columns=["session", "reason", "error"])
-            failed = rows.filter(rows["reason"].is_valid()).to_pylist()
-            found |= {row["session"]: f"{row['reason']}: {row['error']}" for row in failed}
-        return found
+        return {
+            session: f"{row['reason']}: {row['error']}"
+            for session, row in self._rows_of(["session", "reason", "error"]).items()
+            if row["reason"]
+        }
+
+    def lacking(self, sessions: Sequence[str]) -> dict[str, list[str]]:
+        """Return what recordings lack, by session; those that lack nothing are not among them."""
+        rows = self._rows_of(["session", "warnings"])
+        texts = {session: rows.get(session, {}).get("warnings") or () for session in sessions}
+        found = {session: [text for text in of if RECORDING in text] for session, of in texts.items()}
+        return {session: of for session, of in found.items() if of}
+
+    def _rows_of(self, columns: list[str]) -> dict[str, Row]:
+        """Return these columns of one row of each session."""
+        tables = [pq.read_table(part, columns=columns) for part in self.parts]
+        return {row["session"]: row for table in tables for row in table.to_pylist()}
 
     def rows(self, sessions: Sequence[str]) -> dict[str, list[Row]]:
         """Return all rows of these sessions, by session."""
@@ -143,14 +151,6 @@ class Dataset:
             for row in pq.read_table(part, filters=[("session", "in", sessions)]).to_pylist():
                 found.setdefault(row["session"], []).append(row)
         return found
-
-    def lacking(self, sessions: Sequence[str]) -> dict[str, list[str]]:
-        """Return what recordings lack, by session; those that lack nothing are not among them."""
-        found = {
-            session: [text for text in rows[0].get("warnings") or () if RECORDING in text]
-            for session, rows in self.rows(sessions).items()
-        }
-        return {session: texts for session, texts in found.items() if texts}
 
     def forget_failures(self) -> None:
         """Take out what failed, so that it is done again."""

@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -47,13 +47,12 @@ class Section:
 
 def write_unit(unit: Unit, unusual: Sequence[Outlier], path: Path) -> None:
     """Write the record of a unit; raises OSError when that fails."""
-    begun = [entry.session.metadata.created_ns for entry in unit.entries]
     (low, high), (best, worst) = unit.temperatures, unit.sigmas
     facts = {
         "serial number": unit.name,
         "device": unit.device,
         "sessions": f"{len(unit.entries)}, {unit.hours:.2f} h, "
-        f"{day(min(begun, default=None))} to {day(max(begun, default=None))}",
+        f"{day(min(unit.begun, default=None))} to {day(max(unit.begun, default=None))}",
         "temperature": f"{low:.2f} to {high:.2f} °C",
         "smallest σ of the gyro bias": f"{best * PER_HOUR:.3g} to {worst * PER_HOUR:.3g} {HOURLY}",
         "made by": f"imumon {__version__}",
@@ -183,28 +182,22 @@ def _model(model: BiasModel) -> Section:
     ]
     kinds = {"gyro": "Bias of the gyros", "accel": "Change of the accelerometers' bias"}
     figures = {
-        f"{caption} over temperature": svg(_curves(model, kind))
+        f"{caption} over temperature": svg(_over_temperature(model, kind))
         for kind, caption in kinds.items()
         if any(name.startswith(kind) for name in model.channels)
     }
     return Section("Bias model", words, heads, rows, figures)
 
 
-def _curves(model: BiasModel, kind: str) -> Callable[[Axes], None]:
-    def draw(axes: Axes) -> None:
-        unit = ""
-        channels = {name: channel for name, channel in model.channels.items() if name.startswith(kind)}
-        for (name, channel), colour in zip(channels.items(), COLOURS, strict=False):
+def _over_temperature(model: BiasModel, kind: str) -> Callable[[Axes], None]:
+    curves, unit = dict[str, Curve](), ""
+    for name, channel in model.channels.items():
+        if name.startswith(kind):
             factor, unit = shown(channel.unit)
             low, high = channel.temperature_range_degc
             t = np.linspace(low, high, 200)
-            value, sd = factor * channel.value(t), factor * channel.residual_sd
-            axes.plot(t, value, lw=1, color=colour, label=name)
-            axes.fill_between(t, value - 2 * sd, value + 2 * sd, color=colour, alpha=0.2, lw=0)
-        axes.set(xlabel="temperature, °C", ylabel=f"bias ± 2σ, {unit}")
-        axes.legend(fontsize=6)
-
-    return draw
+            curves[name] = Curve(t, factor * channel.value(t), np.asarray(factor * channel.residual_sd))
+    return _lines(curves, xlabel="temperature, °C", ylabel=f"bias ± 2σ, {unit}")
 
 
 def _course(means: Reduced) -> Section:
@@ -212,43 +205,42 @@ def _course(means: Reduced) -> Section:
     hours = (means.start_ns - means.start_ns[:1]).astype(np.float64) * 1e-9 / HOUR_S
     figures: dict[str, str] = {}
     rows: list[Sequence[str | float]] = []
-    there = [name for name in TEMPERATURES if means.has(name)]
-    if there:
-        figures["Temperature"] = svg(
-            _lines(hours, {name: means.of(name) for name in there}, "temperature, °C")
-        )
-    biases = [(bias, sd) for bias, sd in BIASES if means.has(bias) and means.has(sd)]
+    if readings := {name: Curve(hours, means.of(name)) for name in TEMPERATURES if means.has(name)}:
+        figures["Temperature"] = svg(_lines(readings, xlabel="time, h", ylabel="temperature, °C"))
+    biases = {
+        bias: Curve(hours, PER_HOUR * means.of(bias), PER_HOUR * means.of(sd))
+        for bias, sd in BIASES
+        if means.has(bias) and means.has(sd)
+    }
     if biases:
-        figures["Gyro bias, with 2σ"] = svg(_bands(hours, means, biases))
-    for bias, sd in biases:
-        known = np.flatnonzero(np.isfinite(means.of(bias)) & np.isfinite(means.of(sd)))
+        widest = max(np.nanmedian(np.abs(one.y) + 2 * one.sd) for one in biases.values())
+        labels = {"xlabel": "time, h", "ylabel": HOURLY, "ylim": (-2 * widest, 2 * widest)}
+        figures["Gyro bias, with 2σ"] = svg(_lines(biases, **labels))
+    for bias, (_, value, sd) in biases.items():
+        known = np.flatnonzero(np.isfinite(value) & np.isfinite(sd))
         if len(known):
-            at = known[-1]
-            smallest = np.nanmin(means.of(sd))
-            rows.append([bias, *(PER_HOUR * x for x in (means.of(bias)[at], means.of(sd)[at], smallest))])
+            rows.append([bias, float(value[known[-1]]), float(sd[known[-1]]), float(np.nanmin(sd))])
     heads = ["", f"at the end, {HOURLY}", "σ", "smallest σ"]
     return Section("Course", f"Means of {means.slot_s:.0f} s.", heads, rows, figures)
 
 
-def _lines(hours: FloatArray, values: Mapping[str, FloatArray], label: str) -> Callable[[Axes], None]:
+class Curve(NamedTuple):
+    """Points of a curve, and their standard deviation; zero where none is drawn."""
+
+    x: FloatArray
+    y: FloatArray
+    sd: FloatArray = np.zeros(())
+
+
+def _lines(curves: Mapping[str, Curve], **axes_settings: Any) -> Callable[[Axes], None]:
+    """Return what draws curves by their names, each with a band of two standard deviations."""
+
     def draw(axes: Axes) -> None:
-        for (name, series), colour in zip(values.items(), COLOURS, strict=False):
-            axes.plot(hours, series, lw=1, color=colour, label=for_plot(name))
-        axes.set(xlabel="time, h", ylabel=label)
-        axes.legend(fontsize=6)
-
-    return draw
-
-
-def _bands(hours: FloatArray, means: Reduced, biases: Sequence[tuple[str, str]]) -> Callable[[Axes], None]:
-    def draw(axes: Axes) -> None:
-        widest: Any = 0.0
-        for (bias, sd), colour in zip(biases, COLOURS, strict=False):
-            value, band = PER_HOUR * means.of(bias), 2 * PER_HOUR * means.of(sd)
-            axes.plot(hours, value, lw=1, color=colour, label=bias)
-            axes.fill_between(hours, value - band, value + band, color=colour, alpha=0.2, lw=0)
-            widest = max(widest, np.nanmedian(np.abs(value) + band))
-        axes.set(xlabel="time, h", ylabel=HOURLY, ylim=(-2 * widest, 2 * widest))
+        for (name, (x, y, sd)), colour in zip(curves.items(), COLOURS, strict=False):
+            axes.plot(x, y, lw=1, color=colour, label=for_plot(name))
+            if sd.any():
+                axes.fill_between(x, y - 2 * sd, y + 2 * sd, color=colour, alpha=0.2, lw=0)
+        axes.set(**axes_settings)
         axes.legend(fontsize=6)
 
     return draw

@@ -94,13 +94,12 @@ def _session(unit: Unit, entry: Entry) -> dict[str, Any]:
 
 
 def _unit(unit: Unit, unusual: Sequence[Outlier]) -> dict[str, Any]:
-    begun = [entry.session.metadata.created_ns for entry in unit.entries]
     return {
         "unit": unit.name,
         "device": unit.device,
         "sessions": len(unit.entries),
-        "first": min(begun, default=None),
-        "last": max(begun, default=None),
+        "first": min(unit.begun, default=None),
+        "last": max(unit.begun, default=None),
         **_found(unit),
         "models": len(unit.models),
         "latest_model": unit.models[-1].model.created if unit.models else None,

@@ -97,6 +97,11 @@ class Unit:
         return _range(entry.sigmas for entry in self.entries)
 
     @property
+    def begun(self) -> list[int]:
+        """When each session began, Unix time, ns."""
+        return [entry.session.metadata.created_ns for entry in self.entries]
+
+    @property
     def hours(self) -> float:
         """Of all samples that can be read."""
         return float(np.nansum([entry.hours for entry in self.entries]))

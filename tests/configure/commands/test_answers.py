@@ -20,7 +20,7 @@ def exchange(name: str) -> tuple[list[Request], bytes]:
     device = load_device(name)
     family, firmware = family_of(device), firmware_of(device.protocol)(device, 100.0)
     assert firmware is not None
-    requests = [family.hello(), *family.quiet(), *map(family.read, family.settings())]
+    requests = [family.hello, *family.quiet, *map(family.read, family.settings)]
     samples = SimulatedUnit(load_scenario("bench").played(100.0, device.axes)).samples(len(requests))
     packets = device.encoder().encode(samples)
     parts = [packet + firmware.hear(q.frame) for q, packet in zip(requests, packets, strict=True)]
@@ -88,7 +88,7 @@ def test_damaged_bytes_never_raise(name: str, data: st.DataObject) -> None:
 def test_well_formed_nonsense_never_raises(name: str, kind: int, payload: bytes, letters: str) -> None:
     family = family_of(load_device(name))
     message = Message(letters if name == "vectornav" else kind, payload)
-    for setting in family.settings():
+    for setting in family.settings:
         reader = family.read(setting).answer
         assert reader is not None
         found = reader(message)

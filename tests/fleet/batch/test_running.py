@@ -251,9 +251,7 @@ def test_a_session_that_hangs_has_failed_and_the_others_are_done(tmp_path: Path,
         run_jobs(client, [Job(url, DECODE, str(tmp_path), limit_s=5.0), good], taken.extend)
     (late,) = (row for row in taken if "reason" in row)
     assert (late["session"], late["reason"]) == (url, "timeout")
-    assert late["error"].startswith(
-        "was not done after its --timeout: it was in _opened, imumon/fleet/batch/places.py:"
-    )
+    assert late["error"] == "was not done after its --timeout"
     assert {row["session"] for row in taken} == {url, good.place}
     assert not [*(tmp_path / "late").iterdir()]
 
