@@ -61,7 +61,7 @@ def tables(given: Options) -> Iterator[Table]:
     for truth in CASES[: 1 if given.quick else None]:
         fits = _fits(truth, len(given.seeds))
         false = sum(
-            fit.terms[term.name] is not None for fit in fits for term in TERMS if term.name not in truth
+            fit.terms[term] is not None for fit in fits for term in TERMS if term not in truth
         )
         for name, value in truth.items():
             rows.append([_text(truth), LETTERS[name], *_row(fits, name, value), f"{false / len(fits):.1%}"])
