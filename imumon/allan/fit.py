@@ -163,8 +163,9 @@ def fit_terms(variances: FloatArray, family: Family, interval_s: float, last: in
     elif stop < n:
         shown = [column for column in shown if column == WHITE]
     elif described and correlated is None and ALIKE & {*shown}:
-        if may_be_correlated(problem, family, smallest.columns - ALIKE):
-            shown, withheld = [column for column in shown if column not in ALIKE], AMBIGUOUS
+        others = smallest.columns - ALIKE
+        withheld = AMBIGUOUS if may_be_correlated(problem, family, others) else ""
+        shown = [column for column in shown if not withheld or column not in ALIKE]
     terms = _estimates(solution, shown, correlated, interval_s)
     return Fit(terms, signed(solution.coefficients), time, start, stop - 1, error, withheld)
 
