@@ -14,7 +14,7 @@ import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray
 from imumon.compiled import njit
-from imumon.papers.scalar import ScalarFilter
+from imumon.papers.scalar import samples
 
 FORGETTING = 0.95
 
@@ -63,7 +63,7 @@ class State(NamedTuple):
     """The largest λ so far, (1,)."""
 
 
-class LinearFilter(ScalarFilter[LinearSeries]):
+class LinearFilter:
     """Kalman filter on model L.
 
     Parameters
@@ -86,9 +86,12 @@ class LinearFilter(ScalarFilter[LinearSeries]):
         """The largest λ so far."""
         return float(self.state.largest_fading[0])
 
-    def _filter(self, reading: FloatArray, use: BoolArray, steps: FloatArray) -> LinearSeries:
+    def process(
+        self, reading: FloatArray, measured: BoolArray | None = None, steps: FloatArray | None = None
+    ) -> LinearSeries:
+        """Return what the filter says at samples that follow those of the last call; see `samples`."""
         series = LinearSeries(*(np.empty(len(reading)) for _ in LinearSeries._fields))
-        _run(reading, use, steps, self._settings, self.state, series)
+        _run(*samples(reading, measured, steps), self._settings, self.state, series)
         return series
 
 

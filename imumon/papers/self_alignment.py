@@ -120,7 +120,7 @@ def step(loop: Loop, gain: Gains, earth: FloatArray, rate: FloatArray, force: Fl
 
 @dataclass
 class Integral:
-    """α, the integral of the control rates, with HᵀH and Hᵀz of a line a t + b through it, H of rows [t, 1]."""
+    """α, the integral of the control rates; HᵀH and Hᵀz of a line a t + b through it, H of rows [t, 1]."""
 
     seconds: float = 0.0
     angle: FloatArray = field(default_factory=lambda: np.zeros(2))

@@ -23,7 +23,7 @@ import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.compiled import njit
-from imumon.papers.scalar import ScalarFilter
+from imumon.papers.scalar import samples
 
 STATES = ("x", "x_before", "phi", "delta1", "delta2")
 N = len(STATES)
@@ -82,7 +82,7 @@ class State(NamedTuple):
     """Steps with a smaller μ, and steps at which φ was held back, (1,)."""
 
 
-class SigmaPointFilter(ScalarFilter[FilterSeries]):
+class SigmaPointFilter:
     """SR-RSUKF of one axis; with μ = 0 it is the SR-UKF.
 
     The limit of a lasting risk on a random walk is 2 μ_x (R + q) = 1, where the variance escapes; what would
@@ -119,9 +119,12 @@ class SigmaPointFilter(ScalarFilter[FilterSeries]):
         """Steps at which φ wanted to leave its limits."""
         return int(self.state.clamped[0])
 
-    def _filter(self, reading: FloatArray, use: BoolArray, steps: FloatArray) -> FilterSeries:
+    def process(
+        self, reading: FloatArray, measured: BoolArray | None = None, steps: FloatArray | None = None
+    ) -> FilterSeries:
+        """Return what the filter says at samples that follow those of the last call; see `samples`."""
         series = FilterSeries(*(np.empty(len(reading)) for _ in FilterSeries._fields))
-        _run(reading, use, steps, self.settings, self.state, series)
+        _run(*samples(reading, measured, steps), self.settings, self.state, series)
         return series
 
 
