@@ -21,9 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import BoolArray, FloatArray, IntArray
+from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit
-from imumon.papers.scalar import samples
 
 STATES = ("x", "x_before", "phi", "delta1", "delta2")
 N = len(STATES)
@@ -119,19 +118,25 @@ class SigmaPointFilter:
         """Steps at which φ wanted to leave its limits."""
         return int(self.state.clamped[0])
 
-    def process(
-        self, reading: FloatArray, measured: BoolArray | None = None, steps: FloatArray | None = None
-    ) -> FilterSeries:
-        """Return what the filter says at samples that follow those of the last call; see `samples`."""
+    def process(self, reading: FloatArray, steps: FloatArray | None = None) -> FilterSeries:
+        """Return what the filter says at samples that follow those of the last call.
+
+        Parameters
+        ----------
+        reading : array, (n,)
+            Data; predicted only where it is NaN.
+        steps : array, (n,), optional
+            Time since the last sample in sampling intervals.  Default 1.
+        """
+        steps = np.ones(len(reading)) if steps is None else steps
         series = FilterSeries(*(np.empty(len(reading)) for _ in FilterSeries._fields))
-        _run(*samples(reading, measured, steps), self.settings, self.state, series)
+        _run(reading, steps, self.settings, self.state, series)
         return series
 
 
 @njit
 def _run(
     reading: FloatArray,
-    use: BoolArray,
     steps: FloatArray,
     settings: Settings,
     state: State,
@@ -141,14 +146,15 @@ def _run(
     mean, factor = state.mean, state.factor
     deviations = np.empty((N, POINTS))
     for k in range(reading.size):
-        if use[k] and steps[k] < REGULAR:
+        use = np.isfinite(reading[k])
+        if use and steps[k] < REGULAR:
             predict(mean, factor, deviations, steps[k])
         else:
             hold(mean, factor, deviations, steps[k])
-        if use[k] and take_risk(factor, settings.risk):
+        if use and take_risk(factor, settings.risk):
             state.shrunk[0] += 1
         series.predicted[k] = mean[X]
-        if use[k]:
+        if use:
             measure(mean, factor, reading[k], settings.noise_variance)
             if abs(mean[PHI]) > settings.phi_limit:
                 mean[PHI] = math.copysign(settings.phi_limit, mean[PHI])

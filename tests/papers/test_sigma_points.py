@@ -208,7 +208,7 @@ def test_motion_drives_phi_out_unless_it_is_frozen() -> None:
     model = ModelNL((0.0, 0.0, 0.0, 1e-3, 0.0), (1e-3, 1e-3, 0.1, 0.0, 0.0), 0.1103)
     free = SigmaPointFilter(model).process(z)
     assert np.abs(free.phi).max() > 2.0
-    frozen = SigmaPointFilter(model).process(z, rest)
+    frozen = SigmaPointFilter(model).process(np.where(rest, z, np.nan))
     assert np.abs(frozen.phi).max() < 1.0
     assert np.ptp(frozen.phi[moving]) == 0.0
     assert np.ptp(frozen.estimate[moving]) == 0.0
@@ -223,8 +223,8 @@ def test_a_gap_widens_the_band_as_so_many_steps_of_rest_would() -> None:
     cut.process(z)
     measured = np.zeros(500, bool)
     measured[-1] = True
-    a = whole.process(np.full(500, 0.1), measured)
-    b = cut.process(np.array([0.1]), None, np.array([500.0]))
+    a = whole.process(np.where(measured, 0.1, np.nan))
+    b = cut.process(np.array([0.1]), np.array([500.0]))
     assert b.estimate[-1] == pytest.approx(a.estimate[-1], rel=1e-9)
     assert b.sd[-1] == pytest.approx(a.sd[-1], rel=1e-9)
 
