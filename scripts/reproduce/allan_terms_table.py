@@ -62,6 +62,7 @@ SINE_SEEDS = 6
 SETTLED = 4000
 """Samples after which a filter has forgotten where it began."""
 FILTERS: dict[str, tuple[FloatArray, FloatArray]] = {
+    "mean of 2 samples": (np.full(2, 0.5), np.ones(1)),
     "mean of 4 samples": (np.full(4, 0.25), np.ones(1)),
     "mean of 8 samples": (np.full(8, 0.125), np.ones(1)),
     "mean of 32 samples": (np.full(32, 1 / 32), np.ones(1)),
