@@ -2,36 +2,38 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache, partial
 
 import numpy as np
 
 from imumon.allan.confidence import TRUSTED_FREEDOM, intervals
-from imumon.allan.correlated import times_to_try
+from imumon.allan.correlated import Family, times_to_try
 from imumon.allan.covariance import (
     COEFFICIENTS,
     NORMS,
-    Family,
     Freedom,
     Kind,
     Runs,
-    family,
+    covariances_of,
     freedom,
 )
-from imumon.allan.fit import LONGEST_START_S, TERMS, Fit, fit_terms
+from imumon.allan.fit import LONGEST_START_S, Fit, fit_terms
 from imumon.allan.kernels import all_sums, integrate
+from imumon.allan.parameters import NAMES
 from imumon.allan.series import EvenSeries
 from imumon.blocks import FloatArray, IntArray
 from imumon.filters.rounding import Digits, digits
 
 _WALK = np.array([0.0, 0.0, 1.0, 0.0])
 _WHITE = np.array([1.0, 0.0, 0.0, 0.0])
-MISSING = 1.5
+MISSING = 2.0
 """Part of the variance by which the terms are less certain, over the square of the share of samples that are
-missing: without it N and B err by up to 2.9 sigma (rms) where three tenths are missing, with it by 1.5."""
+missing: without it N and B err by up to 2.9 sigma (rms) where three tenths are missing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,37 +121,41 @@ def _white_gain(series: EvenSeries, factors: IntArray) -> FloatArray:
 class Uncertainty:
     """What the division of a record into runs says of the uncertainty; the same for all its channels."""
 
+    factors: IntArray
     family: Family
     trusted: int
-    freedoms: Mapping[Kind, tuple[Freedom | None, ...]]
+    freedoms: Mapping[Kind, list[Freedom | None]]
 
 
-def uncertainty(series: EvenSeries, factors: IntArray) -> Uncertainty:
+def uncertainty(series: EvenSeries) -> Uncertainty:
     """Work out the covariances of the averaging times, and what the degrees of freedom follow from."""
+    factors = octaves(series)
     runs = [Runs.of(*series.runs(m), 2 * m) for m in factors.tolist()]
-    freedoms: dict[Kind, tuple[Freedom | None, ...]] = {}
+    freedoms: dict[Kind, list[Freedom | None]] = {}
     for kind, coefficients in COEFFICIENTS.items():
         span = len(coefficients) - (kind != "modified")
-        freedoms[kind] = tuple(
+        freedoms[kind] = [
             freedom(kind, m, part) if part.lengths[-1] >= span * m else None
             for m, part in zip(factors.tolist(), runs, strict=True)
-        )
+        ]
     walk = [0.0 if part is None else part.of(_WALK) for part in freedoms["allan"]]
     trusted = next((row for row, value in enumerate(walk) if value < TRUSTED_FREEDOM), len(walk))
+    at = cache(partial(covariances_of, factors, runs, _white_gain(series, factors)))
     times = times_to_try(series.interval_s, LONGEST_START_S, int(factors[:trusted].max(initial=1)))
-    return Uncertainty(family(factors, runs, _white_gain(series, factors), times), trusted, freedoms)
+    for time in times:
+        at(time)  # now, and not once in each thread
+    return Uncertainty(factors, Family(times, at), trusted, freedoms)
 
 
 def analyse(series: Mapping[str, EvenSeries]) -> dict[str, Result]:
     """Return deviations and noise terms of channels; what follows from the gaps is worked out once."""
-    shared: dict[tuple[bytes, ...], tuple[IntArray, Uncertainty]] = {}
+    shared: dict[tuple[bytes, ...], Uncertainty] = {}
     for channel in series.values():
         key = _key(channel)
         if key not in shared:
-            factors = octaves(channel)
-            shared[key] = factors, uncertainty(channel, factors)
+            shared[key] = uncertainty(channel)
     with ThreadPoolExecutor(os.cpu_count()) as threads:  # the kernels release the interpreter
-        results = threads.map(lambda channel: _analyse(channel, *shared[_key(channel)]), series.values())
+        results = threads.map(lambda channel: _analyse(channel, shared[_key(channel)]), series.values())
         return dict(zip(series, results, strict=True))
 
 
@@ -162,16 +168,17 @@ def _kurtosis(samples: FloatArray) -> float:
     """Return the excess kurtosis of white noise, by differences of neighbours: theirs is half of it."""
     square = np.square(np.diff(samples))
     mean = float(square.mean())
-    return 2.0 * (float(np.square(square).mean()) / mean**2 - 3.0) if mean else 0.0
+    return max(2.0 * (float(np.square(square).mean()) / mean**2 - 3.0), 0.0) if mean else 0.0
 
 
-def _analyse(series: EvenSeries, factors: IntArray, known: Uncertainty) -> Result:
+def _analyse(series: EvenSeries, known: Uncertainty) -> Result:
+    factors = known.factors
     found = variances(series, factors)
     fit = fit_terms(found["allan"], known.family, series.interval_s, known.trusted - 1)
     samples = series.values[series.there]
     found_digits = digits(samples)
     if fit is not None:
-        fit = fit.with_tails(_kurtosis(samples), len(samples))
+        fit = fit.less_certain(math.sqrt(_kurtosis(samples) / len(samples)), [NAMES[0]])
         fit = fit if found_digits is None else fit.less_certain(found_digits.error)
         fit = fit.less_certain(MISSING * (1.0 - series.there.mean()) ** 2)
     noise = _WHITE if fit is None or not fit.coefficients[:4].any() else fit.coefficients[:4]
@@ -182,7 +189,7 @@ def _analyse(series: EvenSeries, factors: IntArray, known: Uncertainty) -> Resul
     names: tuple[str, ...] = ()
     if fit is not None:
         m = factors.astype(np.float64)
-        names = tuple(TERMS[int(row)].name for row in fit.shares(m).argmax(axis=1))
+        names = tuple(NAMES[row] for row in fit.shares(m).argmax(axis=1))
     tau_s = factors.astype(np.float64) * series.interval_s
     return Result(
         series, tau_s, **found_intervals, noise=names, fit=fit, trusted=known.trusted, digits=found_digits

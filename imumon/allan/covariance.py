@@ -217,8 +217,7 @@ class Covariances:
     m: IntArray
     """Array, (n,)."""
     shapes: FloatArray
-    """Expected variance per unit of the coefficient of each of `SHAPES` and of a Gauss-Markov process, (n,
-    6); zero for the last where none is considered."""
+    """Expected variance per unit of the coefficients of `SHAPES` and of a Gauss-Markov process, (n, 6)."""
     quadratic: FloatArray
     """Array, (n, n, 5, 5)."""
     linear: FloatArray
@@ -242,48 +241,24 @@ class Covariances:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Family:
-    """The covariances for several correlation times of a Gauss-Markov process, and for none."""
-
-    m: IntArray
-    """Array, (n,)."""
-    runs: list[Runs]
-    """At each averaging factor."""
-    white_gain: FloatArray
-    """By what missing samples multiply the expected variance of white noise, (n,)."""
-    times: FloatArray
-    """Correlation times, samples, (g,)."""
-    quadratic: FloatArray
-    linear: FloatArray
-    """Array, (n, n, 4 + g, 4 + g)."""
-
-    def of(self, time: int | None) -> Covariances:
-        """Return the covariances with one of the correlation times, or with none."""
-        m = self.m.astype(np.float64)
-        shapes = [shape(m) for shape in SHAPES.values()]
-        shapes[0] = shapes[0] * self.white_gain
-        shapes.append(np.zeros(len(m)) if time is None else markov_shape(m, float(self.times[time])))
-        rows = [0, 1, 2, 3, 3 if time is None else 4 + time]  # without one its coefficient is zero
-        quadratic, linear = self.quadratic[:, :, rows][..., rows], self.linear[:, :, rows]
-        return Covariances(self.m, np.column_stack(shapes), quadratic, linear)
-
-    def at(self, time: float) -> Covariances:
-        """Return the covariances with a correlation time of so many samples."""
-        return family(self.m, self.runs, self.white_gain, np.array([time])).of(0)
-
-
-def family(factors: IntArray, runs: list[Runs], white_gain: FloatArray, times: FloatArray) -> Family:
-    """Return the covariances; of two averaging factors the runs of the longer one count.
+def covariances_of(factors: IntArray, runs: list[Runs], white_gain: FloatArray, time: float) -> Covariances:
+    """Return shapes and covariances; of two averaging factors the runs of the longer one count.
 
     Parameters
     ----------
     factors : array of int64, (n,)
-    runs, white_gain, times
-        See `Family`.
+    runs : list of Runs
+        At each averaging factor.
+    white_gain : array, (n,)
+        By what missing samples multiply the expected variance of white noise.
+    time : float
+        Correlation time of the Gauss-Markov process, samples.
     """
-    n, p = len(factors), len(NOISES) + len(times)
-    noises = (*AUTOCOVARIANCES, *(markov(time) for time in times.tolist()))
+    m = factors.astype(np.float64)
+    shapes = [shape(m) for shape in SHAPES.values()]
+    shapes[0] = shapes[0] * white_gain
+    noises = (*AUTOCOVARIANCES, markov(time))
+    n, p = len(factors), len(noises)
     quadratic, linear = np.empty((n, n, p, p)), np.empty((n, n, p))
     gain = np.column_stack([white_gain, np.ones((n, p - 1))])
     for j in range(n):
@@ -292,7 +267,7 @@ def family(factors: IntArray, runs: list[Runs], white_gain: FloatArray, times: F
             both = np.sqrt(gain[i] * gain[j])
             quadratic[i, j] = quadratic[j, i] = square * np.outer(both, both)
             linear[i, j] = linear[j, i] = trend * both
-    return Family(factors, runs, white_gain, times, quadratic, linear)
+    return Covariances(factors, np.column_stack([*shapes, markov_shape(m, time)]), quadratic, linear)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

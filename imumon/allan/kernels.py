@@ -22,16 +22,6 @@ def integrate(values: FloatArray, offset: float) -> FloatArray:
 
 
 @inner(fastmath={"reassoc"})
-def _second_differences(x: FloatArray, start: int, stop: int, m: int) -> float:
-    """Return the sum of squares of the second differences that begin at start..stop."""
-    total = 0.0
-    for t in range(start, stop):
-        difference = x[t + 2 * m] - 2.0 * x[t + m] + x[t]
-        total += difference * difference
-    return total
-
-
-@inner(fastmath={"reassoc"})
 def _all_runs(x: FloatArray, start: int, positions: int, m: int, window: float) -> tuple[float, float, float]:
     """Return the sums of squares of second differences, third differences, and windows of m of the second.
 
@@ -75,7 +65,8 @@ def all_sums(x: FloatArray, starts: IntArray, stops: IntArray, m: int) -> tuple[
             sums += np.array([allan, modified, hadamard])
             numbers[1] += third + 1
             numbers[2] += third
-        if second > 0:
-            sums[0] += _second_differences(x, start + third, start + second, m)
-            numbers[0] += second
+        for t in range(start + third, start + second):
+            difference = x[t + 2 * m] - 2.0 * x[t + m] + x[t]
+            sums[0] += difference * difference
+        numbers[0] += max(0, second)
     return sums, numbers

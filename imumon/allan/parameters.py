@@ -1,4 +1,4 @@
-"""What a user may say of noise (a line of a data sheet, the noise section of a pipeline), and its units."""
+"""What a user may say of noise, in the noise section of a pipeline, and its units."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Annotated, NamedTuple
 from pydantic import Field
 
 from imumon.config import StrictModel
+from imumon.estimation.rest.parameters import Retired
 from imumon.geodesy import MICRO_G
 
 Size = Annotated[float, Field(ge=0.0)]
@@ -102,20 +103,8 @@ class Noise(StrictModel):
     accel: AccelNoise | None = None
 
 
-class SheetLine(StrictModel):
-    """What a data sheet promises of one sensor, SI units.
-
-    `white` is the angle (or velocity) random walk in rad/sqrt(s) (or m/s/sqrt(s)), `instability` the bias
-    instability in rad/s (or m/s^2), `walk` the rate random walk in rad/s/sqrt(s) (or m/s^2/sqrt(s)).
-    """
-
-    white: Size = 0.0
-    instability: Size = 0.0
-    walk: Size = 0.0
-
-
 class AllanParameters(StrictModel):
-    """The live Allan curves: lines of the data sheet to draw beside them."""
+    """The live Allan curves have nothing to set; the lines of data sheets of before are read and named."""
 
-    gyro_sheet: SheetLine | None = None
-    accel_sheet: SheetLine | None = None
+    gyro_sheet: Retired = None
+    accel_sheet: Retired = None

@@ -11,7 +11,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from imumon.allan.analysis import Result
-from imumon.allan.fit import TERMS
 from imumon.allan.parameters import TERMS_OF
 from imumon.allan.recording import GROUPS, group_of
 from imumon.files import write_png
@@ -27,6 +26,7 @@ STYLES = {
     "rate_ramp": (0, (8, 2, 1, 2)),
     "correlated_noise": (0, (3, 1, 1, 1)),
 }
+"""Lines of the terms, in their order."""
 
 
 def write_plot(path: Path, results: Mapping[str, Result], title: str) -> None:
@@ -78,8 +78,8 @@ def _draw_fit(axes: Any, result: Result, factor: float, color: str) -> None:
     parts = fit.shares(tau / result.series.interval_s).T
     deviation = factor * np.sqrt(np.maximum(parts.sum(axis=0), 0.0))
     axes.plot(tau, deviation, color=color, lw=1.0, ls="--")
-    for term, part in zip(TERMS, parts, strict=True):
-        if fit.terms[term.name] is not None and np.count_nonzero(fit.coefficients) > 1:
+    for (term, style), part in zip(STYLES.items(), parts, strict=True):
+        if fit.terms[term] is not None and np.count_nonzero(fit.coefficients) > 1:
             line = factor * np.sqrt(np.maximum(part, 0.0))
             line[line < 0.5 * deviation.min()] = np.nan
-            axes.plot(tau, line, color=color, lw=0.6, ls=STYLES[term.name])
+            axes.plot(tau, line, color=color, lw=0.6, ls=style)

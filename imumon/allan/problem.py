@@ -8,6 +8,7 @@ itself no curve could be too low for a large random walk, which makes the varian
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +48,11 @@ class Solution:
     factor: tuple[FloatArray, bool]
     residual: FloatArray
 
+    @property
+    def columns(self) -> frozenset[int]:
+        """Return the columns of the terms that are not zero."""
+        return frozenset(np.flatnonzero(self.coefficients).tolist())
+
     def degrees_of_freedom(self, others: int = 0) -> int:
         """Return those that are left, one at least; `others` is how many other parameters were fitted."""
         return max(1, len(self.residual) - int(np.count_nonzero(self.coefficients)) - others)
@@ -66,8 +72,22 @@ class Problem:
         self.covariances = covariances
         self.model_error = model_error
 
-    def fit(self, columns: tuple[int, ...], uncertain: frozenset[int] = frozenset()) -> Solution:
+    def __len__(self) -> int:
+        """Return the number of averaging times."""
+        return len(self.variances)
+
+    def part(self, start: int, stop: int, model_error: float = 0.0) -> Problem:
+        """Return the problem of some of the averaging times."""
+        return Problem(self.variances[start:stop], self.covariances.part(start, stop), model_error)
+
+    def with_covariances(self, every: Covariances) -> Problem:
+        """Return the problem with other covariances, of these averaging times among others."""
+        start = int(np.searchsorted(every.m, self.covariances.m[0]))
+        return Problem(self.variances, every.part(start, start + len(self)), self.model_error)
+
+    def fit(self, columns: Iterable[int], uncertain: frozenset[int] = frozenset()) -> Solution:
         """Fit these terms; some may end at zero, and are then not in the covariance, if not uncertain."""
+        columns = tuple(sorted(columns))
         design = self.design[:, columns]
         found = _bounded(design / self.variances[:, np.newaxis], np.ones(len(self.variances)))
         for _ in range(ITERATIONS):

@@ -60,7 +60,10 @@ def read_channels(path: Path, stages: Stages = no_stages) -> Channels:
     """
     recording = open_recording(path, stages)
     _check_units(path, recording.columns)
-    blocks = [_wanted(block) for block in recording.blocks()]
+    blocks = [
+        SampleBlock({name: block[name].copy() for name in WANTED if name in block})
+        for block in recording.blocks()
+    ]
     if not blocks:
         raise ImumonError(Reason.BAD_DATA, f"{path}: has no samples")
     samples = join(blocks)
@@ -97,11 +100,6 @@ def _check_units(path: Path, columns: Mapping[str, Column]) -> None:
             )
 
 
-def _wanted(block: SampleBlock) -> SampleBlock:
-    """Keep of a block what is needed, as a copy, so that the rest can go."""
-    return SampleBlock({name: block[name].copy() for name in WANTED if name in block})
-
-
 def _refuse(path: Path, rows: int, names: list[str], series: dict[str, EvenSeries]) -> None:
     """Raise where a deviation would mean nothing."""
     if rows < FEWEST_SAMPLES:
@@ -131,7 +129,8 @@ def _refuse(path: Path, rows: int, names: list[str], series: dict[str, EvenSerie
 def _of_units(series: dict[str, EvenSeries]) -> list[str]:
     """Tell what looks like readings in other units."""
     remarks = []
-    fast = [name for name in GYRO if name in series and _median_size(series[name]) > FASTEST_RAD_S]
+    sizes = {name: np.median(np.abs(series[name].values)) for name in GYRO if name in series}
+    fast = [name for name, size in sizes.items() if size > FASTEST_RAD_S]
     if fast:
         remarks.append(f"{', '.join(fast)}: turns faster than any gyro measures: it is not in rad/s")
     accel = [series[name].values.mean() for name in ACCEL if name in series]
@@ -141,10 +140,6 @@ def _of_units(series: dict[str, EvenSeries]) -> list[str]:
             f"the mean specific force is {norm:.4g} m/s^2, not gravity: it is not in m/s^2, or not whole"
         )
     return remarks
-
-
-def _median_size(channel: EvenSeries) -> float:
-    return float(np.median(np.abs(channel.values)))
 
 
 def _of_the_grid(series: dict[str, EvenSeries]) -> list[str]:

@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from imumon.allan.covariance import FLOOR_PER_INSTABILITY
-from imumon.allan.parameters import TERMS_OF, AllanParameters, SheetLine
+from imumon.allan.parameters import TERMS_OF, AllanParameters
 from imumon.allan.streaming import LiveCurve, StreamingAllan
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
-from imumon.charts import AXIS_COLORS, GREY, ORANGE, Axis, Chart, Curve
+from imumon.charts import AXIS_COLORS, GREY, Axis, Chart, Curve
 from imumon.columns import Column
+from imumon.estimation.rest.parameters import retired
 
 TAB = "Allan"
 _TITLES = {
@@ -30,15 +30,14 @@ class AllanStage:
     Parameters
     ----------
     parameters : AllanParameters, optional
-        Lines of the data sheet to draw.
+        Its keys are not used any more; those that are given are named once.
     """
 
     columns: Sequence[Column] = ()
     """None: a curve over averaging time is not a quantity of each sample."""
 
     def __init__(self, parameters: AllanParameters | None = None) -> None:
-        parameters = parameters or AllanParameters()
-        self._sheets = {"gyro": parameters.gyro_sheet, "accel": parameters.accel_sheet}
+        self._retired = [] if parameters is None else retired(parameters)
         self._channels: dict[str, StreamingAllan] = {}
         self._restarts = 0
 
@@ -55,10 +54,12 @@ class AllanStage:
         return {}
 
     def notices(self) -> list[str]:
-        """Say once that the rate changed and the curves began anew."""
+        """Say once which keys are not used any more, and that the rate changed and the curves began anew."""
         restarts = max((channel.restarts for channel in self._channels.values()), default=0)
         new, self._restarts = restarts > self._restarts, restarts
-        return ["the sample rate changed: the Allan curves begin anew"] if new else []
+        keys, self._retired = self._retired, []
+        texts = [f"allan: {key} is not used any more" for key in keys]
+        return texts + (["the sample rate changed: the Allan curves begin anew"] if new else [])
 
     def charts(self) -> Sequence[Chart]:
         """Return one log-log chart per sensor; none while no averaging time can be trusted."""
@@ -70,7 +71,7 @@ class AllanStage:
                 for axis in AXIS_COLORS
                 if f"{group}_{axis}" in self._channels
             }
-            curves = allan_curves(found, self._sheets[group], level.factor)
+            curves = allan_curves(found, level.factor)
             if curves:
                 x, y = Axis("averaging time [s]", log=True), Axis(f"[{level.shown}]", log=True)
                 notes = tuple(_note(axis, found[axis], group) for axis in found)
@@ -78,8 +79,8 @@ class AllanStage:
         return charts
 
 
-def allan_curves(found: Mapping[str, LiveCurve], sheet: SheetLine | None, factor: float) -> list[Curve]:
-    """Return the curves of a chart: one per axis, their intervals, the line of the data sheet."""
+def allan_curves(found: Mapping[str, LiveCurve], factor: float) -> list[Curve]:
+    """Return the curves of a chart: one per axis, and their intervals."""
     shown = {axis: curve for axis, curve in found.items() if len(curve.tau_s) > 1}
     if not shown:
         return []
@@ -90,9 +91,6 @@ def allan_curves(found: Mapping[str, LiveCurve], sheet: SheetLine | None, factor
     bars = [_bars(curve) for curve in shown.values()]
     x, y = (np.concatenate(part) for part in zip(*bars, strict=True))
     curves += [Curve("68 %", x, factor * y, GREY, width=1.0), _guide(shown, factor)]
-    if sheet is not None:
-        tau = max((curve.tau_s for curve in shown.values()), key=len)
-        curves.append(Curve("data sheet", tau, factor * sheet_deviation(sheet, tau), ORANGE, width=1.2))
     return curves
 
 
@@ -132,9 +130,3 @@ def _bars(curve: LiveCurve) -> tuple[FloatArray, FloatArray]:
         np.column_stack([curve.tau_s, curve.tau_s, gap]).ravel(),
         np.column_stack([curve.low, curve.high, gap]).ravel(),
     )
-
-
-def sheet_deviation(sheet: SheetLine, tau_s: FloatArray) -> FloatArray:
-    """Return the Allan deviation that a data sheet promises at these averaging times, (n,)."""
-    flat = FLOOR_PER_INSTABILITY * sheet.instability
-    return np.sqrt(sheet.white**2 / tau_s + flat**2 + sheet.walk**2 * tau_s / 3.0)

@@ -12,11 +12,12 @@ two: 18 kB for a channel, for averaging times of up to 2^35 samples.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from imumon.allan.confidence import TRUSTED_FREEDOM, intervals
+from imumon.allan.covariance import NOISES, Runs, freedom
 from imumon.allan.series import JITTER, nominal_interval_ns
 from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit, record
@@ -29,7 +30,7 @@ OCTAVES = RINGS + FIRST_RING
 LEARN = 64
 """Samples from which the interval is learned; as many steps in a row that do not fit it begin anew."""
 _SLOPES = np.array([-1.0, 0.0, 1.0, -2.0])
-"""Exponent of the Allan variance over tau of white noise, flicker, random walk and quantization."""
+"""Exponent of the Allan variance over tau of each of `NOISES`."""
 
 
 class _Run:
@@ -97,8 +98,7 @@ def stream(time_ns: IntArray, segment: IntArray, values: FloatArray, run: _Run) 
     return len(values)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LiveCurve:
+class LiveCurve(NamedTuple):
     """Allan deviations so far, (n,) each, with intervals of `imumon.allan.confidence.CONFIDENCE`."""
 
     tau_s: FloatArray
@@ -111,8 +111,7 @@ class LiveCurve:
         """Return the part with enough degrees of freedom."""
         few = np.flatnonzero(self.freedom < TRUSTED_FREEDOM)
         n = int(few[0]) if len(few) else len(self.tau_s)
-        parts = (self.tau_s, self.deviation, self.low, self.high, self.freedom)
-        return LiveCurve(*[part[:n] for part in parts])
+        return LiveCurve(*(part[:n] for part in self))
 
 
 class StreamingAllan:
@@ -168,13 +167,14 @@ class StreamingAllan:
         length = (run.counts[:n] - 1) * stride + 2.0 * m
         # Sixteen differences to an averaging time are those of an averaging factor of 16.
         used = np.minimum(m, STRIDES_PER_TAU)
-        edf = degrees_of_freedom(identify(variance), used, used * length / m)
+        samples = used * length / m
+        edf = np.array([_freedom(*octave) for octave in zip(used, samples, identify(variance), strict=True)])
         tau_s = np.asarray(m * run.interval_ns * 1e-9, np.float64)
         return LiveCurve(tau_s, np.sqrt(variance), *intervals(variance, edf), edf)
 
 
 def identify(variance: FloatArray) -> IntArray:
-    """Return which row of `_SLOPES` each octave is most like, (n,), by the slope of the curve around it."""
+    """Return which of `NOISES` each octave is most like, (n,), by the slope of the curve around it."""
     if len(variance) < 2:
         return np.zeros(len(variance), np.int64)
     logs = np.log2(np.maximum(variance, 1e-300))
@@ -182,21 +182,6 @@ def identify(variance: FloatArray) -> IntArray:
     return np.asarray(np.abs(slope[:, np.newaxis] - _SLOPES).argmin(axis=1), np.int64)
 
 
-def degrees_of_freedom(noise: IntArray, m: FloatArray, samples: FloatArray) -> FloatArray:
-    """Return those of overlapping Allan variances, (n,): Howe, Allan and Barnes 1981; NIST SP 1065, table 5.
-
-    Parameters
-    ----------
-    noise : array of int64, (n,)
-        Row of `_SLOPES`.
-    m, samples : array, (n,)
-        Averaging factor, and length of the record.
-    """
-    n = samples + 1.0  # of the integrated signal
-    white = (1.5 * (n - 1.0) / m - 2.0 * (n - 2.0) / n) * 4.0 * m**2 / (4.0 * m**2 + 5.0)
-    flicker = np.where(
-        m == 1.0, 2.0 * (n - 2.0) ** 2 / (2.3 * n - 4.9), 5.0 * n**2 / (4.0 * m * (n + 3.0 * m))
-    )
-    walk = (n - 2.0) / m * ((n - 1.0) ** 2 - 3.0 * m * (n - 1.0) + 4.0 * m**2) / (n - 3.0) ** 2
-    quantization = (n + 1.0) * (n - 2.0 * m) / (2.0 * (n - m))
-    return np.asarray(np.choose(noise, [white, flicker, walk, quantization]))
+def _freedom(m: float, samples: float, noise: int) -> float:
+    """Return the degrees of freedom of one uninterrupted run with one of `NOISES`."""
+    return freedom("allan", int(m), Runs(np.array([samples]), np.ones(1))).of(np.eye(len(NOISES))[noise])

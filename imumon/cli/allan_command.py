@@ -74,9 +74,6 @@ def _of_the_fit(results: dict[str, Result]) -> list[str]:
     fits = {name: result.fit for name, result in results.items() if result.fit is not None}
     cut = [f"{name} {results[name].tau_s[fit.first]:.2g} s" for name, fit in fits.items() if fit.first]
     off = {name: fit.model_error for name, fit in fits.items() if fit.model_error and fit.withheld != DIGITS}
-    withheld = {
-        why: [name for name, fit in fits.items() if fit.withheld == why] for why in (AMBIGUOUS, DIGITS)
-    }
     begun = [
         f"{name} {results[name].tau_s[fit.last]:.2g} s"
         for name, fit in fits.items()
@@ -95,9 +92,9 @@ def _of_the_fit(results: dict[str, Result]) -> list[str]:
             name for name, error in off.items() if error > NO_SUM
         ],
         "correlated noise describes the curve as well as bias instability or a random walk: neither is "
-        "reported; record for longer": withheld[AMBIGUOUS],
+        "reported; record for longer": [name for name, fit in fits.items() if fit.withheld == AMBIGUOUS],
         "the steps of the readings hide the noise: no term is reported": [
-            _steps(name, results[name]) for name in withheld[DIGITS]
+            _steps(name, results[name]) for name, fit in fits.items() if fit.withheld == DIGITS
         ],
         "the steps of the readings add to the noise": [
             f"{_steps(name, result)}, {result.digits.share:.0%} of the variance"

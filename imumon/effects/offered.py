@@ -1,15 +1,16 @@
-"""Effects of other packages: checked at load, and whatever one does wrong later is an error that names it."""
+"""Effects of other packages: checked at load, and columns that are wrong later are an error that names it."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from types import FunctionType
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 
+from imumon.blocks import FloatArray
 from imumon.effects.base import ACCEL, Drive, Effect, Memory, Scope, Survey
 from imumon.errors import ImumonError
 from imumon.plugins import Plugin, described
@@ -18,7 +19,6 @@ EFFECT = "effect of that name"
 """What a plug-in offers in the group `imumon.plugins.EFFECTS`, in words."""
 SURVEY = Survey((7200.0, 7200.0), 30.0, 4, 19.6, 30.0, 3, 25.0, 15.0)
 """Two runs of two hours over 30 °C in which the unit is turned over: they can show nearly any effect."""
-_FOREIGN_TO_PLUGINS = ("imumon", "pydantic", "builtins", "abc", "typing")
 
 
 def is_effect(name: str, offered: object) -> bool:
@@ -31,7 +31,7 @@ def is_effect(name: str, offered: object) -> bool:
 
 
 def guarded(plugin: Plugin) -> type[Effect]:
-    """Return the effect of a plug-in, whose methods raise BAD_CONFIG, naming it, for what goes wrong in them.
+    """Return the effect of a plug-in, whose columns raise BAD_CONFIG, naming it, for what goes wrong in them.
 
     Raises BAD_CONFIG when its attributes are wrong, or a trial finds that its numbers are.
     """
@@ -42,19 +42,30 @@ def guarded(plugin: Plugin) -> type[Effect]:
         raise plugin.error(f"has scope {effect.scope!r}: expected one of {', '.join(get_args(Scope))}")
     if unknown := sorted({*effect.nonlinear} - effect.model_fields.keys()):
         raise plugin.error(f"has nonlinear parameters that are none of its fields: {', '.join(unknown)}")
-    own = [base for base in effect.__mro__ if base.__module__.partition(".")[0] not in _FOREIGN_TO_PLUGINS]
-    defined = {name: what for base in reversed(own) for name, what in vars(base).items()}
-    for name, what in defined.items():
-        if name.startswith("_"):
-            continue
-        if isinstance(what, FunctionType):
-            setattr(effect, name, _checked(plugin, name, what))
-        elif isinstance(what, classmethod):
-            setattr(effect, name, classmethod(_checked(plugin, name, what.__func__)))
-        elif isinstance(what, property) and what.fget is not None:
-            setattr(effect, name, property(_checked(plugin, name, what.fget)))
+    advance = effect.advance
+
+    @functools.wraps(advance)
+    def checked(self: Effect, memory: Memory, drive: Drive) -> FloatArray:
+        with _blamed(plugin, "advance"):
+            columns = advance(self, memory, drive)
+        if wrong := _wrong(columns, (len(drive), self.width)):
+            raise plugin.error(f"returned from advance {wrong}")
+        return columns
+
+    effect.advance = checked  # type: ignore[method-assign]  # of a class that this one stands for from now on
     _try(plugin, effect)
     return effect
+
+
+@contextmanager
+def _blamed(plugin: Plugin, name: str) -> Iterator[None]:
+    """Turn whatever somebody else's code raises into BAD_CONFIG, naming the plug-in."""
+    try:
+        yield
+    except ImumonError:
+        raise
+    except Exception as error:
+        raise plugin.error(f"failed in {name}: {described(error, __file__)}") from error
 
 
 def _try(plugin: Plugin, effect: type[Effect]) -> None:
@@ -65,7 +76,10 @@ def _try(plugin: Plugin, effect: type[Effect]) -> None:
         Drive(time_s[rows], 20.0 + 0.02 * time_s[rows], turned[rows])
         for rows in (slice(None), slice(0, 25), slice(25, None))
     )
-    grid = effect.grid(SURVEY)
+    with _blamed(plugin, "grid"):
+        grid = effect.grid(SURVEY)
+    if not (isinstance(grid, list) and all(isinstance(one, Effect) for one in grid)):
+        raise plugin.error(f"returned from grid a {type(grid).__name__}: expected a list of effects")
     for one in (*grid[:1], *grid[1:][-1:]):
         if not isinstance(one.width, int) or one.width < 1:
             raise plugin.error(f"has width {one.width!r}: expected the number of its columns")
@@ -75,40 +89,16 @@ def _try(plugin: Plugin, effect: type[Effect]) -> None:
         added = np.concatenate([fitted.added(memory, part) for part in parts])
         if not np.array_equal(added, fitted.added(Memory(), whole)):
             raise plugin.error("adds another bias where its samples are divided otherwise")
-        fitted.starts(whole)
+        with _blamed(plugin, "starts"):
+            fitted.starts(whole)
 
 
-def _checked(plugin: Plugin, name: str, method: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a method that raises BAD_CONFIG, naming the plug-in, for what it raises or wrongly returns."""
-
-    @functools.wraps(method)
-    def call(*given: Any, **named: Any) -> Any:
-        try:
-            result = method(*given, **named)
-        except ImumonError:
-            raise
-        except Exception as error:  # whatever somebody else's code raises
-            raise plugin.error(f"failed in {name}: {described(error, __file__)}") from error
-        if wrong := _wrong(name, result, [*given, *named.values()]):
-            raise plugin.error(f"returned from {name} {wrong}")
-        return result
-
-    return call
-
-
-def _wrong(name: str, result: object, given: list[Any]) -> str:
-    """Return what is wrong with the result of a method; empty if nothing is."""
-    if name in ("grid", "driven", "of_curve", "refined"):
-        is_list = isinstance(result, list) and all(isinstance(one, Effect) for one in result)
-        return "" if is_list else f"a {type(result).__name__}: expected a list of effects"
-    if name not in ("added", "simulate", "advance", "columns"):
-        return ""
-    n = len(given[-1])
-    shape = (n,) if name in ("added", "simulate") else (n, given[0].width)
-    if not isinstance(result, np.ndarray):
-        return f"a {type(result).__name__}: expected an array of shape {shape}"
-    if result.shape != shape:
-        return f"an array of shape {result.shape}: expected {shape}"
-    if result.dtype != np.float64:
-        return f"{result.dtype}: expected float64"
-    return "" if np.isfinite(result).all() else "values that are not finite"
+def _wrong(columns: object, shape: tuple[int, int]) -> str:
+    """Return what is wrong with the columns of an effect; empty if nothing is."""
+    if not isinstance(columns, np.ndarray):
+        return f"a {type(columns).__name__}: expected an array of shape {shape}"
+    if columns.shape != shape:
+        return f"an array of shape {columns.shape}: expected {shape}"
+    if columns.dtype != np.float64:
+        return f"{columns.dtype}: expected float64"
+    return "" if np.isfinite(columns).all() else "values that are not finite"

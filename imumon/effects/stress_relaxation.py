@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, FiniteFloat, model_validator
+from pydantic import Field, FiniteFloat
 
 from imumon.blocks import FloatArray
 from imumon.effects.base import RATIO, Drive, Effect, Memory, Positive, Survey, logarithmic
@@ -44,15 +44,6 @@ class StressRelaxation(Effect):
     time_constant_s: Positive
     ratio: Annotated[FiniteFloat, Field(gt=1.0)]
     steps: Annotated[int, Field(ge=1, le=MOST_STEPS)] = 1
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_today(cls, given: object) -> object:
-        if isinstance(given, dict) and "exponent" in given:
-            raise ValueError(
-                "a stretched exponential, which no longer is: find the effect again with imumon diagnose"
-            )
-        return given
 
     @property
     def width(self) -> int:

@@ -12,9 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import BoolArray, FloatArray
+from imumon.blocks import FloatArray
 from imumon.compiled import njit
-from imumon.papers.scalar import ScalarFilter
 
 FORGETTING = 0.95
 
@@ -63,7 +62,7 @@ class State(NamedTuple):
     """The largest λ so far, (1,)."""
 
 
-class LinearFilter(ScalarFilter[LinearSeries]):
+class LinearFilter:
     """Kalman filter on model L.
 
     Parameters
@@ -86,16 +85,25 @@ class LinearFilter(ScalarFilter[LinearSeries]):
         """The largest λ so far."""
         return float(self.state.largest_fading[0])
 
-    def _filter(self, reading: FloatArray, use: BoolArray, steps: FloatArray) -> LinearSeries:
+    def process(self, reading: FloatArray, steps: FloatArray | None = None) -> LinearSeries:
+        """Return what the filter says at samples that follow those of the last call.
+
+        Parameters
+        ----------
+        reading : array, (n,)
+            Data; predicted only where it is NaN.
+        steps : array, (n,), optional
+            Time since the last sample in sampling intervals.  Default 1.
+        """
+        steps = np.ones(len(reading)) if steps is None else steps
         series = LinearSeries(*(np.empty(len(reading)) for _ in LinearSeries._fields))
-        _run(reading, use, steps, self._settings, self.state, series)
+        _run(reading, steps, self._settings, self.state, series)
         return series
 
 
 @njit
 def _run(
     reading: FloatArray,
-    use: BoolArray,
     steps: FloatArray,
     settings: Settings,
     state: State,
@@ -104,6 +112,7 @@ def _run(
     """Filter samples; the state changes in place, the series is filled."""
     x, p, phi, noise = state.mean, state.covariance, settings.phi, settings.noise_variance
     for k in range(reading.size):
+        use = np.isfinite(reading[k])
         x[0], x[1] = (1.0 + phi) * x[0] - phi * x[1], x[0]
         # F P Fᵀ with F = [[1 + φ, -φ], [1, 0]].
         across = (1.0 + phi) * p[0, 0] - phi * p[0, 1]
@@ -111,11 +120,11 @@ def _run(
         p[0, 1] = p[1, 0] = across
         process = settings.process_variance * steps[k]
         innovation = reading[k] - x[0]
-        if use[k] and settings.softening >= 0.0:
+        if use and settings.softening >= 0.0:
             p *= _fading(innovation, p[0, 0], process, settings, state)
         p[0, 0] += process
         series.predicted[k] = x[0]
-        if use[k]:
+        if use:
             total = p[0, 0] + noise
             gain, before = p[0, 0] / total, p[1, 0] / total
             x[0] += gain * innovation

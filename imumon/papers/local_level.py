@@ -48,10 +48,6 @@ class LocalLevel:
         """Return q = δ¹² of a sample, (rad/s)²."""
         return self.walk * interval_s
 
-    def delta1(self, interval_s: float) -> float:
-        """Return δ¹ at this sampling interval, with δ² = 0, rad/s."""
-        return math.sqrt(self.process_variance(interval_s))
-
 
 @dataclass(frozen=True, slots=True)
 class LocalLevelFit:
@@ -63,14 +59,9 @@ class LocalLevelFit:
     """Mean over the logarithm of the walk, weighted by the likelihood: never without a walk, for without
     process noise the covariance of the filters degenerates."""
     walk_range: tuple[float, float]
-    """95 % limits of the walk; the lower one is 0 when the data do not show that there is one."""
+    """95 % limits of the walk; the lower one is 0 when the data do not show one, as in a minute."""
     means: int
     """Seconds at rest that were used."""
-
-    @property
-    def identified(self) -> bool:
-        """Whether the data show a walk at all; a minute hardly ever does."""
-        return self.walk_range[0] > 0.0
 
 
 def means_of(time_ns: IntArray, reading: FloatArray) -> list[RestMean]:

@@ -228,7 +228,7 @@ class RandomErrorMethods:
             return
         for method, one in axis.filters.items():
             steps = np.asarray(steps_ns[part] * (1e-9 / axis.interval_s), np.float64)
-            series = one.process(readings[part], None, steps)
+            series = one.process(readings[part], steps)
             found[f"{method}_random_error_{name}"][part] = series.estimate
             found[f"{method}_random_error_sd_{name}"][part] = series.sd
             if isinstance(series, FilterSeries):

@@ -22,7 +22,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -62,7 +61,7 @@ class Params:
     @property
     def earth_rate(self) -> FloatArray:
         """Ω east, north, up, rad/s, (3,)."""
-        return earth_rate(self.latitude)
+        return EARTH_RATE * np.array([0.0, math.cos(self.latitude), math.sin(self.latitude)])
 
 
 @dataclass
@@ -75,12 +74,6 @@ class Loop:
     """East, north, m/s, (2,)."""
 
 
-@lru_cache(maxsize=16)
-def earth_rate(latitude: float) -> FloatArray:
-    """Return Ω east, north, up, rad/s, (3,)."""
-    return EARTH_RATE * np.array([0.0, math.cos(latitude), math.sin(latitude)])
-
-
 class Gains(NamedTuple):
     """Of a step h in s: the decay of a velocity, exp(-k h), and k_b in rad/m."""
 
@@ -89,7 +82,6 @@ class Gains(NamedTuple):
     kb: float
 
 
-@lru_cache(maxsize=16)
 def gains(corner: float, damping: float, interval_s: float) -> Gains:
     """Return the gains that place the poles of the sampled loop at exp(s h); corner ω_n in rad/s."""
     decay = math.exp(-2.0 * damping * corner * interval_s)
@@ -127,39 +119,30 @@ def step(loop: Loop, gain: Gains, earth: FloatArray, rate: FloatArray, force: Fl
 
 
 @dataclass
-class Average:
-    """Total average (28): the integral of the control rates over the time."""
+class Integral:
+    """α, the integral of the control rates; HᵀH and Hᵀz of a line a t + b through it, H of rows [t, 1]."""
 
     seconds: float = 0.0
     angle: FloatArray = field(default_factory=lambda: np.zeros(2))
+    normal: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
+    right: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
 
     def add(self, control: FloatArray, interval_s: float) -> None:
         """Take in a step."""
         self.seconds += interval_s
         self.angle = self.angle + interval_s * control
+        row = np.array([self.seconds, 1.0])
+        self.normal = self.normal + np.outer(row, row)
+        self.right = self.right + np.outer(row, self.angle)
 
     @property
-    def rate(self) -> FloatArray:
-        """Mean ω_Ec, ω_Nc, rad/s, (2,)."""
+    def average(self) -> FloatArray:
+        """Total average (28): mean ω_Ec, ω_Nc, rad/s, (2,)."""
         return self.angle / self.seconds
 
-
-@dataclass
-class Line:
-    """Curve fit (30, 31): HᵀH and Hᵀz of a line a t + b through α(t), H of rows [t, 1]."""
-
-    normal: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
-    right: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
-
-    def add(self, seconds: float, angle: FloatArray) -> None:
-        """Take in α at a time."""
-        row = np.array([seconds, 1.0])
-        self.normal = self.normal + np.outer(row, row)
-        self.right = self.right + np.outer(row, angle)
-
     @property
-    def rate(self) -> FloatArray:
-        """a of both channels, rad/s, (2,); NaN before there are two points."""
+    def slope(self) -> FloatArray:
+        """Curve fit (30, 31): a of both channels, rad/s, (2,); NaN before there are two points."""
         if self.normal[1, 1] < 2.0:
             return np.full(2, np.nan)
         return np.asarray(np.linalg.solve(self.normal, self.right)[0])
@@ -174,8 +157,7 @@ class State:
     force: FloatArray = field(default_factory=lambda: np.zeros(3))
     loop: Loop | None = None
     control: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
-    average: Average = field(default_factory=Average)
-    line: Line = field(default_factory=Line)
+    integral: Integral = field(default_factory=Integral)
 
     def take(self, params: Params, rate: FloatArray, force: FloatArray, interval_s: float) -> None:
         """Take in a slot."""
@@ -188,8 +170,7 @@ class State:
             return
         gain = gains(params.corner, params.damping, interval_s)
         self.control = step(self.loop, gain, params.earth_rate, rate, force)
-        self.average.add(self.control, interval_s)
-        self.line.add(self.average.seconds, self.average.angle)
+        self.integral.add(self.control, interval_s)
 
     def heading(self, params: Params, mean: FloatArray) -> float:
         """Return the heading (18) in rad, 0 to 2π, from mean control rates, (2,)."""
@@ -272,15 +253,15 @@ class SelfAlignment:
     def _say(self) -> FloatArray:
         """Return the values of the columns."""
         state, params = self._state, self._params
-        if state.loop is None or not state.average.seconds:
+        if state.loop is None or not state.integral.seconds:
             return np.full(len(self.columns), np.nan)
         found: list[float] = []
         if LOOP in self._methods:
             found += [state.heading(params, state.control), *state.control]
         if AVERAGE in self._methods:
-            found.append(state.heading(params, state.average.rate))
+            found.append(state.heading(params, state.integral.average))
         if CURVE in self._methods:
-            found.append(state.heading(params, state.line.rate))
+            found.append(state.heading(params, state.integral.slope))
         return np.array(found)
 
     def notices(self) -> list[str]:

@@ -21,10 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import BoolArray, FloatArray, IntArray
+from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit
-from imumon.errors import ImumonError, Reason
-from imumon.papers.scalar import ScalarFilter
 
 STATES = ("x", "x_before", "phi", "delta1", "delta2")
 N = len(STATES)
@@ -35,8 +33,6 @@ POINTS = 2 * (N + NOISES)
 """Sigma points besides the central one."""
 GAMMA = math.sqrt(N + NOISES)
 
-CEILING = 0.95
-"""2 μ_x (R + q) may not be more: at 1 the variance escapes (limit of a lasting risk on a random walk)."""
 STEP_CEILING = 0.9999
 """2 μ_i P_ii may not be more in any step; μ_i is shrunk for the step when it would."""
 REGULAR = 1.5
@@ -52,11 +48,6 @@ class ModelNL:
     """X and the diagonal of its covariance, in the unit of the data and its square (φ has none)."""
     noise_variance: float
     """R, of one measurement."""
-
-    @property
-    def process_variance(self) -> float:
-        """What a step adds to the variance of x: δ¹² + δ²²."""
-        return self.mean[DELTA1] ** 2 + self.mean[DELTA2] ** 2
 
 
 class FilterSeries(NamedTuple):
@@ -90,17 +81,18 @@ class State(NamedTuple):
     """Steps with a smaller μ, and steps at which φ was held back, (1,)."""
 
 
-class SigmaPointFilter(ScalarFilter[FilterSeries]):
+class SigmaPointFilter:
     """SR-RSUKF of one axis; with μ = 0 it is the SR-UKF.
 
-    Raises BAD_CONFIG when μ would make the covariance lose its sign, with the limit.
+    The limit of a lasting risk on a random walk is 2 μ_x (R + q) = 1, where the variance escapes; what would
+    cross `STEP_CEILING` in a step is shrunk and counted.
 
     Parameters
     ----------
     model : ModelNL
         Mean and covariance to start from, and R.
     risk : sequence of 5 float
-        Diagonal of μ in 1/unit²; zero for φ, δ¹ and δ².
+        Diagonal of μ in 1/unit²; zero for φ, δ¹ and δ², which nothing measures.
     phi_limit : float
         φ is held within ±phi_limit; infinity lets it go, as the paper does.
     """
@@ -108,7 +100,6 @@ class SigmaPointFilter(ScalarFilter[FilterSeries]):
     def __init__(
         self, model: ModelNL, risk: Sequence[float] = (0.0,) * N, phi_limit: float = math.inf
     ) -> None:
-        check_risk(model, risk)
         self.settings = Settings(model.noise_variance, np.array(risk, np.float64), phi_limit)
         self.state = State(
             np.array(model.mean, np.float64),
@@ -127,52 +118,25 @@ class SigmaPointFilter(ScalarFilter[FilterSeries]):
         """Steps at which φ wanted to leave its limits."""
         return int(self.state.clamped[0])
 
-    def _filter(self, reading: FloatArray, use: BoolArray, steps: FloatArray) -> FilterSeries:
+    def process(self, reading: FloatArray, steps: FloatArray | None = None) -> FilterSeries:
+        """Return what the filter says at samples that follow those of the last call.
+
+        Parameters
+        ----------
+        reading : array, (n,)
+            Data; predicted only where it is NaN.
+        steps : array, (n,), optional
+            Time since the last sample in sampling intervals.  Default 1.
+        """
+        steps = np.ones(len(reading)) if steps is None else steps
         series = FilterSeries(*(np.empty(len(reading)) for _ in FilterSeries._fields))
-        _run(reading, use, steps, self.settings, self.state, series)
+        _run(reading, steps, self.settings, self.state, series)
         return series
-
-
-def check_risk(model: ModelNL, risk: Sequence[float]) -> None:
-    """Refuse a risk that breaks the filter at once or in the long run.
-
-    Raises BAD_CONFIG, with what was given and the limit.
-    """
-    names = dict(zip(STATES, risk, strict=True))
-    if any(value < 0.0 or not math.isfinite(value) for value in risk):
-        raise ImumonError(Reason.BAD_CONFIG, f"risk μ {names}", "μ must be finite and not negative")
-    for i in (PHI, DELTA1, DELTA2):
-        if risk[i] > 0.0 and model.variance[i] > 0.0:
-            escape = 1.0 / (2.0 * risk[i] * model.variance[i])
-            raise ImumonError(
-                Reason.BAD_CONFIG,
-                f"risk μ {risk[i]:g} on {STATES[i]}: its variance {model.variance[i]:g} escapes at step "
-                f"{escape:.0f}, because nothing measures it",
-                "put the risk on x alone",
-            )
-    both = risk[X] + risk[BEFORE]
-    scale = 2.0 * (model.noise_variance + model.process_variance)
-    if both * scale > CEILING * (1.0 + 1e-9):
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            f"risk μ {both:g} on x: 2μ(R + q) is {both * scale:.3g}, and the variance escapes at 1",
-            f"μ may be {CEILING / scale:.6g} at most with R + q = {scale / 2:.6g}",
-        )
-    phi, x, before = model.mean[PHI], model.variance[X], model.variance[BEFORE]
-    delta = model.mean[X] - model.mean[BEFORE]
-    first = (1 + phi) ** 2 * x + phi**2 * before + delta**2 * model.variance[PHI] + model.process_variance
-    if 2.0 * risk[X] * first >= 1.0:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            f"risk μ {risk[X]:g} on x: 2μP is {2 * risk[X] * first:.3g} at the first step, 1 or more",
-            f"μ must be below {0.5 / first:.6g}, or the start better known",
-        )
 
 
 @njit
 def _run(
     reading: FloatArray,
-    use: BoolArray,
     steps: FloatArray,
     settings: Settings,
     state: State,
@@ -182,14 +146,15 @@ def _run(
     mean, factor = state.mean, state.factor
     deviations = np.empty((N, POINTS))
     for k in range(reading.size):
-        if use[k] and steps[k] < REGULAR:
+        use = np.isfinite(reading[k])
+        if use and steps[k] < REGULAR:
             predict(mean, factor, deviations, steps[k])
         else:
             hold(mean, factor, deviations, steps[k])
-        if use[k] and take_risk(factor, settings.risk):
+        if use and take_risk(factor, settings.risk):
             state.shrunk[0] += 1
         series.predicted[k] = mean[X]
-        if use[k]:
+        if use:
             measure(mean, factor, reading[k], settings.noise_variance)
             if abs(mean[PHI]) > settings.phi_limit:
                 mean[PHI] = math.copysign(settings.phi_limit, mean[PHI])

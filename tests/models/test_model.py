@@ -110,7 +110,7 @@ def test_a_written_file_is_read_again(tmp_path: Path) -> None:
         (
             "    effects: []",
             "    effects: [{kind: stress_relaxation, time_constant_s: 60.0, exponent: 0.3}]",
-            "a stretched exponential, which no longer is: find the effect again with imumon diagnose",
+            "exponent: unknown key",
         ),
         ("    unit: rad/s", "    unit: deg/s", "unit: "),
         ("    unit: rad/s", "    unit: m/s^2", "channel gyro_x is in rad/s, not m/s^2"),

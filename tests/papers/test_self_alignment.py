@@ -12,8 +12,7 @@ from imumon.blocks import FloatArray, SampleBlock
 from imumon.filters.turns import rotation_by
 from imumon.geodesy import EARTH_RATE, MICRO_G, STANDARD_GRAVITY, body_to_ned
 from imumon.papers.self_alignment import (
-    Average,
-    Line,
+    Integral,
     Loop,
     Params,
     SelfAlignment,
@@ -51,16 +50,17 @@ def test_total_average_and_curve_fit_keep_what_the_paper_says_they_keep() -> Non
     """Equation 28: the mean of A e^(-t/T)/(...) over the time, and for the line its least-squares slope."""
     rate_hz, tau = 8.0, 300.0
     control = warming(PARAMS, 120.0, rate_hz, tau)
-    average, line = Average(), Line()
+    integral = Integral()
     for one in control:
-        average.add(one, 1.0 / rate_hz)
-        line.add(average.seconds, average.angle)
+        integral.add(one, 1.0 / rate_hz)
     t = np.arange(1, len(control) + 1) / rate_hz
     amplitude = 30e-6 / tau
-    assert abs(average.rate[0]) == pytest.approx(amplitude * np.mean(np.exp(-t / tau)), rel=0.01)
+    assert abs(integral.average[0]) == pytest.approx(amplitude * np.mean(np.exp(-t / tau)), rel=0.01)
     angle = amplitude * tau * (1.0 - np.exp(-t / tau))
-    assert abs(line.rate[0]) == pytest.approx(np.polyfit(t, angle, 1)[0], rel=0.01)
-    assert line.rate == pytest.approx(np.polyfit(t, np.cumsum(control, axis=0) / rate_hz, 1)[0], rel=1e-7)
+    assert abs(integral.slope[0]) == pytest.approx(np.polyfit(t, angle, 1)[0], rel=0.01)
+    assert integral.slope == pytest.approx(
+        np.polyfit(t, np.cumsum(control, axis=0) / rate_hz, 1)[0], rel=1e-7
+    )
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 10.0, 200.0, 2000.0])

@@ -12,7 +12,6 @@ ArduPilot that with a fixed reference (a development version before 4.1 took the
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -45,16 +44,6 @@ class Exported:
     notes: list[str]
 
 
-@dataclass(frozen=True, slots=True)
-class _Cubic:
-    """The cubics of x, y, z, (3, 4) from the constant up; their range, and rms errors."""
-
-    coefficients: FloatArray
-    low: float
-    high: float
-    errors: dict[str, float]
-
-
 def parameters(
     model: BiasModel, autopilot: Autopilot, imu: int, ids: tuple[int, int] | None = None
 ) -> Exported:
@@ -75,19 +64,37 @@ def parameters(
     kinds = [kind for kind in KINDS if all(f"{kind}_{axis}" in model.channels for axis in "xyz")]
     if "gyro" not in kinds:
         raise ImumonError(Reason.BAD_CONFIG, "the model has not all three gyros", "calibrate all of them")
-    reference = ARDUPILOT_REFERENCE_DEGC
-    if autopilot == "px4":
-        low, high = model.channels["gyro_x"].temperature_range_degc
-        reference = 0.5 * (low + high)
-    cubics = {kind: _cubic(model, kind, reference) for kind in kinds}
+    ranges = [model.channels[f"{kind}_{axis}"].temperature_range_degc for kind in kinds for axis in "xyz"]
+    low, high = max(one[0] for one in ranges), min(one[1] for one in ranges)
+    if high - low < LEAST_SPAN_DEGC:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"the channels are known from {low:.1f} to {high:.1f} °C only",
+            f"an autopilot's calibration needs {LEAST_SPAN_DEGC:g} °C at least: calibrate over more",
+        )
+    degc = np.linspace(low, high, POINTS)
+    reference = ARDUPILOT_REFERENCE_DEGC if autopilot == "ardupilot" else 0.5 * (low + high)
+    notes = _notes(model, autopilot, low, high)
+    rows: dict[str, float | int] = {}
     if autopilot == "ardupilot":
-        lines = [f"{name},{value:.9g}" for name, value in _ardupilot(cubics, imu + 1)]
-    else:
-        lines = [
-            f"1\t1\t{name}\t{value:.9g}\t{INT if isinstance(value, int) else FLOAT}"
-            for name, value in _px4(cubics, imu, reference, dict(zip(KINDS, ids or (), strict=True)))
-        ]
-    return Exported("\n".join(lines) + "\n", _notes(model, cubics, autopilot))
+        head = f"INS_TCAL{imu + 1}"
+        rows = {f"{head}_ENABLE": 1, f"{head}_TMIN": low, f"{head}_TMAX": high}
+    for number, kind in enumerate(kinds):
+        long, short = KINDS[kind]
+        if autopilot == "px4" and ids is not None:
+            head = f"TC_{short}{imu}"
+            rows |= {f"TC_{short}_ENABLE": 1, f"{head}_ID": ids[number]}
+            rows |= {f"{head}_TMIN": low, f"{head}_TMAX": high, f"{head}_TREF": reference}
+        for at, axis in enumerate("xyz"):
+            cubic, error = _cubic(model, f"{kind}_{axis}", degc, reference)
+            notes += _misses(model, f"{kind}_{axis}", error)
+            for power, coefficient in enumerate(cubic):
+                if autopilot == "px4":
+                    constant = power == 0 and kind == "accel"
+                    rows[f"{head}_X{power}_{at}"] = 0.0 if constant else coefficient
+                elif power > 0:
+                    rows[f"{head}_{long}{power}_{axis.upper()}"] = coefficient * ARDUPILOT_SCALE
+    return Exported(_text(rows, autopilot), notes)
 
 
 def check_ids(autopilot: Autopilot, ids: tuple[int, int] | None) -> None:
@@ -100,77 +107,49 @@ def check_ids(autopilot: Autopilot, ids: tuple[int, int] | None) -> None:
         )
 
 
-def _cubic(model: BiasModel, kind: str, reference: float) -> _Cubic:
-    channels = [model.channels[f"{kind}_{axis}"] for axis in "xyz"]
-    low = max(one.temperature_range_degc[0] for one in channels)
-    high = min(one.temperature_range_degc[1] for one in channels)
-    if high - low < LEAST_SPAN_DEGC:
+def _cubic(model: BiasModel, name: str, degc: FloatArray, reference: float) -> tuple[list[float], float]:
+    """Return the cubic of a channel in the axes of the board, from the constant up, and its rms error."""
+    channel = model.channels[name]
+    if channel.effects:
+        names = ", ".join(dict.fromkeys(effect.name for effect in channel.effects))
         raise ImumonError(
             Reason.BAD_DATA,
-            f"the {kind}s are known from {low:.1f} to {high:.1f} °C only",
-            f"an autopilot's calibration needs {LEAST_SPAN_DEGC:g} °C at least: calibrate over more",
+            f"{name} has more than a curve over temperature ({names}), which no autopilot knows",
+            "export a model of imumon calibrate without effects, and see what it errs by in diagnose",
         )
-    degc = np.linspace(low, high, POINTS)
-    found, errors = [], dict[str, float]()
-    for axis, channel, sign in zip("xyz", channels, TO_BOARD[model.axes], strict=True):
-        if channel.effects:
-            names = ", ".join(dict.fromkeys(effect.name for effect in channel.effects))
-            raise ImumonError(
-                Reason.BAD_DATA,
-                f"{kind}_{axis} has more than a curve over temperature ({names}), which no autopilot knows",
-                "export a model of imumon calibrate without effects, and see what it errs by in diagnose",
-            )
-        value = sign * channel.value(degc)
-        cubic = Polynomial.fit(degc - reference, value, 3)
-        errors[f"{kind}_{axis}"] = float(np.sqrt(np.mean((cubic(degc - reference) - value) ** 2)))
-        found.append(cubic.convert().coef)
-    return _Cubic(np.array([np.pad(one, (0, 4 - len(one))) for one in found]), low, high, errors)
+    value = TO_BOARD[model.axes]["xyz".index(name[-1])] * channel.value(degc)
+    cubic = Polynomial.fit(degc - reference, value, 3)
+    error = float(np.sqrt(np.mean((cubic(degc - reference) - value) ** 2)))
+    found = np.zeros(4)
+    found[: len(cubic.convert().coef)] = cubic.convert().coef
+    return found.tolist(), error
 
 
-def _ardupilot(cubics: dict[str, _Cubic], number: int) -> Iterator[tuple[str, float]]:
-    head = f"INS_TCAL{number}"
-    yield f"{head}_ENABLE", 1
-    yield f"{head}_TMIN", max(cubic.low for cubic in cubics.values())
-    yield f"{head}_TMAX", min(cubic.high for cubic in cubics.values())
-    for kind, cubic in cubics.items():
-        for power in (1, 2, 3):
-            for axis, row in zip("XYZ", cubic.coefficients, strict=True):
-                yield f"{head}_{KINDS[kind][0]}{power}_{axis}", row[power] * ARDUPILOT_SCALE
+def _text(rows: dict[str, float | int], autopilot: Autopilot) -> str:
+    """Return the file: of ArduPilot NAME,VALUE, of PX4 QGroundControl's columns."""
+    if autopilot == "ardupilot":
+        return "".join(f"{name},{value:.9g}\n" for name, value in rows.items())
+    return "".join(
+        f"1\t1\t{name}\t{value:.9g}\t{INT if isinstance(value, int) else FLOAT}\n"
+        for name, value in rows.items()
+    )
 
 
-def _px4(
-    cubics: dict[str, _Cubic], number: int, reference: float, ids: dict[str, int]
-) -> Iterator[tuple[str, float | int]]:
-    for kind, cubic in cubics.items():
-        letter = KINDS[kind][1]
-        head = f"TC_{letter}{number}"
-        yield f"TC_{letter}_ENABLE", 1
-        yield f"{head}_ID", ids[kind]
-        yield f"{head}_TMIN", cubic.low
-        yield f"{head}_TMAX", cubic.high
-        yield f"{head}_TREF", reference
-        for power in range(4):
-            for axis, row in enumerate(cubic.coefficients):
-                constant = power == 0 and kind == "accel"
-                yield f"{head}_X{power}_{axis}", 0.0 if constant else float(row[power])
+def _misses(model: BiasModel, name: str, error: float) -> list[str]:
+    channel = model.channels[name]
+    if error <= channel.residual_sd:
+        return []
+    return [
+        f"{name}: the cubic misses the curve by {error:.3g} {channel.unit} rms, more than the curve errs"
+        f" ({channel.residual_sd:.3g}): calibrate over the temperatures of its work only"
+    ]
 
 
-def _notes(model: BiasModel, cubics: dict[str, _Cubic], autopilot: Autopilot) -> list[str]:
-    low = max(cubic.low for cubic in cubics.values())
-    high = min(cubic.high for cubic in cubics.values())
+def _notes(model: BiasModel, autopilot: Autopilot, low: float, high: float) -> list[str]:
     notes = [
         f"outside {low:.1f} to {high:.1f} °C the correction stands still: do not trust offsets that the"
         " autopilot finds at power-on there"
     ]
-    for cubic in cubics.values():
-        for name, error in cubic.errors.items():
-            channel = model.channels[name]
-            if error > channel.residual_sd:
-                notes.append(
-                    f"{name}: the cubic misses the curve by {error:.3g} {channel.unit} rms, more than the"
-                    f" curve itself errs ({channel.residual_sd:.3g}): calibrate over the temperatures of its"
-                    " work only"
-                )
     if model.axes is None:
         notes.append(
             "the model does not say its axes: they are taken for those of the board, forward-right-down;"

@@ -1,23 +1,46 @@
 """Whether a magnetometer has the gyros' axes: the field of a recording beside how the gyros say it turned.
 
-`mounting` finds which of the 24 ways it is; from there Gauss and Newton find the rotation, with what else may
-be between the two: a constant bias of the gyros and a time by which the magnetometer is late.
+The field stays where it is while the unit turns.  With C the gyros' turn from one moment to a later one,
+P the matrix that takes the magnetometer's axes to the gyros', and q what iron on the unit adds there::
+
+    P field_0 - q = C (P field_1 - q)
+
+Of the 24 rotations that turn axes into axes the one is taken that leaves least; P and -P leave the same, as
+no turn shows whether a magnetometer has the field or its reverse.  From there Gauss and Newton find the
+rotation, with what else may be between the two: a constant bias of the gyros and a time by which the
+magnetometer is late.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import permutations, product
 
 import numpy as np
 
-from imumon.blocks import BoolArray, ColumnArray, FloatArray, SampleBlock
+from imumon.blocks import FloatArray, SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.filters.slots import SlotGatherer, Slots
 from imumon.filters.turns import PAUSE_S, rotation_by
-from imumon.lab.calibration.mounting import WAYS, Mounting, are_known, named
 from imumon.models.magnetometer import MagnetometerModel
 
+
+def _ways() -> FloatArray:
+    """Return the rotations that turn axes into axes, the identity first, (24, 3, 3)."""
+    signed = (
+        np.eye(3)[list(order)] * signs
+        for order in permutations(range(3))
+        for signs in product((1, -1), repeat=3)
+    )
+    return np.array([way for way in signed if np.linalg.det(way) > 0.0])
+
+
+WAYS = _ways()
+LOST = 0.01
+"""rad²: variance of a turn for want of samples beyond which it is not compared with the field."""
+ALONG = 1e-6
+"""Share of the squares of turns about other axes, below which iron along an axis does not show."""
 SLOT_NS = 500_000_000
 """A hand turns a unit by tenths of a radian meanwhile, and by less than half a circle."""
 LEAST_SLOTS = 20
@@ -81,14 +104,9 @@ class _Pairs:
     rotation: FloatArray
     by_bias: FloatArray
 
-    def __getitem__(self, which: BoolArray) -> _Pairs:
-        """Return some of them."""
-        return _Pairs(*(getattr(self, one.name)[which] for one in fields(self)))
-
     def less(self, bias: FloatArray) -> _Pairs:
         """Return the same by gyros without a constant bias, rad/s, (3,): as of `Turn.less`."""
-        angles = self.by_bias @ bias
-        turned = np.array([rotation_by(-angle) for angle in angles]) @ self.rotation
+        turned = np.array([rotation_by(-angle) for angle in self.by_bias @ bias]) @ self.rotation
         rates = self.rate_before - bias, self.rate_after - bias
         return _Pairs(self.before, self.after, *rates, turned, self.by_bias)
 
@@ -118,21 +136,20 @@ class Gathered:
 
     def _pairs(self, model: MagnetometerModel) -> _Pairs:
         """Return the slots whose turn is known from the end of the one before."""
-
-        def every(one: Callable[[Slots], ColumnArray]) -> ColumnArray:
-            return np.concatenate([one(slots) for slots in self._slots])
-
-        last, end_ns = every(lambda slots: slots.last), every(lambda slots: slots.end_ns)
-        field = model.corrected(last[:, 3:]) / model.field
-        rate = last[:, :3]
-        pairs = _Pairs(
-            field[:-1], field[1:], rate[:-1], rate[1:],
-            every(lambda slots: slots.turns.rotation)[1:], every(lambda slots: slots.turns.by_bias)[1:],
-        )  # fmt: skip
-        missing_s = 1e-9 * np.diff(end_ns) - every(lambda slots: slots.turns.seconds)[1:]
-        known = ~every(lambda slots: slots.begins)[1:] & (np.abs(missing_s) < PAUSE_S)
-        known &= every(lambda slots: are_known(slots.turns))[1:] & np.isfinite(last[1:] + last[:-1]).all(1)
-        return pairs[known]
+        last = np.concatenate([slots.last for slots in self._slots])
+        end_ns = np.concatenate([slots.end_ns for slots in self._slots])
+        begins = np.concatenate([slots.begins for slots in self._slots])
+        turns = [slots.turns for slots in self._slots]
+        rotation, by_bias, seconds, coning, fast, missed = (
+            np.concatenate([getattr(part, name) for part in turns])
+            for name in ("rotation", "by_bias", "seconds", "coning", "fast", "missed")
+        )
+        paused = np.abs(1e-9 * np.diff(end_ns) - seconds[1:]) >= PAUSE_S
+        uncertain = (coning**2).sum(1) + fast**2 + missed >= LOST
+        known = ~begins[1:] & ~paused & ~uncertain[1:] & np.isfinite(last[1:] + last[:-1]).all(1)
+        field, rate = model.corrected(last[:, 3:]) / model.field, last[:, :3]
+        parts = field[:-1], field[1:], rate[:-1], rate[1:], rotation[1:], by_bias[1:]
+        return _Pairs(*(part[known] for part in parts))
 
 
 def refuse_other_axes(axes: Axes | None, source: str) -> None:
@@ -168,9 +185,8 @@ def doubts(axes: Axes | None) -> list[str]:
 
 def _fitted(pairs: _Pairs, noise: float) -> Axes:
     """Return the axes by pairs of fields, whose scatter over their strength is `noise`."""
-    mounting = Mounting()
-    mounting.add(pairs.before, pairs.after, pairs.rotation)
-    rotation, late_s = WAYS[int(mounting.left().argmin())], 0.0
+    left_by_way = left_by_ways(pairs.before, pairs.after, pairs.rotation)
+    rotation, late_s = WAYS[int(left_by_way.argmin())], 0.0
     for _ in range(STEPS):
         left, jacobian = _left(pairs, rotation, late_s)
         step = np.linalg.lstsq(jacobian, -left, rcond=None)[0]
@@ -184,6 +200,25 @@ def _fitted(pairs: _Pairs, noise: float) -> Axes:
     follows = variance < MOST_LEFT * went or variance < (BEYOND * noise) ** 2
     sd = np.sqrt(np.linalg.eigvalsh(_covariance(left, jacobian)[:3, :3])[-1])
     return Axes(rotation, float(np.hypot(sd, GYRO_SCALE)), follows)
+
+
+def left_by_ways(before: FloatArray, after: FloatArray, rotation: FloatArray) -> FloatArray:
+    """Return the sum of the squares that each of `WAYS` leaves over, with the iron that leaves least, (24,).
+
+    Parameters
+    ----------
+    before, after : arrays (n, 3)
+        The field before and after turns, over its strength.
+    rotation : array (n, 3, 3)
+        The turns.
+    """
+    by_iron = rotation - np.eye(3)
+    turned = np.einsum("nij,wjk,nk->nwi", rotation, WAYS, after)
+    left = np.einsum("wij,nj->nwi", WAYS, before) - turned
+    square = np.einsum("nij,nik->jk", by_iron, by_iron)
+    pull = np.einsum("nij,nwi->wj", by_iron, left)
+    explained = np.einsum("wi,ij,wj->w", pull, np.linalg.pinv(square, ALONG, hermitian=True), pull)
+    return np.asarray((left**2).sum((0, 2)) - explained)
 
 
 def _covariance(left: FloatArray, jacobian: FloatArray) -> FloatArray:
@@ -223,3 +258,14 @@ def _crossed(vectors: FloatArray) -> FloatArray:
     x, y, z = vectors.T
     none = np.zeros_like(x)
     return np.stack([none, -z, y, z, none, -x, -y, x, none], axis=1).reshape(-1, 3, 3)
+
+
+def named(way: FloatArray) -> str:
+    """Say which axes of the magnetometer the gyros' x, y, z are by one of `WAYS`, and by its reverse."""
+    axes = np.abs(way).argmax(axis=1)
+    signs = np.sign(way[range(3), axes])
+    both = sorted((signs, -signs), key=lambda of: -of.sum())
+    return " or ".join(
+        ", ".join(f"{'-' if sign < 0.0 else '+'}{'xyz'[axis]}" for sign, axis in zip(of, axes, strict=True))
+        for of in both
+    )

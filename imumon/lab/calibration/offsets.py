@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.lab.calibration.cells import Channel
@@ -41,12 +42,7 @@ def turn_on_offsets(channel: Channel, points: Points, knots: FloatArray) -> Floa
 
 def _comparable(run: IntArray, level: IntArray, runs: int) -> IntArray:
     """Return the runs that levels in common join, directly or through others, to the one with most data."""
-    visited = np.zeros((runs, int(level.max()) + 1), np.bool_)
-    visited[run, level] = True
-    joined = {int(np.argmax(np.bincount(run, minlength=runs)))}
-    while True:
-        reach = visited[sorted(joined)].any(axis=0)
-        more = {int(r) for r in range(runs) if (visited[r] & reach).any()}
-        if more == joined:
-            return np.array(sorted(joined), np.int64)
-        joined = more
+    visited = np.zeros((runs, int(level.max()) + 1), np.int64)
+    visited[run, level] = 1
+    _, group = connected_components(visited @ visited.T, directed=False)
+    return np.flatnonzero(group == group[np.argmax(np.bincount(run, minlength=runs))])

@@ -15,10 +15,6 @@ from imumon.recordings.reduced import GYRO
 
 LEAST_SPAN_DEGC = 5.0
 LEAST_REST_S = 600.0
-BANDS = 10
-"""The span is divided into so many bands to see where there is data."""
-LEAST_BANDS = 4
-LEAST_IN_BAND_S = 30.0
 WIDEST_HOLE = 0.4
 """Share of the span without data that a curve cannot bridge."""
 MOST_LAG = 0.1
@@ -42,9 +38,10 @@ def check_columns(records: Sequence[Record]) -> None:
                 "let the device send its temperature, or name the column in the map with its unit; "
                 f"readings beyond {coldest:g} to {hottest:g} {unit}, and zero alone, are left out",
             )
-        values = [record.of(name) for name in GYRO]
         stuck = [
-            name for name, v in zip(GYRO, values, strict=True) if len(v) > 1 and np.nanmax(v) == np.nanmin(v)
+            name
+            for name in GYRO
+            if len(record.means) > 1 and np.nanmin(record.of(name)) == np.nanmax(record.of(name))
         ]
         if stuck:
             raise ImumonError(
@@ -55,7 +52,7 @@ def check_columns(records: Sequence[Record]) -> None:
 
 
 def check_coverage(records: Sequence[Record], cells: Cells) -> None:
-    """Raise BAD_DATA when time at rest, span, levels or rate do not allow a model."""
+    """Raise BAD_DATA when time at rest, span, holes or rate do not allow a model."""
     _check_rest(records, cells)
     low, high = float(cells.temperature.min()), float(cells.temperature.max())
     if high - low < LEAST_SPAN_DEGC:
@@ -65,7 +62,7 @@ def check_coverage(records: Sequence[Record], cells: Cells) -> None:
             f"a model needs {LEAST_SPAN_DEGC:g}",
             "record while the unit warms up or cools down over the range in which it will be used",
         )
-    _check_levels(cells, low, high)
+    _check_holes(cells, low, high)
     _check_rate(cells, high - low)
 
 
@@ -84,18 +81,7 @@ def _check_rest(records: Sequence[Record], cells: Cells) -> None:
     )
 
 
-def _check_levels(cells: Cells, low: float, high: float) -> None:
-    band = np.minimum(((cells.temperature - low) / (high - low) * BANDS).astype(np.int64), BANDS - 1)
-    seconds = np.bincount(band, cells.seconds, minlength=BANDS)
-    levels = int(np.sum(seconds >= LEAST_IN_BAND_S))
-    if levels < LEAST_BANDS:
-        raise ImumonError(
-            Reason.BAD_DATA,
-            f"{levels} distinct temperatures between {low:.2f} and {high:.2f} °C "
-            f"(bands of {(high - low) / BANDS:.2f} °C with {LEAST_IN_BAND_S:g} s at rest); "
-            f"a curve needs {LEAST_BANDS}",
-            "record more levels, or the way from one to the other",
-        )
+def _check_holes(cells: Cells, low: float, high: float) -> None:
     known = np.sort(cells.temperature)
     at = int(np.argmax(np.diff(known)))
     hole = float(known[at + 1] - known[at])

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from imumon.blocks import FloatArray, IntArray
 from imumon.errors import ImumonError, Reason
 from imumon.lab.calibration.calibration import calibrate
 from imumon.lab.calibration.cells import channel_of, group, levels
@@ -21,15 +19,6 @@ HALF = 0.5
 """Where less of a curve than this is there, no curve errs less than it does."""
 
 
-@dataclass(frozen=True, slots=True)
-class Followed:
-    """How much of a channel's curve a session has that was left out: 1 all of it, 0 nothing; and its sd."""
-
-    channel: str
-    share: float
-    sd: float
-
-
 def check_last(records: Sequence[Record], latitude_deg: float | None, heading_deg: float | None) -> list[str]:
     """Compare curves made without the last record with that one; return what is to be said.
 
@@ -41,9 +30,9 @@ def check_last(records: Sequence[Record], latitude_deg: float | None, heading_de
         found = followed(records, latitude_deg, heading_deg)
     except ImumonError as error:
         return [f"that the model holds in another session is not shown: without the last one, {error.seen}"]
-    wrong = [one for one in found if one.share + SURE * one.sd < HALF]
+    wrong = {name: (share, sd) for name, (share, sd) in found.items() if share + SURE * sd < HALF}
     if wrong:
-        shares = ", ".join(f"{one.channel} {one.share:.2f} ± {one.sd:.2f}" for one in wrong)
+        shares = ", ".join(f"{name} {share:.2f} ± {sd:.2f}" for name, (share, sd) in wrong.items())
         raise ImumonError(
             Reason.BAD_DATA,
             f"the last session refutes curves made of the others: of these it has {shares}; below {HALF:g} no"
@@ -55,15 +44,16 @@ def check_last(records: Sequence[Record], latitude_deg: float | None, heading_de
 
 def followed(
     records: Sequence[Record], latitude_deg: float | None, heading_deg: float | None
-) -> list[Followed]:
+) -> dict[str, tuple[float, float]]:
     """Return how much of the curves made without the last record that one has, by the means of its levels.
 
-    Raises ImumonError as `calibrate`, of the records without the last.
+    By channel the share, 1 of the whole curve and 0 of nothing, and its standard deviation.  Raises
+    ImumonError as `calibrate`, of the records without the last.
     """
     model = calibrate(records[:-1], latitude_deg, heading_deg).model
     last = records[-1:]
     cells = group(last, latitude_deg, heading_deg)
-    found = []
+    found = {}
     for name, known in model.channels.items():
         channel = channel_of(last, cells, name, levels(cells))
         if channel is None:
@@ -71,27 +61,11 @@ def followed(
         points = channel.points()
         low, high = known.temperature_range_degc
         points = points.only((points.temperature >= low) & (points.temperature <= high))
-        curve, value = (
-            _by_level(points.level, points.weight, values)
-            for values in (known.value(points.temperature), points.value)
-        )
-        if len(curve) >= LEAST_LEVELS:
-            found.append(Followed(name, *_share(curve - curve.mean(), value - value.mean())))
+        _, level = np.unique(points.level, return_inverse=True)
+        weight = np.bincount(level, points.weight)  # what drifts slowly within a level is not many means
+        curve = np.bincount(level, points.weight * known.value(points.temperature)) / weight
+        value = np.bincount(level, points.weight * points.value) / weight
+        if len(weight) >= LEAST_LEVELS and np.ptp(curve) > 0.0:
+            (share, _), covariance = np.polyfit(curve, value, 1, cov=True)
+            found[name] = float(share), float(np.sqrt(covariance[0, 0]))
     return found
-
-
-def _by_level(level: IntArray, weight: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the mean of each level, (m,): what drifts slowly within one is not many means."""
-    _, which = np.unique(level, return_inverse=True)
-    total = np.bincount(which, weight)
-    return np.asarray(np.bincount(which, weight * values) / total)
-
-
-def _share(curve: FloatArray, value: FloatArray) -> tuple[float, float]:
-    """Return the slope of values over the curve, both without their means, and its standard deviation."""
-    size = float(curve @ curve)
-    if size == 0.0:
-        return 1.0, np.inf  # a curve that is flat errs as much as none
-    share = float(curve @ value) / size
-    left = value - share * curve
-    return share, float(np.sqrt(left @ left / (len(curve) - 2) / size))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -25,14 +26,6 @@ AS_GOOD = 1.05
 Fit = Callable[[Points], Curve]
 
 
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """A kind of curve: its name in reports and in the model file, and how it is fitted."""
-
-    name: str
-    fit: Fit
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
     """The curve chosen, fitted to all points, and what led to it.
@@ -48,34 +41,34 @@ class Choice:
     fit_rms: float
 
 
-def candidates(points: Points, knots: FloatArray) -> list[Candidate]:
-    """Return what the data can support, the simplest first.
+def candidates(points: Points, knots: FloatArray) -> dict[str, Fit]:
+    """Return what the data can support, the simplest first, by the name in reports and in the model file.
 
     A curve may have at most so many coefficients that those levels which remain in a fold determine them.
     """
-    remaining = len(np.unique(points.level)) - max(1, -(-(len(np.unique(points.level)) - 2) // FOLDS))
+    levels = len(np.unique(points.level))
+    remaining = levels - max(1, -(-(levels - 2) // FOLDS))
     orders = range(1, min(HIGHEST_ORDER, remaining - 1) + 1)
-    found = [Candidate(f"polynomial {k}", lambda p, k=k: fit_polynomial(p, k)) for k in orders]  # type: ignore[misc]  # mypy cannot infer a lambda with a default
-    found.append(Candidate("spline", lambda p: fit_spline(p, knots)))
+    found: dict[str, Fit] = {f"polynomial {k}": partial(fit_polynomial, order=k) for k in orders}
+    found["spline"] = partial(fit_spline, knots=knots)
     for n in range(1, MOST_NEURONS + 1):
         if 2 * weights_of(n) <= len(points) and remaining > 2 * n + 1:
-            found.append(Candidate(f"network {n}", lambda p, n=n: fit_network(p, n)))  # type: ignore[misc]  # as above
+            found[f"network {n}"] = partial(fit_network, neurons=n)
     return found
 
 
 def choose(channel: Channel, points: Points, knots: FloatArray) -> Choice:
     """Try every candidate on levels left out, and fit the best to all points."""
     tried = candidates(points, knots)
-    residuals = {candidate.name: held_out(points, candidate.fit) for candidate in tried}
+    residuals = {name: held_out(points, fit) for name, fit in tried.items()}
     rms = {name: _rms(points, residual) for name, residual in residuals.items()}
-    least = min(rms.values())
-    best = next(candidate for candidate in tried if rms[candidate.name] <= AS_GOOD * least)
-    curve = best.fit(points)
+    best = next(name for name in tried if rms[name] <= AS_GOOD * min(rms.values()))
+    curve = tried[best](points)
     return Choice(
-        name=best.name,
+        name=best,
         curve=curve,
         held_out_rms=rms,
-        residual_sd=_beyond_white(points, residuals[best.name], channel.white),
+        residual_sd=_beyond_white(points, residuals[best], channel.white),
         fit_rms=_rms(points, points.value - curve.value(points.temperature)),
     )
 

@@ -7,8 +7,7 @@ from scipy.spatial.transform import Rotation
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.errors import ImumonError
 from imumon.lab.calibration.magnetometer import fit_magnetometer
-from imumon.lab.calibration.magnetometer_axes import Axes, Gathered, doubts, refuse_other_axes
-from imumon.lab.calibration.mounting import WAYS
+from imumon.lab.calibration.magnetometer_axes import WAYS, Axes, Gathered, doubts, refuse_other_axes
 from imumon.models.magnetometer import MagnetometerModel
 
 FIELD = np.array([2.0, 20.0, -43.0])
