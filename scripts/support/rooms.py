@@ -17,7 +17,7 @@ BEGIN, END = "<!-- rooms -->\n", "<!-- end rooms -->"
 ROOMS = {
     "lab": (
         10_008,
-        "bias models from recordings, the search for what they lack, plans, learning, hard and soft iron",
+        "bias models from recordings, what they lack, plans, learning, hard and soft iron",
     ),
     "estimation": (
         13_428,
