@@ -48,7 +48,7 @@ ROOMS = {
     "filters": (1_307, "slots of samples, turns by gyros, Kalman steps, noise"),
     "publishing": (797, "live samples for Foxglove, ROS 2 and UDP"),
 }
-"""Lines of each room before the rewriting of November 2026, moved parts counted where they are now; what it gives."""
+"""Lines of each room before the rewriting of November 2026, counted where they are now; what it gives."""
 BEFORE = 70_293
 """Lines of the package then."""
 
