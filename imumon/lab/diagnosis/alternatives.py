@@ -99,12 +99,6 @@ def runs_left(channel: Channel, before: Fit, after: Fit, tests: tuple[TestScore,
     return rows
 
 
-def most_different(rows: Sequence[RunLeft]) -> RunLeft | None:
-    """Return the run that is left with most, where there are several."""
-    known = [row for row in rows if np.isfinite(row.after)]
-    return max(known, key=lambda row: row.after) if len(known) > 1 else None
-
-
 def questions(channel: Channel, found: Search, kept: Sequence[Finding], unexplained: bool) -> list[Question]:
     """Return what is open in a channel in which these findings are claimed."""
     claimed, opened = [finding.candidate for finding in kept], list[Question]()
@@ -128,5 +122,4 @@ def _may_be_tried(candidate: Candidate) -> bool:
 
 
 def _answer(channel: Channel, beside: Sequence[Candidate], one: Candidate) -> Answer:
-    model = fit(channel, [*beside, one])
-    return Answer(one.family, model, all(part.carries for part in model.parts[-len(one.parts) :]))
+    return Answer(one.family, fit(channel, [*beside, one]), one.carries)

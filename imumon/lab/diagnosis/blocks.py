@@ -10,15 +10,21 @@ import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.clock.channel import CLOCK, block_noise
-from imumon.effects.base import Drive, Survey
+from imumon.effects.base import Drive, DrivenEffect, Scale, Survey
+from imumon.effects.library import EFFECTS
+from imumon.effects.product import Product
 from imumon.lab.diagnosis.runs import Origin, Run
 from imumon.recordings.reduced import ACCEL
 
 BLOCK_S = 30.0
 LEAST_BLOCKS = 40
 """Of a training: ten for each coefficient of a cubic."""
+MOST_BLOCKS = 1200
+"""In a run: ten hours of blocks of 30 s.  Longer runs have longer blocks: a search takes no longer."""
 LEAST_SLOTS = 6
-"""Slots in a block: halves and thirds of it are blocks, too, and differences inside show the white floor."""
+"""Slots in a block: the differences between them show the white floor."""
+OPERATORS = sum(issubclass(kind, (DrivenEffect, Product)) for kind in EFFECTS.values())
+"""Number of effects that a driver may have."""
 PLATEAU = 0.1
 """Two estimates of the white variance that differ by less, as a share of it, agree."""
 STEPS = (1, 2, 4, 8)
@@ -179,9 +185,10 @@ def at_poses(runs: Sequence[RunBlocks]) -> list[RunBlocks]:
 
 
 def common_block_s(runs: Sequence[Run]) -> float:
-    """Return the length of a block: 30 s, or more where a log has few samples in that."""
+    """Return the length of a block: 30 s, or more where a log has few samples in that, or a run is long."""
     slot_s = max(run.slot_s for run in runs)
-    return LEAST_SLOTS * slot_s * -(-BLOCK_S // (LEAST_SLOTS * slot_s))
+    least_s = max(BLOCK_S, max(run.duration_s for run in runs) / MOST_BLOCKS)
+    return LEAST_SLOTS * slot_s * -(-least_s // (LEAST_SLOTS * slot_s))
 
 
 def _block_means(columns: FloatArray, weight: FloatArray, width: int) -> tuple[FloatArray, FloatArray]:
@@ -269,21 +276,35 @@ def _difference_variance(runs: Sequence[FloatArray], step: int) -> float:
     return total / count * share if count > 0 else float("nan")
 
 
-def survey(runs: Sequence[RunBlocks], temperature: str, degree: int, block_s: float) -> Survey:
-    """Return what the training runs can show."""
+def survey(runs: Sequence[RunBlocks], temperature: str, degree: int) -> Survey:
+    """Return what the training runs can show, with the drivers that there are beside a temperature."""
     found = [run.temperature[temperature] for run in runs]
     low, high = min(float(t.min()) for t in found), max(float(t.max()) for t in found)
     forces = [force for run in runs if (force := specific_force(run)) is not None]
+    others = {}
+    for name, values in driver_means(runs, temperature).items():
+        half_span = 0.5 * float(np.ptp(values)) or 1.0
+        others[name] = Scale(0.5 * float(values.min() + values.max()), half_span)
     return Survey(
         durations_s=[float(run.time_s[-1]) + run.block_s / 2 for run in runs],
         span_degc=high - low,
         reversals=sum(_turns(t, TURN_SHARE * (high - low)) for t in found),
         accel_range=max((float(np.ptp(force, axis=0).max()) for force in forces), default=0.0),
-        block_s=block_s,
+        block_s=runs[0].block_s,
         degree=degree,
         middle_degc=0.5 * (low + high),
         half_span_degc=max(0.5 * (high - low), 1e-3),
+        others=others,
+        choices=max(1, len(others)) * OPERATORS,
     )
+
+
+def driver_means(runs: Sequence[RunBlocks], temperature: str) -> dict[str, FloatArray]:
+    """Return the block means of each driver beside a temperature over all runs, (n,) each."""
+    drives = [(run, run.drives[temperature].others) for run in runs]
+    return {
+        name: np.concatenate([run.average(others[name]) for run, others in drives]) for name in drives[0][1]
+    }
 
 
 def _turns(temperature: FloatArray, size: float) -> int:

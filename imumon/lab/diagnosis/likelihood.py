@@ -85,22 +85,20 @@ class Likelihood:
         pool: Pool,
         terms: Sequence[Sequence[Term]],
         grid: Sequence[Noise],
-    ) -> tuple[FloatArray, list[Noise]]:
-        """Return the best log-likelihood of the base with each candidate, given as terms, and its noise.
+    ) -> FloatArray:
+        """Return the best log-likelihood of the base with each candidate, given as terms.
 
         A candidate whose spectrum would have both signs explains nothing.
         """
         used = list(dict.fromkeys(term for group in terms for term in group))
         place = {term: at for at, term in enumerate(used)}
         groups = _by_size([[place[term] for term in group] for group in terms], pool.spectra(used))
-        best, noise = np.full(len(terms), -np.inf), np.zeros(len(terms), np.int64)
-        for index, point in enumerate(grid):
+        best = np.full(len(terms), -np.inf)
+        for point in grid:
             residual, basis = self._left(values, base, point)
             explained = _explained(residual, basis, self._terms(pool, used, point), groups, len(terms))
-            found = self._of(residual @ residual - explained, point)
-            better = found > best
-            best[better], noise[better] = found[better], index
-        return best, [grid[index] for index in noise.tolist()]
+            best = np.maximum(best, self._of(residual @ residual - explained, point))
+        return best
 
     def _terms(self, pool: Pool, terms: Sequence[Term], noise: Noise) -> FloatArray:
         """Return the whitened columns of terms, a row each; each is whitened once for each noise."""

@@ -10,7 +10,6 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 
 from imumon.files import write_text
 from imumon.harmless import for_html
-from imumon.lab.diagnosis.alternatives import most_different
 from imumon.lab.diagnosis.conclusion import keep_in_mind
 from imumon.lab.diagnosis.diagnose import Diagnosis
 from imumon.lab.diagnosis.figures import errors_plot, figures, shown
@@ -92,7 +91,7 @@ def _number(value: float) -> str:
 def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, Any]:
     scale, unit = shown(verdict.channel.unit)
     before, after = (_number(value * scale) for value in _errors(verdict))
-    score, most = verdict.test_after, most_different(verdict.runs)
+    score = verdict.test_after
     return {
         "name": verdict.name,
         "unit": unit,
@@ -104,7 +103,6 @@ def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, Any]:
         "floor": _number(verdict.channel.floor.sd * scale),
         "covered": f"{score.coverage:.0%}" if verdict.channel.test else "",
         "summary": verdict.summary,
-        "left_out": [_left_out(item, scale, unit) for item in verdict.left_out],
         "effects": [_effect(claim, scale, unit) for claim in verdict.claims],
         "ranking": [
             [one.name, *map(_number, (one.gain, one.train_rms * scale, one.test_rms * scale))]
@@ -113,7 +111,6 @@ def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, Any]:
         "runs": [
             {
                 "name": f"{one.name}{', test' if one.test else ''}",
-                "most": one is most,
                 "numbers": [one.blocks, *(_number(x * scale) for x in (one.before, one.after, one.mean))],
             }
             for one in verdict.runs
@@ -123,15 +120,6 @@ def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, Any]:
         ],
         "figures": list(figures(diagnosis, verdict).items()),
     }
-
-
-def _left_out(item: dict[str, Any], scale: float, unit: str) -> str:
-    """Return why an effect that training shows is not claimed."""
-    text = f"{item['name']} was found in training and left out:"
-    with_it, without = (_number(item[f"test_rms_{key}"] * scale) for key in ("with", "without"))
-    if not with_it:
-        return f"{text} the test has nothing that can be scored"
-    return f"{text} with it the test has {with_it} {unit}, without it {without} {unit}"
 
 
 def _effect(claim: Claim, scale: float, unit: str) -> list[str]:

@@ -22,13 +22,13 @@ from imumon.effects.library import EFFECTS, AnyEffect, effects_for
 from imumon.files import write_text
 from imumon.geodesy import DEG_PER_H, MICRO_G
 from imumon.lab.diagnosis.alternatives import NOTHING
-from imumon.lab.diagnosis.axes import Base, axes_over_bases, likeliest, search_block
+from imumon.lab.diagnosis.axes import Base, Recorded, likeliest, search_sensor
 from imumon.lab.diagnosis.blocks import BLOCK_S, make_blocks, survey
 from imumon.lab.diagnosis.choice import CLOSE, CLOSE_SHARE, PROVEN
 from imumon.lab.diagnosis.likelihood import TAUS_S
 from imumon.lab.diagnosis.profiles import Profile, profiles
 from imumon.lab.diagnosis.runs import Run, collect
-from imumon.lab.diagnosis.search import Progress, Search, search
+from imumon.lab.diagnosis.search import Progress, Search
 from imumon.models.model import UNITS
 from imumon.simulation.unit import Scenario, SimulatedUnit
 from imumon.simulation.unit.scenario import Unit
@@ -218,7 +218,7 @@ def evidence(
 def _difference(searched: Search, truth: str, rival: str) -> tuple[float, float]:
     """Return by how much the gain of one effect exceeds another's, or nothing's, and what is needed of it."""
     if rival == DRIVEN:
-        return searched.noise_gain(), PROVEN
+        return _noise_gain(searched), PROVEN
     for finding in searched.findings:
         if finding.name in (truth, rival):
             gains = finding.rivals
@@ -229,6 +229,13 @@ def _difference(searched: Search, truth: str, rival: str) -> tuple[float, float]
     if rival == NOTHING:
         return own, PROVEN
     return own - max(gains.get(rival, 0.0), 0.0), max(CLOSE, CLOSE_SHARE * max(gains.values(), default=0.0))
+
+
+def _noise_gain(found: Search) -> float:
+    """Return by how much slow noise is likelier than white noise alone, in BIC."""
+    likelihood, model = found.likelihood, found.model
+    white = likelihood.at(found.channel.values, found.channel.design(model), (0.0, 0.0))
+    return 2.0 * (found.fitted(model)[0] - white) - 2.0 * likelihood.price
 
 
 def scenario(report: Report, channel: str, profile: Profile, answer: Answer) -> Scenario:
@@ -295,14 +302,12 @@ def simulated_run(plan: Scenario, seed: int) -> Run:
     return collect([SampleBlock({**sent.columns, "at_rest": truth["at_rest"]})], plan.title)[0]
 
 
-def _searched(run: Run, channel: str, degree: int, kinds: Sequence[str]) -> Search:
-    """Return the search in one channel of a run."""
+def _searched(run: Run, channel: str, degree: int, effects: Sequence[str]) -> Search:
+    """Return the search of the diagnosis in one channel of a run."""
     blocks = [make_blocks(run, [channel], ["temperature"])]
-    shown = survey(blocks, "temperature", degree, BLOCK_S)
-    degree = degree if shown.thermal else 0
-    base = Base({channel: "temperature"}, degree, "", search_block(blocks))
-    every = axes_over_bases([run], blocks, [], [channel], base)
-    return likeliest([(axes, search(axes.searched, axes.survey, kinds)) for axes in every])[1][0]
+    base = Base({channel: "temperature"}, degree if survey(blocks, "temperature", degree).thermal else 0)
+    (found,) = likeliest(search_sensor(Recorded([run], blocks), [channel], base, effects))
+    return found
 
 
 def write_plan(report: Report, number: int, made: Plan, folder: Path) -> list[Path]:

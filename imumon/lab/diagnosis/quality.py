@@ -48,13 +48,10 @@ class Samples:
     atom_share: float = 0.0
     kind: str = ""
 
-    def without(self, share: float) -> Samples:
-        """Return the statistics of the rest where the frequent value stood still in this share of samples."""
-        left = max(self.atom_share - share, 0.0) / (1.0 - share)
-        repeated = max(self.repeated - share, 0.0) / (1.0 - share)
-        if left < FREQUENT:
-            return replace(self, repeated=repeated, atom=np.nan, atom_share=0.0, kind="")
-        return replace(self, repeated=repeated, atom_share=left)
+    @property
+    def is_coarse(self) -> bool:
+        """Whether the steps are larger than the scatter of the samples, those that repeat included."""
+        return self.step > self.noise * float(np.sqrt(1.0 - self.repeated))
 
 
 class Watcher:
@@ -80,7 +77,9 @@ class Watcher:
             values = block[name]
             steps = np.diff(values[np.isfinite(values)])
             self._steps[name] += np.array([len(steps), np.sum(steps == 0.0), np.sum(steps**2)])
-            self._kept[name].append(values[chosen].astype(np.float64))
+            # A sensor that is stuck counts once: no value of it is too frequent.
+            fresh = np.diff(values, prepend=np.nan) != 0.0
+            self._kept[name].append(np.where(fresh, values, np.nan)[chosen])
         if self._count > KEPT:
             joined = {name: np.concatenate(kept) for name, kept in self._kept.items() if kept}
             self._kept = {name: [values[::2]] for name, values in joined.items()}

@@ -117,7 +117,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
             for stage in verdict.stages
         ],
         "fitted_anew": verdict.refit,
-        "left_out": verdict.left_out,
+        "left_out": [],
         "in_model_file": verdict.predicts,
         "faults": [fault.text for fault in verdict.channel.faults],
         "unexplained": verdict.unexplained,
@@ -160,7 +160,7 @@ def _effect(claim: Claim) -> dict[str, Any]:
             "gain_bic": finding.gain,
             "test_gain": None,
             "pooled_gain_bic": finding.pooled_gain,
-            "rms_explained": finding.size,
+            "rms_explained": claim.size,
             "explained_share_alone": claim.explained,
             "rivals_gain_bic": {name: value for name, value in finding.rivals.items() if value > 0},
         },

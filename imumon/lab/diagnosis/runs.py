@@ -280,25 +280,26 @@ def divided(run: Run, channels: Sequence[str]) -> tuple[Run, Run]:
     return first, replace(first, mean=only(tested), name=f"{run.name}, held out", begun_in=run.name)
 
 
-def in_order(train: Sequence[Run], test: Sequence[Run], caveats: list[str]) -> list[Run]:
-    """Return the test runs that the training does not have, by their bytes.
+def in_order(train: Sequence[Run], test: Sequence[Run]) -> tuple[list[Run], list[str]]:
+    """Return the test runs that the training does not have, by their bytes; remarks.
 
     Those that continue another run have its time and temperatures.
     """
-    known = {(run.origin.sha256, run.origin.index, run.start_ns) for run in train if run.origin is not None}
-    found: list[Run] = []
+    known = [(one.sha256, one.index, run.start_ns) for run in train if (one := run.origin) is not None]
+    found, remarks = list[Run](), []
     for run in test:
-        if run.origin is not None and (run.origin.sha256, run.origin.index, run.start_ns) in known:
-            caveats.append(f"{run.name}: not used as a test, the training has the same recording")
+        one = run.origin
+        if one is not None and (one.sha256, one.index, run.start_ns) in known:
+            remarks.append(f"{run.name}: not used as a test, the training has the same recording")
             continue
         before = next((other for other in (*found, *train) if _continues(other, run)), None)
         if before is not None:
-            caveats.append(
+            remarks.append(
                 f"{run.name} goes on where {before.name} ended, by the device's clock: time since power-on,"
                 " lag and loop go on as well"
             )
         found.append(run if before is None else _continued(before, run))
-    return found
+    return found, remarks
 
 
 def _continues(before: Run, after: Run) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple, Self
+from typing import Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -54,11 +54,16 @@ VERDICTS = (
 
 @dataclass(slots=True)
 class Claim:
-    """An effect that is claimed, with its evidence; `parts` and `sigmas` are those of the whole model."""
+    """An effect that is claimed, with its evidence; `parts` and `sigmas` are those of the whole model.
+
+    `explained` is the share, and `size` the rms, that it takes away from training alone; `test_alone` is what
+    it then leaves of the test.
+    """
 
     finding: Finding
     parts: list[FittedPart]
     explained: float
+    size: float
     test_alone: float
     sigmas: list[PartSigma] = field(default_factory=list)
 
@@ -79,9 +84,10 @@ class SlowNoise:
     @classmethod
     def of(cls, found: Search) -> Self:
         """Return the noise that is likeliest beside what was found."""
-        channel, (flicker, walk, sd) = found.channel, found.noise()
-        tails = found.likelihood.tails(channel.values, channel.design(found.model), (flicker, walk))
-        return cls(float(np.sqrt(flicker) * sd), float(np.sqrt(walk / WALK_S) * sd), tails, (flicker, walk))
+        flicker, walk = noise = found.fitted(found.model)[1]
+        of = found.channel.values, found.channel.design(found.model), noise
+        sd, tails = found.likelihood.scale(*of), found.likelihood.tails(*of)
+        return cls(float(np.sqrt(flicker) * sd), float(np.sqrt(walk / WALK_S) * sd), tails, noise)
 
     @property
     def jumps(self) -> bool:
@@ -103,8 +109,6 @@ class ChannelVerdict:
     unexplained: bool
     """More than 1.8 floors are left in training or, beside what is claimed, in the test."""
     explained: float
-    left_out: list[dict[str, Any]]
-    """What was found but made the test worse."""
     remark: str
     predicts: bool
     """Whether the extended model goes into the model file; else the declared one does: nothing of what is
@@ -200,10 +204,6 @@ def _details(verdict: ChannelVerdict) -> Iterator[str]:
         yield "what is left is structure or slow noise that no known effect explains"
     if verdict.remark:
         yield verdict.remark
-    for item in verdict.left_out:
-        unproven = np.isnan(item["test_rms_with"])
-        why = "no block of the test can be scored with it" if unproven else "made the test worse"
-        yield f"{item['name']} was found but {why}"
     pairs = [(one.finding.alike[0], other) for one in verdict.claims for other in one.finding.alike[1:]]
     if pairs:
         yield f"to separate: {'; '.join(dict.fromkeys(separated_by(*pair) for pair in pairs))}"
