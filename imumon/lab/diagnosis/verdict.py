@@ -21,35 +21,31 @@ State = Literal["named", "unexplained", "nothing missing", "too few digits", "no
 
 
 class Row(NamedTuple):
-    """A verdict: given where all of its predicates hold and those of no row above do."""
+    """A verdict: the first row of the table whose predicate holds."""
 
-    predicates: tuple[str, ...]
+    predicate: str
+    """Of `ChannelVerdict`; empty where it always holds."""
     state: State
     """Which kind of verdict it is, in `report.json`."""
     sentence: str
     """With the names of what is claimed."""
 
 
-BY_TEST = "proven by the test alone, so the error there is no longer unseen"
 VERDICTS = (
-    Row(("faulty",), "faulty", "the data is at fault, and no effect is looked for"),
-    Row(("by_test", "not_told_apart"), "named", f"{{names}}, not told apart, {BY_TEST}"),
-    Row(("by_test",), "named", f"{{names}}, {BY_TEST}"),
-    Row(
-        ("claimed", "not_told_apart", "unexplained"),
-        "named",
-        "{names}, not told apart, and more that is unexplained",
-    ),
-    Row(("claimed", "unexplained"), "named", "{names}, and more that is unexplained"),
-    Row(("claimed", "hidden"), "named", "{names}; too few digits to tell whether there is more"),
-    Row(("claimed", "not_told_apart"), "named", "{names}, not told apart"),
-    Row(("claimed",), "named", "{names}"),
-    Row(("unexplained",), "unexplained", "unexplained"),
-    Row(("hidden",), "too few digits", "too few digits to tell"),
-    Row(("clean",), "nothing missing", "nothing is missing"),
-    Row((), "not proven", "nothing is proven"),
+    Row("faulty", "faulty", "the data is at fault, and no effect is looked for"),
+    Row("claimed", "named", "{names}"),
+    Row("unexplained", "unexplained", "unexplained"),
+    Row("hidden", "too few digits", "too few digits to tell"),
+    Row("clean", "nothing missing", "nothing is missing"),
+    Row("", "not proven", "nothing is proven"),
 )
-"""The first row of which all predicates hold is the verdict; `ChannelVerdict` defines the predicates."""
+BESIDE_CLAIMS = {
+    "not_told_apart": ", not told apart",
+    "by_test": ", proven by the test alone, so the error there is no longer unseen",
+    "unexplained": ", and more that is unexplained",
+    "hidden": "; too few digits to tell whether there is more",
+}
+"""What is added to the sentence of what is claimed, where a predicate holds."""
 
 
 @dataclass(slots=True)
@@ -171,15 +167,18 @@ class ChannelVerdict:
 
     @property
     def row(self) -> Row:
-        """The verdict: the first row of the table whose predicates hold."""
-        return next(row for row in VERDICTS if all(getattr(self, name) for name in row.predicates))
+        """The verdict: the first row of the table whose predicate holds."""
+        return next(row for row in VERDICTS if not row.predicate or getattr(self, row.predicate))
 
     @property
     def in_short(self) -> str:
         """The verdict in a few words."""
         each = [" or ".join(claim.finding.alike) or claim.finding.name for claim in self.claims]
         names = [f"({name})" if " or " in name and len(each) > 1 else name for name in dict.fromkeys(each)]
-        return self.row.sentence.format(names=" and ".join(names))
+        text = self.row.sentence.format(names=" and ".join(names))
+        if self.row.predicate == "claimed":
+            text += "".join(more for name, more in BESIDE_CLAIMS.items() if getattr(self, name))
+        return text
 
     @property
     def summary(self) -> str:
@@ -232,12 +231,10 @@ def _left_in_test(verdict: ChannelVerdict) -> str:
         return "; without a test that is no proof"
     if not np.isfinite(after.rms):
         return "; no proof: the test has too little inside what training covered"
-    inside = f", over the {after.coverage:.0%} of it that are inside what training covered"
-    covered = "" if after.coverage == 1.0 else inside
+    covered = "" if after.coverage == 1.0 else f", over the {after.coverage:.0%} of it that training covered"
     if not verdict.claims and not verdict.refit:
         return f", {before.rms / floor:.2f} in the test{covered}"
-    predicted = (verdict.after.carries and verdict.predicts) or (
-        goes_on(verdict.channel, verdict.after) and after.rms < before.rms
-    )
+    predicted = verdict.predicts and verdict.after.carries
+    predicted |= goes_on(verdict.channel, verdict.after) and after.rms < before.rms
     value, how = (after.rms, "predicted") if predicted else (after.estimated_rms, "estimated in the test")
     return f", {before.rms / floor:.1f} become {value / floor:.2f} in the test{covered} ({how})"

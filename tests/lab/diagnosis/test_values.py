@@ -66,9 +66,8 @@ def test_what_stood_still_is_not_counted_again_as_a_value_that_comes_too_often(
     def frozen(values: FloatArray, _: FloatArray) -> FloatArray:
         return np.where(np.abs(np.arange(N) - 21_000) <= 1000, value, values)
 
-    caveats: list[str] = []
-    (left,) = sound([watched(frozen)], ["gyro_x"], caveats)
-    assert caveats == [f"a run: gyro_x is {what} for 40 s; they are left out"]
+    left, remarks = sound(watched(frozen), ["gyro_x"])
+    assert remarks == [f"a run: gyro_x is {what} for 40 s; they are left out"]
     assert faults([left], "gyro_x", "temperature", 0.02) == []
 
 
