@@ -8,16 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Any
 
 import numpy as np
 
-from imumon.blocks import FloatArray
 from imumon.effects.base import ACCEL
 from imumon.lab.diagnosis.candidates import Candidate
 from imumon.lab.diagnosis.channel import Channel
 from imumon.lab.diagnosis.choice import Finding, Scored, Table
-from imumon.lab.diagnosis.fit import Fit, TestScore, fit, score_test
+from imumon.lab.diagnosis.fit import Fit, TestScore, fit, root_mean_square, score_test
 from imumon.lab.diagnosis.search import Search
 
 MOST_RANKED = 6
@@ -27,38 +26,6 @@ NOTHING = "nothing"
 the temperature makes?"""
 MOST_ANSWERS = 2
 """Effects that are tried behind what is unexplained."""
-
-
-@dataclass(frozen=True, slots=True)
-class Ranked:
-    """An effect alone beside the baseline: gain in BIC, and the rms that it leaves of training and of the
-    test, by what it predicts of that; NaN without one."""
-
-    name: str
-    gain: float
-    train_rms: float
-    test_rms: float
-
-
-@dataclass(frozen=True, slots=True)
-class RunLeft:
-    """What a run is left with before and after: rms, and the mean of what is left after; NaN where nothing
-    counts."""
-
-    name: str
-    test: bool
-    blocks: int
-    before: float = float("nan")
-    after: float = float("nan")
-    mean: float = float("nan")
-
-    @classmethod
-    def of(cls, name: str, test: bool, before: FloatArray, after: FloatArray) -> Self:
-        """Return that of a run with these residuals."""
-        if not len(after):
-            return cls(name, test, 0)
-        first, last = (float(np.sqrt(np.mean(values**2))) for values in (before, after))
-        return cls(name, test, len(after), first, last, float(after.mean()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +41,18 @@ Question = list[Answer]
 """Which of these is it?"""
 
 
-def ranking(channel: Channel, found: Search) -> list[Ranked]:
-    """Return the effects that gain most, by what each does alone, whether or not any is named."""
+def ranking(channel: Channel, found: Search) -> list[dict[str, Any]]:
+    """Return the effects that gain most, by what each does alone, whether or not any is named.
+
+    `gain` in BIC over the baseline, and the rms that it leaves of training and of the test, by what it
+    predicts of that; NaN without one.
+    """
     ranked = []
     for one in _leaders(found.tables[0] if found.tables else {})[:MOST_RANKED]:
         fitted = fit(channel, [one.candidate])
-        ranked.append(Ranked(one.family, one.gain, fitted.train_rms, score_test(channel, fitted).rms))
+        tested = score_test(channel, fitted).rms
+        row = {"name": one.family, "gain": one.gain, "train_rms": fitted.train_rms, "test_rms": tested}
+        ranked.append(row)
     return ranked
 
 
@@ -88,15 +61,31 @@ def _leaders(table: Table) -> list[Scored]:
     return sorted(table.values(), key=lambda one: -one.gain)
 
 
-def runs_left(channel: Channel, before: Fit, after: Fit, tests: tuple[TestScore, TestScore]) -> list[RunLeft]:
-    """Return what each run of training and test is left with."""
+def runs_left(
+    channel: Channel, before: Fit, after: Fit, tests: tuple[TestScore, TestScore]
+) -> list[dict[str, Any]]:
+    """Return what each run of training and test is left with: rms before and after, and the mean after; NaN
+    where nothing counts."""
     bounds = np.cumsum([len(run) for run in channel.train])[:-1]
-    both = (np.split(one.train, bounds) for one in (before, after))
-    rows = [RunLeft.of(run.name, False, *left) for run, *left in zip(channel.train, *both, strict=True)]
-    both = (one.residual for one in tests)
-    for run, use, *left in zip(channel.test, tests[1].counted, *both, strict=True):
-        rows.append(RunLeft.of(run.name, True, *(values[use] for values in left)))
-    return rows
+    every = [
+        (run, False, *left)
+        for run, *left in zip(
+            channel.train, *(np.split(one.train, bounds) for one in (before, after)), strict=True
+        )
+    ]
+    counted = zip(channel.test, tests[1].counted, *(one.residual for one in tests), strict=True)
+    every += [(run, True, *(left[use] for left in lefts)) for run, use, *lefts in counted]
+    return [
+        {
+            "name": run.name,
+            "test": test,
+            "blocks": len(last),
+            "before": root_mean_square(first),
+            "after": root_mean_square(last),
+            "mean": float(last.mean()) if len(last) else float("nan"),
+        }
+        for run, test, first, last in every
+    ]
 
 
 def questions(channel: Channel, found: Search, kept: Sequence[Finding], unexplained: bool) -> list[Question]:

@@ -89,7 +89,7 @@ def _channels(recorded: Recorded, group: Sequence[str], base: Base) -> list[Chan
     found = []
     for name in group:
         temperature = temperatures[name]
-        floor = white_floor(recorded.runs, name, blocks[0].block_s).of_blocks(blocks)
+        floor = white_floor(recorded.runs, name, blocks)
         found.append(
             Channel(
                 name,
@@ -98,7 +98,7 @@ def _channels(recorded: Recorded, group: Sequence[str], base: Base) -> list[Chan
                 Declared.over(blocks, temperature, base.degree, base.own),
                 pools[temperature],
                 tested,
-                faults(recorded.runs, name, temperature, floor.sd),
+                faults(recorded.runs, name, floor.sd),
                 known=None if base.model is None else effects_of(base.model.channels[name]),
             )
         )

@@ -27,12 +27,14 @@ physics, and with a large effect the shape decides."""
 class Scored:
     """A candidate with its gain over the model so far.
 
-    `fit` is the gain without the price of the nonlinear parameters and of the choice.
+    `fit` is the gain without the price of the nonlinear parameters and of the choice.  `partner` names the
+    effect beside which it gains so much, where neither gains it alone.
     """
 
     candidate: Candidate
     gain: float
     fit: float
+    partner: str = ""
 
     @property
     def family(self) -> str:
@@ -69,8 +71,6 @@ class Finding:
     rivals: dict[str, float] = field(default_factory=dict)
     others: dict[str, Candidate] = field(default_factory=dict)
     """The best of each other family that cannot be told apart from it."""
-    size: float = 0.0
-    """rms of what it took away from training when it was found."""
     by_test: bool = False
     """Whether the test alone proves it."""
     known: bool = False
@@ -121,11 +121,9 @@ def select(tables: Mapping[str, Table], least: float, there: Mapping[str, Sequen
     chosen = max(close, key=order)
     channels = on[chosen]
     together = {name: sum(_gain_in(tables[channel], name) for channel in channels) for name in names}
-    alike = [
-        name
-        for name in names
-        if name != chosen and together[name] > least and _near(together[name], total[chosen])
-    ]
+    apart = {chosen, *(tables[channel][chosen].partner for channel in channels)}
+    alike = [name for name in names if name not in apart and _near(together[name], total[chosen])]
+    alike = [name for name in alike if together[name] > least]
     return Selection([chosen, *sorted(alike, key=lambda name: -together[name])], channels, total[chosen])
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
+from typing import Any
 
 import numpy as np
 
@@ -37,13 +38,14 @@ effects that are not in the library, took out at most 5.4, true ones of a chambe
 
 @dataclass(frozen=True, slots=True)
 class _Model:
-    """Findings, the model with them, what the baseline and this one leave of the test, and why nothing else
-    is claimed."""
+    """Findings, the model with them, what the baseline and this one leave of the test, why nothing else is
+    claimed, and what the test refuted."""
 
     findings: list[Finding]
     after: Fit
     tests: tuple[TestScore, TestScore]
     remark: str = ""
+    left_out: Sequence[dict[str, Any]] = ()
 
     @property
     def new(self) -> list[Finding]:
@@ -86,6 +88,7 @@ def decide(found: Search) -> ChannelVerdict:
         unexplained=unexplained,
         explained=explained_share(baseline.train_rms, after.train_rms, floor) if kept.new else 0.0,
         remark=kept.remark,
+        left_out=kept.left_out,
         predicts=predicts,
         slow=SlowNoise.of(found),
         questions=questions(channel, found, kept.findings, unexplained),
@@ -111,22 +114,47 @@ def _claimed(found: Search, baseline: Fit) -> _Model:
     lasting = [one for one in found.findings if one.candidate.scope != "event"]
     small = found.many_events or _fit(channel, lasting).train_rms < MATERIAL * channel.floor.sd
     nothing = model([one for one in found.findings if one.known])
-    kept = model(lasting if small else found.findings)
+    stay, left_out = _not_worse(channel, lasting if small else found.findings)
+    kept = replace(model(stay), left_out=left_out)
     if kept.new and (why := _refuted(channel, baseline, kept, floor)):
         best = max(kept.new, key=lambda finding: finding.gain)
-        kept = replace(nothing, remark=f"the best of the known effects is {best.name}, but {why}")
+        kept = replace(
+            nothing, left_out=left_out, remark=f"the best of the known effects is {best.name}, but {why}"
+        )
     elif found.many_events:
         kept = replace(kept, remark="there is more than one jump in a run")
     left = kept.tests[1].left if kept.new else np.inf
-    wanting = not kept.new or (kept.after.carries and left >= CLEAN * floor)
-    if wanting and nothing.after.train_rms >= CLEAN * floor:
+    if min(left, nothing.after.train_rms) >= CLEAN * floor:
         one = _proven_by_test(found, nothing)
         if one is not None:
             by_test = model([*nothing.findings, one])
             # What training proves goes first unless it leaves twice as much of the test.
             if 2.0 * by_test.tests[1].rms < left:
-                return by_test
+                return replace(by_test, left_out=left_out)
     return kept
+
+
+def _not_worse(channel: Channel, findings: Sequence[Finding]) -> tuple[list[Finding], list[dict[str, Any]]]:
+    """Return the findings without those that the test refutes, being worse with them, and what those did.
+
+    What does not carry over is estimated in the test with both, and predicts nothing that could be refuted.
+    """
+    kept, left_out = list(findings), list[dict[str, Any]]()
+    while kept and channel.test:
+        everything = _fit(channel, kept)
+        carried = {part.effect.label for part in everything.parts if part.carries}
+        with_it, trials = score_test(channel, everything).estimated_rms, []
+        for finding in kept:
+            rest = _fit(channel, [one for one in kept if one is not finding])
+            without = score_test(channel, rest, like=everything).estimated_rms
+            if without < with_it and finding.name in carried:
+                trials.append((without, finding))
+        if not trials:
+            break
+        without, worst = min(trials, key=lambda trial: trial[0])
+        left_out.append({"name": worst.name, "test_rms_with": with_it, "test_rms_without": without})
+        kept.remove(worst)
+    return kept, left_out
 
 
 def _refuted(channel: Channel, baseline: Fit, model: _Model, floor: float) -> str:

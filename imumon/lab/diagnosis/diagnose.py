@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,7 +21,6 @@ from imumon.lab.diagnosis.runs import SENSORS, STRETCHES, Run, channels_of, divi
 from imumon.lab.diagnosis.search import Progress, Search
 from imumon.lab.diagnosis.usable import (
     check_training,
-    confounded,
     sound,
     temperature_of_axis,
     usable_blocks,
@@ -152,7 +151,7 @@ def _prepared(
         check_range(model, temperatures, blocks)
     if test and not tested:
         remarks.append("no run of the test can be used: there is no independent proof")
-    remarks += _limits(blocks, tested, shown, confounded(blocks, used[0], shown.scale, degree))
+    remarks += _limits(blocks, tested, shown)
     base = Base(temperatures, degree, "run" if offsets else "", model)
     return Recorded(train, blocks, tested), base, remarks
 
@@ -194,26 +193,17 @@ def _divided(
     return [first], [other], remarks
 
 
-def _limits(
-    train: Sequence[RunBlocks], test: Sequence[RunBlocks], shown: Survey, alike: Sequence[str]
-) -> list[str]:
-    """Return what this data cannot show; `alike` are drivers that went with temperature or time."""
-    limits = []
+def _limits(train: Sequence[RunBlocks], test: Sequence[RunBlocks], shown: Survey) -> Iterator[str]:
+    """Yield what this data cannot show."""
     if not shown.thermal:
-        limits.append(
+        yield (
             f"the temperature moves by {shown.span_degc:.1f} °C only ({LEAST_SPAN_DEGC:.0f} °C are needed):"
             " no curve over temperature is fitted, and no effect of temperature can be found"
         )
     if not test:
-        limits.append("no test data: nothing proves what is claimed but the data that it was fitted to")
+        yield "no test data: nothing proves what is claimed but the data that it was fitted to"
     if len(train) < 2:
-        limits.append("one training run: what depends on time and what depends on temperature may look alike")
-    if alike and shown.thermal:
-        limits.append(
-            f"{', '.join(alike)} went with temperature or time in training: what depends on one of them looks"
-            " as if it depended on the other"
-        )
-    return limits
+        yield "one training run: what depends on time and what depends on temperature may look alike"
 
 
 def _on_poses(data: Recorded, found: Sequence[Search]) -> list[str]:

@@ -105,13 +105,16 @@ def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, Any]:
         "summary": verdict.summary,
         "effects": [_effect(claim, scale, unit) for claim in verdict.claims],
         "ranking": [
-            [one.name, *map(_number, (one.gain, one.train_rms * scale, one.test_rms * scale))]
+            [one["name"], *map(_number, (one["gain"], one["train_rms"] * scale, one["test_rms"] * scale))]
             for one in verdict.ranking
         ],
         "runs": [
             {
-                "name": f"{one.name}{', test' if one.test else ''}",
-                "numbers": [one.blocks, *(_number(x * scale) for x in (one.before, one.after, one.mean))],
+                "name": f"{one['name']}{', test' if one['test'] else ''}",
+                "numbers": [
+                    one["blocks"],
+                    *(_number(one[key] * scale) for key in ("before", "after", "mean")),
+                ],
             }
             for one in verdict.runs
         ],

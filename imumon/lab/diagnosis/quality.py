@@ -16,9 +16,6 @@ FREQUENT, TIMES_MORE = 0.01, 10.0
 """A value with this share of all samples, and so many times more than its neighbours, is not by chance."""
 REPEATED = 0.3
 """Share of samples equal to the one before that is reported: by chance 0.14, for steps of half the noise."""
-LOUDER = 1.3
-"""Ratio of the noise at the cold and at the warm end that is reported: of 20 slots of 20 samples it is known
-to 5 %."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,18 +160,3 @@ def _faults(found: Samples, unit: str, floor: float) -> list[Fault | None]:
         every = 1.0 / (1.0 - found.repeated)
         repeats = Fault(f"another rate: a new value with every {every:.1f}th sample only")
     return [coarse, frequent, repeats]
-
-
-def noise_over_temperature(variance: FloatArray, temperature: FloatArray) -> list[Fault]:
-    """Return white noise that depends on the temperature, from the variance of the samples in each slot."""
-    known = np.isfinite(variance) & np.isfinite(temperature) & (variance > 0.0)
-    if known.sum() < 100:
-        return []
-    variance, temperature = variance[known], temperature[known]
-    low, high = np.quantile(temperature, (0.2, 0.8))
-    ends = (variance[temperature <= low], variance[temperature >= high])
-    cold, warm = (float(np.sqrt(np.median(end))) for end in ends)
-    if not high > low or max(cold, warm) < LOUDER * min(cold, warm):
-        return []
-    times = f"{warm / cold:.2f} times as large above {high:.0f} °C as below {low:.0f} °C"
-    return [Fault(f"noise that depends on temperature: {times}")]

@@ -98,8 +98,8 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
         "explained_share": verdict.explained,
         "curve": _curve(verdict),
         "effects": [_effect(claim) for claim in verdict.claims],
-        "ranking": [asdict(one) for one in verdict.ranking],
-        "runs": [asdict(one) for one in verdict.runs],
+        "ranking": verdict.ranking,
+        "runs": verdict.runs,
         "indistinguishable": [claim.finding.alike for claim in verdict.claims if claim.finding.alike],
         "to_separate": [
             {"effects": [claim.finding.alike[0], other], "by": separated_by(claim.finding.alike[0], other)}
@@ -117,7 +117,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
             for stage in verdict.stages
         ],
         "fitted_anew": verdict.refit,
-        "left_out": [],
+        "left_out": verdict.left_out,
         "in_model_file": verdict.predicts,
         "faults": [fault.text for fault in verdict.channel.faults],
         "unexplained": verdict.unexplained,

@@ -69,8 +69,6 @@ class Run:
     """None when it is not from a file."""
     start_ns: int | None = None
     """Device time of the first sample; None when it is not known."""
-    earlier: int = 0
-    """Number of slots at the beginning that belong to the run which this one continues."""
     begun_in: str = ""
     """Name of the run that began at this power-on, where that is another: its jumps persist in this one."""
     warnings: tuple[str, ...] = ()
@@ -332,6 +330,5 @@ def _continued(before: Run, after: Run) -> Run:
         variance={name: shifted(values, np.nan) for name, values in after.variance.items()},
         rest=shifted(after.rest, 0.0),
         start_ns=before.start_ns,
-        earlier=before.earlier + first,
         begun_in=before.begun_in or before.name,
     )

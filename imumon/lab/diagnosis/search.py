@@ -17,14 +17,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from operator import attrgetter
-
-import numpy as np
 
 from imumon.effects.base import Survey
 from imumon.lab.diagnosis.candidates import Candidate, Part, candidates
 from imumon.lab.diagnosis.channel import Channel
 from imumon.lab.diagnosis.choice import (
+    CLOSE_SHARE,
     PROVEN,
     Finding,
     Scored,
@@ -39,6 +39,8 @@ MOST_NAMES = 3
 """Effects that are named in a set of those not told apart."""
 STAGES = 5
 """Effects that are added to a channel, at most."""
+PAIR_LIST = 4
+"""Best candidates of each family that are tried in pairs."""
 LEAST_SIZE = 0.3
 """White floors (rms) that an effect takes away, at least."""
 REFINEMENTS = 4
@@ -84,7 +86,7 @@ def search(
         if progress is not None:
             progress(f"effect {stage + 1} of {', '.join(one.channel.name for one in active)}")
         for one in active:
-            one.tabulate()
+            one.tabulate(pairs=stages > 1)
         _add(active, least)
     for one in searches:
         one.eliminate()
@@ -204,10 +206,37 @@ class Search:
 
     # One stage
 
-    def tabulate(self) -> None:
-        """Add a table: the best of each family beside what was found so far."""
+    def tabulate(self, pairs: bool) -> None:
+        """Add a table: the best of each family beside what was found so far, at first in pairs as well."""
         scored = sorted(self.scored(self.tried, self.model), key=attrgetter("gain"))
-        self.tables.append({one.family: one for one in scored})
+        best = {one.family: one for one in scored}
+        self.tables.append(best | (self._beside_partner(scored, best) if pairs and not self.findings else {}))
+
+    def _beside_partner(self, scored: Sequence[Scored], best: Table) -> dict[str, Scored]:
+        """Return what effects gain beside the partner in the best pair, where both are needed.
+
+        Two effects at once hide one another: the one that replaces both best may be neither.  A pair counts
+        that gains more than any effect alone by more than the shape of that may be off.  Its partner is what
+        does not carry over, else what gains less alone.
+        """
+        members = [self.refined(one.candidate, []) for one in best.values() if one.candidate.scope == "event"]
+        for family in best:
+            members += [one for one in scored if one.family == family and one.candidate.is_plain][-PAIR_LIST:]
+        pairs = [two for two in combinations(members, 2) if two[0].family != two[1].family]
+        both = [Candidate("pair", (*one.candidate.parts, *two.candidate.parts)) for one, two in pairs]
+        found = list(zip([one.gain for one in self.scored(both, [])], pairs, strict=True))
+        alone = max([PROVEN, *(one.gain for one in (*members, *best.values()))])
+        gain, two = max(found, key=lambda pair: pair[0], default=(0.0, ()))
+        if gain <= alone + max(PROVEN, CLOSE_SHARE * alone):
+            return {}
+        partner = min(two, key=lambda one: (one.candidate.scope not in ("run", "event"), one.gain)).family
+        beside = [
+            replace(one, gain=gain - max(0.0, other.gain), partner=partner)
+            for gain, pair in found
+            for one, other in (pair, pair[::-1])
+            if other.family == partner
+        ]
+        return {one.family: one for one in sorted(beside, key=attrgetter("gain"))}
 
     def add(self, selection: Selection) -> bool:
         """Add the best of a family with its parameters refined; return False where that is too small.
@@ -219,8 +248,7 @@ class Search:
         best = self.refined(table[name].candidate, model)
         is_event = best.candidate.scope == "event"
         left = [self.channel.residual_rms(one) for one in (model, [*model, best.candidate])]
-        size = float(np.sqrt(max(left[0] ** 2 - left[1] ** 2, 0.0)))
-        if size < max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind):
+        if left[0] ** 2 - left[1] ** 2 < max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind) ** 2:
             self.finished = is_event
             return False
         jumped = {run for one in model if one.family == name for run in one.parts[0].runs}
@@ -230,12 +258,13 @@ class Search:
             return False
         there = {finding.name for finding in self.findings}
         others = [other for other in selection.names[1:] if other in table and other not in there]
-        rivals = {**{other: one.gain for other, one in table.items()}, name: best.gain}
+        gain = max(best.gain, table[name].gain)  # beside a partner the latter is more
+        rivals = {**{other: one.gain for other, one in table.items()}, name: gain}
         alike = {other: table[other].candidate for other in others[: MOST_NAMES - 1]}
-        self.findings.append(Finding(best.candidate, best.gain, selection.gain, rivals, alike, size))
+        self.findings.append(Finding(best.candidate, gain, selection.gain, rivals, alike))
         if len(self.findings) > 1:
             self._refine()
-        self.stages.append(Stage(name, self.model, best.gain))
+        self.stages.append(Stage(name, self.model, gain))
         return True
 
     def _refine(self, exchange: bool = False) -> None:

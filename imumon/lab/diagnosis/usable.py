@@ -9,17 +9,15 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.clock.channel import CLOCK
-from imumon.effects.base import Scale
 from imumon.errors import ImumonError, Reason
 from imumon.lab.diagnosis.blocks import (
     BLOCK_S,
     LEAST_BLOCKS,
     LEAST_SLOTS,
     RunBlocks,
-    driver_means,
     make_blocks,
 )
-from imumon.lab.diagnosis.quality import Fault, noise_over_temperature, sample_faults, standing
+from imumon.lab.diagnosis.quality import Fault, sample_faults, standing
 from imumon.lab.diagnosis.runs import CHANNELS, SHORTEST_RUN_S, Run, channels_of, common_temperature, unit_of
 
 LEAST_THERE = 0.1
@@ -28,9 +26,6 @@ MANY_GAPS = 0.2
 """Share of a run left out that is reported."""
 RESOLUTION = 1e-12
 """Share of its value below which the changes of a channel are rounding in the computation of its means."""
-LEAST_OWN = 0.02
-"""A driver of whose variance less is left beside temperature and time is confounded with them: the sigma of
-its coefficient is seven times that of one by itself."""
 
 
 def usable_channels(
@@ -114,14 +109,10 @@ def sound(run: Run, channels: Sequence[str]) -> tuple[Run, list[str]]:
     return replace(run, mean=mean, variance=variance), remarks
 
 
-def faults(runs: Sequence[Run], channel: str, temperature: str, floor: float) -> list[Fault]:
-    """Return what is wrong with the values of a channel; `floor` is the white noise of a block."""
+def faults(runs: Sequence[Run], channel: str, floor: float) -> list[Fault]:
+    """Return what is wrong with the samples of a channel; `floor` is the white noise of a block."""
     samples = [run.samples[channel] for run in runs if channel in run.samples]
-    there = [run for run in runs if temperature in run.mean]
-    return sample_faults(samples, unit_of(channel), floor) or noise_over_temperature(
-        np.concatenate([run.variance[channel] for run in there]),
-        np.concatenate([run.mean[temperature] for run in there]),
-    )
+    return sample_faults(samples, unit_of(channel), floor)
 
 
 def resting(run: Run) -> bool:
@@ -130,8 +121,8 @@ def resting(run: Run) -> bool:
 
 
 def _rest_share(run: Run, channel: str) -> float:
-    there = np.isfinite(run.mean[channel])[run.earlier :]
-    return float(run.at_rest[run.earlier :][there].mean()) if there.any() else 0.0
+    there = np.isfinite(run.mean[channel])
+    return float(run.at_rest[there].mean()) if there.any() else 0.0
 
 
 def usable_blocks(
@@ -162,7 +153,8 @@ def usable_blocks(
             )
             continue
         found.append(blocks)
-        there = float(np.isfinite(run.mean[channels[0]])[run.earlier :].mean())
+        known = np.isfinite(run.mean[channels[0]])
+        there = float(known[np.argmax(known) :].mean())  # what goes on from another run begins late
         if there < run.share * (1.0 - MANY_GAPS):
             remarks.append(f"{run.name}: samples in {there:.0%} of its time only; gaps are left out")
         if rest_share < 1.0 - MANY_GAPS:
@@ -218,17 +210,3 @@ def usable_drivers(
 
 def _covers(run: Run, name: str) -> bool:
     return name in run.mean and np.isfinite(run.mean[name]).sum() >= 0.5 * run.duration_s / BLOCK_S
-
-
-def confounded(runs: Sequence[RunBlocks], temperature: str, scale: Scale, degree: int) -> list[str]:
-    """Return the drivers that nothing in these runs separates from temperature and time."""
-    u = (np.concatenate([run.temperature[temperature] for run in runs]) - scale.middle) / scale.half_span
-    time_s = np.concatenate([run.time_s for run in runs])
-    basis = np.linalg.qr(np.column_stack([u[:, np.newaxis] ** np.arange(degree + 3), time_s]))[0]
-    found = []
-    for name, values in driver_means(runs, temperature).items():
-        centred = values - values.mean()
-        left = centred - basis @ (basis.T @ centred)
-        if left @ left < LEAST_OWN * (centred @ centred):
-            found.append(name)
-    return found

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.effects.library import separated_by
-from imumon.lab.diagnosis.alternatives import Question, Ranked, RunLeft
+from imumon.lab.diagnosis.alternatives import Question
 from imumon.lab.diagnosis.channel import Channel
 from imumon.lab.diagnosis.choice import PROVEN, Finding
 from imumon.lab.diagnosis.fit import MATERIAL, Fit, FittedPart, PartSigma, TestScore, goes_on
@@ -106,6 +106,8 @@ class ChannelVerdict:
     """More than 1.8 floors are left in training or, beside what is claimed, in the test."""
     explained: float
     remark: str
+    left_out: Sequence[dict[str, Any]]
+    """What was found but made the test worse."""
     predicts: bool
     """Whether the extended model goes into the model file; else the declared one does: nothing of what is
     claimed carries over, or the levels of the test make the prediction worse with it."""
@@ -114,8 +116,8 @@ class ChannelVerdict:
     refit: list[str]
     """What was fitted anew of the present model, its curve first; empty when that stays as it is."""
     stages: list[Stage]
-    ranking: list[Ranked]
-    runs: list[RunLeft]
+    ranking: list[dict[str, Any]]
+    runs: list[dict[str, Any]]
     declared_covariance: FloatArray
     """Of the coefficients of the declared model, (degree + 1, degree + 1)."""
 
@@ -203,6 +205,8 @@ def _details(verdict: ChannelVerdict) -> Iterator[str]:
         yield "what is left is structure or slow noise that no known effect explains"
     if verdict.remark:
         yield verdict.remark
+    for item in verdict.left_out:
+        yield f"{item['name']} was found but made the test worse"
     pairs = [(one.finding.alike[0], other) for one in verdict.claims for other in one.finding.alike[1:]]
     if pairs:
         yield f"to separate: {'; '.join(dict.fromkeys(separated_by(*pair) for pair in pairs))}"

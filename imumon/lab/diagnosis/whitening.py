@@ -31,9 +31,9 @@ def whiten(
     time_s, white : array of shape (n,)
         Time of each mean since power-on, and variance of its white noise.
     taus_s, markov_sd : array of shape (m,)
-        Correlation times and standard deviations, in the unit of the bias, of processes that begin stationary.
+        Correlation times and standard deviations of the processes, which begin stationary.
     walk : float
-        K in that unit per sqrt(s); it begins at zero.
+        K, in the unit of the bias per sqrt(s); the walk begins at zero.
     """
     dt = np.diff(time_s, prepend=0.0)[:, np.newaxis]
     decay = np.column_stack([np.ones(len(dt)), np.exp(-dt / taus_s)])

@@ -58,7 +58,7 @@ def test_a_lag_of_the_training_is_not_named_where_the_test_is_driven_by_somethin
     assert not verdict.claims
     assert verdict.unexplained
     assert "of the test" in verdict.remark
-    assert verdict.ranking[0].name in ("thermal_lag", "dead_time")
+    assert verdict.ranking[0]["name"] in ("thermal_lag", "dead_time")
 
 
 def test_the_same_lag_is_named_where_the_test_shows_it(lagging: Diagnosis) -> None:
