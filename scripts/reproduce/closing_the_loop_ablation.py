@@ -16,7 +16,7 @@ from closing_the_loop_measured import chamber_run, split
 from closing_the_loop_statistics import Result, is_outside, jobs, right, run_case
 from study import Options, Study, Table, spread
 
-from imumon.lab.diagnosis import axes, candidates, claims, likelihood, search
+from imumon.lab.diagnosis import candidates, claims, likelihood, search
 from imumon.lab.diagnosis.candidates import Candidate
 from imumon.lab.diagnosis.choice import PROVEN
 from imumon.lab.diagnosis.diagnose import diagnose
@@ -61,14 +61,11 @@ def _each_alone(active: Sequence[search.Search], least: float) -> None:  # noqa:
 
 MECHANISMS: Mapping[str, Change] = {
     "choice over all axes": [(search, "_add", _each_alone)],
-    "pairs of effects at once": [(search.Search, "_beside_partner", lambda _self, _scored, best: best)],
+    "pairs of effects at once": [(search.Search, "_beside_partner", lambda _self, _scored, _best: {})],
     "exchange at the end": [(search.Search, "_refine", lambda self, exchange=False: _refine(self))],  # noqa: ARG005
-    "dropping what later effects replace": [(search.Search, "_drop_needless", lambda _self: None)],
     "refinement of parameters": [(search, "REFINEMENTS", 0)],
-    "least share of the largest effect": [(search, "SECOND_SHARE", 0.0)],
     "flicker in the noise": _noise((0.0,), likelihood.WALK),
     "walk in the noise": _noise(likelihood.FLICKER, (0.0,)),
-    "shorter blocks for short runs": [(axes, "SHORTER", (1,))],
     "refuted by the test": [(claims, "_not_worse", lambda _channel, findings: (list(findings), []))],
     "proven by the test": [(claims, "_proven_by_test", lambda *_given: None)],
     "eight floors of what the test proves": [(claims, "PROVEN_FLOORS", 0.0)],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
@@ -15,7 +14,7 @@ from imumon.lab.diagnosis.diagnose import Diagnosis
 from imumon.lab.diagnosis.figures import errors_plot, figures, shown
 from imumon.lab.diagnosis.report import report
 from imumon.lab.diagnosis.search import Progress
-from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim
+from imumon.lab.diagnosis.verdict import ChannelVerdict
 
 TEMPLATE = "report.html.j2"
 CLASSES = {"named": "found", "nothing missing": "ok"}
@@ -23,22 +22,30 @@ CLASSES = {"named": "found", "nothing missing": "ok"}
 
 def write_page(diagnosis: Diagnosis, path: Path, progress: Progress | None = None) -> None:
     """Write report.html; raises OSError when that fails."""
-    channels = []
+    drawn = {}
     for verdict in diagnosis.verdicts:
         if progress is not None:
             progress(f"drawing {verdict.name}")
-        channels.append(_channel(diagnosis, verdict))
+        drawn[verdict.name] = figures(diagnosis, verdict)
     first = max(diagnosis.verdicts, key=_weight)
-    text = (
-        environment()
-        .get_template(TEMPLATE)
-        .render(
-            report=report(diagnosis, path.parent),
-            picture=errors_plot(diagnosis, first),
-            sure=how_sure(first),
-            channels=channels,
-            caveats=keep_in_mind(diagnosis),
-        )
+    pages = environment()
+    pages.filters["number"] = _number
+    text = pages.get_template(TEMPLATE).render(
+        report=report(diagnosis, path.parent),
+        picture=errors_plot(diagnosis, first),
+        sure=how_sure(first),
+        channels=[
+            {
+                "verdict": verdict,
+                "scale": shown(verdict.channel.unit)[0],
+                "unit": shown(verdict.channel.unit)[1],
+                "class": CLASSES.get(verdict.row.state, "open"),
+                "errors": _errors(verdict),
+                "figures": drawn[verdict.name],
+            }
+            for verdict in diagnosis.verdicts
+        ],
+        caveats=keep_in_mind(diagnosis),
     )
     write_text(path, text)
 
@@ -82,57 +89,7 @@ def _weight(verdict: ChannelVerdict) -> tuple[bool, float]:
     return bool(verdict.claims), error / verdict.channel.floor.sd if verdict.channel.floor.sd > 0 else 0.0
 
 
-def _number(value: float) -> str:
+def _number(value: float, digits: int = 3) -> str:
     if not np.isfinite(value):
         return ""
-    return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
-
-
-def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, Any]:
-    scale, unit = shown(verdict.channel.unit)
-    before, after = (_number(value * scale) for value in _errors(verdict))
-    score = verdict.test_after
-    return {
-        "name": verdict.name,
-        "unit": unit,
-        "state": CLASSES.get(verdict.row.state, "open"),
-        "verdict": verdict.in_short,
-        "before": before,
-        "after": after if verdict.claims else "",
-        "estimated": _errors(verdict)[1] < score.rms,
-        "floor": _number(verdict.channel.floor.sd * scale),
-        "covered": f"{score.coverage:.0%}" if verdict.channel.test else "",
-        "summary": verdict.summary,
-        "effects": [_effect(claim, scale, unit) for claim in verdict.claims],
-        "ranking": [
-            [one["name"], *map(_number, (one["gain"], one["train_rms"] * scale, one["test_rms"] * scale))]
-            for one in verdict.ranking
-        ],
-        "runs": [
-            {
-                "name": f"{one['name']}{', test' if one['test'] else ''}",
-                "numbers": [
-                    one["blocks"],
-                    *(_number(one[key] * scale) for key in ("before", "after", "mean")),
-                ],
-            }
-            for one in verdict.runs
-        ],
-        "curve": [
-            [f"{at:.1f} °C", _number(value * scale), _number(sd * scale)] for at, value, sd in verdict.curve()
-        ],
-        "figures": list(figures(diagnosis, verdict).items()),
-    }
-
-
-def _effect(claim: Claim, scale: float, unit: str) -> list[str]:
-    """Return name, parameters with their sigmas, gain in training, and share explained of an effect."""
-    texts, sizes = [], []
-    for part, sigma in zip(claim.parts, claim.sigmas, strict=True):
-        texts += [
-            f"{name} {getattr(part.effect, name):.3g} ± {sd:.2g}" for name, sd in sigma.searched.items()
-        ]
-        own, spread = part.own.ravel().tolist(), sigma.coefficients.ravel().tolist()
-        sizes += [f"{x * scale:.3g} ± {sd * scale:.2g}" for x, sd in zip(own, spread, strict=True)]
-    parameters = ", ".join([*texts, f"coefficients {' / '.join(sizes)} {unit}".strip()])
-    return [claim.finding.name, parameters, f"{claim.finding.gain:.0f}", f"{claim.explained:.0%}"]
+    return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.{digits}g}"
