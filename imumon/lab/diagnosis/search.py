@@ -283,13 +283,13 @@ class Search:
     def eliminate(self) -> None:
         """Drop what others make needless, and refine what is left, each beside the others.
 
-        An effect of the present model that these runs do not show stays as it is.
+        An effect of the present model that these runs do not show, before anything is added, stays as it is.
         """
         for finding in list(self.findings):
             alone = len(self.findings) == 1 and not finding.known
             if not alone and self.criterion() - self.criterion(self._beside(finding)) <= PROVEN:
                 self.findings.remove(finding)
-                if finding.known:
+                if finding.known and not self.tables:
                     (part,) = finding.candidate.parts
                     self.channel = replace(self.channel, kept=(*self.channel.kept, part.effect))
         before = [finding.name for finding in self.findings]
