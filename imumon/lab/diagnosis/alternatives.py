@@ -10,8 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
+from imumon.blocks import FloatArray
 from imumon.effects.base import ACCEL
 from imumon.lab.diagnosis.candidates import Candidate
 from imumon.lab.diagnosis.channel import Channel
@@ -66,26 +65,21 @@ def runs_left(
 ) -> list[dict[str, Any]]:
     """Return what each run of training and test is left with: rms before and after, and the mean after; NaN
     where nothing counts."""
-    bounds = np.cumsum([len(run) for run in channel.train])[:-1]
-    every = [
-        (run, False, *left)
-        for run, *left in zip(
-            channel.train, *(np.split(one.train, bounds) for one in (before, after)), strict=True
+    rows, start = [], 0
+    for run in channel.train:
+        rows.append(
+            _run_left(run.name, False, before.train[start:][: len(run)], after.train[start:][: len(run)])
         )
-    ]
-    counted = zip(channel.test, tests[1].counted, *(one.residual for one in tests), strict=True)
-    every += [(run, True, *(left[use] for left in lefts)) for run, use, *lefts in counted]
-    return [
-        {
-            "name": run.name,
-            "test": test,
-            "blocks": len(last),
-            "before": root_mean_square(first),
-            "after": root_mean_square(last),
-            "mean": float(last.mean()) if len(last) else float("nan"),
-        }
-        for run, test, first, last in every
-    ]
+        start += len(run)
+    for at, (run, use) in enumerate(zip(channel.test, tests[1].counted, strict=True)):
+        rows.append(_run_left(run.name, True, *(one.residual[at][use] for one in tests)))
+    return rows
+
+
+def _run_left(name: str, test: bool, before: FloatArray, after: FloatArray) -> dict[str, Any]:
+    mean = float(after.mean()) if len(after) else float("nan")
+    rms = {"before": root_mean_square(before), "after": root_mean_square(after)}
+    return {"name": name, "test": test, "blocks": len(after), **rms, "mean": mean}
 
 
 def questions(channel: Channel, found: Search, kept: Sequence[Finding], unexplained: bool) -> list[Question]:

@@ -22,6 +22,8 @@ MOST_BLOCKS = 1200
 """In a run: ten hours of blocks of 30 s.  Longer runs have longer blocks: a search takes no longer."""
 LEAST_SLOTS = 6
 """Slots in a block: the differences between them show the white floor."""
+PARTS = 15
+"""Of a block, at most, whose differences show its white noise."""
 OPERATORS = sum(issubclass(kind, (DrivenEffect, Product)) for kind in EFFECTS.values())
 """Number of effects that a driver may have."""
 TURN_SHARE = 0.2
@@ -213,9 +215,10 @@ class WhiteFloor:
 def white_floor(runs: Sequence[Run], channel: str, blocks: Sequence[RunBlocks]) -> WhiteFloor:
     """Return the white floor of a channel from the scatter inside blocks, averaged over these blocks.
 
-    It is half the mean square difference of neighbouring sixths of a block (an Allan variance), which an
-    output filter or rounding makes neither too small nor too large.  The differences are less the mean of
-    their block, so that no ramp gets in.  The clock's is that of the delays at both ends of a block.
+    It is half the mean square difference of neighbouring parts of a block (an Allan variance), of 2 s in most
+    cases: an output filter makes shorter ones too small and rounding too large, flicker longer ones.  The
+    differences are less the mean of their block, so that no ramp gets in.  The clock's is that of the delays
+    at both ends of a block.
     """
     slots, gaps = blocks[0].slots, np.concatenate([run.white for run in blocks]).mean()
     values = [_slots_of_blocks(run, channel, slots) for run in runs]
@@ -223,7 +226,7 @@ def white_floor(runs: Sequence[Run], channel: str, blocks: Sequence[RunBlocks]) 
         rates = [part for each in values for part in (each.mean(axis=1), [np.nan])]
         sd, source = block_noise(np.concatenate(rates)), "delays at the ends of blocks"
     else:
-        step = slots // LEAST_SLOTS
+        step = max(1, slots // PARTS)
         number = slots // step
         parts = np.concatenate(values)[:, : number * step].reshape(-1, number, step).mean(axis=2)
         differences = np.diff(parts[np.isfinite(parts).all(axis=1)], axis=1)
