@@ -28,7 +28,7 @@ from imumon.lab.diagnosis.fit import (
     score_test,
     sigmas,
 )
-from imumon.lab.diagnosis.search import MOST_NAMES, Search, Stage
+from imumon.lab.diagnosis.search import MOST_NAMES, Search
 from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim, SlowNoise
 
 PROVEN_FLOORS = 8.0
@@ -93,7 +93,7 @@ def decide(found: Search) -> ChannelVerdict:
         slow=SlowNoise.of(found),
         questions=questions(channel, found, kept.findings, unexplained),
         refit=refit if channel.known is not None and predicts else [],
-        stages=_stages(found, baseline),
+        turns=_turns(found, baseline),
         ranking=ranking(channel, found),
         runs=runs_left(channel, baseline, after, kept.tests),
         declared_covariance=covariance,
@@ -237,11 +237,16 @@ def _fit(channel: Channel, findings: Sequence[Finding]) -> Fit:
     return fit(channel, [finding.candidate for finding in findings])
 
 
-def _stages(found: Search, baseline: Fit) -> list[Stage]:
-    """Return the stages of the search with what is left after each, in training and test."""
-    channel, stages = found.channel, [Stage("what was assumed", ()), *found.stages]
-    models = [baseline, *(fit(channel, stage.model) for stage in found.stages)]
+def _turns(found: Search, baseline: Fit) -> list[dict[str, Any]]:
+    """Return what was done in each stage of the search, and what is left after it, in training and test."""
+    channel, rows = found.channel, [("what was assumed", baseline, float("nan"))]
+    rows += [(stage.done, fit(channel, stage.model), stage.gain) for stage in found.stages]
     return [
-        replace(stage, train_rms=model.train_rms, test_rms=score_test(channel, model).rms)
-        for stage, model in zip(stages, models, strict=True)
+        {
+            "done": done,
+            "gain_bic": gain,
+            "train_rms": model.train_rms,
+            "test_rms": score_test(channel, model).rms,
+        }
+        for done, model, gain in rows
     ]

@@ -107,15 +107,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
             for other in claim.finding.alike[1:]
         ],
         "questions": [[_answer(one) for one in group] for group in verdict.questions],
-        "turns": [
-            {
-                "done": stage.done,
-                "gain_bic": stage.gain,
-                "train_rms": stage.train_rms,
-                "test_rms": stage.test_rms,
-            }
-            for stage in verdict.stages
-        ],
+        "turns": verdict.turns,
         "fitted_anew": verdict.refit,
         "left_out": verdict.left_out,
         "in_model_file": verdict.predicts,

@@ -16,9 +16,10 @@ added to which axes, see `choice`.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from operator import attrgetter
+from typing import NamedTuple
 
 from imumon.effects.base import Survey
 from imumon.lab.diagnosis.candidates import Candidate, Part, candidates
@@ -49,16 +50,12 @@ REFINEMENTS = 4
 Progress = Callable[[str], None]
 
 
-@dataclass(frozen=True, slots=True)
-class Stage:
-    """A stage of the search: what was done, the model that it led to, its gain where there was one, and the
-    rms that the model leaves once it is fitted."""
+class Stage(NamedTuple):
+    """A stage of the search: what was done, the model that it led to, and its gain where there was one."""
 
     done: str
     model: Sequence[Candidate]
     gain: float = float("nan")
-    train_rms: float = float("nan")
-    test_rms: float = float("nan")
 
 
 def search(

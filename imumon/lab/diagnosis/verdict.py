@@ -15,7 +15,7 @@ from imumon.lab.diagnosis.channel import Channel
 from imumon.lab.diagnosis.choice import PROVEN, Finding
 from imumon.lab.diagnosis.fit import MATERIAL, Fit, FittedPart, PartSigma, TestScore, goes_on
 from imumon.lab.diagnosis.likelihood import WALK_S
-from imumon.lab.diagnosis.search import Search, Stage
+from imumon.lab.diagnosis.search import Search
 
 State = Literal["named", "unexplained", "nothing missing", "too few digits", "not proven", "faulty"]
 
@@ -115,7 +115,8 @@ class ChannelVerdict:
     questions: list[Question]
     refit: list[str]
     """What was fitted anew of the present model, its curve first; empty when that stays as it is."""
-    stages: list[Stage]
+    turns: list[dict[str, Any]]
+    """Of `report.json`: what was done in each stage of the search, and what was left."""
     ranking: list[dict[str, Any]]
     runs: list[dict[str, Any]]
     declared_covariance: FloatArray
