@@ -7,7 +7,6 @@ experiment can be tried on units that have it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from imumon.blocks import FloatArray
@@ -21,23 +20,9 @@ from imumon.lab.diagnosis.search import Search
 MOST_RANKED = 6
 """Effects in the ranking of the report."""
 NOTHING = "nothing"
-"""The answer that there is slow noise and no effect; alone: is it noise, or something that the course of
-the temperature makes?"""
+"""The answer that there is slow noise and no effect."""
 MOST_ANSWERS = 2
 """Effects that are tried behind what is unexplained."""
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """An effect that may be the one, or `NOTHING`, the model that has it, and whether that carries over."""
-
-    name: str
-    fit: Fit
-    carries: bool = True
-
-
-Question = list[Answer]
-"""Which of these is it?"""
 
 
 def ranking(channel: Channel, found: Search) -> list[dict[str, Any]]:
@@ -82,19 +67,24 @@ def _run_left(name: str, test: bool, before: FloatArray, after: FloatArray) -> d
     return {"name": name, "test": test, "blocks": len(after), **rms, "mean": mean}
 
 
-def questions(channel: Channel, found: Search, kept: Sequence[Finding], unexplained: bool) -> list[Question]:
-    """Return what is open in a channel in which these findings are claimed."""
-    claimed, opened = [finding.candidate for finding in kept], list[Question]()
+def questions(
+    channel: Channel, found: Search, kept: Sequence[Finding], unexplained: bool
+) -> list[list[dict[str, Any]]]:
+    """Return what is open in a channel in which these findings are claimed: each question as its answers.
+
+    An answer is an effect that may be the one, or `NOTHING`, whether it carries over, and the model that has
+    it, with effects as in a model file.
+    """
+    claimed, opened = [finding.candidate for finding in kept], []
     for finding in kept:
-        if finding.alike:
+        if finding.others:
             beside = [other for other in claimed if other is not finding.candidate]
             either = [finding.candidate, *finding.others.values()]
             opened.append([_answer(channel, beside, one) for one in either])
     if unexplained and found.tables:
         tried = [one.candidate for one in _leaders(found.tables[-1]) if one.fit > 0.0]
         further = [one for one in tried if one not in claimed and _may_be_tried(one)][:MOST_ANSWERS]
-        nothing = Answer(NOTHING, fit(channel, claimed))
-        opened.append([nothing, *(_answer(channel, claimed, one) for one in further)])
+        opened.append([_answer(channel, claimed, one) for one in (None, *further)])
     return opened
 
 
@@ -104,5 +94,11 @@ def _may_be_tried(candidate: Candidate) -> bool:
     return candidate.scope in ("shared", "either") and inputs <= {ACCEL}
 
 
-def _answer(channel: Channel, beside: Sequence[Candidate], one: Candidate) -> Answer:
-    return Answer(one.family, fit(channel, [*beside, one]), one.carries)
+def _answer(channel: Channel, beside: Sequence[Candidate], one: Candidate | None) -> dict[str, Any]:
+    model = fit(channel, beside if one is None else [*beside, one])
+    return {
+        "name": NOTHING if one is None else one.family,
+        "carries": one is None or one.carries,
+        "declared": model.declared.tolist(),
+        "effects": [part.effect.model_dump() for part in model.parts if part.carries],
+    }

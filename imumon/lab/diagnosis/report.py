@@ -13,7 +13,6 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.effects.library import separated_by
 from imumon.files import plain, write_text
-from imumon.lab.diagnosis.alternatives import Answer
 from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.conclusion import conclusion, next_step
 from imumon.lab.diagnosis.diagnose import Diagnosis
@@ -74,19 +73,13 @@ def _runs(runs: Sequence[RunBlocks]) -> list[dict[str, Any]]:
 
 
 def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
-    floor, slow, test = verdict.channel.floor, verdict.slow, verdict.test_after
+    floor, test = verdict.channel.floor, verdict.test_after
     return {
         "verdict": verdict.row.state,
         "unit": verdict.channel.unit,
         "noise_floor_rms": floor.sd,
         "noise_floor_from": floor.source,
-        "slow_noise": {
-            "flicker": slow.ratios[0],
-            "random_walk": slow.ratios[1],
-            "flicker_rms": slow.flicker,
-            "random_walk_per_sqrt_s": slow.walk,
-            "heavy_tails": slow.tails,
-        },
+        "slow_noise": asdict(verdict.slow),
         "before": {"train_rms": verdict.before.train_rms, "test_rms": verdict.test_before.rms},
         "after": {
             "train_rms": verdict.after.train_rms,
@@ -106,7 +99,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
             for claim in verdict.claims
             for other in claim.finding.alike[1:]
         ],
-        "questions": [[_answer(one) for one in group] for group in verdict.questions],
+        "questions": verdict.questions,
         "turns": verdict.turns,
         "fitted_anew": verdict.refit,
         "left_out": verdict.left_out,
@@ -126,17 +119,6 @@ def _curve(verdict: ChannelVerdict) -> dict[str, Any]:
         "sigma": np.sqrt(np.diag(verdict.declared_covariance)).tolist(),
         "middle_degc": declared.middle_degc,
         "half_span_degc": declared.half_span_degc,
-    }
-
-
-def _answer(answer: Answer) -> dict[str, Any]:
-    """Return a model that may be the unit's, with effects as in a model file."""
-    effects = [part.effect for part in answer.fit.parts if part.carries]
-    return {
-        "name": answer.name,
-        "carries": answer.carries,
-        "declared": answer.fit.declared.tolist(),
-        "effects": [effect.model_dump() for effect in effects],
     }
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.effects.library import separated_by
-from imumon.lab.diagnosis.alternatives import Question
 from imumon.lab.diagnosis.channel import Channel
 from imumon.lab.diagnosis.choice import PROVEN, Finding
 from imumon.lab.diagnosis.fit import MATERIAL, Fit, FittedPart, PartSigma, TestScore, goes_on
@@ -66,29 +65,36 @@ class Claim:
 
 @dataclass(frozen=True, slots=True)
 class SlowNoise:
-    """Flicker, rms over the correlation times of the likelihood, and random walk per root of a second, in the
-    unit of the channel; `ratios` are r and q of the likelihood.
+    """The noise that is likeliest beside what was found, as `report.json` has it.
 
-    `tails` is the gain in BIC of innovations with heavy tails: where that is large it is no such noise.
+    Parameters
+    ----------
+    flicker, random_walk : float
+        r and q of the likelihood, variances over that of the white noise.
+    flicker_rms, random_walk_per_sqrt_s : float
+        The same in the unit of the channel, over the correlation times of the likelihood.
+    heavy_tails : float
+        Gain in BIC of innovations with heavy tails.
     """
 
     flicker: float
-    walk: float
-    tails: float
-    ratios: tuple[float, float]
+    random_walk: float
+    flicker_rms: float
+    random_walk_per_sqrt_s: float
+    heavy_tails: float
 
     @classmethod
     def of(cls, found: Search) -> Self:
-        """Return the noise that is likeliest beside what was found."""
+        """Return the noise of what was found."""
         flicker, walk = noise = found.fitted(found.model)[1]
         of = found.channel.values, found.channel.design(found.model), noise
         sd, tails = found.likelihood.scale(*of), found.likelihood.tails(*of)
-        return cls(float(np.sqrt(flicker) * sd), float(np.sqrt(walk / WALK_S) * sd), tails, noise)
+        return cls(flicker, walk, float(np.sqrt(flicker) * sd), float(np.sqrt(walk / WALK_S) * sd), tails)
 
     @property
     def jumps(self) -> bool:
         """Whether it jumps or comes in bursts, as no Gaussian noise does."""
-        return self.tails > PROVEN
+        return self.heavy_tails > PROVEN
 
 
 @dataclass(slots=True)
@@ -112,7 +118,7 @@ class ChannelVerdict:
     """Whether the extended model goes into the model file; else the declared one does: nothing of what is
     claimed carries over, or the levels of the test make the prediction worse with it."""
     slow: SlowNoise
-    questions: list[Question]
+    questions: list[list[dict[str, Any]]]
     refit: list[str]
     """What was fitted anew of the present model, its curve first; empty when that stays as it is."""
     turns: list[dict[str, Any]]
