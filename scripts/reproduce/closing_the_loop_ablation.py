@@ -34,7 +34,7 @@ TITLE = (
 )
 SIZES = (0.0, 5.0)
 """White floors of the effects in the cases that are run, none of which has other drivers than temperature."""
-_candidates, _add, _refine = candidates.candidates, search._add, search.Search._refine
+_candidates, _add = candidates.candidates, search._add
 
 
 def _untried(unwanted: Callable[[Candidate], bool]) -> Change:
@@ -62,7 +62,6 @@ def _each_alone(active: Sequence[search.Search], least: float) -> None:  # noqa:
 MECHANISMS: Mapping[str, Change] = {
     "choice over all axes": [(search, "_add", _each_alone)],
     "pairs of effects at once": [(search.Search, "_beside_partner", lambda _self, _scored, _best: {})],
-    "exchange at the end": [(search.Search, "_refine", lambda self, exchange=False: _refine(self))],  # noqa: ARG005
     "refinement of parameters": [(search, "REFINEMENTS", 0)],
     "flicker in the noise": _noise((0.0,), likelihood.WALK),
     "walk in the noise": _noise(likelihood.FLICKER, (0.0,)),

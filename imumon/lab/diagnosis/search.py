@@ -259,28 +259,14 @@ class Search:
         rivals = {**{other: one.gain for other, one in table.items()}, name: gain}
         alike = {other: table[other].candidate for other in others[: MOST_NAMES - 1]}
         self.findings.append(Finding(best.candidate, gain, selection.gain, rivals, alike))
-        if len(self.findings) > 1:
-            self._refine()
         self.stages.append(Stage(name, self.model, gain))
         return True
-
-    def _refine(self, exchange: bool = False) -> None:
-        """Refine each finding beside the others.
-
-        With `exchange`, a finding gives way to one that fits as well, where that one is likelier beside what
-        was found later.
-        """
-        for finding in self.findings:
-            beside = self._beside(finding)
-            names = [finding.name, *finding.others] if exchange else [finding.name]
-            tried = [one for one in self.tried if one.family in names and one.carries]
-            best = max(self.scored([finding.candidate, *tried], beside), key=attrgetter("gain"))
-            finding.becomes(self.refined(best.candidate, beside).candidate)
 
     def eliminate(self) -> None:
         """Drop what others make needless, and refine what is left, each beside the others.
 
         An effect of the present model that these runs do not show, before anything is added, stays as it is.
+        A finding gives way to one that fits as well, where that one is likelier beside what was found later.
         """
         for finding in list(self.findings):
             alone = len(self.findings) == 1 and not finding.known
@@ -289,8 +275,13 @@ class Search:
                 if finding.known and not self.tables:
                     (part,) = finding.candidate.parts
                     self.channel = replace(self.channel, kept=(*self.channel.kept, part.effect))
+        if len(self.findings) == 1 and not self.findings[0].known:
+            return
         before = [finding.name for finding in self.findings]
-        if len(before) > 1 or any(finding.known for finding in self.findings):
-            self._refine(exchange=True)
+        for finding in self.findings:
+            beside, names = self._beside(finding), (finding.name, *finding.others)
+            tried = [one for one in self.tried if one.family in names and one.carries]
+            best = max(self.scored([finding.candidate, *tried], beside), key=attrgetter("gain"))
+            finding.becomes(self.refined(best.candidate, beside).candidate)
         if changed := [finding.name for finding in self.findings if finding.name not in before]:
             self.stages.append(Stage(f"{' and '.join(changed)} fits better beside the rest", self.model))
