@@ -70,13 +70,13 @@ def search_sensor(
         owns.append("pose")
     found = []
     for own in owns:
-        channels = _channels(recorded, group, replace(base, own=own))
-        temperature, blocks = channels[0].temperature, channels[0].train
-        shown = survey(blocks, temperature, base.degree)
-        starts = [channels]
-        if any(channel.refitted for channel in channels):
-            starts.append([channel.as_given() for channel in channels])
-        found += [search(start, shown, effects, stages, progress) for start in starts]
+        starts = [_channels(recorded, group, replace(base, own=own))]
+        if any(channel.refitted for channel in starts[0]):
+            starts.append([channel.as_given() for channel in starts[0]])
+        for channels in starts:
+            first = channels[0]
+            shown = survey(first.train, first.temperature, first.declared.degree)
+            found.append(search(channels, shown, effects, stages, progress))
     return found
 
 

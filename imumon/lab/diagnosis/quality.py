@@ -56,6 +56,7 @@ class Watcher:
 
     def __init__(self, channels: Sequence[str]) -> None:
         self._kept: dict[str, list[FloatArray]] = {name: [] for name in channels}
+        """Samples, and whether each differs from the one before, (n, 2)."""
         self._stride, self._phase, self._count = 1, 0, 0
         self._steps = {name: np.zeros(3) for name in channels}
         """Number of steps from sample to sample, of those that are zero, and sum of squares."""
@@ -74,9 +75,8 @@ class Watcher:
             values = block[name]
             steps = np.diff(values[np.isfinite(values)])
             self._steps[name] += np.array([len(steps), np.sum(steps == 0.0), np.sum(steps**2)])
-            # A sensor that is stuck counts once: no value of it is too frequent.
             fresh = np.diff(values, prepend=np.nan) != 0.0
-            self._kept[name].append(np.where(fresh, values, np.nan)[chosen])
+            self._kept[name].append(np.column_stack([values, fresh])[chosen].astype(np.float64))
         if self._count > KEPT:
             joined = {name: np.concatenate(kept) for name, kept in self._kept.items() if kept}
             self._kept = {name: [values[::2]] for name, values in joined.items()}
@@ -86,23 +86,25 @@ class Watcher:
         """Return the statistics of each channel that has values."""
         found = {}
         for name, kept in self._kept.items():
-            values = np.concatenate([*kept, np.empty(0)])
-            values = values[np.isfinite(values)]
+            values, fresh = np.concatenate([*kept, np.empty((0, 2))]).T
+            known = np.isfinite(values)
             pairs, same, squares = self._steps[name].tolist()
-            if len(values) > 2 and pairs:
+            if known.sum() > 2 and pairs:
                 noise = float(np.sqrt(squares / (pairs - same) / 2.0)) if pairs > same else np.nan
-                found[name] = _samples(values, noise, same / pairs)
+                found[name] = _samples(values[known], fresh[known] == 1.0, noise, same / pairs)
         return found
 
 
-def _samples(values: FloatArray, noise: float, repeated: float) -> Samples:
-    distinct, count = np.unique(values, return_counts=True)
+def _samples(values: FloatArray, fresh: BoolArray, noise: float, repeated: float) -> Samples:
+    """Return the statistics; what a stuck sensor repeats counts once, so that no value of it is frequent."""
+    distinct, where = np.unique(values, return_inverse=True)
+    count = np.bincount(where, weights=fresh)
     step = grid_step(distinct, len(values))
     rounded = digits(values) if step > 0.0 else None
     found = Samples(step, noise, repeated, np.inf if rounded is None else rounded.ratio)
     at = int(np.argmax(count))
     beside = max(count[max(at - 1, 0) : at].tolist() + count[at + 1 : at + 2].tolist(), default=0)
-    share = float(count[at] / len(values))
+    share = float(count[at] / max(count.sum(), 1.0))
     coarse = step > 0.0 and not step < noise
     if coarse or len(distinct) < 3 or share < FREQUENT or count[at] < TIMES_MORE * max(beside, 1):
         return found
