@@ -108,16 +108,13 @@ def _channels(recorded: Recorded, group: Sequence[str], base: Base) -> list[Chan
 def likeliest(searched: Sequence[list[Search]], *, pays_for_poses: bool = True) -> list[Search]:
     """Return the search over the base that is likeliest with what was found beside it.
 
-    A present model is fitted anew only where that is proven.  What constants in each pose explain as well may
-    be the earth rate.  Larger ones are not its.  Where they are not paid for, effects have to be likelier
-    than any earth rate.
+    What constants in each pose explain as well may be the earth rate.  Larger ones are not its.  Where they
+    are not paid for, effects have to be likelier than any earth rate.
     """
     several = len({found[0].channel.declared.own for found in searched}) > 1
 
     def order(axes: list[Search]) -> float:
         criterion = sum(found.criterion() for found in axes)
-        if axes[0].channel.refitted:
-            criterion -= PROVEN
         if axes[0].channel.declared.own != "pose" or not several:
             return criterion
         constants = [_constants_of_poses(found) for found in axes]
