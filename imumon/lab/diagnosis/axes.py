@@ -105,23 +105,27 @@ def _channels(recorded: Recorded, group: Sequence[str], base: Base) -> list[Chan
     return found
 
 
-def likeliest(searched: Sequence[list[Search]], *, pays_for_poses: bool = True) -> list[Search]:
+def likeliest(searched: Sequence[list[Search]], *, live: bool = False) -> list[Search]:
     """Return the search over the base that is likeliest with what was found beside it.
 
-    What constants in each pose explain as well may be the earth rate.  Larger ones are not its.  Where they
-    are not paid for, effects have to be likelier than any earth rate.
+    A present model is fitted anew only where that is proven; live, where it is likelier, for nothing is
+    written.  What constants in each pose explain as well may be the earth rate.  Larger ones are not its.
+    Live they are not paid for, as one session has hardly more poses than a sensitivity to g has coefficients:
+    effects have to be likelier than any earth rate.
     """
     several = len({found[0].channel.declared.own for found in searched}) > 1
 
     def order(axes: list[Search]) -> float:
         criterion = sum(found.criterion() for found in axes)
+        if axes[0].channel.refitted and not live:
+            criterion -= PROVEN
         if axes[0].channel.declared.own != "pose" or not several:
             return criterion
         constants = [_constants_of_poses(found) for found in axes]
         if max(np.ptp(np.append(values, 0.0)) for values in constants) > EARTH_SPREAD:
             return -np.inf
         price = math.log(len(axes[0].channel.values)) * sum(map(len, constants))
-        return criterion + PROVEN + (0.0 if pays_for_poses else price)
+        return criterion + PROVEN + (price if live else 0.0)
 
     return max(searched, key=order)
 

@@ -102,8 +102,7 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     degree = CUBIC_DEGREE if survey([blocks], used[0], 0).thermal else 0
     base = Base(temperatures, degree, model=model)
     searched = search_sensor(Recorded([left], [blocks]), channels, base, LASTING, stages=1)
-    # One session has hardly more poses than a sensitivity to g has coefficients.
-    found = likeliest(searched, pays_for_poses=False)
+    found = likeliest(searched, live=True)
     of_poses = [one[0].channel.declared.own == "pose" for one in searched]
     if found[0].channel.declared.own == "pose" and not all(of_poses):
         return []  # it may be the earth rate: `imumon diagnose` has more sessions to decide
