@@ -73,10 +73,9 @@ def search_sensor(
         starts = [_channels(recorded, group, replace(base, own=own))]
         if any(channel.refitted for channel in starts[0]):
             starts.append([channel.as_given() for channel in starts[0]])
-        for channels in starts:
-            first = channels[0]
-            shown = survey(first.train, first.temperature, first.declared.degree)
-            found.append(search(channels, shown, effects, stages, progress))
+        first = starts[0][0]
+        shown = survey(first.train, first.temperature, base.degree)
+        found += [search(channels, shown, effects, stages, progress) for channels in starts]
     return found
 
 
