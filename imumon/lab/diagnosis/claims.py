@@ -124,7 +124,8 @@ def _claimed(found: Search, baseline: Fit) -> _Model:
     elif found.many_events:
         kept = replace(kept, remark="there is more than one jump in a run")
     left = kept.tests[1].left if kept.new else np.inf
-    if min(left, nothing.after.train_rms) >= CLEAN * floor:
+    wanting = not kept.new or (kept.after.carries and left >= CLEAN * floor)
+    if wanting and nothing.after.train_rms >= CLEAN * floor:
         one = _proven_by_test(found, nothing)
         if one is not None:
             by_test = model([*nothing.findings, one])
