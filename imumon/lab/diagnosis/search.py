@@ -222,9 +222,9 @@ class Search:
         pairs = [two for two in combinations(members, 2) if two[0].family != two[1].family]
         both = [Candidate("pair", (*one.candidate.parts, *two.candidate.parts)) for one, two in pairs]
         found = list(zip([one.gain for one in self.scored(both, [])], pairs, strict=True))
-        alone = max([PROVEN, *(one.gain for one in (*members, *best.values()))])
+        alone = max([PROVEN, *(one.gain for one in members)])
         gain, two = max(found, key=lambda pair: pair[0], default=(0.0, ()))
-        if gain <= alone + max(PROVEN, CLOSE_SHARE * alone):
+        if gain <= max([alone + max(PROVEN, CLOSE_SHARE * alone), *(one.gain for one in best.values())]):
             return {}
         partner = min(two, key=lambda one: (one.candidate.scope not in ("run", "event"), one.gain)).family
         beside = [
