@@ -25,6 +25,8 @@ from imumon.lab.diagnosis.search import STAGES, Progress, Search, search
 from imumon.lab.diagnosis.usable import faults
 from imumon.models.model import BiasModel
 
+SHORTER, LEAST_SEARCH_BLOCKS = (1, 2, 3), 200
+"""Runs of fewer blocks are searched in halves or thirds of them."""
 EARTH_SPREAD = 2.1 * EARTH_RATE
 """rad/s: most that the constants of a gyro in two poses differ by the earth rate, and by 5 % of its scale."""
 
@@ -44,11 +46,12 @@ class Base:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recorded:
-    """Training runs, their blocks, and those of the test."""
+    """Training runs, their blocks, those of the test, and shorter blocks to search short runs in."""
 
     runs: Sequence[Run]
     blocks: Sequence[RunBlocks]
     test: Sequence[RunBlocks] = ()
+    shorter: Sequence[RunBlocks] = ()
 
 
 def search_sensor(
@@ -64,6 +67,7 @@ def search_sensor(
     In each pose, and each day, other sensors than gyros have another part of gravity, field or weather, which
     is not known: they have a constant in each.  So may gyros have, by the earth rate.
     """
+    recorded = replace(recorded, blocks=recorded.shorter or recorded.blocks)
     owns: list[Own] = [base.own] if group[0].startswith(("gyro", CLOCK)) else []
     turned = any(run.pose.max() > run.pose.min() for run in recorded.blocks)
     if not owns or (group[0].startswith("gyro") and turned):
@@ -77,6 +81,23 @@ def search_sensor(
         shown = survey(first.train, first.temperature, base.degree)
         found += [search(channels, shown, effects, stages, progress) for channels in starts]
     return found
+
+
+def scored_channels(recorded: Recorded, found: Sequence[Search], base: Base) -> list[Channel]:
+    """Return the axes that were searched, over the base of the search, in the blocks that are scored."""
+    group, own = [one.channel.name for one in found], found[0].channel.declared.own
+    scored = []
+    for channel, one in zip(_channels(recorded, group, replace(base, own=own)), found, strict=True):
+        declared = replace(channel.declared, degree=one.channel.declared.degree)
+        scored.append(replace(channel, declared=declared, kept=one.channel.kept))
+    return scored
+
+
+def search_block_s(blocks: Sequence[RunBlocks]) -> float:
+    """Return the length of the blocks to search in: of few blocks the one with a jump in it decides."""
+    longest = max(map(len, blocks))
+    part = next((part for part in SHORTER if part * longest >= LEAST_SEARCH_BLOCKS), SHORTER[-1])
+    return blocks[0].block_s / part
 
 
 def _channels(recorded: Recorded, group: Sequence[str], base: Base) -> list[Channel]:

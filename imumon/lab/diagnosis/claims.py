@@ -53,12 +53,11 @@ class _Model:
         return [one for one in self.findings if not one.known]
 
 
-def decide(found: Search) -> ChannelVerdict:
-    """Return the verdict on a channel: what is claimed of it by what the search found in it."""
-    channel = found.channel
+def decide(found: Search, channel: Channel) -> ChannelVerdict:
+    """Return the verdict on a channel, in the blocks that are scored, by what the search found in it."""
     floor = channel.limit  # what digits make of a smooth bias is no structure
     baseline = fit(channel.as_given(), [])
-    kept = _claimed(found, baseline)
+    kept = _claimed(channel, found, baseline)
     after, (test_before, test_after) = kept.after, kept.tests
     # Jumps of the test itself may make the prediction worse, whatever else was found.
     predicts = (not after.parts or after.carries) and not test_after.rms > test_before.rms
@@ -67,7 +66,7 @@ def decide(found: Search) -> ChannelVerdict:
         test_after.rms = test_before.rms
     left = max(after.train_rms, test_after.left) if kept.new else after.train_rms
     unexplained = found.many_events or left >= CLEAN * floor
-    covariance, spread = sigmas(channel, found.likelihood, [one.candidate for one in kept.findings])
+    covariance, spread = sigmas(found.channel, found.likelihood, [one.candidate for one in kept.findings])
     claims, parts = [], iter(after.parts[len(channel.kept) :])
     for finding, sigma in zip(kept.findings, spread, strict=True):
         own = list(islice(parts, len(finding.candidate.parts)))
@@ -93,16 +92,16 @@ def decide(found: Search) -> ChannelVerdict:
         slow=SlowNoise.of(found),
         questions=questions(channel, found, kept.findings, unexplained),
         refit=refit if channel.known is not None and predicts else [],
-        turns=_turns(found, baseline),
+        turns=_turns(channel, found, baseline),
         ranking=ranking(channel, found),
         runs=runs_left(channel, baseline, after, kept.tests),
         declared_covariance=covariance,
     )
 
 
-def _claimed(found: Search, baseline: Fit) -> _Model:
+def _claimed(channel: Channel, found: Search, baseline: Fit) -> _Model:
     """Return what of the findings stays: what training or the test proves, and the test does not refute."""
-    channel, floor = found.channel, found.channel.limit
+    floor = channel.limit
 
     def model(findings: list[Finding]) -> _Model:
         after = _fit(channel, findings)
@@ -126,7 +125,7 @@ def _claimed(found: Search, baseline: Fit) -> _Model:
     left = kept.tests[1].left if kept.new else np.inf
     wanting = not kept.new or (kept.after.carries and left >= CLEAN * floor)
     if wanting and nothing.after.train_rms >= CLEAN * floor:
-        one = _proven_by_test(found, nothing)
+        one = _proven_by_test(channel, found, nothing)
         if one is not None:
             by_test = model([*nothing.findings, one])
             # What training proves goes first unless it leaves twice as much of the test.
@@ -177,7 +176,7 @@ def _refuted(channel: Channel, baseline: Fit, model: _Model, floor: float) -> st
     return f"it explains only {share:.0%} of {what}: {floors}"
 
 
-def _proven_by_test(found: Search, nothing: _Model) -> Finding | None:
+def _proven_by_test(channel: Channel, found: Search, nothing: _Model) -> Finding | None:
     """Return the effect that predicts the test best, if it explains it, where training proves nothing.
 
     Noise that wanders as fast as it does within minutes may go anywhere within the hour, so that no
@@ -186,12 +185,12 @@ def _proven_by_test(found: Search, nothing: _Model) -> Finding | None:
     that is not woven into the training.  The test chooses here, so effects of other names that explain it as
     well are not told apart.
     """
-    channel, before = found.channel, nothing.after
+    before = nothing.after
     if not channel.test or any(_woven(channel, run) for run in channel.test):
         return None
     also = [finding.candidate for finding in nothing.findings]
     hits: list[tuple[float, Finding]] = []
-    for candidate, gain in _tried(found, also):
+    for candidate, gain in _tried(channel, found, also):
         after = fit(channel, [*also, candidate])
         without, left = score_test(channel, before, like=after).rms, score_test(channel, after).rms
         large = without**2 - left**2 >= (PROVEN_FLOORS * channel.floor.sd) ** 2
@@ -200,7 +199,7 @@ def _proven_by_test(found: Search, nothing: _Model) -> Finding | None:
     return chosen_by_test(hits)
 
 
-def _tried(found: Search, also: Sequence[Candidate]) -> Iterator[tuple[Candidate, float]]:
+def _tried(channel: Channel, found: Search, also: Sequence[Candidate]) -> Iterator[tuple[Candidate, float]]:
     """Yield the candidates that the test may prove, and the gain of their family.
 
     The likelihood looks at what is fast; of a slow course least squares see more.  So the best of each family
@@ -211,7 +210,7 @@ def _tried(found: Search, also: Sequence[Candidate]) -> Iterator[tuple[Candidate
             if leader.fit > 0.0 and leader.candidate.carries:
                 yield leader.candidate, leader.gain
                 rest = [one for one in found.of_family(name) if one.carries]
-                yield min(rest, key=lambda one: found.channel.residual_rms([*also, one])), leader.gain
+                yield min(rest, key=lambda one: channel.residual_rms([*also, one])), leader.gain
 
 
 def chosen_by_test(hits: Sequence[tuple[float, Finding]]) -> Finding | None:
@@ -238,9 +237,9 @@ def _fit(channel: Channel, findings: Sequence[Finding]) -> Fit:
     return fit(channel, [finding.candidate for finding in findings])
 
 
-def _turns(found: Search, baseline: Fit) -> list[dict[str, Any]]:
+def _turns(channel: Channel, found: Search, baseline: Fit) -> list[dict[str, Any]]:
     """Return what was done in each stage of the search, and what is left after it, in training and test."""
-    channel, rows = found.channel, [("what was assumed", baseline, float("nan"))]
+    rows = [("what was assumed", baseline, float("nan"))]
     rows += [(stage.done, fit(channel, stage.model), stage.gain) for stage in found.stages]
     return [
         {

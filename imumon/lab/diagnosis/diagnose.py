@@ -12,7 +12,14 @@ from imumon.effects.base import LEAST_SPAN_DEGC, Survey
 from imumon.effects.library import effects_for
 from imumon.errors import ImumonError, Reason
 from imumon.lab.calibration.gravity import Length
-from imumon.lab.diagnosis.axes import Base, Recorded, likeliest, search_sensor
+from imumon.lab.diagnosis.axes import (
+    Base,
+    Recorded,
+    likeliest,
+    scored_channels,
+    search_block_s,
+    search_sensor,
+)
 from imumon.lab.diagnosis.blocks import LEAST_BLOCKS, RunBlocks, common_block_s, specific_force, survey
 from imumon.lab.diagnosis.channel import Declared
 from imumon.lab.diagnosis.claims import decide
@@ -96,7 +103,7 @@ def diagnose(
         group = channels_of([sensor], base.temperatures)
         if group:
             found = likeliest(search_sensor(data, group, base, effects_for(group[0]), progress=progress))
-            verdicts += map(decide, found)
+            verdicts += map(decide, found, scored_channels(data, found, base))
             remarks += _on_poses(data, found)
     length, described = _length(data, base)
     return Diagnosis(
@@ -153,7 +160,8 @@ def _prepared(
         remarks.append("no run of the test can be used: there is no independent proof")
     remarks += _limits(blocks, tested, shown)
     base = Base(temperatures, degree, "run" if offsets else "", model)
-    return Recorded(train, blocks, tested), base, remarks
+    shorter, _ = usable_blocks(train, channels, used, others, search_block_s(blocks))
+    return Recorded(train, blocks, tested, shorter), base, remarks
 
 
 def _modelled(channels: Sequence[str], model: BiasModel) -> list[str]:

@@ -21,6 +21,8 @@ from itertools import combinations
 from operator import attrgetter
 from typing import NamedTuple
 
+import numpy as np
+
 from imumon.effects.base import Survey
 from imumon.lab.diagnosis.candidates import Candidate, Part, candidates
 from imumon.lab.diagnosis.channel import Channel
@@ -44,6 +46,10 @@ PAIR_LIST = 4
 """Best candidates of each family that are tried in pairs."""
 LEAST_SIZE = 0.3
 """White floors (rms) that an effect takes away, at least."""
+SECOND_SHARE = 0.2
+"""And this share of what the largest effect before it takes away."""
+JUMP_SHARE = 0.5
+"""A second jump in a run counts from this share on: the jumps of a telegraph noise are of one size."""
 REFINEMENTS = 4
 """Levels of the pattern search; steps are 0.35 of those of the level before."""
 
@@ -244,12 +250,15 @@ class Search:
         table, name, model = self.tables[-1], selection.names[0], self.model
         best = self.refined(table[name].candidate, model)
         is_event = best.candidate.scope == "event"
-        left = [self.channel.residual_rms(one) for one in (model, [*model, best.candidate])]
-        if left[0] ** 2 - left[1] ** 2 < max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind) ** 2:
+        jumped = {run for one in model if one.family == name for run in one.parts[0].runs}
+        again = is_event and not jumped.isdisjoint(best.candidate.parts[0].runs)
+        size = self._taken_away(best.candidate, model)
+        least = max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind)
+        share = JUMP_SHARE if again else SECOND_SHARE
+        if size < max(least, share * self._largest_beside(best.candidate)):
             self.finished = is_event
             return False
-        jumped = {run for one in model if one.family == name for run in one.parts[0].runs}
-        self.many_events |= is_event and not jumped.isdisjoint(best.candidate.parts[0].runs)
+        self.many_events |= again
         if self.many_events:
             self.finished = True
             return False
@@ -258,9 +267,29 @@ class Search:
         gain = max(best.gain, table[name].gain)  # beside a partner the latter is more
         rivals = {**{other: one.gain for other, one in table.items()}, name: gain}
         alike = {other: table[other].candidate for other in others[: MOST_NAMES - 1]}
-        self.findings.append(Finding(best.candidate, gain, selection.gain, rivals, alike))
+        self.findings.append(Finding(best.candidate, gain, selection.gain, rivals, alike, size))
+        if len(self.findings) > 1:
+            self._refine(exchange=False)
         self.stages.append(Stage(name, self.model, gain))
         return True
+
+    def _taken_away(self, candidate: Candidate, model: Sequence[Candidate]) -> float:
+        """Return the rms that a candidate takes away beside a model, by ordinary least squares."""
+        without, with_it = (self.channel.residual_rms(one) for one in (model, [*model, candidate]))
+        return float(np.sqrt(max(without**2 - with_it**2, 0.0)))
+
+    def _largest_beside(self, candidate: Candidate) -> float:
+        """Return the largest rms that one of the findings takes away beside the others and a candidate.
+
+        One of the same family counts with what it took away alone, for two of a kind share it.
+        """
+        sizes = [
+            one.size
+            if one.name == candidate.family and candidate.scope != "event"
+            else self._taken_away(one.candidate, [*self._beside(one), candidate])
+            for one in self.findings
+        ]
+        return max(sizes, default=0.0)
 
     def eliminate(self) -> None:
         """Drop what others make needless, and refine what is left, each beside the others.
@@ -278,10 +307,15 @@ class Search:
         if len(self.findings) == 1 and not self.findings[0].known:
             return
         before = [finding.name for finding in self.findings]
+        self._refine(exchange=True)
+        if changed := [finding.name for finding in self.findings if finding.name not in before]:
+            self.stages.append(Stage(f"{' and '.join(changed)} fits better beside the rest", self.model))
+
+    def _refine(self, exchange: bool) -> None:
+        """Refine each finding beside the others; with `exchange` one that fits as well may take its place."""
         for finding in self.findings:
-            beside, names = self._beside(finding), (finding.name, *finding.others)
+            beside, names = self._beside(finding), [finding.name]
+            names += finding.others if exchange else []
             tried = [one for one in self.tried if one.family in names and one.carries]
             best = max(self.scored([finding.candidate, *tried], beside), key=attrgetter("gain"))
             finding.becomes(self.refined(best.candidate, beside).candidate)
-        if changed := [finding.name for finding in self.findings if finding.name not in before]:
-            self.stages.append(Stage(f"{' and '.join(changed)} fits better beside the rest", self.model))
