@@ -16,7 +16,7 @@ from closing_the_loop_measured import chamber_run, split
 from closing_the_loop_statistics import Result, is_outside, jobs, right, run_case
 from study import Options, Study, Table, spread
 
-from imumon.lab.diagnosis import candidates, claims, likelihood, search
+from imumon.lab.diagnosis import axes, candidates, claims, likelihood, search
 from imumon.lab.diagnosis.candidates import Candidate
 from imumon.lab.diagnosis.choice import PROVEN
 from imumon.lab.diagnosis.diagnose import diagnose
@@ -34,7 +34,7 @@ TITLE = (
 )
 SIZES = (0.0, 5.0)
 """White floors of the effects in the cases that are run, none of which has other drivers than temperature."""
-_candidates, _add = candidates.candidates, search._add
+_candidates, _add, _refine = candidates.candidates, search._add, search.Search._refine
 
 
 def _untried(unwanted: Callable[[Candidate], bool]) -> Change:
@@ -62,6 +62,9 @@ def _each_alone(active: Sequence[search.Search], least: float) -> None:  # noqa:
 MECHANISMS: Mapping[str, Change] = {
     "choice over all axes": [(search, "_add", _each_alone)],
     "pairs of effects at once": [(search.Search, "_beside_partner", lambda _self, _scored, _best: {})],
+    "exchange at the end": [(search.Search, "_refine", lambda self, exchange: _refine(self, exchange=False))],  # noqa: ARG005
+    "least share of the largest effect": [(search, "SECOND_SHARE", 0.0)],
+    "shorter blocks for short runs": [(axes, "SHORTER", (1,))],
     "refinement of parameters": [(search, "REFINEMENTS", 0)],
     "flicker in the noise": _noise((0.0,), likelihood.WALK),
     "walk in the noise": _noise(likelihood.FLICKER, (0.0,)),

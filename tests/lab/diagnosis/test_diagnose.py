@@ -431,7 +431,7 @@ def test_what_is_found_in_a_measured_run_hangs_on_no_block_and_on_no_boundary_of
 
     for first, lost in [(0, 30 * block) for block in range(0, at // 30, 200)] + [(7, 0), (23, 0)]:
         said, before, after = found(first, lost)
-        assert said, (first, lost)
+        assert "step" in said, (first, lost)
         assert after < 0.55 * before, (first, lost)
 
 
@@ -445,7 +445,7 @@ def test_a_lag_gives_way_to_no_loop_that_was_found_before_the_jump_beside_it() -
     assert lag.candidate.free_start
     assert verdict.turns[-1]["done"] == "thermal_lag fits better beside the rest"
     for rms in ("train_rms", "test_rms"):
-        assert verdict.turns[-1][rms] < 0.75 * verdict.turns[-2][rms]
+        assert verdict.turns[-1][rms] < 0.7 * verdict.turns[-2][rms]
 
 
 def _part(whole: Run, start: int, stop: int) -> Run:
