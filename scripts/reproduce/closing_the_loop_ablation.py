@@ -57,14 +57,13 @@ def _each_alone(active: Sequence[search.Search], least: float) -> None:  # noqa:
 
 MECHANISMS: Mapping[str, Change] = {
     "choice over all axes": [(search, "_add", _each_alone)],
-    "pairs of effects at once": [(search.Search, "_beside_partner", lambda _self, _scored, best: best)],
-    "exchange at the end": [(search.Search, "_refine", lambda self, exchange=False: _refine(self))],  # noqa: ARG005
-    "dropping what later effects replace": [(search.Search, "_drop_needless", lambda _self: None)],
-    "refinement of parameters": [(search, "REFINEMENTS", 0)],
+    "pairs of effects at once": [(search.Search, "_beside_partner", lambda _self, _scored, _best: {})],
+    "exchange at the end": [(search.Search, "_refine", lambda self, exchange: _refine(self, exchange=False))],  # noqa: ARG005
     "least share of the largest effect": [(search, "SECOND_SHARE", 0.0)],
+    "shorter blocks for short runs": [(axes, "SHORTER", (1,))],
+    "refinement of parameters": [(search, "REFINEMENTS", 0)],
     "flicker in the noise": _noise((0.0,), likelihood.WALK),
     "walk in the noise": _noise(likelihood.FLICKER, (0.0,)),
-    "shorter blocks for short runs": [(axes, "SHORTER", (1,))],
     "refuted by the test": [(claims, "_not_worse", lambda _channel, findings: (list(findings), []))],
     "proven by the test": [(claims, "_proven_by_test", lambda *_given: None)],
     "eight floors of what the test proves": [(claims, "PROVEN_FLOORS", 0.0)],

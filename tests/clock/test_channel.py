@@ -82,11 +82,11 @@ def test_a_crystals_parabola_is_the_curve_of_the_clock_and_nothing_else_is_missi
 
 def test_the_floor_is_what_the_delays_make_of_a_block() -> None:
     three = runs(late_parabola, seed=10)
-    floor = white_floor(three, CLOCK).sd
+    blocks = [make_blocks(run, [CLOCK], ["temperature"]) for run in three]
+    floor = white_floor(three, CLOCK, blocks).sd
     errors = []
-    for at, run in enumerate(three):
+    for at, found in enumerate(blocks):
         truth = late_parabola(ramps(SECONDS, at != 1)[1])
-        found = make_blocks(run, [CLOCK], ["temperature"])
         inside = found.time_s[:-1].astype(int) // 30
         errors.append(
             found.mean[CLOCK][:-1] - truth[: SECONDS // 30 * 30].reshape(-1, 30).mean(axis=1)[inside]

@@ -7,79 +7,36 @@ experiment can be tried on units that have it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Self
-
-import numpy as np
+from typing import Any
 
 from imumon.blocks import FloatArray
 from imumon.effects.base import ACCEL
 from imumon.lab.diagnosis.candidates import Candidate
 from imumon.lab.diagnosis.channel import Channel
 from imumon.lab.diagnosis.choice import Finding, Scored, Table
-from imumon.lab.diagnosis.fit import Fit, TestScore, fit, score_test
+from imumon.lab.diagnosis.fit import Fit, TestScore, fit, root_mean_square, score_test
 from imumon.lab.diagnosis.search import Search
 
 MOST_RANKED = 6
 """Effects in the ranking of the report."""
 NOTHING = "nothing"
-"""The answer that there is slow noise and no effect; alone: is it noise, or something that the course of
-the temperature makes?"""
+"""The answer that there is slow noise and no effect."""
 MOST_ANSWERS = 2
 """Effects that are tried behind what is unexplained."""
 
 
-@dataclass(frozen=True, slots=True)
-class Ranked:
-    """An effect alone beside the baseline: gain in BIC, and the rms that it leaves of training and of the
-    test, by what it predicts of that; NaN without one."""
+def ranking(channel: Channel, found: Search) -> list[dict[str, Any]]:
+    """Return the effects that gain most, by what each does alone, whether or not any is named.
 
-    name: str
-    gain: float
-    train_rms: float
-    test_rms: float
-
-
-@dataclass(frozen=True, slots=True)
-class RunLeft:
-    """What a run is left with before and after: rms, and the mean of what is left after; NaN where nothing
-    counts."""
-
-    name: str
-    test: bool
-    blocks: int
-    before: float = float("nan")
-    after: float = float("nan")
-    mean: float = float("nan")
-
-    @classmethod
-    def of(cls, name: str, test: bool, before: FloatArray, after: FloatArray) -> Self:
-        """Return that of a run with these residuals."""
-        if not len(after):
-            return cls(name, test, 0)
-        first, last = (float(np.sqrt(np.mean(values**2))) for values in (before, after))
-        return cls(name, test, len(after), first, last, float(after.mean()))
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """An effect that may be the one, or `NOTHING`, the model that has it, and whether that carries over."""
-
-    name: str
-    fit: Fit
-    carries: bool = True
-
-
-Question = list[Answer]
-"""Which of these is it?"""
-
-
-def ranking(channel: Channel, found: Search) -> list[Ranked]:
-    """Return the effects that gain most, by what each does alone, whether or not any is named."""
+    `gain` in BIC over the baseline, and the rms that it leaves of training and of the test, by what it
+    predicts of that; NaN without one.
+    """
     ranked = []
     for one in _leaders(found.tables[0] if found.tables else {})[:MOST_RANKED]:
         fitted = fit(channel, [one.candidate])
-        ranked.append(Ranked(one.family, one.gain, fitted.train_rms, score_test(channel, fitted).rms))
+        tested = score_test(channel, fitted).rms
+        row = {"name": one.family, "gain": one.gain, "train_rms": fitted.train_rms, "test_rms": tested}
+        ranked.append(row)
     return ranked
 
 
@@ -88,36 +45,46 @@ def _leaders(table: Table) -> list[Scored]:
     return sorted(table.values(), key=lambda one: -one.gain)
 
 
-def runs_left(channel: Channel, before: Fit, after: Fit, tests: tuple[TestScore, TestScore]) -> list[RunLeft]:
-    """Return what each run of training and test is left with."""
-    bounds = np.cumsum([len(run) for run in channel.train])[:-1]
-    both = (np.split(one.train, bounds) for one in (before, after))
-    rows = [RunLeft.of(run.name, False, *left) for run, *left in zip(channel.train, *both, strict=True)]
-    both = (one.residual for one in tests)
-    for run, use, *left in zip(channel.test, tests[1].counted, *both, strict=True):
-        rows.append(RunLeft.of(run.name, True, *(values[use] for values in left)))
+def runs_left(
+    channel: Channel, before: Fit, after: Fit, tests: tuple[TestScore, TestScore]
+) -> list[dict[str, Any]]:
+    """Return what each run of training and test is left with: rms before and after, and the mean after; NaN
+    where nothing counts."""
+    rows, start = [], 0
+    for run in channel.train:
+        rows.append(
+            _run_left(run.name, False, before.train[start:][: len(run)], after.train[start:][: len(run)])
+        )
+        start += len(run)
+    for at, (run, use) in enumerate(zip(channel.test, tests[1].counted, strict=True)):
+        rows.append(_run_left(run.name, True, *(one.residual[at][use] for one in tests)))
     return rows
 
 
-def most_different(rows: Sequence[RunLeft]) -> RunLeft | None:
-    """Return the run that is left with most, where there are several."""
-    known = [row for row in rows if np.isfinite(row.after)]
-    return max(known, key=lambda row: row.after) if len(known) > 1 else None
+def _run_left(name: str, test: bool, before: FloatArray, after: FloatArray) -> dict[str, Any]:
+    mean = float(after.mean()) if len(after) else float("nan")
+    rms = {"before": root_mean_square(before), "after": root_mean_square(after)}
+    return {"name": name, "test": test, "blocks": len(after), **rms, "mean": mean}
 
 
-def questions(channel: Channel, found: Search, kept: Sequence[Finding], unexplained: bool) -> list[Question]:
-    """Return what is open in a channel in which these findings are claimed."""
-    claimed, opened = [finding.candidate for finding in kept], list[Question]()
+def questions(
+    channel: Channel, found: Search, kept: Sequence[Finding], unexplained: bool
+) -> list[list[dict[str, Any]]]:
+    """Return what is open in a channel in which these findings are claimed: each question as its answers.
+
+    An answer is an effect that may be the one, or `NOTHING`, whether it carries over, and the model that has
+    it, with effects as in a model file.
+    """
+    claimed, opened = [finding.candidate for finding in kept], []
     for finding in kept:
-        if finding.alike:
+        if finding.others:
             beside = [other for other in claimed if other is not finding.candidate]
             either = [finding.candidate, *finding.others.values()]
             opened.append([_answer(channel, beside, one) for one in either])
     if unexplained and found.tables:
         tried = [one.candidate for one in _leaders(found.tables[-1]) if one.fit > 0.0]
         further = [one for one in tried if one not in claimed and _may_be_tried(one)][:MOST_ANSWERS]
-        nothing = Answer(NOTHING, fit(channel, claimed))
-        opened.append([nothing, *(_answer(channel, claimed, one) for one in further)])
+        opened.append([_answer(channel, claimed, one) for one in (None, *further)])
     return opened
 
 
@@ -127,6 +94,11 @@ def _may_be_tried(candidate: Candidate) -> bool:
     return candidate.scope in ("shared", "either") and inputs <= {ACCEL}
 
 
-def _answer(channel: Channel, beside: Sequence[Candidate], one: Candidate) -> Answer:
-    model = fit(channel, [*beside, one])
-    return Answer(one.family, model, all(part.carries for part in model.parts[-len(one.parts) :]))
+def _answer(channel: Channel, beside: Sequence[Candidate], one: Candidate | None) -> dict[str, Any]:
+    model = fit(channel, beside if one is None else [*beside, one])
+    return {
+        "name": NOTHING if one is None else one.family,
+        "carries": one is None or one.carries,
+        "declared": model.declared.tolist(),
+        "effects": [part.effect.model_dump() for part in model.parts if part.carries],
+    }

@@ -1,4 +1,8 @@
-"""The axes of one sensor as the search takes them: their blocks, white floors and declared models."""
+"""The engine of diagnosis, live search and plans: the axes of a sensor over each base, searched.
+
+A base is what effects are searched beside: the declared curve or the present model, as it is or fitted anew,
+with or without a constant in each pose.  The base counts that is likeliest with what was found beside it.
+"""
 
 from __future__ import annotations
 
@@ -10,93 +14,138 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.clock.channel import CLOCK
-from imumon.effects.base import Survey
 from imumon.geodesy import EARTH_RATE
-from imumon.lab.diagnosis.blocks import RunBlocks, at_poses, make_blocks, survey, white_floor
+from imumon.lab.diagnosis.blocks import RunBlocks, at_poses, survey, white_floor
 from imumon.lab.diagnosis.candidates import Pool
 from imumon.lab.diagnosis.channel import Channel, Declared, Own, least_squares
 from imumon.lab.diagnosis.choice import PROVEN
 from imumon.lab.diagnosis.known import effects_of
 from imumon.lab.diagnosis.runs import Run, unit_of
-from imumon.lab.diagnosis.search import Search
-from imumon.lab.diagnosis.usable import faults, with_drivers
+from imumon.lab.diagnosis.search import STAGES, Progress, Search, search
+from imumon.lab.diagnosis.usable import faults
 from imumon.models.model import BiasModel
 
-MOST_SEARCH_BLOCKS = 1200
-"""Longer runs are searched in longer blocks; they are scored in blocks of 30 s all the same."""
 SHORTER, LEAST_SEARCH_BLOCKS = (1, 2, 3), 200
-"""Shorter runs in blocks of a half or a third: of few blocks the one with a jump in it decides."""
+"""Runs of fewer blocks are searched in halves or thirds of them."""
 EARTH_SPREAD = 2.1 * EARTH_RATE
 """rad/s: most that the constants of a gyro in two poses differ by the earth rate, and by 5 % of its scale."""
 
 
 @dataclass(frozen=True, slots=True)
 class Base:
-    """The declared model: the temperature of each channel, the degree, and what has an offset of its own.
+    """The declared model: the temperature of each channel, the degree, and what has a constant of its own.
 
-    `search_s` is the length of the blocks that are searched.
+    With a `model` that is known, its curve is off the runs already.
     """
 
-    temperatures: dict[str, str]
+    temperatures: Mapping[str, str]
     degree: int
-    own: Own
-    search_s: float
+    own: Own = ""
+    model: BiasModel | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Axes:
-    """The axes of one sensor: `channels` in blocks of the usual length, which are scored, `searched` in those
-    that are searched.
+@dataclass(frozen=True, slots=True, eq=False)
+class Recorded:
+    """Training runs, their blocks, those of the test, and shorter blocks to search short runs in."""
 
-    `survey` is what the training can show; `base` is the base that the effects are searched beside.
-    """
-
-    channels: list[Channel]
-    searched: list[Channel]
-    survey: Survey
-    base: Base
+    runs: Sequence[Run]
+    blocks: Sequence[RunBlocks]
+    test: Sequence[RunBlocks] = ()
+    shorter: Sequence[RunBlocks] = ()
 
 
-Searched = tuple[Axes, list[Search]]
-"""Axes over one base, and what the search found in each beside it."""
-
-
-def axes_over_bases(
-    train: Sequence[Run],
-    blocks: Sequence[RunBlocks],
-    tested: Sequence[RunBlocks],
+def search_sensor(
+    recorded: Recorded,
     group: Sequence[str],
     base: Base,
-    model: BiasModel | None = None,
-) -> list[Axes]:
-    """Return the axes of a sensor over each base that is possible.
+    effects: Sequence[str],
+    stages: int = STAGES,
+    progress: Progress | None = None,
+) -> list[list[Search]]:
+    """Return the search in the axes of a sensor beside each base that is possible.
 
     In each pose, and each day, other sensors than gyros have another part of gravity, field or weather, which
     is not known: they have a constant in each.  So may gyros have, by the earth rate.
     """
-    bases = [base] if group[0].startswith(("gyro", CLOCK)) else []
-    turned = any(run.pose.max() > run.pose.min() for run in blocks)
-    if not bases or (group[0].startswith("gyro") and turned):
-        bases.append(replace(base, own="pose"))
-    return [_axes(train, blocks, tested, group, base, model) for base in bases]
+    recorded = replace(recorded, blocks=recorded.shorter or recorded.blocks)
+    owns: list[Own] = [base.own] if group[0].startswith(("gyro", CLOCK)) else []
+    turned = any(run.pose.max() > run.pose.min() for run in recorded.blocks)
+    if not owns or (group[0].startswith("gyro") and turned):
+        owns.append("pose")
+    found = []
+    for own in owns:
+        starts = [_channels(recorded, group, replace(base, own=own))]
+        if any(channel.refitted for channel in starts[0]):
+            starts.append([channel.as_given() for channel in starts[0]])
+        first = starts[0][0]
+        shown = survey(first.train, first.temperature, base.degree)
+        found += [search(channels, shown, effects, stages, progress) for channels in starts]
+    return found
 
 
-def likeliest(searched: Sequence[Searched], *, pays_for_poses: bool = True) -> Searched:
-    """Return the axes over the base that is likeliest with what was found beside it.
+def scored_channels(recorded: Recorded, found: Sequence[Search], base: Base) -> list[Channel]:
+    """Return the axes that were searched, over the base of the search, in the blocks that are scored."""
+    group, own = [one.channel.name for one in found], found[0].channel.declared.own
+    scored = []
+    for channel, one in zip(_channels(recorded, group, replace(base, own=own)), found, strict=True):
+        declared = replace(channel.declared, degree=one.channel.declared.degree)
+        scored.append(replace(channel, declared=declared, kept=one.channel.kept))
+    return scored
 
-    What constants in each pose explain as well may be the earth rate.  Larger ones are not its.  Where they
-    are not paid for, effects have to be likelier than any earth rate.
+
+def search_block_s(blocks: Sequence[RunBlocks]) -> float:
+    """Return the length of the blocks to search in: of few blocks the one with a jump in it decides."""
+    longest = max(map(len, blocks))
+    part = next((part for part in SHORTER if part * longest >= LEAST_SEARCH_BLOCKS), SHORTER[-1])
+    return blocks[0].block_s / part
+
+
+def _channels(recorded: Recorded, group: Sequence[str], base: Base) -> list[Channel]:
+    """Return the axes of a sensor over one base."""
+    blocks, tested, temperatures = recorded.blocks, recorded.test, base.temperatures
+    if base.own == "pose":
+        blocks, tested = at_poses(blocks), at_poses(tested)
+    pools = {name: Pool(blocks, name) for name in dict.fromkeys(temperatures[axis] for axis in group)}
+    found = []
+    for name in group:
+        temperature = temperatures[name]
+        floor = white_floor(recorded.runs, name, blocks)
+        found.append(
+            Channel(
+                name,
+                unit_of(name),
+                floor,
+                Declared.over(blocks, temperature, base.degree, base.own),
+                pools[temperature],
+                tested,
+                faults(recorded.runs, name, floor.sd),
+                known=None if base.model is None else effects_of(base.model.channels[name]),
+            )
+        )
+    return found
+
+
+def likeliest(searched: Sequence[list[Search]], *, live: bool = False) -> list[Search]:
+    """Return the search over the base that is likeliest with what was found beside it.
+
+    A present model is fitted anew only where that is proven; live, where it is likelier, for nothing is
+    written.  What constants in each pose explain as well may be the earth rate.  Larger ones are not its.
+    Live they are not paid for, as one session has hardly more poses than a sensitivity to g has coefficients:
+    effects have to be likelier than any earth rate.
     """
+    several = len({found[0].channel.declared.own for found in searched}) > 1
 
-    def order(one: Searched) -> float:
-        criterion = sum(found.criterion() for found in one[1])
-        if one[0].base.own != "pose" or len(searched) == 1:
+    def order(axes: list[Search]) -> float:
+        criterion = sum(found.criterion() for found in axes)
+        if axes[0].channel.refitted and not live:
+            criterion -= PROVEN
+        if axes[0].channel.declared.own != "pose" or not several:
             return criterion
-        constants = [_constants_of_poses(found) for found in one[1]]
+        constants = [_constants_of_poses(found) for found in axes]
         if max(np.ptp(np.append(values, 0.0)) for values in constants) > EARTH_SPREAD:
             return -np.inf
-        price = math.log(len(one[1][0].channel.values)) * sum(map(len, constants))
-        return criterion + PROVEN + (0.0 if pays_for_poses else price)
+        price = math.log(len(axes[0].channel.values)) * sum(map(len, constants))
+        return criterion + PROVEN + (price if live else 0.0)
 
     return max(searched, key=order)
 
@@ -106,67 +155,3 @@ def _constants_of_poses(found: Search) -> FloatArray:
     channel = found.channel
     coefficients = least_squares(channel.design(found.model), channel.values)
     return coefficients[channel.declared.degree + 1 : channel.base.shape[1]]
-
-
-def _axes(
-    train: Sequence[Run],
-    blocks: Sequence[RunBlocks],
-    tested: Sequence[RunBlocks],
-    group: Sequence[str],
-    base: Base,
-    model: BiasModel | None,
-) -> Axes:
-    """Return the axes of a sensor over one base; `blocks` are those of `train`."""
-    temperatures, block_s, own = base.temperatures, blocks[0].block_s, base.own
-    if own == "pose":
-        blocks, tested = at_poses(blocks), at_poses(tested)
-    pools = _pools(blocks, group, temperatures)
-    channels = [
-        Channel(
-            name,
-            unit_of(name),
-            floor,
-            Declared.over(blocks, temperatures[name], base.degree, own),
-            pools[temperatures[name]],
-            tested,
-            faults(train, name, temperatures[name], floor.sd),
-            known=None if model is None else effects_of(model.channels[name]),
-        )
-        for name in group
-        for floor in [white_floor(train, name, block_s).of_blocks(blocks)]
-    ]
-    search_s = base.search_s
-    if search_s != block_s:
-        blocks = _blocks_again(train, blocks, base, search_s)
-        blocks = at_poses(blocks) if own == "pose" else blocks
-        pools = _pools(blocks, group, temperatures)
-    searched = [channel.in_blocks(pools[channel.temperature], block_s / search_s) for channel in channels]
-    temperature = temperatures[group[0]]
-    shown = with_drivers(survey(blocks, temperature, base.degree, search_s), blocks, temperature)
-    return Axes(channels, searched, shown, base)
-
-
-def _pools(
-    blocks: Sequence[RunBlocks], group: Sequence[str], temperatures: Mapping[str, str]
-) -> dict[str, Pool]:
-    """Return the pool of each temperature that a channel of the group is over."""
-    return {name: Pool(blocks, name) for name in dict.fromkeys(temperatures[channel] for channel in group)}
-
-
-def _blocks_again(
-    train: Sequence[Run], blocks: Sequence[RunBlocks], base: Base, block_s: float
-) -> list[RunBlocks]:
-    """Return the runs that were used, of all channels, in blocks of another length."""
-    used = {run.name for run in blocks}
-    every = list(dict.fromkeys(base.temperatures.values()))
-    others = list(blocks[0].drives[every[0]].others)
-    return [
-        make_blocks(run, list(base.temperatures), every, others, block_s) for run in train if run.name in used
-    ]
-
-
-def search_block(blocks: Sequence[RunBlocks]) -> float:
-    """Return the length in seconds of the blocks that these, of the usual length, are searched in."""
-    longest = max(map(len, blocks))
-    shorter = next((part for part in SHORTER if part * longest >= LEAST_SEARCH_BLOCKS), SHORTER[-1])
-    return blocks[0].block_s * max(1, -(-longest // MOST_SEARCH_BLOCKS)) / shorter

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from imumon.effects.library import EFFECTS
-from imumon.lab.diagnosis.axes import Base, axes_over_bases, likeliest
+from imumon.lab.diagnosis.axes import Base, Recorded, likeliest, search_sensor
 from imumon.lab.diagnosis.blocks import (
     BLOCK_S,
     LEAST_BLOCKS,
@@ -24,14 +24,13 @@ from imumon.lab.diagnosis.blocks import (
     make_blocks,
     survey,
 )
-from imumon.lab.diagnosis.channel import Channel, residual_rms
-from imumon.lab.diagnosis.choice import PROVEN, Finding, least_gain
+from imumon.lab.diagnosis.choice import PROVEN, least_gain
 from imumon.lab.diagnosis.extended import refitted
 from imumon.lab.diagnosis.fit import MATERIAL, fit
-from imumon.lab.diagnosis.known import CUBIC_DEGREE, effects_of, temperature_of, without_model
+from imumon.lab.diagnosis.known import CUBIC_DEGREE, curves_of, temperature_of, without_model
 from imumon.lab.diagnosis.likelihood import Likelihood
 from imumon.lab.diagnosis.runs import Run
-from imumon.lab.diagnosis.search import search
+from imumon.lab.diagnosis.search import Search
 from imumon.lab.diagnosis.usable import usable_drivers
 from imumon.models.model import BiasModel, ChannelModel
 
@@ -89,58 +88,49 @@ def within_range(model: BiasModel, run: Run, channels: Sequence[str]) -> Run:
 def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[Better]:
     """Return a better model of each channel that lacks an effect.
 
-    The search of the diagnosis runs on the residual of the present model: with its curve as it is, and with
-    the curve fitted anew; the likelier of the two counts.  One effect is named at a time, where the gain over
-    the present model, of all channels that lack it, pays for the choice of effect, channels and curve
-    (extended BIC).
+    The search of the diagnosis, which begins with the present model, as it is and fitted anew.  One effect is
+    named at a time, where the gain over the present model, of all channels that lack it, pays for the choice
+    of effect, channels and curve (extended BIC).
     """
     temperatures = {name: temperature_of(name, model, [run]) for name in channels}
-    used, block_s = list(dict.fromkeys(temperatures.values())), common_block_s([run])
-    left = without_model(run, model, channels)
-    blocks = make_blocks(left, channels, used, usable_drivers([run], [], used, None, []), block_s)
+    used = list(dict.fromkeys(temperatures.values()))
+    left = without_model(run, curves_of(model), channels)
+    drivers, _ = usable_drivers([run], [], used, None)
+    blocks = make_blocks(left, channels, used, drivers, common_block_s([run]))
     if len(blocks) < LEAST_BLOCKS:
         return []
-    degrees = (0, CUBIC_DEGREE) if survey([blocks], used[0], 0, block_s).thermal else (0,)
-    every = [
-        axes
-        for degree in degrees
-        for axes in axes_over_bases([left], [blocks], [], channels, Base(temperatures, degree, "", block_s))
-    ]
-    before = {one.name: residual_rms(one.base, one.values) for one in every[0].channels}
-    # What a model leaves hardly above the white noise is too small to matter.
-    material = [one.name for one in every[0].channels if before[one.name] >= MATERIAL * one.floor.sd]
-    if not material:
-        return []
-    searched = [(axes, search(axes.searched, axes.survey, LASTING, stages=1)) for axes in every]
-    # One session has hardly more poses than a sensitivity to g has coefficients.
-    axes, found = likeliest(searched, pays_for_poses=False)
-    if axes.base.own == "pose" and any(one.base.own != "pose" for one, _ in searched):
+    degree = CUBIC_DEGREE if survey([blocks], used[0], 0).thermal else 0
+    base = Base(temperatures, degree, model=model)
+    searched = search_sensor(Recorded([left], [blocks]), channels, base, LASTING, stages=1)
+    found = likeliest(searched, live=True)
+    of_poses = [one[0].channel.declared.own == "pose" for one in searched]
+    if found[0].channel.declared.own == "pose" and not all(of_poses):
         return []  # it may be the earth rate: `imumon diagnose` has more sessions to decide
-    # The curve of the present model, and nothing beside it.
-    present = next(one for other, one in searched if other.base == replace(axes.base, degree=0))
-    gain = sum(
-        one.criterion() - other.criterion([])
-        for one, other in zip(found, present, strict=True)
-        if one.findings
-    )
-    if not gain > least_gain(len(degrees) * len(LASTING), len(channels)):
+    lacking = [one for one in found if any(not finding.known for finding in one.findings)]
+    gain = sum(one.gain_over_given() for one in lacking)
+    if not gain > least_gain(len(LASTING) * (2 if degree else 1), len(channels)):
         return []
+    every = [_better(one, gain, model) for one in lacking]
+    # What a model leaves hardly above the white noise is too small to matter.
     return [
-        _better(channel, one.findings[0], gain, before[channel.name], model.channels[channel.name])
-        for channel, one in zip(axes.channels, found, strict=True)
-        if one.findings and channel.name in material
+        better
+        for better, one in zip(every, lacking, strict=True)
+        if better.before >= MATERIAL * one.channel.floor.sd
     ]
 
 
-def _better(channel: Channel, found: Finding, gain: float, before: float, present: ChannelModel) -> Better:
+def _better(found: Search, gain: float, model: BiasModel) -> Better:
     """Return the present model of a channel with what it lacks, fitted."""
-    fitted = fit(channel, [found.candidate])
+    channel, lacking = found.channel, next(one for one in found.findings if not one.known)
+    present, given = model.channels[channel.name], fit(channel.as_given(), [])
+    fitted = fit(channel, found.model)
     middle, half = channel.declared.middle_degc, channel.declared.half_span_degc
     curve = Polynomial(fitted.declared, domain=[middle - half, middle + half])
-    effects = [*effects_of(present), *(part.effect.with_start(part.start) for part in fitted.parts)]
+    effects = [part.effect.with_start(part.start) for part in fitted.parts]
     # What is left holds the white noise of the means as well: the model's own error is no larger.
-    model = refitted(present, curve, effects, min(present.residual_sd, fitted.train_rms))
-    return Better(channel.name, found.alike or [found.name], gain, before, fitted.train_rms, model)
+    better = refitted(present, curve, effects, min(present.residual_sd, fitted.train_rms))
+    names = lacking.alike or [lacking.name]
+    return Better(channel.name, names, gain, given.train_rms, fitted.train_rms, better)
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,25 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.clock.channel import CLOCK, block_noise
-from imumon.effects.base import Drive, Survey
+from imumon.effects.base import Drive, DrivenEffect, Scale, Survey
+from imumon.effects.library import EFFECTS
+from imumon.effects.product import Product
 from imumon.lab.diagnosis.runs import Origin, Run
 from imumon.recordings.reduced import ACCEL
 
 BLOCK_S = 30.0
 LEAST_BLOCKS = 40
 """Of a training: ten for each coefficient of a cubic."""
+MOST_BLOCKS = 1200
+"""In a run: ten hours of blocks of 30 s.  Longer runs have longer blocks: a search takes no longer."""
 LEAST_SLOTS = 6
-"""Slots in a block: halves and thirds of it are blocks, too, and differences inside show the white floor."""
-PLATEAU = 0.1
-"""Two estimates of the white variance that differ by less, as a share of it, agree."""
-STEPS = (1, 2, 4, 8)
-"""Slots in the means whose differences are compared."""
+"""Slots in a block: the differences between them show the white floor."""
+PARTS = 15
+"""Of a block, at most, whose differences show its white noise."""
+OPERATORS = sum(issubclass(kind, (DrivenEffect, Product)) for kind in EFFECTS.values())
+"""Number of effects that a driver may have."""
 TURN_SHARE = 0.2
 """A turn of the temperature counts when it goes back by this share of the span."""
 BESIDE = 4
@@ -179,9 +182,10 @@ def at_poses(runs: Sequence[RunBlocks]) -> list[RunBlocks]:
 
 
 def common_block_s(runs: Sequence[Run]) -> float:
-    """Return the length of a block: 30 s, or more where a log has few samples in that."""
+    """Return the length of a block: 30 s, or more where a log has few samples in that, or a run is long."""
     slot_s = max(run.slot_s for run in runs)
-    return LEAST_SLOTS * slot_s * -(-BLOCK_S // (LEAST_SLOTS * slot_s))
+    least_s = max(BLOCK_S, max(run.duration_s for run in runs) / MOST_BLOCKS)
+    return LEAST_SLOTS * slot_s * -(-least_s // (LEAST_SLOTS * slot_s))
 
 
 def _block_means(columns: FloatArray, weight: FloatArray, width: int) -> tuple[FloatArray, FloatArray]:
@@ -202,87 +206,65 @@ def _bridged(run: Run, name: str) -> FloatArray | None:
 
 @dataclass(frozen=True, slots=True)
 class WhiteFloor:
-    """Standard deviation of the white noise of a full block, and what it was taken from."""
+    """Standard deviation of the white noise of a block, and what it was taken from."""
 
     sd: float
     source: str
 
-    def of_blocks(self, runs: Sequence[RunBlocks]) -> WhiteFloor:
-        """Return that of the blocks that there are, some of which are not full."""
-        white = np.concatenate([run.white for run in runs])
-        return replace(self, sd=self.sd * float(np.sqrt(white.mean())))
 
+def white_floor(runs: Sequence[Run], channel: str, blocks: Sequence[RunBlocks]) -> WhiteFloor:
+    """Return the white floor of a channel from the scatter inside blocks, averaged over these blocks.
 
-def white_floor(runs: Sequence[Run], channel: str, block_s: float = BLOCK_S) -> WhiteFloor:
-    """Return the white floor of a channel from the scatter inside blocks.
-
-    It is half the mean square difference of neighbouring means of 1, 2, 4 and 8 slots (an Allan variance): an
-    output filter makes the short ones too small, rounding makes them too large.  The first that agrees with
-    the next is taken.  The clock's is that of the delays at both ends of a block.
+    It is half the mean square difference of neighbouring parts of a block (an Allan variance), of 2 s in most
+    cases: an output filter makes shorter ones too small and rounding too large, flicker longer ones.  The
+    differences are less the mean of their block, so that no ramp gets in.  The clock's is that of the delays
+    at both ends of a block.
     """
-    blocks = [_slots_of_blocks(run, channel, block_s) for run in runs]
+    slots, gaps = blocks[0].slots, np.concatenate([run.white for run in blocks]).mean()
+    values = [_slots_of_blocks(run, channel, slots) for run in runs]
     if channel == CLOCK:  # no step leads from one run to the next
-        rates = [part for each in blocks for part in (each.mean(axis=1), [np.nan])]
-        return WhiteFloor(block_noise(np.concatenate(rates)), "delays at the ends of blocks")
-    variances = {step: _difference_variance(blocks, step) for step in STEPS}
-    found = [
-        (f"means of {step * runs[0].slot_s:.0f} s inside blocks", value)
-        for step, value in variances.items()
-        if np.isfinite(value)
-    ]
-    for (source, value), (_, following) in pairwise(found):
-        if value > 0 and abs(following / value - 1.0) < PLATEAU:
-            return WhiteFloor(float(np.sqrt(value)), source)
-    if not found:
-        return WhiteFloor(0.0, "nothing")
-    source, value = min(found, key=lambda item: item[1])
-    return WhiteFloor(float(np.sqrt(value)), f"{source} (no white region was found)")
+        rates = [part for each in values for part in (each.mean(axis=1), [np.nan])]
+        sd, source = block_noise(np.concatenate(rates)), "delays at the ends of blocks"
+    else:
+        step = max(1, slots // PARTS)
+        number = slots // step
+        parts = np.concatenate(values)[:, : number * step].reshape(-1, number, step).mean(axis=2)
+        differences = np.diff(parts[np.isfinite(parts).all(axis=1)], axis=1)
+        spread = differences - differences.mean(axis=1, keepdims=True)
+        # The mean of k differences is (last - first) / k, which holds 2 / k² of the variance.
+        squares = float(np.mean(spread**2)) if len(spread) else 0.0
+        variance = squares / (2.0 * (1.0 - 1.0 / (number - 1) ** 2)) * step / slots
+        sd, source = float(np.sqrt(variance)), f"means of {step * runs[0].slot_s:.0f} s inside blocks"
+    return WhiteFloor(sd * float(np.sqrt(gaps)), source)
 
 
-def _slots_of_blocks(run: Run, channel: str, block_s: float) -> FloatArray:
+def _slots_of_blocks(run: Run, channel: str, width: int) -> FloatArray:
     """Return the slots of each whole block, (blocks, slots), NaN where the unit is not at rest."""
-    width = max(1, round(block_s / run.slot_s))
     values = np.where(run.at_rest, run.mean[channel], np.nan)
     return values[: len(values) // width * width].reshape(-1, width)
 
 
-def _difference_variance(runs: Sequence[FloatArray], step: int) -> float:
-    """Return the variance of a block mean from differences of neighbouring means of `step` slots.
-
-    The differences are taken within blocks (blocks, slots) and less the mean of their block, so that no ramp
-    gets in.
-    """
-    total, count, share = 0.0, 0.0, 1.0
-    for blocks in runs:
-        share = step / blocks.shape[1]
-        number = blocks.shape[1] // step
-        if number < 3:
-            continue
-        means = blocks[:, : number * step].reshape(-1, number, step).mean(axis=2)
-        differences = np.diff(means[np.isfinite(means).all(axis=1)], axis=1)
-        spread = differences - differences.mean(axis=1, keepdims=True)
-        # Half the mean square of the differences is the variance, for white noise; the mean of k of them is
-        # (last - first)/k, which holds 2/k² of it.
-        k = number - 1
-        total += float((spread**2).sum()) / (2.0 * (1.0 - 1.0 / k**2))
-        count += float(differences.size)
-    return total / count * share if count > 0 else float("nan")
-
-
-def survey(runs: Sequence[RunBlocks], temperature: str, degree: int, block_s: float) -> Survey:
-    """Return what the training runs can show."""
+def survey(runs: Sequence[RunBlocks], temperature: str, degree: int) -> Survey:
+    """Return what the training runs can show, with the drivers that there are beside a temperature."""
     found = [run.temperature[temperature] for run in runs]
     low, high = min(float(t.min()) for t in found), max(float(t.max()) for t in found)
     forces = [force for run in runs if (force := specific_force(run)) is not None]
+    others = {}
+    for name in runs[0].drives[temperature].others:
+        values = np.concatenate([run.average(run.drives[temperature].others[name]) for run in runs])
+        half_span = 0.5 * float(np.ptp(values)) or 1.0
+        others[name] = Scale(0.5 * float(values.min() + values.max()), half_span)
     return Survey(
         durations_s=[float(run.time_s[-1]) + run.block_s / 2 for run in runs],
         span_degc=high - low,
         reversals=sum(_turns(t, TURN_SHARE * (high - low)) for t in found),
         accel_range=max((float(np.ptp(force, axis=0).max()) for force in forces), default=0.0),
-        block_s=block_s,
+        block_s=runs[0].block_s,
         degree=degree,
         middle_degc=0.5 * (low + high),
         half_span_degc=max(0.5 * (high - low), 1e-3),
+        others=others,
+        choices=max(1, len(others)) * OPERATORS,
     )
 
 

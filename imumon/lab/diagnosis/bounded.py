@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -31,11 +31,6 @@ class BoundedRun:
     def nbytes(self) -> int:
         """Bytes that it takes, however long the run is."""
         return self._sums.nbytes
-
-    def has_any(self, names: Collection[str]) -> bool:
-        """Return whether any of these columns has values in several slots."""
-        among = [at for at, name in enumerate(self._names) if name in names]
-        return bool(((self._sums[:, 0, among] > 0).sum(axis=0) > 1).any())
 
     def elapsed_s(self, part: KeptSlots) -> FloatArray:
         """Return the time from the first sample to the end of each second, (n,)."""

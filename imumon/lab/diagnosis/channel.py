@@ -75,7 +75,7 @@ class Channel:
     known: tuple[Effect, ...] | None = None
     """Effects of the present model, whose curve is off the means already; None without one."""
     kept: tuple[Effect, ...] = ()
-    """Those of them that stay as they are: these runs do not show them."""
+    """Those of them that stay as they are; a search begins with the others, and fits them anew."""
 
     @property
     def blind(self) -> float:
@@ -123,16 +123,20 @@ class Channel:
         """Return the columns of the declared model and of what was found, (n, k)."""
         return np.column_stack([self.base, self.pool.design(found)])
 
-    def as_baseline(self) -> Channel:
+    def residual_rms(self, found: Sequence[Candidate]) -> float:
+        """Return the rms of what ordinary least squares leave beside what was found."""
+        return residual_rms(self.design(found), self.values)
+
+    @property
+    def refitted(self) -> bool:
+        """Whether the present model is fitted anew, its curve, or effects of it."""
+        return self.known is not None and bool(self.declared.degree or len(self.kept) < len(self.known))
+
+    def as_given(self) -> Channel:
         """Return it with the present model as it is, where there is one, but for a constant."""
         if self.known is None:
             return self
         return replace(self, declared=replace(self.declared, degree=0), kept=self.known)
-
-    def in_blocks(self, pool: Pool, share: float) -> Channel:
-        """Return it over training runs in longer blocks, which have this share of the white variance."""
-        floor = replace(self.floor, sd=self.floor.sd * float(np.sqrt(share)))
-        return replace(self, pool=pool, floor=floor)
 
 
 def least_squares(columns: FloatArray, values: FloatArray) -> FloatArray:

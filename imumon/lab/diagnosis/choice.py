@@ -58,24 +58,23 @@ class Selection:
 
 @dataclass(slots=True, eq=False)
 class Finding:
-    """An effect that was chosen for a channel."""
+    """An effect that was chosen for a channel, or that the present model has.
+
+    `gain` is that over the model before it, `pooled_gain` the same summed over the channels that show it, and
+    `rivals` has the gain of every family at that stage.
+    """
 
     candidate: Candidate
     """With refined parameters; coefficients come with the fit."""
-    gain: float
-    """Over the model so far."""
-    pooled_gain: float
-    """The same, summed over the channels that show it."""
-    rivals: dict[str, float]
-    """Gain of every family at that stage."""
-    alike: list[str]
-    """Families that cannot be told apart from it, it among them; empty when there is no other."""
-    size: float
-    """rms of what it takes away from the residual."""
+    gain: float = 0.0
+    pooled_gain: float = 0.0
+    rivals: dict[str, float] = field(default_factory=dict)
+    others: dict[str, Candidate] = field(default_factory=dict)
+    """The best of each other family that cannot be told apart from it."""
+    size: float = 0.0
+    """rms of what it took away from training when it was found."""
     by_test: bool = False
     """Whether the test alone proves it."""
-    others: dict[str, Candidate] = field(default_factory=dict)
-    """The best of each other family that is not told apart from it."""
     known: bool = False
     """Whether it is of the present model, and fitted anew."""
 
@@ -84,18 +83,21 @@ class Finding:
         """Name of the effect."""
         return self.candidate.family
 
+    @property
+    def alike(self) -> list[str]:
+        """It and the families that cannot be told apart from it; empty when there is no other."""
+        return [self.name, *self.others] if self.others else []
+
     def becomes(self, candidate: Candidate) -> None:
-        """Take another candidate in the place of the present one, of its family or of one that is not told
-        apart from it."""
+        """Take another candidate, of its family or of one that is not told apart from it."""
         if candidate.family != self.name:
-            self.others = {name: one for name, one in self.others.items() if name != candidate.family}
+            del self.others[candidate.family]
             self.others = {self.name: self.candidate, **self.others}
-            self.alike = [candidate.family, *(name for name in self.alike if name != candidate.family)]
         self.candidate = candidate
 
 
 def least_gain(effects: int, channels: int) -> float:
-    """Return the gain that proves one of so many effects on any set of channels."""
+    """Return the gain that proves one of so many effects on any set of so many channels."""
     return PROVEN + 2.0 * float(np.log(max(1, effects) * (2**channels - 1)))
 
 
@@ -120,7 +122,7 @@ def select(tables: Mapping[str, Table], least: float, there: Mapping[str, Sequen
 
     chosen = max(close, key=order)
     channels = on[chosen]
-    together = {name: sum(gain_in(tables[channel], name) for channel in channels) for name in names}
+    together = {name: sum(_gain_in(tables[channel], name) for channel in channels) for name in names}
     apart = {chosen, *(tables[channel][chosen].partner for channel in channels)}
     alike = [name for name in names if name not in apart and _near(together[name], total[chosen])]
     alike = [name for name in alike if together[name] > least]
@@ -144,6 +146,6 @@ def _near(gain: float, best: float) -> bool:
     return best - gain < max(CLOSE, CLOSE_SHARE * best)
 
 
-def gain_in(table: Table, name: str) -> float:
+def _gain_in(table: Table, name: str) -> float:
     """Return what a family gains, minus infinity where it is not in the table."""
     return table[name].gain if name in table else -np.inf

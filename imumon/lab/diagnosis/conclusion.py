@@ -67,52 +67,44 @@ def next_step(diagnosis: Diagnosis, folder: Path | None) -> NextStep:
 def _steps(diagnosis: Diagnosis, folder: Path | None) -> Iterator[NextStep]:
     """Yield what there is to do, the most urgent first."""
     verdicts = diagnosis.verdicts
-    if names := _which(verdicts, _of_few_digits):
+
+    def which(holds: Callable[[ChannelVerdict], bool]) -> str:
+        return _together([one.name for one in verdicts if holds(one)])
+
+    if names := which(_of_few_digits):
         what = f"Record {names} again with a range and digits that its noise and bias fit in."
         yield NextStep(what, "The steps of its values hide what matters.")
     if not diagnosis.test or diagnosis.held_out or any(one.by_test for one in verdicts):
-        yield _another_session(diagnosis, folder)
-    if names := _which(verdicts, lambda one: one.unexplained and one.slow.jumps):
+        chosen = bool(diagnosis.test) and not diagnosis.held_out
+        why = "The test has chosen the effect." if chosen else "Without a test nothing is proven."
+        again = " ".join(dict.fromkeys(run.name.partition(",")[0] for run in diagnosis.train))
+        command = "" if folder is None else f"imumon diagnose --train {again} --test NEW --out {folder}"
+        yield NextStep("Record another session from power-on and test on that.", why, command)
+    if names := which(lambda one: one.unexplained and one.slow.jumps):
         what = f"Record beside {names} what else may drive it (supply, load, pressure, another thermometer)."
         yield NextStep(what, "What is left jumps or comes in bursts, as no noise does.")
-    if names := _which(verdicts, lambda one: one.unexplained):
-        what = f"Record {names} at constant temperature, and run imumon allan on that."
-        yield NextStep(what, "What is left moves as slow noise does: that shows whether the unit has it.")
+    isothermal = "at constant temperature, and run imumon allan on that."
+    if names := which(lambda one: one.unexplained):
+        why = "What is left moves as slow noise does: that shows whether the unit has it."
+        yield NextStep(f"Record {names} {isothermal}", why)
     sets = (one.finding.alike for verdict in verdicts for one in verdict.claims)
     if alike := next(filter(None, sets), []):
         command = "" if folder is None else f"imumon plan {folder} --out {folder / 'next'}"
         why = f"{alike[0]} and {alike[1]} fit these recordings alike, and predict others differently."
         yield NextStep(f"Record {separated_by(alike[0], alike[1])}.", why, command)
-    useful = [one for one in with_model(diagnosis) if one.claims and one.predicts]
-    if useful:
-        yield _use(useful, folder)
-    if names := _which(verdicts, lambda one: one.row.state == "not proven"):
-        what = f"Record {names} at constant temperature, and run imumon allan on that."
-        yield NextStep(what, "What is left is little, noise or an effect too small to prove.")
+    if useful := [one for one in with_model(diagnosis) if one.claims and one.predicts]:
+        least = min(one.test_after.rms / one.test_before.rms for one in useful)
+        what = f"Use the model with what is named of {_together([one.name for one in useful])}."
+        command = (
+            "" if folder is None else f"imumon monitor PORT --device NAME --model {folder / 'model.yaml'}"
+        )
+        yield NextStep(what, f"Errors in the test fall by up to {1.0 - least:.0%}.", command)
+    if names := which(lambda one: one.row.state == "not proven"):
+        why = "What is left is little, noise or an effect too small to prove."
+        yield NextStep(f"Record {names} {isothermal}", why)
     yield NextStep("Nothing has to be added.", "The declared model is enough on these recordings.")
-
-
-def _which(verdicts: Sequence[ChannelVerdict], holds: Callable[[ChannelVerdict], bool]) -> str:
-    return _together([one.name for one in verdicts if holds(one)])
 
 
 def _of_few_digits(verdict: ChannelVerdict) -> bool:
     channel, unproven = verdict.channel, verdict.row.state == "not proven"
     return verdict.faulty or verdict.hidden or (unproven and bool(channel.test) and channel.coarse)
-
-
-def _another_session(diagnosis: Diagnosis, folder: Path | None) -> NextStep:
-    """Return the step to a test that nothing was chosen by."""
-    chosen = bool(diagnosis.test) and not diagnosis.held_out
-    why = "The test has chosen the effect." if chosen else "Without a test nothing is proven."
-    again = " ".join(dict.fromkeys(run.name.partition(",")[0] for run in diagnosis.train))
-    command = "" if folder is None else f"imumon diagnose --train {again} --test NEW --out {folder}"
-    return NextStep("Record another session from power-on and test on that.", why, command)
-
-
-def _use(useful: Sequence[ChannelVerdict], folder: Path | None) -> NextStep:
-    names = _together([one.name for one in useful])
-    least = min(one.test_after.rms / one.test_before.rms for one in useful)
-    why = f"Errors in the test fall by up to {1.0 - least:.0%}."
-    command = "" if folder is None else f"imumon monitor PORT --device NAME --model {folder / 'model.yaml'}"
-    return NextStep(f"Use the model with what is named of {names}.", why, command)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,29 +12,22 @@ from imumon.effects.base import LEAST_SPAN_DEGC, Survey
 from imumon.effects.library import effects_for
 from imumon.errors import ImumonError, Reason
 from imumon.lab.calibration.gravity import Length
-from imumon.lab.diagnosis.axes import Base, axes_over_bases, likeliest, search_block
-from imumon.lab.diagnosis.blocks import (
-    LEAST_BLOCKS,
-    RunBlocks,
-    common_block_s,
-    specific_force,
-    survey,
+from imumon.lab.diagnosis.axes import (
+    Base,
+    Recorded,
+    likeliest,
+    scored_channels,
+    search_block_s,
+    search_sensor,
 )
+from imumon.lab.diagnosis.blocks import LEAST_BLOCKS, RunBlocks, common_block_s, specific_force, survey
 from imumon.lab.diagnosis.channel import Declared
 from imumon.lab.diagnosis.claims import decide
-from imumon.lab.diagnosis.known import (
-    check_range,
-    modelled,
-    order_of,
-    temperature_of,
-    with_needed,
-    without_curve,
-)
+from imumon.lab.diagnosis.known import check_range, curves_of, order_of, temperature_of, without_model
 from imumon.lab.diagnosis.runs import SENSORS, STRETCHES, Run, channels_of, divided, in_order
-from imumon.lab.diagnosis.search import Progress, search
+from imumon.lab.diagnosis.search import Progress, Search
 from imumon.lab.diagnosis.usable import (
     check_training,
-    confounded,
     sound,
     temperature_of_axis,
     usable_blocks,
@@ -44,6 +37,7 @@ from imumon.lab.diagnosis.usable import (
 from imumon.lab.diagnosis.verdict import ChannelVerdict
 from imumon.models.curves.polynomial import CUBIC
 from imumon.models.model import BiasModel
+from imumon.models.predictor import BiasPredictor
 
 HIGHEST_DEGREE = 8
 
@@ -96,122 +90,152 @@ def diagnose(
     """Find what the declared model leaves over in the training runs, name it, and prove it on the test runs.
 
     `sensors` are those to be diagnosed: gyro, accel, mag, or any recorded column; what is diagnosed drives
-    nothing.  With a `model` that is known, its curve is taken from every run; curve and effects of it are
-    fitted anew beside what is found, where the runs show them, and `declared` does not count.
-    `drivers` are what may drive an effect beside temperature, time and specific force; None: all that was
-    recorded and varies.
+    nothing.  With a `model` that is known, the search begins with that, as it is and fitted anew, and
+    `declared` does not count.  `drivers` are what may drive an effect beside temperature, time and specific
+    force; None: all that was recorded and varies.
 
     Raises BAD_DATA when the data cannot show anything, saying why; BAD_CONFIG for a wrong declared model,
     or a known one that holds at no temperature of the training.
     """
-    degree, offsets = parse_declared(declared)
-    caveats = [*dict.fromkeys(text for run in (*train, *test) for text in run.warnings)]
-    channels = usable_channels(train, test, sensors, caveats)
-    train, test, held = _divided(train, test, channels, caveats)
+    data, base, remarks = _prepared(train, test, parse_declared(declared), sensors, model, drivers)
+    verdicts: list[ChannelVerdict] = []
+    for sensor in sensors:
+        group = channels_of([sensor], base.temperatures)
+        if group:
+            found = likeliest(search_sensor(data, group, base, effects_for(group[0]), progress=progress))
+            verdicts += map(decide, found, scored_channels(data, found, base))
+            remarks += _on_poses(data, found)
+    length, described = _length(data, base)
+    return Diagnosis(
+        declared=declared,
+        block_s=data.blocks[0].block_s,
+        verdicts=verdicts,
+        train=data.blocks,
+        test=data.test,
+        survey=survey(data.blocks, verdicts[0].channel.temperature, base.degree),
+        caveats=remarks + described,
+        model=model,
+        held_out=any(run.share < 1.0 for run in data.runs),
+        length=length,
+    )
+
+
+def _prepared(
+    train: Sequence[Run],
+    test: Sequence[Run],
+    declared: tuple[int, bool],
+    sensors: Sequence[str],
+    model: BiasModel | None,
+    drivers: Sequence[str] | None,
+) -> tuple[Recorded, Base, list[str]]:
+    """Return what is searched, the base beside which that is, and remarks on both."""
+    degree, offsets = declared
+    remarks = [*dict.fromkeys(text for run in (*train, *test) for text in run.warnings)]
+    channels, more = usable_channels(train, test, sensors)
+    train, test, divided_up = _divided(train, test, channels)
+    remarks += more + divided_up
     if model is None:
         temperatures = {name: temperature_of_axis(name, train) for name in channels}
     else:
-        channels = modelled(channels, model)
+        channels = _modelled(channels, model)
         temperatures = {name: temperature_of(name, model, train) for name in channels}
-        train, test = ([without_curve(run, model, temperatures) for run in runs] for runs in (train, test))
+        curves = curves_of(model)
+        train, test = ([without_model(run, curves, channels) for run in runs] for runs in (train, test))
         degree = max(order_of(model.channels[name]) for name in channels)
-        drivers = with_needed(drivers, model, temperatures)
+        if drivers is not None:
+            drivers = [*drivers, *_needed(model, channels, [*drivers, *temperatures.values()])]
     used = list(dict.fromkeys(temperatures.values()))
-    others = usable_drivers(train, test, [*used, *channels], drivers, caveats)
+    others, more = usable_drivers(train, test, [*used, *channels], drivers)
     block_s = common_block_s([*train, *test])
-    (blocks, moving), (tested, _) = (
-        usable_blocks(runs, channels, used, others, block_s, caveats) for runs in (train, test)
-    )
-    check_training(blocks, moving, block_s)
-    shown = survey(blocks, used[0], degree, block_s)
-    if shown.thermal and model is not None:  # else no curve is fitted, and that of the model stays as it is
+    blocks, unused = usable_blocks(train, channels, used, others, block_s)
+    check_training(blocks, unused, block_s)
+    tested, untested = usable_blocks(test, channels, used, others, block_s)
+    remarks += more + unused + untested
+    shown = survey(blocks, used[0], degree)
+    if not shown.thermal:
+        degree = 0
+    elif model is not None:  # else no curve is fitted, and that of the model stays as it is
         check_range(model, temperatures, blocks)
     if test and not tested:
-        caveats.append("no run of the test can be used: there is no independent proof")
-    degree = degree if shown.thermal else 0
-    caveats += _limits(blocks, tested, shown, confounded(blocks, used[0], shown.scale, degree))
-    base = Base(temperatures, degree, "run" if offsets else "", search_block(blocks))
-    diagnosis = Diagnosis(declared, block_s, [], blocks, tested, shown, caveats, model, held)
-    for sensor in sensors:
-        if group := channels_of([sensor], channels):
-            diagnosis.verdicts += _sensor(train, group, base, diagnosis, progress)
-    return diagnosis
+        remarks.append("no run of the test can be used: there is no independent proof")
+    remarks += _limits(blocks, tested, shown)
+    base = Base(temperatures, degree, "run" if offsets else "", model)
+    shorter, _ = usable_blocks(train, channels, used, others, search_block_s(blocks))
+    return Recorded(train, blocks, tested, shorter), base, remarks
+
+
+def _modelled(channels: Sequence[str], model: BiasModel) -> list[str]:
+    """Return the channels that the model has; raises BAD_CONFIG when there is none."""
+    found = [name for name in channels if name in model.channels]
+    if not found:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"the model has {', '.join(model.channels)}; the data has {', '.join(channels)}",
+            "give the model of this unit, or --declared",
+        )
+    return found
+
+
+def _needed(model: BiasModel, channels: Sequence[str], there: Sequence[str]) -> list[str]:
+    """Return the drivers that the model's channels need beside those that are there."""
+    return [name for name in BiasPredictor(model, channels).drivers if name not in there]
 
 
 def _divided(
-    train: Sequence[Run], test: Sequence[Run], channels: Sequence[str], caveats: list[str]
-) -> tuple[list[Run], list[Run], bool]:
-    """Return sound runs of training and test, and whether parts of the only one are held out as a test."""
-    train, test = (sound(runs, channels, caveats) for runs in (train, test))
-    test = in_order(train, test, caveats)
-    long = len(train) == 1 and train[0].duration_s >= 2 * LEAST_BLOCKS * common_block_s(train)
-    if test or not long:
-        return train, test, False
-    caveats.append(
+    train: Sequence[Run], test: Sequence[Run], channels: Sequence[str]
+) -> tuple[list[Run], list[Run], list[str]]:
+    """Return sound runs of training and test, and remarks; parts of an only run are held out as a test."""
+    checked = [[sound(run, channels) for run in runs] for runs in (train, test)]
+    train, test = ([run for run, _ in pairs] for pairs in checked)
+    remarks = [text for pairs in checked for _, texts in pairs for text in texts]
+    test, more = in_order(train, test)
+    remarks += more
+    if test or len(train) > 1 or train[0].duration_s < 2 * LEAST_BLOCKS * common_block_s(train):
+        return train, test, remarks
+    remarks.append(
         f"no test data: every other {train[0].duration_s / STRETCHES / 60:.0f} min of the one run are"
         " held out as a test.  That is weaker than another power-on: what is particular to this run, and"
         " any noise that is slower, is in both"
     )
     first, other = divided(train[0], channels)
-    return [first], [other], True
+    return [first], [other], remarks
 
 
-def _limits(
-    train: Sequence[RunBlocks], test: Sequence[RunBlocks], shown: Survey, alike: Sequence[str]
-) -> list[str]:
-    """Return what this data cannot show; `alike` are drivers that went with temperature or time."""
-    limits = []
+def _limits(train: Sequence[RunBlocks], test: Sequence[RunBlocks], shown: Survey) -> Iterator[str]:
+    """Yield what this data cannot show."""
     if not shown.thermal:
-        limits.append(
+        yield (
             f"the temperature moves by {shown.span_degc:.1f} °C only ({LEAST_SPAN_DEGC:.0f} °C are needed):"
             " no curve over temperature is fitted, and no effect of temperature can be found"
         )
     if not test:
-        limits.append("no test data: nothing proves what is claimed but the data that it was fitted to")
+        yield "no test data: nothing proves what is claimed but the data that it was fitted to"
     if len(train) < 2:
-        limits.append("one training run: what depends on time and what depends on temperature may look alike")
-    if alike and shown.thermal:
-        limits.append(
-            f"{', '.join(alike)} went with temperature or time in training: what depends on one of them looks"
-            " as if it depended on the other"
-        )
-    return limits
+        yield "one training run: what depends on time and what depends on temperature may look alike"
 
 
-def _sensor(
-    train: Sequence[Run],
-    group: Sequence[str],
-    base: Base,
-    diagnosis: Diagnosis,
-    progress: Progress | None,
-) -> list[ChannelVerdict]:
-    """Return the verdicts on the axes of one sensor."""
-    if group[0].startswith("accel") and len(group) == 3:
-        gravity = _length(diagnosis.train, base.temperatures[group[0]], base.degree)
-        if gravity is not None:
-            poses, diagnosis.length = gravity
-            diagnosis.caveats.append(diagnosis.length.described(poses))
-    every = axes_over_bases(train, diagnosis.train, diagnosis.test, group, base, diagnosis.model)
-    names = effects_for(group[0])
-    axes, found = likeliest(
-        [(axes, search(axes.searched, axes.survey, names, progress=progress)) for axes in every]
-    )
-    if group[0].startswith("gyro") and any(run.pose.any() for run in diagnosis.train):
-        diagnosis.caveats.append(
-            "several poses: the gyros have another constant in each, as the earth rate makes it; a"
-            " sensitivity to g is not told from that"
-            if axes.base.own == "pose"
-            else "several poses: what is named g_sensitivity holds the vertical earth rate as well, up to"
-            " 15.04 °/h per g on the diagonal"
-        )
-    return [decide(channel, one) for channel, one in zip(axes.channels, found, strict=True)]
+def _on_poses(data: Recorded, found: Sequence[Search]) -> list[str]:
+    """Return what several poses hide of gyros."""
+    channel = found[0].channel
+    if not channel.name.startswith("gyro") or not any(run.pose.any() for run in data.blocks):
+        return []
+    if channel.declared.own == "pose":
+        what = "the gyros have another constant in each, as the earth rate makes it; a sensitivity to g is"
+        return [f"several poses: {what} not told from that"]
+    what = "what is named g_sensitivity holds the vertical earth rate as well"
+    return [f"several poses: {what}, up to 15.04 °/h per g on the diagonal"]
 
 
-def _length(runs: Sequence[RunBlocks], temperature: str, degree: int) -> tuple[int, Length] | None:
-    """Return the number of poses and what |f| = g in them determines; None where they are too few."""
-    forces = [force for run in runs if (force := specific_force(run)) is not None]
-    if len(forces) < len(runs):
-        return None
-    declared = Declared.over(runs, temperature, degree, "pose")
-    powers = np.concatenate([declared.columns(run.temperature[temperature])[:, 1:] for run in runs])
-    return Length.from_poses(np.concatenate(forces), powers)
+def _length(data: Recorded, base: Base) -> tuple[Length | None, list[str]]:
+    """Return what |f| = g determines of the accelerometers in several poses, and that in words."""
+    forces = [force for run in data.blocks if (force := specific_force(run)) is not None]
+    if len(channels_of(["accel"], base.temperatures)) < 3 or len(forces) < len(data.blocks):
+        return None, []
+    temperature = base.temperatures["accel_x"]
+    declared = Declared.over(data.blocks, temperature, base.degree, "pose")
+    powers = [declared.columns(run.temperature[temperature])[:, 1:] for run in data.blocks]
+    found = Length.from_poses(np.concatenate(forces), np.concatenate(powers))
+    if found is None:
+        return None, []
+    poses, length = found
+    return length, [length.described(poses)]

@@ -23,8 +23,8 @@ from imumon.version import __version__
 
 DECLARED = "polynomial 3 + offset"
 """The degree is that of the model; each run has a turn-on offset, as in the calibration."""
-WIDENED = 0.005
-"""Share of the span that the range is widened by, so that an end is not in and out by turns."""
+WIDENED = 1.01
+"""Range of a curve over the one that it was fitted on, so that an end is not in and out by turns."""
 
 
 def extended_model(diagnosis: Diagnosis) -> BiasModel:
@@ -61,32 +61,29 @@ def with_model(diagnosis: Diagnosis) -> list[ChannelVerdict]:
 
 
 def _channel(verdict: ChannelVerdict, known: ChannelModel | None) -> ChannelModel:
+    """Return the model of a channel: the known one, or none at all, with what was fitted."""
     fitted = verdict.after if verdict.predicts else verdict.before
     effects = [part.effect.with_start(part.start) for part in fitted.parts if part.carries]
     scored = verdict.test_after
-    rms = fitted.train_rms if scored is None or not np.isfinite(scored.rms) else scored.rms
+    rms = scored.rms if np.isfinite(scored.rms) else fitted.train_rms
     residual = float(np.sqrt(max(rms**2 - verdict.channel.floor.sd**2, 0.0)))
     declared = verdict.channel.declared
-    half = declared.half_span_degc
-    low, high = declared.middle_degc - half, declared.middle_degc + half
-    fitted_curve = Polynomial(fitted.declared, domain=[low, high])
-    if known is not None:
-        if verdict.name.startswith("accel"):
-            fitted_curve = fitted_curve - fitted_curve(declared.middle_degc)
-        return refitted(known, fitted_curve, effects, residual)
-    curve, effects = _curve(fitted_curve, effects)
-    if verdict.name.startswith("accel"):
-        curve = curve.minus(float(curve.value(declared.middle_degc)))
-    return ChannelModel.model_validate(
+    middle, half = declared.middle_degc, declared.half_span_degc
+    present = known or ChannelModel.model_validate(
         {
             "unit": verdict.channel.unit,
             "temperature_column": verdict.channel.temperature,
-            "temperature_range_degc": [low - 2 * half * WIDENED, high + 2 * half * WIDENED],
+            "temperature_range_degc": [middle - WIDENED * half, middle + WIDENED * half],
             "residual_sd": residual,
-            "curve": curve,
-            "effects": effects,
+            "curve": PolynomialCurve(center_degc=middle, half_width_degc=half, coefficients=[0.0]),
         }
     )
+    curve = Polynomial(fitted.declared, domain=[middle - half, middle + half])
+    model = refitted(present, curve, effects, residual)
+    if verdict.name.startswith("accel"):  # what it has at the middle is gravity
+        more = model.curve.value(middle) - present.curve.value(middle)
+        model = model.model_copy(update={"curve": model.curve.minus(float(more))})
+    return model
 
 
 def refitted(
@@ -104,7 +101,8 @@ def refitted(
     known_low, known_high = known.temperature_range_degc
     update: dict[str, Any] = {"residual_sd": residual_sd, "held_out_rms": {}}
     if more.degree() > 0 or own:
-        update["temperature_range_degc"] = [max(low, known_low), min(high, known_high)]
+        margin = 0.5 * (WIDENED - 1.0) * (high - low)
+        update["temperature_range_degc"] = [max(low - margin, known_low), min(high + margin, known_high)]
     if isinstance(curve, PolynomialCurve):
         ends = curve.center_degc - curve.half_width_degc, curve.center_degc + curve.half_width_degc
         added.append(Chebyshev(curve.coefficients, domain=ends).convert(kind=Polynomial))

@@ -33,21 +33,22 @@ def shown(unit: str) -> tuple[float, str]:
 
 def figures(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, str]:
     """Return the plots of a channel, caption to SVG."""
-    runs = diagnosis.train
+    runs, column = diagnosis.train, verdict.channel.temperature
+    hours = [run.time_s / HOUR_S for run in runs]
+    degc = [run.temperature[column] for run in runs]
     return {
         "Training over time: what the declared model leaves (dots), and the effects (line)": svg(
-            lambda axes: _training(axes, runs, verdict)
+            lambda axes: _training(axes, runs, verdict, hours, "time since power-on, h")
         ),
         "The same over temperature: a loop here is no curve": svg(
-            lambda axes: _over_temperature(axes, runs, verdict)
+            lambda axes: _training(axes, runs, verdict, degc, "temperature, °C")
         ),
     }
 
 
 def errors_plot(diagnosis: Diagnosis, verdict: ChannelVerdict) -> str:
     """Return the picture that the page opens with: the error before and after, of a test if there is one."""
-    draw = _test if diagnosis.test else _fitted
-    return svg(lambda axes: draw(axes, diagnosis, verdict), WIDE)
+    return svg(lambda axes: _errors(axes, diagnosis, verdict), WIDE)
 
 
 def svg(draw: Callable[[Axes], None], size: tuple[float, float] = SIZE) -> str:
@@ -66,62 +67,42 @@ def _split(runs: Sequence[RunBlocks], values: FloatArray) -> list[FloatArray]:
     return np.split(values, np.cumsum([len(run) for run in runs])[:-1])
 
 
-def _labelled(axes: Axes, verdict: ChannelVerdict, what: str, over: str) -> None:
-    axes.set(xlabel=over, ylabel=f"{what} {verdict.name}, {shown(verdict.channel.unit)[1]}")
+def _training(
+    axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict, over: Sequence[FloatArray], label: str
+) -> None:
+    scale, unit = shown(verdict.channel.unit)
+    before, after = _split(runs, verdict.before.train), _split(runs, verdict.after.train)
+    for at, run in enumerate(runs):
+        colour = COLOURS[at % len(COLOURS)]
+        axes.plot(over[at], before[at] * scale, ".", ms=3, color=colour, label=for_plot(run.name))
+        if verdict.claims:
+            axes.plot(over[at], (before[at] - after[at]) * scale, "-", lw=1, color=colour)
+    axes.set(xlabel=label, ylabel=f"left of {verdict.name}, {unit}")
     axes.legend(fontsize=6)
 
 
-def _training(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict) -> None:
-    scale = shown(verdict.channel.unit)[0]
-    before, after = _split(runs, verdict.before.train), _split(runs, verdict.after.train)
-    for at, run in enumerate(runs):
-        hours, colour = run.time_s / HOUR_S, COLOURS[at % len(COLOURS)]
-        axes.plot(hours, before[at] * scale, ".", ms=3, color=colour, label=for_plot(run.name))
-        if verdict.claims:
-            axes.plot(hours, (before[at] - after[at]) * scale, "-", lw=1, color=colour)
-    _labelled(axes, verdict, "left of", "time since power-on, h")
-
-
-def _over_temperature(axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict) -> None:
-    scale = shown(verdict.channel.unit)[0]
-    for at, (run, left) in enumerate(zip(runs, _split(runs, verdict.before.train), strict=True)):
-        t, colour = run.temperature[verdict.channel.temperature], COLOURS[at % len(COLOURS)]
-        axes.plot(t, left * scale, ".-", ms=3, lw=0.5, color=colour, label=for_plot(run.name))
-    _labelled(axes, verdict, "left of", "temperature, °C")
-
-
-def _fitted(axes: Axes, diagnosis: Diagnosis, verdict: ChannelVerdict) -> None:
-    before, after = (_split(diagnosis.train, fit.train) for fit in (verdict.before, verdict.after))
-    _both(axes, verdict, diagnosis.train, before, after)
-    _labelled(axes, verdict, "training error of", "time, h")
-
-
-def _test(axes: Axes, diagnosis: Diagnosis, verdict: ChannelVerdict) -> None:
-    before, after = verdict.test_before, verdict.test_after
-    left = after.estimated if verdict.claims and after.left < after.rms else after.residual
-    ends = _both(axes, verdict, diagnosis.test, before.residual, left)
-    outside = [hours[~use] for hours, use in zip(ends, after.counted, strict=True)]
-    beyond = np.concatenate(outside)
-    axes.plot(beyond, np.zeros(len(beyond)), "k|", ms=4, label="not scored" if len(beyond) else None)
-    _labelled(axes, verdict, "test error of", "time, h")
-
-
-def _both(
-    axes: Axes,
-    verdict: ChannelVerdict,
-    runs: Sequence[RunBlocks],
-    before: Sequence[FloatArray],
-    after: Sequence[FloatArray],
-) -> list[FloatArray]:
-    """Draw the errors of runs one after another, and the white noise of a mean; return their times in h."""
-    scale, ends, offset = shown(verdict.channel.unit)[0], [], 0.0
+def _errors(axes: Axes, diagnosis: Diagnosis, verdict: ChannelVerdict) -> None:
+    """Draw the errors of runs one after another, and the white noise of a mean."""
+    scale, unit = shown(verdict.channel.unit)
+    if diagnosis.test:
+        what, runs, score = "test", diagnosis.test, verdict.test_after
+        before, counted = verdict.test_before.residual, np.concatenate(score.counted)
+        after = score.estimated if score.left < score.rms else score.residual
+    else:
+        what, runs = "training", diagnosis.train
+        before, after = [verdict.before.train], [verdict.after.train]
+        counted = np.ones(len(after[0]), bool)
+    hours, offset = [], 0.0
     for run in runs:
-        ends.append(run.time_s / HOUR_S + offset)
-        offset = float(ends[-1][-1])
-    hours = np.concatenate(ends)
-    axes.plot(hours, np.concatenate(before) * scale, ".", ms=4, color=BEFORE, label="before")
+        hours.append(run.time_s / HOUR_S + offset)
+        offset = float(hours[-1][-1])
+    time = np.concatenate(hours)
+    axes.plot(time, np.concatenate(before) * scale, ".", ms=4, color=BEFORE, label="before")
     if verdict.claims:
-        axes.plot(hours, np.concatenate(after) * scale, ".", ms=4, color=AFTER, label="after")
+        axes.plot(time, np.concatenate(after) * scale, ".", ms=4, color=AFTER, label="after")
+    if not counted.all():
+        axes.plot(time[~counted], np.zeros(int((~counted).sum())), "k|", ms=4, label="not scored")
     floor = verdict.channel.floor.sd * scale
     axes.axhspan(-floor, floor, color="0.85", zorder=0, label="white noise of a mean")
-    return ends
+    axes.set(xlabel="time, h", ylabel=f"{what} error of {verdict.name}, {unit}")
+    axes.legend(fontsize=6)

@@ -13,7 +13,6 @@ from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.candidates import Candidate, Part
 from imumon.lab.diagnosis.channel import Channel, least_squares
 from imumon.lab.diagnosis.likelihood import Likelihood
-from imumon.models.model import REACH
 
 CLEAN = 1.8
 """Residual in white floors below which nothing is missing; slow noise of the same size as the white is
@@ -37,17 +36,32 @@ CHANGE = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedPart:
-    """An effect with the coefficients that carry over, and with what each run had."""
+    """An effect of a fitted model.
+
+    Parameters
+    ----------
+    effect : Effect
+        With the coefficients that carry over.
+    runs : tuple of int
+        The runs that have coefficients of their own; empty where they are shared.
+    own : array of shape (runs, k)
+        Coefficients; one row where they are shared.
+    start : array of shape (runs, m)
+        Of `Effect.start_columns`; empty when the start is not free.
+    """
 
     effect: Effect
     runs: tuple[int, ...]
-    """Empty where the coefficients are shared."""
     own: FloatArray
-    """One row where they are shared, (runs, k)."""
     start: FloatArray
-    """Of `Effect.start_columns`, (runs, m); empty when the start is not free."""
-    carries: bool
-    """Whether anything carries over to another run."""
+
+    @property
+    def carries(self) -> bool:
+        """Whether it carries over to another run: its coefficients are shared, or as good as."""
+        mean = self.own.mean(axis=0)
+        spread = float(np.linalg.norm(self.own - mean, axis=1).max())
+        alike = self.effect.scope == "either" and spread <= CARRY_SPREAD * float(np.linalg.norm(mean))
+        return not self.runs or alike
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,18 +69,17 @@ class Fit:
     """An extended model fitted by ordinary least squares."""
 
     declared: FloatArray
-    """Coefficients of the declared model, or of the curve in its place, (degree + 1,); the constant is the
-    one to predict with."""
+    """Coefficients of the declared model, (degree + 1,); the constant is the one to predict with."""
     parts: list[FittedPart]
     train: FloatArray
     """Residual in training, (n,)."""
     lifted: float = 0.0
-    """How much of the constant is the mean of jumps and the like, which a new run begins without."""
+    """How much of the constant is the mean of effects that do not carry over, such as jumps."""
 
     @property
     def train_rms(self) -> float:
         """rms of the residual in training."""
-        return float(np.sqrt(np.mean(self.train**2)))
+        return root_mean_square(self.train)
 
     @property
     def carries(self) -> bool:
@@ -82,24 +95,15 @@ def fit(channel: Channel, found: Sequence[Candidate]) -> Fit:
     model = coefficients[:further].copy()
     model[0] += float(coefficients[further:width].sum()) / (width - further + 1)
     none = np.empty((0, 0))
-    parts = [FittedPart(one, (), np.array([one.coefficients]), none, carries=True) for one in channel.kept]
+    parts = [FittedPart(one, (), np.array([one.coefficients]), none) for one in channel.kept]
     lifted = 0.0
     for candidate, where, starts in _layout(channel, found):
         own = coefficients[where]
-        fitted = _parts(candidate, own, coefficients[starts], len(channel.train))
-        if not any(part.carries for part in fitted):
-            mean = float((design[:, where] @ own).mean())
-            model[0] += mean
-            lifted += mean if candidate.scope != "run" else 0.0
-        parts += fitted
+        parts += _parts(candidate, own, coefficients[starts], len(channel.train))
+        if not parts[-1].carries:
+            lifted += float((design[:, where] @ own).mean())
+    model[0] += lifted
     return Fit(model, parts, channel.values - design @ coefficients, lifted)
-
-
-def fit_baseline(channel: Channel) -> Fit:
-    """Fit the baseline: the declared model, or a constant beside the present model."""
-    found = fit(channel.as_baseline(), [])
-    missing = max(0, channel.declared.degree + 1 - len(found.declared))
-    return replace(found, declared=np.pad(found.declared, (0, missing)))
 
 
 def _layout(
@@ -120,25 +124,12 @@ def _by_part(candidate: Candidate, values: FloatArray) -> list[FloatArray]:
     return [row.reshape(-1, part.effect.width) for part, row in zip(candidate.parts, rows, strict=True)]
 
 
-def _parts(candidate: Candidate, own: FloatArray, start: FloatArray, runs: int) -> list[FittedPart]:
-    """Return the parts of a candidate with their coefficients, which are in the order of its terms."""
-    found, count = list[FittedPart](), len(candidate.parts)
+def _parts(candidate: Candidate, own: FloatArray, start: FloatArray, runs: int) -> Iterator[FittedPart]:
+    """Yield the parts of a candidate with their coefficients, which are in the order of its terms."""
+    count = len(candidate.parts)
     starts = start.reshape(count, runs, -1) if start.size else np.empty((count, 0, 0))
     for part, rows, begun_at in zip(candidate.parts, _by_part(candidate, own), starts, strict=True):
-        mean, carries = _carried(part, rows)
-        found.append(FittedPart(part.effect.with_coefficients(mean), part.runs, rows, begun_at, carries))
-    return found
-
-
-def _carried(part: Part, own: FloatArray) -> tuple[FloatArray, bool]:
-    """Return the coefficients for another run, and whether anything carries over."""
-    if not part.runs:
-        return own[0], True
-    mean = own.mean(axis=0)
-    spread = np.linalg.norm(own - mean, axis=1).max()
-    if part.effect.scope == "either" and spread <= CARRY_SPREAD * np.linalg.norm(mean):
-        return mean, True
-    return np.zeros_like(mean), False
+        yield FittedPart(part.effect.with_coefficients(rows.mean(axis=0)), part.runs, rows, begun_at)
 
 
 # The test
@@ -181,8 +172,8 @@ def score_test(channel: Channel, model: Fit, like: Fit | None = None) -> TestSco
     for run in channel.test:
         t = run.temperature[channel.temperature]
         inside_range = (t >= trained.min()) & (t <= trained.max())
-        covered.append(inside_range & _within_drivers(channel, run, like or model))
-        use = covered[-1] & _settled(channel, run, like or model)
+        covered.append(inside_range)
+        use = inside_range & _settled(channel, run, like or model)
         residual = run.mean[channel.name] - _predicted(channel, run, model)
         if channel.declared.own:
             residual, use = _without_levels(residual, use, channel.declared.levels(run))
@@ -191,8 +182,8 @@ def score_test(channel: Channel, model: Fit, like: Fit | None = None) -> TestSco
         counted.append(use)
     inside = sum(int(part.sum()) for part in covered)
     return TestScore(
-        rms=mean_rms(left, counted),
-        estimated_rms=mean_rms(estimated, counted),
+        rms=_rms_of(left, counted),
+        estimated_rms=_rms_of(estimated, counted),
         coverage=inside / max(sum(map(len, covered)), 1) if covered else float("nan"),
         scored=sum(int(part.sum()) for part in counted) / max(inside, 1) if covered else float("nan"),
         residual=left,
@@ -201,18 +192,21 @@ def score_test(channel: Channel, model: Fit, like: Fit | None = None) -> TestSco
     )
 
 
-def mean_rms(parts: Sequence[FloatArray], counted: Sequence[BoolArray]) -> float:
+def root_mean_square(values: FloatArray) -> float:
+    """Return the rms of values; NaN without any."""
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+
+
+def _rms_of(parts: Sequence[FloatArray], counted: Sequence[BoolArray]) -> float:
     """Return the rms over the blocks that count; NaN when they are too few."""
     values = np.concatenate([np.empty(0), *(part[use] for part, use in zip(parts, counted, strict=True))])
-    return float(np.sqrt(np.mean(values**2))) if len(values) >= LEAST_TEST_BLOCKS else float("nan")
+    return root_mean_square(values) if len(values) >= LEAST_TEST_BLOCKS else float("nan")
 
 
 def goes_on(channel: Channel, model: Fit) -> bool:
-    """Return whether a jump of the training is still there in a run of the test."""
+    """Return whether the test goes on from a training run that has coefficients of its own."""
     goes_on_from = [begun(channel, run) for run in channel.test]
-    return any(
-        part.effect.scope == "event" and run in part.runs for part in model.parts for run in goes_on_from
-    )
+    return any(run in part.runs for part in model.parts for run in goes_on_from)
 
 
 def begun(channel: Channel, run: RunBlocks) -> int | None:
@@ -240,21 +234,9 @@ def _predicted(channel: Channel, run: RunBlocks, model: Fit) -> FloatArray:
     for part in model.parts:
         if part.carries:
             expected = expected + run.average(part.effect.simulate(drive))
-        elif part.effect.scope == "event" and which in part.runs:
+        elif which in part.runs:
             expected = expected + run.average(part.effect.columns(drive)) @ part.own[part.runs.index(which)]
     return np.asarray(expected if which is None else expected - model.lifted)
-
-
-def _within_drivers(channel: Channel, run: RunBlocks, model: Fit) -> BoolArray:
-    """Return at which blocks of a run every other driver is inside what training covered, or nearly, (n,)."""
-    drive, found = run.drives[channel.temperature], np.ones(len(run), bool)
-    for effect in (part.effect for part in model.parts):
-        for name in effect.inputs:
-            scale = effect.scale_of(name)
-            if scale is not None and name in drive.others:
-                far = np.abs(run.average(drive.others[name]) - scale.middle)
-                found &= far <= scale.half_span * (1.0 + 2.0 * REACH)
-    return found
 
 
 def _settled(channel: Channel, run: RunBlocks, model: Fit) -> BoolArray:
@@ -271,15 +253,11 @@ def _estimated(
 ) -> FloatArray:
     """Return the least-squares estimate, from the blocks that count, of what does not carry over, (n,).
 
-    That is a level, the coefficients that are each run's own, and one jump where the model has jumps.  A jump
-    of the training run that this one goes on from is predicted.
+    That is a level, the coefficients that are each run's own, and one jump where the model has jumps.  What
+    the training run has that this one goes on from is predicted.
     """
     which = begun(channel, run)
-    own = [
-        part.effect
-        for part in model.parts
-        if part.runs and not part.carries and not (part.effect.scope == "event" and which in part.runs)
-    ]
+    own = [part.effect for part in model.parts if not part.carries and which not in part.runs]
     if not own or int(use.sum()) < LEAST_TEST_BLOCKS:
         return np.zeros(len(run))
     drive = run.drives[channel.temperature]

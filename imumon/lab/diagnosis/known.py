@@ -1,4 +1,4 @@
-"""A model that is known: its curve is taken from the runs, its effects are fitted beside what it lacks."""
+"""A model that is known, the start of a search: its curve is taken from the runs, its effects come first."""
 
 from __future__ import annotations
 
@@ -17,21 +17,6 @@ from imumon.models.predictor import BiasPredictor
 
 CUBIC_DEGREE = 3
 """As what is assumed without a model: other curves keep their shape, and have a cubic added."""
-
-
-def modelled(channels: Sequence[str], model: BiasModel) -> list[str]:
-    """Return the channels that the model has.
-
-    Raises BAD_CONFIG when there is none.
-    """
-    found = [name for name in channels if name in model.channels]
-    if not found:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            f"the model has {', '.join(model.channels)}; the data has {', '.join(channels)}",
-            "give the model of this unit, or --declared",
-        )
-    return found
 
 
 def temperature_of(channel: str, model: BiasModel, runs: Sequence[Run]) -> str:
@@ -71,18 +56,20 @@ def effects_of(channel: ChannelModel) -> tuple[Effect, ...]:
     return tuple(effect for effect in channel.effects if effect.polynomial() is None)
 
 
-def with_needed(
-    drivers: Sequence[str] | None, model: BiasModel, temperatures: Mapping[str, str]
-) -> Sequence[str] | None:
-    """Return drivers (None: all there are) with those that the model's channels need, but temperatures."""
-    if drivers is None:
-        return None
-    needed = BiasPredictor(model, list(temperatures)).drivers
-    return list(dict.fromkeys([*drivers, *(name for name in needed if name not in temperatures.values())]))
+def curves_of(model: BiasModel) -> BiasModel:
+    """Return a model without its effects, but for those that are part of its curves."""
+    channels = {
+        name: channel.model_copy(
+            update={"effects": [one for one in channel.effects if one.polynomial() is not None]}
+        )
+        for name, channel in model.channels.items()
+    }
+    return model.model_copy(update={"channels": channels})
 
 
 def without_model(run: Run, model: BiasModel, channels: Sequence[str]) -> Run:
     """Return a run with what a model expects taken from its channels, effects integrated from power-on."""
+    channels = [name for name in channels if name in run.mean]
     temperatures = [temperature_of(name, model, [run]) for name in channels]
     force = [run.mean[f"accel_{axis}"] for axis in "xyz" if f"accel_{axis}" in run.mean]
     expected = BiasPredictor(model, channels).process(
@@ -94,15 +81,3 @@ def without_model(run: Run, model: BiasModel, channels: Sequence[str]) -> Run:
     )
     changed = {name: run.mean[name] - expected.bias[:, at] for at, name in enumerate(channels)}
     return replace(run, mean={**run.mean, **changed})
-
-
-def without_curve(run: Run, model: BiasModel, temperatures: Mapping[str, str]) -> Run:
-    """Return a run with the model's curve over temperature taken from its channels."""
-    names = [name for name, temperature in temperatures.items() if {name, temperature} <= run.mean.keys()]
-    curves = {
-        name: channel.model_copy(
-            update={"effects": [one for one in channel.effects if one.polynomial() is not None]}
-        )
-        for name, channel in model.channels.items()
-    }
-    return without_model(run, model.model_copy(update={"channels": curves}), names)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.candidates import Pool, Term
-from imumon.lab.diagnosis.whitening import Whitener, whitener
+from imumon.lab.diagnosis.whitening import whiten
 
 Noise = tuple[float, float]
 """Flicker r and random walk q, variances over that of the white noise of a full block."""
@@ -45,28 +45,25 @@ class Likelihood:
         self.n = sum(map(len, runs))
         self.price = float(np.log(self.n))
         """What a parameter costs in BIC."""
-        self._bounds = np.cumsum([0, *map(len, runs)]).tolist()
-        self._filters = [_filters(run) for run in runs]
+        self._runs = runs
+        self._sd = {noise: self._behind(np.empty((self.n, 0)), noise)[1] for noise in GRID}
+        """Standard deviation of each innovation, for each noise, (n,)."""
         self._whitened: dict[tuple[int, Noise], dict[Term, FloatArray]] = {}
 
     def best(self, values: FloatArray, base: FloatArray) -> tuple[float, Noise]:
         """Return the best log-likelihood of values (n,), and its noise on the whole grid."""
-        found = [self.at(values, base, point) for point in GRID]
-        at = int(np.argmax(found))
-        return found[at], GRID[at]
+        return max((self.at(values, base, noise), noise) for noise in GRID)
 
     def predictive(self, values: FloatArray, early: BoolArray) -> float:
         """Return the predictive log-likelihood of later values, given the early ones and their noise."""
-        white = [self.white(values[:, np.newaxis], point)[:, 0] for point in GRID]
-        sds = [np.concatenate([item.sd[:, at] for item in self._filters]) for at in range(len(GRID))]
-        variance = [float(np.mean(one[early] ** 2)) for one in white]
-        fit = [
-            -0.5 * early.sum() * np.log(v) - np.log(sd[early]).sum()
-            for v, sd in zip(variance, sds, strict=True)
-        ]
-        at = int(np.argmax(fit))
-        later, sd = white[at][~early], sds[at][~early] * np.sqrt(variance[at])
-        return float(-0.5 * np.sum(later**2) / variance[at] - np.log(sd).sum())
+        found = []
+        for noise in GRID:
+            white, sd = self.white(values[:, np.newaxis], noise)[:, 0], self._sd[noise]
+            variance = float(np.mean(white[early] ** 2))
+            fit = -0.5 * early.sum() * np.log(variance) - np.log(sd[early]).sum()
+            later = -0.5 * np.sum(white[~early] ** 2) / variance
+            found.append((fit, float(later - np.log(sd[~early] * np.sqrt(variance)).sum())))
+        return max(found)[1]
 
     def at(self, values: FloatArray, base: FloatArray, noise: Noise) -> float:
         """Return the log-likelihood of values (n,) with a noise."""
@@ -85,22 +82,20 @@ class Likelihood:
         pool: Pool,
         terms: Sequence[Sequence[Term]],
         grid: Sequence[Noise],
-    ) -> tuple[FloatArray, list[Noise]]:
-        """Return the best log-likelihood of the base with each candidate, given as terms, and its noise.
+    ) -> FloatArray:
+        """Return the best log-likelihood of the base with each candidate, given as terms.
 
         A candidate whose spectrum would have both signs explains nothing.
         """
         used = list(dict.fromkeys(term for group in terms for term in group))
         place = {term: at for at, term in enumerate(used)}
         groups = _by_size([[place[term] for term in group] for group in terms], pool.spectra(used))
-        best, noise = np.full(len(terms), -np.inf), np.zeros(len(terms), np.int64)
-        for index, point in enumerate(grid):
+        best = np.full(len(terms), -np.inf)
+        for point in grid:
             residual, basis = self._left(values, base, point)
             explained = _explained(residual, basis, self._terms(pool, used, point), groups, len(terms))
-            found = self._of(residual @ residual - explained, point)
-            better = found > best
-            best[better], noise[better] = found[better], index
-        return best, [grid[index] for index in noise.tolist()]
+            best = np.maximum(best, self._of(residual @ residual - explained, point))
+        return best
 
     def _terms(self, pool: Pool, terms: Sequence[Term], noise: Noise) -> FloatArray:
         """Return the whitened columns of terms, a row each; each is whitened once for each noise."""
@@ -121,7 +116,7 @@ class Likelihood:
 
     def _of(self, squares: npt.ArrayLike, noise: Noise) -> FloatArray:
         """Return log-likelihoods from sums of squares of whitened residuals, s² profiled."""
-        determinant = sum(np.log(item.sd[:, GRID.index(noise)]).sum() for item in self._filters)
+        determinant = np.log(self._sd[noise]).sum()
         return np.asarray(-0.5 * self.n * np.log(np.maximum(squares, 1e-300) / self.n) - determinant)
 
     def _left(self, values: FloatArray, base: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
@@ -132,16 +127,18 @@ class Likelihood:
 
     def white(self, columns: FloatArray, noise: Noise) -> FloatArray:
         """Return columns (n, k) whitened: behind the inverse Cholesky factor of the covariance over s²."""
-        parts = [columns[a:b] for a, b in zip(self._bounds, self._bounds[1:], strict=False)]
-        at = GRID.index(noise)
-        return np.concatenate([item(part, at) for item, part in zip(self._filters, parts, strict=True)])
+        return self._behind(columns, noise)[0]
 
-
-def _filters(run: RunBlocks) -> Whitener:
-    """Return a filter of a run for each noise of the grid."""
-    flicker, walk = np.array(GRID).T
-    markov = np.sqrt(flicker / len(TAUS_S))[:, np.newaxis] * np.ones(len(TAUS_S))
-    return whitener(TAUS_S, markov, np.sqrt(walk / WALK_S), run.time_s, run.white)
+    def _behind(self, columns: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
+        """Return columns whitened, and the standard deviations of their innovations, (n,)."""
+        flicker, walk = noise
+        markov_sd = np.full(len(TAUS_S), np.sqrt(flicker / len(TAUS_S)))
+        parts = np.split(columns, np.cumsum([len(run) for run in self._runs])[:-1])
+        found = [
+            whiten(part, run.time_s, run.white, TAUS_S, markov_sd, np.sqrt(walk / WALK_S))
+            for run, part in zip(self._runs, parts, strict=True)
+        ]
+        return np.concatenate([part for part, _ in found]), np.concatenate([sd for _, sd in found])
 
 
 def no_larger(start: Noise) -> list[Noise]:

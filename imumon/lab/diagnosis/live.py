@@ -10,6 +10,7 @@ import numpy as np
 from imumon.blocks import ColumnArray, SampleBlock
 from imumon.charts import AXIS_COLORS, Axis, Chart, Curve
 from imumon.columns import Column
+from imumon.errors import ImumonError
 from imumon.geodesy import DEG_PER_H
 from imumon.lab.diagnosis.better import Better, Challenger, better_models, residual, within_range
 from imumon.lab.diagnosis.blocks import BLOCK_S, common_block_s
@@ -19,7 +20,7 @@ from imumon.lab.diagnosis.runs import DRIVERS, LONGEST_GAP_S, SECOND_NS, Run, fu
 from imumon.lane import LaneState, Level
 from imumon.models.model import BiasModel, TrainedOn
 from imumon.models.predictor import BiasPredictor
-from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES, KeptSlots, gatherer_of, kept_slots
+from imumon.recordings.reduced import ACCEL, GYRO, KeptSlots, gatherer_of, kept_slots
 
 LANE, RESIDUAL = "model", "Residual"
 FIRST_SEARCH_S, SEARCH_EVERY_S = 1200.0, 600.0
@@ -143,11 +144,11 @@ class LiveDiagnosis:
         """Search the run so far for what the model lacks, and report that."""
         if self.offered is not None:
             return
-        if not self._run_so_far.has_any({*self._temperatures, *TEMPERATURES}):
-            wanted = " or ".join(self._temperatures)
-            self._report(f"the model is not searched: the device has not sent any {wanted} so far")
+        try:
+            run = self._run()
+        except ImumonError as error:  # the device has not sent a temperature so far
+            self._report(f"the model is not searched: {error.seen}")
             return
-        run = self._run()
         found = better_models(run, self._model, self._gyros)
         if not found:
             self.state, self._lacking = "", []

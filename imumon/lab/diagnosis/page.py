@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
 from imumon.files import write_text
 from imumon.harmless import for_html
-from imumon.lab.diagnosis.alternatives import most_different
 from imumon.lab.diagnosis.conclusion import keep_in_mind
 from imumon.lab.diagnosis.diagnose import Diagnosis
 from imumon.lab.diagnosis.figures import errors_plot, figures, shown
 from imumon.lab.diagnosis.report import report
 from imumon.lab.diagnosis.search import Progress
-from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim
+from imumon.lab.diagnosis.verdict import ChannelVerdict
 
 TEMPLATE = "report.html.j2"
 CLASSES = {"named": "found", "nothing missing": "ok"}
@@ -24,22 +22,30 @@ CLASSES = {"named": "found", "nothing missing": "ok"}
 
 def write_page(diagnosis: Diagnosis, path: Path, progress: Progress | None = None) -> None:
     """Write report.html; raises OSError when that fails."""
-    channels = []
+    drawn = {}
     for verdict in diagnosis.verdicts:
         if progress is not None:
             progress(f"drawing {verdict.name}")
-        channels.append(_channel(diagnosis, verdict))
+        drawn[verdict.name] = figures(diagnosis, verdict)
     first = max(diagnosis.verdicts, key=_weight)
-    text = (
-        environment()
-        .get_template(TEMPLATE)
-        .render(
-            report=report(diagnosis, path.parent),
-            picture=errors_plot(diagnosis, first),
-            sure=how_sure(first),
-            channels=channels,
-            caveats=keep_in_mind(diagnosis),
-        )
+    pages = environment()
+    pages.filters["number"] = _number
+    text = pages.get_template(TEMPLATE).render(
+        report=report(diagnosis, path.parent),
+        picture=errors_plot(diagnosis, first),
+        sure=how_sure(first),
+        channels=[
+            {
+                "verdict": verdict,
+                "scale": shown(verdict.channel.unit)[0],
+                "unit": shown(verdict.channel.unit)[1],
+                "class": CLASSES.get(verdict.row.state, "open"),
+                "errors": _errors(verdict),
+                "figures": drawn[verdict.name],
+            }
+            for verdict in diagnosis.verdicts
+        ],
+        caveats=keep_in_mind(diagnosis),
     )
     write_text(path, text)
 
@@ -83,65 +89,7 @@ def _weight(verdict: ChannelVerdict) -> tuple[bool, float]:
     return bool(verdict.claims), error / verdict.channel.floor.sd if verdict.channel.floor.sd > 0 else 0.0
 
 
-def _number(value: float) -> str:
+def _number(value: float, digits: int = 3) -> str:
     if not np.isfinite(value):
         return ""
-    return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
-
-
-def _channel(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, Any]:
-    scale, unit = shown(verdict.channel.unit)
-    before, after = (_number(value * scale) for value in _errors(verdict))
-    score, most = verdict.test_after, most_different(verdict.runs)
-    return {
-        "name": verdict.name,
-        "unit": unit,
-        "state": CLASSES.get(verdict.row.state, "open"),
-        "verdict": verdict.in_short,
-        "before": before,
-        "after": after if verdict.claims else "",
-        "estimated": _errors(verdict)[1] < score.rms,
-        "floor": _number(verdict.channel.floor.sd * scale),
-        "covered": f"{score.coverage:.0%}" if verdict.channel.test else "",
-        "summary": verdict.summary,
-        "left_out": [_left_out(item, scale, unit) for item in verdict.left_out],
-        "effects": [_effect(claim, scale, unit) for claim in verdict.claims],
-        "ranking": [
-            [one.name, *map(_number, (one.gain, one.train_rms * scale, one.test_rms * scale))]
-            for one in verdict.ranking
-        ],
-        "runs": [
-            {
-                "name": f"{one.name}{', test' if one.test else ''}",
-                "most": one is most,
-                "numbers": [one.blocks, *(_number(x * scale) for x in (one.before, one.after, one.mean))],
-            }
-            for one in verdict.runs
-        ],
-        "curve": [
-            [f"{at:.1f} °C", _number(value * scale), _number(sd * scale)] for at, value, sd in verdict.curve()
-        ],
-        "figures": list(figures(diagnosis, verdict).items()),
-    }
-
-
-def _left_out(item: dict[str, Any], scale: float, unit: str) -> str:
-    """Return why an effect that training shows is not claimed."""
-    text = f"{item['name']} was found in training and left out:"
-    with_it, without = (_number(item[f"test_rms_{key}"] * scale) for key in ("with", "without"))
-    if not with_it:
-        return f"{text} the test has nothing that can be scored"
-    return f"{text} with it the test has {with_it} {unit}, without it {without} {unit}"
-
-
-def _effect(claim: Claim, scale: float, unit: str) -> list[str]:
-    """Return name, parameters with their sigmas, gain in training, and share explained of an effect."""
-    texts, sizes = [], []
-    for part, sigma in zip(claim.parts, claim.sigmas, strict=True):
-        texts += [
-            f"{name} {getattr(part.effect, name):.3g} ± {sd:.2g}" for name, sd in sigma.searched.items()
-        ]
-        own, spread = part.own.ravel().tolist(), sigma.coefficients.ravel().tolist()
-        sizes += [f"{x * scale:.3g} ± {sd * scale:.2g}" for x, sd in zip(own, spread, strict=True)]
-    parameters = ", ".join([*texts, f"coefficients {' / '.join(sizes)} {unit}".strip()])
-    return [claim.finding.name, parameters, f"{claim.finding.gain:.0f}", f"{claim.explained:.0%}"]
+    return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.{digits}g}"

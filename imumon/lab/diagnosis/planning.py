@@ -22,13 +22,13 @@ from imumon.effects.library import EFFECTS, AnyEffect, effects_for
 from imumon.files import write_text
 from imumon.geodesy import DEG_PER_H, MICRO_G
 from imumon.lab.diagnosis.alternatives import NOTHING
-from imumon.lab.diagnosis.axes import Base, axes_over_bases, likeliest, search_block
+from imumon.lab.diagnosis.axes import Base, Recorded, likeliest, search_sensor
 from imumon.lab.diagnosis.blocks import BLOCK_S, make_blocks, survey
 from imumon.lab.diagnosis.choice import CLOSE, CLOSE_SHARE, PROVEN
 from imumon.lab.diagnosis.likelihood import TAUS_S
 from imumon.lab.diagnosis.profiles import Profile, profiles
 from imumon.lab.diagnosis.runs import Run, collect
-from imumon.lab.diagnosis.search import Progress, Search, search
+from imumon.lab.diagnosis.search import Progress, Search
 from imumon.models.model import UNITS
 from imumon.simulation.unit import Scenario, SimulatedUnit
 from imumon.simulation.unit.scenario import Unit
@@ -43,7 +43,6 @@ TRIALS, PROOFS = 2, 3
 """Units on which a profile is tried, and others on which the evidence of the chosen one is stated."""
 EVERY_SHAPE = 16
 """So many profiles are tried whatever they tell: by then each shape has been."""
-DRIVEN = "something that the temperature drives"
 LONG_S = 1e5
 """Correlation time of a process that stands for a random walk of an accelerometer."""
 
@@ -100,8 +99,7 @@ class Question:
     @property
     def name(self) -> str:
         """For people: which of these."""
-        names = [answer.name for answer in self.answers]
-        return " or ".join(names if len(names) > 1 else [*names, DRIVEN])
+        return " or ".join(answer.name for answer in self.answers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,17 +157,14 @@ def open_questions(report: Report) -> list[Question]:
 def plan(report: Report, question: Question, most_s: float, progress: Progress | None = None) -> Plan:
     """Return the shortest experiment that answers a question, with the evidence to expect of it."""
     inputs = {name for answer in question.answers for effect in answer.effects for name in effect.inputs}
-    if others := sorted(inputs - {ACCEL}):
-        why_not = f"{', '.join(others)} must vary apart from the rest: no chamber does that"
+    if why_not := _impossible(question, inputs - {ACCEL}):
         return Plan(question, why_not=why_not)
-    if not all(answer.carries for answer in question.answers):
-        return Plan(question, why_not="what is another in each run is told by more sessions")
     in_question = {effect.name for answer in question.answers for effect in answer.effects}
     few, every = [name for name in EFFECTS if name in in_question], effects_for(question.channel)
     low, high = report.temperature_range_degc
     slowest_s = max((time for answer in question.answers for time in answer.times_s), default=0.0)
-    best: tuple[Evidence, Profile] | None = None
     possible = profiles(low, high, report.fastest_degc_per_min, slowest_s, most_s, ACCEL in inputs)
+    best: tuple[Evidence, Profile] | None = None
     for at, profile in enumerate(possible):
         if best is not None and at >= EVERY_SHAPE and best[0].ratio * most_s < best[1].duration_s:
             break  # evidence grows no faster than time
@@ -194,37 +189,41 @@ def plan(report: Report, question: Question, most_s: float, progress: Progress |
     )
 
 
+def _impossible(question: Question, others: set[str]) -> str:
+    """Return why no experiment answers a question; `others` are the drivers that no chamber has."""
+    if others:
+        return f"{', '.join(sorted(others))} must vary apart from the rest: no chamber does that"
+    if not all(answer.carries for answer in question.answers):
+        return "what is another in each run is told by more sessions"
+    if len(question.answers) < 2:
+        return "no effect makes these recordings likelier: record at constant temperature"
+    return ""
+
+
 def evidence(
-    report: Report, question: Question, profile: Profile, seeds: Sequence[int], kinds: Sequence[str]
+    report: Report, question: Question, profile: Profile, seeds: Sequence[int], effects: Sequence[str]
 ) -> Evidence:
     """Return what the search finds on simulated units with each of the answers, among these effects."""
-    pairs: dict[tuple[str, str], list[tuple[float, float]]] = {}
-    for truth in question.answers:
-        rivals = [one.name for one in question.answers if one is not truth] or [DRIVEN]
-        if truth.name == NOTHING and rivals != [DRIVEN]:
-            continue
-        for seed in seeds:
-            run = simulated_run(scenario(report, question.channel, profile, truth), seed)
-            searched = _searched(run, question.channel, len(truth.declared) - 1, kinds)
-            for rival in rivals:
-                pairs.setdefault((truth.name, rival), []).append(_difference(searched, truth.name, rival))
     found = []
-    for pair, each in pairs.items():
-        values, needed = zip(*each, strict=True)
-        found.append(Evidence(float(np.mean(values)), min(values), float(np.mean(needed)), *pair))
+    for truth in question.answers:
+        if truth.name == NOTHING:
+            continue  # that nothing is there shows in that an effect would show
+        runs = [simulated_run(scenario(report, question.channel, profile, truth), seed) for seed in seeds]
+        degree = len(truth.declared) - 1
+        searches = [_searched(run, question.channel, degree, effects) for run in runs]
+        for rival in question.answers:
+            if rival is not truth:
+                each = [_difference(one, truth.name, rival.name) for one in searches]
+                value, needed = np.mean(each, axis=0).tolist()
+                found.append(Evidence(value, min(each)[0], needed, truth.name, rival.name))
     return min(found, key=lambda one: one.ratio)
 
 
 def _difference(searched: Search, truth: str, rival: str) -> tuple[float, float]:
     """Return by how much the gain of one effect exceeds another's, or nothing's, and what is needed of it."""
-    if rival == DRIVEN:
-        return searched.noise_gain(), PROVEN
-    for finding in searched.findings:
-        if finding.name in (truth, rival):
-            gains = finding.rivals
-            break
-    else:
-        gains = {name: one.gain for name, one in searched.tables[-1].items()} if searched.tables else {}
+    stages = [one.rivals for one in searched.findings if one.name in (truth, rival)]
+    stages += [{name: one.gain for name, one in table.items()} for table in searched.tables[-1:]]
+    gains = stages[0] if stages else {}
     own = gains.get(truth, 0.0)
     if rival == NOTHING:
         return own, PROVEN
@@ -295,14 +294,12 @@ def simulated_run(plan: Scenario, seed: int) -> Run:
     return collect([SampleBlock({**sent.columns, "at_rest": truth["at_rest"]})], plan.title)[0]
 
 
-def _searched(run: Run, channel: str, degree: int, kinds: Sequence[str]) -> Search:
-    """Return the search in one channel of a run."""
+def _searched(run: Run, channel: str, degree: int, effects: Sequence[str]) -> Search:
+    """Return the search of the diagnosis in one channel of a run."""
     blocks = [make_blocks(run, [channel], ["temperature"])]
-    shown = survey(blocks, "temperature", degree, BLOCK_S)
-    degree = degree if shown.thermal else 0
-    base = Base({channel: "temperature"}, degree, "", search_block(blocks))
-    every = axes_over_bases([run], blocks, [], [channel], base)
-    return likeliest([(axes, search(axes.searched, axes.survey, kinds)) for axes in every])[1][0]
+    base = Base({channel: "temperature"}, degree if survey(blocks, "temperature", degree).thermal else 0)
+    (found,) = likeliest(search_sensor(Recorded([run], blocks), [channel], base, effects))
+    return found
 
 
 def write_plan(report: Report, number: int, made: Plan, folder: Path) -> list[Path]:
@@ -312,23 +309,17 @@ def write_plan(report: Report, number: int, made: Plan, folder: Path) -> list[Pa
     """
     if made.profile is None:
         return []
-    rows = ["time_s,temperature_degc", *(f"{t:.0f},{c:.2f}" for t, c in _course(made.profile))]
-    course = folder / f"{number}-chamber.csv"
-    write_text(course, "\n".join(rows) + "\n")
-    written = [course]
+    chamber, end_s = made.profile.chamber, made.profile.duration_s
+    times, degrees = (values.tolist() for values in chamber_knots(chamber))
+    if times[-1] < end_s:
+        times, degrees = [*times, end_s], [*degrees, degrees[-1]]
+    rows = [f"{t:.0f},{degc:.2f}\n" for t, degc in zip(times, degrees, strict=True)]
+    files = {f"{number}-chamber.csv": "".join(["time_s,temperature_degc\n", *rows])}
     for answer in made.question.answers:
         content = scenario(report, made.question.channel, made.profile, answer)
         name = "".join(letter if letter.isalnum() else "-" for letter in answer.name).strip("-")
-        path = folder / f"{number}-{name}.yaml"
         data = content.model_dump(mode="json", exclude_unset=True)
-        write_text(path, yaml.safe_dump(data, sort_keys=False, allow_unicode=True))
-        written.append(path)
-    return written
-
-
-def _course(profile: Profile) -> list[tuple[float, float]]:
-    """Return the corners of a profile, s and °C, to its end."""
-    times, degrees = (values.tolist() for values in chamber_knots(profile.chamber))
-    if times[-1] < profile.duration_s:
-        times, degrees = [*times, profile.duration_s], [*degrees, degrees[-1]]
-    return list(zip(times, degrees, strict=True))
+        files[f"{number}-{name}.yaml"] = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+    for name, text in files.items():
+        write_text(folder / name, text)
+    return [folder / name for name in files]

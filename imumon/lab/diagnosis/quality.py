@@ -16,9 +16,6 @@ FREQUENT, TIMES_MORE = 0.01, 10.0
 """A value with this share of all samples, and so many times more than its neighbours, is not by chance."""
 REPEATED = 0.3
 """Share of samples equal to the one before that is reported: by chance 0.14, for steps of half the noise."""
-LOUDER = 1.3
-"""Ratio of the noise at the cold and at the warm end that is reported: of 20 slots of 20 samples it is known
-to 5 %."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,13 +45,10 @@ class Samples:
     atom_share: float = 0.0
     kind: str = ""
 
-    def without(self, share: float) -> Samples:
-        """Return the statistics of the rest where the frequent value stood still in this share of samples."""
-        left = max(self.atom_share - share, 0.0) / (1.0 - share)
-        repeated = max(self.repeated - share, 0.0) / (1.0 - share)
-        if left < FREQUENT:
-            return replace(self, repeated=repeated, atom=np.nan, atom_share=0.0, kind="")
-        return replace(self, repeated=repeated, atom_share=left)
+    @property
+    def is_coarse(self) -> bool:
+        """Whether the steps are larger than the scatter of the samples, those that repeat included."""
+        return self.step > self.noise * float(np.sqrt(1.0 - self.repeated))
 
 
 class Watcher:
@@ -62,6 +56,7 @@ class Watcher:
 
     def __init__(self, channels: Sequence[str]) -> None:
         self._kept: dict[str, list[FloatArray]] = {name: [] for name in channels}
+        """Samples, and whether each differs from the one before, (n, 2)."""
         self._stride, self._phase, self._count = 1, 0, 0
         self._steps = {name: np.zeros(3) for name in channels}
         """Number of steps from sample to sample, of those that are zero, and sum of squares."""
@@ -80,7 +75,8 @@ class Watcher:
             values = block[name]
             steps = np.diff(values[np.isfinite(values)])
             self._steps[name] += np.array([len(steps), np.sum(steps == 0.0), np.sum(steps**2)])
-            self._kept[name].append(values[chosen].astype(np.float64))
+            fresh = np.diff(values, prepend=np.nan) != 0.0
+            self._kept[name].append(np.column_stack([values, fresh])[chosen].astype(np.float64))
         if self._count > KEPT:
             joined = {name: np.concatenate(kept) for name, kept in self._kept.items() if kept}
             self._kept = {name: [values[::2]] for name, values in joined.items()}
@@ -90,23 +86,25 @@ class Watcher:
         """Return the statistics of each channel that has values."""
         found = {}
         for name, kept in self._kept.items():
-            values = np.concatenate([*kept, np.empty(0)])
-            values = values[np.isfinite(values)]
+            values, fresh = np.concatenate([*kept, np.empty((0, 2))]).T
+            known = np.isfinite(values)
             pairs, same, squares = self._steps[name].tolist()
-            if len(values) > 2 and pairs:
+            if known.sum() > 2 and pairs:
                 noise = float(np.sqrt(squares / (pairs - same) / 2.0)) if pairs > same else np.nan
-                found[name] = _samples(values, noise, same / pairs)
+                found[name] = _samples(values[known], fresh[known] == 1.0, noise, same / pairs)
         return found
 
 
-def _samples(values: FloatArray, noise: float, repeated: float) -> Samples:
-    distinct, count = np.unique(values, return_counts=True)
+def _samples(values: FloatArray, fresh: BoolArray, noise: float, repeated: float) -> Samples:
+    """Return the statistics; what a stuck sensor repeats counts once, so that no value of it is frequent."""
+    distinct, where = np.unique(values, return_inverse=True)
+    count = np.bincount(where, weights=fresh)
     step = grid_step(distinct, len(values))
     rounded = digits(values) if step > 0.0 else None
     found = Samples(step, noise, repeated, np.inf if rounded is None else rounded.ratio)
     at = int(np.argmax(count))
     beside = max(count[max(at - 1, 0) : at].tolist() + count[at + 1 : at + 2].tolist(), default=0)
-    share = float(count[at] / len(values))
+    share = float(count[at] / max(count.sum(), 1.0))
     coarse = step > 0.0 and not step < noise
     if coarse or len(distinct) < 3 or share < FREQUENT or count[at] < TIMES_MORE * max(beside, 1):
         return found
@@ -164,18 +162,3 @@ def _faults(found: Samples, unit: str, floor: float) -> list[Fault | None]:
         every = 1.0 / (1.0 - found.repeated)
         repeats = Fault(f"another rate: a new value with every {every:.1f}th sample only")
     return [coarse, frequent, repeats]
-
-
-def noise_over_temperature(variance: FloatArray, temperature: FloatArray) -> list[Fault]:
-    """Return white noise that depends on the temperature, from the variance of the samples in each slot."""
-    known = np.isfinite(variance) & np.isfinite(temperature) & (variance > 0.0)
-    if known.sum() < 100:
-        return []
-    variance, temperature = variance[known], temperature[known]
-    low, high = np.quantile(temperature, (0.2, 0.8))
-    ends = (variance[temperature <= low], variance[temperature >= high])
-    cold, warm = (float(np.sqrt(np.median(end))) for end in ends)
-    if not high > low or max(cold, warm) < LOUDER * min(cold, warm):
-        return []
-    times = f"{warm / cold:.2f} times as large above {high:.0f} °C as below {low:.0f} °C"
-    return [Fault(f"noise that depends on temperature: {times}")]

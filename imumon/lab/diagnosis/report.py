@@ -13,7 +13,6 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.effects.library import separated_by
 from imumon.files import plain, write_text
-from imumon.lab.diagnosis.alternatives import Answer
 from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.conclusion import conclusion, next_step
 from imumon.lab.diagnosis.diagnose import Diagnosis
@@ -74,19 +73,13 @@ def _runs(runs: Sequence[RunBlocks]) -> list[dict[str, Any]]:
 
 
 def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
-    floor, slow, test = verdict.channel.floor, verdict.slow, verdict.test_after
+    floor, test = verdict.channel.floor, verdict.test_after
     return {
         "verdict": verdict.row.state,
         "unit": verdict.channel.unit,
         "noise_floor_rms": floor.sd,
         "noise_floor_from": floor.source,
-        "slow_noise": {
-            "flicker": slow.ratios[0],
-            "random_walk": slow.ratios[1],
-            "flicker_rms": slow.flicker,
-            "random_walk_per_sqrt_s": slow.walk,
-            "heavy_tails": slow.tails,
-        },
+        "slow_noise": asdict(verdict.slow),
         "before": {"train_rms": verdict.before.train_rms, "test_rms": verdict.test_before.rms},
         "after": {
             "train_rms": verdict.after.train_rms,
@@ -98,24 +91,16 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
         "explained_share": verdict.explained,
         "curve": _curve(verdict),
         "effects": [_effect(claim) for claim in verdict.claims],
-        "ranking": [asdict(one) for one in verdict.ranking],
-        "runs": [asdict(one) for one in verdict.runs],
+        "ranking": verdict.ranking,
+        "runs": verdict.runs,
         "indistinguishable": [claim.finding.alike for claim in verdict.claims if claim.finding.alike],
         "to_separate": [
             {"effects": [claim.finding.alike[0], other], "by": separated_by(claim.finding.alike[0], other)}
             for claim in verdict.claims
             for other in claim.finding.alike[1:]
         ],
-        "questions": [[_answer(one) for one in group] for group in verdict.questions],
-        "turns": [
-            {
-                "done": stage.done,
-                "gain_bic": stage.gain,
-                "train_rms": stage.train_rms,
-                "test_rms": stage.test_rms,
-            }
-            for stage in verdict.stages
-        ],
+        "questions": verdict.questions,
+        "turns": verdict.turns,
         "fitted_anew": verdict.refit,
         "left_out": verdict.left_out,
         "in_model_file": verdict.predicts,
@@ -137,17 +122,6 @@ def _curve(verdict: ChannelVerdict) -> dict[str, Any]:
     }
 
 
-def _answer(answer: Answer) -> dict[str, Any]:
-    """Return a model that may be the unit's, with effects as in a model file."""
-    effects = [part.effect for part in answer.fit.parts if part.carries]
-    return {
-        "name": answer.name,
-        "carries": answer.carries,
-        "declared": answer.fit.declared.tolist(),
-        "effects": [effect.model_dump() for effect in effects],
-    }
-
-
 def _effect(claim: Claim) -> dict[str, Any]:
     finding = claim.finding
     return {
@@ -160,7 +134,7 @@ def _effect(claim: Claim) -> dict[str, Any]:
             "gain_bic": finding.gain,
             "test_gain": None,
             "pooled_gain_bic": finding.pooled_gain,
-            "rms_explained": finding.size,
+            "rms_explained": claim.size,
             "explained_share_alone": claim.explained,
             "rivals_gain_bic": {name: value for name, value in finding.rivals.items() if value > 0},
         },

@@ -69,8 +69,6 @@ class Run:
     """None when it is not from a file."""
     start_ns: int | None = None
     """Device time of the first sample; None when it is not known."""
-    earlier: int = 0
-    """Number of slots at the beginning that belong to the run which this one continues."""
     begun_in: str = ""
     """Name of the run that began at this power-on, where that is another: its jumps persist in this one."""
     warnings: tuple[str, ...] = ()
@@ -280,25 +278,26 @@ def divided(run: Run, channels: Sequence[str]) -> tuple[Run, Run]:
     return first, replace(first, mean=only(tested), name=f"{run.name}, held out", begun_in=run.name)
 
 
-def in_order(train: Sequence[Run], test: Sequence[Run], caveats: list[str]) -> list[Run]:
-    """Return the test runs that the training does not have, by their bytes.
+def in_order(train: Sequence[Run], test: Sequence[Run]) -> tuple[list[Run], list[str]]:
+    """Return the test runs that the training does not have, by their bytes; remarks.
 
     Those that continue another run have its time and temperatures.
     """
-    known = {(run.origin.sha256, run.origin.index, run.start_ns) for run in train if run.origin is not None}
-    found: list[Run] = []
+    known = [(one.sha256, one.index, run.start_ns) for run in train if (one := run.origin) is not None]
+    found, remarks = list[Run](), []
     for run in test:
-        if run.origin is not None and (run.origin.sha256, run.origin.index, run.start_ns) in known:
-            caveats.append(f"{run.name}: not used as a test, the training has the same recording")
+        one = run.origin
+        if one is not None and (one.sha256, one.index, run.start_ns) in known:
+            remarks.append(f"{run.name}: not used as a test, the training has the same recording")
             continue
         before = next((other for other in (*found, *train) if _continues(other, run)), None)
         if before is not None:
-            caveats.append(
+            remarks.append(
                 f"{run.name} goes on where {before.name} ended, by the device's clock: time since power-on,"
                 " lag and loop go on as well"
             )
         found.append(run if before is None else _continued(before, run))
-    return found
+    return found, remarks
 
 
 def _continues(before: Run, after: Run) -> bool:
@@ -331,6 +330,5 @@ def _continued(before: Run, after: Run) -> Run:
         variance={name: shifted(values, np.nan) for name, values in after.variance.items()},
         rest=shifted(after.rest, 0.0),
         start_ns=before.start_ns,
-        earlier=before.earlier + first,
         begun_in=before.begun_in or before.name,
     )

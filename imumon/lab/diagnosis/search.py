@@ -16,15 +16,16 @@ added to which axes, see `choice`.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 
-from imumon.effects.base import Effect, Survey
+from imumon.effects.base import Survey
 from imumon.lab.diagnosis.candidates import Candidate, Part, candidates
-from imumon.lab.diagnosis.channel import Channel, residual_rms
+from imumon.lab.diagnosis.channel import Channel
 from imumon.lab.diagnosis.choice import (
     CLOSE_SHARE,
     PROVEN,
@@ -32,7 +33,6 @@ from imumon.lab.diagnosis.choice import (
     Scored,
     Selection,
     Table,
-    gain_in,
     least_gain,
     select,
 )
@@ -56,16 +56,12 @@ REFINEMENTS = 4
 Progress = Callable[[str], None]
 
 
-@dataclass(frozen=True, slots=True)
-class Stage:
-    """A stage of the search: what was done, the model that it led to, its gain where there was one, and the
-    rms that the model leaves once it is fitted."""
+class Stage(NamedTuple):
+    """A stage of the search: what was done, the model that it led to, and its gain where there was one."""
 
     done: str
     model: Sequence[Candidate]
     gain: float = float("nan")
-    train_rms: float = float("nan")
-    test_rms: float = float("nan")
 
 
 def search(
@@ -77,12 +73,15 @@ def search(
 ) -> list[Search]:
     """Find what the channels of one sensor, over the same training runs, lack of the effects of these names.
 
-    At most `stages` effects are added to a channel.
+    The search begins with the effects of the present model that are fitted anew.  At most `stages` effects
+    are added to a channel.
     """
     likelihood, tried = Likelihood(channels[0].train), candidates(survey, names)
     searches = [Search(channel, survey, likelihood, tried) for channel in channels]
     usual = len({one.family for one in tried if not one.choice})
     least = least_gain(usual, len(channels)) if len(channels) > 1 else PROVEN
+    for one in searches:
+        one.eliminate()
     for stage in range(stages):
         active = [one for one in searches if not one.finished]
         if not active:
@@ -117,21 +116,23 @@ class Search:
 
     `findings` are the effects in the order in which they were found, those of the present model first;
     `many_events` says that a run has more than one event, such as two jumps, which no effect explains.
-    `tables` has the best candidates of each stage, `stages` what was done; `refit`: whether the present
-    curve pays for being fitted anew; `survey` is what the runs can show, `tried` what may be added.
+    `tables` has the best candidates of each stage, `stages` what was done; `survey` is what the runs can
+    show, `tried` what may be added.
     """
 
     def __init__(
         self, channel: Channel, survey: Survey, likelihood: Likelihood, tried: Sequence[Candidate]
     ) -> None:
         self.channel, self.survey, self.likelihood, self.tried = channel, survey, likelihood, tried
-        self.findings: list[Finding] = []
+        self.findings = [
+            Finding(Candidate(effect.label, (Part(effect),)), known=True)
+            for effect in channel.known or ()
+            if effect not in channel.kept
+        ]
         self.tables: list[Table] = []
         self.stages: list[Stage] = []
-        self.many_events = self.finished = self.refit = False
+        self.many_events = self.finished = False
         self._fitted: dict[tuple[int, ...], tuple[Channel, Sequence[Candidate], float, Noise]] = {}
-        if channel.known is not None:
-            self._begin_with(channel.known)
 
     @property
     def model(self) -> list[Candidate]:
@@ -161,20 +162,11 @@ class Search:
         price = number * self.likelihood.price + sum(one.choice for one in model)
         return float(2.0 * self.fitted(model)[0] - price)
 
-    def noise(self) -> tuple[float, float, float]:
-        """Return the noise of what was found: flicker and walk over white noise, and the latter's sd."""
-        flicker, walk = noise = self.fitted(self.model)[1]
-        return (
-            flicker,
-            walk,
-            self.likelihood.scale(self.channel.values, self.channel.design(self.model), noise),
-        )
-
-    def noise_gain(self) -> float:
-        """Return by how much slow noise is likelier than white noise alone, in BIC."""
-        values, base = self.channel.values, self.channel.design(self.model)
-        white = self.likelihood.at(values, base, (0.0, 0.0))
-        return 2.0 * (self.fitted(self.model)[0] - white) - 2.0 * self.likelihood.price
+    def gain_over_given(self) -> float:
+        """Return what the model gains over the present one as it is."""
+        given = self.channel.as_given()
+        price = given.base.shape[1] * self.likelihood.price
+        return self.criterion() - float(2.0 * self.likelihood.best(given.values, given.base)[0] - price)
 
     def scored(self, tried: Sequence[Candidate], model: Sequence[Candidate]) -> list[Scored]:
         """Return candidates with their gains over a model.
@@ -189,7 +181,7 @@ class Search:
         starts = list(dict.fromkeys(tuple(start) for _, start in terms if start))
         every = [*([*own, *start] for own, start in terms), *map(list, starts)]
         before, noise = self.fitted(model)
-        after, _ = self.likelihood.scan(
+        after = self.likelihood.scan(
             channel.values, channel.design(model), channel.pool, every, no_larger(noise)
         )
         ratio = (2.0 * (after - before)).tolist()
@@ -211,12 +203,79 @@ class Search:
             best = max([best, *self.scored(tried, model)], key=attrgetter("gain"))
         return best
 
+    def _beside(self, finding: Finding) -> list[Candidate]:
+        """Return the candidates of the other findings."""
+        return [other.candidate for other in self.findings if other is not finding]
+
+    # One stage
+
+    def tabulate(self, pairs: bool) -> None:
+        """Add a table: the best of each family beside what was found so far, at first in pairs as well."""
+        scored = sorted(self.scored(self.tried, self.model), key=attrgetter("gain"))
+        best = {one.family: one for one in scored}
+        self.tables.append(best | (self._beside_partner(scored, best) if pairs and not self.findings else {}))
+
+    def _beside_partner(self, scored: Sequence[Scored], best: Table) -> dict[str, Scored]:
+        """Return what effects gain beside the partner in the best pair, where both are needed.
+
+        Two effects at once hide one another: the one that replaces both best may be neither.  A pair counts
+        that gains more than any effect alone by more than the shape of that may be off.  Its partner is what
+        does not carry over, else what gains less alone.
+        """
+        members = [self.refined(one.candidate, []) for one in best.values() if one.candidate.scope == "event"]
+        for family in best:
+            members += [one for one in scored if one.family == family and one.candidate.is_plain][-PAIR_LIST:]
+        pairs = [two for two in combinations(members, 2) if two[0].family != two[1].family]
+        both = [Candidate("pair", (*one.candidate.parts, *two.candidate.parts)) for one, two in pairs]
+        found = list(zip([one.gain for one in self.scored(both, [])], pairs, strict=True))
+        alone = max([PROVEN, *(one.gain for one in members)])
+        gain, two = max(found, key=lambda pair: pair[0], default=(0.0, ()))
+        if gain <= max([alone + max(PROVEN, CLOSE_SHARE * alone), *(one.gain for one in best.values())]):
+            return {}
+        partner = min(two, key=lambda one: (one.candidate.scope not in ("run", "event"), one.gain)).family
+        beside = [
+            replace(one, gain=gain - max(0.0, other.gain), partner=partner)
+            for gain, pair in found
+            for one, other in (pair, pair[::-1])
+            if other.family == partner
+        ]
+        return {one.family: one for one in sorted(beside, key=attrgetter("gain"))}
+
+    def add(self, selection: Selection) -> bool:
+        """Add the best of a family with its parameters refined; return False where that is too small.
+
+        Beside jumps that are too small, and with a second one in a run, nothing else is proven: the channel
+        is finished.
+        """
+        table, name, model = self.tables[-1], selection.names[0], self.model
+        best = self.refined(table[name].candidate, model)
+        is_event = best.candidate.scope == "event"
+        jumped = {run for one in model if one.family == name for run in one.parts[0].runs}
+        again = is_event and not jumped.isdisjoint(best.candidate.parts[0].runs)
+        size = self._taken_away(best.candidate, model)
+        least = max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind)
+        share = JUMP_SHARE if again else SECOND_SHARE
+        if size < max(least, share * self._largest_beside(best.candidate)):
+            self.finished = is_event
+            return False
+        self.many_events |= again
+        if self.many_events:
+            self.finished = True
+            return False
+        there = {finding.name for finding in self.findings}
+        others = [other for other in selection.names[1:] if other in table and other not in there]
+        gain = max(best.gain, table[name].gain)  # beside a partner the latter is more
+        rivals = {**{other: one.gain for other, one in table.items()}, name: gain}
+        alike = {other: table[other].candidate for other in others[: MOST_NAMES - 1]}
+        self.findings.append(Finding(best.candidate, gain, selection.gain, rivals, alike, size))
+        if len(self.findings) > 1:
+            self._refine(exchange=False)
+        self.stages.append(Stage(name, self.model, gain))
+        return True
+
     def _taken_away(self, candidate: Candidate, model: Sequence[Candidate]) -> float:
         """Return the rms that a candidate takes away beside a model, by ordinary least squares."""
-        without, with_it = (
-            residual_rms(self.channel.design(one), self.channel.values)
-            for one in (model, [*model, candidate])
-        )
+        without, with_it = (self.channel.residual_rms(one) for one in (model, [*model, candidate]))
         return float(np.sqrt(max(without**2 - with_it**2, 0.0)))
 
     def _largest_beside(self, candidate: Candidate) -> float:
@@ -232,144 +291,31 @@ class Search:
         ]
         return max(sizes, default=0.0)
 
-    def _beside(self, finding: Finding) -> list[Candidate]:
-        """Return the candidates of the other findings."""
-        return [other.candidate for other in self.findings if other is not finding]
+    def eliminate(self) -> None:
+        """Drop what others make needless, and refine what is left, each beside the others.
 
-    # One stage
-
-    def tabulate(self, pairs: bool) -> None:
-        """Add a table: the best of each family beside what was found so far, at first in pairs as well."""
-        scored = sorted(self.scored(self.tried, self.model), key=attrgetter("gain"))
-        best = {one.family: one for one in scored}
-        self.tables.append(self._beside_partner(scored, best) if pairs and not self.findings else best)
-
-    def _beside_partner(self, scored: Sequence[Scored], best: dict[str, Scored]) -> Table:
-        """Return the table with what effects gain beside the partner in the best pair, where both are needed.
-
-        Two effects at once hide one another: the one that replaces both best may be neither.  A pair counts
-        that gains more than any effect alone by more than the shape of that may be off.  Its partner is what
-        does not carry over, else what gains less alone.
+        An effect of the present model that these runs do not show, before anything is added, stays as it is.
+        A finding gives way to one that fits as well, where that one is likelier beside what was found later.
         """
-        members = [self.refined(one.candidate, []) for one in best.values() if one.candidate.scope == "event"]
-        for family in best:
-            same = [one for one in scored if one.family == family and one.candidate.is_plain]
-            members += same[-PAIR_LIST:]
-        pairs = [two for two in combinations(members, 2) if two[0].family != two[1].family]
-        both = [Candidate("pair", (*one.candidate.parts, *two.candidate.parts)) for one, two in pairs]
-        gains = [one.gain for one in self.scored(both, [])]
-        alone = max([PROVEN, *(one.gain for one in members)])
-        least = max([alone + max(PROVEN, CLOSE_SHARE * alone), *(one.gain for one in best.values())])
-        if max(gains, default=0.0) <= least:
-            return best
-        partner = min(
-            pairs[int(np.argmax(gains))],
-            key=lambda one: (one.candidate.scope not in ("run", "event"), one.gain),
-        )
-        found = dict[str, Scored]()
-        for two, gain in zip(pairs, gains, strict=True):
-            for one, other in (two, two[::-1]):
-                beside = gain - max(0.0, other.gain)
-                if other.family == partner.family and beside > gain_in(found, one.family):
-                    found[one.family] = replace(one, gain=beside, partner=partner.family)
-        return best | found
+        for finding in list(self.findings):
+            alone = len(self.findings) == 1 and not finding.known
+            if not alone and self.criterion() - self.criterion(self._beside(finding)) <= PROVEN:
+                self.findings.remove(finding)
+                if finding.known and not self.tables:
+                    (part,) = finding.candidate.parts
+                    self.channel = replace(self.channel, kept=(*self.channel.kept, part.effect))
+        if len(self.findings) == 1 and not self.findings[0].known:
+            return
+        before = [finding.name for finding in self.findings]
+        self._refine(exchange=True)
+        if changed := [finding.name for finding in self.findings if finding.name not in before]:
+            self.stages.append(Stage(f"{' and '.join(changed)} fits better beside the rest", self.model))
 
-    def add(self, selection: Selection) -> bool:
-        """Add the best of a family with its parameters refined; return False where that is too small.
-
-        Beside jumps that are too small, and with a second one in a run, nothing else is proven: the channel
-        is finished.
-        """
-        table, name, model = self.tables[-1], selection.names[0], self.model
-        best = self.refined(table[name].candidate, model)
-        gain = max(best.gain, table[name].gain)  # beside a partner the latter is more
-        size = self._taken_away(best.candidate, model)
-        there = {finding.name for finding in self.findings}
-        is_event = best.candidate.scope == "event"
-        jumped = {run for one in model if one.family == name for run in one.parts[0].runs}
-        again = is_event and not jumped.isdisjoint(best.candidate.parts[0].runs)
-        share = JUMP_SHARE if again else SECOND_SHARE
-        least = max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind)
-        if size < max(least, share * self._largest_beside(best.candidate)):
-            self.finished = is_event
-            return False
-        self.many_events |= again
-        if self.many_events:
-            self.finished = True
-            return False
-        others = [other for other in selection.names[1:] if other in table and other not in there]
-        others = others[: MOST_NAMES - 1]
-        self.findings.append(
-            Finding(
-                best.candidate,
-                gain,
-                selection.gain,
-                {**{other: one.gain for other, one in table.items()}, name: gain},
-                [name, *others] if others else [],
-                size,
-                others={other: table[other].candidate for other in others},
-            )
-        )
-        if len(self.findings) > 1:
-            self._refine()
-        self.stages.append(Stage(name, self.model, gain))
-        return True
-
-    def _refine(self, exchange: bool = False) -> None:
-        """Refine each finding beside the others.
-
-        With `exchange`, a finding gives way to one that fits as well, where that one is
-        likelier beside what was found later.
-        """
+    def _refine(self, exchange: bool) -> None:
+        """Refine each finding beside the others; with `exchange` one that fits as well may take its place."""
         for finding in self.findings:
-            beside = self._beside(finding)
-            names = [finding.name, *finding.alike] if exchange else [finding.name]
+            beside, names = self._beside(finding), [finding.name]
+            names += finding.others if exchange else []
             tried = [one for one in self.tried if one.family in names and one.carries]
             best = max(self.scored([finding.candidate, *tried], beside), key=attrgetter("gain"))
             finding.becomes(self.refined(best.candidate, beside).candidate)
-
-    # At the end
-
-    def eliminate(self) -> None:
-        """Drop what later findings made needless, and refine what is left, each beside the others."""
-        if len(self.findings) > 1:
-            self._drop_needless()
-            before = [finding.name for finding in self.findings]
-            self._refine(exchange=True)
-            if changed := [finding.name for finding in self.findings if finding.name not in before]:
-                self.stages.append(Stage(f"{' and '.join(changed)} fits better beside the rest", self.model))
-        if self.channel.known is not None:
-            self._keep_curve()
-
-    def _drop_needless(self) -> None:
-        for finding in list(self.findings):
-            if len(self.findings) > 1 and self.criterion() - self.criterion(self._beside(finding)) <= PROVEN:
-                self.findings.remove(finding)
-
-    # A present model
-
-    def _begin_with(self, known: Sequence[Effect]) -> None:
-        """Fit anew what the runs show of the present model; the rest of it stays as it is."""
-        baseline = self.channel.as_baseline()
-        before = 2.0 * self.likelihood.best(baseline.values, baseline.base)[0] - self.likelihood.price
-        for effect in known:
-            candidate = Candidate(effect.label, (Part(effect),))
-            self.findings.append(Finding(candidate, 0.0, 0.0, {}, [], 0.0, known=True))
-        for finding in list(self.findings):
-            if self.criterion() - self.criterion(self._beside(finding)) <= PROVEN:
-                self.findings.remove(finding)
-                effect = finding.candidate.parts[0].effect
-                self.channel = replace(self.channel, kept=(*self.channel.kept, effect))
-        self._refine()
-        gain = self.criterion() - before
-        self.refit = gain > PROVEN
-        if self.refit:
-            self.stages.append(Stage("what was given is fitted anew", self.model, gain))
-
-    def _keep_curve(self) -> None:
-        """Leave the present curve as it is, but for a constant, unless fitting it anew pays."""
-        fitted, before = self.channel, self.criterion()
-        self.channel = replace(fitted, declared=replace(fitted.declared, degree=0))
-        curve = any(finding.candidate.parts[0].effect.is_curve for finding in self.findings)
-        if curve or before - self.criterion() > PROVEN:
-            self.channel = fitted

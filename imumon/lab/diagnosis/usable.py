@@ -1,4 +1,4 @@
-"""The channels, drivers and runs that a diagnosis can use; what is left out is reported as a caveat."""
+"""The channels, drivers and runs that a diagnosis can use, with a remark on each that is left out."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.clock.channel import CLOCK
-from imumon.effects.base import DrivenEffect, Scale, Survey
-from imumon.effects.library import EFFECTS
-from imumon.effects.product import Product
 from imumon.errors import ImumonError, Reason
-from imumon.lab.diagnosis.blocks import BLOCK_S, LEAST_BLOCKS, LEAST_SLOTS, RunBlocks, make_blocks
-from imumon.lab.diagnosis.quality import Fault, noise_over_temperature, sample_faults, standing
+from imumon.lab.diagnosis.blocks import (
+    BLOCK_S,
+    LEAST_BLOCKS,
+    LEAST_SLOTS,
+    RunBlocks,
+    make_blocks,
+)
+from imumon.lab.diagnosis.quality import Fault, sample_faults, standing
 from imumon.lab.diagnosis.runs import CHANNELS, SHORTEST_RUN_S, Run, channels_of, common_temperature, unit_of
 
 LEAST_THERE = 0.1
@@ -23,32 +26,27 @@ MANY_GAPS = 0.2
 """Share of a run left out that is reported."""
 RESOLUTION = 1e-12
 """Share of its value below which the changes of a channel are rounding in the computation of its means."""
-OPERATORS = sum(issubclass(kind, (DrivenEffect, Product)) for kind in EFFECTS.values())
-"""Number of effects that a driver may have."""
-LEAST_OWN = 0.02
-"""A driver of whose variance less is left beside temperature and time is confounded with them: the sigma of
-its coefficient is seven times that of one by itself."""
 
 
 def usable_channels(
-    train: Sequence[Run], test: Sequence[Run], sensors: Sequence[str], caveats: list[str]
-) -> list[str]:
-    """Return the channels that every training run has at a tenth of its time or more, and that vary at all.
+    train: Sequence[Run], test: Sequence[Run], sensors: Sequence[str]
+) -> tuple[list[str], list[str]]:
+    """Return the channels that vary and that every training run has at a tenth of its time or more; remarks.
 
     The clock of the device beside others only where all runs have it.
 
     Raises BAD_DATA when there is none.
     """
-    found = []
+    found, remarks = [], []
     for name in channels_of(sensors, {name for run in train for name in run.variance}):
         lacking = [run.name for run in train if not _has(run, name)]
         if len(lacking) == len(train):
             continue
         if lacking:
-            caveats.append(f"{name} is left out: {', '.join(lacking)} hardly has it")
+            remarks.append(f"{name} is left out: {', '.join(lacking)} hardly has it")
         elif not any(_varies(run.mean[name], run.variance[name]) for run in train):
             value = float(np.nanmean(train[0].mean[name]))
-            caveats.append(f"{name} is left out: it has one value throughout, {value:g} {unit_of(name)}")
+            remarks.append(f"{name} is left out: it has one value throughout, {value:g} {unit_of(name)}")
         else:
             found.append(name)
     if not found:
@@ -58,8 +56,8 @@ def usable_channels(
             "give sessions that have them, or a map that says which columns they are",
         )
     if len(found) > 1 and not all(CLOCK in run.mean for run in (*train, *test)):
-        return [name for name in found if name != CLOCK]
-    return found
+        found = [name for name in found if name != CLOCK]
+    return found, remarks
 
 
 def _has(run: Run, channel: str) -> bool:
@@ -82,49 +80,39 @@ def temperature_of_axis(channel: str, runs: Sequence[Run]) -> str:
     return common_temperature(f"temperature_{channel[-1]}", runs, lacking, but=channel)
 
 
-def sound(runs: Sequence[Run], channels: Sequence[str], caveats: list[str]) -> list[Run]:
-    """Return runs without the slots in which a channel stands still, which are reported.
+def sound(run: Run, channels: Sequence[str]) -> tuple[Run, list[str]]:
+    """Return a run without the slots in which a channel stands still; remarks.
 
     Noise never gives the same value for as long as a block, but a stuck sensor does, one at its limit, and
-    one whose digits are coarser than its noise.  The last is reported and kept.
+    one whose digits are coarser than its noise.  The last stays.
     """
-    found = []
-    for run in runs:
-        mean, variance, samples = dict(run.mean), dict(run.variance), dict(run.samples)
-        for name in channels:
-            if name not in mean:
-                continue
-            still = standing(mean[name], variance[name], max(LEAST_SLOTS, BLOCK_S / run.slot_s))
-            if not still.any():
-                continue
-            share = float(still.sum() / np.isfinite(mean[name]).sum())
-            one = samples.get(name)
-            # What stands still most of the time is not stuck.
-            if share > 0.5 or (one is not None and one.step > one.noise * np.sqrt(1.0 - one.repeated)):
-                caveats.append(
-                    f"{run.name}: {name} does not change in {share:.0%} of its time: too few digits"
-                )
-                continue
-            values, limits = mean[name][still], (np.nanmin(mean[name]), np.nanmax(mean[name]))
-            if one is not None and np.isclose(values, one.atom, rtol=1e-9, atol=0.0).any():
-                samples[name] = one.without(share)
-            seconds = still.sum() * run.slot_s
-            what = "saturated" if np.isin(values, limits).all() else "stuck"
-            caveats.append(f"{run.name}: {name} is {what} for {seconds:.0f} s; they are left out")
-            mean[name] = np.where(still, np.nan, mean[name])
-            variance[name] = np.where(still, np.nan, variance[name])
-        found.append(replace(run, mean=mean, variance=variance, samples=samples))
-    return found
+    mean, variance, remarks = dict(run.mean), dict(run.variance), []
+    for name in channels:
+        if name not in mean:
+            continue
+        still = standing(mean[name], variance[name], max(LEAST_SLOTS, BLOCK_S / run.slot_s))
+        if not still.any():
+            continue
+        share = float(still.sum() / np.isfinite(mean[name]).sum())
+        samples = run.samples.get(name)
+        # What stands still most of the time is not stuck.
+        if share > 0.5 or (samples is not None and samples.is_coarse):
+            remarks.append(f"{run.name}: {name} does not change in {share:.0%} of its time: too few digits")
+            continue
+        limits = np.nanmin(mean[name]), np.nanmax(mean[name])
+        what = "saturated" if np.isin(mean[name][still], limits).all() else "stuck"
+        remarks.append(
+            f"{run.name}: {name} is {what} for {still.sum() * run.slot_s:.0f} s; they are left out"
+        )
+        mean[name] = np.where(still, np.nan, mean[name])
+        variance[name] = np.where(still, np.nan, variance[name])
+    return replace(run, mean=mean, variance=variance), remarks
 
 
-def faults(runs: Sequence[Run], channel: str, temperature: str, floor: float) -> list[Fault]:
-    """Return what is wrong with the values of a channel; `floor` is the white noise of a block."""
+def faults(runs: Sequence[Run], channel: str, floor: float) -> list[Fault]:
+    """Return what is wrong with the samples of a channel; `floor` is the white noise of a block."""
     samples = [run.samples[channel] for run in runs if channel in run.samples]
-    there = [run for run in runs if temperature in run.mean]
-    return sample_faults(samples, unit_of(channel), floor) or noise_over_temperature(
-        np.concatenate([run.variance[channel] for run in there]),
-        np.concatenate([run.mean[temperature] for run in there]),
-    )
+    return sample_faults(samples, unit_of(channel), floor)
 
 
 def resting(run: Run) -> bool:
@@ -133,8 +121,8 @@ def resting(run: Run) -> bool:
 
 
 def _rest_share(run: Run, channel: str) -> float:
-    there = np.isfinite(run.mean[channel])[run.earlier :]
-    return float(run.at_rest[run.earlier :][there].mean()) if there.any() else 0.0
+    there = np.isfinite(run.mean[channel])
+    return float(run.at_rest[there].mean()) if there.any() else 0.0
 
 
 def usable_blocks(
@@ -143,62 +131,57 @@ def usable_blocks(
     temperatures: Sequence[str],
     drivers: Sequence[str],
     block_s: float,
-    caveats: list[str],
 ) -> tuple[list[RunBlocks], list[str]]:
-    """Return the runs at rest as blocks, and what moves; runs that cannot be used are reported."""
-    found, moving = [], []
+    """Return the runs at rest as blocks; remarks on those that cannot be used, and on gaps."""
+    found, remarks = [], []
     for run in runs:
         lacking = [name for name in (*channels, *temperatures) if name not in run.mean]
         if lacking:
-            caveats.append(f"{run.name}: not used, it lacks {', '.join(lacking)}")
+            remarks.append(f"{run.name}: not used, it lacks {', '.join(lacking)}")
             continue
-        there = float(np.isfinite(run.mean[channels[0]])[run.earlier :].mean())
         rest_share = _rest_share(run, channels[0])
         if rest_share < 0.5:
-            moving.append(f"{run.name}: at rest for {rest_share:.0%} of its {run.duration_s / 60:.0f} min")
+            minutes = run.duration_s / 60
+            remarks.append(
+                f"{run.name}: not used, the unit moves: at rest for {rest_share:.0%} of its {minutes:.0f} min"
+            )
             continue
         blocks = make_blocks(run, channels, temperatures, drivers, block_s)
         if len(blocks) * block_s < SHORTEST_RUN_S:
-            caveats.append(
+            remarks.append(
                 f"{run.name}: not used, {len(blocks)} blocks of {block_s:.0f} s at rest are too few"
             )
             continue
-        if there < run.share * (1.0 - MANY_GAPS):
-            caveats.append(f"{run.name}: samples in {there:.0%} of its time only; gaps are left out")
-        if rest_share < 1.0 - MANY_GAPS:
-            caveats.append(f"{run.name}: at rest for {rest_share:.0%} of its time; the rest is left out")
         found.append(blocks)
-    caveats += [f"{text}: not used, it moves" for text in moving]
-    return found, moving
+        known = np.isfinite(run.mean[channels[0]])
+        there = float(known[np.argmax(known) :].mean())  # what goes on from another run begins late
+        if there < run.share * (1.0 - MANY_GAPS):
+            remarks.append(f"{run.name}: samples in {there:.0%} of its time only; gaps are left out")
+        if rest_share < 1.0 - MANY_GAPS:
+            remarks.append(f"{run.name}: at rest for {rest_share:.0%} of its time; the rest is left out")
+    return found, remarks
 
 
-def check_training(blocks: Sequence[RunBlocks], moving: Sequence[str], block_s: float) -> None:
-    """Raise BAD_DATA when the unit was hardly at rest in training, or that is too short."""
-    if moving and not blocks:
-        raise ImumonError(
-            Reason.BAD_DATA,
-            "the unit moves: " + "; ".join(moving),
-            "what the bias model lacks can be found only in a unit at rest; if it was, add --at-rest",
-        )
+def check_training(blocks: Sequence[RunBlocks], remarks: Sequence[str], block_s: float) -> None:
+    """Raise BAD_DATA when the unit was at rest for too short a time in training, with the remarks on that."""
     total = sum(map(len, blocks))
     if total < LEAST_BLOCKS:
+        short = (
+            f"too short: the training data has {total} means of {block_s:.0f} s at rest;"
+            f" {LEAST_BLOCKS} are needed, {LEAST_BLOCKS * block_s / 60:.0f} min"
+        )
         raise ImumonError(
             Reason.BAD_DATA,
-            f"too short: the training data has {total} means of {block_s:.0f} s at rest;"
-            f" {LEAST_BLOCKS} are needed, {LEAST_BLOCKS * block_s / 60:.0f} min",
+            "; ".join([short, *remarks]),
             "record the unit at rest for an hour or more while its temperature changes;"
             " if it was at rest and is not detected to be, add --at-rest",
         )
 
 
 def usable_drivers(
-    train: Sequence[Run],
-    test: Sequence[Run],
-    beside: Sequence[str],
-    wanted: Sequence[str] | None,
-    caveats: list[str],
-) -> list[str]:
-    """Return the drivers that vary in training and are in every run, of those wanted (None: of all).
+    train: Sequence[Run], test: Sequence[Run], beside: Sequence[str], wanted: Sequence[str] | None
+) -> tuple[list[str], list[str]]:
+    """Return the drivers that vary in training and are in every run, of those wanted (None: of all); remarks.
 
     `beside` are the temperatures that the curves are over.
 
@@ -212,48 +195,18 @@ def usable_drivers(
             f"--drivers: {', '.join(lacking)} is not in the training data",
             f"there are {', '.join(possible) or 'none'}; a map names others with other: {{NAME: ...}}",
         )
-    found = []
+    found, remarks = [], []
     for name in possible if wanted is None else wanted:
         values = np.concatenate([run.mean[name] for run in train if name in run.mean])
         if not np.nanmax(values) > np.nanmin(values):
             continue
         runs = [run.name for run in (*train, *test) if not _covers(run, name)]
         if runs:
-            caveats.append(f"{name} is hardly recorded in {', '.join(runs)}: no effect of it is looked for")
+            remarks.append(f"{name} is hardly recorded in {', '.join(runs)}: no effect of it is looked for")
         else:
             found.append(name)
-    return found
+    return found, remarks
 
 
 def _covers(run: Run, name: str) -> bool:
     return name in run.mean and np.isfinite(run.mean[name]).sum() >= 0.5 * run.duration_s / BLOCK_S
-
-
-def with_drivers(found: Survey, runs: Sequence[RunBlocks], temperature: str) -> Survey:
-    """Return what training runs can show, with the drivers that there are beside a temperature."""
-    scales = {}
-    for name, values in _means(runs, temperature).items():
-        low, high = float(values.min()), float(values.max())
-        scales[name] = Scale(0.5 * (low + high), 0.5 * (high - low) or 1.0)
-    return replace(found, others=scales, choices=max(1, len(scales)) * OPERATORS)
-
-
-def _means(runs: Sequence[RunBlocks], temperature: str) -> dict[str, FloatArray]:
-    """Return the block means of each driver over all runs, (n,) each."""
-    drives = [(run, run.drives[temperature].others) for run in runs if temperature in run.drives]
-    names = drives[0][1] if drives else {}
-    return {name: np.concatenate([run.average(others[name]) for run, others in drives]) for name in names}
-
-
-def confounded(runs: Sequence[RunBlocks], temperature: str, scale: Scale, degree: int) -> list[str]:
-    """Return the drivers that nothing in these runs separates from temperature and time."""
-    u = (np.concatenate([run.temperature[temperature] for run in runs]) - scale.middle) / scale.half_span
-    time_s = np.concatenate([run.time_s for run in runs])
-    basis = np.linalg.qr(np.column_stack([u[:, np.newaxis] ** np.arange(degree + 3), time_s]))[0]
-    found = []
-    for name, values in _means(runs, temperature).items():
-        centred = values - values.mean()
-        left = centred - basis @ (basis.T @ centred)
-        if left @ left < LEAST_OWN * (centred @ centred):
-            found.append(name)
-    return found

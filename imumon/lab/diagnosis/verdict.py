@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, Self
 
@@ -10,83 +10,91 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.effects.library import separated_by
-from imumon.lab.diagnosis.alternatives import Question, Ranked, RunLeft
 from imumon.lab.diagnosis.channel import Channel
 from imumon.lab.diagnosis.choice import PROVEN, Finding
 from imumon.lab.diagnosis.fit import MATERIAL, Fit, FittedPart, PartSigma, TestScore, goes_on
 from imumon.lab.diagnosis.likelihood import WALK_S
-from imumon.lab.diagnosis.search import Search, Stage
+from imumon.lab.diagnosis.search import Search
 
 State = Literal["named", "unexplained", "nothing missing", "too few digits", "not proven", "faulty"]
 
 
 class Row(NamedTuple):
-    """A verdict: given where all of its predicates hold and those of no row above do."""
+    """A verdict: the first row of the table whose predicate holds."""
 
-    predicates: tuple[str, ...]
+    predicate: str
+    """Of `ChannelVerdict`; empty where it always holds."""
     state: State
     """Which kind of verdict it is, in `report.json`."""
     sentence: str
     """With the names of what is claimed."""
 
 
-BY_TEST = "proven by the test alone, so the error there is no longer unseen"
 VERDICTS = (
-    Row(("faulty",), "faulty", "the data is at fault, and no effect is looked for"),
-    Row(("by_test", "not_told_apart"), "named", f"{{names}}, not told apart, {BY_TEST}"),
-    Row(("by_test",), "named", f"{{names}}, {BY_TEST}"),
-    Row(
-        ("claimed", "not_told_apart", "unexplained"),
-        "named",
-        "{names}, not told apart, and more that is unexplained",
-    ),
-    Row(("claimed", "unexplained"), "named", "{names}, and more that is unexplained"),
-    Row(("claimed", "hidden"), "named", "{names}; too few digits to tell whether there is more"),
-    Row(("claimed", "not_told_apart"), "named", "{names}, not told apart"),
-    Row(("claimed",), "named", "{names}"),
-    Row(("unexplained",), "unexplained", "unexplained"),
-    Row(("hidden",), "too few digits", "too few digits to tell"),
-    Row(("clean",), "nothing missing", "nothing is missing"),
-    Row((), "not proven", "nothing is proven"),
+    Row("faulty", "faulty", "the data is at fault, and no effect is looked for"),
+    Row("claimed", "named", "{names}"),
+    Row("unexplained", "unexplained", "unexplained"),
+    Row("hidden", "too few digits", "too few digits to tell"),
+    Row("clean", "nothing missing", "nothing is missing"),
+    Row("", "not proven", "nothing is proven"),
 )
-"""The first row of which all predicates hold is the verdict; `ChannelVerdict` defines the predicates."""
+BESIDE_CLAIMS = {
+    "not_told_apart": ", not told apart",
+    "by_test": ", proven by the test alone, so the error there is no longer unseen",
+    "unexplained": ", and more that is unexplained",
+    "hidden": "; too few digits to tell whether there is more",
+}
+"""What is added to the sentence of what is claimed, where a predicate holds."""
 
 
 @dataclass(slots=True)
 class Claim:
-    """An effect that is claimed, with its evidence; `parts` and `sigmas` are those of the whole model."""
+    """An effect that is claimed, with its evidence; `parts` and `sigmas` are those of the whole model.
+
+    `explained` is the share, and `size` the rms, that it takes away from training alone; `test_alone` is what
+    it then leaves of the test.
+    """
 
     finding: Finding
     parts: list[FittedPart]
     explained: float
+    size: float
     test_alone: float
     sigmas: list[PartSigma] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
 class SlowNoise:
-    """Flicker, rms over the correlation times of the likelihood, and random walk per root of a second, in the
-    unit of the channel; `ratios` are r and q of the likelihood.
+    """The noise that is likeliest beside what was found, as `report.json` has it.
 
-    `tails` is the gain in BIC of innovations with heavy tails: where that is large it is no such noise.
+    Parameters
+    ----------
+    flicker, random_walk : float
+        r and q of the likelihood, variances over that of the white noise.
+    flicker_rms, random_walk_per_sqrt_s : float
+        The same in the unit of the channel, over the correlation times of the likelihood.
+    heavy_tails : float
+        Gain in BIC of innovations with heavy tails.
     """
 
     flicker: float
-    walk: float
-    tails: float
-    ratios: tuple[float, float]
+    random_walk: float
+    flicker_rms: float
+    random_walk_per_sqrt_s: float
+    heavy_tails: float
 
     @classmethod
     def of(cls, found: Search) -> Self:
-        """Return the noise that is likeliest beside what was found."""
-        channel, (flicker, walk, sd) = found.channel, found.noise()
-        tails = found.likelihood.tails(channel.values, channel.design(found.model), (flicker, walk))
-        return cls(float(np.sqrt(flicker) * sd), float(np.sqrt(walk / WALK_S) * sd), tails, (flicker, walk))
+        """Return the noise of what was found."""
+        flicker, walk = noise = found.fitted(found.model)[1]
+        of = found.channel.values, found.channel.design(found.model), noise
+        sd, tails = found.likelihood.scale(*of), found.likelihood.tails(*of)
+        return cls(flicker, walk, float(np.sqrt(flicker) * sd), float(np.sqrt(walk / WALK_S) * sd), tails)
 
     @property
     def jumps(self) -> bool:
         """Whether it jumps or comes in bursts, as no Gaussian noise does."""
-        return self.tails > PROVEN
+        return self.heavy_tails > PROVEN
 
 
 @dataclass(slots=True)
@@ -103,19 +111,20 @@ class ChannelVerdict:
     unexplained: bool
     """More than 1.8 floors are left in training or, beside what is claimed, in the test."""
     explained: float
-    left_out: list[dict[str, Any]]
-    """What was found but made the test worse."""
     remark: str
+    left_out: Sequence[dict[str, Any]]
+    """What was found but made the test worse."""
     predicts: bool
     """Whether the extended model goes into the model file; else the declared one does: nothing of what is
     claimed carries over, or the levels of the test make the prediction worse with it."""
     slow: SlowNoise
-    questions: list[Question]
+    questions: list[list[dict[str, Any]]]
     refit: list[str]
     """What was fitted anew of the present model, its curve first; empty when that stays as it is."""
-    stages: list[Stage]
-    ranking: list[Ranked]
-    runs: list[RunLeft]
+    turns: list[dict[str, Any]]
+    """Of `report.json`: what was done in each stage of the search, and what was left."""
+    ranking: list[dict[str, Any]]
+    runs: list[dict[str, Any]]
     declared_covariance: FloatArray
     """Of the coefficients of the declared model, (degree + 1, degree + 1)."""
 
@@ -167,15 +176,18 @@ class ChannelVerdict:
 
     @property
     def row(self) -> Row:
-        """The verdict: the first row of the table whose predicates hold."""
-        return next(row for row in VERDICTS if all(getattr(self, name) for name in row.predicates))
+        """The verdict: the first row of the table whose predicate holds."""
+        return next(row for row in VERDICTS if not row.predicate or getattr(self, row.predicate))
 
     @property
     def in_short(self) -> str:
         """The verdict in a few words."""
         each = [" or ".join(claim.finding.alike) or claim.finding.name for claim in self.claims]
         names = [f"({name})" if " or " in name and len(each) > 1 else name for name in dict.fromkeys(each)]
-        return self.row.sentence.format(names=" and ".join(names))
+        text = self.row.sentence.format(names=" and ".join(names))
+        if self.row.predicate == "claimed":
+            text += "".join(more for name, more in BESIDE_CLAIMS.items() if getattr(self, name))
+        return text
 
     @property
     def summary(self) -> str:
@@ -201,9 +213,7 @@ def _details(verdict: ChannelVerdict) -> Iterator[str]:
     if verdict.remark:
         yield verdict.remark
     for item in verdict.left_out:
-        unproven = np.isnan(item["test_rms_with"])
-        why = "no block of the test can be scored with it" if unproven else "made the test worse"
-        yield f"{item['name']} was found but {why}"
+        yield f"{item['name']} was found but made the test worse"
     pairs = [(one.finding.alike[0], other) for one in verdict.claims for other in one.finding.alike[1:]]
     if pairs:
         yield f"to separate: {'; '.join(dict.fromkeys(separated_by(*pair) for pair in pairs))}"
@@ -232,12 +242,10 @@ def _left_in_test(verdict: ChannelVerdict) -> str:
         return "; without a test that is no proof"
     if not np.isfinite(after.rms):
         return "; no proof: the test has too little inside what training covered"
-    inside = f", over the {after.coverage:.0%} of it that are inside what training covered"
-    covered = "" if after.coverage == 1.0 else inside
+    covered = "" if after.coverage == 1.0 else f", over the {after.coverage:.0%} of it that training covered"
     if not verdict.claims and not verdict.refit:
         return f", {before.rms / floor:.2f} in the test{covered}"
-    predicted = (verdict.after.carries and verdict.predicts) or (
-        goes_on(verdict.channel, verdict.after) and after.rms < before.rms
-    )
+    predicted = verdict.predicts and verdict.after.carries
+    predicted |= goes_on(verdict.channel, verdict.after) and after.rms < before.rms
     value, how = (after.rms, "predicted") if predicted else (after.estimated_rms, "estimated in the test")
     return f", {before.rms / floor:.1f} become {value / floor:.2f} in the test{covered} ({how})"

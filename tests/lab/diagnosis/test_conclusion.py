@@ -15,7 +15,7 @@ from imumon.lab.diagnosis.conclusion import conclusion, next_step
 from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
 from imumon.lab.diagnosis.page import write_page
 from imumon.lab.diagnosis.report import report
-from imumon.lab.diagnosis.verdict import VERDICTS, ChannelVerdict
+from imumon.lab.diagnosis.verdict import BESIDE_CLAIMS, VERDICTS, ChannelVerdict
 from tests.lab.diagnosis.units import DPH, Bias, lagged, ramps, run, telegraph, three
 
 TAU_S = 220.0
@@ -58,7 +58,7 @@ def test_a_lag_of_the_training_is_not_named_where_the_test_is_driven_by_somethin
     assert not verdict.claims
     assert verdict.unexplained
     assert "of the test" in verdict.remark
-    assert verdict.ranking[0].name in ("thermal_lag", "dead_time")
+    assert verdict.ranking[0]["name"] in ("thermal_lag", "dead_time")
 
 
 def test_the_same_lag_is_named_where_the_test_shows_it(lagging: Diagnosis) -> None:
@@ -132,16 +132,18 @@ def test_without_a_test_the_next_step_is_one(lagging: Diagnosis, tmp_path: Path)
 def test_what_is_not_told_apart_is_one_verdict_with_one_next_step(lagging: Diagnosis, tmp_path: Path) -> None:
     (verdict,) = lagging.verdicts
     (claim,) = verdict.claims
-    both = replace(claim, finding=replace(claim.finding, alike=["thermal_lag", "dead_time"]))
+    assert claim.finding.name == "thermal_lag"
+    others = {"dead_time": claim.finding.candidate}
+    both = replace(claim, finding=replace(claim.finding, others=others))
     found = replace(lagging, verdicts=[replace(verdict, claims=[both])])
-    assert found.verdicts[0].row.predicates == ("claimed", "not_told_apart")
+    assert found.verdicts[0].row.predicate == "claimed"
     assert conclusion(found) == "gyro_x: thermal_lag or dead_time, not told apart"
     assert "imumon plan" in next_step(found, tmp_path).command
     chosen = replace(both, finding=replace(both.finding, by_test=True))
     found = replace(lagging, verdicts=[replace(verdict, claims=[chosen])])
     assert "no longer unseen" in conclusion(found)
     assert "--test NEW" in next_step(found, tmp_path).command
-    alone = replace(claim, finding=replace(claim.finding, alike=[]))
+    alone = replace(claim, finding=replace(claim.finding, others={}))
     found = replace(lagging, verdicts=[replace(verdict, claims=[alone])])
     assert conclusion(found) == "gyro_x: thermal_lag"
     assert "model.yaml" in next_step(found, tmp_path).command
@@ -150,10 +152,12 @@ def test_what_is_not_told_apart_is_one_verdict_with_one_next_step(lagging: Diagn
 def test_the_documented_table_of_verdicts_is_the_one_that_is_evaluated() -> None:
     text = (Path(__file__).parents[3] / "docs" / "closing-the-loop.md").read_text(encoding="utf-8")
     for row in VERDICTS:
-        when = " and ".join(name.replace("_", " ") for name in row.predicates) or "otherwise"
+        when = row.predicate or "otherwise"
         assert f"| {when} | {row.sentence.format(names='NAMES')} | `{row.state}` |" in text
+    for name, more in BESIDE_CLAIMS.items():
+        assert f"| claimed and {name.replace('_', ' ')} | NAMES{more} | `named` |" in text
     source = " ".join(inspect.getsource(ChannelVerdict).split())
-    for name in {name for row in VERDICTS for name in row.predicates}:
+    for name in {row.predicate for row in VERDICTS if row.predicate} | BESIDE_CLAIMS.keys():
         start = f"- **{name.replace('_', ' ')}**: "
         meaning = text.partition(start)[2].partition("\n")[0]
         assert meaning

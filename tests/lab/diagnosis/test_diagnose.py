@@ -443,9 +443,9 @@ def test_a_lag_gives_way_to_no_loop_that_was_found_before_the_jump_beside_it() -
     lag, jump = (claim.finding for claim in verdict.claims)
     assert (lag.name, jump.name) == ("thermal_lag", "step")
     assert lag.candidate.free_start
-    assert verdict.stages[-1].done == "thermal_lag fits better beside the rest"
+    assert verdict.turns[-1]["done"] == "thermal_lag fits better beside the rest"
     for rms in ("train_rms", "test_rms"):
-        assert getattr(verdict.stages[-1], rms) < 0.7 * getattr(verdict.stages[-2], rms)
+        assert verdict.turns[-1][rms] < 0.7 * verdict.turns[-2][rms]
 
 
 def _part(whole: Run, start: int, stop: int) -> Run:

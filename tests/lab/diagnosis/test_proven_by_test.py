@@ -40,7 +40,7 @@ def test_a_loop_that_training_cannot_prove_is_proven_by_what_it_predicts(
     (verdict,) = diagnosis.verdicts
     assert [claim.finding.name for claim in verdict.claims] == names
     assert verdict.unexplained
-    assert verdict.questions[-1][0].name == "nothing"
+    assert verdict.questions[-1][0]["name"] == "nothing"
     if names:
         assert verdict.claims[0].finding.by_test
         assert "proven by the test alone, so the error there is no longer unseen" in verdict.summary
@@ -50,7 +50,7 @@ def test_a_loop_that_training_cannot_prove_is_proven_by_what_it_predicts(
 
 def test_effects_of_several_names_that_explain_the_test_are_not_told_apart() -> None:
     def hit(left: float, name: str) -> tuple[float, Finding]:
-        return left, Finding(Candidate(name, ()), 9.0, 9.0, {}, [], 1.0, by_test=True)
+        return left, Finding(Candidate(name, ()), 9.0, 9.0, by_test=True)
 
     best = chosen_by_test([hit(2.0, "drift"), hit(1.0, "warm_up"), hit(1.5, "warm_up")])
     assert best is not None
