@@ -22,7 +22,7 @@ from imumon.effects.library import EFFECTS, AnyEffect, effects_for
 from imumon.files import write_text
 from imumon.geodesy import DEG_PER_H, MICRO_G
 from imumon.lab.diagnosis.alternatives import NOTHING
-from imumon.lab.diagnosis.axes import Base, Recorded, likeliest, search_sensor
+from imumon.lab.diagnosis.axes import Base, Recorded, likeliest, search_block_s, search_sensor
 from imumon.lab.diagnosis.blocks import BLOCK_S, make_blocks, survey
 from imumon.lab.diagnosis.choice import CLOSE, CLOSE_SHARE, PROVEN
 from imumon.lab.diagnosis.likelihood import TAUS_S
@@ -297,8 +297,9 @@ def simulated_run(plan: Scenario, seed: int) -> Run:
 def _searched(run: Run, channel: str, degree: int, effects: Sequence[str]) -> Search:
     """Return the search of the diagnosis in one channel of a run."""
     blocks = [make_blocks(run, [channel], ["temperature"])]
+    shorter = [make_blocks(run, [channel], ["temperature"], block_s=search_block_s(blocks))]
     base = Base({channel: "temperature"}, degree if survey(blocks, "temperature", degree).thermal else 0)
-    (found,) = likeliest(search_sensor(Recorded([run], blocks), [channel], base, effects))
+    (found,) = likeliest(search_sensor(Recorded([run], shorter), [channel], base, effects))
     return found
 
 
