@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from support import soak
+from support.soak import DOCS, LONG, SECTIONS
 
 
-@pytest.mark.parametrize("section", soak.SECTIONS | soak.LONG)
+@pytest.mark.parametrize("section", SECTIONS | LONG)
 def test_a_section_has_its_table_in_the_page(section: str) -> None:
-    text = soak.DOCS.read_text(encoding="utf-8")
+    text = DOCS.read_text(encoding="utf-8")
     assert text.count(f"<!-- soak {section} -->") == text.count(f"<!-- end {section} -->") == 1
