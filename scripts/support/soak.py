@@ -1,4 +1,4 @@
-"""Command line of scripts/soak: sections of attacks, as tables of docs/reliability.md."""
+"""Command line of scripts/soak: sections of attacks, as tables of docs/appendix/reliability-results.md."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tests.faults import (
 )
 from tests.faults.rows import Row
 
-DOCS = Path(__file__).parents[2] / "docs" / "reliability.md"
+DOCS = Path(__file__).parents[2] / "docs" / "appendix" / "reliability-results.md"
 Section = Callable[[Path, bool], Iterator[Row]]
 
 

@@ -153,7 +153,7 @@ def attack_all(folder: Path, times: int, seed: int, seconds: float = 10.0) -> li
                     f"{name}, {'closed' if closed else 'killed'} recording of {len(items)} reads",
                     times,
                     f"{lost.mean():.2f} reads lost on average, at most {lost.max()};"
-                    f" altered or misdated: {invented}; untold: {untold}",
+                    f" altered or misdated: {invented}; unreported: {untold}",
                     held=bool(lost.max() <= bound) and not untold and not invented,
                 )
             )
@@ -179,7 +179,7 @@ def truncate_all(folder: Path, step: int) -> Iterator[Row]:
             wrong += read != items[: len(read)] or kept < bisect_right(ends, offset) or not told
         path.unlink()
         kind = "closed" if closed else "killed"
-        said = f"every read before the cut is there, and the cut is told; otherwise: {wrong}"
+        said = f"every read before the cut is there, and the cut is reported; not so: {wrong}"
         yield Row(f"cut in its last second, {kind} recording", len(offsets), said, held=not wrong)
     path = folder / METADATA_NAME
     written = SessionMetadata.begun("live", 1, device="ax1", device_yaml=device_text("ax1")[0])
@@ -193,5 +193,5 @@ def truncate_all(folder: Path, step: int) -> Iterator[Row]:
             refused -= 1
         refused += 1
     yield Row(
-        "session.yaml cut anywhere", len(offsets), f"refused in words {refused} times, else whole enough"
+        "session.yaml cut anywhere", len(offsets), f"refused with a message {refused} times, read otherwise"
     )

@@ -140,5 +140,7 @@ def attack_all(folder: Path, times: int) -> Iterator[Row]:
     """Let each fault happen so many times."""
     for name in FAULTS:
         wrong = [text for n in range(times) for text in strike(folder / f"{name} {n}", name, n)]
-        said = "said; the view went on; the recording goes on after it, and a replay says what is missing"
+        said = (
+            "reported; the view went on; the recording goes on afterwards; a replay reports what is missing"
+        )
         yield Row(f"{name} for {HARM_S:g} s", times, "; ".join(wrong) or said, held=not wrong)

@@ -98,5 +98,8 @@ def attack_all(folder: Path) -> Iterator[Row]:
             if not said or said.startswith("wrong") or ("\n" in said.strip() and len(said) > 2000):
                 bad.append(f"{name}: {said or 'taken'}")
         yield Row(
-            f"hostile {kind} file", len(DOCUMENTS), "; ".join(bad) or "each refused in words", held=not bad
+            f"hostile {kind} file",
+            len(DOCUMENTS),
+            "; ".join(bad) or "each refused with a message",
+            held=not bad,
         )

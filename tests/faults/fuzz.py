@@ -1,4 +1,4 @@
-"""Changed files and streams for all that reads one: refused in words, or taken; never another exception."""
+"""Changed files and streams for every reader: refused with a message, or read; never another exception."""
 
 from __future__ import annotations
 
@@ -276,7 +276,7 @@ def fuzz_all(times: int, seed: int, names: Sequence[str] | None = None) -> Itera
         found = [f"{said} ({data[:200]!r})" for said, data in wrong.items()]
         outcome = (
             "; ".join([*([f"the seed: {sound}"] if sound else []), *found])
-            or "each refused in words, or taken"
+            or "each refused with a message, or read"
         )
         yield Row(f"changed {name}", times, outcome, held=not wrong and not sound)
 

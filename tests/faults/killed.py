@@ -222,8 +222,8 @@ def kill_many(folder: Path, rate_hz: float, times: int, seed: int) -> Row:
     return Row(
         f"SIGKILL at {rate_hz:g} Hz",
         times,
-        f"lost {np.median(ages):.3f} s by half, at most {ages.max():.3f} s; {within} of {times} within"
-        f" {PROMISED_S:g} s; {HELD_S:g} s of work took {np.median(late):.3f} s longer by half, at most"
+        f"lost {np.median(ages):.3f} s (median), at most {ages.max():.3f} s; {within} of {times} within"
+        f" {PROMISED_S:g} s; {HELD_S:g} s of work took {np.median(late):.3f} s longer (median), at most"
         f" {late.max():.3f} s",
         held=all(age_s <= allowed_s(late_s) for age_s, late_s in killed),
     )

@@ -1,4 +1,4 @@
-"""What an attack found, as a row of docs/reliability.md."""
+"""What an attack found, as a row of docs/appendix/reliability-results.md."""
 
 from __future__ import annotations
 
