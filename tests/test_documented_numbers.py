@@ -76,8 +76,8 @@ def test_kinds_of_sites_and_what_is_said_of_them() -> None:
         for s in (60, 600)
     }
     pattern = (
-        r"Of (\d+) sites with a heading.* in (\d+) and (\d+); .* below 1.8 in (\d+) and all (\d+), "
-        r"the largest below 5 in (\d+) and (\d+)"
+        r"(\d+) sites have a heading.* in (\d+) \(60 s\) and (\d+) \(600 s\); .* "
+        r"below 1.8 in (\d+) and all (\d+), the largest below 5 in (\d+) and (\d+)"
     )
     assert numbers_in(ALIGNMENT, pattern) == [len(shown), *counts.values()]
 
@@ -117,5 +117,5 @@ def test_bias_at_corners_of_a_profile() -> None:
         for row in table
         if re.match(r"(triangle|trapezoid) of 1 °C/min, .*: bias", row[1])
     ]
-    said = numbers_in("tczupt.md", r"the bias learned is beyond 5 sigma for ([\d.]+) to ([\d.]+) %")
+    said = numbers_in("tczupt.md", r"the bias is off by more than 5 sigma for ([\d.]+) to ([\d.]+) %")
     assert said == [round(min(shares), 2), round(max(shares), 2)]
