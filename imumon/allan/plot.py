@@ -23,10 +23,10 @@ TITLES = {"gyro": "Angular rate", "accel": "Specific force"}
 STYLES = {
     "angle_random_walk": ":",
     "bias_instability": "-.",
-    "rate_random_walk": (0, (5, 2)),
+    "rate_random_walk": (0, (12, 3)),
     "quantization": (0, (1, 3)),
-    "rate_ramp": (0, (8, 2, 1, 2)),
-    "correlated_noise": (0, (3, 1, 1, 1)),
+    "rate_ramp": (0, (10, 2, 1, 2, 1, 2)),
+    "correlated_noise": (0, (3, 2, 3, 2, 1, 2)),
 }
 """Lines of the terms, in their order."""
 DARK = "0.25"
