@@ -10,7 +10,7 @@ import numpy as np
 from imumon.allan.parameters import TERMS_OF, AllanParameters
 from imumon.allan.streaming import LiveCurve, StreamingAllan
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
-from imumon.charts import AXIS_COLORS, GREY, Axis, Chart, Curve
+from imumon.charts import AXIS_COLORS, GREY, ORANGE, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.estimation.rest.parameters import retired
 
@@ -90,7 +90,7 @@ def allan_curves(found: Mapping[str, LiveCurve], factor: float) -> list[Curve]:
     ]
     bars = [_bars(curve) for curve in shown.values()]
     x, y = (np.concatenate(part) for part in zip(*bars, strict=True))
-    curves += [Curve("68 %", x, factor * y, GREY, width=1.0), _guide(shown, factor)]
+    curves += [Curve("68 % (bars)", x, factor * y, GREY, width=1.0), _guide(shown, factor)]
     return curves
 
 
@@ -116,11 +116,11 @@ def _at_1_s(curve: LiveCurve) -> int:
 
 
 def _guide(shown: Mapping[str, LiveCurve], factor: float) -> Curve:
-    """Return a line of the slope of white noise through the longest curve where its random walk is read."""
+    """Return the line of white noise, slope -1/2, through the longest curve where its random walk is read."""
     curve = max(shown.values(), key=lambda one: len(one.tau_s))
     near = _at_1_s(curve)
     line = factor * curve.deviation[near] * np.sqrt(curve.tau_s[near] / curve.tau_s)
-    return Curve("slope -1/2", curve.tau_s, line, GREY, width=0.7)
+    return Curve("white noise", curve.tau_s, line, ORANGE, width=0.7)
 
 
 def _bars(curve: LiveCurve) -> tuple[FloatArray, FloatArray]:

@@ -13,6 +13,8 @@ from attitude_table import heading_error, tilt_error
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from samples import sent, without
+from smoothing_table import RATE_HZ as SMOOTHED_HZ
+from smoothing_table import smoothed
 from study import DOCS, Cells, Options, Study, Table
 from tczupt_study import DPH, LATITUDE_DEG, ZEROING, true_model
 from tczupt_study import simulate as ramp_test
@@ -114,6 +116,21 @@ def bias_in_motion() -> list[Axes]:
     return [ax]
 
 
+def smoothed_bias() -> list[Axes]:
+    """Draw the error of the bias of a unit that is handled, with rests of 10 s, live and smoothed."""
+    record, columns, true, _ = smoothed("warm-up", 900, 100)
+    (ax,) = axes("Turned by hand, at rest for 10 s every two minutes: bias of y less the truth", 1)
+    t = record.stop / SMOOTHED_HZ
+    part = slice(None, None, 8)
+    for name, bias in {
+        "live": record.columns["gyro_bias_y"],
+        "smoothed": columns["gyro_bias_smoothed_y"],
+    }.items():
+        ax.plot(t[part], ((bias - true[:, 1]) / DPH)[part], linewidth=1.0, label=name)
+    ax.set(ylabel="°/h", xlim=(60.0, 420.0), ylim=(-100.0, 250.0))
+    return [ax]
+
+
 def attitude_sigma() -> list[Axes]:
     """Draw error of tilt and heading beside sigma of a unit that is turned by hand without a magnetometer."""
     record = turned_unit(SCENES["by hand"], 50.0, 9700)
@@ -143,6 +160,7 @@ PICTURES: dict[str, Callable[[], list[Axes]]] = {
     "attitude-sigma": attitude_sigma,
     "turn-or-bias": turn_or_bias,
     "bias-in-motion": bias_in_motion,
+    "smoothed-bias": smoothed_bias,
     "temperature-rate": temperature_rate,
     "closing-the-loop/steps": loop_pictures.steps,
     "closing-the-loop/chamber-cycle": loop_pictures.chamber_cycle,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
 
 import numpy as np
 from alignment_site_scenes import ACCEL_BIAS_UG
@@ -57,8 +58,17 @@ def tables(given: Options) -> Iterator[Table]:
     yield Table("", heads, [row], formats=("", ".4f", ".4f", ".2f", ".1f"))
 
 
-def measured(name: str, seconds: int, seed: int) -> FloatArray:
-    """Return for each gyro: rms error forward and smoothed, °/h, rms and largest z, r, (3, 5)."""
+class Smoothed(NamedTuple):
+    """A simulated session: forward record, smoothed columns, true bias at its slots, and the residuals r."""
+
+    record: Record
+    columns: dict[str, FloatArray]
+    true: FloatArray
+    residuals: Mapping[str, float]
+
+
+def smoothed(name: str, seconds: int, seed: int) -> Smoothed:
+    """Simulate and smooth a scenario."""
     recorder, truths = Recorder(), []
     for block, truth in played(name, seconds, seed):
         recorder.add(block)
@@ -68,11 +78,16 @@ def measured(name: str, seconds: int, seed: int) -> FloatArray:
     stage = SmoothedEstimates(record, against_time)
     rows = np.minimum(record.stop - 1, seconds * RATE_HZ - 1)
     slots = SampleBlock({"row": np.arange(seconds * RATE_HZ)})
-    smoothed = {key: values[rows] for key, values in stage.process(slots).items()}
+    columns = {key: values[rows] for key, values in stage.process(slots).items()}
+    return Smoothed(record, columns, np.concatenate(truths)[rows], stage.residuals)
+
+
+def measured(name: str, seconds: int, seed: int) -> FloatArray:
+    """Return for each gyro: rms error forward and smoothed, °/h, rms and largest z, r, (3, 5)."""
+    record, columns, true, residuals = smoothed(name, seconds, seed)
     result = np.empty((3, 5))
     for j, axis in enumerate("xyz"):
-        true = np.concatenate([truth[:, j] for truth in truths])[rows]
-        result[j] = _scores(record, smoothed, axis, true, stage.residuals[f"gyro_bias_{axis}"])
+        result[j] = _scores(record, columns, axis, true[:, j], residuals[f"gyro_bias_{axis}"])
     return result
 
 
