@@ -20,8 +20,9 @@ OTHER_TAB = "Other"
 TAB, LANE, LANES_FRAME, LOG = 560.0, 40.0, 42.0, 150.0
 """Points: height of a tab in a browser of 1456 x 819; what a lane takes, title and times of all; what some
 lines of the log need at least."""
-MOST_STRIPS = 4
-"""Above each other: in a fifth of a tab only the first of ten steps are fine enough for three numbers."""
+MOST_STRIPS = 3
+"""Above each other.  Rerun writes numbers at powers of ten, and only where these are 20 points apart: the
+plots of four strips, 150 points high, would often have a single number."""
 SIDE_CHARTS = 2
 """So many charts stand above each other beside strips.  More get two columns and half of the tab: in a third
 of its height the numbers of a chart cannot be read."""
@@ -148,7 +149,7 @@ def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents:
     if contents.log:
         right.append((max(LOG, TAB - lanes), rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
     middle = [(1.0, _strips(views[STRIPS]))] if views[STRIPS] else []
-    columns = [(share, part) for share, part in ((3.0, left), (4.6, middle), (3.2, right)) if part]
+    columns = [(share, part) for share, part in ((3.0, left), (5.2, middle), (2.8, right)) if part]
     return rrb.Horizontal(
         *[
             rrb.Vertical(*[view for _, view in part], row_shares=[share for share, _ in part])

@@ -153,7 +153,12 @@ def crs05_model(slope_z_dph: float = 0.0) -> BiasModel:
 
 def wrong_in_z() -> Setup:
     """Return a setup with a model that is wrong in z."""
-    return Setup(model=crs05_model(20.0), latitude_deg=40.93)
+    return Setup(model=crs05_model(100.0))
+
+
+def right() -> Setup:
+    """Return a setup with the right model, and a latitude."""
+    return Setup(model=crs05_model(), latitude_deg=40.93)
 
 
 def learning() -> Setup:
@@ -167,11 +172,17 @@ def scenes(data: Path) -> dict[str, Scene]:
     found = {
         "demo": Scene("The demo: a virtual AHRS after 40 s", "ax1", simulated("bench", "ax1", 40.0)),
         "recorded": Scene(
-            "A warm-up with a bias model that is wrong in z, opened afterwards: rerun view.rrd",
+            "A warm-up in motion with a bias model, opened afterwards: rerun view.rrd",
             "ax1",
             simulated("warm-up", "ax1", 600.0),
-            wrong_in_z,
+            right,
             live=False,
+        ),
+        "wrong": Scene(
+            "A warm-up at rest with a bias model that is wrong in z by 100 °/h over 30 °C, after 10 min",
+            "ax1",
+            simulated("warm-up", "ax1", 600.0, 20.0, motion=[]),
+            wrong_in_z,
         ),
         "alignment": Scene(
             "Alignment to north after 5 min",

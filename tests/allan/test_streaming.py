@@ -149,7 +149,9 @@ def test_the_stage_draws_a_chart() -> None:
     assert stage.process(block(5000)) == {}
     assert stage.notices() == []
     (chart,) = stage.charts()
-    assert [curve.name for curve in chart.curves] == ["x", "y", "z", "68 %", "slope -1/2"]
+    drawn = ["x", "y", "z", "68 % x", "68 % y", "68 % z", "white noise"]
+    assert [curve.name for curve in chart.curves] == drawn
+    assert [curve.name for curve in chart.curves if curve.listed] == ["x", "y", "z", "white noise"]
     assert chart.x.log
     assert chart.y.log
     np.testing.assert_allclose(chart.curves[0].y[:4], chart.curves[-1].y[:4], rtol=0.1)
@@ -163,7 +165,7 @@ def test_the_slope_is_that_of_the_random_walk_whatever_comes_at_long_times() -> 
     stage = AllanStage()
     stage.process(drifting)
     (chart,) = stage.charts()
-    slope = next(curve for curve in chart.curves if curve.name == "slope -1/2")
+    slope = next(curve for curve in chart.curves if curve.name == "white noise")
     at_1_s = np.exp(np.interp(0.0, np.log(slope.x), np.log(slope.y)))
     assert at_1_s == pytest.approx(np.rad2deg(1e-3) * 3600, rel=0.2)
 

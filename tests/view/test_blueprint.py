@@ -17,6 +17,7 @@ from imumon.run.setup import Setup
 from imumon.run.stages import estimators
 from imumon.view.blueprint import Contents, blueprint
 from imumon.view.items import Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup
+from imumon.view.layout import STRIPS
 from imumon.view.logger import StreamLogger
 from imumon.view.panels import PANELS, RESIDUAL
 from tests.view.streams import block
@@ -89,6 +90,16 @@ def test_charts_beside_strips_have_two_columns_before_they_are_too_small(charts:
     assert len(beside.contents) == charts
     assert (beside.grid_columns or 1) == columns
     assert (tab.column_shares[-1] > sum(tab.column_shares[:-1])) == (columns == 2), "half of the tab, or more"
+
+
+@pytest.mark.parametrize(("count", "columns"), [(2, 1), (3, 1), (4, 2)])
+def test_strips_have_two_columns_before_their_axes_lack_numbers(count: int, columns: int) -> None:
+    strips = tuple(panel for panel in PANELS if panel.place == STRIPS)[:count]
+    assert len(strips) == count
+    contents = Contents(strips, (), (), False, False, (), (), False)
+    root: Any = blueprint(SETUP, contents, "device_time", live=True).root_container
+    (beside,) = root.contents[0].contents
+    assert (getattr(beside.contents[0], "grid_columns", None) or 1) == columns
 
 
 @pytest.mark.parametrize(
