@@ -20,9 +20,10 @@ OTHER_TAB = "Other"
 TAB, LANE, LANES_FRAME, LOG = 560.0, 40.0, 42.0, 150.0
 """Points: height of a tab in a browser of 1456 x 819; what a lane takes, title and times of all; what some
 lines of the log need at least."""
-MOST_STRIPS = 3
+MOST_STRIPS, MOST_NARROW = 3, 4
 """Above each other.  Rerun writes numbers at powers of ten, and only where these are 20 points apart: the
-plots of four strips, 150 points high, would often have a single number."""
+plots of four strips, 150 points high, would often have a single number.  Where two columns would be too
+narrow for the numbers of ten minutes, four stand above each other all the same."""
 SIDE_CHARTS = 2
 """So many charts stand above each other beside strips.  More get two columns and half of the tab: in a third
 of its height the numbers of a chart cannot be read."""
@@ -111,10 +112,10 @@ def _tab(name: str, views: list[Any], contents: Contents) -> Any:
     if series and len(charts) > SIDE_CHARTS:
         grid = rrb.Grid(*charts, grid_columns=2)
         rows = rrb.Vertical(*numbers, grid, row_shares=[1.0] * len(numbers) + [CHARTS_ROWS])
-        return rrb.Horizontal(_strips(series), rows, column_shares=[2.4, 3.0], name=name)
+        return rrb.Horizontal(_strips(series, MOST_NARROW), rows, column_shares=[2.4, 3.0], name=name)
     parts: list[tuple[float, Any]] = [(0.9, view) for view in numbers]
     if series:
-        parts.append((2.2, _strips(series)))
+        parts.append((2.2, _strips(series, MOST_NARROW if charts else MOST_STRIPS)))
     if charts:
         parts.append((2.0, rrb.Vertical(*charts) if series else rrb.Grid(*charts)))
     return rrb.Horizontal(
@@ -122,9 +123,9 @@ def _tab(name: str, views: list[Any], contents: Contents) -> Any:
     )
 
 
-def _strips(views: list[Any]) -> Any:
-    """Return views of series above each other, and beside each other where there are many."""
-    columns = math.ceil(len(views) / MOST_STRIPS)
+def _strips(views: list[Any], most: int) -> Any:
+    """Return views of series, at the most so many above each other."""
+    columns = math.ceil(len(views) / most)
     return rrb.Vertical(*views) if columns == 1 else rrb.Grid(*views, grid_columns=columns)
 
 
@@ -148,7 +149,8 @@ def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents:
         right.append((lanes, states))
     if contents.log:
         right.append((max(LOG, TAB - lanes), rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
-    middle = [(1.0, _strips(views[STRIPS]))] if views[STRIPS] else []
+    most = MOST_NARROW if window.seconds is None else MOST_STRIPS
+    middle = [(1.0, _strips(views[STRIPS], most))] if views[STRIPS] else []
     columns = [(share, part) for share, part in ((3.0, left), (5.2, middle), (2.8, right)) if part]
     return rrb.Horizontal(
         *[

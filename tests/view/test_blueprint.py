@@ -92,12 +92,14 @@ def test_charts_beside_strips_have_two_columns_before_they_are_too_small(charts:
     assert (tab.column_shares[-1] > sum(tab.column_shares[:-1])) == (columns == 2), "half of the tab, or more"
 
 
-@pytest.mark.parametrize(("count", "columns"), [(2, 1), (3, 1), (4, 2)])
-def test_strips_have_two_columns_before_their_axes_lack_numbers(count: int, columns: int) -> None:
+@pytest.mark.parametrize(
+    ("count", "live", "columns"), [(2, True, 1), (3, True, 1), (4, True, 2), (4, False, 1), (5, False, 2)]
+)
+def test_strips_have_two_columns_before_their_axes_lack_numbers(count: int, live: bool, columns: int) -> None:
     strips = tuple(panel for panel in PANELS if panel.place == STRIPS)[:count]
     assert len(strips) == count
     contents = Contents(strips, (), (), False, False, (), (), False)
-    root: Any = blueprint(SETUP, contents, "device_time", live=True).root_container
+    root: Any = blueprint(SETUP, contents, "device_time", live=live).root_container
     (beside,) = root.contents[0].contents
     assert (getattr(beside.contents[0], "grid_columns", None) or 1) == columns
 
