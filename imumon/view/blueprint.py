@@ -151,7 +151,7 @@ def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents:
         right.append((max(LOG, TAB - lanes), rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
     most = MOST_NARROW if window.seconds is None else MOST_STRIPS
     middle = [(1.0, _strips(views[STRIPS], most))] if views[STRIPS] else []
-    columns = [(share, part) for share, part in ((3.0, left), (5.2, middle), (2.8, right)) if part]
+    columns = [(share, part) for share, part in ((3.1, left), (5.2, middle), (2.7, right)) if part]
     return rrb.Horizontal(
         *[
             rrb.Vertical(*[view for _, view in part], row_shares=[share for share, _ in part])
