@@ -23,7 +23,9 @@ lines of the log need at least."""
 MOST_STRIPS, MOST_NARROW = 3, 4
 """Above each other.  Rerun writes numbers at powers of ten, and only where these are 20 points apart: the
 plots of four strips, 150 points high, would often have a single number.  Where two columns would be too
-narrow for the numbers of ten minutes, four stand above each other all the same."""
+narrow for the numbers of the time axis, four stand above each other all the same."""
+SHORT_S = 200.0
+"""Two columns of the first tab have numbers on their time axes up to so long a window."""
 SIDE_CHARTS = 2
 """So many charts stand above each other beside strips.  More get two columns and half of the tab: in a third
 of its height the numbers of a chart cannot be read."""
@@ -149,7 +151,8 @@ def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents:
         right.append((lanes, states))
     if contents.log:
         right.append((max(LOG, TAB - lanes), rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
-    most = MOST_NARROW if window.seconds is None else MOST_STRIPS
+    is_short = window.seconds is not None and window.seconds <= SHORT_S
+    most = MOST_STRIPS if is_short else MOST_NARROW
     middle = [(1.0, _strips(views[STRIPS], most))] if views[STRIPS] else []
     columns = [(share, part) for share, part in ((3.1, left), (5.2, middle), (2.7, right)) if part]
     return rrb.Horizontal(

@@ -93,13 +93,17 @@ def test_charts_beside_strips_have_two_columns_before_they_are_too_small(charts:
 
 
 @pytest.mark.parametrize(
-    ("count", "live", "columns"), [(2, True, 1), (3, True, 1), (4, True, 2), (4, False, 1), (5, False, 2)]
+    ("count", "window_s", "columns"),
+    [(2, 30.0, 1), (3, 30.0, 1), (4, 30.0, 2), (4, 600.0, 1), (4, None, 1), (5, None, 2)],
 )
-def test_strips_have_two_columns_before_their_axes_lack_numbers(count: int, live: bool, columns: int) -> None:
+def test_strips_have_two_columns_before_their_axes_lack_numbers(
+    count: int, window_s: float | None, columns: int
+) -> None:
+    setup = ViewSetup("test", "test", window_s=window_s or 30.0)
     strips = tuple(panel for panel in PANELS if panel.place == STRIPS)[:count]
     assert len(strips) == count
     contents = Contents(strips, (), (), False, False, (), (), False)
-    root: Any = blueprint(SETUP, contents, "device_time", live=live).root_container
+    root: Any = blueprint(setup, contents, "device_time", live=window_s is not None).root_container
     (beside,) = root.contents[0].contents
     assert (getattr(beside.contents[0], "grid_columns", None) or 1) == columns
 
