@@ -22,7 +22,7 @@ from imumon.run.stages import pipeline_of
 from imumon.simulation.recording import START_NS, record_session
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.curves import curve_value
-from imumon.simulation.unit.events import Vibration
+from imumon.simulation.unit.events import Handling, Vibration
 from imumon.simulation.unit.scenario import Chamber, Step
 from imumon.transport.reader import Bytes, Event, EventKind, Item
 from imumon.transport.settings import PortSettings
@@ -40,6 +40,16 @@ SHAKING = [
     for frequency_hz, amplitude in ((47.0, 0.4), (133.0, 0.2))
 ]
 """A motor and what it drives."""
+HANDLING = Handling(
+    kind="handling",
+    at_s=0.0,
+    rounds=5,
+    every_s=120.0,
+    rest_s=10.0,
+    swing_deg=(15.0, 10.0, 25.0),
+    heading_deg=45.0,
+)
+"""As in the scenario warm-up, by gentler hands."""
 TURNING = Chamber(start_degc=25.0, steps=[Step(to_degc=to, rate_degc_per_min=2.0) for to in (40.0, 25.0) * 5])
 """A chamber that always turns round, so that what is late shows."""
 READ_S = 0.01
@@ -174,7 +184,7 @@ def scenes(data: Path) -> dict[str, Scene]:
         "recorded": Scene(
             "A warm-up in motion with a bias model, opened afterwards: rerun view.rrd",
             "ax1",
-            simulated("warm-up", "ax1", 600.0),
+            simulated("warm-up", "ax1", 600.0, motion=[HANDLING]),
             right,
             live=False,
         ),
