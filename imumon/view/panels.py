@@ -97,7 +97,7 @@ PANELS: tuple[Panel, ...] = (
         "attitude_estimate",
         tuple(f"attitude_estimate_{part}" for part in "wxyz"),
         "/attitude_estimate",
-        "Attitude by the estimator: the device sends none",
+        "Attitude by the estimator",
         ("east", "north", "up"),
         up=1.0,
     ),

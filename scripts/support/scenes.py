@@ -224,7 +224,7 @@ def scenes(data: Path) -> dict[str, Scene]:
         found["foreign"] = Scene(
             "A measured GNSS/INS stream, MIP at 125 Hz",
             "microstrain",
-            capture(foreign, 10.0),
+            capture(foreign, 18.1),
             baudrate=921_600,
         )
     return found

@@ -37,7 +37,7 @@ SHOWN = {
     "spectrum": ("fast", "Spectrum"),
     "allan": ("isothermal", "Allan"),
     "alignment": ("alignment", "Alignment"),
-    "foreign": ("foreign", "Live"),
+    "foreign": ("foreign", "Attitude"),
 }
 """The pictures that the docs have: of which scene, which tab."""
 COLORS = 128
