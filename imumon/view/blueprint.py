@@ -29,8 +29,8 @@ SHORT_S = 200.0
 SIDE_CHARTS = 2
 """So many charts stand above each other beside strips.  More get two columns and half of the tab: in a third
 of its height the numbers of a chart cannot be read."""
-CHARTS_ROWS = 6.4
-"""Height of two rows of charts, where a card of one row has 1: which needs a hundred points."""
+CHART_ROW, CHARTS_ROWS = 2.4, 6.4
+"""Height of a chart, and of two rows of them, where a card of one row has 1: which needs a hundred points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +106,8 @@ def arranged(
 def _tab(name: str, views: list[Any], contents: Contents) -> Any:
     """Return a tab of its own: its numbers, series above each other, charts to their right.
 
-    Beside many charts the numbers stand above them: series need the width for the numbers of their time axis.
+    Beside many charts, or many strips, the numbers stand above the charts: series need the width for the
+    numbers of their time axis.
     """
     charts = [view for view in views if isinstance(view, rrb.Spatial2DView)]
     series = [view for view in views if view not in charts]
@@ -115,9 +116,13 @@ def _tab(name: str, views: list[Any], contents: Contents) -> Any:
         grid = rrb.Grid(*charts, grid_columns=2)
         rows = rrb.Vertical(*numbers, grid, row_shares=[1.0] * len(numbers) + [CHARTS_ROWS])
         return rrb.Horizontal(_strips(series, MOST_NARROW), rows, column_shares=[2.4, 3.0], name=name)
+    if charts and len(series) > MOST_STRIPS:
+        shares = [1.0] * len(numbers) + [CHART_ROW] * len(charts)
+        rows = rrb.Vertical(*numbers, *charts, row_shares=shares)
+        return rrb.Horizontal(_strips(series, MOST_STRIPS), rows, column_shares=[3.8, 1.6], name=name)
     parts: list[tuple[float, Any]] = [(0.9, view) for view in numbers]
     if series:
-        parts.append((2.2, _strips(series, MOST_NARROW if charts else MOST_STRIPS)))
+        parts.append((2.2, _strips(series, MOST_STRIPS)))
     if charts:
         parts.append((2.0, rrb.Vertical(*charts) if series else rrb.Grid(*charts)))
     return rrb.Horizontal(

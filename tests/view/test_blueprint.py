@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rerun as rr
+import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from imumon.estimation.gyro_bias.stage import GyroBias
@@ -19,7 +20,7 @@ from imumon.view.blueprint import Contents, blueprint
 from imumon.view.items import Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup
 from imumon.view.layout import STRIPS
 from imumon.view.logger import StreamLogger
-from imumon.view.panels import PANELS, RESIDUAL
+from imumon.view.panels import ALIGNMENT, PANELS, RESIDUAL
 from tests.view.streams import block
 
 
@@ -106,6 +107,17 @@ def test_strips_have_two_columns_before_their_axes_lack_numbers(
     root: Any = blueprint(setup, contents, "device_time", live=window_s is not None).root_container
     (beside,) = root.contents[0].contents
     assert (getattr(beside.contents[0], "grid_columns", None) or 1) == columns
+
+
+def test_four_strips_beside_a_chart_have_the_width_for_their_time_axes() -> None:
+    strips = tuple(panel for panel in PANELS if panel.place == ALIGNMENT)[:4]
+    contents = Contents(strips, ((ALIGNMENT, "a", "title"),), (), False, False, (), (ALIGNMENT,), False)
+    root: Any = blueprint(SETUP, contents, "device_time", live=True).root_container
+    (tab,) = (part for part in root.contents if part.name == ALIGNMENT)
+    grid, beside = tab.contents
+    assert grid.grid_columns == 2
+    assert tab.column_shares[0] > 2 * tab.column_shares[1]
+    assert [type(view) for view in beside.contents] == [rrb.TextDocumentView, rrb.Spatial2DView]
 
 
 @pytest.mark.parametrize(
