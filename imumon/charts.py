@@ -51,6 +51,8 @@ class Curve:
     """Of the line, or the diameter of the points, in pixels."""
     listed: bool = True
     """Whether the legend names it."""
+    dashed: bool = False
+    """Draw a dashed line."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,8 +16,8 @@ from imumon.estimation.rest.parameters import retired
 
 TAB = "Allan"
 _TITLES = {
-    "gyro": "Allan deviation of the angular rate, at rest",
-    "accel": "Allan deviation of the specific force, at rest",
+    "gyro": "Allan deviation of the angular rate, at rest; upright bars: 68 % intervals",
+    "accel": "Allan deviation of the specific force, at rest; upright bars: 68 % intervals",
 }
 CHANNELS = tuple(f"{group}_{axis}" for group in _TITLES for axis in AXIS_COLORS)
 
@@ -88,10 +88,10 @@ def allan_curves(found: Mapping[str, LiveCurve], factor: float) -> list[Curve]:
         Curve(axis, curve.tau_s, factor * curve.deviation, AXIS_COLORS[axis], width=2.0)
         for axis, curve in shown.items()
     ]
-    bars = [_bars(curve) for curve in shown.values()]
-    x, y = (np.concatenate(part) for part in zip(*bars, strict=True))
-    curves += [Curve("68 % (bars)", x, factor * y, GREY, width=1.0), _guide(shown, factor)]
-    return curves
+    for axis, curve in shown.items():
+        x, y = _bars(curve)
+        curves.append(Curve(f"68 % {axis}", x, factor * y, AXIS_COLORS[axis], width=1.0, listed=False))
+    return [*curves, _guide(shown, factor)]
 
 
 def _note(axis: str, curve: LiveCurve, group: str) -> str:
@@ -120,7 +120,7 @@ def _guide(shown: Mapping[str, LiveCurve], factor: float) -> Curve:
     curve = max(shown.values(), key=lambda one: len(one.tau_s))
     near = _at_1_s(curve)
     line = factor * curve.deviation[near] * np.sqrt(curve.tau_s[near] / curve.tau_s)
-    return Curve("white noise", curve.tau_s, line, ORANGE, width=0.7)
+    return Curve("white noise", curve.tau_s, line, GREY, width=1.2, dashed=True)
 
 
 def _bars(curve: LiveCurve) -> tuple[FloatArray, FloatArray]:

@@ -20,13 +20,17 @@ OTHER_TAB = "Other"
 TAB, LANE, LANES_FRAME, LOG = 560.0, 40.0, 42.0, 150.0
 """Points: height of a tab in a browser of 1456 x 819; what a lane takes, title and times of all; what some
 lines of the log need at least."""
-MOST_STRIPS = 4
-"""Above each other: in a fifth of a tab only the first of ten steps are fine enough for three numbers."""
+MOST_STRIPS, MOST_NARROW = 3, 4
+"""Above each other.  Rerun writes numbers at powers of ten, and only where these are 20 points apart: the
+plots of four strips, 150 points high, would often have a single number.  Where two columns would be too
+narrow for the numbers of the time axis, four stand above each other all the same."""
+SHORT_S = 200.0
+"""Two columns of the first tab have numbers on their time axes up to so long a window."""
 SIDE_CHARTS = 2
 """So many charts stand above each other beside strips.  More get two columns and half of the tab: in a third
 of its height the numbers of a chart cannot be read."""
-CHARTS_ROWS = 6.4
-"""Height of two rows of charts, where a card of one row has 1: which needs a hundred points."""
+CHART_ROW, CHARTS_ROWS = 2.4, 6.4
+"""Height of a chart, and of two rows of them, where a card of one row has 1: which needs a hundred points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +106,8 @@ def arranged(
 def _tab(name: str, views: list[Any], contents: Contents) -> Any:
     """Return a tab of its own: its numbers, series above each other, charts to their right.
 
-    Beside many charts the numbers stand above them: series need the width for the numbers of their time axis.
+    Beside many charts, or many strips, the numbers stand above the charts: series need the width for the
+    numbers of their time axis.
     """
     charts = [view for view in views if isinstance(view, rrb.Spatial2DView)]
     series = [view for view in views if view not in charts]
@@ -110,10 +115,14 @@ def _tab(name: str, views: list[Any], contents: Contents) -> Any:
     if series and len(charts) > SIDE_CHARTS:
         grid = rrb.Grid(*charts, grid_columns=2)
         rows = rrb.Vertical(*numbers, grid, row_shares=[1.0] * len(numbers) + [CHARTS_ROWS])
-        return rrb.Horizontal(_strips(series), rows, column_shares=[2.4, 3.0], name=name)
+        return rrb.Horizontal(_strips(series, MOST_NARROW), rows, column_shares=[2.4, 3.0], name=name)
+    if charts and len(series) > MOST_STRIPS:
+        shares = [1.0] * len(numbers) + [CHART_ROW] * len(charts)
+        rows = rrb.Vertical(*numbers, *charts, row_shares=shares)
+        return rrb.Horizontal(_strips(series, MOST_STRIPS), rows, column_shares=[3.8, 1.6], name=name)
     parts: list[tuple[float, Any]] = [(0.9, view) for view in numbers]
     if series:
-        parts.append((2.2, _strips(series)))
+        parts.append((2.2, _strips(series, MOST_STRIPS)))
     if charts:
         parts.append((2.0, rrb.Vertical(*charts) if series else rrb.Grid(*charts)))
     return rrb.Horizontal(
@@ -121,9 +130,9 @@ def _tab(name: str, views: list[Any], contents: Contents) -> Any:
     )
 
 
-def _strips(views: list[Any]) -> Any:
-    """Return views of series above each other, and beside each other where there are many."""
-    columns = math.ceil(len(views) / MOST_STRIPS)
+def _strips(views: list[Any], most: int) -> Any:
+    """Return views of series, at the most so many above each other."""
+    columns = math.ceil(len(views) / most)
     return rrb.Vertical(*views) if columns == 1 else rrb.Grid(*views, grid_columns=columns)
 
 
@@ -147,8 +156,10 @@ def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents:
         right.append((lanes, states))
     if contents.log:
         right.append((max(LOG, TAB - lanes), rrb.TextDocumentView(origin=LOG_TEXT, name="Log")))
-    middle = [(1.0, _strips(views[STRIPS]))] if views[STRIPS] else []
-    columns = [(share, part) for share, part in ((3.0, left), (4.6, middle), (3.2, right)) if part]
+    is_short = window.seconds is not None and window.seconds <= SHORT_S
+    most = MOST_STRIPS if is_short else MOST_NARROW
+    middle = [(1.0, _strips(views[STRIPS], most))] if views[STRIPS] else []
+    columns = [(share, part) for share, part in ((3.1, left), (5.2, middle), (2.7, right)) if part]
     return rrb.Horizontal(
         *[
             rrb.Vertical(*[view for _, view in part], row_shares=[share for share, _ in part])

@@ -31,6 +31,8 @@ BAND_STEP_NS = 200_000_000
 """Estimates with a band are logged at the most five times a second; a replay gives every value."""
 TWO_SIGMA = 4.0
 """Rerun draws a band of one square root of the variance on either side."""
+SPIKES_STAY = rr.components.AggregationPolicy.MinMax
+"""Where several samples fall on one pixel their extremes are drawn: the mean would hide spikes and noise."""
 LEAST_STEPS = 4.0
 """The axis spans at least so many steps of the last digit of a card."""
 ROUNDING = 1e-6
@@ -125,7 +127,12 @@ class Strip:
             look: Any = rr.SeriesPoints(**style, marker_sizes=[2.0] * len(self.lines))
         else:
             mode = rr.components.InterpolationMode.StepAfter if self.look == "steps" else None
-            look = rr.SeriesLines(**style, widths=[1.6] * len(self.lines), interpolation_mode=mode)
+            look = rr.SeriesLines(
+                **style,
+                widths=[1.6] * len(self.lines),
+                interpolation_mode=mode,
+                aggregation_policy=SPIKES_STAY,
+            )
         rec.log(self.drawn, look, static=True)
         if self.limits:
             grey = rr.SeriesLines(names=["limit"] * 2, colors=[list(GREY)] * 2, widths=[1.0] * 2)

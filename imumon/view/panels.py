@@ -30,6 +30,8 @@ LINK = "Link"
 """Tab of the port: rates, load, losses."""
 METHODS = "Published"
 """Tab of the published methods that `--published` chooses, each beside the default."""
+LEAST_DEGC = 0.04
+"""The axis of a reading spans so much at least: four steps of the last digit of the card."""
 
 
 def _with_sd(column: str, name: str, color: Color) -> Line:
@@ -95,7 +97,7 @@ PANELS: tuple[Panel, ...] = (
         "attitude_estimate",
         tuple(f"attitude_estimate_{part}" for part in "wxyz"),
         "/attitude_estimate",
-        "Attitude by the estimator: the device sends none",
+        "Attitude by the estimator",
         ("east", "north", "up"),
         up=1.0,
     ),
@@ -115,9 +117,17 @@ PANELS: tuple[Panel, ...] = (
         "Temperature",
         (Line("temperature", "sensor", ORANGE),),
         look="steps",
+        least=LEAST_DEGC,
         card="temperature read",
     ),
-    Strip("temperature_axes", "Temperature", _axes("temperature"), look="steps", card="temperature read"),
+    Strip(
+        "temperature_axes",
+        "Temperature",
+        _axes("temperature"),
+        look="steps",
+        least=LEAST_DEGC,
+        card="temperature read",
+    ),
     *_thermal({"": ORANGE}, "/samples/temperature"),
     *_thermal({f"_{axis}": color for axis, color in AXIS_COLORS.items()}, "/samples/temperature_axes"),
     Bands("gyro_bias", "Gyro bias, 2σ", _axes_with_sd("gyro_bias"), "°/h", BIAS, card="gyro bias"),

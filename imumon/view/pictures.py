@@ -81,7 +81,9 @@ def _figure() -> Any:
 def _draw(axes: Any, curve: Curve) -> None:
     color = tuple(part / 255 for part in curve.color)
     label = for_plot(curve.name) if curve.listed else None
-    look = {"ls": "", "marker": "o", "ms": curve.width} if curve.points else {"lw": curve.width}
+    look: dict[str, Any] = {"lw": curve.width, "ls": "--" if curve.dashed else "-"}
+    if curve.points:
+        look = {"ls": "", "marker": "o", "ms": curve.width}
     axes.plot(curve.x, curve.y, color=color, label=label, **look)
 
 

@@ -22,7 +22,7 @@ from imumon.run.stages import pipeline_of
 from imumon.simulation.recording import START_NS, record_session
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.simulation.unit.curves import curve_value
-from imumon.simulation.unit.events import Vibration
+from imumon.simulation.unit.events import Handling, Vibration
 from imumon.simulation.unit.scenario import Chamber, Step
 from imumon.transport.reader import Bytes, Event, EventKind, Item
 from imumon.transport.settings import PortSettings
@@ -40,6 +40,16 @@ SHAKING = [
     for frequency_hz, amplitude in ((47.0, 0.4), (133.0, 0.2))
 ]
 """A motor and what it drives."""
+HANDLING = Handling(
+    kind="handling",
+    at_s=0.0,
+    rounds=5,
+    every_s=120.0,
+    rest_s=10.0,
+    swing_deg=(15.0, 10.0, 25.0),
+    heading_deg=45.0,
+)
+"""As in the scenario warm-up, by gentler hands."""
 TURNING = Chamber(start_degc=25.0, steps=[Step(to_degc=to, rate_degc_per_min=2.0) for to in (40.0, 25.0) * 5])
 """A chamber that always turns round, so that what is late shows."""
 READ_S = 0.01
@@ -153,7 +163,12 @@ def crs05_model(slope_z_dph: float = 0.0) -> BiasModel:
 
 def wrong_in_z() -> Setup:
     """Return a setup with a model that is wrong in z."""
-    return Setup(model=crs05_model(20.0), latitude_deg=40.93)
+    return Setup(model=crs05_model(100.0))
+
+
+def right() -> Setup:
+    """Return a setup with the right model, and a latitude."""
+    return Setup(model=crs05_model(), latitude_deg=40.93)
 
 
 def learning() -> Setup:
@@ -167,11 +182,17 @@ def scenes(data: Path) -> dict[str, Scene]:
     found = {
         "demo": Scene("The demo: a virtual AHRS after 40 s", "ax1", simulated("bench", "ax1", 40.0)),
         "recorded": Scene(
-            "A warm-up with a bias model that is wrong in z, opened afterwards: rerun view.rrd",
+            "A warm-up in motion with a bias model, opened afterwards: rerun view.rrd",
             "ax1",
-            simulated("warm-up", "ax1", 600.0),
-            wrong_in_z,
+            simulated("warm-up", "ax1", 600.0, motion=[HANDLING]),
+            right,
             live=False,
+        ),
+        "wrong": Scene(
+            "A warm-up at rest with a bias model that is wrong in z by 100 °/h over 30 °C, after 10 min",
+            "ax1",
+            simulated("warm-up", "ax1", 600.0, 20.0, motion=[]),
+            wrong_in_z,
         ),
         "alignment": Scene(
             "Alignment to north after 5 min",
@@ -203,7 +224,7 @@ def scenes(data: Path) -> dict[str, Scene]:
         found["foreign"] = Scene(
             "A measured GNSS/INS stream, MIP at 125 Hz",
             "microstrain",
-            capture(foreign, 10.0),
+            capture(foreign, 18.1),
             baudrate=921_600,
         )
     return found

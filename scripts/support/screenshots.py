@@ -31,14 +31,13 @@ SHOWN = {
     "live-view": ("demo", "Live"),
     "temperature": ("slow", "Temperature"),
     "gyro-bias": ("recorded", "Gyro bias"),
-    "residual": ("recorded", "Residual"),
+    "residual": ("wrong", "Residual"),
     "learning": ("learning", "Residual"),
     "attitude": ("slow", "Attitude"),
     "spectrum": ("fast", "Spectrum"),
     "allan": ("isothermal", "Allan"),
     "alignment": ("alignment", "Alignment"),
-    "foreign": ("foreign", "Live"),
-    "recording": ("recorded", "Recording"),
+    "foreign": ("foreign", "Attitude"),
 }
 """The pictures that the docs have: of which scene, which tab."""
 COLORS = 128

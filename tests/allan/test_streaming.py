@@ -149,7 +149,9 @@ def test_the_stage_draws_a_chart() -> None:
     assert stage.process(block(5000)) == {}
     assert stage.notices() == []
     (chart,) = stage.charts()
-    assert [curve.name for curve in chart.curves] == ["x", "y", "z", "68 % (bars)", "white noise"]
+    drawn = ["x", "y", "z", "68 % x", "68 % y", "68 % z", "white noise"]
+    assert [curve.name for curve in chart.curves] == drawn
+    assert [curve.name for curve in chart.curves if curve.listed] == ["x", "y", "z", "white noise"]
     assert chart.x.log
     assert chart.y.log
     np.testing.assert_allclose(chart.curves[0].y[:4], chart.curves[-1].y[:4], rtol=0.1)

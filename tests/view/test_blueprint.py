@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rerun as rr
+import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from imumon.estimation.gyro_bias.stage import GyroBias
@@ -17,8 +18,9 @@ from imumon.run.setup import Setup
 from imumon.run.stages import estimators
 from imumon.view.blueprint import Contents, blueprint
 from imumon.view.items import Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup
+from imumon.view.layout import STRIPS
 from imumon.view.logger import StreamLogger
-from imumon.view.panels import PANELS, RESIDUAL
+from imumon.view.panels import ALIGNMENT, PANELS, RESIDUAL
 from tests.view.streams import block
 
 
@@ -89,6 +91,33 @@ def test_charts_beside_strips_have_two_columns_before_they_are_too_small(charts:
     assert len(beside.contents) == charts
     assert (beside.grid_columns or 1) == columns
     assert (tab.column_shares[-1] > sum(tab.column_shares[:-1])) == (columns == 2), "half of the tab, or more"
+
+
+@pytest.mark.parametrize(
+    ("count", "window_s", "columns"),
+    [(2, 30.0, 1), (3, 30.0, 1), (4, 30.0, 2), (4, 600.0, 1), (4, None, 1), (5, None, 2)],
+)
+def test_strips_have_two_columns_before_their_axes_lack_numbers(
+    count: int, window_s: float | None, columns: int
+) -> None:
+    setup = ViewSetup("test", "test", window_s=window_s or 30.0)
+    strips = tuple(panel for panel in PANELS if panel.place == STRIPS)[:count]
+    assert len(strips) == count
+    contents = Contents(strips, (), (), False, False, (), (), False)
+    root: Any = blueprint(setup, contents, "device_time", live=window_s is not None).root_container
+    (beside,) = root.contents[0].contents
+    assert (getattr(beside.contents[0], "grid_columns", None) or 1) == columns
+
+
+def test_four_strips_beside_a_chart_have_the_width_for_their_time_axes() -> None:
+    strips = tuple(panel for panel in PANELS if panel.place == ALIGNMENT)[:4]
+    contents = Contents(strips, ((ALIGNMENT, "a", "title"),), (), False, False, (), (ALIGNMENT,), False)
+    root: Any = blueprint(SETUP, contents, "device_time", live=True).root_container
+    (tab,) = (part for part in root.contents if part.name == ALIGNMENT)
+    grid, beside = tab.contents
+    assert grid.grid_columns == 2
+    assert tab.column_shares[0] > 2 * tab.column_shares[1]
+    assert [type(view) for view in beside.contents] == [rrb.TextDocumentView, rrb.Spatial2DView]
 
 
 @pytest.mark.parametrize(

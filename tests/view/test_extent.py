@@ -12,6 +12,7 @@ from support.picture_faults import scalars, stored
 from imumon.blocks import FloatArray
 from imumon.view.extent import Extents, entity
 from imumon.view.layout import Bands, Line, Strip
+from imumon.view.panels import PANELS
 from imumon.view.rows import Rows
 
 BAND = Bands("b", "B", (Line("b", "b", (1, 2, 3), "b_sd"),), "°C")
@@ -36,6 +37,15 @@ def test_the_last_digit_of_a_card_does_not_fill_a_panel(value: float) -> None:
     low, high = ends
     assert low < value < high
     assert high - low == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize("key", ["temperature", "temperature_axes"])
+def test_the_rounding_of_a_temperature_that_is_constant_does_not_fill_a_panel(key: str) -> None:
+    (panel,) = (panel for panel in PANELS if panel.key == key and isinstance(panel, Strip))
+    columns = {line.column: 25.0 + np.linspace(0.0, 1e-6, 50) for line in panel.lines}
+    ends = panel.ends(Rows(columns, None, np.arange(50, dtype=np.int64), None))
+    assert ends is not None
+    assert ends[1] - ends[0] == pytest.approx(0.04)
 
 
 def test_without_a_value_there_are_no_ends() -> None:

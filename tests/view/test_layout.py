@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+import pytest
 import rerun as rr
 
-from imumon.view.layout import Bands, Line
+from imumon.view.layout import Bands, Line, Strip
 from imumon.view.panels import METHODS
 from imumon.view.rows import Rows
 
@@ -17,9 +18,11 @@ class _Heard:
 
     def __init__(self) -> None:
         self.entities: list[str] = []
+        self.looks: list[object] = []
 
-    def log(self, entity: str, *_: object, **__: object) -> None:
+    def log(self, entity: str, *looks: object, **__: object) -> None:
         self.entities.append(entity)
+        self.looks += looks
 
     send_columns = log
 
@@ -33,3 +36,12 @@ def test_a_band_named_as_a_session_is_an_entity_whose_name_is_escaped() -> None:
     named = [one for one in rec.entities if "monday" in one]
     assert named == [f"{panel.drawn}/" + rr.escape_entity_path_part("run of monday")] * 2
     assert "\\ " in named[0]
+
+
+@pytest.mark.parametrize("look", ["lines", "steps"])
+def test_spikes_stay_where_samples_are_denser_than_pixels(look: Literal["lines", "steps"]) -> None:
+    rec: Any = _Heard()
+    Strip("a", "title", (Line("x", "x", (1, 2, 3)),), look=look).declare(rec)
+    (drawn, *_) = rec.looks
+    policies = drawn.aggregation_policy.as_arrow_array().to_pylist()
+    assert policies == [rr.components.AggregationPolicy.MinMax.value]

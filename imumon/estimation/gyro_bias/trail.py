@@ -5,13 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.charts import AXIS_COLORS, GREY, Axis, Chart, Curve
+from imumon.charts import AXIS_COLORS, Axis, Chart, Curve
 from imumon.estimation.gyro_bias.thermal_input import GYROS
 from imumon.geodesy import DEG_PER_H
 from imumon.models.model import BiasModel
 
 MOST_POINTS = 250
 """When more are kept, every second one is dropped, and from then on half as many are taken."""
+NOTE = "dots: estimates since the start; large: now"
+NOTE_WITH_MODEL = f"line: model; {NOTE}"
+"""What a chart says of its dots."""
 
 
 class BiasTrail:
@@ -43,17 +46,17 @@ class BiasTrail:
         for (axis, color), channel in zip(AXIS_COLORS.items(), self._channels, strict=False):
             low, high = channel.temperature_range_degc
             at = np.linspace(low, high, 101)
-            red, green, blue = ((part + 2 * grey) // 3 for part, grey in zip(color, GREY, strict=True))
-            value = channel.value(at) / DEG_PER_H
-            curves.append(Curve(f"curve {axis}", at, value, (red, green, blue), width=1.2))
+            curves.append(Curve(f"{axis}, model", at, channel.value(at) / DEG_PER_H, color, width=1.2))
         x, y = Axis("temperature [°C]"), Axis("[°/h]")
+        notes = (NOTE_WITH_MODEL if self._channels else NOTE,)
         curves += _trails(degc, bias)
-        charts = [Chart("gyro_bias", "Gyro bias", "Gyro bias over temperature", x, y, tuple(curves))]
+        title = "Gyro bias over temperature"
+        charts = [Chart("gyro_bias", "Gyro bias", title, x, y, tuple(curves), notes=notes)]
         if self._channels:
             expected = [channel.value(degc[:, j]) for j, channel in enumerate(self._channels)]
             left = _trails(degc, bias - np.column_stack(expected) / DEG_PER_H)
             title = "Gyro bias less the calibrated curve"
-            charts.append(Chart("gyro_bias_left", "Residual", title, x, y, tuple(left)))
+            charts.append(Chart("gyro_bias_left", "Residual", title, x, y, tuple(left), notes=(NOTE,)))
         return charts
 
 
@@ -62,6 +65,6 @@ def _trails(degc: FloatArray, values: FloatArray) -> list[Curve]:
     curves = []
     for j, (axis, color) in enumerate(AXIS_COLORS.items()):
         x, y = degc[:, j], values[:, j]
-        curves.append(Curve(axis, x, y, color, points=True, width=2.5))
+        curves.append(Curve(f"{axis}, estimate", x, y, color, points=True, width=2.5))
         curves.append(Curve(f"now {axis}", x[-1:], y[-1:], color, points=True, width=9.0, listed=False))
     return curves

@@ -26,7 +26,7 @@ def test_the_trail_is_the_same_whatever_the_blocks() -> None:
         for a, b in zip(one.curves, other.curves, strict=True):
             np.testing.assert_array_equal(a.x, b.x)
             np.testing.assert_array_equal(a.y, b.y)
-    trail = next(curve for curve in whole[0].curves if curve.name == "x")
+    trail = next(curve for curve in whole[0].curves if curve.name == "x, estimate")
     assert len(trail.x) == 175  # every fourth
 
 
@@ -35,7 +35,7 @@ def test_a_day_is_kept_in_constant_memory() -> None:
     for hour in range(24):
         trail.add(np.full((3600, 3), 20.0 + hour), np.full((3600, 3), hour * DPH))
         (chart,) = trail.charts()
-        seen = next(curve for curve in chart.curves if curve.name == "x")
+        seen = next(curve for curve in chart.curves if curve.name == "x, estimate")
         assert len(seen.x) <= MOST_POINTS
         assert seen.x[0] == 20.0
     assert chart.curves[-1].y == pytest.approx(23.0, abs=1e-6)
@@ -51,11 +51,13 @@ def test_the_chart_has_curve_trail_and_the_current_point() -> None:
     bias = vector(stage.process(block))
     over, left = stage.charts()
     named = {curve.name: curve for curve in over.curves}
-    assert named["curve x"].x[[0, -1]] == pytest.approx([20.0, 50.0])
+    assert named["x, model"].x[[0, -1]] == pytest.approx([20.0, 50.0])
     assert named["now x"].y[-1] == pytest.approx(np.degrees(bias[-10:, 0]).mean() * 3600.0, abs=6.0)
     assert named["now x"].x[-1] == pytest.approx(35.0, abs=0.1)
-    assert {curve.name for curve in left.curves} == {"x", "now x", "y", "now y", "z", "now z"}
+    assert {curve.name for curve in left.curves} == {
+        name for axis in "xyz" for name in (f"{axis}, estimate", f"now {axis}")
+    }
     offset = 60.0 * 35.0  # the curve of the model is zero in the middle of its range
-    rest = next(curve for curve in left.curves if curve.name == "x")
+    rest = next(curve for curve in left.curves if curve.name == "x, estimate")
     assert np.ptp(rest.y) < 60.0
     assert rest.y[-1] == pytest.approx(offset, abs=20.0)
