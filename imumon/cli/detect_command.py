@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import SECONDS, console, device_help, json_option, note, print_json, show
+from imumon.cli.common import SECONDS, Whole, console, device_help, json_option, note, print_json, show
 
 if TYPE_CHECKING:
     from imumon.transport.detect import Evidence
@@ -17,18 +17,14 @@ if TYPE_CHECKING:
 
 @click.command("detect")
 @click.argument("port")
-@click.option("--device", "names", multiple=True, help=device_help + "  May be repeated; all when not given.")
-@click.option(
-    "--baud", "rates", multiple=True, type=click.IntRange(min=1), help="Rate to try; may be repeated."
-)
-@click.option(
-    "--seconds", default=1.5, show_default=True, type=SECONDS, help="How long to listen at each rate."
-)
+@click.option("--device", "names", multiple=True, help=device_help + "  May be repeated; default: all.")
+@click.option("--baud", "rates", multiple=True, type=Whole(min=1), help="Rate to try; may be repeated.")
+@click.option("--seconds", default=1.5, show_default=True, type=SECONDS, help="Time at each rate.")
 @click.option(
     "--propose",
     "proposed",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Write the device file that is proposed for a device that is not known; must not exist.",
+    help="Write the proposed device file of an unknown device here; the file must not exist.",
 )
 @json_option
 def command(
@@ -41,9 +37,16 @@ def command(
 ) -> None:
     """Find baud rate and protocol of the device on PORT by trying, and show the evidence.
 
-    For lines of text and for binary packets of fixed length that no device file describes one is proposed,
-    with the reasons: look at it, and give its path as --device.  Exit code 0 when a device was found; 3 when
-    the port cannot be opened, nothing came, or what came are packets of none of the devices tried.
+    \b
+    imumon detect /dev/ttyUSB0
+    imumon detect /dev/ttyUSB0 --save device-report   # to report a device
+
+    The port is opened at one baud rate after the other, and every known device is tried on the bytes that
+    arrive.  If the device is unknown but sends lines of text or binary packets of fixed length, imumon
+    proposes a device file with its reasons: check it, and give its path as --device.
+
+    Exit code 0: a device was found.  3: the port cannot be opened, no bytes arrived, or the bytes are
+    not packets of any device that was tried.
     """
     from imumon.files import check_output
     from imumon.protocols.device import device_names, load_device

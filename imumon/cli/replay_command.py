@@ -45,19 +45,28 @@ CLOSE_S = 5.0
 
 @click.command("replay")
 @click.argument("session", type=PATH)
-@click.option("--speed", help="1 as recorded, N times as fast, or max.  Default: 1 with a view, else max.")
+@click.option("--speed", help="1: as recorded; N: N times as fast; max.  Default: 1 with a view, else max.")
 @click.option("--out", type=PATH, help=TABLE)
 @columns_option
 @rate_option
-@click.option("--view", type=click.Choice(["native", "web", "none"]), default="none", show_default=True)
+@click.option(
+    "--view",
+    type=click.Choice(["native", "web", "none"]),
+    default="none",
+    show_default=True,
+    help="Show the run: in a window, in a browser, or not.",
+)
 @click.option(
     "--compare-models",
     nargs=2,
     type=PATH,
     metavar="A B",
-    help="Instead: a page of what two bias models (files, or sessions that ran with one) leave; with --out.",
+    help="Only compare two bias models (files, or sessions that ran with one) on this session;"
+    " --out PAGE.html.",
 )
-@click.option("--smooth", is_flag=True, help="Also estimate with what came later: columns ..._smoothed.")
+@click.option(
+    "--smooth", is_flag=True, help="Also estimate with the data after each sample: columns ..._smoothed."
+)
 @setup_options
 @window_option
 @bind_option
@@ -76,9 +85,13 @@ def command(
     compare_models: tuple[Path, Path] | None,
     **options: Unpack[SetupOptions],
 ) -> int:
-    """Run SESSION again through the same code, bit for bit, to a table or to the view.
+    """Run the recorded SESSION again through the same code, to a table or to the view.
 
-    Exits with 1 when the results are not those of the live run.
+    \b
+    imumon replay sessions/NAME --view web
+    imumon replay sessions/NAME --out samples.parquet
+
+    The results are those of the live run, bit for bit; the exit code is 1 where they are not.
     """
     if compare_models is not None:
         return _compare(session, compare_models, out, as_json)

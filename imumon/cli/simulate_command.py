@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from inspect import cleandoc
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,11 +17,13 @@ from imumon.cli.common import (
     Number,
     device_help,
     json_option,
+    listed,
     print_json,
     print_rows,
     seed_option,
     serial_option,
 )
+from imumon.files import bundled
 
 if TYPE_CHECKING:
     from imumon.simulation.unit import Scenario
@@ -37,9 +40,11 @@ TABLES = (".parquet", ".csv")
 )
 @serial_option
 @seed_option
-@click.option("--duration", type=SECONDS, help="Seconds to simulate; default: those of the scenario.")
+@click.option("--duration", type=SECONDS, help="Length of the simulation; default: that of the scenario.")
 @click.option(
-    "--rate", type=Number(min=0, min_open=True, max=10_000), help="Packets per second; default: as above."
+    "--rate",
+    type=Number(min=0, min_open=True, max=10_000),
+    help="Packets per second; default: those of the scenario.",
 )
 @json_option
 def command(
@@ -52,10 +57,18 @@ def command(
     rate: float | None,
     as_json: bool,
 ) -> None:
-    """Simulate SCENARIO, a name or a file, with the truth beside what the unit sends.
+    """Simulate SCENARIO, a name or a file, and write the true values beside the samples.
 
-    A session holds the packets of the device and truth.parquet, which has one row a packet; a table has the
-    truth in columns that begin with true_.
+    \b
+    imumon simulate kitchen --out sessions/kitchen
+    imumon simulate night --out night.parquet --seed 2
+
+    A session holds the packets of the device and truth.parquet, which has one row a packet: bias, rate and
+    temperature of the simulated unit.  A table has them in columns that begin with true_.
+
+    {scenarios}
+
+    docs/simulation.md describes them, and how to write one.
     """
     from imumon.recordings.folder import name_unit
     from imumon.simulation.unit import load_scenario
@@ -97,3 +110,6 @@ def _progress(samples: int) -> Iterator[Callable[[int], object]]:
         return
     with click.progressbar(length=samples, label="simulating", file=sys.stderr) as bar:
         yield bar.update
+
+
+command.help = cleandoc(str(command.help)).format(scenarios=listed("Scenarios", sorted(bundled("scenarios"))))

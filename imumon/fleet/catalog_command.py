@@ -39,8 +39,8 @@ HEADS = (
 @click.command("catalog")
 @click.argument("folder", metavar="DIR", type=PATH)
 @click.option(
-    "--results", type=PATH, help="Folder of imumon batch replay, which new sessions are added to; default:"
-    " DIR/catalog."
+    "--results", type=PATH, help="Folder of results of imumon batch replay; new sessions are added to it."
+    "  Default: DIR/catalog."
 )  # fmt: skip
 @click.option("--out", type=PATH, help="Folder for sessions.parquet, units.parquet and models.parquet.")
 @click.option("--rrd", hidden=True, help="Retired: imumon report UNIT draws the drift.")
@@ -48,7 +48,10 @@ HEADS = (
 def command(folder: Path, results: Path | None, out: Path | None, rrd: str | None, as_json: bool) -> None:
     """List the units of the sessions in DIR: temperatures, σ, losses, models, their drift, and outliers.
 
-    A session that is new is replayed once.  Serial numbers are those given when recording (--serial) or in
+    \b
+    imumon catalog sessions
+
+    A new session is replayed once.  Serial numbers are those given when recording (--serial), or those in
     the models made of the sessions.
     """
     from imumon.fleet.catalog.tables import tables, write_tables

@@ -29,17 +29,20 @@ NO_DRIVER = {"drivers": "none of those recorded is proven"}
 @click.command("calibrate")
 @click.argument("sessions", nargs=-1, required=True, metavar="SESSION...", type=PATH)
 @click.option("--out", required=True, type=PATH, help="Model file to write.")
-@click.option("--plot", type=PATH, help="Draw curves, points and residuals to this PNG.")
+@click.option("--plot", type=PATH, help="Draw curves, points and residuals into this PNG.")
 @click.option(
-    "--latitude", type=Number(min=-90, max=90), help="Degrees; with --heading the earth rate is removed."
+    "--latitude",
+    type=Number(min=-90, max=90),
+    help="Degrees north; with --heading the earth's rotation is removed.",
 )
 @click.option(
-    "--heading", type=Number(min=-360, max=360), help="Degrees of the x axis, clockwise from north."
+    "--heading", type=Number(min=-360, max=360), help="Direction of the x axis, degrees clockwise from north."
 )
 @click.option(
     "--drivers",
     default="none",
-    help="What else that was recorded may drive the bias: none (the default), all that varies, or NAME,...",
+    help="Other recorded quantities that may change the bias, such as supply_voltage: none (the default), all"
+    " (each that varies), or NAME,...  One is kept if the last SESSION confirms it.",
 )
 @click.option("--serial", help="Serial number of the unit, for the model file.")
 @autopilot_options
@@ -55,11 +58,14 @@ def command(
     as_json: bool,
     **autopilot: Unpack[AutopilotOptions],
 ) -> None:
-    """Find the bias of a unit over temperature from SESSIONs in which it stands still while that changes.
+    """Find the bias of a unit over temperature from SESSIONs at rest with a changing temperature.
 
-    Several kinds of curve are tried on temperature levels left out; the one that errs least there is fitted
-    to all data.  What cannot give a good model is refused, with the reason.  A driver is kept that the last
-    SESSION proves.
+    \b
+    imumon calibrate sessions/soak --out unit.yaml --plot unit.png
+
+    Several kinds of curve are fitted without some of the temperature levels, and compared at these levels.
+    The curve with the smallest error there is then fitted to all data.  Sessions that cannot give a good
+    model are refused, with the reason.
     """
     for path in filter(None, (out, plot)):
         check_output(path)

@@ -85,6 +85,5 @@ def test_noise_gets_no_device_file(tmp_path: Path) -> None:
 def test_the_help_says_in_plain_words_when_no_device_was_found() -> None:
     text = " ".join(imumon("detect", "--help").stdout.split())
     assert (
-        "3 when the port cannot be opened, nothing came, or what came are packets of none of the devices"
-        in text
+        "3: the port cannot be opened, no bytes arrived, or the bytes are not packets of any device" in text
     )
