@@ -111,7 +111,7 @@ class _LazyGroup(click.Group):
         return command
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        if not args:
+        if not args and not ctx.resilient_parsing:
             click.echo(_short_help(ctx))
             ctx.exit()
         return super().parse_args(ctx, args)

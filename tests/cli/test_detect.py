@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -87,3 +88,26 @@ def test_the_help_says_in_plain_words_when_no_device_was_found() -> None:
     assert (
         "3: the port cannot be opened, no bytes arrived, or the bytes are not packets of any device" in text
     )
+
+
+def test_what_came_is_saved_by_rate_to_report_a_device(tmp_path: Path) -> None:
+    report, rates = tmp_path / "report", ["--baud", 57600, "--baud", 115200]
+    with VirtualDevice(load_device("ax1"), tmp_path / "ahrs") as ahrs:
+        options = ["--device", "openimu", *rates, "--seconds", 1, "--save", report]
+        done = imumon("detect", ahrs.port.path, *options)
+        again = imumon("detect", ahrs.port.path, *options)
+        port = ahrs.port.path
+    assert done.returncode == 3, done.stderr
+    assert "57600.bin" in (found := json.loads((report / "evidence.json").read_text()))["files"]
+    assert sorted(path.name for path in report.iterdir()) == ["115200.bin", "57600.bin", "evidence.json"]
+    assert {row["baudrate"] for row in found["evidence"]} == {57600, 115200}
+    assert port not in (report / "evidence.json").read_text()
+    result = answer("decode", report / "115200.bin", "--device", "ax1", "--out", tmp_path / "t.csv")
+    assert result["samples"] > 10
+    assert again.returncode == 2
+    assert "is there already" in again.stderr
+
+
+def test_nothing_is_saved_of_a_port_that_cannot_be_opened(tmp_path: Path) -> None:
+    assert imumon("detect", "/dev/ttyNONE", "--save", tmp_path / "report").returncode == 3
+    assert list(tmp_path.iterdir()) == []
