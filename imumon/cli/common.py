@@ -106,6 +106,12 @@ rate_option = click.option(
     metavar="HZ",
     help="Packets per second of a device that sends no time; default: the device file's rate_hz.",
 )
+truth_option = click.option(
+    "--truth",
+    is_flag=True,
+    help="For a simulated session: print the errors against its true values (rms, rms over standard deviation,"
+    " largest).",
+)
 device_help = "Name of a known device (imumon devices) or path of a device file."
 
 

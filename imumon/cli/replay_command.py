@@ -20,6 +20,7 @@ from imumon.cli.common import (
     print_rows,
     rate_option,
     split_columns,
+    truth_option,
     warn,
     window_option,
 )
@@ -33,6 +34,8 @@ from imumon.wings import offers
 
 if TYPE_CHECKING:
     from imumon.pipeline import Estimator
+    from imumon.run.setup import Setup
+    from imumon.run.truth import Truth
     from imumon.view.items import ViewSetup
     from imumon.view.publisher import ViewPublisher
     from imumon.view.viewer import Mode
@@ -67,6 +70,7 @@ CLOSE_S = 5.0
 @click.option(
     "--smooth", is_flag=True, help="Also estimate with the data after each sample: columns ..._smoothed."
 )
+@truth_option
 @setup_options
 @window_option
 @bind_option
@@ -83,6 +87,7 @@ def command(
     as_json: bool,
     smooth: bool,
     compare_models: tuple[Path, Path] | None,
+    truth: bool,
     **options: Unpack[SetupOptions],
 ) -> int:
     """Run the recorded SESSION again through the same code, to a table or to the view.
@@ -106,6 +111,7 @@ def command(
     opened = open_session(session)  # a raw capture has no times: that is for decode
     recorded = opened.metadata.pipeline_yaml
     setup = make_setup(options, recorded, f"{session} (pipeline_yaml)")
+    true = _truth(session, setup) if truth else None
     source = open_source(session, rate_hz=rate)
     source.refuse_output(out)
     pace = _speed(speed, view)
@@ -124,6 +130,8 @@ def command(
         card = {"session": str(session), "replay": "as fast as it goes" if pace is None else f"{pace:g} x"}
         narrator = Narrator(pipeline, None, [publisher.publish], lambda *_: None, card, session)
     blocks = digested(replay(source.items, pipeline, narrator, pace), pipeline, digest)
+    if true is not None:
+        blocks = true.through(blocks)
     try:
         with reading_bar([session], quiet=as_json):
             if out is None:
@@ -144,7 +152,8 @@ def command(
     warn(exported.warnings)
     if as_json:
         compared = {"results_digest": digest.hexdigest()} | comparison.as_dict()
-        smoothing = {} if disagreement is None else {"disagreement": disagreement}
+        smoothing: dict[str, object] = {} if disagreement is None else {"disagreement": disagreement}
+        smoothing |= {} if true is None else {"truth": true.as_data()}
         print_json(
             {"session": source.path} | exported_as_data(source, pipeline, exported) | compared | smoothing
         )
@@ -156,8 +165,21 @@ def command(
     if disagreement is not None:
         text = ", ".join(f"{name} {value:.2f}" for name, value in disagreement.items())
         result["forward less backward"] = f"{text} σ rms" if text else "nothing to compare"
-    print_rows(result)
+    print_rows(result | ({} if true is None else true.rows()))
     return EXIT_NEGATIVE if comparison.identical is False else EXIT_OK
+
+
+def _truth(session: Path, setup: Setup) -> Truth:
+    """Return the truth of a simulated session; raises BAD_DATA without, BAD_CONFIG with half a place."""
+    from imumon.run.truth import read_truth
+
+    if setup.latitude_deg is not None and setup.heading_deg is None:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            "--truth with a latitude alone: only a part of the earth's rotation is removed from the bias",
+            "add --heading, or leave --latitude away",
+        )
+    return read_truth(session, earth_removed=setup.latitude_deg is not None)
 
 
 def _compare(session: Path, given: tuple[Path, Path], out: Path | None, as_json: bool) -> int:

@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import click
 
-from imumon.cli.common import PATH, Number, json_option, print_json, print_rows, show, warn, with_warnings
+from imumon.cli.common import (
+    PATH,
+    Number,
+    json_option,
+    print_json,
+    print_rows,
+    show,
+    truth_option,
+    warn,
+    with_warnings,
+)
 from imumon.cli.progress import reading_bar
 from imumon.files import check_output
 from imumon.lab.autopilot_options import (
@@ -45,6 +55,7 @@ NO_DRIVER = {"drivers": "none of those recorded is proven"}
     " (each that varies), or NAME,...  One is kept if the last SESSION confirms it.",
 )
 @click.option("--serial", help="Serial number of the unit, for the model file.")
+@truth_option
 @autopilot_options
 @json_option
 def command(
@@ -55,6 +66,7 @@ def command(
     heading: float | None,
     drivers: str,
     serial: str | None,
+    truth: bool,
     as_json: bool,
     **autopilot: Unpack[AutopilotOptions],
 ) -> None:
@@ -71,7 +83,10 @@ def command(
         check_output(path)
     parameters = check_parameters(out, autopilot)
     from imumon.lab.calibration.calibration import calibrate, check_place, read_sessions
+    from imumon.run.truth import check_truth, errors_of_model
 
+    if truth:
+        check_truth(sessions)
     chosen, driven = chosen_drivers(drivers), None
     warnings: list[str] = []
     with with_warnings(lambda: warnings), reading_bar(sessions, quiet=as_json) as tell:
@@ -96,15 +111,20 @@ def command(
         from imumon.lab.calibration.plot import write_calibration_plot
 
         write_calibration_plot(plot, result, ", ".join(path.name for path in sessions))
+    errors = {str(path): errors_of_model(path, model) for path in sessions} if truth else {}
     warn([*result.warnings, *(driven.caveats if driven is not None else [])])
     if as_json:
-        print_json(_report(result, out) | _driven_report(driven) | written)
+        compared = {"truth": {path: one.as_data() for path, one in errors.items()}} if truth else {}
+        print_json(_report(result, out) | _driven_report(driven) | compared | written)
     else:
         _show(result)
     if driven is not None:
         print_rows({verdict.name: verdict.summary for verdict in driven.verdicts} or NO_DRIVER)
     written |= {} if plot is None else {"picture": plot}
     print_rows(_summary(result, out) | {name: str(path) for name, path in written.items()})
+    for path, one in errors.items():
+        show(f"against the truth of {path}, at rest")
+        print_rows(one.rows())
 
 
 def _report(result: Calibration, out: Path) -> dict[str, Any]:
