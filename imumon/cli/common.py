@@ -109,8 +109,8 @@ rate_option = click.option(
 truth_option = click.option(
     "--truth",
     is_flag=True,
-    help="For a simulated session: print the errors against its true values (rms, rms over standard deviation,"
-    " largest).",
+    help="For a simulated session: print the errors against its true values (rms, rms over standard"
+    " deviation, largest).",
 )
 device_help = "Name of a known device (imumon devices) or path of a device file."
 

@@ -13,7 +13,7 @@ from imumon.geodesy import DEG_PER_H
 from imumon.recordings.table import read_table
 from imumon.run.truth import GYROS, NAME, RATES, check_truth, errors_of_model, read_truth
 from tests.cli.command import answer, imumon
-from tests.models.test_model import model
+from tests.models.models import three_curves
 
 
 @pytest.fixture(scope="module")
@@ -62,13 +62,13 @@ def test_replay_prints_the_errors_and_they_fit_their_sigmas(session: Path) -> No
 
 
 def test_a_model_is_compared_at_rest(session: Path) -> None:
-    found = errors_of_model(session, model()).as_data()
+    found = errors_of_model(session, three_curves()).as_data()
     assert {*GYROS, "temperature"} <= set(found)
     assert found["temperature"]["rms"] < 0.1
 
 
 def test_a_session_without_truth_is_refused(session: Path, tmp_path: Path) -> None:
-    with pytest.raises(ImumonError, match="no truth.parquet"):
+    with pytest.raises(ImumonError, match=r"no truth\.parquet"):
         check_truth([tmp_path])
     (session / NAME).rename(tmp_path / NAME)
     try:
