@@ -19,7 +19,7 @@ from imumon.cli.common import (
     warn,
     with_warnings,
 )
-from imumon.cli.progress import reading_bar
+from imumon.cli.progress import announce, reading_bar, samples_in
 from imumon.files import check_output
 from imumon.lab.autopilot_options import (
     AutopilotOptions,
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from imumon.lab.calibration.calibration import Calibration, Finding
     from imumon.lab.diagnosis.extended import Driven
 
+FITTING_S, SAMPLES_PER_S = 16.0, 50_000.0
+"""For the estimate of the time: measured on one core with recordings of 21,600 and 81,600 samples."""
 NO_DRIVER = {"drivers": "none of those recorded is proven"}
 
 
@@ -89,6 +91,8 @@ def command(
         check_truth(sessions)
     chosen, driven = chosen_drivers(drivers), None
     warnings: list[str] = []
+    samples = samples_in(sessions)
+    announce("reading", samples, FITTING_S + samples / SAMPLES_PER_S, quiet=as_json)
     with with_warnings(lambda: warnings), reading_bar(sessions, quiet=as_json) as tell:
         check_place(latitude, heading)
         records, found = read_sessions(sessions)
