@@ -178,7 +178,7 @@ def _propose(received: dict[int | None, bytearray], evidence: list[Evidence]) ->
 def _suggest(port: str, fit: list[Evidence]) -> None:
     """Say what to type for each device that fits."""
     if len(fit) > 1:
-        show("\nmore than one fits; the columns and their units tell which it is")
+        show("\nmore than one fits; the columns and their units show which it is")
     for item in fit:
         rate = f" --baud {item.baudrate}" if item.baudrate is not None else ""
         show(f"\n{item.protocol}: imumon monitor {port} --device {item.protocol}{rate}")

@@ -66,7 +66,7 @@ def command(
         }
     name_unit(out, serial)
     if report.rows_dropped:
-        why = "as their time does not increase" if map_path is None else "as the map asks"
+        why = "as their time does not increase" if map_path is None else "as the map requires"
         say("WARN", f"{report.rows_dropped} of {report.rows_in} rows were dropped, {why}")
     warn(report.warnings)
     if as_json:

@@ -45,7 +45,7 @@ def test_lines_of_text_get_a_device_file_that_reads_them(tmp_path: Path) -> None
 
 def test_devices_say_against_what_they_were_checked() -> None:
     assert "checked against 24 frames" in imumon("devices").stdout
-    assert all(device["verified"] != "not said" for device in answer("devices").values())
+    assert all(device["verified"] != "not given" for device in answer("devices").values())
 
 
 def test_binary_packets_get_a_device_file_that_reads_them(tmp_path: Path) -> None:

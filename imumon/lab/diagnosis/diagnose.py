@@ -199,7 +199,7 @@ def _sensor(
     if group[0].startswith("gyro") and any(run.pose.any() for run in diagnosis.train):
         diagnosis.caveats.append(
             "several poses: the gyros have another constant in each, as the earth rate makes it; a"
-            " sensitivity to g is not told from that"
+            " sensitivity to g cannot be distinguished from that"
             if axes.base.own == "pose"
             else "several poses: what is named g_sensitivity holds the vertical earth rate as well, up to"
             " 15.04 °/h per g on the diagonal"

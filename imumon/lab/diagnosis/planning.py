@@ -163,7 +163,7 @@ def plan(report: Report, question: Question, most_s: float, progress: Progress |
         why_not = f"{', '.join(others)} must vary apart from the rest: no chamber does that"
         return Plan(question, why_not=why_not)
     if not all(answer.carries for answer in question.answers):
-        return Plan(question, why_not="what is another in each run is told by more sessions")
+        return Plan(question, why_not="an effect that differs between runs needs more sessions")
     in_question = {effect.name for answer in question.answers for effect in answer.effects}
     few, every = [name for name in EFFECTS if name in in_question], effects_for(question.channel)
     low, high = report.temperature_range_degc
@@ -188,7 +188,8 @@ def plan(report: Report, question: Question, most_s: float, progress: Progress |
     found, profile = best
     return Plan(
         question,
-        why_not=f"nothing that was tried tells; the best, {profile.duration_s / 3600:.1f} h {profile.title},"
+        why_not=f"no experiment that was tried decides it; the best,"
+        f" {profile.duration_s / 3600:.1f} h {profile.title},"
         f" gives {found.value:.0f} of the {found.needed:.0f} in BIC that are needed for {found.truth} against"
         f" {found.rival}",
     )
