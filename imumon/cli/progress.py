@@ -20,10 +20,10 @@ WORTH_SAYING_S = 5.0
 """Work that takes longer is announced with an estimate of its time."""
 
 
-def announce(what: str, samples: int, expected_s: float, *, quiet: bool) -> None:
+def announce(what: str, samples: int, span_s: float, expected_s: float, *, quiet: bool) -> None:
     """Write how long work on so many samples takes, in a line, where that is more than `WORTH_SAYING_S`."""
     if expected_s > WORTH_SAYING_S and not quiet:
-        say("INFO", f"{what} {samples:,} samples: about {rounded_time(expected_s)}")
+        say("INFO", f"{what} {samples:,} samples of {span_s:,.0f} s: about {rounded_time(expected_s)}")
 
 
 def rounded_time(seconds: float) -> str:
@@ -32,11 +32,13 @@ def rounded_time(seconds: float) -> str:
     return f"{float(f'{seconds / unit:.1g}'):g} {name}"
 
 
-def samples_in(paths: Sequence[Path]) -> int:
-    """Return how many samples sessions have, as their metadata has it; 0 for those that do not have it."""
+def size_of(paths: Sequence[Path]) -> tuple[int, float]:
+    """Return number of samples and length, s, of sessions by their metadata; 0 for those that lack it."""
     from imumon.recordings.folder import is_session, open_session
 
-    return sum(open_session(path).metadata.counters.get("samples", 0) for path in paths if is_session(path))
+    known = [open_session(path).metadata for path in paths if is_session(path)]
+    spans = [one.duration_s for one in known]
+    return sum(one.counters.get("samples", 0) for one in known), sum(s for s in spans if s == s)
 
 
 @contextmanager

@@ -97,7 +97,8 @@ def _simulated(plan: Scenario, device: str | None, seed: int, out: Path, *, quie
     described, as_table = parse_device(text, source), out.suffix in TABLES
     if device is not None or not as_table:
         plan = plan.played(plan.rate_hz, described.axes)
-    announce("simulating", plan.samples, STARTING_S + plan.samples / SAMPLES_PER_S, quiet=quiet)
+    expected_s = STARTING_S + plan.samples / SAMPLES_PER_S
+    announce("simulating", plan.samples, plan.samples / plan.rate_hz, expected_s, quiet=quiet)
     with _progress(plan.samples) as progress:
         if as_table:
             write_table(plan, seed, out, progress)

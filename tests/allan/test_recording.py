@@ -92,7 +92,7 @@ def test_gyros_that_say_one_thing_only_leave_the_accelerometers(tmp_path: Path) 
     opened = read_channels(write(tmp_path, made))
     assert list(opened.series) == ["accel_x", "accel_y", "accel_z"]
     said = " ".join(opened.warnings)
-    assert "gyro while it has said nothing but its first reading" in said
+    assert "gyro while its values are nothing but its first reading" in said
     assert "gyro_x, gyro_y, gyro_z: fewer than two numbers; left out" in said
 
 

@@ -110,7 +110,8 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
         raise ImumonError(
             Reason.BAD_DATA,
             f"{source}: hard and soft iron are known to {model.fit_sd / model.field:.1%} of the field, "
-            f"{model.residual_sd / model.field:.1%} is left over; {coverage:.0%} of the directions were measured",
+            f"{model.residual_sd / model.field:.1%} is left over; {coverage:.0%} of the directions"
+            " were measured",
             f"away from iron and cables, turn on; next: {_next(seen, directions, accel[which])}",
         )
     strength = np.linalg.norm(readings, axis=1)
