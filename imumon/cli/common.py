@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
 import socket
 import sys
 import textwrap
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TextIO
 
 import click
 
@@ -233,15 +235,31 @@ def _check_address(bind: str) -> None:
         ) from error
 
 
-def labelled(rows: Mapping[str, str]) -> list[str]:
-    """Return lines with a label each, below each other."""
+LEAST_FOLDED = 20
+"""Columns beside the labels; in less room nothing is folded."""
+
+
+def labelled(rows: Mapping[str, str], columns: int | None = None) -> list[str]:
+    """Return lines with a label each, below each other; folded between words to so many columns."""
     width = max(map(len, rows), default=0)
-    return [f"  {label:<{width}}  {for_log(text)}" for label, text in rows.items()]
+    room = 0 if columns is None else columns - width - 4
+    lines = []
+    for label, text in rows.items():
+        parts = [for_log(text)]
+        if room >= LEAST_FOLDED:
+            parts = textwrap.wrap(parts[0], room, break_long_words=False, break_on_hyphens=False) or [""]
+        lines += [f"  {name:<{width}}  {part}" for name, part in zip_longest([label], parts, fillvalue="")]
+    return lines
+
+
+def columns_of(stream: TextIO) -> int | None:
+    """Return the width of a terminal; None where it is none, so that lines in files stay whole."""
+    return shutil.get_terminal_size().columns if stream.isatty() else None
 
 
 def print_rows(rows: Mapping[str, str]) -> None:
     """Write labelled lines on standard error."""
-    for line in labelled(rows):
+    for line in labelled(rows, columns_of(sys.stderr)):
         note(line)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
@@ -11,6 +12,7 @@ import click
 
 from imumon.cli.common import (
     PATH,
+    columns_of,
     console,
     json_option,
     labelled,
@@ -125,4 +127,5 @@ def _show(rows: Sequence[Sequence[str]]) -> None:
         out.print(table)
         return
     for row in rows:
-        show("\n".join([*labelled(dict(zip(HEADS, row, strict=True))), ""]))
+        lines = labelled(dict(zip(HEADS, row, strict=True)), columns_of(sys.stdout))
+        show("\n".join([*lines, ""]))

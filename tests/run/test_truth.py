@@ -64,7 +64,7 @@ def test_replay_prints_the_errors_and_they_fit_their_sigmas(session: Path) -> No
 def test_a_model_is_compared_at_rest(session: Path) -> None:
     found = errors_of_model(session, three_curves()).as_data()
     assert {*GYROS, "temperature_x"} <= set(found)
-    assert found["temperature_x"]["rms"] < 0.1
+    assert float(found["temperature_x"]["rms"]) < 0.1
 
 
 def test_a_session_without_truth_is_refused(session: Path, tmp_path: Path) -> None:
