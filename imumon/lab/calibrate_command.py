@@ -128,8 +128,8 @@ def command(
         print_rows({verdict.name: verdict.summary for verdict in driven.verdicts} or NO_DRIVER)
     written |= {} if plot is None else {"picture": plot}
     print_rows(_summary(result, out) | {name: str(path) for name, path in written.items()})
-    for path, one in errors.items():
-        show(f"against the truth of {path}, at rest")
+    for name, one in errors.items():
+        show(f"against the truth of {name}, at rest")
         print_rows(one.rows())
 
 
