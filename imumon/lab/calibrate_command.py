@@ -12,6 +12,7 @@ from imumon.cli.common import (
     PATH,
     Number,
     json_option,
+    note,
     print_json,
     print_rows,
     show,
@@ -129,7 +130,7 @@ def command(
     written |= {} if plot is None else {"picture": plot}
     print_rows(_summary(result, out) | {name: str(path) for name, path in written.items()})
     for name, one in errors.items():
-        show(f"against the truth of {name}, at rest")
+        note(f"against the truth of {name}, at rest")
         print_rows(one.rows())
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,9 +11,13 @@ import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray, IntArray, SampleBlock
 from imumon.errors import ImumonError, Reason
+from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
+from imumon.pipeline import Estimator
+from imumon.protocols.device import DeviceFile
+from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.reader import open_recording
 from imumon.recordings.table import read_columns, read_table
 
@@ -187,7 +191,7 @@ def errors_of_model(session: Path, model: BiasModel) -> Truth:
     truth = read_truth(session, earth_removed=model.earth_rate == "removed")
     names = [name for name in MODELLED if name in model.channels]
     predictor = BiasPredictor(model, names)
-    for block in open_recording(session).blocks():
+    for block in open_recording(session, _stages).blocks():
         nothing = np.full(len(block), np.nan)
 
         def column(name: str, of: SampleBlock = block, instead: FloatArray = nothing) -> FloatArray:
@@ -207,6 +211,12 @@ def errors_of_model(session: Path, model: BiasModel) -> Truth:
         found |= {name: (block[name], None) for name in TEMPERATURES if name in block}
         truth.take(block, found, at_rest=True)
     return truth
+
+
+def _stages(device: DeviceFile | None) -> Sequence[Estimator]:
+    """Return what estimates the temperatures that the curves are over."""
+    given = device.temperature if device is not None else TemperatureRateParameters()
+    return [TemperatureRate(parameters=given)]
 
 
 def _at_last_rest(rate: FloatArray, at_rest: IntArray) -> FloatArray:

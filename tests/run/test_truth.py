@@ -62,9 +62,16 @@ def test_replay_prints_the_errors_and_they_fit_their_sigmas(session: Path) -> No
 
 
 def test_a_model_is_compared_at_rest(session: Path) -> None:
-    found = errors_of_model(session, three_curves()).as_data()
+    model = three_curves()
+    found = errors_of_model(session, model).as_data()
     assert {*GYROS, "temperature_x"} <= set(found)
     assert float(found["temperature_x"]["rms"]) < 0.1
+    estimated = {
+        name: channel.model_copy(update={"temperature_column": f"temperature_estimate_{name[-1]}"})
+        for name, channel in model.channels.items()
+    }
+    found = errors_of_model(session, model.model_copy(update={"channels": estimated})).as_data()
+    assert all(found[name]["samples"] == found["temperature_x"]["samples"] for name in GYROS)
 
 
 def test_a_session_without_truth_is_refused(session: Path, tmp_path: Path) -> None:
