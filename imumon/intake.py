@@ -219,7 +219,7 @@ class Intake:
         begun = np.maximum.accumulate(valid)
         if begun[-1:].any():
             self._begun.add(sensor)
-        self._leave_out(columns, silent & ~begun, f"{sensor} while it has said {why}", block, changed)
+        self._leave_out(columns, silent & ~begun, f"{sensor} while its values are {why}", block, changed)
 
 
 class _Still:

@@ -110,7 +110,7 @@ def test_a_gyro_that_has_had_one_reading_only_has_no_bias() -> None:
     block, intake = seen(columns)
     assert np.flatnonzero(np.isnan(block["gyro_x"])).tolist() == list(range(1, 3000))
     assert intake.notices() == [
-        "left out of all estimates: gyro while it has said nothing but its first reading"
+        "left out of all estimates: gyro while its values are nothing but its first reading"
     ]
 
 

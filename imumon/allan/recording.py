@@ -199,7 +199,7 @@ def _of_motion(samples: SampleBlock, series: dict[str, EvenSeries], *, declared:
         return []
     hidden = [] if declared else _hidden(series)
     if hidden:
-        return [f"whether the unit moved cannot be told: the steps of {', '.join(hidden)} are too coarse"]
+        return [f"whether the unit moved is unknown: the steps of {', '.join(hidden)} are too coarse"]
     if not (at_rest == 1).any() and not declared:
         return [
             "the rest detector found no rest: the unit moved, or is noisier than a sensor at rest can be; an "
@@ -216,7 +216,10 @@ def _of_temperature(samples: SampleBlock) -> list[str]:
     there = [samples[name][np.isfinite(samples[name])] for name in TEMPERATURES if name in samples]
     readings = next((part for part in there if len(part)), None)
     if readings is None:
-        return ["there is no temperature: thermal drift cannot be told from bias instability and random walk"]
+        return [
+            "there is no temperature: thermal drift cannot be distinguished from bias instability and random"
+            " walk"
+        ]
     low, high = np.percentile(readings, [0.5, 99.5])
     if high - low <= WARMING_DEGC:
         return []

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from types import FrameType
 
 COMPLETION = "_IMUMON_COMPLETE"
-"""What a shell sets when it asks what may come next."""
+"""What a shell sets to query what may come next."""
 
 NEW_OBJECTS = 10_000
 """So many new objects between two searches for garbage, not Python's 700: what is loaded stays, and to search
@@ -41,7 +41,7 @@ OWN = {
         "monitor": "Record a device and watch it live.",
         "replay": "Run a recording again: same code, same numbers.",
         "view": "Show several sessions on one time axis.",
-        "mark": "Put a word into a recording that goes on.",
+        "mark": "Put a word into a recording while it runs.",
         "recover": "Finish a session that was interrupted or damaged.",
     },
     "Data in and out": {
@@ -54,19 +54,28 @@ OWN = {
         "align": "Find the heading of a resting unit by the earth rate.",
     },
     "Devices": {
-        "doctor": "Look what this computer lacks, and say what to do.",
+        "doctor": "Check what this computer lacks, and print what to do.",
         "ports": "List serial ports.",
         "detect": "Find baud rate and protocol of a device by trying.",
         "devices": "List the devices that imumon knows.",
         "plugins": "List what other packages add, and whether it loads.",
     },
     "Without hardware": {
-        "demo": "Watch a virtual AHRS: to see imumon at work.",
+        "demo": "Watch a simulated AHRS: imumon at work, without hardware.",
         "virtual": "Be a device: a simulated AHRS on a pseudo-terminal.",
-        "simulate": "Make a session or a table of a scenario, with the truth.",
+        "simulate": "Make a session or a table of a scenario, with true values.",
     },
 }
 """Commands of the core by group, with the line that the help shows; NAME is in imumon.cli.NAME_command."""
+
+START = {
+    "demo": "Watch a simulated AHRS, without hardware.",
+    "doctor": "Check what this computer lacks.",
+    "detect PORT": "Find device and baud rate of a port.",
+    "monitor PORT --device NAME": "Record a device and watch it live.",
+    "replay sessions/NAME": "Run a recording again.",
+}
+"""What a beginner needs, as `imumon` without arguments shows it."""
 
 
 @cache
@@ -93,7 +102,7 @@ class _LazyGroup(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if ctx.params.get("without_plugins"):
-            ctx.with_resource(_without_plugins())  # before the command is imported, which may ask the wings
+            ctx.with_resource(_without_plugins())  # before the command is imported, which may query the wings
         found = commands().get(cmd_name) or commands(of_plugins=True).get(cmd_name)
         if found is None:
             return None
@@ -101,12 +110,35 @@ class _LazyGroup(click.Group):
         assert isinstance(command, click.Command)
         return command
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if not args and not ctx.resilient_parsing:
+            click.echo(_short_help(ctx))
+            ctx.exit()
+        return super().parse_args(ctx, args)
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         for group in GROUPS:
             lines = [(name, one.help) for name, one in _listed(ctx).items() if one.group == group]
             if lines:
                 with formatter.section(group):
                     formatter.write_dl(lines)
+
+
+def _short_help(ctx: click.Context) -> str:
+    """Return what a beginner needs to see first: five commands, the names of all, and where more is."""
+    formatter = ctx.make_formatter()
+    formatter.write_text(str(cli.help))
+    with formatter.section("Start here"):
+        formatter.write_dl([(f"imumon {usage}", text) for usage, text in START.items()], col_max=40)
+    with formatter.section("All commands"):
+        names = [
+            (group, ", ".join(name for name, one in _listed(ctx).items() if one.group == group))
+            for group in GROUPS
+        ]
+        formatter.write_dl([(group, text) for group, text in names if text])
+    formatter.write_paragraph()
+    formatter.write_text("imumon --help has a line on each command, imumon COMMAND --help all about one.")
+    return formatter.getvalue().rstrip("\n")
 
 
 def _listed(ctx: click.Context) -> dict[str, Command]:
@@ -120,7 +152,8 @@ def _listed(ctx: click.Context) -> dict[str, Command]:
 @click.group(
     cls=_LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-    epilog="Exit codes: 0 done; 1 the answer is no; 2 wrong option or file; 3 port; 4 data.",
+    epilog="Exit codes: 0 done; 1 done, but the result is negative; 2 wrong option or file; 3 error of the"
+    " port; 4 error in the data.",
 )
 @click.version_option(package_name="imumon")
 @click.option("--without-plugins", is_flag=True, help="Load nothing that other packages add.")

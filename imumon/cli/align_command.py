@@ -12,6 +12,7 @@ from imumon.cli.common import (
     PATH,
     SECONDS,
     Number,
+    Whole,
     baud_option,
     console,
     device_help,
@@ -35,23 +36,26 @@ if TYPE_CHECKING:
 
 @click.command("align")
 @click.argument("source", metavar="PORT|SESSION")
-@click.option("--latitude", type=Number(min=-90, max=90), help="Degrees north, for the earth rate.")
+@click.option("--latitude", type=Number(min=-90, max=90), help="Latitude of the place, degrees north.")
 @click.option(
-    "--until", type=Number(min=0, min_open=True, max=90), help="Sigma of the heading wanted, degrees [0.05]."
+    "--until",
+    type=Number(min=0, min_open=True, max=90),
+    help="Wanted standard deviation of the heading, degrees; default: 0.05.",
 )
 @click.option("--device", help=device_help)
 @baud_option
 @click.option(
     "--positions",
-    type=click.IntRange(1, 12),
+    type=Whole(1, 12),
     default=1,
     show_default=True,
-    help="Rest in so many positions, turned between: then the bias of the gyros does not matter.",
+    help="Number of positions.  With 2 or more the unit is turned in between, and the bias of the gyros does"
+    " not matter.",
 )
-@click.option("--seconds", type=SECONDS, help="Give up after this time; live only.")
+@click.option("--seconds", type=SECONDS, help="Give up after this time; for a port only.")
 @click.option("--out", type=PATH, help="Folder for the live session; default: a new one in ./sessions.")
 @click.option("--pipeline", type=PATH, help="Pipeline file: place, model and parameters of the estimators.")
-@click.option("--model", type=PATH, help="Bias model; it may know the warm-up of the accelerometers.")
+@click.option("--model", type=PATH, help="Bias model, for instance with the warm-up of the accelerometers.")
 @json_option
 def command(
     source: str,
@@ -68,11 +72,16 @@ def command(
 ) -> int:
     """Find the heading of the resting unit on PORT or in SESSION from the earth's rotation.
 
-    A port is recorded until the sigma of the heading is small enough, or can be seen not to become so;
-    a session is gone through to its end.  Exit code 0: settled; 1: not settled.
+    \b
+    imumon align /dev/ttyUSB0 --device xsens --latitude 52
+    imumon align sessions/NAME --latitude 52
 
-    With --positions 2 it says when to turn the unit, by about 180° about the vertical: the gyros measure by
-    how much, and what turns with the unit is their bias.
+    A port is recorded until the standard deviation of the heading is small enough, or until it is clear that
+    it will not become so.  A session is read to its end.  Exit code 0: settled; 1: not settled.
+
+    With --positions 2 imumon reports when to turn the unit by about 180° about the vertical.  The gyros
+    measure the angle.  The earth's rotation stays where it is and the bias turns with the unit, so that the
+    two can be separated.
     """
 
     def setup(recorded: str | None = None, where: str = "") -> Setup:

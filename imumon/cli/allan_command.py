@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @click.command("allan")
 @click.argument("recording", metavar="SESSION|TABLE", type=PATH)
-@click.option("--plot", type=PATH, help="Draw the curves, log-log, to this PNG.")
+@click.option("--plot", type=PATH, help="Draw the curves, log-log, into this PNG.")
 @click.option("--noise-out", type=PATH, help="Write the terms as the noise section of a pipeline YAML.")
 @click.option("--kalibr", type=PATH, help="Write the terms as Kalibr's imu.yaml.")
 @click.option("--openvins", type=PATH, help="Write the terms as OpenVINS' kalibr_imu_chain.yaml.")
@@ -28,8 +28,12 @@ def command(
 ) -> None:
     """Estimate noise, bias instability and drift of a recording at rest.
 
-    SESSION is recorded or imported; TABLE is one of Parquet or CSV that imumon wrote.  Deviations are
-    overlapping; what is printed are the terms fitted to the whole Allan curve, with standard deviations.
+    \b
+    imumon allan sessions/NAME --plot allan.png
+
+    SESSION is recorded or imported; TABLE is a Parquet or CSV table that imumon wrote.  The terms of
+    the noise are fitted to the whole curve of overlapping Allan deviations, and printed with their standard
+    deviations.
     """
     from imumon.allan import output
     from imumon.allan.analysis import analyse

@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
 import socket
 import sys
+import textwrap
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TextIO
 
 import click
 
@@ -24,40 +27,77 @@ if TYPE_CHECKING:
 
 INTERRUPTED = threading.Event()
 """Set by Ctrl-C where that does nothing else: libraries make other errors of KeyboardInterrupt, or none."""
+ABSURD = 1e5
+"""A limit from here on protects the program, and is of no interest in a help text."""
+
+
+def described_range(kind: click.IntRange | click.FloatRange, what: str = "") -> str:
+    """Return the limits of a number, of which there is a lower one, as people write them."""
+    low, high = kind.min, kind.max
+    above = f"{what} > {low:g}".strip() if kind.min_open else f"{low:g}"
+    if high is None or high >= ABSURD:
+        return above if kind.min_open else f"{above} or more"
+    return f"{above}, up to {high:g}" if kind.min_open else f"{above} to {high:g}"
+
+
+class Number(click.FloatRange):
+    """A number in a range; NaN, which compares as if it were in any range, is refused."""
+
+    name = "number"
+    quantity = ""
+    """What the range in the help is one of."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number."""
+        number = float(click.FLOAT.convert(value, param, ctx))
+        if math.isnan(number):
+            self.fail(f"{value} is not a number", param, ctx)
+        if self.max is not None and self.max >= ABSURD and number > self.max:
+            self.fail(f"{value} is not in the range up to {self.max:g}", param, ctx)
+        return float(super().convert(value, param, ctx))
+
+    def _describe_range(self) -> str:
+        return described_range(self, self.quantity)
+
+
+class Seconds(Number):
+    """A length of time."""
+
+    name = quantity = "seconds"
+
+
+class Whole(click.IntRange):
+    """A whole number in a range."""
+
+    name = "number"
+
+    def _describe_range(self) -> str:
+        return described_range(self)
+
+
+SECONDS = Seconds(min=0, min_open=True, max=1e9)
+"""A length of time; the system cannot wait for much more."""
 PATH = click.Path(path_type=Path)
 TABLE = "Table to write: NAME.parquet, .csv, .npz, .mat, or .mcap (ROS 2)."
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object on standard output."
 )
 baud_option = click.option(
-    "--baud", type=click.IntRange(min=1), help="Baud rate; the device file's first when not given."
+    "--baud", type=Whole(min=1), help="Baud rate; the device file's first when not given."
 )
 seed_option = click.option(
-    "-s", "--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Seed of all noise."
+    "-s", "--seed", default=0, show_default=True, type=Whole(min=0), help="Seed of all noise."
 )
 serial_option = click.option("--serial", help="Serial number of the unit, for the catalog.")
 columns_option = click.option("--columns", help="Columns of the table, separated by commas; default: all.")
 
 
-class Number(click.FloatRange):
-    """A number in a range; NaN, which compares as if it were in any range, is refused."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return the number."""
-        number = float(super().convert(value, param, ctx))
-        if math.isnan(number):
-            self.fail(f"{value} is not a number", param, ctx)
-        return number
-
-
-SECONDS = Number(min=0, min_open=True, max=1e9)
-"""A length of time; the system cannot wait for much more."""
 window_option = click.option(
     "--window",
-    default=30.0,
+    default=30,
     show_default=True,
-    type=Number(min=1, max=86_400),
-    help="Seconds the strips show.",
+    type=Seconds(min=1, max=86_400),
+    help="Length of time that the strips of the view show.",
 )
 bind_option = click.option(
     "--bind", default="127.0.0.1", show_default=True, help="Address that the web view is served on."
@@ -68,7 +108,19 @@ rate_option = click.option(
     metavar="HZ",
     help="Packets per second of a device that sends no time; default: the device file's rate_hz.",
 )
+truth_option = click.option(
+    "--truth",
+    is_flag=True,
+    help="For a simulated session: print the errors against its true values (rms, rms over standard"
+    " deviation, largest).",
+)
 device_help = "Name of a known device (imumon devices) or path of a device file."
+
+
+def listed(what: str, names: Iterable[str]) -> str:
+    """Return a paragraph of a help text that lists names, none of them broken at a hyphen."""
+    text = f"{what}: {', '.join(names)}."
+    return "\b\n" + "\n".join(textwrap.wrap(text, 78, break_on_hyphens=False))
 
 
 def print_json(data: Mapping[str, Any]) -> None:
@@ -183,15 +235,31 @@ def _check_address(bind: str) -> None:
         ) from error
 
 
-def labelled(rows: Mapping[str, str]) -> list[str]:
-    """Return lines with a label each, below each other."""
+LEAST_FOLDED = 20
+"""Columns beside the labels; in less room nothing is folded."""
+
+
+def labelled(rows: Mapping[str, str], columns: int | None = None) -> list[str]:
+    """Return lines with a label each, below each other; folded between words to so many columns."""
     width = max(map(len, rows), default=0)
-    return [f"  {label:<{width}}  {for_log(text)}" for label, text in rows.items()]
+    room = 0 if columns is None else columns - width - 4
+    lines = []
+    for label, text in rows.items():
+        parts = [for_log(text)]
+        if room >= LEAST_FOLDED:
+            parts = textwrap.wrap(parts[0], room, break_long_words=False, break_on_hyphens=False) or [""]
+        lines += [f"  {name:<{width}}  {part}" for name, part in zip_longest([label], parts, fillvalue="")]
+    return lines
+
+
+def columns_of(stream: TextIO) -> int | None:
+    """Return the width of a terminal; None where it is none, so that lines in files stay whole."""
+    return shutil.get_terminal_size().columns if stream.isatty() else None
 
 
 def print_rows(rows: Mapping[str, str]) -> None:
     """Write labelled lines on standard error."""
-    for line in labelled(rows):
+    for line in labelled(rows, columns_of(sys.stderr)):
         note(line)
 
 

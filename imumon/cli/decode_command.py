@@ -39,7 +39,12 @@ if TYPE_CHECKING:
 def command(
     file: Path, device: str | None, out: Path, columns: str | None, rate: float | None, as_json: bool
 ) -> int:
-    """Decode FILE, a raw capture of any tool or a session, into a table."""
+    """Decode FILE, a raw capture of any tool or a session, into a table.
+
+    \b
+    imumon decode sessions/NAME --out samples.parquet
+    imumon decode capture.bin --device xsens --out samples.csv
+    """
     from imumon.pipeline import Pipeline
     from imumon.recordings.side_tables import Exported, export_run
     from imumon.recordings.source import no_samples, open_source, run_over

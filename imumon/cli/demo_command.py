@@ -20,15 +20,15 @@ STOP = {signal.SIGINT, signal.SIGTERM}
 
 
 @click.command("demo", context_settings={"ignore_unknown_options": True})
-@click.argument("options", nargs=-1, type=click.UNPROCESSED)
+@click.argument("options", nargs=-1, type=click.UNPROCESSED, metavar="[OPTIONS OF MONITOR]...")
 def command(options: tuple[str, ...]) -> int:
     """Watch a virtual AHRS that is turned by hand: to see imumon at work, without hardware.
-
-    OPTIONS are those of `imumon monitor`.
 
     \b
     imumon demo                                  # until Ctrl-C
     imumon demo --seconds 20 --view terminal     # without a display
+
+    The options are those of `imumon monitor`.
     """
     from imumon.simulation.virtual_port import VirtualPort
 

@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import SECONDS, console, device_help, json_option, note, print_json, show
+from imumon.cli.common import (
+    PATH,
+    SECONDS,
+    Whole,
+    console,
+    device_help,
+    json_option,
+    note,
+    print_json,
+    results_folder,
+    show,
+)
+from imumon.errors import ImumonError, Reason
+from imumon.version import __version__
 
 if TYPE_CHECKING:
     from imumon.transport.detect import Evidence
@@ -17,18 +32,21 @@ if TYPE_CHECKING:
 
 @click.command("detect")
 @click.argument("port")
-@click.option("--device", "names", multiple=True, help=device_help + "  May be repeated; all when not given.")
-@click.option(
-    "--baud", "rates", multiple=True, type=click.IntRange(min=1), help="Rate to try; may be repeated."
-)
-@click.option(
-    "--seconds", default=1.5, show_default=True, type=SECONDS, help="How long to listen at each rate."
-)
+@click.option("--device", "names", multiple=True, help=device_help + "  May be repeated; default: all.")
+@click.option("--baud", "rates", multiple=True, type=Whole(min=1), help="Rate to try; may be repeated.")
+@click.option("--seconds", default=1.5, show_default=True, type=SECONDS, help="Time at each rate.")
 @click.option(
     "--propose",
     "proposed",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Write the device file that is proposed for a device that is not known; must not exist.",
+    help="Write the proposed device file of an unknown device here; the file must not exist.",
+)
+@click.option(
+    "--save",
+    "folder",
+    type=PATH,
+    metavar="FOLDER",
+    help="Keep the bytes of each baud rate (RATE.bin) and evidence.json in a new folder, to report a device.",
 )
 @json_option
 def command(
@@ -37,13 +55,21 @@ def command(
     rates: tuple[int, ...],
     seconds: float,
     proposed: Path | None,
+    folder: Path | None,
     as_json: bool,
 ) -> None:
     """Find baud rate and protocol of the device on PORT by trying, and show the evidence.
 
-    For lines of text and for binary packets of fixed length that no device file describes one is proposed,
-    with the reasons: look at it, and give its path as --device.  Exit code 0 when a device was found; 3 when
-    the port cannot be opened, nothing came, or what came are packets of none of the devices tried.
+    \b
+    imumon detect /dev/ttyUSB0
+    imumon detect /dev/ttyUSB0 --save device-report   # to report a device
+
+    The port is opened at one baud rate after the other, and every known device is tried on the bytes that
+    arrive.  If the device is unknown but sends lines of text or binary packets of fixed length, imumon
+    proposes a device file with its reasons: check it, and give its path as --device.
+
+    Exit code 0: a device was found.  3: the port cannot be opened, no bytes arrived, or the bytes are
+    not packets of any device that was tried.
     """
     from imumon.files import check_output
     from imumon.protocols.device import device_names, load_device
@@ -51,6 +77,8 @@ def command(
 
     if proposed is not None:
         check_output(proposed)
+    if folder is not None:
+        _check_folder(folder)
     received = dict[int | None, bytearray]()
     rate: int | None = None
 
@@ -76,8 +104,11 @@ def command(
     wrong = failure(port, evidence)
     fit = [item for item in evidence if item.verdict is Verdict.FRAMES]
     proposal = _propose(received, evidence) if wrong else None
+    data = _as_data(evidence, fit, proposal)
+    if folder is not None:
+        _save(folder, received, data)
     if as_json:
-        print_json(_as_data(evidence, fit, proposal))
+        print_json(data)
     else:
         _show(evidence)
         _suggest(port, fit)
@@ -90,6 +121,25 @@ def command(
         note(f"look at {proposed}, then: imumon monitor {port} --device {proposed}")
     if wrong:
         raise wrong
+
+
+def _check_folder(folder: Path) -> None:
+    """Refuse a folder that holds something; raises EXISTS."""
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise ImumonError(Reason.EXISTS, f"{folder} is there already", "give the name of a new folder")
+
+
+def _save(folder: Path, received: Mapping[int | None, bytearray], data: dict[str, object]) -> None:
+    """Write the bytes of each rate, and what was found in them, without the name of computer or port."""
+    from imumon.files import plain, write_text
+
+    names = {rate: "port.bin" if rate is None else f"{rate}.bin" for rate in received}
+    with results_folder(folder):
+        for rate, name in names.items():
+            (folder / name).write_bytes(received[rate])
+        facts = {"imumon": __version__, "files": [*names.values()], **data}
+        write_text(folder / "evidence.json", json.dumps(plain(facts), indent=2) + "\n")
+    note(f"{folder} has the bytes of {len(names)} baud rate(s) and evidence.json")
 
 
 def _as_data(evidence: list[Evidence], fit: list[Evidence], proposal: str | None) -> dict[str, object]:
@@ -128,7 +178,7 @@ def _propose(received: dict[int | None, bytearray], evidence: list[Evidence]) ->
 def _suggest(port: str, fit: list[Evidence]) -> None:
     """Say what to type for each device that fits."""
     if len(fit) > 1:
-        show("\nmore than one fits; the columns and their units tell which it is")
+        show("\nmore than one fits; the columns and their units show which it is")
     for item in fit:
         rate = f" --baud {item.baudrate}" if item.baudrate is not None else ""
         show(f"\n{item.protocol}: imumon monitor {port} --device {item.protocol}{rate}")

@@ -11,7 +11,12 @@ from imumon.cli.common import json_option, print_json, show
 @click.argument("name", required=False)
 @json_option
 def command(name: str | None, as_json: bool) -> None:
-    """List the devices that imumon knows; with NAME, print its file, to copy and change."""
+    """List the devices that imumon knows; with NAME, print its file, to copy and change.
+
+    \b
+    imumon devices
+    imumon devices xsens > mine.yaml
+    """
     from imumon.protocols.device import device_names, device_text, load_device
 
     if name is not None:

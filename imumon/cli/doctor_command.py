@@ -16,7 +16,10 @@ COLOURS = {"good": "green", "warning": "yellow", "fault": "red"}
 @click.argument("folder", type=PATH, default=Path("sessions"))
 @json_option
 def command(folder: Path, as_json: bool) -> int:
-    """Look at packages, compiled code, disk, ports, viewer and display, and say what to do.
+    """Check packages, compiled code, disk, ports, viewer and display, and print what to do.
+
+    \b
+    imumon doctor
 
     FOLDER is where sessions are written.  Exits with 1 when something does not work.
     """

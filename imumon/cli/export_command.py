@@ -26,7 +26,11 @@ KINDS = ["parquet", "csv", "npz", "mat", "mcap"]
 @columns_option
 @json_option
 def command(session: Path, kind: str, out: Path | None, columns: str | None, as_json: bool) -> None:
-    """Write the samples of SESSION, recorded or imported, as a table."""
+    """Write the samples of SESSION, recorded or imported, as a table.
+
+    \b
+    imumon export sessions/NAME --to csv
+    """
     from imumon.pipeline import Pipeline
     from imumon.recordings.folder import open_session
     from imumon.recordings.side_tables import export_run

@@ -15,18 +15,31 @@ from imumon.errors import ImumonError, Reason
 
 @click.command("import")
 @click.argument("table", type=PATH)
-@click.option("--map", "map_path", type=PATH, help="YAML file: what is in which column of a table.")
-@click.option("--sensor", help="Of a log: which inertial sensor or topic.  Default: the first.")
+@click.option("--map", "map_path", type=PATH, help="YAML file: column and unit of each quantity.")
+@click.option("--sensor", help="Inertial sensor or topic of a log; default: the first.")
 @click.option("--out", required=True, type=PATH, help="Session folder to make.")
 @serial_option
 @json_option
 def command(
     table: Path, map_path: Path | None, sensor: str | None, out: Path, serial: str | None, as_json: bool
 ) -> None:
-    """Make a session of TABLE: CSV or Parquet of any origin with a map, or a log of ArduPilot, PX4,
-    Betaflight (after blackbox_decode) or ROS.
+    """Make a session of TABLE: a CSV or Parquet file with a map of its columns, or a log.
 
-    docs/import-map.md explains both.
+    \b
+    imumon import data.csv --map map.yaml --out sessions/mine
+    imumon import flight.ulg --out sessions/flight
+
+    Logs are those of ArduPilot, PX4, Betaflight (after blackbox_decode) and ROS.  A map gives the columns
+    and unit of each quantity:
+
+    \b
+        time: {column: t, unit: s}
+        gyro: {columns: [gx, gy, gz], unit: deg/s}
+        accel: {columns: [ax, ay, az], unit: g}
+        temperature: {columns: [temp], unit: degC}
+
+    Units are products of powers: rad/s, deg/s, mdps, m/s^2, g, mg, uT, hPa, degC.  A unit divided by a
+    number is that of raw counts: dps/16.4, g/16384.  docs/import-map.md has all keys.
     """
     from imumon.recordings.folder import name_unit
     from imumon.recordings.importing import import_table
@@ -53,7 +66,7 @@ def command(
         }
     name_unit(out, serial)
     if report.rows_dropped:
-        why = "as their time does not increase" if map_path is None else "as the map asks"
+        why = "as their time does not increase" if map_path is None else "as the map requires"
         say("WARN", f"{report.rows_dropped} of {report.rows_in} rows were dropped, {why}")
     warn(report.warnings)
     if as_json:

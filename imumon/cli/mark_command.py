@@ -16,7 +16,12 @@ from imumon.errors import ImumonError, Reason
 @click.option("--start", is_flag=True, help="A part of the recording called TEXT begins here.")
 @click.option("--stop", is_flag=True, help="The part called TEXT ends here.")
 def command(session: Path, text: str, start: bool, stop: bool) -> None:
-    """Put TEXT into SESSION, which is being recorded: an event in the recording, and a lane in the view."""
+    """Put TEXT into SESSION, which is being recorded: an event in the recording, and a lane in the view.
+
+    \b
+    imumon mark sessions/NAME "heater on"
+    imumon mark sessions/NAME turning --start
+    """
     from imumon.run.marks import ask_for_mark
     from imumon.transport.reader import EventKind
 

@@ -69,8 +69,8 @@ def _live_outputs(function: Callable[..., int]) -> Callable[..., int]:
 @click.option(
     "--learn",
     is_flag=True,
-    help="Where a better bias model than --model exists, run it beside, and keep it with the session if it"
-    " wins.",
+    help="Look for a bias model that is better than --model, run it beside, and keep it with the session if"
+    " its errors are smaller.",
 )
 @setup_options
 @_live_outputs
@@ -93,8 +93,13 @@ def command(
 ) -> int:
     """Record the device on PORT and watch it live, until Ctrl-C or --seconds.
 
-    PORT is anything that pyserial opens: /dev/ttyUSB0, socket://host:port, rfc2217://host:port.
-    Every byte received is kept; a lost or silent device is waited for and reopened.
+    \b
+    imumon monitor /dev/ttyUSB0 --device xsens
+    imumon monitor /dev/ttyUSB0 --device xsens --view none --seconds 3600
+
+    PORT is a serial port (`imumon ports` lists them) or a URL of pyserial: socket://host:port,
+    rfc2217://host:port.  DEVICE is a name that `imumon devices` lists; `imumon detect` finds it.  Every byte
+    received is kept.  When the device is unplugged or silent, imumon waits for it and opens it again.
     """
     from imumon.run.learning import compared, keep_learned
     from imumon.run.narration import view_setup

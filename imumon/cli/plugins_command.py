@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 def command(as_json: bool) -> int:
     """List the plug-ins with their packages, what each brings, and whether it loads.
 
+    \b
+    imumon plugins
+
     Exits with 1 when one does not load.
     """
     from imumon.run.plugins import installed

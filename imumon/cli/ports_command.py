@@ -12,7 +12,11 @@ from imumon.cli.common import json_option, note, print_json, show
 @click.command("ports")
 @json_option
 def command(as_json: bool) -> None:
-    """List serial ports with their USB ids, and whether they can be opened."""
+    """List serial ports with their USB ids, and whether they can be opened.
+
+    \b
+    imumon ports
+    """
     from imumon.transport.ports import list_ports
 
     ports = list_ports()

@@ -19,8 +19,11 @@ from imumon.cli.common import PATH, device_help, json_option, print_json, say, w
 def command(session: Path, device: str | None, as_json: bool) -> None:
     """Finish SESSION, which was interrupted or damaged: its recording, its counters, its view.
 
-    A session.yaml that is lost or damaged is made anew from what wire.mcap says.
-    What is replaced stays beside it as NAME.original.  A session that is whole is left as it is.
+    \b
+    imumon recover sessions/NAME
+
+    A lost or damaged session.yaml is written anew from wire.mcap.  A file that is replaced is kept beside the
+    new one as NAME.original.  A session that is whole is left as it is.
     """
     from imumon.run.recovery import recover
 

@@ -20,6 +20,7 @@ from imumon.cli.common import (
     print_rows,
     rate_option,
     split_columns,
+    truth_option,
     warn,
     window_option,
 )
@@ -33,6 +34,8 @@ from imumon.wings import offers
 
 if TYPE_CHECKING:
     from imumon.pipeline import Estimator
+    from imumon.run.setup import Setup
+    from imumon.run.truth import Truth
     from imumon.view.items import ViewSetup
     from imumon.view.publisher import ViewPublisher
     from imumon.view.viewer import Mode
@@ -45,19 +48,29 @@ CLOSE_S = 5.0
 
 @click.command("replay")
 @click.argument("session", type=PATH)
-@click.option("--speed", help="1 as recorded, N times as fast, or max.  Default: 1 with a view, else max.")
+@click.option("--speed", help="1: as recorded; N: N times as fast; max.  Default: 1 with a view, else max.")
 @click.option("--out", type=PATH, help=TABLE)
 @columns_option
 @rate_option
-@click.option("--view", type=click.Choice(["native", "web", "none"]), default="none", show_default=True)
+@click.option(
+    "--view",
+    type=click.Choice(["native", "web", "none"]),
+    default="none",
+    show_default=True,
+    help="Show the run: in a window, in a browser, or not.",
+)
 @click.option(
     "--compare-models",
     nargs=2,
     type=PATH,
     metavar="A B",
-    help="Instead: a page of what two bias models (files, or sessions that ran with one) leave; with --out.",
+    help="Only compare two bias models (files, or sessions that ran with one) on this session;"
+    " --out PAGE.html.",
 )
-@click.option("--smooth", is_flag=True, help="Also estimate with what came later: columns ..._smoothed.")
+@click.option(
+    "--smooth", is_flag=True, help="Also estimate with the data after each sample: columns ..._smoothed."
+)
+@truth_option
 @setup_options
 @window_option
 @bind_option
@@ -74,11 +87,16 @@ def command(
     as_json: bool,
     smooth: bool,
     compare_models: tuple[Path, Path] | None,
+    truth: bool,
     **options: Unpack[SetupOptions],
 ) -> int:
-    """Run SESSION again through the same code, bit for bit, to a table or to the view.
+    """Run the recorded SESSION again through the same code, to a table or to the view.
 
-    Exits with 1 when the results are not those of the live run.
+    \b
+    imumon replay sessions/NAME --view web
+    imumon replay sessions/NAME --out samples.parquet
+
+    The results are those of the live run, bit for bit; the exit code is 1 where they are not.
     """
     if compare_models is not None:
         return _compare(session, compare_models, out, as_json)
@@ -93,6 +111,7 @@ def command(
     opened = open_session(session)  # a raw capture has no times: that is for decode
     recorded = opened.metadata.pipeline_yaml
     setup = make_setup(options, recorded, f"{session} (pipeline_yaml)")
+    true = _truth(session, setup) if truth else None
     source = open_source(session, rate_hz=rate)
     source.refuse_output(out)
     pace = _speed(speed, view)
@@ -111,6 +130,8 @@ def command(
         card = {"session": str(session), "replay": "as fast as it goes" if pace is None else f"{pace:g} x"}
         narrator = Narrator(pipeline, None, [publisher.publish], lambda *_: None, card, session)
     blocks = digested(replay(source.items, pipeline, narrator, pace), pipeline, digest)
+    if true is not None:
+        blocks = true.through(blocks)
     try:
         with reading_bar([session], quiet=as_json):
             if out is None:
@@ -131,7 +152,8 @@ def command(
     warn(exported.warnings)
     if as_json:
         compared = {"results_digest": digest.hexdigest()} | comparison.as_dict()
-        smoothing = {} if disagreement is None else {"disagreement": disagreement}
+        smoothing: dict[str, object] = {} if disagreement is None else {"disagreement": disagreement}
+        smoothing |= {} if true is None else {"truth": true.as_data()}
         print_json(
             {"session": source.path} | exported_as_data(source, pipeline, exported) | compared | smoothing
         )
@@ -143,8 +165,21 @@ def command(
     if disagreement is not None:
         text = ", ".join(f"{name} {value:.2f}" for name, value in disagreement.items())
         result["forward less backward"] = f"{text} σ rms" if text else "nothing to compare"
-    print_rows(result)
+    print_rows(result | ({} if true is None else true.rows()))
     return EXIT_NEGATIVE if comparison.identical is False else EXIT_OK
+
+
+def _truth(session: Path, setup: Setup) -> Truth:
+    """Return the truth of a simulated session; raises BAD_DATA without, BAD_CONFIG with half a place."""
+    from imumon.run.truth import read_truth
+
+    if setup.latitude_deg is not None and setup.heading_deg is None:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            "--truth with a latitude alone: only a part of the earth's rotation is removed from the bias",
+            "add --heading, or leave --latitude away",
+        )
+    return read_truth(session, earth_removed=setup.latitude_deg is not None)
 
 
 def _compare(session: Path, given: tuple[Path, Path], out: Path | None, as_json: bool) -> int:

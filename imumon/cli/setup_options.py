@@ -31,29 +31,41 @@ class SetupOptions(TypedDict, total=False):
 
 _OPTIONS = (
     click.option(
-        "--pipeline", type=PATH, help="Pipeline file: place, model and parameters of the estimators."
+        "--pipeline",
+        type=PATH,
+        help="Pipeline file (YAML): place, bias model and parameters of the estimators.",
     ),
-    click.option("--model", type=PATH, help="Bias over temperature, from imumon calibrate."),
+    click.option(
+        "--model", type=PATH, help="Model of the bias over temperature, a file of imumon calibrate."
+    ),
     click.option(
         "--zupt",
         type=click.Choice(["standard", "thermal", "learned"]),
-        help="How the bias follows temperature.  Default: thermal with a model, else learned.",
+        help="How the gyro bias is carried through motion after it was measured at rest (zero-velocity"
+        " update, ZUPT): held constant (standard), along the curve of --model (thermal), or along a curve"
+        " that is learned in this run (learned).  Default: thermal with --model, else learned.",
     ),
     click.option(
         "--random-error",
         type=click.Choice(["drift", "sr_rsukf"]),
-        help="Method of the random error: the default, or the published one beside it.",
+        help="How the slow random change of the bias is estimated: imumon's own filter (drift, the default),"
+        " or a sigma-point filter from a paper, for comparison (sr_rsukf).",
     ),
     click.option(
         "--published",
         metavar="NAME,...",
-        help="Methods of the papers to run beside the defaults: " + ", ".join(PUBLISHED) + ".",
+        help="Run methods from papers beside imumon's own, to compare them; the results are unchanged,"
+        " columns are added.  Any of: " + ", ".join(PUBLISHED) + ".",
     ),
-    click.option("--latitude", type=Number(min=-90, max=90), help="Degrees north, for the earth rate."),
+    click.option(
+        "--latitude",
+        type=Number(min=-90, max=90),
+        help="Latitude of the place, degrees north; needed to remove the earth's rotation.",
+    ),
     click.option(
         "--heading",
         type=Number(min=-360, max=360),
-        help="Of the body's x axis, degrees clockwise from true north, when it is known.",
+        help="Direction of the x axis, degrees clockwise from true north, where it is known.",
     ),
 )
 

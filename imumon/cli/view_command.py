@@ -66,6 +66,9 @@ def command(
 ) -> None:
     """Show SESSIONs on one time axis, each quantity in a view, each session in its own colour.
 
+    \b
+    imumon view sessions/before sessions/after
+
     Each runs through the estimators with the setup that it was recorded with, so that, for one, the bias
     before and after a new model can be seen side by side.
     """

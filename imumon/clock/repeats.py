@@ -52,7 +52,7 @@ class Repeats:
     def notices(self, dated_by: DatedBy) -> list[str]:
         """Return, once each, what does not go on and what that means for the times of the rows."""
         one = "their rows have one time, and estimates leave out all but the first"
-        lost = "packets that are lost cannot be told by it"
+        lost = "it does not show packets that are lost"
         texts = {}
         if "counter" in self._stands_at:
             times = f", and {one}" if dated_by == "counter" else ""

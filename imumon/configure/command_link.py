@@ -69,7 +69,7 @@ class CommandLink:
                 raise CommandError(request, answer.why, refused=True)
             if answer is not None:
                 return answer
-        times = f", asked {tries} times" if tries > 1 else ""
+        times = f", queried {tries} times" if tries > 1 else ""
         raise CommandError(request, f"no answer within {request.timeout_s:g} s{times}", refused=False)
 
     def _answer(self, request: Request) -> bytes | Refusal | None:
@@ -177,7 +177,7 @@ def _rates_received(url: str, device: DeviceFile, evidence: list[Evidence]) -> l
     raise ImumonError(
         Reason.WRONG_BAUD,
         f"{seen}: this is no {device.name} device, or it talks at none of its usual rates",
-        f"nothing was sent.  imumon detect {url} tells what it is; --at sets the rate",
+        f"nothing was sent.  imumon detect {url} reports what it is; --at sets the rate",
     )
 
 
@@ -186,11 +186,11 @@ def _mute(link: CommandLink, device: DeviceFile, rates: list[int]) -> ImumonErro
     if link.streaming:
         return ImumonError(
             Reason.SILENT,
-            f"{link.port.settings} sends, but no {device.name} device answers (asked at {tried} baud)",
+            f"{link.port.settings} sends, but no {device.name} device answers (queried at {tried} baud)",
             "is the line to the device (TX of the adapter) connected?  Does it take commands on this port?",
         )
     return ImumonError(
         Reason.SILENT,
-        f"{link.port.settings.url}: no data, and no {device.name} device answers (asked at {tried} baud)",
+        f"{link.port.settings.url}: no data, and no {device.name} device answers (queried at {tried} baud)",
         "check power, wiring (RX and TX swapped?) and the rate (--at)",
     )

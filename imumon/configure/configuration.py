@@ -199,14 +199,14 @@ class Configuration:
         if any(change.name == BAUD and family.baud_of(change.before) is None for change in changes):
             raise ImumonError(
                 Reason.BAD_DATA,
-                f"the device tells a baud rate that imumon could not put back: {report.before[BAUD]}",
+                f"the device reports a baud rate that imumon could not put back: {report.before[BAUD]}",
                 "leave --baud out",
             )
         if changes and family.stores_at_once and not wish.save:
             raise ImumonError(
                 Reason.BAD_CONFIG,
-                f"{family.title} devices write what they are told into flash at once, so nothing was changed",
-                "say --save if the settings may stay for good (--dry-run shows them)",
+                f"{family.title} devices write each setting into flash at once, so nothing was changed",
+                "add --save if the settings may stay for good (--dry-run shows them)",
             )
         return changes
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import Number, device_help, json_option, note, print_json, print_rows, say, warn
+from imumon.cli.common import Number, Whole, device_help, json_option, note, print_json, print_rows, say, warn
 from imumon.cli.live_run import ending_signals
 from imumon.errors import ImumonError, Reason
 
@@ -23,13 +23,15 @@ if TYPE_CHECKING:
 @click.option(
     "--outputs",
     help="Outputs, separated by commas: inertial, increments, magnetometer, temperature, pressure, attitude, "
-    "status.  Time and counter come with them; what is not named is switched off.",
+    "status.  Time and counter are always on; outputs that are not listed are switched off.",
 )
-@click.option("--baud", type=click.IntRange(min=1), help="Baud rate that the device shall have.")
+@click.option("--baud", type=Whole(min=1), help="New baud rate of the device.")
+@click.option("--at", type=Whole(min=1), help="Present baud rate; default: found by trying.")
 @click.option(
-    "--at", type=click.IntRange(min=1), help="Baud rate that it has; found by listening by default."
+    "--save",
+    is_flag=True,
+    help="Keep the settings in the flash of the device; without it they are lost at power-off.",
 )
-@click.option("--save", is_flag=True, help="Write into flash; else the settings are lost at power-off.")
 @click.option("--dry-run", is_flag=True, help="Show what would be sent; the port is not even opened.")
 @json_option
 def command(
@@ -43,10 +45,15 @@ def command(
     dry_run: bool,
     as_json: bool,
 ) -> None:
-    """Set rate, outputs and baud rate of the device on PORT; without these, show what it has.
+    """Set rate, outputs and baud rate of the device on PORT; without these, show its settings.
 
-    Everything is read first, read back, and listened to.  What fails, or is ended by Ctrl-C, leaves the
-    device as it was.  For xsens, microstrain, vectornav and witmotion.
+    \b
+    imumon configure /dev/ttyUSB0 --device xsens                # settings
+    imumon configure /dev/ttyUSB0 --device xsens --rate 200 --dry-run
+
+    The settings are read before the change and again after it; then the data rate is measured.  If a step
+    fails, or Ctrl-C ends it, the device gets its old settings back.  For xsens, microstrain, vectornav and
+    witmotion.
     """
     from imumon.configure.commands.core import Wish
     from imumon.configure.commands.families import family_of

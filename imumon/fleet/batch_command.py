@@ -11,7 +11,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imumon.cli.common import PATH, SECONDS, Number, console, json_option, note, print_json, print_rows, warn
+from imumon.cli.common import (
+    PATH,
+    SECONDS,
+    Number,
+    Whole,
+    console,
+    json_option,
+    note,
+    print_json,
+    print_rows,
+    warn,
+)
 from imumon.cli.progress import progress_lines
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK
 from imumon.files import write_text
@@ -20,6 +31,10 @@ from imumon.harmless import for_log
 if TYPE_CHECKING:
     from imumon.fleet.batch.tasks import Job
 
+SESSIONS = (
+    "SESSIONS are session folders, folders with sessions somewhere below, or URLs of either"
+    " (s3://bucket/folder)."
+)
 SHOWN_FAILURES = 20
 FAILED_NAME = "failed.txt"
 """Lists all that failed, where that is more than is shown."""
@@ -27,11 +42,15 @@ FAILED_NAME = "failed.txt"
 
 @click.group("batch")
 def command() -> None:
-    """Run a command over many SESSIONS, each a task of Dask, into one Parquet table.
+    """Run a command over many SESSIONS, here or on a Dask cluster, into one Parquet table.
 
-    SESSIONS are sessions, folders with sessions somewhere below, or URLs of either (s3://bucket/folder).
-    The table, a row for each session and channel, is DIR/rows/*.parquet.  What is in it is not done again: a
-    batch that was stopped goes on with the same command.
+    \b
+    imumon batch allan sessions --out noise
+    imumon batch replay sessions/2026-* s3://bucket/soaks --out estimates
+
+    SESSIONS are session folders, folders with sessions somewhere below, or URLs of either
+    (s3://bucket/folder).  The table, with a row for each session and channel, is DIR/rows/*.parquet.
+    Sessions that are in the table are not repeated: after a stop the same command goes on.
     """
 
 
@@ -42,24 +61,27 @@ def _subcommand(name: str, *options: Callable[[Any], Any]) -> Callable[[Any], cl
         shared = (
             click.argument("sessions", nargs=-1, required=True),
             click.option("--out", required=True, type=PATH, help="Folder of the results."),
-            click.option("--scheduler", help="Address of a Dask scheduler; default: workers here."),
+            click.option(
+                "--scheduler", help="Address of a Dask scheduler; default: processes on this computer."
+            ),
             click.option(
                 "--workers",
-                type=click.IntRange(min=1),
+                type=Whole(min=1),
                 default=os.cpu_count(),
                 show_default=True,
-                help="Processes here.",
+                help="Number of processes on this computer.",
             ),
             click.option(
                 "--timeout",
                 type=SECONDS,
-                help="How long a session may take; one that takes longer has failed.",
+                help="Longest time for a session; one that takes longer has failed.",
             ),
-            click.option("--retry", is_flag=True, help="Do again what failed."),
+            click.option("--retry", is_flag=True, help="Repeat the sessions that failed."),
         )
         for option in reversed((*shared, *options, json_option)):
             function = option(function)
         made: click.Command = command.command(name)(function)
+        made.help = str(made.help).format(sessions=SESSIONS)
         return made
 
     return decorated
@@ -67,7 +89,13 @@ def _subcommand(name: str, *options: Callable[[Any], Any]) -> Callable[[Any], cl
 
 @_subcommand("decode", click.option("--tables", is_flag=True, help="Also write DIR/tables/SESSION.parquet."))
 def decode(tables: bool, **given: Any) -> int:
-    """Decode: number, mean and scatter of every channel as it was sent."""
+    """Count, mean and scatter of every channel as sent.
+
+    \b
+    imumon batch decode sessions --out means
+
+    {sessions}
+    """
     return _run({"command": "decode", "tables": tables}, **given)
 
 
@@ -77,7 +105,13 @@ def decode(tables: bool, **given: Any) -> int:
     click.option("--pipeline", type=PATH, help="Pipeline file; default: as each session was recorded."),
 )
 def replay(tables: bool, pipeline: Path | None, **given: Any) -> int:
-    """Replay: the same of the estimates as well."""
+    """Count, mean and scatter of all channels and estimates.
+
+    \b
+    imumon batch replay sessions --out estimates
+
+    {sessions}
+    """
     from imumon.run.setup import load_setup
 
     text = None if pipeline is None else load_setup(pipeline).text()
@@ -86,23 +120,55 @@ def replay(tables: bool, pipeline: Path | None, **given: Any) -> int:
 
 @_subcommand("allan")
 def allan(**given: Any) -> int:
-    """Noise of every channel: the terms of its Allan curve, with standard deviations."""
+    """Noise of every channel, from its Allan curve.
+
+    \b
+    imumon batch allan sessions --out noise
+
+    The terms have standard deviations.
+
+    {sessions}
+    """
     return _run({"command": "allan"}, **given)
 
 
 @_subcommand(
     "calibrate",
-    click.option("--latitude", type=Number(min=-90, max=90), help="Degrees, to remove the earth rate."),
-    click.option("--heading", type=Number(min=-360, max=360), help="Degrees of the x axis, with it."),
+    click.option(
+        "--latitude",
+        type=Number(min=-90, max=90),
+        help="Degrees north; with --heading the earth's rotation is removed.",
+    ),
+    click.option(
+        "--heading",
+        type=Number(min=-360, max=360),
+        help="Direction of the x axis, degrees clockwise from north.",
+    ),
 )
 def calibrate(latitude: float | None, heading: float | None, **given: Any) -> int:
-    """Bias over temperature of each session by itself: DIR/models/SESSION.yaml."""
+    """Bias over temperature, a model for each session.
+
+    \b
+    imumon batch calibrate sessions --out models
+
+    The models are DIR/models/SESSION.yaml.
+
+    {sessions}
+    """
     return _run({"command": "calibrate", "latitude_deg": latitude, "heading_deg": heading}, **given)
 
 
 @_subcommand("diagnose", click.option("--declared", help="Bias model that is assumed; see imumon diagnose."))
 def diagnose(declared: str | None, **given: Any) -> int:
-    """What a bias model lacks in each session by itself: DIR/reports/SESSION.json."""
+    """Effects that a bias model lacks, for each session.
+
+    \b
+    imumon batch diagnose sessions --out reports
+
+    The reports are DIR/reports/SESSION.json.
+
+    {sessions}
+    """
     from imumon.lab.diagnosis.diagnose import parse_declared
 
     if declared is not None:

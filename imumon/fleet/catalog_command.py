@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
@@ -11,6 +12,7 @@ import click
 
 from imumon.cli.common import (
     PATH,
+    columns_of,
     console,
     json_option,
     labelled,
@@ -39,8 +41,8 @@ HEADS = (
 @click.command("catalog")
 @click.argument("folder", metavar="DIR", type=PATH)
 @click.option(
-    "--results", type=PATH, help="Folder of imumon batch replay, which new sessions are added to; default:"
-    " DIR/catalog."
+    "--results", type=PATH, help="Folder of results of imumon batch replay; new sessions are added to it."
+    "  Default: DIR/catalog."
 )  # fmt: skip
 @click.option("--out", type=PATH, help="Folder for sessions.parquet, units.parquet and models.parquet.")
 @click.option("--rrd", hidden=True, help="Retired: imumon report UNIT draws the drift.")
@@ -48,7 +50,10 @@ HEADS = (
 def command(folder: Path, results: Path | None, out: Path | None, rrd: str | None, as_json: bool) -> None:
     """List the units of the sessions in DIR: temperatures, σ, losses, models, their drift, and outliers.
 
-    A session that is new is replayed once.  Serial numbers are those given when recording (--serial) or in
+    \b
+    imumon catalog sessions
+
+    A new session is replayed once.  Serial numbers are those given when recording (--serial), or those in
     the models made of the sessions.
     """
     from imumon.fleet.catalog.tables import tables, write_tables
@@ -122,4 +127,5 @@ def _show(rows: Sequence[Sequence[str]]) -> None:
         out.print(table)
         return
     for row in rows:
-        show("\n".join([*labelled(dict(zip(HEADS, row, strict=True))), ""]))
+        lines = labelled(dict(zip(HEADS, row, strict=True)), columns_of(sys.stdout))
+        show("\n".join([*lines, ""]))

@@ -65,14 +65,20 @@ def command(
     """Record all units that RACK.YAML names, each in a process and a session of its own, until Ctrl-C.
 
     \b
+    imumon rack rack.yaml
+    imumon rack rack.yaml --view terminal
+
+    RACK.YAML lists the units:
+
+    \b
         format: imumon-rack/1
         default: {device: xsens, baud: 921600}
         units:
           left: {port: /dev/ttyUSB0, serial: "0380123", model: left.yaml}
           right: {port: /dev/ttyUSB1}
 
-    A unit whose port is not there is waited for; one that dies or hangs is begun anew, and harms no other.
-    The file is read again when it changes: new units begin, those that are gone end.
+    A unit whose port does not exist yet is waited for.  A process that ends or hangs is started again; the
+    others go on.  The file is read again when it changes: new units start, removed units end.
     """
     from imumon.fleet.rack.description import Watched, load_rack
     from imumon.fleet.rack.rack import Rack

@@ -22,7 +22,12 @@ from imumon.files import check_output
     help="Where the sessions of a UNIT are.",
 )
 def command(what: str, out: Path, sessions: Path) -> None:
-    """Write the record of a SESSION, or of the UNIT with this serial number, for the file: one HTML page."""
+    """Write the record of a SESSION, or of the UNIT with this serial number, as one HTML page.
+
+    \b
+    imumon report sessions/NAME --out record.html
+    imumon report 0380123 --sessions sessions --out unit.html
+    """
     if out.suffix != ".html":
         raise ImumonError(Reason.BAD_CONFIG, f"{out}: the record is a page", "name it NAME.html")
     check_output(out, replace=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar
 
 import click
 
-from imumon.cli.common import warn
+from imumon.cli.common import Whole, warn
 
 if TYPE_CHECKING:
     from imumon.models.model import BiasModel
@@ -30,9 +30,7 @@ def autopilot_options(command: Command) -> Command:
         click.option(
             "--device-ids", nargs=2, type=int, metavar="GYRO ACCEL", help="PX4's identifiers of the sensors."
         ),
-        click.option(
-            "--imu", type=click.IntRange(0, 3), default=0, help="Which of the autopilot's sensors, from 0."
-        ),
+        click.option("--imu", type=Whole(0, 3), default=0, help="Number of the autopilot's sensor, from 0."),
         click.option(
             "--export",
             "autopilot",

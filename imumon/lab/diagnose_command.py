@@ -58,19 +58,25 @@ class _SeveralValues(click.Command):
     "--model",
     "model_path",
     type=PATH,
-    help="Instead: the bias model that is assumed, by imumon calibrate, or a session that ran with it.",
+    help="Instead of --declared: a model file of imumon calibrate, or a session that ran with it.",
 )
 @click.option(
     "--channels",
     default="gyro,accel,clock",
-    help="What is diagnosed: gyro,accel,clock (the default; the device's clock where arrival times are"
-    " recorded), mag, pressure, temperature, or any recorded columns.",
+    help="Channels to diagnose: gyro,accel,clock (the default; clock: that of the device, where arrival times"
+    " are recorded), mag, pressure, temperature, or any recorded columns.",
 )
-@click.option("--map", "map_path", type=PATH, help="YAML file: what is in which column of the tables.")
+@click.option(
+    "--map",
+    "map_path",
+    type=PATH,
+    help="YAML file for tables: column and unit of each quantity, as in imumon import --help.",
+)
 @click.option(
     "--drivers",
     default="all",
-    help="What else that was recorded may drive an effect: all that varies (the default), none, or NAME,...",
+    help="Other recorded quantities that may drive an effect: all (each that varies, the default), none, or"
+    " NAME,...",
 )
 @click.option(
     "--at-rest", is_flag=True, help="The unit was at rest all the time, whatever the samples look like."
@@ -89,10 +95,14 @@ def command(
     out: Path,
     as_json: bool,
 ) -> None:
-    """Find which effect a bias model over temperature lacks, and prove it on data that the fit has not seen.
+    """Find which effect a bias model over temperature lacks, and prove it on data that are not in the fit.
 
-    The recordings are of a unit at rest, each from power-on.  Two or more for training, warmed and cooled,
-    tell most.
+    \b
+    imumon diagnose --train soak1 soak2 --test soak3 --out report
+    imumon diagnose --model unit.yaml --train soak1 --test soak2 --out report
+
+    The recordings are of a unit at rest, each from power-on.  Two or more for training, with rising and
+    falling temperature, give the clearest answer.
     """
     from imumon.lab.diagnosis.conclusion import conclusion, next_step
     from imumon.lab.diagnosis.diagnose import diagnose, parse_declared

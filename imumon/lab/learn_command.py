@@ -37,8 +37,11 @@ def command(
 ) -> int:
     """Diagnose all sessions at rest of a unit in DIR, the latest as the test, and write the better model.
 
-    What moves or is too short is left out.  Where nothing better is found, nothing is written, and the exit
-    code is 1.
+    \b
+    imumon learn sessions --model unit.yaml --out better.yaml
+
+    Sessions with motion, and those that are too short, are left out.  If no better model is found, no file is
+    written, and the exit code is 1.
     """
     from imumon.lab.diagnosis.diagnose import diagnose
     from imumon.lab.diagnosis.extended import extended_model, with_model

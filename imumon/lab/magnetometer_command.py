@@ -19,14 +19,17 @@ if TYPE_CHECKING:
 @click.command("magnetometer")
 @click.argument("session", type=PATH)
 @click.option("--out", required=True, type=PATH, help="Model file to write.")
-@click.option("--model", type=PATH, help="Model file of the unit; what it says is kept.")
-@click.option("--plot", type=PATH, help="Draw readings and field to this PNG.")
+@click.option("--model", type=PATH, help="Model file of the unit; its other contents are kept.")
+@click.option("--plot", type=PATH, help="Draw readings and field into this PNG.")
 @json_option
 def command(session: Path, out: Path, model: Path | None, plot: Path | None, as_json: bool) -> None:
-    """Find hard and soft iron from SESSION, in which the unit was moved in figure-eights and turned over.
+    """Find hard and soft iron from SESSION, in which the unit was moved in figures of eight and turned over.
 
-    Stay away from iron and cables.  Too few directions are refused, with what to turn next; so are axes that
-    are not the gyros'.
+    \b
+    imumon magnetometer sessions/NAME --out unit.yaml
+
+    Stay away from iron and cables.  If there are too few directions, imumon refuses and reports what to
+    turn next.  It also refuses a magnetometer whose axes are not those of the gyros.
     """
     check_output(out)
     if plot is not None:

@@ -20,13 +20,16 @@ if TYPE_CHECKING:
 @click.option(
     "--hours",
     type=Number(min=0, min_open=True, max=48),
-    default=8.0,
+    default=8,
     show_default=True,
-    help="At most so long.",
+    help="Longest experiment, hours.",
 )
 @json_option
 def command(report: Path, out: Path, hours: float, as_json: bool) -> None:
     """Find the shortest experiment for each question that REPORT, of imumon diagnose, leaves open.
+
+    \b
+    imumon plan report/report.json --out plan
 
     Experiments are tried on simulated units that have what was fitted, each effect in question in turn, with
     the noise that was found.

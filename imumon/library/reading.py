@@ -298,7 +298,7 @@ class _Span:
         ):
             raise ImumonError(
                 Reason.BAD_DATA,
-                "begin_s, end_s: the device started anew, and nobody noted the time of arrival",
+                "begin_s, end_s: the device restarted, and the recording has no times of arrival",
                 "read the recording whole, and select by the columns segment and device_time_ns",
             )
         since_s = (block[self._clock] - self._first_ns) * 1e-9

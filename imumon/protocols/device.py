@@ -56,7 +56,7 @@ class DeviceFile(StrictModel):
     format: Literal["imumon-device/1"]
     name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")
     title: str
-    verified: str = "not said"
+    verified: str = "not given"
     """Against what the decoder was checked."""
     protocol: str
     serial: SerialSettings = SerialSettings()

@@ -235,4 +235,4 @@ def _single(x: FloatArray, k: int, name: str) -> Guess:
         return "column: temperature, unit: degC", f"{why}, {x.mean():.4g}"
     plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
     own = f"{plain}_raw" if plain[:1].isalpha() else f"value_{k}"
-    return f"column: {own}", "nothing tells what it is"
+    return f"column: {own}", "its meaning is unknown"

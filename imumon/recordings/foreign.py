@@ -83,7 +83,7 @@ def read_foreign(
         raise ImumonError(
             Reason.BAD_CONFIG,
             f"{path}: has no column {', '.join(map(repr, absent))}",
-            f"it has: {', '.join(map(repr, names))}; where text is laid out otherwise, say so in the map:"
+            f"it has: {', '.join(map(repr, names))}; for another layout of the text add to the map:"
             ' csv: {delimiter: ";"}, or csv: {header: false, columns: [NAME, ...]}',
         )
     if twice := [name for name in wanted if names.count(name) > 1]:

@@ -86,7 +86,7 @@ class TimeColumn(StrictModel):
             raise ValueError("dates do not wrap: leave wraps_at out")
         if self.wraps_at is not None and self.backwards == "segment":
             raise ValueError(
-                "of a time that wraps nobody can tell a restart: leave backwards or wraps_at out,"
+                "a restart cannot be distinguished from a wrap of the time: leave backwards or wraps_at out,"
                 " and import what came after a restart by itself"
             )
         if self.wrap_ns is not None and not 1 <= self.wrap_ns < 2**63:

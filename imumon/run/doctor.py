@@ -136,7 +136,7 @@ def serial_ports() -> Iterator[Finding]:
     """Test whether there are serial ports, and what keeps them from being read well."""
     ports = list_ports()
     if not ports:
-        remedy = "plug the adapter in; dmesg tells whether the system saw it.  imumon virtual needs none"
+        remedy = "plug the adapter in; dmesg shows whether the system saw it.  imumon virtual needs none"
         yield Finding("serial ports", State.WARNING, "there are none", remedy)
     yield from map(_port, ports)
 
@@ -176,7 +176,9 @@ def viewer() -> Iterator[Finding]:
     for port, use in ((VIEWER_PORT, "a window"), (WEB_PORT, "a browser")):
         if probe(port) in (Answer.OTHER, Answer.SILENT):
             seen = f"port {port}, where {use} is served, belongs to another program"
-            remedy = "nothing to do: the next free one is taken, and the address that is printed says so"
+            remedy = (
+                "nothing to do: the next free one is taken, and the address that is printed has its number"
+            )
             yield Finding("viewer", State.WARNING, seen, remedy)
 
 

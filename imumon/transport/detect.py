@@ -272,14 +272,14 @@ def _likely_cause(evidence: Sequence[Evidence]) -> str:
         rate = "" if text.baudrate is None else f" at {text.baudrate}"
         return (
             f"The bytes{rate} are text that no device file here describes: the device may be in command mode,"
-            " or needs a device file (--seconds 10 hears enough lines to propose one)."
+            " or needs a device file (with --seconds 10 enough lines arrive to propose one)."
         )
     if best.verdict is Verdict.UNREAD:
         return (
             f"{best.protocol} frames, but nothing that it sends is known: see what the device is set to send."
         )
     tried = ", ".join(dict.fromkeys(str(item.baudrate) for item in evidence))
-    hint = f"Another protocol, or another rate than those tried ({tried}); the manual of the device tells."
+    hint = f"Another protocol, or another rate than those tried ({tried}); the manual of the device has them."
     if all(item.odd_share > 0.5 for item in evidence):
         hint += (
             "\nMost bytes are 0x00 or 0xFF at every rate: the line may also be inverted (RS-232 on a TTL"

@@ -62,7 +62,7 @@ def open_error(settings: PortSettings, error: Exception) -> ImumonError:
 def lost_error(settings: PortSettings, cause: Exception | str) -> ImumonError:
     """Explain that an open port failed: LOST with the error or the observation that shows it."""
     what = cause if isinstance(cause, str) else _errno_text(_errno(cause), cause)
-    hint = "Check cable and power; `dmesg` tells what the USB bus saw."
+    hint = "Check cable and power; `dmesg` shows what the USB bus detected."
     if settings.scheme in NETWORK_SCHEMES:
         hint = "Check the network, and that the server still runs."
     return ImumonError(Reason.LOST, f"{settings} was lost: {what}", hint)
@@ -127,7 +127,7 @@ def _not_found(device: str, number: int | None) -> tuple[str, str]:
     hint = "Plug the device in, or give one of these names."
     ports = describe_ports()
     if ports.startswith("no "):
-        hint = "Plug the device in; `dmesg` tells whether the USB bus sees it and a driver takes it."
+        hint = "Plug the device in; `dmesg` shows whether the USB bus detects it and a driver takes it."
     return ports, hint
 
 

@@ -124,7 +124,7 @@ class FedProcess(ABC):
             )
         self._process = process
         listener = threading.Thread(
-            target=self._listen, args=[from_process, process], name=f"hears {self._module}", daemon=True
+            target=self._listen, args=[from_process, process], name=f"listens to {self._module}", daemon=True
         )
         listener.start()
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +45,7 @@ def test_lines_of_text_get_a_device_file_that_reads_them(tmp_path: Path) -> None
 
 def test_devices_say_against_what_they_were_checked() -> None:
     assert "checked against 24 frames" in imumon("devices").stdout
-    assert all(device["verified"] != "not said" for device in answer("devices").values())
+    assert all(device["verified"] != "not given" for device in answer("devices").values())
 
 
 def test_binary_packets_get_a_device_file_that_reads_them(tmp_path: Path) -> None:
@@ -85,6 +86,28 @@ def test_noise_gets_no_device_file(tmp_path: Path) -> None:
 def test_the_help_says_in_plain_words_when_no_device_was_found() -> None:
     text = " ".join(imumon("detect", "--help").stdout.split())
     assert (
-        "3 when the port cannot be opened, nothing came, or what came are packets of none of the devices"
-        in text
+        "3: the port cannot be opened, no bytes arrived, or the bytes are not packets of any device" in text
     )
+
+
+def test_what_came_is_saved_by_rate_to_report_a_device(tmp_path: Path) -> None:
+    report, rates = tmp_path / "report", ["--baud", 57600, "--baud", 115200]
+    with VirtualDevice(load_device("ax1"), tmp_path / "ahrs") as ahrs:
+        options = ["--device", "openimu", *rates, "--seconds", 1, "--save", report]
+        done = imumon("detect", ahrs.port.path, *options)
+        again = imumon("detect", ahrs.port.path, *options)
+        port = ahrs.port.path
+    assert done.returncode == 3, done.stderr
+    assert "57600.bin" in (found := json.loads((report / "evidence.json").read_text()))["files"]
+    assert sorted(path.name for path in report.iterdir()) == ["115200.bin", "57600.bin", "evidence.json"]
+    assert {row["baudrate"] for row in found["evidence"]} == {57600, 115200}
+    assert port not in (report / "evidence.json").read_text()
+    result = answer("decode", report / "115200.bin", "--device", "ax1", "--out", tmp_path / "t.csv")
+    assert result["samples"] > 10
+    assert again.returncode == 2
+    assert "is there already" in again.stderr
+
+
+def test_nothing_is_saved_of_a_port_that_cannot_be_opened(tmp_path: Path) -> None:
+    assert imumon("detect", "/dev/ttyNONE", "--save", tmp_path / "report").returncode == 3
+    assert list(tmp_path.iterdir()) == []

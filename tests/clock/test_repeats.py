@@ -35,7 +35,7 @@ STAYS = np.full(N, 7)
 @pytest.mark.parametrize("size", [1, 7, STANDS, N])
 def test_what_stands_is_said_once_with_what_it_means(size: int) -> None:
     (text,) = said(STAYS, GOES_ON, size)
-    assert text == "the packet counter stands at 7: packets that are lost cannot be told by it"
+    assert text == "the packet counter stands at 7: it does not show packets that are lost"
     (text,) = said(STAYS, None, size, "counter")
     assert text.startswith("the packet counter stands at 7")
     assert "their rows have one time" in text

@@ -82,7 +82,7 @@ def test_what_an_mti_stores_at_once_needs_save(tmp_path: Path) -> None:
         settings = firmware_of(virtual)
         assert settings.volatile == settings.flash == settings.delivered
     assert done.returncode == 2
-    assert "say --save" in done.stderr
+    assert "add --save" in done.stderr
     assert "no setting was changed" in done.stderr
 
 

@@ -99,7 +99,7 @@ def test_a_thermometer_that_says_zero_at_first_is_none_till_then(
     lost, _ = read_session(write_session(tmp_path / "lost", columns, 1.0))
     struck, said = read_session(bench["a temperature that is zero at first"])
     np.testing.assert_array_equal(struck.means.mean, lost.means.mean)
-    assert "temperature while it has said nothing but zero (" in " ".join(said)
+    assert "temperature while its values are nothing but zero (" in " ".join(said)
 
 
 def test_what_is_refused_says_what_was_left_out(bench: dict[str, Path], tmp_path: Path) -> None:
@@ -110,12 +110,12 @@ def test_what_is_refused_says_what_was_left_out(bench: dict[str, Path], tmp_path
         (
             ("calibrate", "--out", tmp_path / "model.yaml"),
             dead,
-            "temperature while it has said nothing but zero (",
+            "temperature while its values are nothing but zero (",
         ),
         (
             ("diagnose", "--out", tmp_path / "out", "--train"),
             dead,
-            "temperature while it has said nothing but zero (",
+            "temperature while its values are nothing but zero (",
         ),
         (("magnetometer", "--out", tmp_path / "model.yaml"), beyond, "mag_x beyond"),
     ):

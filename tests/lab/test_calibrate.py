@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imumon.blocks import FloatArray
+from imumon.blocks import FloatArray, SampleBlock
+from imumon.columns import Column
 from imumon.models import load_model
+from imumon.recordings.table import TableWriter, read_table
 from tests.cli.command import MAP, imumon
 from tests.data_folder import measured
 from tests.lab.calibration.records import DEG_H, few_steps, samples, soak, true_bias
@@ -27,6 +29,22 @@ def imported(folder: Path, temperature: FloatArray) -> Path:
     done = imumon("import", table, "--map", map_path, "--out", folder / "session")
     assert done.returncode == 0, done.stderr
     return folder / "session"
+
+
+def write_truth(session: Path, temperature: FloatArray) -> None:
+    """Put the truth of a simulated table beside the session that was made of it."""
+    bias, n = true_bias(temperature), len(temperature)
+    still = np.zeros(n)
+    columns = {
+        "device_time_ns": read_table(session / "samples.parquet")[0]["device_time_ns"],
+        **{f"gyro_bias_{axis}": bias[:, at] for at, axis in enumerate("xyz")},
+        **{f"rate_{axis}": still for axis in "xyz"},
+        **{f"temperature{suffix}": temperature for suffix in ("", "_x", "_y", "_z")},
+        "at_rest": np.ones(n, np.int64),
+    }
+    with TableWriter(session / "truth.parquet", {}) as table:
+        table.announce([Column(name, "1", str(values.dtype)) for name, values in columns.items()])
+        table.write(SampleBlock(columns))
 
 
 @pytest.fixture(scope="module")
@@ -67,9 +85,14 @@ def test_a_session_becomes_a_model(session: Path, tmp_path: Path) -> None:
 
 def test_the_table_for_people_marks_what_is_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     few_steps(monkeypatch)
-    session = imported(tmp_path, soak(300.0)[:3600:2])
-    done = imumon("calibrate", session, session, "--out", tmp_path / "model.yaml")
+    temperature = soak(300.0)[:3600:2]
+    session = imported(tmp_path, temperature)
+    write_truth(session, temperature)
+    done = imumon("calibrate", session, session, "--out", tmp_path / "model.yaml", "--truth")
     assert done.returncode == 0, done.stderr
+    errors = [line for line in done.stderr.splitlines() if line.startswith("  error of gyro_bias_")]
+    assert len(errors) == 3
+    assert all("°/h rms" in line and "σ rms, at most" in line for line in errors)
     rows = [line for line in done.stdout.splitlines() if line.startswith("gyro_")]
     assert len(rows) == 3
     assert all(row.count("*") == 1 and "°/h" in row for row in rows)

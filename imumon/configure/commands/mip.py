@@ -154,8 +154,8 @@ class Mip(Family):
     }
     columns: ClassVar[Mapping[str, tuple[str, ...]]] = USUAL_COLUMNS | {"status": ("overrange",)}
     assumed: ClassVar[tuple[str, ...]] = (
-        f"base rate {USUAL_BASE_HZ} Hz for sensors and filter; it is asked of the device first",
-        "message format by command 0x0F; older devices are told by 0x08 and 0x0A",
+        f"base rate {USUAL_BASE_HZ} Hz for sensors and filter; the device is queried for it first",
+        "message format by command 0x0F; older devices are set by 0x08 and 0x0A",
     )
     hello: ClassVar[Request] = request(BASE, PING, b"", "Ping")
     quiet: ClassVar[tuple[Request, ...]] = (
@@ -194,7 +194,7 @@ class Mip(Family):
         known_hz = {of: int.from_bytes((answer or b"")[:2], "big") for of, answer in answers.items()}
         rates = {of: base for of, base in known_hz.items() if base}
         if SENSOR not in rates:
-            raise ImumonError(Reason.BAD_DATA, "the device tells no base rate of its sensors")
+            raise ImumonError(Reason.BAD_DATA, "the device reports no base rate of its sensors")
         return replace(
             self,
             identity=tuple(filter(None, texts)),

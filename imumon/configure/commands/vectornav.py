@@ -184,7 +184,7 @@ class VectorNav(Family):
     baud_codes: ClassVar[Mapping[int, bytes]] = {rate: str(rate).encode() for rate in BAUDRATES}
     silent_hint: ClassVar[str] = "the binary output may go to the other serial port of the device"
     assumed: ClassVar[tuple[str, ...]] = (
-        f"base rate {FAST_HZ} Hz (VN-100, 110); {SLOW_HZ} Hz for the others: the model is asked first",
+        f"base rate {FAST_HZ} Hz (VN-100, 110); {SLOW_HZ} Hz for the others: the model is queried first",
         "binary output 1 goes to serial port 1, or where it goes now",
         "binary outputs 2 and 3 are off; where they are not, they are switched off",
     )

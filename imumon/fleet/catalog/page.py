@@ -81,7 +81,7 @@ def write_session(session: Session, path: Path) -> list[str]:
     counters = recording.pipeline.counters
     port = metadata.port
     facts = {
-        "serial number": metadata.serial or "not said",
+        "serial number": metadata.serial or "not given",
         "device": metadata.device,
         "recorded": f"{metadata.created} to {metadata.ended or 'it was interrupted'}",
         "port": "-" if port is None else port.url,

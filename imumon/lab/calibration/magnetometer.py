@@ -90,7 +90,7 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
     if len(which) < LEAST_POINTS or coverage < LEAST_COVERAGE:
         raise ImumonError(
             Reason.BAD_DATA,
-            f"{source}: {coverage:.0%} of the directions were seen, {LEAST_COVERAGE:.0%} are needed",
+            f"{source}: {coverage:.0%} of the directions were measured, {LEAST_COVERAGE:.0%} are needed",
             f"draw figure-eights while turning the unit over; next: {_next(seen, directions, accel[which])}",
         )
     solved = _gauss_newton(readings, *_closed_form(readings))
@@ -110,7 +110,8 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
         raise ImumonError(
             Reason.BAD_DATA,
             f"{source}: hard and soft iron are known to {model.fit_sd / model.field:.1%} of the field, "
-            f"{model.residual_sd / model.field:.1%} is left over; {coverage:.0%} of the directions were seen",
+            f"{model.residual_sd / model.field:.1%} is left over; {coverage:.0%} of the directions"
+            " were measured",
             f"away from iron and cables, turn on; next: {_next(seen, directions, accel[which])}",
         )
     strength = np.linalg.norm(readings, axis=1)

@@ -220,8 +220,8 @@ def _on_poses(data: Recorded, found: Sequence[Search]) -> list[str]:
     if not channel.name.startswith("gyro") or not any(run.pose.any() for run in data.blocks):
         return []
     if channel.declared.own == "pose":
-        what = "the gyros have another constant in each, as the earth rate makes it; a sensitivity to g is"
-        return [f"several poses: {what} not told from that"]
+        what = "the gyros have another constant in each, as the earth rate makes it; a sensitivity to g"
+        return [f"several poses: {what} cannot be distinguished from that"]
     what = "what is named g_sensitivity holds the vertical earth rate as well"
     return [f"several poses: {what}, up to 15.04 °/h per g on the diagonal"]
 

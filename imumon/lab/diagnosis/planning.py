@@ -183,7 +183,8 @@ def plan(report: Report, question: Question, most_s: float, progress: Progress |
     found, profile = best
     return Plan(
         question,
-        why_not=f"nothing that was tried tells; the best, {profile.duration_s / 3600:.1f} h {profile.title},"
+        why_not=f"no experiment that was tried decides it; the best,"
+        f" {profile.duration_s / 3600:.1f} h {profile.title},"
         f" gives {found.value:.0f} of the {found.needed:.0f} in BIC that are needed for {found.truth} against"
         f" {found.rival}",
     )
@@ -194,7 +195,7 @@ def _impossible(question: Question, others: set[str]) -> str:
     if others:
         return f"{', '.join(sorted(others))} must vary apart from the rest: no chamber does that"
     if not all(answer.carries for answer in question.answers):
-        return "what is another in each run is told by more sessions"
+        return "an effect that differs between runs needs more sessions"
     if len(question.answers) < 2:
         return "no effect makes these recordings likelier: record at constant temperature"
     return ""

@@ -51,7 +51,7 @@ def test_what_no_experiment_separates_is_said_and_no_file_is_written(
     assert command(["plan", str(open_report), "--out", str(tmp_path), "--hours", "0.9", "--json"]) == 0
     (plan,) = json.loads(capsys.readouterr().out)["questions"]
     assert plan["profile"] is None
-    assert "nothing that was tried tells" in plan["why_not"]
+    assert "no experiment that was tried decides" in plan["why_not"]
     assert "in BIC that are needed" in plan["why_not"]
     assert plan["files"] == []
     assert not list(tmp_path.iterdir())
