@@ -10,7 +10,7 @@ import numpy as np
 from imumon.allan.parameters import TERMS_OF, AllanParameters
 from imumon.allan.streaming import LiveCurve, StreamingAllan
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
-from imumon.charts import AXIS_COLORS, GREY, ORANGE, Axis, Chart, Curve
+from imumon.charts import AXIS_COLORS, GREY, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.estimation.rest.parameters import retired
 

@@ -21,7 +21,7 @@ from imumon.models.curves.network import NetworkCurve
 from imumon.models.curves.points import Points
 from imumon.models.curves.polynomial import fit_polynomial
 from imumon.models.curves.smoothing import fit_spline
-from imumon.models.curves.training import Scaling, fit_network, mean_square, starts, train
+from imumon.models.curves.training import Scaled, fit_network, mean_square, starts, train
 from imumon.models.model import Curve
 from imumon.recordings.importing import import_table
 from imumon.recordings.reduced import GYRO
@@ -143,11 +143,11 @@ def published(points: Points, neurons: int, seed: int) -> Trained:
     """Train with a split by sample; the start with the best validation is kept."""
     random = np.random.default_rng(seed)
     parts = split(len(points), random)
-    scaling = Scaling.of(points)
-    training, validation = (scaling.apply(points.only(part)) for part in parts[:2])
+    scaled = Scaled.of(points)
+    training, validation = (scaled.only(part) for part in parts[:2])
     weights = [train(start, training, validation) for start in starts(neurons, RESTARTS, random)]
     error = np.sqrt([mean_square(one, validation) for one in weights])
-    curve = scaling.curve(weights[np.argmin(error)])
+    curve = scaled.curve(weights[np.argmin(error)])
     residual = points.value - curve.value(points.temperature)
     of_training, of_validation, of_test = (rms(residual[part]) for part in parts)
     return Trained(curve, (of_training, of_validation, of_test), int(np.sum(error > BAD * error.min())))

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import leastsq
 
-from imumon.blocks import FloatArray
+from imumon.blocks import BoolArray, FloatArray
 from imumon.models.curves.network import NetworkCurve
 from imumon.models.curves.points import Points
 
@@ -29,52 +28,47 @@ MERGED = 200
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scaled:
-    """Points in the network's own units: u within -1 to 1, y of unit variance, weights of mean 1."""
+    """Points in the network's own units, (n,): u within -1 to 1, y of unit variance, weights of mean 1."""
 
     u: FloatArray
     y: FloatArray
     w: FloatArray
+    center: float = 0.0
+    half_width: float = 1.0
+    """°C: u is 0 and 1 there."""
+    offset: float = 0.0
+    scale: float = 1.0
+    """In the unit of the channel: y is 0 and 1 there."""
 
-
-@dataclass(frozen=True, slots=True)
-class Scaling:
-    """How points are scaled, and curves scaled back."""
-
-    center: float
-    half_width: float
-    offset: float
-    scale: float
-
-    @staticmethod
-    def of(points: Points) -> Scaling:
-        """Return the scaling that suits points."""
+    @classmethod
+    def of(cls, points: Points) -> Scaled:
+        """Return points, scaled."""
         low, high = float(points.temperature.min()), float(points.temperature.max())
+        center, half_width = 0.5 * (low + high), 0.5 * (high - low) or 1.0
         mean = float(np.average(points.value, weights=points.weight))
-        scale = float(np.sqrt(np.average((points.value - mean) ** 2, weights=points.weight)))
-        return Scaling(0.5 * (low + high), 0.5 * (high - low) or 1.0, mean, scale or 1.0)
+        scale = float(np.sqrt(np.average((points.value - mean) ** 2, weights=points.weight))) or 1.0
+        u, y = (points.temperature - center) / half_width, (points.value - mean) / scale
+        return cls(u, y, points.weight / points.weight.mean(), center, half_width, mean, scale)
 
-    def apply(self, points: Points) -> Scaled:
-        """Return points in the network's units."""
-        return Scaled(
-            (points.temperature - self.center) / self.half_width,
-            (points.value - self.offset) / self.scale,
-            points.weight / points.weight.mean(),
-        )
+    def only(self, chosen: BoolArray) -> Scaled:
+        """Return the points that are chosen, in the same units."""
+        w = self.w[chosen]
+        return replace(self, u=self.u[chosen], y=self.y[chosen], w=w / w.mean())
 
     def curve(self, weights: FloatArray) -> NetworkCurve:
         """Return the curve of a network's weights, (p,)."""
-        layers = Layers.of(weights)
+        w1, b1, w2, b2, w3 = _layers(weights)
         return NetworkCurve(
             center_degc=self.center,
             half_width_degc=self.half_width,
             offset=self.offset,
             scale=self.scale,
-            first_weights=layers.w1.tolist(),
-            first_biases=layers.b1.tolist(),
-            second_weights=layers.w2.tolist(),
-            second_biases=layers.b2.tolist(),
-            output_weights=layers.w3.tolist(),
-            output_bias=float(layers.b3),
+            first_weights=w1.tolist(),
+            first_biases=b1.tolist(),
+            second_weights=w2.tolist(),
+            second_biases=b2.tolist(),
+            output_weights=w3.tolist(),
+            output_bias=float(weights[-1]),
         )
 
 
@@ -97,57 +91,33 @@ def starts(neurons: int, count: int, random: np.random.Generator) -> FloatArray:
     return np.concatenate([slope, bend, others], axis=1)
 
 
-class Layers(NamedTuple):
-    """Weights of a 1-n-n-1 network, layer by layer: views of one row, (p,)."""
+def _layers(weights: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return w1, b1, W2, b2 and w3 of a 1-n-n-1 network: views of its weights, (p,); the last is b3."""
+    n = neurons_of(len(weights))
+    w1, b1, w2, b2, w3, _ = np.split(weights, np.cumsum([n, n, n * n, n, n]))
+    return w1, b1, w2.reshape(n, n), b2, w3
 
-    w1: FloatArray
-    b1: FloatArray
-    w2: FloatArray
-    b2: FloatArray
-    w3: FloatArray
-    b3: np.float64
 
-    @classmethod
-    def of(cls, weights: FloatArray) -> Layers:
-        """Divide a row of weights."""
-        n = neurons_of(len(weights))
-        second, third = 2 * n, 2 * n + n * n
-        return cls(
-            weights[:n],
-            weights[n:second],
-            weights[second:third].reshape(n, n),
-            weights[third : third + n],
-            weights[third + n : -1],
-            weights[-1],
-        )
-
-    def hidden(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what both hidden layers give at u, (m,), each (m, n)."""
-        first = np.tanh(u[:, np.newaxis] * self.w1 + self.b1)
-        return first, np.tanh(first @ self.w2.T + self.b2)
+def _hidden(weights: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return what both hidden layers give at u, (m,), each (m, n)."""
+    w1, b1, w2, b2, _ = _layers(weights)
+    first = np.tanh(u[:, np.newaxis] * w1 + b1)
+    return first, np.tanh(first @ w2.T + b2)
 
 
 def response(weights: FloatArray, u: FloatArray) -> FloatArray:
     """Return the output of a network at u, (m,)."""
-    layers = Layers.of(weights)
-    return np.asarray(layers.hidden(u)[1] @ layers.w3 + layers.b3)
+    return np.asarray(_hidden(weights, u)[1] @ _layers(weights)[4] + weights[-1])
 
 
 def sensitivity(weights: FloatArray, u: FloatArray) -> FloatArray:
     """Return the derivative of a network's output at u, (m,), by its weights, (m, p)."""
-    layers = Layers.of(weights)
-    first, second = layers.hidden(u)
-    by = np.empty((len(u), len(weights)))
-    n = len(layers.w1)
-    by_w1, by_b1 = by[:, :n], by[:, n : 2 * n]
-    by_w2, by_b2 = by[:, 2 * n : -2 * n - 1], by[:, -2 * n - 1 : -n - 1]
-    by_b2[:] = (1.0 - second**2) * layers.w3
-    by_w2[:] = (by_b2[:, :, np.newaxis] * first[:, np.newaxis]).reshape(len(u), -1)
-    by_b1[:] = (by_b2 @ layers.w2) * (1.0 - first**2)
-    by_w1[:] = by_b1 * u[:, np.newaxis]
-    by[:, -n - 1 : -1] = second
-    by[:, -1] = 1.0
-    return by
+    _, _, w2, _, w3 = _layers(weights)
+    first, second = _hidden(weights, u)
+    by_b2 = (1.0 - second**2) * w3
+    by_w2 = (by_b2[:, :, np.newaxis] * first[:, np.newaxis]).reshape(len(u), -1)
+    by_b1 = (by_b2 @ w2) * (1.0 - first**2)
+    return np.hstack([u[:, np.newaxis] * by_b1, by_b1, by_w2, by_b2, second, np.ones((len(u), 1))])
 
 
 def mean_square(weights: FloatArray, data: Scaled) -> float:
@@ -191,12 +161,11 @@ def train(
 def fit_network(points: Points, neurons: int, restarts: int = RESTARTS) -> NetworkCurve:
     """Fit a 1-n-n-1 network: several starts go some way, the best two to the end."""
     points = points.merged(float(np.ptp(points.temperature)) / MERGED)
-    scaling = Scaling.of(points)
-    data = scaling.apply(points)
+    data = Scaled.of(points)
     begun = starts(neurons, restarts, np.random.default_rng(0))
     tried = sorted((train(start, data, evaluations=FIRST) for start in begun), key=lambda w: _cost(w, data))
     trained = [train(weights, data, evaluations=LAST) for weights in tried[:2]]
-    return scaling.curve(min(trained, key=lambda weights: _cost(weights, data)))
+    return data.curve(min(trained, key=lambda weights: _cost(weights, data)))
 
 
 def _cost(weights: FloatArray, data: Scaled) -> float:

@@ -8,7 +8,6 @@ import pytest
 from imumon.models.curves.points import Points
 from imumon.models.curves.training import (
     Scaled,
-    Scaling,
     fit_network,
     mean_square,
     neurons_of,
@@ -85,7 +84,7 @@ def test_a_network_finds_a_smooth_curve_in_physical_units() -> None:
 
 def test_scaling_there_and_back() -> None:
     weights = starts(3, 1, np.random.default_rng(RANDOM))[0]
-    scaling = Scaling(10.0, 30.0, 1e-3, 2e-4)
+    scaled = Scaled(np.zeros(0), np.zeros(0), np.zeros(0), 10.0, 30.0, 1e-3, 2e-4)
     t = np.linspace(-20.0, 40.0, 50)
     output = response(weights, (t - 10.0) / 30.0)
-    np.testing.assert_allclose(scaling.curve(weights).value(t), 1e-3 + 2e-4 * output, rtol=1e-12)
+    np.testing.assert_allclose(scaled.curve(weights).value(t), 1e-3 + 2e-4 * output, rtol=1e-12)
