@@ -18,7 +18,7 @@ from imumon.models.curves.spline import SplineCurve
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.papers.dense_zupt import DenseSettings
 from imumon.papers.fir import FirRate, Params
-from imumon.simulation.unit.curves import curve_value
+from imumon.simulation.unit.biases import curve_value
 from imumon.simulation.unit.scenario import load_scenario
 from imumon.simulation.unit.unit import SimulatedUnit
 

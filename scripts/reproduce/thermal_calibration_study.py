@@ -26,7 +26,7 @@ from imumon.models.model import Curve
 from imumon.recordings.importing import import_table
 from imumon.recordings.reduced import GYRO
 from imumon.simulation.unit import SimulatedUnit, load_scenario
-from imumon.simulation.unit.curves import curve_value
+from imumon.simulation.unit.biases import curve_value
 
 DEG_H = np.deg2rad(1.0) / 3600.0
 """1 °/h in rad/s."""

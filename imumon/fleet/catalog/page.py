@@ -214,7 +214,7 @@ def _course(means: Reduced) -> Section:
     }
     if biases:
         widest = max(np.nanmedian(np.abs(one.y) + 2 * one.sd) for one in biases.values())
-        labels = {"xlabel": "time, h", "ylabel": HOURLY, "ylim": (-2 * widest, 2 * widest)}
+        labels: dict[str, Any] = {"xlabel": "time, h", "ylabel": HOURLY, "ylim": (-2 * widest, 2 * widest)}
         figures["Gyro bias, with 2σ"] = svg(_lines(biases, **labels))
     for bias, (_, value, sd) in biases.items():
         known = np.flatnonzero(np.isfinite(value) & np.isfinite(sd))

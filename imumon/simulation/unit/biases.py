@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.polynomial import polynomial
 
 from imumon.blocks import FloatArray
 from imumon.effects.base import Drive, Effect, Memory
@@ -12,13 +13,31 @@ from imumon.effects.hysteresis import Hysteresis
 from imumon.effects.run_offset import RunOffset
 from imumon.effects.warm_up import WarmUp
 from imumon.geodesy import DEG_PER_H, MICRO_G
-from imumon.simulation.unit.curves import axis_values
 from imumon.simulation.unit.noise import GaussMarkov, RandomWalk, White, generator
-from imumon.simulation.unit.parameters import Curves, Effects, UnitParameters
+from imumon.simulation.unit.parameters import Curves, Effects, Polynomial, Term, UnitParameters
 from imumon.simulation.unit.thermal import Lags
 
 MG = 1e3 * MICRO_G
 """m/s²."""
+
+
+def curve_value(terms: Sequence[Term], temperature_degc: FloatArray) -> FloatArray:
+    """Return the sum of the terms of a curve at each temperature, in their unit; same shape."""
+    total = np.zeros_like(temperature_degc)
+    for term in terms:
+        u = (temperature_degc - term.at_degc) / term.width_degc
+        if isinstance(term, Polynomial):
+            total += polynomial.polyval(u, term.coefficients)
+        else:
+            total += term.amplitude * (np.tanh(u) if term.kind == "tanh" else np.sin(u))
+    return total
+
+
+def axis_values(curves: Curves, temperature_degc: FloatArray) -> FloatArray:
+    """Return the bias of each axis at its own temperature; both of shape (n, 3)."""
+    return np.column_stack(
+        [curve_value(getattr(curves, axis), temperature_degc[:, i]) for i, axis in enumerate("xyz")]
+    )
 
 
 class Bias:

@@ -109,14 +109,11 @@ def chamber_log(scenario: Scenario, seed: int) -> tuple[FloatArray, FloatArray]:
     """Return times since power-on (s), (n,), and what the log reads of wall and case (°C), (n, 2).
 
     The case has the temperature of the unit without its own heat.
-
-    Raises ValueError when the scenario has no log.
     """
-    chamber = scenario.chamber
-    if chamber.log is None:
-        raise ValueError("the chamber of this scenario has no log")
-    time_s = np.arange(0.0, scenario.duration_s, chamber.log.interval_s)
+    chamber, log = scenario.chamber, scenario.chamber.log
+    assert log is not None
+    time_s = np.arange(0.0, scenario.duration_s, log.interval_s)
     wall = np.tile(chamber_temperature(chamber, time_s)[:, np.newaxis], 2)
     true = Lags([0.0, chamber.lag_s]).process(time_s, wall)
-    sensors = Thermometers(chamber.log.thermometer, 2, 1.0 / chamber.log.interval_s, seed, "chamber log")
+    sensors = Thermometers(log.thermometer, 2, 1.0 / log.interval_s, seed, "chamber log")
     return time_s, sensors.process(0, true)

@@ -61,11 +61,6 @@ class SimulatedUnit:
         self._used = CHUNK
         self._computed = 0
 
-    @property
-    def position(self) -> int:
-        """Number of samples taken so far."""
-        return self._computed - (CHUNK - self._used)
-
     def samples(self, n: int) -> SampleBlock:
         """Return the next n samples as an encoder takes them, counter and ticks counting from power-on."""
         return self._take(n)[0]
@@ -85,7 +80,8 @@ class SimulatedUnit:
         return SampleBlock({**times, **sent.columns}), SampleBlock({**times, **truth.columns})
 
     def _take(self, n: int) -> tuple[SampleBlock, SampleBlock]:
-        index = np.arange(self.position, self.position + n)
+        first = self._computed - (CHUNK - self._used)
+        index = np.arange(first, first + n)
         ticks_per_sample = float(1_000_000_000 / self._tick_ns) / self.scenario.rate_hz
         columns: dict[str, ColumnArray] = {
             "packet_counter": index,

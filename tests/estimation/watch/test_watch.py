@@ -16,7 +16,7 @@ from imumon.estimation.watch.stage import ModelWatch
 from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel, ChannelModel
 from imumon.simulation.unit import SimulatedUnit, load_scenario
-from imumon.simulation.unit.curves import curve_value
+from imumon.simulation.unit.biases import curve_value
 from imumon.simulation.unit.scenario import Scenario
 from tests.lanes import texts
 

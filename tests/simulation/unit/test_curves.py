@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from imumon.simulation.unit import load_unit
-from imumon.simulation.unit.curves import axis_values, curve_value
+from imumon.simulation.unit.biases import axis_values, curve_value
 
 SOAK = np.linspace(-20.53, 48.08, 20_001)
 

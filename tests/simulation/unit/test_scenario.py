@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import load_device
 from imumon.simulation.unit import SimulatedUnit, load_scenario, load_unit
-from imumon.simulation.unit.curves import axis_values
+from imumon.simulation.unit.biases import axis_values
 from imumon.simulation.unit.parameters import UnitParameters
 from imumon.simulation.unit.scenario import Scenario, Unit
 

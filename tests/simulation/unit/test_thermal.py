@@ -93,8 +93,3 @@ def test_the_log_shows_the_wall_and_the_case_behind_it() -> None:
     # A step of 5 °C at 1 °C/min leaves the case tau (1 - exp(-5 min / tau)) minutes behind at its end.
     behind = (wall - read[:, 1])[np.abs(time_s - 9300.0) < 1.0]
     assert behind == pytest.approx(-10.0 * np.expm1(-0.5), abs=0.3)
-
-
-def test_a_chamber_without_a_log_has_none() -> None:
-    with pytest.raises(ValueError, match="no log"):
-        chamber_log(load_scenario("crs05-soak"), 1)
