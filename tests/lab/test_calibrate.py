@@ -43,7 +43,12 @@ def write_truth(session: Path, temperature: FloatArray) -> None:
         "at_rest": np.ones(n, np.int64),
     }
     with TableWriter(session / "truth.parquet", {}) as table:
-        table.announce([Column(name, "1", str(values.dtype)) for name, values in columns.items()])
+        table.announce(
+            [
+                Column(name, "1", "int64" if values.dtype == np.int64 else "float64")
+                for name, values in columns.items()
+            ]
+        )
         table.write(SampleBlock(columns))
 
 
