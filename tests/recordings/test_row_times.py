@@ -118,7 +118,7 @@ def test_wraps_beyond_64_bits_are_refused(tmp_path: Path) -> None:
     ("time", "why"),
     [
         ("unit: iso8601, wraps_at: 60", "dates do not wrap"),
-        ("unit: ms, wraps_at: 60, backwards: segment", "nobody can tell a restart"),
+        ("unit: ms, wraps_at: 60, backwards: segment", "a restart cannot be distinguished"),
         ("unit: ms, wraps_at: 0", "greater than 0"),
         ("unit: s, wraps_at: 1e10", "no time that 64 bits hold"),
         ("unit: ns, wraps_at: 0.5", "no time that 64 bits hold"),
