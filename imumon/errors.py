@@ -56,7 +56,7 @@ class Reason(Enum):
 
 
 class ImumonError(Exception):
-    """An error that a user can act on: what was seen, and what to do about it.
+    """An error that a user can act on: what is wrong, and what to do about it.
 
     "Raises BAD_DATA" in a docstring means this error with that reason.
 
