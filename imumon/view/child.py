@@ -11,13 +11,14 @@ import gc
 import subprocess
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
 from imumon.view.fed import serve
 from imumon.view.items import ViewSetup
 from imumon.view.publisher import Report, Start
-from imumon.view.viewer import LIVE_APPLICATION, proxy_url, start_viewer, viewer_port
+from imumon.view.viewer import LIVE_APPLICATION, Answer, probe, proxy_url, start_viewer, viewer_port
 from imumon.view.web import serve_page, serve_stream
 
 if TYPE_CHECKING:
@@ -29,8 +30,8 @@ POLL_S = 0.25
 LINGER_S = 3.0
 """So long a native viewer may read what came last, unless the measuring process ends this one sooner."""
 REPEAT_S = 2.0
-"""How often states and the log are logged again: viewers take the newest first, and the server forgets the
-oldest.  Until a repetition arrives their panes are empty."""
+"""How often it is looked whether the viewer is open, and states and the log are logged again: viewers take
+the newest first, and the server forgets the oldest.  Until a repetition arrives their panes are empty."""
 
 
 class Viewers:
@@ -53,19 +54,24 @@ class Viewers:
             return
         address, port = serve_stream(rec)
         url = proxy_url(port, address)
-        if start.open_viewer:
-            self._viewer = start_viewer(viewer_port(start.port), url)
-        text = "viewer open" if start.open_viewer else f"`rerun {url}` opens a viewer"
-        self._serving = Report(text, url)
+        self._port = viewer_port(start.port)
+        # One that is open goes on with this stream, as after a restart; one that was closed stays closed.
+        if start.open_viewer or self._is_open():
+            self._viewer = start_viewer(self._port, url)
+        text = f"`rerun {url}` opens a viewer" if self._viewer is None else "viewer open"
+        self._serving = Report(text, url, self._port)
+
+    def _is_open(self) -> bool:
+        return probe(self._port) is Answer.RERUN
 
     def poll(self) -> None:
         """Find out whether the native viewer is still there."""
         report, code = self._serving, None if self._viewer is None else self._viewer.poll()
         if code:
             text = f"the viewer could not start or go on (exit code {code}); try --view web"
-            report = Report(text, report.url)
-        elif code == 0:
-            report = Report(f"viewer closed; `rerun {report.url}` brings it back", report.url)
+            report = replace(report, text=text)
+        elif code == 0 and not self._is_open():  # else it has passed the stream on to one that was open
+            report = replace(report, text=f"viewer closed; `rerun {report.url}` brings it back")
         if report != self._reported:
             self._reported = report
             self._report(report)
@@ -85,10 +91,11 @@ def run(
     logger.log(start.lasting)
     gc.freeze()  # or the circles of pictures wait until they are a quarter of all that was loaded
     repeated_s = time.monotonic()
+    viewers.poll()
     while True:
-        viewers.poll()
         if time.monotonic() - repeated_s > REPEAT_S:
             repeated_s = time.monotonic()
+            viewers.poll()
             logger.repeat()
         if stream.poll(POLL_S):
             try:

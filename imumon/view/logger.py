@@ -85,7 +85,6 @@ class StreamLogger:
         self._timeline = "host_time"
         self._arranged: tuple[Contents, str] | None = None
         self._arranged_s = -math.inf
-        self._began_shown = False
         self.arrangement: rrb.Blueprint | None = None
         """The one that was shown last."""
         self._last_ns: dict[str, int] = {}
@@ -121,7 +120,7 @@ class StreamLogger:
         if self._newest is not None:
             self._panels.log_cards(self._newest)
         self._painter.draw_next()
-        if not self._live or self._may_arrange():
+        if not self._live or time.monotonic() - self._arranged_s > ARRANGE_S:
             self._arrange()
 
     def _log_samples(self, item: Samples) -> None:
@@ -229,17 +228,9 @@ class StreamLogger:
         """Log the latest states, status card and log lines once more, for who takes the newest first."""
         if self._newest is None:
             return
-        if self.arrangement is not None and not self._began_shown and self._may_arrange():
-            # A viewer that was still starting can have missed the first one.
-            self._began_shown, self._arranged_s = True, time.monotonic()
-            self._show(self.arrangement)
         self._log_events(list(self._lasting.values()), again=True)
         if self._has_log:
             log_markdown(self._rec, LOG_TEXT, [self._log_text.text], self._newest)
-
-    def _may_arrange(self) -> bool:
-        """Return whether the last arrangement was sent long enough ago."""
-        return time.monotonic() - self._arranged_s > ARRANGE_S
 
     def _arrange(self) -> None:
         """Send the blueprint when what there is to see has changed."""

@@ -35,18 +35,18 @@ class Start:
     web_port: int
     bind: str
     open_viewer: bool = True
-    """Whether a native viewer is opened; False after a restart: one that was closed stays closed."""
+    """Whether a native viewer is opened where none is open; False after a restart."""
     lasting: Sequence[ViewItem] = ()
     """States and charts that an earlier process has shown."""
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What a view process says of itself: a phrase, and once it serves, what to open and the page's port."""
+    """What a view process reports: a phrase; once it serves, what to open and the port of page or viewer."""
 
     text: str
     url: str = ""
-    web_port: int = 0
+    port: int = 0
 
 
 class ViewPublisher(FedProcess):
@@ -107,8 +107,9 @@ class ViewPublisher(FedProcess):
         """Keep what a later view process needs: the same port, and no second window."""
         self._report = report
         if report.url:
-            web_port = report.web_port or self._start.web_port
-            self._start = replace(self._start, web_port=web_port, open_viewer=False)
+            start = replace(self._start, open_viewer=False)
+            web = start.mode == "web"
+            self._start = replace(start, web_port=report.port) if web else replace(start, port=report.port)
 
     def _gone(self) -> None:
         if not self._queue.closed.is_set():

@@ -163,6 +163,22 @@ def test_a_viewer_that_comes_later_sees_all_from_the_start(
 
 
 @pytest.mark.viewer
+def test_an_open_viewer_goes_on_with_a_view_process_that_is_started_again(
+    publish: Publish, headless: StartViewer, port: int
+) -> None:
+    headless(port)
+    publisher = publish("native", port)
+    stream = Stream(publisher.publish)
+    stream.run_until(lambda: "sample" in seen(port), "samples seen")
+    stream.run_until(lambda: publisher.state.text == "viewer open", "it is known to be open")
+    child().kill()
+    stream.run_until(lambda: publisher.state.restarts == 1 and publisher.state.connected, "it is back")
+    sent = stream.sent
+    stream.run_until(lambda: seen(port)["sample"][1] > sent, "samples of the second process are seen")
+    assert publisher.state.text == "viewer open"
+
+
+@pytest.mark.viewer
 def test_stopped_viewer_costs_little_and_gets_what_it_missed(
     publish: Publish, headless: StartViewer, port: int
 ) -> None:
@@ -249,7 +265,7 @@ def test_on_this_machine_only_and_by_no_other_web_site_the_stream_is_read(
     Stream(publisher.publish).run_until(lambda: publisher.state.connected, "serving")
     listening = [one.laddr for one in child().net_connections() if one.status == psutil.CONN_LISTEN]
     assert all(address.ip.startswith("127.") for address in listening)
-    port = publisher._report.web_port
+    port = publisher._report.port
     assert {address.port for address in listening if address.ip == "127.0.0.1"} == {port}
     path = "/rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages"
     for headers, status in ASKED:
