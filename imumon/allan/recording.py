@@ -11,12 +11,12 @@ import numpy as np
 from imumon.allan.fit import NO_SUM
 from imumon.allan.series import PARTS, EvenSeries, even_channels
 from imumon.blocks import SampleBlock, join
-from imumon.columns import Column
+from imumon.columns import TEMPERATURES, Column
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.rest.slots import COARSEST_STEPS
 from imumon.filters.rounding import digits
 from imumon.recordings.reader import Stages, no_stages, open_recording
-from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES
+from imumon.recordings.reduced import ACCEL, GYRO
 
 GROUPS = ("gyro", "accel")
 CHANNELS = (*GYRO, *ACCEL)

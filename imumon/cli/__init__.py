@@ -39,7 +39,7 @@ through it again and again took a tenth of the time that a recording needs to be
 OWN = {
     "Watch and record": {
         "monitor": "Record a device and watch it live.",
-        "replay": "Run a recording again: same code, same numbers.",
+        "replay": "Run a recording again, bit for bit.",
         "view": "Show several sessions on one time axis.",
         "mark": "Put a word into a recording while it runs.",
         "recover": "Finish a session that was interrupted or damaged.",
@@ -54,27 +54,21 @@ OWN = {
         "align": "Find the heading of a resting unit by the earth rate.",
     },
     "Devices": {
-        "doctor": "Check what this computer lacks, and print what to do.",
+        "doctor": "Check what this computer lacks.",
         "ports": "List serial ports.",
-        "detect": "Find baud rate and protocol of a device by trying.",
+        "detect": "Find device and baud rate of a port.",
         "devices": "List the devices that imumon knows.",
         "plugins": "List what other packages add, and whether it loads.",
     },
     "Without hardware": {
-        "demo": "Watch a simulated AHRS: imumon at work, without hardware.",
+        "demo": "Watch a simulated AHRS, without hardware.",
         "virtual": "Be a device: a simulated AHRS on a pseudo-terminal.",
         "simulate": "Make a session or a table of a scenario, with true values.",
     },
 }
 """Commands of the core by group, with the line that the help shows; NAME is in imumon.cli.NAME_command."""
 
-START = {
-    "demo": "Watch a simulated AHRS, without hardware.",
-    "doctor": "Check what this computer lacks.",
-    "detect PORT": "Find device and baud rate of a port.",
-    "monitor PORT --device NAME": "Record a device and watch it live.",
-    "replay sessions/NAME": "Run a recording again.",
-}
+START = ("demo", "doctor", "detect PORT", "monitor PORT --device NAME", "replay sessions/NAME")
 """What a beginner needs, as `imumon` without arguments shows it."""
 
 
@@ -129,7 +123,8 @@ def _short_help(ctx: click.Context) -> str:
     formatter = ctx.make_formatter()
     formatter.write_text(str(cli.help))
     with formatter.section("Start here"):
-        formatter.write_dl([(f"imumon {usage}", text) for usage, text in START.items()], col_max=40)
+        first = [(f"imumon {usage}", commands()[usage.split()[0]].help) for usage in START]
+        formatter.write_dl(first, col_max=40)
     with formatter.section("All commands"):
         names = [
             (group, ", ".join(name for name, one in _listed(ctx).items() if one.group == group))

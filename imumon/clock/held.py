@@ -7,14 +7,14 @@ from collections.abc import Mapping
 import numpy as np
 
 from imumon.blocks import FloatArray, IntArray, SampleBlock
+from imumon.columns import TEMPERATURES
 from imumon.protocols.epochs import Epochs
-
-HELD = ("temperature", "temperature_x", "temperature_y", "temperature_z")
-"""What the estimators of the inertial sensors need in every row, however seldom it comes."""
 
 
 class HeldReadings:
     """Adds to main rows the latest reading of the side streams, whatever the division into blocks.
+
+    The estimators of the inertial sensors need temperatures in every row, however seldom they come.
 
     A reading holds from the first main row that was begun after it was complete; a row's own counts first.
     """
@@ -29,10 +29,10 @@ class HeldReadings:
         return frozenset(self._latest)
 
     def process(self, main: SampleBlock, side: Mapping[str, Epochs]) -> SampleBlock:
-        """Return main rows with the columns of `HELD` that only side streams have."""
+        """Return main rows with the columns of `TEMPERATURES` that only side streams have."""
         first = self._rows
         self._rows += len(main)
-        for name in HELD:
+        for name in TEMPERATURES:
             having = [epochs for epochs in side.values() if name in epochs.block]
             if having or name in self._latest:
                 values = np.concatenate([np.zeros(0), *(epochs.block[name] for epochs in having)])

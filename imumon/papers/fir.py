@@ -25,7 +25,7 @@ from itertools import pairwise
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
-from imumon.columns import Column
+from imumon.columns import TEMPERATURES, Column
 from imumon.filters.rates import RateEstimate
 from imumon.filters.segments import Breaks
 from imumon.papers.square_root import fit, pull_back, update
@@ -273,8 +273,6 @@ class FirStage:
     ending of the channel (``_x`` of ``temperature_x``).
     """
 
-    CHANNELS = ("temperature", "temperature_x", "temperature_y", "temperature_z")
-
     def __init__(self, params: Params) -> None:
         self._params = params
         self._filters: dict[str, FirRate] = {}
@@ -286,7 +284,7 @@ class FirStage:
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; NaN where there is no estimate."""
-        for channel in self.CHANNELS:
+        for channel in TEMPERATURES:
             if channel in block and channel not in self._filters:
                 self._filters[channel] = FirRate(self._params)
         found: dict[str, ColumnArray] = {}

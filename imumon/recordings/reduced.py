@@ -14,7 +14,6 @@ from imumon.filters.slots import SlotGatherer, Slots
 AXES = "xyz"
 GYRO = tuple(f"gyro_{axis}" for axis in AXES)
 ACCEL = tuple(f"accel_{axis}" for axis in AXES)
-TEMPERATURES = ("temperature", *(f"temperature_{axis}" for axis in AXES))
 PIECE = 4096
 """Samples at a time, to bound the memory: as many slots may end in them."""
 QUIET_QUANTILE = 0.25

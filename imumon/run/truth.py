@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray, IntArray, SampleBlock
+from imumon.columns import TEMPERATURES
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H
@@ -20,18 +21,11 @@ from imumon.protocols.device import DeviceFile
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.reader import open_recording
 from imumon.recordings.table import read_columns, read_table
+from imumon.simulation.recording import TRUTH_NAME
+from imumon.simulation.unit import TRUTH_COLUMNS
 
-NAME = "truth.parquet"
-"""File beside a simulated session, one row a packet; docs/simulation.md has its columns."""
 GYROS = ("gyro_bias_x", "gyro_bias_y", "gyro_bias_z")
-MODELLED = dict(zip(("gyro_x", "gyro_y", "gyro_z"), GYROS, strict=True))
-"""Channels of a bias model, and the true values of each."""
-TEMPERATURES = ("temperature", "temperature_x", "temperature_y", "temperature_z")
-ESTIMATED = {name.replace("temperature", "temperature_estimate"): name for name in TEMPERATURES}
-TRUE = ESTIMATED | {name: name for name in TEMPERATURES}
-"""Column of the truth for each recorded or estimated temperature."""
-RATES = ("rate_x", "rate_y", "rate_z")
-COLUMNS = ("device_time_ns", *GYROS, *RATES, *TEMPERATURES, "at_rest")
+ESTIMATED = tuple(name.replace("temperature", "temperature_estimate") for name in TEMPERATURES)
 Estimate = tuple[FloatArray, FloatArray | None]
 """Values and their standard deviations, (n,) each."""
 
@@ -96,7 +90,7 @@ class Truth:
         Parameters
         ----------
         estimates : mapping of str to Estimate
-            By gyro_bias_{x,y,z} (rad/s) and the names of `TRUE` (°C).
+            By gyro_bias_{x,y,z} (rad/s), and by recorded or estimated temperatures (°C).
         at_rest : bool
             Only where the unit is at rest.
         """
@@ -104,7 +98,7 @@ class Truth:
         if at_rest:
             matched = matched & (self.at_rest[row] == 1)
         for name, (values, sigma) in estimates.items():
-            true = self.bias[row, GYROS.index(name)] if name in GYROS else self.temperature[TRUE[name]][row]
+            true = self._true(name)[row]
             errors = self.errors.setdefault(name, Errors())
             errors.take(np.where(matched, values - true, np.nan), sigma)
 
@@ -122,6 +116,12 @@ class Truth:
                 },
             )
             yield block
+
+    def _true(self, name: str) -> FloatArray:
+        """Return what an estimate is compared with, (n,)."""
+        if name in GYROS:
+            return self.bias[:, GYROS.index(name)]
+        return self.temperature[name.replace("_estimate", "")]
 
     def _rows(self, time_ns: IntArray) -> tuple[IntArray, BoolArray]:
         """Return the row of each sample, and whether the truth has its time."""
@@ -149,10 +149,10 @@ class Truth:
 def check_truth(sessions: Iterable[Path]) -> None:
     """Raise BAD_DATA for the first session that has no truth."""
     for session in sessions:
-        if not (session / NAME).is_file():
+        if not (session / TRUTH_NAME).is_file():
             raise ImumonError(
                 Reason.BAD_DATA,
-                f"{session}: there is no {NAME} in this session, so its errors are unknown",
+                f"{session}: there is no {TRUTH_NAME} in this session, so its errors are unknown",
                 "only a session of `imumon simulate` has true values; leave --truth away",
             )
 
@@ -166,8 +166,9 @@ def read_truth(session: Path, *, earth_removed: bool) -> Truth:
         Whether the estimates are without the earth's rotation.
     """
     check_truth([session])
-    path = session / NAME
-    if lacking := [name for name in COLUMNS if name not in read_columns(path)]:
+    path = session / TRUTH_NAME
+    needed = ["device_time_ns", *(column.name for column in TRUTH_COLUMNS)]
+    if lacking := [name for name in needed if name not in read_columns(path)]:
         raise ImumonError(
             Reason.BAD_DATA, f"{path}: has no {', '.join(lacking)}", "simulate the session anew"
         )
@@ -177,7 +178,7 @@ def read_truth(session: Path, *, earth_removed: bool) -> Truth:
     bias = np.column_stack([table[name] for name in GYROS])
     at_rest = table["at_rest"].astype(np.int64)
     if not earth_removed:
-        bias = bias + _at_last_rest(np.column_stack([table[name] for name in RATES]), at_rest)
+        bias = bias + _at_last_rest(np.column_stack([table[f"rate_{axis}"] for axis in "xyz"]), at_rest)
     return Truth(
         table["device_time_ns"].astype(np.int64), bias, {name: table[name] for name in TEMPERATURES}, at_rest
     )
@@ -189,7 +190,7 @@ def errors_of_model(session: Path, model: BiasModel) -> Truth:
     Raises BAD_DATA where the session has no truth.
     """
     truth = read_truth(session, earth_removed=model.earth_rate == "removed")
-    names = [name for name in MODELLED if name in model.channels]
+    names = [f"gyro_{axis}" for axis in "xyz" if f"gyro_{axis}" in model.channels]
     predictor = BiasPredictor(model, names)
     for block in open_recording(session, _stages).blocks():
         nothing = np.full(len(block), np.nan)
@@ -204,10 +205,10 @@ def errors_of_model(session: Path, model: BiasModel) -> Truth:
             np.column_stack([column(f"accel_{axis}") for axis in "xyz"]),
             {name: block[name] for name in predictor.drivers if name in block},
         ).bias
-        found: dict[str, Estimate] = {
-            MODELLED[name]: (predicted[:, at], np.full(len(block), model.channels[name].residual_sd))
-            for at, name in enumerate(names)
-        }
+        found: dict[str, Estimate] = {}
+        for at, name in enumerate(names):
+            sigma = np.full(len(block), model.channels[name].residual_sd)
+            found[name.replace("gyro", "gyro_bias")] = predicted[:, at], sigma
         found |= {name: (block[name], None) for name in TEMPERATURES if name in block}
         truth.take(block, found, at_rest=True)
     return truth

@@ -11,7 +11,8 @@ from imumon.blocks import SampleBlock
 from imumon.errors import ImumonError
 from imumon.geodesy import DEG_PER_H
 from imumon.recordings.table import read_table
-from imumon.run.truth import GYROS, NAME, RATES, check_truth, errors_of_model, read_truth
+from imumon.run.truth import GYROS, check_truth, errors_of_model, read_truth
+from imumon.simulation.recording import TRUTH_NAME as NAME
 from tests.cli.command import answer, imumon
 from tests.models.models import three_curves
 
@@ -48,7 +49,8 @@ def test_samples_without_a_true_value_and_estimates_that_are_missing_do_not_coun
 def test_the_rotation_of_the_earth_is_added_where_the_estimate_contains_it(session: Path) -> None:
     table, _ = read_table(session / NAME)
     truth = read_truth(session, earth_removed=False)
-    both = {gyro: (table[gyro] + table[rate], None) for gyro, rate in zip(GYROS, RATES, strict=True)}
+    rates = [f"rate_{axis}" for axis in "xyz"]
+    both = {gyro: (table[gyro] + table[rate], None) for gyro, rate in zip(GYROS, rates, strict=True)}
     truth.take(SampleBlock(table.columns), both, at_rest=True)
     assert all(errors.count and errors.rms < 1e-12 for errors in truth.errors.values())
 

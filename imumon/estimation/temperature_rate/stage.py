@@ -9,12 +9,10 @@ from functools import partial
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
-from imumon.columns import Column
+from imumon.columns import TEMPERATURES, Column
 from imumon.estimation.temperature_rate.method import MultipleModelRate
 from imumon.filters.rates import RateMethod
 from imumon.protocols.thermometer import TemperatureRateParameters
-
-CHANNELS = ("temperature", *(f"temperature_{axis}" for axis in "xyz"))
 
 
 class TemperatureRate:
@@ -46,7 +44,7 @@ class TemperatureRate:
 
         Needs ``device_time_ns`` and ``segment``; a channel that is not in the block is missing throughout.
         """
-        for name in CHANNELS:
+        for name in TEMPERATURES:
             if name in block and name not in self._channels:
                 self._channels[name] = _Channel(self._new_method())
         estimates = [self._estimate(name, channel, block) for name, channel in self._channels.items()]

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from imumon.blocks import FloatArray
+from imumon.columns import TEMPERATURES
 from imumon.files import write_text
 from imumon.fleet.catalog.drift import Drift, Outlier, drifts
 from imumon.fleet.catalog.tables import day
@@ -22,7 +23,7 @@ from imumon.lab.diagnosis.page import environment
 from imumon.models.model import BiasModel
 from imumon.recordings.folder import Session, fingerprint
 from imumon.recordings.reader import open_recording
-from imumon.recordings.reduced import GYRO, TEMPERATURES, Reduced, reduce
+from imumon.recordings.reduced import GYRO, Reduced, reduce
 from imumon.run.setup import recorded_setup
 from imumon.run.stages import estimators
 from imumon.version import __version__

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from imumon.columns import TEMPERATURES
 from imumon.errors import ImumonError
 from imumon.fleet.batch.dataset import Dataset
 from imumon.fleet.batch.options import BatchOptions
@@ -16,7 +17,7 @@ from imumon.fleet.batch.places import find
 from imumon.fleet.batch.tasks import Job, work
 from imumon.models.model import BiasModel, load_model
 from imumon.recordings.folder import METADATA_NAME, Session, open_session
-from imumon.recordings.reduced import GYRO, TEMPERATURES
+from imumon.recordings.reduced import GYRO
 from imumon.recordings.source import RECORDING
 from imumon.run.setup import recorded_setup
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from imumon.blocks import BoolArray, FloatArray, SampleBlock
+from imumon.columns import TEMPERATURES
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.gyro_bias.stage import RestDetector
 from imumon.estimation.temperature_rate.stage import TemperatureRate
@@ -14,7 +15,7 @@ from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.reader import open_recording
-from imumon.recordings.reduced import ACCEL, AXES, GYRO, TEMPERATURES, Reduced, reduce
+from imumon.recordings.reduced import ACCEL, AXES, GYRO, Reduced, reduce
 
 COLUMNS = (*GYRO, *ACCEL, *TEMPERATURES, "temperature_estimate", *(f"temperature_estimate_{a}" for a in AXES))
 BLOCK_S = 10.0

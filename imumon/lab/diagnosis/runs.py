@@ -11,12 +11,12 @@ import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray, IntArray, SampleBlock
 from imumon.clock.channel import CLOCK, UNIT, rate_ppm, with_delay
-from imumon.columns import KNOWN
+from imumon.columns import KNOWN, TEMPERATURES
 from imumon.effects.vibration import VIBRATION
 from imumon.errors import ImumonError, Reason
 from imumon.lab.diagnosis.quality import Samples, Watcher
 from imumon.recordings.reader import Stages, no_stages, open_recording
-from imumon.recordings.reduced import ACCEL, GYRO, TEMPERATURES, Reduced, reduce
+from imumon.recordings.reduced import ACCEL, GYRO, Reduced, reduce
 
 CHANNELS = (*GYRO, *ACCEL)
 SENSORS = ("gyro", "accel", CLOCK)

@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, SampleBlock
-from imumon.columns import KNOWN, Column
+from imumon.columns import KNOWN, TEMPERATURES, Column
 from imumon.simulation.frames import (
     FIELD_UT,
     FRD_TO_FLU,
@@ -33,7 +33,7 @@ TRUTH_COLUMNS: tuple[Column, ...] = (
     *(Column(f"gyro_bias_{a}", "rad/s", description=f"total bias without white noise, {a}") for a in "xyz"),
     *(Column(f"accel_bias_{a}", "m/s^2", description=f"total bias without white noise, {a}") for a in "xyz"),
     *(Column(f"rate_{a}", "rad/s", description=f"true angular rate with the earth's, {a}") for a in "xyz"),
-    *(KNOWN[name] for name in ("temperature", "temperature_x", "temperature_y", "temperature_z")),
+    *(KNOWN[name] for name in TEMPERATURES),
     Column("at_rest", "1", "int64", "1 at rest, 0 in motion"),
 )
 """What `SimulatedUnit.run` returns as the truth, besides device_time_ns and segment."""
