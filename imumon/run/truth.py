@@ -22,10 +22,11 @@ from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.reader import open_recording
 from imumon.recordings.table import read_columns, read_table
 from imumon.simulation.recording import TRUTH_NAME
-from imumon.simulation.unit import TRUTH_COLUMNS
 
 GYROS = ("gyro_bias_x", "gyro_bias_y", "gyro_bias_z")
 ESTIMATED = tuple(name.replace("temperature", "temperature_estimate") for name in TEMPERATURES)
+RATES = ("rate_x", "rate_y", "rate_z")
+NEEDED = ("device_time_ns", *GYROS, *RATES, *TEMPERATURES, "at_rest")
 Estimate = tuple[FloatArray, FloatArray | None]
 """Values and their standard deviations, (n,) each."""
 
@@ -167,8 +168,7 @@ def read_truth(session: Path, *, earth_removed: bool) -> Truth:
     """
     check_truth([session])
     path = session / TRUTH_NAME
-    needed = ["device_time_ns", *(column.name for column in TRUTH_COLUMNS)]
-    if lacking := [name for name in needed if name not in read_columns(path)]:
+    if lacking := [name for name in NEEDED if name not in read_columns(path)]:
         raise ImumonError(
             Reason.BAD_DATA, f"{path}: has no {', '.join(lacking)}", "simulate the session anew"
         )
@@ -178,7 +178,7 @@ def read_truth(session: Path, *, earth_removed: bool) -> Truth:
     bias = np.column_stack([table[name] for name in GYROS])
     at_rest = table["at_rest"].astype(np.int64)
     if not earth_removed:
-        bias = bias + _at_last_rest(np.column_stack([table[f"rate_{axis}"] for axis in "xyz"]), at_rest)
+        bias = bias + _at_last_rest(np.column_stack([table[name] for name in RATES]), at_rest)
     return Truth(
         table["device_time_ns"].astype(np.int64), bias, {name: table[name] for name in TEMPERATURES}, at_rest
     )
