@@ -19,6 +19,30 @@ OUTSIDE = re.compile(
 )
 """A link of a page to a file of the repository beside the docs."""
 
+GLOSSARY = ROOT / "docs" / "glossary.md"
+TERM = re.compile(r"^(.+)(?=\n: )", re.MULTILINE)
+"""A term of the glossary, or several with commas between."""
+LINK_OF_TERM = re.compile(r"\[([^\]]+)\]\(((?:\.\./)*glossary\.md)\)")
+
+
+def anchors() -> dict[str, str]:
+    """Return the anchor of each term of the glossary; terms are in lower case."""
+    entries = TERM.findall(GLOSSARY.read_text(encoding="utf-8"))
+    return {
+        name: re.sub(r"\W+", "-", entry.lower()).strip("-")
+        for entry in entries
+        for name in (entry.lower(), *entry.lower().split(", "))
+    }
+
+
+def anchor_of(text: str, known: dict[str, str]) -> str | None:
+    """Return the anchor of the term that the text of a link names; None where there is none."""
+    name = text.replace("*", "").lower()
+    return next(
+        (known[each] for each in (name, name.removesuffix("s"), name.removesuffix("es")) if each in known),
+        None,
+    )
+
 
 def on_files(files: Any, config: Any) -> Any:
     """Add the pages that are made from the code."""
@@ -27,6 +51,15 @@ def on_files(files: Any, config: Any) -> Any:
     return files
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Name files of the repository in place of a link that the site cannot follow."""
-    return OUTSIDE.sub(lambda link: f"{link[1]} (`{link[2]}`)", markdown)
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Name files of the repository in place of links that the site cannot follow; lead terms to entries."""
+    known = anchors()
+
+    def to_entry(link: re.Match[str]) -> str:
+        anchor = anchor_of(link[1], known)
+        return link[0] if anchor is None else f"[{link[1]}]({link[2]}#{anchor})"
+
+    markdown = LINK_OF_TERM.sub(to_entry, OUTSIDE.sub(lambda link: f"{link[1]} (`{link[2]}`)", markdown))
+    if page.file.src_path == GLOSSARY.name:
+        return TERM.sub(lambda term: f"{term[1]} {{: #{known[term[1].lower()]} }}", markdown)
+    return markdown
