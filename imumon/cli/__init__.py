@@ -1,4 +1,4 @@
-"""The command line: one file per command, imported only when that command runs."""
+"""The command line: commands are imported only when they run."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING
 
 import click
@@ -38,38 +38,35 @@ through it again and again took a tenth of the time that a recording needs to be
 
 OWN = {
     "Watch and record": {
-        "monitor": "Record a device and watch it live.",
-        "replay": "Run a recording again, bit for bit.",
-        "view": "Show several sessions on one time axis.",
-        "mark": "Put a word into a recording while it runs.",
-        "recover": "Finish a session that was interrupted or damaged.",
+        "monitor": ("monitor_command:command", "Record a device and watch it live."),
+        "replay": ("replay_command:command", "Run a recording again, bit for bit."),
+        "view": ("view_command:command", "Show several sessions on one time axis."),
+        "mark": ("session_commands:mark", "Put a word into a recording while it runs."),
+        "recover": ("session_commands:recover", "Finish a session that was interrupted or damaged."),
     },
     "Data in and out": {
-        "decode": "Turn a raw capture or a session into a table.",
-        "import": "Make a session from a CSV or Parquet table, or from a log.",
-        "export": "Write the samples of a session as a table.",
+        "decode": ("table_commands:decode", "Turn a raw capture or a session into a table."),
+        "import": ("table_commands:import_", "Make a session from a CSV or Parquet table, or from a log."),
+        "export": ("table_commands:export", "Write the samples of a session as a table."),
     },
     "Understand a unit": {
-        "allan": "Find noise, bias instability and drift of a recording at rest.",
-        "align": "Find the heading of a resting unit by the earth rate.",
+        "allan": ("allan_command:command", "Find noise, bias instability and drift of a recording at rest."),
+        "align": ("align_command:command", "Find the heading of a resting unit by the earth rate."),
     },
     "Devices": {
-        "doctor": "Check what this computer lacks.",
-        "ports": "List serial ports.",
-        "detect": "Find device and baud rate of a port.",
-        "devices": "List the devices that imumon knows.",
-        "plugins": "List what other packages add, and whether it loads.",
+        "doctor": ("computer_commands:doctor", "Check what this computer lacks."),
+        "ports": ("computer_commands:ports", "List serial ports."),
+        "detect": ("detect_command:command", "Find device and baud rate of a port."),
+        "devices": ("computer_commands:devices", "List the devices that imumon knows."),
+        "plugins": ("computer_commands:plugins", "List what other packages add, and whether it loads."),
     },
     "Without hardware": {
-        "demo": "Watch a simulated AHRS, without hardware.",
-        "virtual": "Be a device: a simulated AHRS on a pseudo-terminal.",
-        "simulate": "Make a session or a table of a scenario, with true values.",
+        "demo": ("simulated_commands:demo", "Watch a simulated AHRS, without hardware."),
+        "virtual": ("simulated_commands:virtual", "Be a device: a simulated AHRS on a pseudo-terminal."),
+        "simulate": ("simulated_commands:simulate", "Make a session or a table, with true values."),
     },
 }
-"""Commands of the core by group, with the line that the help shows; NAME is in imumon.cli.NAME_command."""
-
-START = ("demo", "doctor", "detect PORT", "monitor PORT --device NAME", "replay sessions/NAME")
-"""What a beginner needs, as `imumon` without arguments shows it."""
+"""Commands of the core by group: where each is in `imumon.cli`, and the line that the help shows."""
 
 
 @cache
@@ -79,9 +76,9 @@ def commands(of_plugins: bool = False) -> dict[str, Command]:
     Raises BAD_CONFIG when a wing of another package does not load; those are looked for only where asked.
     """
     found = {
-        name: Command(group, text, f"imumon.cli.{name}_command")
+        name: Command(group, text, f"imumon.cli.{place}")
         for group, lines in OWN.items()
-        for name, text in lines.items()
+        for name, (place, text) in lines.items()
     }
     for wing in wings() if of_plugins else built_in():
         found |= {name: command for name, command in wing.commands.items() if name not in found}
@@ -100,15 +97,12 @@ class _LazyGroup(click.Group):
         found = commands().get(cmd_name) or commands(of_plugins=True).get(cmd_name)
         if found is None:
             return None
-        command = import_module(found.module).command
+        command = resolve_name(found.module if ":" in found.module else f"{found.module}:command")
         assert isinstance(command, click.Command)
         return command
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        if not args and not ctx.resilient_parsing:
-            click.echo(_short_help(ctx))
-            ctx.exit()
-        return super().parse_args(ctx, args)
+        return super().parse_args(ctx, args or ["--help"])
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         for group in GROUPS:
@@ -116,24 +110,6 @@ class _LazyGroup(click.Group):
             if lines:
                 with formatter.section(group):
                     formatter.write_dl(lines)
-
-
-def _short_help(ctx: click.Context) -> str:
-    """Return what a beginner needs to see first: five commands, the names of all, and where more is."""
-    formatter = ctx.make_formatter()
-    formatter.write_text(str(cli.help))
-    with formatter.section("Start here"):
-        first = [(f"imumon {usage}", commands()[usage.split()[0]].help) for usage in START]
-        formatter.write_dl(first, col_max=40)
-    with formatter.section("All commands"):
-        names = [
-            (group, ", ".join(name for name, one in _listed(ctx).items() if one.group == group))
-            for group in GROUPS
-        ]
-        formatter.write_dl([(group, text) for group, text in names if text])
-    formatter.write_paragraph()
-    formatter.write_text("imumon --help has a line on each command, imumon COMMAND --help all about one.")
-    return formatter.getvalue().rstrip("\n")
 
 
 def _listed(ctx: click.Context) -> dict[str, Command]:
@@ -153,7 +129,11 @@ def _listed(ctx: click.Context) -> dict[str, Command]:
 @click.version_option(package_name="imumon")
 @click.option("--without-plugins", is_flag=True, help="Load nothing that other packages add.")
 def cli(without_plugins: bool) -> None:
-    """Watch, record and understand an IMU or AHRS on the bench."""
+    """Watch, record and understand an IMU or AHRS on the bench.
+
+    Start with `imumon demo`, or with `imumon doctor`, `imumon detect PORT` and `imumon monitor PORT --device
+    NAME`; `imumon COMMAND --help` has all about one command.
+    """
 
 
 @contextmanager

@@ -10,7 +10,7 @@ import socket
 import sys
 import textwrap
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from itertools import zip_longest
 from pathlib import Path
@@ -128,6 +128,13 @@ def print_json(data: Mapping[str, Any]) -> None:
     click.echo(json.dumps(plain(data), indent=2))
 
 
+def print_result(as_json: bool, data: Mapping[str, Any], rows: Mapping[str, str]) -> None:
+    """Write what a command did: rows for a person on standard error, with ``--json`` the data on output."""
+    if as_json:
+        print_json(data)
+    print_rows(rows)
+
+
 def split_columns(text: str | None) -> list[str] | None:
     """Split ``a,b,c``; None stays None.
 
@@ -160,6 +167,17 @@ def console(*, error: bool = False) -> Console:
     from rich.console import Console
 
     return Console(stderr=error, markup=False, emoji=False, highlight=False)
+
+
+def print_table(columns: Sequence[Any], rows: Iterable[Sequence[str]]) -> None:
+    """Write a table on standard output; a column is its heading, or a `rich.table.Column`."""
+    from rich.box import SIMPLE
+    from rich.table import Table
+
+    table = Table(*columns, box=SIMPLE, padding=(0, 1, 0, 0))
+    for row in rows:
+        table.add_row(*row)
+    console().print(table)
 
 
 def say(level: str, text: str) -> None:

@@ -72,40 +72,31 @@ def progress_lines(state: Callable[[], str], *, quiet: bool) -> Iterator[None]:
         thread.join()
 
 
-@contextmanager
-def reading_bar(paths: Sequence[Path], *, quiet: bool) -> Iterator[Tell]:
-    """Show how much of recordings has been gone through; then what follows, by what the tell is told.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        Sessions, captures or tables, as they are read one after the other.
-    quiet : bool
-        Show nothing.
-    """
-    if quiet:
-        yield lambda _: None
-        return
-    from imumon.recordings.source import reading, recorded_bytes
-
-    sizes = [recorded_bytes(path) for path in paths]
-    known = [size for size in sizes if size is not None]
-    total = sum(known) if len(known) == len(sizes) else None
-    what = for_log(f"reading {', '.join(path.name for path in paths)}")
-    with (_bar if sys.stderr.isatty() else _lines)(what, total) as (count, tell):
-        token = reading.set(count)
-        try:
-            yield tell
-        finally:
-            reading.reset(token)
-
-
 Shown = Iterator[tuple[Callable[[int], object], Tell]]
-"""Two functions: one takes how many bytes more were read, the other what is being done now."""
+"""Two functions: one takes how much more was done, the other what is being done now."""
 
 
 @contextmanager
-def _lines(what: str, total: int | None) -> Shown:
+def bar(what: str, total: int | None, *, quiet: bool) -> Shown:
+    """Show how much of a total was done: a bar on a terminal, else lines; nothing when quiet."""
+    if not sys.stderr.isatty() or quiet:
+        with _lines(what, total, quiet=quiet) as shown:
+            yield shown
+        return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    label, left = TextColumn("{task.description}", markup=False), TextColumn("left:")
+    columns = (label, BarColumn(), TimeElapsedColumn(), left, TimeRemainingColumn())
+    with Progress(*columns, console=console(error=True), transient=True) as drawn:
+        task = drawn.add_task(for_log(what), total=total)
+        yield (
+            lambda more: drawn.advance(task, more),
+            lambda text: drawn.update(task, description=for_log(text), total=None),
+        )
+
+
+@contextmanager
+def _lines(what: str, total: int | None, *, quiet: bool) -> Shown:
     done, now = 0, ""
 
     def count(more: int) -> None:
@@ -116,24 +107,23 @@ def _lines(what: str, total: int | None) -> Shown:
         nonlocal now
         now = text
 
-    with progress_lines(lambda: now or (f"{what}: {done / total:.0%}" if total else what), quiet=False):
+    with progress_lines(lambda: now or (f"{what}: {done / total:.0%}" if total else what), quiet=quiet):
         yield count, tell
 
 
 @contextmanager
-def _bar(what: str, total: int | None) -> Shown:
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+def reading_bar(paths: Sequence[Path], *, quiet: bool) -> Iterator[Tell]:
+    """Show how much of recordings has been gone through; then what follows, by what the tell is told.
 
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left:"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console(error=True), transient=True) as bar:
-        task = bar.add_task(what, total=total)
-        yield (
-            lambda more: bar.advance(task, more),
-            lambda text: bar.update(task, description=for_log(text), total=None),
-        )
+    `paths` are sessions, captures or tables, as they are read one after the other.
+    """
+    from imumon.recordings.source import reading, recorded_bytes
+
+    sizes = [] if quiet else [recorded_bytes(path) for path in paths]
+    total = sum(size or 0 for size in sizes) if None not in sizes else None
+    with bar(f"reading {', '.join(path.name for path in paths)}", total, quiet=quiet) as (count, tell):
+        token = reading.set(count)
+        try:
+            yield tell
+        finally:
+            reading.reset(token)

@@ -99,9 +99,8 @@ def make_setup(given: SetupOptions, recorded: str | None = None, source: str = "
     if (names := given.get("published")) is not None:
         published = [name for name in map(str.strip, names.split(",")) if name]
         if wrong := [name for name in published if name not in PUBLISHED or published.count(name) > 1]:
-            raise click.BadParameter(
-                f"{wrong[0]}: expected {', '.join(PUBLISHED)}, each once", None, None, "--published"
-            )
+            expected = f"{wrong[0]}: expected {', '.join(PUBLISHED)}, each once"
+            raise click.BadParameter(expected, param_hint="--published")
     return setup.with_options(
         model=model,
         zupt_mode=given.get("zupt"),

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -80,7 +78,11 @@ def command(
 
     if out is not None:
         check_output(out)
-    names = _names(sessions)
+    folders = [path.resolve().name for path in sessions]
+    names = [  # with a number where two have the same
+        name if folders.count(name) == 1 else f"{name} {folders[: at + 1].count(name)}"
+        for at, name in enumerate(folders)
+    ]
     opened = [_opened(path) for path in sessions]  # what is wrong with one is reported before a viewer comes
     setup = ViewSetup(" and ".join(names), f"view-{time.time_ns()}")
     mode = view or default_mode()
@@ -93,7 +95,7 @@ def command(
         url = _shown(rec, setup, mode, bind)
     comparison = Comparison(rec, setup, align)
     titles = []
-    with _kept_when_whole(rec, out):
+    try:
         for one, path, name in zip(opened, sessions, names, strict=True):
             with reading_bar([path], quiet=as_json):
                 titles.append(_log(*one, name, comparison.session(name)))
@@ -101,6 +103,11 @@ def command(
             hint = "an imported table has no times of a computer: --align power-on" if align == "host" else ""
             raise ImumonError(Reason.BAD_DATA, "the sessions have no samples with such times", hint)
         rec.flush()
+    except BaseException:
+        if out is not None:  # no file that is a part
+            rec.disconnect()
+            out.unlink(missing_ok=True)
+        raise
     if url:
         note(f"view: {url}")
     if as_json:
@@ -111,27 +118,6 @@ def command(
     if mode == "web" and out is None:
         serve(url)
     rec.disconnect()
-
-
-@contextmanager
-def _kept_when_whole(rec: rr.RecordingStream, out: Path | None) -> Iterator[None]:
-    """Remove the file again when it could not be finished."""
-    try:
-        yield
-    except BaseException:
-        if out is not None:
-            rec.disconnect()
-            out.unlink(missing_ok=True)
-        raise
-
-
-def _names(paths: Sequence[Path]) -> list[str]:
-    """Return what the sessions are called: their folders, with a number where two have the same name."""
-    folders = [path.resolve().name for path in paths]
-    return [
-        name if folders.count(name) == 1 else f"{name} {folders[: at + 1].count(name)}"
-        for at, name in enumerate(folders)
-    ]
 
 
 def _opened(path: Path) -> tuple[RecordedSession, Source, Pipeline]:
@@ -162,6 +148,9 @@ def _log(
         session.log(block)
     warn([*source.warnings(), *pipeline.warnings()])
     ended_ns = max(metadata.ended_ns or 0, outages.last_ns) or metadata.created_ns
+    span = describe_span(metadata.created_ns, ended_ns)
+    if metadata.table is not None:  # nobody knows when a table was measured
+        span = f"{metadata.duration_s:.1f} s, imported {wall_clock(metadata.created_ns, day=True)}"
     data = {
         "session": path,
         "name": name,
@@ -173,9 +162,7 @@ def _log(
         **pipeline.counters.as_dict(),
     }
     rows = {
-        "recorded": describe_span(metadata.created_ns, ended_ns)
-        if metadata.table is None  # nobody knows when a table was measured
-        else f"{metadata.duration_s:.1f} s, imported {wall_clock(metadata.created_ns, day=True)}",
+        "recorded": span,
         "samples": f"{samples:,}",
         "outages": outages.describe(),
         "losses": describe_losses(pipeline.counters),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from imumon.models.model import BiasModel, TrainedOn
 from imumon.pipeline import Pipeline
@@ -15,21 +15,12 @@ from imumon.version import __version__
 LEARNED_NAME = "learned-model.yaml"
 
 
-class Offered(Protocol):
-    """A better model."""
-
-    @property
-    def model(self) -> BiasModel:
-        """The model."""
-
-
 @runtime_checkable
 class Learning(Protocol):
     """A stage that looks for a better model than the present one."""
 
-    @property
-    def offered(self) -> Offered | None:
-        """The better model, once it has won."""
+    offered: Any
+    """What has the better `model`, once it has won; else None."""
 
     def evidence(self, session: str, sha256: str) -> TrainedOn:
         """Return what the model was learned from, a session of this name and fingerprint."""

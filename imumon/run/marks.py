@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import shlex
 from contextlib import suppress
 from pathlib import Path
 
@@ -39,19 +38,14 @@ def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
             f"{session} is not being recorded",
             "marks are made while imumon monitor runs; its summary names the session",
         )
-    goes_on = kind is not EventKind.MARK and _goes_on(opened.path, for_log(text))
-    if kind is EventKind.START and goes_on:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            f"the part {text!r} goes on already in {session}",
-            f"it ends with: imumon mark {shlex.quote(str(session))} {shlex.quote(text)} --stop",
-        )
-    if kind is EventKind.STOP and not goes_on:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            f"no part {text!r} goes on in {session}",
-            f"it begins with: imumon mark {shlex.quote(str(session))} {shlex.quote(text)} --start",
-        )
+    if kind is not EventKind.MARK:
+        asked = [other for other, part in Marks(opened.path).take() if part == for_log(text)]
+        goes_on = [one for one in asked if one is not EventKind.MARK][-1:] == [EventKind.START]
+        if goes_on != (kind is EventKind.STOP):
+            what, option = (
+                ("goes on already", "--stop ends") if goes_on else ("does not go on", "--start begins")
+            )
+            raise ImumonError(Reason.BAD_CONFIG, f"the part {text!r} {what} in {session}", f"{option} it")
     append_request(opened.path, kind, text)
 
 
@@ -98,12 +92,6 @@ def _request(line: bytes) -> tuple[EventKind, str] | None:
         return KINDS[fields["kind"]], for_log(str(fields["text"]))
     except (ValueError, KeyError, TypeError, RecursionError):
         return None
-
-
-def _goes_on(folder: Path, part: str) -> bool:
-    """Test whether the part was begun and not ended; all requests of a recording are there until its end."""
-    kinds = [kind for kind, text in Marks(folder).take() if text == part and kind is not EventKind.MARK]
-    return kinds[-1:] == [EventKind.START]
 
 
 def _is_recorded(wire: Path) -> bool:

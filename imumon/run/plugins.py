@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
+from imumon.effects.offered import EFFECT, guarded, is_effect
 from imumon.errors import ImumonError
 from imumon.plugins import DEVICES, EFFECTS, STAGES, WINGS, entries, load, package_of
+from imumon.protocols.device import FOLDER, is_folder, load_device
+from imumon.stage import STAGE, is_callable, made_by
+from imumon.wings import NEEDED, is_wing
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,42 +30,24 @@ class Installed:
 
 def installed() -> list[Installed]:
     """Return the plug-ins of all groups, each loaded for a try."""
-    return [_tried(entry, bring) for group, bring in _BRINGS.items() for entry in entries(group)]
+    return [_tried(entry) for group in (STAGES, DEVICES, EFFECTS, WINGS) for entry in entries(group)]
 
 
-def _tried(entry: EntryPoint, bring: Callable[[EntryPoint], list[str]]) -> Installed:
+def _tried(entry: EntryPoint) -> Installed:
     known = (entry.group, entry.name, *package_of(entry))
     try:
-        return Installed(*known, tuple(bring(entry)))
+        return Installed(*known, tuple(_brought(entry)))
     except ImumonError as error:
         return Installed(*known, problem=error.seen)
 
 
-def _columns(entry: EntryPoint) -> list[str]:
-    from imumon.stage import STAGE, is_callable, made_by
-
-    return [column.name for column in made_by(load(entry, STAGE, is_callable)).columns]
-
-
-def _devices(entry: EntryPoint) -> list[str]:
-    from imumon.protocols.device import FOLDER, is_folder, load_device
-
-    files = sorted(Path(load(entry, FOLDER, is_folder).offered).glob("*.yaml"))
-    return [load_device(str(file)).name for file in files]
-
-
-def _sensors(entry: EntryPoint) -> list[str]:
-    from imumon.effects.offered import EFFECT, guarded, is_effect
-
-    return [*guarded(load(entry, EFFECT, is_effect)).sensors]
-
-
-def _wing(entry: EntryPoint) -> list[str]:
-    from imumon.wings import NEEDED, is_wing
-
+def _brought(entry: EntryPoint) -> list[str]:
+    """Return the names of what an entry point brings."""
+    if entry.group == STAGES:
+        return [column.name for column in made_by(load(entry, STAGE, is_callable)).columns]
+    if entry.group == DEVICES:
+        files = sorted(Path(load(entry, FOLDER, is_folder).offered).glob("*.yaml"))
+        return [load_device(str(file)).name for file in files]
+    if entry.group == EFFECTS:
+        return [*guarded(load(entry, EFFECT, is_effect)).sensors]
     return [*load(entry, NEEDED, is_wing).offered.commands]
-
-
-_BRINGS: dict[str, Callable[[EntryPoint], list[str]]] = {
-    STAGES: _columns, DEVICES: _devices, EFFECTS: _sensors, WINGS: _wing,
-}  # fmt: skip

@@ -6,8 +6,6 @@ rounding fills the panel.  An invisible line beside the drawn ones says what has
 
 from __future__ import annotations
 
-from collections import deque
-
 import numpy as np
 import rerun as rr
 
@@ -15,10 +13,8 @@ from imumon.view.rows import Rows
 
 STEP_NS = 1_000_000_000
 """So often the ends are logged anew."""
-RECENT_NS = 10 * STEP_NS
+RECENT_S = 10.0
 """They reach over the bands of so much time, which breathe with motion; wider ones of before are cut off."""
-LATEST_S = 3.0
-"""Of the invisible line a live view looks at so much."""
 
 
 def entity(drawn: str) -> str:
@@ -45,25 +41,22 @@ class Extents:
 
     def __init__(self, rec: rr.RecordingStream, *, live: bool) -> None:
         self._rec, self._live = rec, live
-        self._recent: dict[str, deque[tuple[int, float, float]]] = {}
-        self._rows: dict[str, Rows] = {}
+        self._ends: dict[str, tuple[float, float, int, Rows]] = {}
+        self._second: int | None = None
 
     def set(self, drawn: str, ends: tuple[float, float], row: Rows) -> None:
         """Let the axis of what is drawn reach over these ends, from the time of a row on."""
         now = 0 if row.clock is None else int(row.clock[0])
-        recent = self._recent.setdefault(drawn, deque())
-        same = bool(recent) and recent[-1][0] // STEP_NS == now // STEP_NS
-        before = recent.pop() if same else (now, *ends)
-        recent.append((now, min(before[1], ends[0]), max(before[2], ends[1])))
-        while abs(now - recent[0][0]) > RECENT_NS:  # or the clock has gone back
-            recent.popleft()
-        self._rows[drawn] = row
-        if self._live and not same:
+        low, high, before, _ = self._ends.get(drawn, (*ends, now, row))
+        if abs(now - before) > 1e9 * RECENT_S:  # or the clock has gone back
+            low, high = ends
+        self._ends[drawn] = min(low, ends[0]), max(high, ends[1]), now, row
+        if self._live and now // STEP_NS != self._second:
+            self._second = now // STEP_NS
             self.finish()
 
     def finish(self) -> None:
         """Log what was not logged."""
-        for drawn, row in self._rows.items():
-            _, lows, highs = zip(*self._recent[drawn], strict=True)
-            row.send(self._rec, entity(drawn), np.array([[min(lows), max(highs)]]))
-        self._rows.clear()
+        for drawn, (low, high, _, row) in self._ends.items():
+            row.send(self._rec, entity(drawn), np.array([[low, high]]))
+        self._ends.clear()

@@ -17,7 +17,7 @@ from imumon.blocks import FloatArray
 from imumon.charts import COLOR_NAMES, GREY, Color
 from imumon.columns import KNOWN
 from imumon.view.cards import DIGITS, Reading
-from imumon.view.extent import RECENT_NS, declare_extent, entity
+from imumon.view.extent import RECENT_S, declare_extent, entity
 from imumon.view.items import ViewSetup
 from imumon.view.rows import Rows
 from imumon.view.window import Window, series_view
@@ -145,7 +145,7 @@ class Strip:
         half = self._factor * self._half_bands(rows)
         known = np.isfinite(values + half)
         if rows.clock is not None:
-            known &= (rows.clock >= rows.clock[-1] - RECENT_NS)[:, np.newaxis]
+            known &= (rows.clock >= rows.clock[-1] - 1e9 * RECENT_S)[:, np.newaxis]
         if not known.any():
             return None
         low, high = float((values - half)[known].min()), float((values + half)[known].max())

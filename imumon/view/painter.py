@@ -17,8 +17,6 @@ from imumon.view.rows import at_instants
 CHARTS = "/charts"
 PICTURE_SHARE = 0.03
 """Live, drawing charts takes so much of the time at the most."""
-COLORS = 32
-"""Of a picture in a recording, which is then a quarter as large; with 16 the axes take each other's."""
 
 
 def chart_view(key: str, title: str) -> Any:
@@ -63,8 +61,7 @@ class Painter:
         """Log the picture of a chart, a PNG; a recording has it whatever moment is looked at."""
         began = time.thread_time()
         try:
-            blob = picture(drawing.chart, None if self._live else COLORS)
-            image = rr.EncodedImage.columns(blob=[blob], media_type=["image/png"])
+            image = rr.EncodedImage.columns(blob=[picture(drawing.chart)], media_type=["image/png"])
             indexes = at_instants(drawing.at).indexes if self._live else []
             self._rec.send_columns(f"{CHARTS}/{drawing.chart.key}", indexes=indexes, columns=image)
         finally:

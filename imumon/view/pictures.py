@@ -43,10 +43,9 @@ _ONE_AT_A_TIME = threading.Lock()
 """The figures, and matplotlib's style, are those of the whole program."""
 
 
-def picture(chart: Chart, colors: int | None = None) -> bytes:
-    """Return the chart as a PNG, maybe of so many colours; only its texts while it has no point to draw."""
+def picture(chart: Chart) -> bytes:
+    """Return the chart as a PNG; only its texts while it has no point to draw."""
     import matplotlib as mpl  # takes 0.3 s, and only a run with charts needs it
-    from PIL import Image
 
     with _ONE_AT_A_TIME, mpl.rc_context(STYLE):
         figure = _figure()
@@ -58,12 +57,7 @@ def picture(chart: Chart, colors: int | None = None) -> bytes:
         if not any(np.isfinite(curve.x * curve.y).any() for curve in chart.curves):
             axes.axis("off")
         out = io.BytesIO()
-        if colors is None:
-            figure.savefig(out, format="png", pil_kwargs={"compress_level": 3})
-        else:
-            figure.canvas.draw()
-            whole = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())).convert("RGB")
-            whole.quantize(colors).save(out, format="png", optimize=True)
+        figure.savefig(out, format="png", pil_kwargs={"compress_level": 3})
     return out.getvalue()
 
 

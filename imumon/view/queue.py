@@ -28,11 +28,6 @@ class DropOldestQueue:
         self.dropped = 0
         """Samples and events dropped so far."""
 
-    @property
-    def size(self) -> int:
-        """Bytes of memory that the items hold."""
-        return self._bytes
-
     def put(self, item: ViewItem) -> None:
         """Append an item; drop the oldest ones when that is too much."""
         with self._filled:

@@ -88,12 +88,11 @@ class TerminalView:
             cells = "".join(f"{cell(one, now):>{CELL}}" for one in readings)
             sparks = "  ".join(f"{one.name} {self._spark(one)}" for one in readings)
             return [f"{readings[0].row:{NAME}}{cells} {readings[0].unit:{UNIT}} {sparks}"]
-        if columns < NAME + CELL + UNIT:
-            return [_narrow(_label(one, readings), cell(one, now), one.unit, columns) for one in readings]
-        return [
-            f"{_label(one, readings):{NAME}}{cell(one, now):>{CELL}} {one.unit:{UNIT}} {self._spark(one)}"
-            for one in readings
-        ]
+        rows = []
+        for one in readings:
+            label = one.row if len(readings) == 1 else f"{one.row} {one.name}"
+            rows.append(f"{label:{NAME}}{cell(one, now):>{CELL}} {one.unit:{UNIT}} {self._spark(one)}")
+        return rows
 
     def _spark(self, reading: Reading) -> str:
         return sparkline(list(self._past.get(reading.column, ()))[-SPARK:])
@@ -107,20 +106,6 @@ def sparkline(values: Sequence[float]) -> str:
     low, span = min(known), max(known) - min(known)
     steps = [(value - low) / (span or 1.0) for value in values]
     return "".join(BARS[round(step * (len(BARS) - 1))] if math.isfinite(step) else " " for step in steps)
-
-
-def _label(reading: Reading, readings: Sequence[Reading]) -> str:
-    return reading.row if len(readings) == 1 else f"{reading.row} {reading.name}"
-
-
-def _narrow(label: str, value: str, unit: str, columns: int) -> str:
-    """Return a row of few columns: the value without its sigma, and of its name the end and what has room."""
-    text = f"{value.partition(' ± ')[0]} {unit}".rstrip()
-    room = max(columns - len(text) - 1, 0)
-    if len(label) > room:
-        head, _, last = label.rpartition(" ")
-        label = f"{head[: max(room - len(last) - 1, 0)]} {last}"
-    return f"{label:{room}} {text}"
 
 
 class Screen:

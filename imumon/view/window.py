@@ -9,7 +9,7 @@ from typing import Any
 import rerun as rr
 import rerun.blueprint as rrb
 
-from imumon.view.extent import LATEST_S
+from imumon.view.extent import RECENT_S
 
 SLOW_WINDOW_S = 600.0
 """The tabs behind the first show what is slow: the time since the start, then so many seconds at least."""
@@ -31,7 +31,7 @@ class Window:
         """Return what is queried of the ends of axes: live the latest."""
         if self.seconds is None:
             return {}
-        start = rrb.TimeRangeBoundary.cursor_relative(seconds=-LATEST_S)
+        start = rrb.TimeRangeBoundary.cursor_relative(seconds=-RECENT_S)
         ranges = [rrb.VisibleTimeRange(one, start=start, end=NOW) for one in TEMPORAL]
         return {one: [rrb.VisibleTimeRanges(ranges)] for one in ends}
 
