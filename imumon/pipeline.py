@@ -25,7 +25,7 @@ from imumon.clock.side import SharedCounter, SideClock
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
 from imumon.intake import Intake
 from imumon.lane import LaneState
-from imumon.protocols.base import COMMON, MAIN, Timing
+from imumon.protocols.base import COMMON, MAIN, Decoder, Timing
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.epochs import EpochAssembler, EpochCounters
 from imumon.protocols.ranges import Ranges
@@ -185,14 +185,8 @@ class Pipeline:
         """What became of every byte and packet so far."""
         raw = self._decoder.counters() if self._decoder is not None else Counters()
         return PipelineCounters(
-            packets=raw.packets,
-            packets_by_type=dict(raw.packets_by_type),
-            bytes_received=raw.bytes_received,
-            bytes_in_packets=raw.bytes_in_packets,
-            bytes_skipped=raw.bytes_skipped,
+            **asdict(raw),
             bytes_pending=raw.bytes_pending,
-            checksum_errors=raw.checksum_errors,
-            length_errors=raw.length_errors,
             counter_gaps=self._device_clock.counter_gaps,
             packets_missing=self._device_clock.packets_missing,
             clock_restarts=self._device_clock.resets,
@@ -205,30 +199,32 @@ class Pipeline:
         assembled = self._epochs.counters if self._epochs is not None else {}
         counters = {}
         for stream, intervals in self._intervals.items():
-            own = assembled.get(stream, EpochCounters())
-            restarts = self._device_clock.resets if stream == MAIN else intervals.backwards
+            own, is_main = assembled.get(stream, EpochCounters()), stream == MAIN
             counters[stream] = StreamCounters(
-                own.packets or intervals.rows,
-                intervals.rows,
-                intervals.rate_hz,
-                intervals.gaps,
-                own.incomplete,
-                restarts,
-                self._device_clock.dated_by if stream == MAIN else "",
+                packets=own.packets or intervals.rows,
+                rows=intervals.rows,
+                rate_hz=intervals.rate_hz,
+                gaps=intervals.gaps,
+                incomplete=own.incomplete,
+                restarts=self._device_clock.resets if is_main else intervals.backwards,
+                dated_by=self._device_clock.dated_by if is_main else "",
             )
         return counters
 
-    def feed(self, data: bytes, arrival_ns: int = UNDATED) -> None:
-        """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""
+    @property
+    def decoder(self) -> Decoder:
+        """What decodes the bytes; raises ValueError for a pipeline without a device."""
         if self._decoder is None:
             raise ValueError("a pipeline without a device takes samples, not bytes")
-        self._decoder.feed(data, arrival_ns)
+        return self._decoder
+
+    def feed(self, data: bytes, arrival_ns: int = UNDATED) -> None:
+        """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""
+        self.decoder.feed(data, arrival_ns)
 
     def feed_reads(self, data: ByteArray, ends: IntArray, arrivals_ns: IntArray) -> None:
         """Decode the bytes of several reads: of each where it ends in the data, and when it arrived."""
-        if self._decoder is None:
-            raise ValueError("a pipeline without a device takes samples, not bytes")
-        self._decoder.feed_reads(data, ends, arrivals_ns)
+        self.decoder.feed_reads(data, ends, arrivals_ns)
 
     def push(self, block: SampleBlock) -> None:
         """Take samples that have their times already, from a table."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from traceback import extract_tb
@@ -34,17 +34,13 @@ class Plugin:
     name: str
     package: str
     version: str
-    offered: Any
+    offered: Any = None
 
     def error(self, what: str) -> ImumonError:
         """Return the error that says what is wrong with it."""
-        return plugin_error(self.group, self.name, self.package, what)
-
-
-def plugin_error(group: str, name: str, package: str, what: str) -> ImumonError:
-    """Return the error that says what is wrong with a plug-in."""
-    hint = f"mend it, run with imumon --without-plugins, or remove it: pip uninstall {package}"
-    return ImumonError(Reason.BAD_CONFIG, f"the plug-in {name} of {package} ({group}) {what}", hint)
+        hint = f"mend it, run with imumon --without-plugins, or remove it: pip uninstall {self.package}"
+        seen = f"the plug-in {self.name} of {self.package} ({self.group}) {what}"
+        return ImumonError(Reason.BAD_CONFIG, seen, hint)
 
 
 def package_of(entry: EntryPoint) -> tuple[str, str]:
@@ -69,12 +65,11 @@ def load(entry: EntryPoint, needed: str, fits: Callable[[str, Any], bool]) -> Pl
     fits : callable
         Tells of a name and what is offered under it whether it is that.
     """
-    package, version = package_of(entry)
+    plugin = Plugin(entry.group, entry.name, *package_of(entry))
     try:
-        plugin = Plugin(entry.group, entry.name, package, version, entry.load())
+        plugin = replace(plugin, offered=entry.load())
     except Exception as error:
-        what = f"cannot be imported: {type(error).__name__}: {error}"
-        raise plugin_error(entry.group, entry.name, package, what) from error
+        raise plugin.error(f"cannot be imported: {type(error).__name__}: {error}") from error
     if not fits(plugin.name, plugin.offered):
         raise plugin.error(f"is no {needed}: {plugin.offered!r}")
     return plugin

@@ -40,7 +40,11 @@ class Wing(NamedTuple):
     It takes the device file and its rate in Hz.
     """
     live_output: str = ""
-    """Option of `imumon monitor` that sends what is recorded elsewhere, too: a `LiveOutput`."""
+    """Option of `imumon monitor` that sends what is recorded elsewhere, too.
+
+    It has the `name` of its parameter, the decorator `option`, `parse`, and `start`, which returns what runs:
+    that has `publish`, `text` (of the status line), `as_data` and `rows` (of the result), `announce`, `close`.
+    """
     setup_keys: tuple[str, ...] = ()
     """Keys of a pipeline file that nothing but this wing carries out."""
     stages: str = ""

@@ -37,7 +37,6 @@ from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
 from imumon.wings import offers
 
 if TYPE_CHECKING:
-    from imumon.live_output import Running
     from imumon.run.live import LiveRun, LiveSummary
     from imumon.run.narration import Progress
     from imumon.view.items import ViewSetup
@@ -139,7 +138,7 @@ class _Views:
     """The live view, if any, the recording of the view, and what other programs get."""
 
     def __init__(
-        self, setup: ViewSetup, run: LiveRun, mode: View, bind: str, outputs: Sequence[Running]
+        self, setup: ViewSetup, run: LiveRun, mode: View, bind: str, outputs: Sequence[Any]
     ) -> None:
         from imumon.view.publisher import ViewPublisher
         from imumon.view.recorder import ViewRecorder
