@@ -25,7 +25,7 @@ from imumon.clock.side import SharedCounter, SideClock
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
 from imumon.intake import Intake
 from imumon.lane import LaneState
-from imumon.protocols.base import COMMON, MAIN, Decoder, Timing
+from imumon.protocols.base import COMMON, MAIN, Timing
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.epochs import EpochAssembler, EpochCounters
 from imumon.protocols.ranges import Ranges
@@ -211,20 +211,17 @@ class Pipeline:
             )
         return counters
 
-    @property
-    def decoder(self) -> Decoder:
-        """What decodes the bytes; raises ValueError for a pipeline without a device."""
-        if self._decoder is None:
-            raise ValueError("a pipeline without a device takes samples, not bytes")
-        return self._decoder
-
     def feed(self, data: bytes, arrival_ns: int = UNDATED) -> None:
         """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""
-        self.decoder.feed(data, arrival_ns)
+        if self._decoder is None:
+            raise ValueError("a pipeline without a device takes samples, not bytes")
+        self._decoder.feed(data, arrival_ns)
 
     def feed_reads(self, data: ByteArray, ends: IntArray, arrivals_ns: IntArray) -> None:
         """Decode the bytes of several reads: of each where it ends in the data, and when it arrived."""
-        self.decoder.feed_reads(data, ends, arrivals_ns)
+        if self._decoder is None:
+            raise ValueError("a pipeline without a device takes samples, not bytes")
+        self._decoder.feed_reads(data, ends, arrivals_ns)
 
     def push(self, block: SampleBlock) -> None:
         """Take samples that have their times already, from a table."""

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-from imumon.models.model import BiasModel, TrainedOn
+from imumon.models.model import TrainedOn
 from imumon.pipeline import Pipeline
 from imumon.recordings.folder import Session, fingerprint
 from imumon.version import __version__
@@ -34,18 +34,14 @@ def keep_learned(pipeline: Pipeline, session: Session) -> Path | None:
     stage = next((one for one in pipeline.estimators if isinstance(one, Learning)), None)
     if stage is None or stage.offered is None:
         return None
-    path = session.path / LEARNED_NAME
-    found: BiasModel = stage.offered.model.model_copy(
-        update={
-            "made_by": f"imumon {__version__}",
-            "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
-            "trained_on": [
-                *stage.offered.model.trained_on,
-                stage.evidence(session.path.name, fingerprint(session.truth_path)),
-            ],
-        }
-    )
-    found.write(path)
+    path, model = session.path / LEARNED_NAME, stage.offered.model
+    evidence = stage.evidence(session.path.name, fingerprint(session.truth_path))
+    changes = {
+        "made_by": f"imumon {__version__}",
+        "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+        "trained_on": [*model.trained_on, evidence],
+    }
+    model.model_copy(update=changes).write(path)
     return path
 
 

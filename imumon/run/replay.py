@@ -120,7 +120,7 @@ def compare_with_live(session: Session, setup: Setup, digest: Digest, pipeline: 
 def _narrated(
     items: Iterable[Item | SampleBlock], pipeline: Pipeline, narrator: Narrator
 ) -> Iterator[SampleBlock]:
-    """Run over the items, and tell the narrator of each as the live run does."""
+    """Run over the items, and report each to the narrator as the live run does."""
     next_batch_ns = next_tick_ns = now_ns = 0
     progress = reading.get()
     for item in items:

@@ -49,6 +49,8 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
     """Return new estimators for a device, or for a table when there is none; those of plug-ins come last.
 
     The heading is sought only where the latitude is known.
+
+    Raises BAD_CONFIG for a method that no wing has, and, naming it, for a plug-in that makes no stage.
     """
     setup = setup or Setup()
     temperature = device.temperature if device is not None else TemperatureRateParameters()
@@ -74,23 +76,12 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
         raise _not_there(f"published: {names}")
     for more in offers("stages"):
         stages += more(setup, temperature, stages)
-    return [*stages, *_of_plugins()]
-
-
-def _of_plugins() -> list[Estimator]:
-    """Return a new stage of each plug-in.
-
-    Raises BAD_CONFIG, naming it, when it makes none.
-    """
-    return [made_by(plugin) for plugin in plugins(STAGES, STAGE, is_callable)]
+    return [*stages, *map(made_by, plugins(STAGES, STAGE, is_callable))]
 
 
 def _not_there(what: str) -> ImumonError:
-    return ImumonError(
-        Reason.BAD_CONFIG,
-        f"{what}: no wing that is installed has this method",
-        "imumon/wings.py lists the wings",
-    )
+    what = f"{what}: no wing that is installed has this method"
+    return ImumonError(Reason.BAD_CONFIG, what, "imumon/wings.py lists the wings")
 
 
 def temperature_rate(given: TemperatureRateParameters) -> TemperatureRate:
