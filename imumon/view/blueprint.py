@@ -11,9 +11,9 @@ import rerun.blueprint as rrb
 from imumon.view.items import ViewSetup
 from imumon.view.layout import FIRST, SCENE, STRIPS, tab_of
 from imumon.view.log_text import LOG_TEXT
-from imumon.view.painter import chart_view
 from imumon.view.panel_log import card_path
 from imumon.view.panels import Panel
+from imumon.view.pictures import chart_view
 from imumon.view.window import Window, series_view, slow_window
 
 OTHER_TAB = "Other"

@@ -110,7 +110,7 @@ def run(
 
 
 def _live_logger(rec: rr.RecordingStream, setup: ViewSetup) -> StreamLogger:
-    from imumon.view.logger import StreamLogger
+    from imumon.view.logger import StreamLogger  # loaded once frames come
 
     return StreamLogger(rec, setup, live=True)
 

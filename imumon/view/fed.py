@@ -91,9 +91,8 @@ class FedProcess(ABC):
         deadline = time.monotonic() + timeout_s
         self._queue.close()
         self._supervisor.join(max(0.0, timeout_s - 0.3))
-        process = self._process
-        if process is not None and process.poll() is None:
-            _kill(process)
+        if self._process is not None and self._process.poll() is None:
+            _kill(self._process)
         self._supervisor.join(max(0.1, deadline - time.monotonic()))
 
     def _supervise(self) -> None:
@@ -123,9 +122,7 @@ class FedProcess(ABC):
                 start_new_session=True,  # Ctrl-C is for the measuring process, which then closes this one
             )
         self._process = process
-        listener = threading.Thread(
-            target=self._listen, args=[from_process, process], name=f"listens to {self._module}", daemon=True
-        )
+        listener = threading.Thread(target=self._listen, args=[from_process, process], daemon=True)
         listener.start()
         try:
             with to_process:

@@ -278,15 +278,8 @@ def merge(items: Iterable[ViewItem]) -> list[ViewItem]:
 def _joined(run: list[Samples]) -> Samples:
     if len(run) == 1:
         return run[0]
-    return Samples(
-        run[0].first,
-        _concatenated([item.device_ns for item in run]),
-        _concatenated([item.host_ns for item in run]),
-        join([item.block for item in run]),
-        run[0].stream,
+    device, host = (
+        None if parts[0] is None else np.concatenate(parts)
+        for parts in ([item.device_ns for item in run], [item.host_ns for item in run])
     )
-
-
-def _concatenated(parts: list[IntArray | None]) -> IntArray | None:
-    present = [part for part in parts if part is not None]
-    return np.concatenate(present) if present else None
+    return Samples(run[0].first, device, host, join([item.block for item in run]), run[0].stream)

@@ -17,10 +17,9 @@ from imumon.blocks import FloatArray
 from imumon.charts import COLOR_NAMES, GREY, Color
 from imumon.columns import KNOWN
 from imumon.view.cards import DIGITS, Reading
-from imumon.view.extent import RECENT_S, declare_extent, entity
 from imumon.view.items import ViewSetup
 from imumon.view.rows import Rows
-from imumon.view.window import Window, series_view
+from imumon.view.window import RECENT_S, Window, declare_extent, entity, series_view
 
 FIRST = "Live"
 """The first tab."""

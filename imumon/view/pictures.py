@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import io
-import threading
+import math
+import time
 from functools import cache
 from typing import Any
 
 import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
 
-from imumon.blocks import FloatArray
 from imumon.charts import Chart, Curve
 from imumon.harmless import for_plot
+from imumon.view.items import Drawing
+from imumon.view.rows import at_instants
 
+CHARTS = "/charts"
+PICTURE_SHARE = 0.03
+"""Live, drawing charts takes so much of the time at the most: samples wait for it."""
 SIZE, DOTS_PER_INCH = (7.0, 5.6), 150
 """Inches, of all charts at all times: the viewer warns of a picture whose size changes.  Sharp in half of a
 tab on a full HD screen, readable in a quarter."""
@@ -39,15 +46,52 @@ STYLE: Any = {
     "ytick.color": INK,
 }
 
-_ONE_AT_A_TIME = threading.Lock()
-"""The figures, and matplotlib's style, are those of the whole program."""
+
+def chart_view(key: str, title: str) -> Any:
+    """Return the view of one chart."""
+    return rrb.Spatial2DView(origin=f"{CHARTS}/{key}", name=title)
+
+
+class Painter:
+    """Logs the latest of each chart as a picture: live one after the other, of a recording at its end."""
+
+    def __init__(self, rec: rr.RecordingStream, *, live: bool) -> None:
+        self._rec, self._live = rec, live
+        self._waiting: dict[str, Drawing] = {}
+        self._next_s = -math.inf
+        self.titles: dict[str, tuple[str, str, str]] = {}
+        """Tab, key and title of every chart, by its key."""
+
+    def add(self, drawing: Drawing) -> None:
+        """Take a chart, which replaces the one before that was not drawn."""
+        chart = drawing.chart
+        self._waiting[chart.key] = drawing
+        self.titles[chart.key] = chart.place, chart.key, chart.title
+
+    def draw_next(self) -> None:
+        """Draw the one that waits longest, live and when it is time."""
+        if self._live and self._waiting and time.monotonic() >= self._next_s:
+            began = time.thread_time()
+            self._draw(self._waiting.pop(next(iter(self._waiting))))
+            self._next_s = time.monotonic() + (time.thread_time() - began) / PICTURE_SHARE
+
+    def finish(self) -> None:
+        """Draw all that wait."""
+        while self._waiting:
+            self._draw(self._waiting.popitem()[1])
+
+    def _draw(self, drawing: Drawing) -> None:
+        """Log the picture of a chart, a PNG; a recording has it whatever moment is looked at."""
+        image = rr.EncodedImage.columns(blob=[picture(drawing.chart)], media_type=["image/png"])
+        indexes = at_instants(drawing.at).indexes if self._live else []
+        self._rec.send_columns(f"{CHARTS}/{drawing.chart.key}", indexes=indexes, columns=image)
 
 
 def picture(chart: Chart) -> bytes:
     """Return the chart as a PNG; only its texts while it has no point to draw."""
     import matplotlib as mpl  # takes 0.3 s, and only a run with charts needs it
 
-    with _ONE_AT_A_TIME, mpl.rc_context(STYLE):
+    with mpl.rc_context(STYLE):
         figure = _figure()
         figure.clear()
         axes = figure.add_subplot()
@@ -86,7 +130,7 @@ def _frame(axes: Any, chart: Chart) -> None:
     from matplotlib.ticker import AutoMinorLocator
 
     for axis, name in ((chart.x, "x"), (chart.y, "y")):
-        if axis.log and _has_logarithm(chart, name):
+        if axis.log and any((np.asarray(getattr(curve, name)) > 0).any() for curve in chart.curves):
             _logarithmic(axes, name)
     axes.set(xlabel=for_plot(chart.x.label), ylabel=for_plot(chart.y.label))
     for axis, scale, name in ((axes.xaxis, chart.x, "x"), (axes.yaxis, chart.y, "y")):
@@ -127,8 +171,3 @@ def _logarithmic(axes: Any, name: str) -> None:
     axis.set_major_locator(locator)
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
-
-
-def _has_logarithm(chart: Chart, name: str) -> bool:
-    values: list[FloatArray] = [getattr(curve, name) for curve in chart.curves]
-    return any(bool((np.asarray(part) > 0).any()) for part in values)

@@ -12,8 +12,8 @@ from PIL import Image
 from rerun.chunk import ChunkStore, RrdReader
 
 from imumon.blocks import FloatArray
-from imumon.view.extent import RECENT_S, entity
 from imumon.view.panels import Panel
+from imumon.view.window import RECENT_S, entity
 
 LEGEND = 0.86
 """Where the legend of a view begins, as a share of its width."""

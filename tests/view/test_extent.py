@@ -10,10 +10,10 @@ import rerun as rr
 from support.picture_faults import scalars, stored
 
 from imumon.blocks import FloatArray
-from imumon.view.extent import Extents, entity
 from imumon.view.layout import Bands, Line, Strip
 from imumon.view.panels import PANELS
 from imumon.view.rows import Rows
+from imumon.view.window import Extents, entity
 
 BAND = Bands("b", "B", (Line("b", "b", (1, 2, 3), "b_sd"),), "°C")
 STRIP = Strip("s", "S", (Line("b", "b", (1, 2, 3)),), "°C")
