@@ -137,9 +137,7 @@ def command(
 class _Views:
     """The live view, if any, the recording of the view, and what other programs get."""
 
-    def __init__(
-        self, setup: ViewSetup, run: LiveRun, mode: View, bind: str, outputs: Sequence[Any]
-    ) -> None:
+    def __init__(self, setup: ViewSetup, run: LiveRun, mode: View, bind: str, outputs: Sequence[Any]) -> None:
         from imumon.view.publisher import ViewPublisher
         from imumon.view.recorder import ViewRecorder
         from imumon.view.terminal import TerminalView

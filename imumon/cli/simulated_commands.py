@@ -25,7 +25,7 @@ from imumon.cli.common import (
     serial_option,
     show,
 )
-from imumon.cli.progress import announce, bar
+from imumon.cli.progress import bar
 from imumon.files import bundled
 
 if TYPE_CHECKING:
@@ -37,8 +37,6 @@ DEVICE = "ax1"
 """The one that is simulated when none is named."""
 STOP = {signal.SIGINT, signal.SIGTERM}
 TABLES = (".parquet", ".csv")
-STARTING_S, SAMPLES_PER_S = 1.0, 250_000.0
-"""For the estimate of the time: measured with `crs05-soak` on one core, 600,000 samples in 2.4 s."""
 
 
 @click.command("demo", context_settings={"ignore_unknown_options": True})
@@ -178,8 +176,6 @@ def _simulated(plan: Scenario, device: str | None, seed: int, out: Path, *, quie
     described, as_table = parse_device(text, source), out.suffix in TABLES
     if device is not None or not as_table:
         plan = plan.played(plan.rate_hz, described.axes)
-    expected_s = STARTING_S + plan.samples / SAMPLES_PER_S
-    announce("simulating", plan.samples, plan.samples / plan.rate_hz, expected_s, quiet=quiet)
     with bar("simulating", plan.samples, quiet=quiet) as (progress, _):
         if as_table:
             write_table(plan, seed, out, progress)

@@ -111,7 +111,7 @@ class Comparison:
         if len(panel.lines) > 1:
             title = title.replace(panel.title, f"{panel.title}: {panel.lines[line.number].name}")
         beside = [f"{other.drawn}/**" for other in others]
-        return series_view(first.drawn, title, Window(), panel.y_range, beside, legend=True)
+        return series_view(first.drawn, title, Window(), beside, legend=True)
 
 
 class Session:

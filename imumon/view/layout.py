@@ -87,8 +87,6 @@ class Strip:
     that have a value, where most have none."""
     beside: str | None = None
     """Entity of another panel, drawn in the same view."""
-    y_range: tuple[float, float] | None = None
-    """Fixed range of the y axis; it follows the data otherwise."""
     limits: tuple[float, float] | None = None
     """Two level lines, in the unit that is drawn."""
     least: float = 0.0
@@ -162,13 +160,11 @@ class Strip:
         if not self.card:
             return []
         last = self.lines[-1]
+        unit, factor = self._unit(setup), self._factor
         return [
-            Reading(
-                self.card, line.name, line.column, line.sd, self._unit(setup), self._factor,
-                self.headline and line is last,
-            )
-            for line in self.lines
-        ]  # fmt: skip
+            Reading(self.card, one.name, one.column, one.sd, unit, factor, self.headline and one is last)
+            for one in self.lines
+        ]
 
     @property
     def _factor(self) -> float:
@@ -199,7 +195,7 @@ class Strip:
             title += ": " + ", ".join(f"{line.name} {COLOR_NAMES[line.color]}" for line in self.lines)
         beside = [self.beside] if self.beside else []
         ends = [entity(drawn.removesuffix("/**")) for drawn in (self.drawn, *beside)]
-        return series_view(self.drawn, title, window, self.y_range, beside, ends)
+        return series_view(self.drawn, title, window, beside, ends)
 
 
 @dataclass(frozen=True, slots=True)

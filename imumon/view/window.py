@@ -115,7 +115,6 @@ def series_view(
     origin: str,
     name: str,
     window: Window,
-    y_range: tuple[float, float] | None = None,
     others: Sequence[str] = (),
     ends: Sequence[str] = (),
     *,
@@ -133,7 +132,6 @@ def series_view(
         name=name,
         time_ranges=window.ranges,
         axis_x=window.axis,
-        axis_y=rrb.ScalarAxis(range=y_range) if y_range else None,
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop if legend else None, visible=legend),
         overrides=window.looks(ends),
     )
