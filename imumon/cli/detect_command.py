@@ -152,7 +152,7 @@ def _propose(received: dict[int | None, bytearray], evidence: list[Evidence]) ->
     for rate in seconds:
         if lengths := binary_proposal.repeated_lengths(bytes(received[rate])):
             every = " or ".join(map(str, lengths))
-            what = f"the bytes begin alike every {every} bytes" + (f" at {rate} baud" if rate else "")
+            what = ("" if rate is None else f"at {rate} baud ") + f"the bytes begin alike every {every} bytes"
             note(f"{what}: packets of several lengths, or an unknown checksum; no device file is proposed")
     return None
 

@@ -89,8 +89,7 @@ class ViewPublisher(FedProcess):
     @property
     def state(self) -> ViewState:
         """How the view is now."""
-        report = self._report
-        return ViewState(report.text, bool(report.url), self._queue.dropped, self._restarts)
+        return ViewState(self._report.text, bool(self.url), self._queue.dropped, self._restarts)
 
     @property
     def url(self) -> str:
@@ -107,9 +106,8 @@ class ViewPublisher(FedProcess):
         """Keep what a later view process needs: the same port, and no second window."""
         self._report = report
         if report.url:
-            start = replace(self._start, open_viewer=False)
-            web = start.mode == "web"
-            self._start = replace(start, web_port=report.port) if web else replace(start, port=report.port)
+            port = "web_port" if self._start.mode == "web" else "port"
+            self._start = replace(self._start, open_viewer=False, **{port: report.port})
 
     def _gone(self) -> None:
         if not self._queue.closed.is_set():
