@@ -114,26 +114,19 @@ class GuardedStage:
             return otherwise
 
     def _switch_off(self, call: str, error: Exception, block: SampleBlock | None) -> None:
-        declared = {column.name: column for column in (*self._columns, *self._declared())}
+        declared = {column.name: column for column in self._columns}
+        with suppress(Exception):  # those of a stage of imumon by now; it has failed, and may fail here too
+            declared |= {column.name: column for column in self.columns}
         # What another has added already is not its own.
         others = set(block.columns if block is not None else ()) - self._types.keys()
         self._columns = tuple(column for name, column in declared.items() if name not in others)
         self.switched_off = True
-        advice = (
-            "report this defect of imumon"
-            if self._own
-            else "mend it, or leave it out (a plug-in: --without-plugins)"
+        what = (
+            f"{name_of(self.stage)} is switched off after {self._samples:,} samples, its columns are missing"
         )
-        self._report.append(
-            f"{name_of(self.stage)} is switched off after {self._samples:,} samples, its columns are missing "
-            f"from there on: {call}: {described(error, __file__)}; {advice}"
-        )
-
-    def _declared(self) -> Sequence[Column]:
-        """Return the columns that a stage of imumon declares by now; it has failed, and may fail here too."""
-        with suppress(Exception):
-            return self.columns
-        return ()
+        advice = "mend it, or leave it out (a plug-in: --without-plugins)"
+        advice = "report this defect of imumon" if self._own else advice
+        self._report.append(f"{what} from there on: {call}: {described(error, __file__)}; {advice}")
 
     def _processed(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         if self._own:
@@ -162,14 +155,13 @@ class GuardedStage:
         """
         if self._types.keys() != new.keys():
             declared = {column.name: np.dtype(column.dtype) for column in self.columns}
-            for name in new:
-                if name in block:
-                    raise _wrong(f"it adds {name}, which is there already", "give it another name")
-                if name not in declared:
-                    what = f"it adds {name}, which its columns do not declare"
-                    raise _wrong(what, "tables and view need its unit")
-            if absent := declared.keys() - new.keys():
-                what = f"it declares {', '.join(sorted(absent))}, which did not come"
+            if there := ", ".join(name for name in new if name in block):
+                raise _wrong(f"it adds {there}, which is there already", "give it another name")
+            if more := ", ".join(name for name in new if name not in declared):
+                what = f"it adds {more}, which its columns do not declare"
+                raise _wrong(what, "tables and view need its unit")
+            if absent := ", ".join(sorted(declared.keys() - new.keys())):
+                what = f"it declares {absent}, which did not come"
                 raise _wrong(what, "return every column, NaN where there is nothing")
             self._types = {name: declared[name] for name in new}
         for name, values in new.items():

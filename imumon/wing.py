@@ -42,8 +42,8 @@ class Wing(NamedTuple):
     live_output: str = ""
     """Option of `imumon monitor` that sends what is recorded elsewhere, too.
 
-    It has the `name` of its parameter, the decorator `option`, `parse`, and `start`, which returns what runs;
-    that has `publish`, `text` for the status line, `as_data` and `rows` of the result, `announce` and `close`.
+    It has the `name` of its parameter, the decorator `option`, `parse`, and `start`, which returns what is
+    running: with `publish`, `text` for the status line, `as_data` and `rows`, `announce` and `close`.
     """
     setup_keys: tuple[str, ...] = ()
     """Keys of a pipeline file that nothing but this wing carries out."""
