@@ -165,7 +165,8 @@ def _refuse_deep(text: str, source: str) -> None:
         event = loader.get_event()
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > DEEPEST:
-            raise _at(event, source, f"nested more than {DEEPEST} deep, which no file of imumon is")
+            what = f"{source}:{event.start_mark.line + 1}: nested more than {DEEPEST} deep"
+            raise ImumonError(Reason.BAD_CONFIG, f"{what}, which no file of imumon is")
 
 
 def _refuse_unreasonable(root: yaml.Node | None, loader: Any, source: str) -> None:
@@ -212,5 +213,5 @@ def _refuse_number(node: yaml.ScalarNode, loader: Any, source: str) -> None:
         raise _at(node, source, f"{shown} is not a reasonable number: expected a finite one within ±2^63")
 
 
-def _at(node: yaml.Node | yaml.Event, source: str, seen: str) -> ImumonError:
+def _at(node: yaml.Node, source: str, seen: str) -> ImumonError:
     return ImumonError(Reason.BAD_CONFIG, f"{source}:{node.start_mark.line + 1}: {seen}")

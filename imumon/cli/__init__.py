@@ -257,19 +257,15 @@ def _open_missing_streams() -> None:
             setattr(sys, name, stream)
 
 
-class _Compiling(logging.Handler):
-    """Says what a command waits for; in the main thread only, as a stopped terminal blocks whoever writes."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        if threading.current_thread() is threading.main_thread():
-            say(record.levelname, record.getMessage())
-
-
 def _tell_of_compiling() -> None:
-    log = logging.getLogger("imumon.compiled")
+    """Say what a command waits for; in the main thread only, as a stopped terminal blocks whoever writes."""
+    log, main_thread = logging.getLogger("imumon.compiled"), threading.get_ident()
     log.setLevel(logging.INFO)
     log.propagate = False
-    log.addHandler(_Compiling())
+    handler = logging.Handler()
+    handler.addFilter(lambda record: record.thread == main_thread)
+    handler.emit = lambda record: say(record.levelname, record.getMessage())  # type: ignore[method-assign]
+    log.addHandler(handler)
 
 
 def _settle_streams() -> None:

@@ -278,8 +278,11 @@ def merge(items: Iterable[ViewItem]) -> list[ViewItem]:
 def _joined(run: list[Samples]) -> Samples:
     if len(run) == 1:
         return run[0]
-    device, host = (
-        None if parts[0] is None else np.concatenate(parts)
-        for parts in ([item.device_ns for item in run], [item.host_ns for item in run])
-    )
+    device = _joined_times([item.device_ns for item in run])
+    host = _joined_times([item.host_ns for item in run])
     return Samples(run[0].first, device, host, join([item.block for item in run]), run[0].stream)
+
+
+def _joined_times(times: list[IntArray | None]) -> IntArray | None:
+    present = [part for part in times if part is not None]
+    return np.concatenate(present) if present else None

@@ -27,8 +27,6 @@ ROOM, BOTTOM = {"left": 0.114, "right": 0.985}, 0.086
 """Fixed: to fit them to the labels takes as long as all else."""
 LETTERS = 40
 """So many of a headline fit at full size."""
-LEAST_MARKS, READABLE = 3, ((1,), (1, 2, 5), tuple(range(1, 10)))
-"""An axis has so many numbers or more: at the first of these multiples of powers of ten that give them."""
 TOP, NOTE, HEADLINE = 0.98, 0.032, 0.073
 """Where the axes end, and what a line of notes and a headline take of it."""
 PAPER, INK, FAINT = "#0d0d0d", "#d8d8d8", "#3a3a3a"
@@ -158,16 +156,9 @@ def _frame(axes: Any, chart: Chart) -> None:
 
 def _logarithmic(axes: Any, name: str) -> None:
     """Make an axis logarithmic, its numbers written out; those between the decades where there are few."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+    from matplotlib.ticker import LogFormatter
 
     axes.set(**{f"{name}scale": "log"})
     axis = getattr(axes, f"{name}axis")
-    low, high = axis.get_view_interval()
-    locators = [*(LogLocator(subs=multiples) for multiples in READABLE), MaxNLocator(4)]
-    for locator in locators:
-        ticks = np.asarray(locator.tick_values(low, high))
-        if ((ticks >= low) & (ticks <= high)).sum() >= LEAST_MARKS:
-            break
-    axis.set_major_locator(locator)
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
+    axis.set_major_formatter(lambda value, _: f"{value:g}")
+    axis.set_minor_formatter(LogFormatter(minor_thresholds=(2.0, 1.0)))

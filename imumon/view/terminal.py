@@ -1,8 +1,7 @@
-"""The view in a terminal: present values, the last minute of them, states and the log."""
+"""The view in a terminal: present values, states and the log."""
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from textwrap import wrap
@@ -19,11 +18,8 @@ from imumon.view.queue import DropOldestQueue
 from imumon.view.rows import Rows
 
 QUEUE_BYTES = 4 << 20
-HISTORY = 60
-"""Values that a sparkline is made of: one each time the screen is drawn."""
 LOG_LINES = 100
-BARS = "▁▂▃▄▅▆▇█"
-NAME, CELL, UNIT, SPARK = 18, 15, 5, 10
+NAME, CELL = 18, 15
 """Columns of text that the parts of a row take."""
 
 
@@ -38,7 +34,6 @@ class TerminalView:
         self._queue = DropOldestQueue(QUEUE_BYTES)
         self._cards = Cards()
         self._panels = ShownPanels(setup)
-        self._past: dict[str, deque[float]] = {}
         self._lanes: dict[str, str] = {}
         self._log: deque[str] = deque(maxlen=LOG_LINES)
 
@@ -51,8 +46,6 @@ class TerminalView:
         """Return the text of a screen, at most so many rows, each at most so many columns wide."""
         self._take()
         now = self._cards.take()
-        for name, value in now.items():
-            self._past.setdefault(name, deque(maxlen=HISTORY)).append(value)
         shown = (self._panels.readings[key] for key in self._panels.begun)
         numbers = [row for readings in shown if readings for row in self._rows(readings, now, columns)]
         head = f"{self._setup.title}  {status}"
@@ -86,26 +79,12 @@ class TerminalView:
         """Return the rows of one panel: three axes beside each other, other values below each other."""
         if [one.name for one in readings] == AXES and columns >= NAME + len(AXES) * CELL:
             cells = "".join(f"{cell(one, now):>{CELL}}" for one in readings)
-            sparks = "  ".join(f"{one.name} {self._spark(one)}" for one in readings)
-            return [f"{readings[0].row:{NAME}}{cells} {readings[0].unit:{UNIT}} {sparks}"]
+            return [f"{readings[0].row:{NAME}}{cells} {readings[0].unit}"]
         rows = []
         for one in readings:
             label = one.row if len(readings) == 1 else f"{one.row} {one.name}"
-            rows.append(f"{label:{NAME}}{cell(one, now):>{CELL}} {one.unit:{UNIT}} {self._spark(one)}")
+            rows.append(f"{label:{NAME}}{cell(one, now):>{CELL}} {one.unit}")
         return rows
-
-    def _spark(self, reading: Reading) -> str:
-        return sparkline(list(self._past.get(reading.column, ()))[-SPARK:])
-
-
-def sparkline(values: Sequence[float]) -> str:
-    """Return values as bars from the lowest to the highest; a blank where there is none."""
-    known = [value for value in values if math.isfinite(value)]
-    if not known:
-        return " " * len(values)
-    low, span = min(known), max(known) - min(known)
-    steps = [(value - low) / (span or 1.0) for value in values]
-    return "".join(BARS[round(step * (len(BARS) - 1))] if math.isfinite(step) else " " for step in steps)
 
 
 class Screen:
