@@ -81,12 +81,7 @@ def _switched_on(port: VirtualPort) -> VirtualDevice:
 @seed_option
 @click.option("--seconds", type=SECONDS, help="Stop after this time.")
 def virtual(
-    device: str,
-    scenario: str | None,
-    link: Path | None,
-    rate: float | None,
-    seed: int,
-    seconds: float | None,
+    device: str, scenario: str | None, link: Path | None, rate: float | None, seed: int, seconds: float | None
 ) -> None:
     """Be a device: a simulated AHRS on a port of its own, until Ctrl-C.
 

@@ -8,16 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import (
-    PATH,
-    bind_option,
-    chosen_view,
-    json_option,
-    note,
-    print_json,
-    print_rows,
-    warn,
-)
+from imumon.cli.common import PATH, bind_option, chosen_view, json_option, note, print_json, print_rows, warn
 from imumon.cli.live_run import serve
 from imumon.cli.progress import reading_bar
 from imumon.errors import ImumonError, Reason
@@ -47,9 +38,7 @@ STARTING_S = 15.0
     help="Begin each session at zero, or put it where its computer's clock says.",
 )
 @click.option(
-    "--view",
-    type=click.Choice(["native", "web"]),
-    help="Default: native with a display, else web.",
+    "--view", type=click.Choice(["native", "web"]), help="Default: native with a display, else web."
 )
 @click.option("--out", type=PATH, help="Write the comparison as NAME.rrd for Rerun, and show nothing.")
 @bind_option

@@ -36,17 +36,7 @@ from imumon.run.marks import Marks, append_request
 from imumon.run.narration import Narrator, Publish, Say
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators, pipeline_of
-from imumon.transport.reader import (
-    SILENT_AFTER_S,
-    Bytes,
-    Clock,
-    Event,
-    EventKind,
-    Item,
-    Reader,
-    Reads,
-    Sink,
-)
+from imumon.transport.reader import SILENT_AFTER_S, Bytes, Clock, Event, EventKind, Item, Reader, Reads, Sink
 from imumon.transport.settings import PortSettings
 
 BATCH_S = 0.08

@@ -220,13 +220,7 @@ PANELS: tuple[Panel, ...] = (
         card="packets",
     ),
     Strip(
-        "link_load",
-        "Link load",
-        (Line("link_load", "load", ORANGE),),
-        "%",
-        LINK,
-        "steps",
-        card="link load",
+        "link_load", "Link load", (Line("link_load", "load", ORANGE),), "%", LINK, "steps", card="link load"
     ),
     Strip(
         "losses",
