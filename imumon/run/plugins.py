@@ -8,10 +8,9 @@ from pathlib import Path
 
 from imumon.effects.offered import EFFECT, guarded, is_effect
 from imumon.errors import ImumonError
-from imumon.plugins import DEVICES, EFFECTS, STAGES, WINGS, entries, load, package_of
+from imumon.plugins import DEVICES, EFFECTS, STAGES, entries, load, package_of
 from imumon.protocols.device import FOLDER, is_folder, load_device
 from imumon.stage import STAGE, is_callable, made_by
-from imumon.wings import NEEDED, is_wing
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +29,7 @@ class Installed:
 
 def installed() -> list[Installed]:
     """Return the plug-ins of all groups, each loaded for a try."""
-    return [_tried(entry) for group in (STAGES, DEVICES, EFFECTS, WINGS) for entry in entries(group)]
+    return [_tried(entry) for group in (STAGES, DEVICES, EFFECTS) for entry in entries(group)]
 
 
 def _tried(entry: EntryPoint) -> Installed:
@@ -48,6 +47,4 @@ def _brought(entry: EntryPoint) -> list[str]:
     if entry.group == DEVICES:
         files = sorted(Path(load(entry, FOLDER, is_folder).offered).glob("*.yaml"))
         return [load_device(str(file)).name for file in files]
-    if entry.group == EFFECTS:
-        return [*guarded(load(entry, EFFECT, is_effect)).sensors]
-    return [*load(entry, NEEDED, is_wing).offered.commands]
+    return [*guarded(load(entry, EFFECT, is_effect)).sensors]
