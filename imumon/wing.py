@@ -45,8 +45,6 @@ class Wing(NamedTuple):
     It has the `name` of its parameter, the decorator `option`, `parse`, and `start`, which returns what is
     running: with `publish`, `text` for the status line, `as_data` and `rows`, `announce` and `close`.
     """
-    setup_keys: tuple[str, ...] = ()
-    """Keys of a pipeline file that nothing but this wing carries out."""
     stages: str = ""
     """Returns more stages behind those of the core.
 

@@ -3,20 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 
-import pytest
 from support import rooms
 
-from imumon import wings
 from imumon.cli import OWN, commands
-from imumon.errors import ImumonError, Reason
-from imumon.protocols.thermometer import TemperatureRateParameters
-from imumon.run.setup import Setup
-from imumon.run.stages import estimators, temperature_rate
 from imumon.wing import GROUPS
-
-FIR = TemperatureRateParameters(method="fir_exponential", step_degc=0.05)
 
 
 def test_no_room_of_the_core_imports_a_wing() -> None:
@@ -38,21 +29,3 @@ def test_the_drawing_in_the_docs_is_that_of_the_imports() -> None:
 def test_every_command_stands_under_a_heading_of_the_help() -> None:
     assert {*OWN} <= {*GROUPS}
     assert {command.group for command in commands().values()} == {*GROUPS}
-
-
-@pytest.mark.parametrize(
-    "asked",
-    [lambda: estimators(None, Setup(published=["fir"])), lambda: temperature_rate(FIR)],
-    ids=["published", "fir"],
-)
-def test_what_only_an_absent_wing_has_is_refused(
-    monkeypatch: pytest.MonkeyPatch, asked: Callable[[], object]
-) -> None:
-    monkeypatch.setattr(wings, "BUILT_IN", ("imumon.lab",))
-    wings.wings.cache_clear()
-    try:
-        with pytest.raises(ImumonError, match="no wing that is installed has this method") as caught:
-            asked()
-    finally:
-        wings.wings.cache_clear()
-    assert caught.value.reason is Reason.BAD_CONFIG

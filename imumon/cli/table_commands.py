@@ -26,6 +26,7 @@ from imumon.cli.common import (
 from imumon.cli.progress import reading_bar
 from imumon.errors import ImumonError, Reason
 from imumon.files import check_output
+from imumon.wings import offers
 
 if TYPE_CHECKING:
     from imumon.pipeline import Pipeline
@@ -169,7 +170,8 @@ def import_(
     chosen: dict[str, Any] = {}
     more: dict[str, str] = {}
     if map_path is None:
-        found = _import_log(table, sensor, out)
+        (import_log,) = offers("import_log")
+        found = import_log(table, sensor, out)
         report, damage = found.rows, found.damage
         if damage.places:
             lost = f"{damage.size:,} bytes in {damage.places:,} damaged place(s) of the log were left out"
@@ -196,13 +198,3 @@ def import_(
         "session": str(out),
     }
     print_result(as_json, {"session": out, **asdict(report), **chosen}, rows | more)
-
-
-def _import_log(path: Path, sensor: str | None, out: Path) -> Any:
-    """Make a session of a log that needs no map; raises BAD_CONFIG when no wing reads logs."""
-    from imumon.wings import offers
-
-    readers = offers("import_log")
-    if not readers:
-        raise ImumonError(Reason.BAD_CONFIG, f"{path}: a table needs a map", "add --map MAP.yaml")
-    return readers[0](path, sensor, out)
