@@ -20,7 +20,7 @@ RATES_HZ = (0.1, 40e3)
 
 
 def rate_doubts(rate_hz: float) -> list[str]:
-    """Return what is to be said of a rate of samples, Hz; nothing of NaN."""
+    """Return the warning for a rate of samples, Hz, that no sensor has; none for NaN."""
     slowest, fastest = RATES_HZ
     text = (
         f"the rows come at {rate_hz:.3g} Hz, as those of no inertial sensor: is the unit of the time right?"
@@ -39,7 +39,7 @@ class SpecificForce:
         self._beyond = 0
         """Minutes in a row most of which was below, or above: negative where below."""
         self.found: str | None = None
-        """What is to be said, once it is certain."""
+        """The warning, once it is certain."""
 
     def look(self, block: SampleBlock) -> None:
         """Take samples, with what is left out of them missing, where they have a time."""
@@ -62,7 +62,7 @@ class SpecificForce:
             self._sums += [low.sum(), high.sum(), len(part), part[low | high].sum()]
 
     def _end(self, now: tuple[int, int]) -> None:
-        """Judge the minute that has ended."""
+        """Classify the minute that has ended."""
         (low, high, every, total), (segment, minute) = self._sums.tolist(), self._minute
         way = -1 if 2 * low > every else 1 if 2 * high > every else 0
         self._beyond = way + (self._beyond if way * self._beyond > 0 else 0)

@@ -229,18 +229,18 @@ class Pipeline:
         self._count(MAIN, block)
 
     def finish(self) -> None:
-        """Say that no more bytes come: samples held back behind a damaged header come out."""
+        """End the stream: no more bytes come; samples held back behind a damaged header come out."""
         if self._decoder is not None:
             self._decoder.finish()
             self.pause()
         self._ended = True
 
     def pause(self) -> None:
-        """Say that the port fell silent or closed: a row that waits for more of its fields comes out."""
+        """Let a row that waits for more of its fields come out, as the port fell silent or closed."""
         self._ready.append(self._decoded(end=True))
 
     def port_opened(self) -> None:
-        """Say that the port was opened anew: the device may have restarted meanwhile."""
+        """Begin a new connection, as the port was opened anew: the device may have restarted meanwhile."""
         self.pause()
         self._device_clock.new_connection()
 
@@ -259,7 +259,7 @@ class Pipeline:
         return self._side
 
     def notices(self) -> list[str]:
-        """Return, once each, what the device said that is not data."""
+        """Return, once each, what the device sent that is not data."""
         return self._decoder.notices() if self._decoder is not None else []
 
     def warnings(self) -> list[str]:

@@ -150,7 +150,7 @@ def main() -> None:
         sys.exit(shell_complete(cli, {}, "imumon", COMPLETION, instruction))
     _heed_interrupts()
     _open_missing_streams()
-    _tell_of_compiling()
+    _report_compiling()
     code = run(sys.argv[1:])
     # All is done: Ctrl-C now only spares what Python does before it ends.
     signal.signal(signal.SIGINT, lambda *_: os._exit(code))
@@ -161,7 +161,7 @@ def main() -> None:
 
 
 def run(arguments: list[str]) -> int:
-    """Run one command and return its exit code; what went wrong is said on standard error."""
+    """Run one command and return its exit code; errors are written on standard error."""
     try:
         # Not cli.main(), which ends with 1 by itself when the reader of our output went away, as `head` does.
         with cli.make_context("imumon", arguments) as context:
@@ -247,8 +247,8 @@ def _open_missing_streams() -> None:
             setattr(sys, name, stream)
 
 
-def _tell_of_compiling() -> None:
-    """Say what a command waits for; in the main thread only, as a stopped terminal blocks whoever writes."""
+def _report_compiling() -> None:
+    """Log what a command waits for; in the main thread only, as a stopped terminal blocks whoever writes."""
     log, main_thread = logging.getLogger("imumon.compiled"), threading.get_ident()
     log.setLevel(logging.INFO)
     log.propagate = False

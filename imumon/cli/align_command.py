@@ -118,7 +118,7 @@ def _with_sigma(setup: Setup, until: float | None) -> Setup:
 
 
 def _is_recording(source: str) -> bool:
-    """Tell a session or capture from a port; raises NOT_FOUND for a name that can be neither."""
+    """Distinguish a session or capture from a port; raises NOT_FOUND for a name that can be neither."""
     path = Path(source)
     if path.is_dir() or path.is_file():
         return True

@@ -67,7 +67,7 @@ def command(
 
 
 def _of_the_fit(results: dict[str, Result]) -> list[str]:
-    """Tell where the terms are from a part of the curve, or from none, and why; channels together."""
+    """Return warnings where the terms are from a part of the curve, or from none; channels together."""
     from imumon.allan.recording import UNITS, group_of
 
     channels: dict[str, list[str]] = {}
@@ -78,7 +78,7 @@ def _of_the_fit(results: dict[str, Result]) -> list[str]:
 
 
 def _remarks(result: Result, unit: str) -> Iterator[tuple[str, str]]:
-    """Yield what is to be said of the fit of a channel, and a number to it."""
+    """Yield the warnings on the fit of a channel, each with its number."""
     from imumon.allan.fit import AMBIGUOUS, DIGITS, NO_SUM
 
     fit, digits = result.fit, result.digits

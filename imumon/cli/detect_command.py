@@ -158,7 +158,7 @@ def _propose(received: dict[int | None, bytearray], evidence: list[Evidence]) ->
 
 
 def _suggest(port: str, fit: list[Evidence]) -> None:
-    """Say what to type for each device that fits."""
+    """Show the command for each device that fits."""
     if len(fit) > 1:
         show("\nmore than one fits; the columns and their units show which it is")
     for item in fit:

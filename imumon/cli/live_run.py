@@ -52,7 +52,7 @@ class Ending:
 
     @property
     def is_requested(self) -> bool:
-        """Whether a signal has asked for the end."""
+        """Whether a signal has requested the end."""
         return self._signal.is_set()
 
     def wait(self) -> bool:
@@ -65,14 +65,14 @@ class Ending:
 
 def serve(url: str) -> None:
     """Keep a page until Ctrl-C: its servers end with the command."""
-    ending = Ending(None)  # before it is said: who reads it may press Ctrl-C at once
+    ending = Ending(None)  # before the note: who reads it may press Ctrl-C at once
     note(f"all is shown; {url} stays until Ctrl-C")
     while ending.wait():
         pass
 
 
 class PortRun:
-    """A port that is recorded, until its end is asked for.
+    """A port that is recorded, until its end is requested.
 
     Parameters
     ----------

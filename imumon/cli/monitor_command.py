@@ -164,11 +164,11 @@ class _Views:
 
     @property
     def state(self) -> str:
-        """What the status line says of them."""
+        """What the status line has of them."""
         return (f"  view: {self._live.state}" if self._live else "") + "".join(o.text for o in self.outputs)
 
     def announce(self, tell: Callable[[str, str], None]) -> None:
-        """Say where the view is, as soon as it is known and when it changes."""
+        """Log where the view is, as soon as it is known and when it changes."""
         if self._live is not None and self._live.url and self._live.url != self._announced:
             self._announced = self._live.url
             tell("INFO", f"live view: {self._live.url}")
@@ -244,7 +244,7 @@ class _Marking:
         self._parts, self._inside = 0, False
 
     def take(self) -> None:
-        """Do what was asked for since the last time."""
+        """Mark what the keys since the last time ask for."""
         from imumon.transport.reader import EventKind
 
         for key in self._keys.pressed():

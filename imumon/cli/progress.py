@@ -20,14 +20,14 @@ FIRST_LINE_S, LINE_S = 30.0, 60.0
 
 @contextmanager
 def progress_lines(state: Callable[[], str], *, quiet: bool) -> Iterator[None]:
-    """Say from time to time what is being done, where standard error is no terminal.
+    """Log from time to time what is being done, where standard error is no terminal.
 
     Parameters
     ----------
     state : callable
         Returns what is being done now; called by another thread.
     quiet : bool
-        Say nothing.
+        Log nothing.
     """
     if quiet or sys.stderr.isatty():
         yield
@@ -90,7 +90,7 @@ def _lines(what: str, total: int | None, *, quiet: bool) -> Shown:
 
 @contextmanager
 def reading_bar(paths: Sequence[Path], *, quiet: bool) -> Iterator[Tell]:
-    """Show how much of recordings has been gone through; then what follows, by what the tell is told.
+    """Show how much of recordings has been gone through; then what follows, as it is given to the function.
 
     `paths` are sessions, captures or tables, as they are read one after the other.
     """

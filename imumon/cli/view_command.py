@@ -126,7 +126,7 @@ def _opened(path: Path) -> tuple[RecordedSession, Source, Pipeline]:
 def _log(
     recorded: RecordedSession, source: Source, pipeline: Pipeline, name: str, session: Session
 ) -> tuple[dict[str, object], dict[str, str]]:
-    """Run a session and log it; return what is told of it, to programs and to people."""
+    """Run a session and log it; return the result, for programs and for people."""
     from imumon.recordings.source import run_over
     from imumon.run.account import Outages, describe_disk, describe_span, file_sizes, wall_clock
     from imumon.run.narration import describe_losses

@@ -1,4 +1,4 @@
-"""What the summary of a session says of time and disk: outages, wall-clock times, sizes of files."""
+"""Time and disk in the summary of a session: outages, wall-clock times, sizes of files."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class Outages:
 
 
 def wall_clock(time_ns: int, *, day: bool = False) -> str:
-    """Return a Unix time as the clock on the wall shows it here, with the day if that is asked for."""
+    """Return a Unix time as the clock on the wall shows it here, with the day if requested."""
     at = datetime.fromtimestamp(time_ns * 1e-9).astimezone()
     return f"{at:%Y-%m-%d %H:%M:%S}" if day else f"{at:%H:%M:%S}"
 

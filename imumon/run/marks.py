@@ -1,4 +1,4 @@
-"""Marks that a person puts into a recording while it goes on: asked for in a file of the session's folder.
+"""Marks that a person puts into a recording while it goes on: requested in a file of the session's folder.
 
 Whoever records looks into the file 12 times a second, puts what is new into the recording as an event, and
 removes the file at the end: the recording is what counts.
@@ -39,8 +39,8 @@ def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
             "marks are made while imumon monitor runs; its summary names the session",
         )
     if kind is not EventKind.MARK:
-        asked = [other for other, part in Marks(opened.path).take() if part == for_log(text)]
-        goes_on = [one for one in asked if one is not EventKind.MARK][-1:] == [EventKind.START]
+        requested = [other for other, part in Marks(opened.path).take() if part == for_log(text)]
+        goes_on = [one for one in requested if one is not EventKind.MARK][-1:] == [EventKind.START]
         if goes_on != (kind is EventKind.STOP):
             what, option = (
                 ("goes on already", "--stop ends") if goes_on else ("does not go on", "--start begins")
@@ -60,7 +60,7 @@ def append_request(folder: Path, kind: EventKind, text: str) -> None:
 
 
 class Marks:
-    """What was asked for, as it comes."""
+    """The requests, as they come."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / REQUESTS

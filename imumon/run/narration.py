@@ -284,7 +284,7 @@ class Narrator:
         self._lane("link", FULL if overloaded else OK, now_ns)
 
     def _watch_data(self, now_ns: int) -> None:
-        """Judge the data of the last 2 s: framed, damaged, or hardly framed at all."""
+        """Classify the data of the last 2 s: framed, damaged, or hardly framed at all."""
         then, now = self._history[0][1], self._history[-1][1]
         framed = now.bytes_in_packets - then.bytes_in_packets
         received = now.bytes_received - then.bytes_received

@@ -1,4 +1,4 @@
-"""Pipeline files: what the estimators are told that the device does not send."""
+"""Pipeline files: what the estimators need to know that the device does not send."""
 
 from __future__ import annotations
 

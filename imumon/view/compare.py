@@ -73,7 +73,7 @@ class Comparison:
     def log(self, line: _Compared, panel: Strip, rows: Rows) -> None:
         """Log what a session has of a line."""
         if panel not in line.drawn:
-            if not panel.says(rows):
+            if not panel.has_values(rows):
                 return
             line.drawn.append(panel)
             panel.declare(self._rec)

@@ -65,7 +65,7 @@ class FedProcess(ABC):
 
     @abstractmethod
     def _first(self) -> object:
-        """Return what a process that starts is told."""
+        """Return the first message to a process that starts."""
 
     @abstractmethod
     def _handed(self, items: Sequence[ViewItem]) -> None:
@@ -73,7 +73,7 @@ class FedProcess(ABC):
 
     @abstractmethod
     def _received(self, message: Any) -> None:
-        """Take what the process says."""
+        """Take a message of the process."""
 
     @abstractmethod
     def _gone(self) -> None:
@@ -158,7 +158,7 @@ class FedProcess(ABC):
         return True
 
     def _listen(self, messages: Connection, process: subprocess.Popen[bytes]) -> None:
-        """Take what the process says until it ends; kill it when it does not take a frame."""
+        """Take messages of the process until it ends; kill it when it does not take a frame."""
         with contextlib.suppress(EOFError, OSError):
             while True:
                 if messages.poll(LOOK_S):
@@ -176,8 +176,8 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 def serve(run: Callable[[Connection, Connection], None], problem: Callable[[ImumonError], object]) -> None:
     """Run what a `FedProcess` feeds, given where frames come from and where messages go; does not return.
 
-    An `ImumonError` is told as `problem` says it.  The process leaves without the clean-up of libraries:
-    Rerun's waits for a stuck viewer without end.
+    An `ImumonError` is sent as the message that `problem` makes of it.  The process leaves without the
+    clean-up of libraries: Rerun's waits for a stuck viewer without end.
     """
     prepare_heap()
     sys.setswitchinterval(SWITCH_S)

@@ -1,4 +1,4 @@
-"""What the view is told: samples, numbers, states, log lines, charts, the status card."""
+"""What the view shows: samples, numbers, states, log lines, charts, the status card."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Instant:
 
 
 class ViewItem:
-    """What the view is told; where it waits in a queue, these say what it costs."""
+    """What the view shows; where it waits in a queue, these are its costs."""
 
     __slots__ = ()
 
@@ -253,7 +253,7 @@ def _complete(block: SampleBlock, name: str) -> IntArray | None:
 
 
 def first_of_steps(times_ns: IntArray, step_ns: int, before_ns: int | None = None) -> BoolArray:
-    """Tell which times are the first in a step of time, (n,); `before_ns` is the last that came before."""
+    """Return which times are the first in a step of time, (n,); `before_ns` is the last that came before."""
     step = times_ns // step_ns
     before = step[:1] - 1 if before_ns is None else before_ns // step_ns
     return np.asarray(np.diff(step, prepend=before) != 0)

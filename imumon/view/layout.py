@@ -103,7 +103,7 @@ class Strip:
         """The columns that are drawn, and those of their sigmas: all must be there for a panel to appear."""
         return tuple(name for line in self.lines for name in (line.column, line.sd) if name is not None)
 
-    def says(self, rows: Rows) -> bool:
+    def has_values(self, rows: Rows) -> bool:
         """Return whether each column has a value, and one of them another than `silent`."""
         values = rows.matrix(self.columns)
         finite = np.isfinite(values)

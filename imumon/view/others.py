@@ -18,7 +18,7 @@ PART_COLORS = {**AXIS_COLORS, "roll": RED, "pitch": GREEN, "yaw": BLUE}
 
 
 class Others:
-    """Logs such columns, each to an entity of its own, once they have said something."""
+    """Logs such columns, each to an entity of its own, once they have a value other than zero."""
 
     def __init__(self, rec: rr.RecordingStream, setup: ViewSetup) -> None:
         self._rec, self._setup = rec, setup
@@ -47,7 +47,7 @@ class Others:
         """Log a column; its stream, if any, stands before its name and a slash."""
         numbers = np.asarray(values, np.float64)
         if name not in self._names:
-            if not np.any(np.isfinite(numbers) & (numbers != 0.0)):  # it has not said anything yet
+            if not np.any(np.isfinite(numbers) & (numbers != 0.0)):
                 return
             self._names.add(name)
             self._declare(name)

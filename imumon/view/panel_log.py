@@ -39,7 +39,7 @@ class ShownPanels:
     def begins(self, panel: Panel, rows: Rows) -> bool:
         """Take a new panel up when it has something to say; only one body can turn."""
         turns = panel.place == SCENE and any(other.place == SCENE for other in self.begun.values())
-        if panel.key in self.begun or turns or not panel.says(rows):
+        if panel.key in self.begun or turns or not panel.has_values(rows):
             return False
         self.begun[panel.key] = panel
         return True

@@ -27,7 +27,7 @@ class ViewState:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """What a view process is told first: what to show and where; then come lists of items."""
+    """The first message to a view process: what to show and where; then come lists of items."""
 
     setup: ViewSetup
     mode: Mode

@@ -24,7 +24,7 @@ NAME, CELL = 18, 15
 
 
 class TerminalView:
-    """Gathers view items and tells what a screen of some size shows of them.
+    """Gathers view items, and makes the lines of a screen of some size from them.
 
     `publish` may be called from any thread and returns at once; `lines` from one thread.
     """

@@ -34,7 +34,7 @@ LIVE_APPLICATION, APPLICATION = "imumon-live", "imumon"
 
 
 class Answer(Enum):
-    """What a port says when asked whether a Rerun viewer or server is behind it."""
+    """How a port answers the question whether a Rerun viewer or server is behind it."""
 
     RERUN = "answers"
     CLOSED = "nothing listens"

@@ -48,7 +48,7 @@ STREAM_PATH = "/rerun."
 """How the paths of the stream begin; they are passed on, so that one port is enough."""
 PART_BYTES = 1 << 16
 OURS = {"connection", "keep-alive", "transfer-encoding", "content-length", "host", "origin", "server", "date"}
-"""Headers that each of two connections has of its own; ``Host`` and ``Origin`` were judged here."""
+"""Headers that each of two connections has of its own; ``Host`` and ``Origin`` were checked here."""
 
 
 HOST = re.compile(r"([\w.-]+|\[[0-9a-fA-F:]+\])(?::\d+)?$")
@@ -239,7 +239,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(b"0\r\n\r\n")
 
     def _refuses(self) -> bool:
-        """Tell a page of another site that it may not read; return whether this is one."""
+        """Refuse the request of a page of another site; return whether this is one."""
         reason = refusal(self.headers.get("Host", ""), self.headers.get("Origin", ""))
         if reason:
             self.send_error(HTTPStatus.FORBIDDEN, explain=reason)

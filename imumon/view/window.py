@@ -1,7 +1,7 @@
 """What a view of series shows: which time, and how far its vertical axis reaches.
 
 Rerun's vertical axis follows the lines alone, so that a band is cut off, and it magnifies what is constant
-until the rounding fills the panel.  An invisible line beside the drawn ones says what has to be seen now.
+until the rounding fills the panel.  An invisible line beside the drawn ones spans what has to be seen now.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def series_view(
 ) -> Any:
     """Return a view of series over time, with other entities beside the first, and maybe a legend.
 
-    A legend stands in the view, over data: better the title tells the colours.
+    A legend stands in the view, over data: better the title names the colours.
 
     `ends` are entities that say how far the vertical axis reaches now.
     """
