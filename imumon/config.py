@@ -102,10 +102,7 @@ def parse_yaml(text: str, model: type[Model], source: str) -> Model:
 def dump_yaml(data: Mapping[str, Any], *, flow: bool | None = False) -> str:
     """Return YAML text from which `parse_yaml` reads the same, keys in their order.
 
-    Parameters
-    ----------
-    flow : bool or None
-        Whether lists are in one line; None for those without another list in them.
+    With `flow` lists are in one line; None: those without another list in them.
     """
     style: Any = {"sort_keys": False, "allow_unicode": True, "width": 110, "default_flow_style": flow}
     return str(yaml.dump(dict(data), Dumper=_Dumper, **style))

@@ -376,13 +376,7 @@ class Digest:
         self._rows += len(block)
 
     def columns(self, without: Collection[str] = ()) -> dict[str, int]:
-        """Return the CRC-32 of each column so far, of side streams as ``STREAM/COLUMN``.
-
-        Parameters
-        ----------
-        without : collection of str
-            Columns to leave out.
-        """
+        """Return the CRC-32 of each column so far, of side streams as ``STREAM/COLUMN``."""
         own = {name: value for name, value in self._sums.items() if name not in without}
         for stream, digest in self._side.items():
             own |= {f"{stream}/{name}": value for name, value in digest.columns().items()}

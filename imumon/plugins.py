@@ -56,12 +56,7 @@ def load(entry: EntryPoint, needed: str, fits: Callable[[str, Any], bool]) -> Pl
 
     Raises BAD_CONFIG when it cannot be imported or is something else.
 
-    Parameters
-    ----------
-    needed : str
-        What is offered in its group, in words.
-    fits : callable
-        Tells of a name and what is offered under it whether it is that.
+    `needed` names what is offered in its group; `fits` tests a name and what is offered under it.
     """
     plugin = Plugin(entry.group, entry.name, *package_of(entry))
     try:
@@ -91,10 +86,7 @@ def plugins(group: str, needed: str, fits: Callable[[str, Any], bool]) -> tuple[
 def described(error: Exception, caller: str) -> str:
     """Return what somebody else's code raised, with its traceback in one line, the innermost call first.
 
-    Parameters
-    ----------
-    caller : str
-        File of imumon that called the code; it is left out of the traceback.
+    `caller` is the file of imumon that called the code; it is left out of the traceback.
     """
     if isinstance(error, ImumonError):
         return error.seen

@@ -29,10 +29,7 @@ REFRESH_S = 0.25
 class Ending:
     """The end of a command: Ctrl-C and the like, or its time is over.
 
-    Parameters
-    ----------
-    seconds : float or None
-        How long the command runs, counted from `begin`; None: until a signal.
+    `seconds` is how long the command runs, counted from `begin`; None: until a signal.
     """
 
     def __init__(self, seconds: float | None) -> None:
@@ -74,22 +71,7 @@ def serve(url: str) -> None:
 class PortRun:
     """A port that is recorded, until its end is requested.
 
-    Parameters
-    ----------
-    port : str
-        Anything that pyserial opens.
-    device : str
-        Name of a device, or path of a device file.
-    baud : int or None
-        The first of the device file when None.
-    setup : Setup
-        Of the estimators.
-    out : Path or None
-        Session folder; a new one in ./sessions when None.
-    seconds : float or None
-        How long to record.
-    serial : str or None
-        Serial number of the unit.
+    `out` is the session folder; a new one in ./sessions when None.  `seconds` is how long to record.
     """
 
     def __init__(

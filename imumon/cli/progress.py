@@ -22,12 +22,7 @@ FIRST_LINE_S, LINE_S = 30.0, 60.0
 def progress_lines(state: Callable[[], str], *, quiet: bool) -> Iterator[None]:
     """Log from time to time what is being done, where standard error is no terminal.
 
-    Parameters
-    ----------
-    state : callable
-        Returns what is being done now; called by another thread.
-    quiet : bool
-        Log nothing.
+    `state` returns what is being done now; it is called by another thread.
     """
     if quiet or sys.stderr.isatty():
         yield

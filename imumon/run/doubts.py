@@ -30,10 +30,7 @@ IMPOSSIBLE = {"gyro": 0.1, "accel": 0.1, "specific force": 0.5}
 class Doubts:
     """Counts readings that no unit has, while the samples go by.
 
-    Parameters
-    ----------
-    described : bool
-        Whether the device file states how long a packet is and where its checksum stands.
+    `described` is whether the device file states how long a packet is and where its checksum stands.
     """
 
     def __init__(self, described: bool) -> None:

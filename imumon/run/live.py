@@ -111,22 +111,8 @@ class LiveSummary:
 class DecodedPort:
     """A port that is read and decoded in threads of its own until it is stopped; nothing is recorded.
 
-    Parameters
-    ----------
-    device : DeviceFile
-        What is on the port.
-    settings : PortSettings
-        The port.
-    pipeline : Pipeline
-        Decoder and estimators.
-    say : callable
-        Where log lines go; called from several threads.
-    record : callable
-        Takes all that comes, in the thread that reads.
-    card : mapping of str to str
-        What the status card begins with.
-    session : Path
-        What SESSION stands for in warnings.
+    `say` takes log lines, from several threads; `record` all that comes, in the thread that reads.  The
+    status card begins with `card`, and SESSION in warnings stands for `session`.
     """
 
     def __init__(
@@ -229,20 +215,8 @@ class LiveRun(DecodedPort):
 
     Raises EXISTS when the folder holds a session; BAD_CONFIG when it cannot be written.
 
-    Parameters
-    ----------
-    device, settings, say
-        As of `DecodedPort`.
-    device_yaml : str
-        Text of the device file, kept with the session.
-    setup : Setup
-        Parameters of the estimators; kept with the session.
-    folder : Path
-        Where the session goes; must not hold one.
-    stages : sequence of Estimator
-        More stages, behind the others.
-    serial : str or None
-        Serial number of the unit, kept with the session.
+    The session in `folder` keeps the device file, the setup and the serial number of the unit.  `stages`
+    stand behind the others.
     """
 
     def __init__(

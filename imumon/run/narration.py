@@ -83,20 +83,8 @@ def advised(text: str, session: Path) -> str:
 class Narrator:
     """Turns what the pipeline does into view items and log lines; used by one thread.
 
-    Parameters
-    ----------
-    pipeline : Pipeline
-        Whose counters and clock are shown.
-    settings : PortSettings or None
-        The port, for the link load; None when there is none.
-    publish : sequence of callable
-        Where view items go: the live view, the recording of the view.
-    say : callable
-        Where log lines go besides the view.
-    card : mapping of str to str
-        What the status card begins with: device, port, recording.
-    session : Path
-        What SESSION stands for in the commands that a warning advises.
+    `settings` is the port, for the link load.  View items go to `publish`, log lines also to `say`.  The
+    status card begins with `card`, and SESSION in the commands that a warning advises stands for `session`.
     """
 
     def __init__(

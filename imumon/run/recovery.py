@@ -43,10 +43,8 @@ def recover(path: Path, device_name: str | None = None) -> Recovered:
     says the device, or when a device is named of a session that knows its own; BUSY when it is being
     recorded; OSError when the disk is full or fails; each file is then as it was, or whole and new.
 
-    Parameters
-    ----------
-    device_name : str, optional
-        Known name or path of a device file, where session.yaml is lost and the wire file does not hold it.
+    `device_name` is a known name or the path of a device file, where session.yaml is lost and the wire file
+    does not hold it.
     """
     lost = lost_metadata(path)
     if lost is not None:

@@ -29,14 +29,7 @@ def pipeline_of(
 ) -> Pipeline:
     """Return the pipeline of a device or a recording: the stages of a setup, then more.
 
-    Parameters
-    ----------
-    sent : DeviceFile or Source
-        What sends, or what was recorded.
-    more : sequence of Estimator
-        Stages behind those of the setup.
-    only : tuple of type
-        Which stages of the setup.
+    `only` selects the stages of the setup.
     """
     setup = setup or Setup()
     device, declared = (sent.device, sent.range) if isinstance(sent, Source) else (sent, Ranges())

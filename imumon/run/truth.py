@@ -79,12 +79,8 @@ class Truth:
     def take(self, block: SampleBlock, estimates: Mapping[str, Estimate], *, at_rest: bool = False) -> None:
         """Compare estimates at the samples of a block.
 
-        Parameters
-        ----------
-        estimates : mapping of str to Estimate
-            By gyro_bias_{x,y,z} (rad/s), and by recorded or estimated temperatures (°C).
-        at_rest : bool
-            Only where the unit is at rest.
+        Estimates are by gyro_bias_{x,y,z}, rad/s, and by recorded or estimated temperatures, °C; with
+        `at_rest` only those where the unit is at rest count.
         """
         time_ns = block["device_time_ns"]
         row = np.minimum(np.searchsorted(self.time_ns, time_ns), len(self.time_ns) - 1)
@@ -141,10 +137,7 @@ def check_truth(sessions: Iterable[Path]) -> None:
 def read_truth(session: Path, *, earth_removed: bool) -> Truth:
     """Read the truth of a simulated session; raises BAD_DATA where there is none.
 
-    Parameters
-    ----------
-    earth_removed : bool
-        Whether the estimates are without the earth's rotation.
+    `earth_removed` is whether the estimates are without the earth's rotation.
     """
     check_truth([session])
     path = session / TRUTH_NAME

@@ -37,12 +37,7 @@ the newest first, and the server forgets the oldest.  Until a repetition arrives
 class Viewers:
     """Serves the stream, and reports how that goes.
 
-    Parameters
-    ----------
-    start : Start
-        A page for browsers, or a native viewer.
-    report : callable
-        Takes a `Report`, when there is a new one.
+    `report` takes a `Report`, when there is a new one.
     """
 
     def __init__(self, start: Start, rec: rr.RecordingStream, report: Callable[[Report], None]) -> None:

@@ -48,12 +48,7 @@ class _Compared:
 class Comparison:
     """Logs sessions, one after the other, to one recording stream.
 
-    Parameters
-    ----------
-    setup : ViewSetup
-        Title and units.
-    align : "power-on" or "host"
-        Whether each session begins at zero, or stands where the clock of its computer says.
+    With `align` each session begins at zero, or stands where the clock of its computer is.
     """
 
     def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, align: Alignment) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -225,24 +226,20 @@ class Timebase:
         return Instant(last.sample, device, time_ns)
 
     def _continued(self, device: IntArray, host: IntArray | None, block: SampleBlock) -> IntArray:
-        segment = block["segment"] if "segment" in block else np.zeros(len(block), np.int64)
-        before = np.concatenate(([self._segment], segment[:-1]))
-        starts = np.flatnonzero(segment != before)
-        edges = np.unique(np.concatenate(([0], starts, [len(block)])))
-        shifted = np.empty_like(device)
-        last = self._last
-        for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-            if start in starts and last.device_ns is not None:
+        n, shifted, last = len(block), np.empty_like(device), self._last
+        segment = block["segment"] if "segment" in block else np.zeros(n, np.int64)
+        for start, stop in pairwise([0, *(np.flatnonzero(np.diff(segment)) + 1).tolist(), n]):
+            label = int(segment[start])
+            if label != self._segment and last.device_ns is not None:
                 gap = self._interval_ns
                 if host is not None and last.host_ns is not None:
                     gap = max(gap, int(host[start]) - last.host_ns)
-                self._shift_ns[int(segment[start])] = last.device_ns + gap - int(device[start])
-            shifted[start:stop] = device[start:stop] + self._shift_ns.get(int(segment[start]), 0)
+                self._shift_ns[label] = last.device_ns + gap - int(device[start])
+            shifted[start:stop] = device[start:stop] + self._shift_ns.get(label, 0)
             if stop - start > 1:
                 self._interval_ns = max(0, int(device[stop - 1] - device[stop - 2]))
             host_ns = last.host_ns if host is None else int(host[stop - 1])
-            last = Instant(None, int(shifted[stop - 1]), host_ns)
-        self._segment = int(segment[-1])
+            last, self._segment = Instant(None, int(shifted[stop - 1]), host_ns), label
         return shifted
 
 

@@ -116,18 +116,15 @@ class Strip:
 
     def declare(self, rec: rr.RecordingStream) -> None:
         """Log what does not change: names, colours and styles."""
-        style: Any = {
-            "names": [line.name for line in self.lines],
-            "colors": [list(line.color) for line in self.lines],
-        }
-        if self.look == "points":
-            look: Any = rr.SeriesPoints(**style, marker_sizes=[2.0] * len(self.lines))
-        else:
-            mode = rr.components.InterpolationMode.StepAfter if self.look == "steps" else None
+        names, colors = [line.name for line in self.lines], [list(line.color) for line in self.lines]
+        look: Any = rr.SeriesPoints(names=names, colors=colors, marker_sizes=[2.0] * len(names))
+        steps = rr.components.InterpolationMode.StepAfter
+        if self.look != "points":
             look = rr.SeriesLines(
-                **style,
-                widths=[1.6] * len(self.lines),
-                interpolation_mode=mode,
+                names=names,
+                colors=colors,
+                widths=[1.6] * len(names),
+                interpolation_mode=steps if self.look == "steps" else None,
                 aggregation_policy=SPIKES_STAY,
             )
         rec.log(self.drawn, look, static=True)

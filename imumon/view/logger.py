@@ -52,16 +52,8 @@ class StreamLogger:
     Call `begin` at the start and in each new file, then `log`.  Entities, styles and arrangement follow from
     the columns that come.
 
-    Parameters
-    ----------
-    rec : RecordingStream
-        Where everything goes; its sinks are the caller's business.
-    setup : ViewSetup
-        Title, units, frame, window.
-    live : bool
-        Whether the blueprint follows the last seconds or shows all of a recording.
-    show : callable, optional
-        Takes the arrangement when it has changed; without, it is sent as a blueprint.
+    The sinks of `rec` are the caller's business.  With `live` the blueprint follows the last seconds, else it
+    shows all of a recording.  `show` takes the arrangement when it has changed; without, it is sent.
     """
 
     def __init__(

@@ -52,18 +52,8 @@ class Report:
 class ViewPublisher(FedProcess):
     """Feeds a process that shows the live view; nothing that happens there delays the caller.
 
-    Parameters
-    ----------
-    mode : "native" or "web"
-        A native window, or a page that browsers open.
-    setup : ViewSetup
-        Title, recording, units, frame, window.
-    port, web_port : int
-        Port of the native viewer, and of the page; when another program has it, the next free one is taken.
-    bind : str
-        Address that the page is on.
-    module : str
-        What the process runs.
+    Where another program has the port of the viewer or `web_port` of the page, the next free one is taken.
+    The page is on the address `bind`.
     """
 
     def __init__(

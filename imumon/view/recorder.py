@@ -35,16 +35,8 @@ class ViewRecorder:
 
     Raises EXISTS when there is a file already; NOT_FOUND when the folder is missing.
 
-    Parameters
-    ----------
-    path : Path
-        The first segment; the others stand beside it.
-    setup : ViewSetup
-        As for the live view, so that both are the same recording.
-    segment_s : float
-        A new segment begins with the first batch after this much time.
-    on_error : callable
-        Called with `error` once, from the thread that writes.
+    `path` is the first segment, the others stand beside it; one begins with the first batch after
+    `segment_s`. `on_error` is called with `error` once, from the thread that writes.
     """
 
     def __init__(

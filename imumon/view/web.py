@@ -142,14 +142,8 @@ class WebServer:
 
     All comes from one address and port, so that it works as well through a tunnel (``ssh -L``).
 
-    Parameters
-    ----------
-    door : socket
-        Listens where browsers come to; see `imumon.view.viewer.listen`.
-    stream : (str, int)
-        Address and port of the server that the stream comes from; whoever reaches that one is answered.
-    title : str
-        Of the page.
+    `door` listens where browsers come to (`imumon.view.viewer.listen`); `stream` is address and port of the
+    server that the stream comes from, which answers whoever reaches it.
     """
 
     def __init__(self, door: socket.socket, stream: tuple[str, int], title: str = "imumon") -> None:

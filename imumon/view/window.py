@@ -37,11 +37,6 @@ class Extents:
     """Logs the ends of axes: live once a second, a recording at its end.
 
     On the way they would cost a recording a fifth of its bytes.
-
-    Parameters
-    ----------
-    live : bool
-        Whether a person is watching.
     """
 
     def __init__(self, rec: rr.RecordingStream, *, live: bool) -> None:
