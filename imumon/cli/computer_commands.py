@@ -107,7 +107,7 @@ def plugins(as_json: bool) -> int:
 
     Exits with 1 when one does not load.
     """
-    from imumon.run.plugins import installed
+    from imumon.run.doctor import installed
 
     found = installed()
     if as_json:

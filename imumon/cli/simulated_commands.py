@@ -30,8 +30,6 @@ from imumon.files import bundled
 
 if TYPE_CHECKING:
     from imumon.simulation.unit import Scenario
-    from imumon.simulation.virtual_device import VirtualDevice
-    from imumon.simulation.virtual_port import VirtualPort
 
 DEVICE = "ax1"
 """The one that is simulated when none is named."""
@@ -60,17 +58,12 @@ def demo(options: tuple[str, ...]) -> int:
         monitor = subprocess.Popen([sys.executable, "-m", "imumon", *arguments])
         for number in STOP:  # Ctrl-C in a terminal reaches the monitor anyway, and twice does no harm
             signal.signal(number, lambda *_: monitor.send_signal(signal.SIGINT))
-        with _switched_on(port):
+        from imumon.protocols.device import load_device  # only now: the monitor starts meanwhile
+        from imumon.simulation.virtual_device import VirtualDevice
+
+        with VirtualDevice(load_device(DEVICE), port=port):
             signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP)
             return monitor.wait()
-
-
-def _switched_on(port: VirtualPort) -> VirtualDevice:
-    """Return the device on the port, imported only now: the monitor starts meanwhile."""
-    from imumon.protocols.device import load_device
-    from imumon.simulation.virtual_device import VirtualDevice
-
-    return VirtualDevice(load_device(DEVICE), port=port)
 
 
 @click.command("virtual")

@@ -1,4 +1,4 @@
-"""What this computer lacks for imumon, each finding with what to do about it."""
+"""What this computer lacks for imumon, and the plug-ins: of which package each is, and whether it loads."""
 
 from __future__ import annotations
 
@@ -10,14 +10,19 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from enum import Enum
 from importlib import metadata
+from importlib.metadata import EntryPoint
 from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
+from imumon.effects.offered import EFFECT, guarded, is_effect
 from imumon.errors import ImumonError
-from imumon.run.plugins import installed
+from imumon.plugins import DEVICES, EFFECTS, STAGES, entries, load, package_of
+from imumon.protocols.device import FOLDER, is_folder, load_device
+from imumon.stage import STAGE, is_callable, made_by
 from imumon.transport.errors import open_error
 from imumon.transport.ports import PortInfo, latency_timer_path, list_ports
 from imumon.transport.settings import PortSettings
@@ -176,3 +181,40 @@ def _nearest(place: Path) -> Path:
 def _writable(place: Path) -> bool:
     """Return whether a folder can be written to, or be made."""
     return os.access(_nearest(place), os.W_OK | os.X_OK)
+
+
+@dataclass(frozen=True, slots=True)
+class Installed:
+    """An entry point of an installed package."""
+
+    group: str
+    name: str
+    package: str
+    version: str
+    brings: tuple[str, ...] = ()
+    """Columns of a stage, devices of a folder, the sensors of an effect; empty when it does not load."""
+    problem: str = ""
+    """Why it does not load; empty when it does."""
+
+
+def installed() -> list[Installed]:
+    """Return the plug-ins of all groups, each loaded for a try."""
+    return [_tried(entry) for group in (STAGES, DEVICES, EFFECTS) for entry in entries(group)]
+
+
+def _tried(entry: EntryPoint) -> Installed:
+    known = (entry.group, entry.name, *package_of(entry))
+    try:
+        return Installed(*known, tuple(_brought(entry)))
+    except ImumonError as error:
+        return Installed(*known, problem=error.seen)
+
+
+def _brought(entry: EntryPoint) -> list[str]:
+    """Return the names of what an entry point brings."""
+    if entry.group == STAGES:
+        return [column.name for column in made_by(load(entry, STAGE, is_callable)).columns]
+    if entry.group == DEVICES:
+        files = sorted(Path(load(entry, FOLDER, is_folder).offered).glob("*.yaml"))
+        return [load_device(str(file)).name for file in files]
+    return [*guarded(load(entry, EFFECT, is_effect)).sensors]
