@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import zlib
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
 
 import numpy as np
@@ -74,23 +74,15 @@ class StreamCounters:
 
 
 @dataclass(frozen=True, slots=True)
-class PipelineCounters:
+class PipelineCounters(Counters):
     """What became of every byte and packet, and of values (`left_out`); the keys of ``--json``."""
 
-    packets: int
-    packets_by_type: dict[str, int]
-    bytes_received: int
-    bytes_in_packets: int
-    bytes_skipped: int
-    bytes_pending: int
-    checksum_errors: int
-    length_errors: int
-    counter_gaps: int
-    packets_missing: int
-    clock_restarts: int
-    samples: int
-    left_out: int
-    streams: dict[str, StreamCounters]
+    counter_gaps: int = 0
+    packets_missing: int = 0
+    clock_restarts: int = 0
+    samples: int = 0
+    left_out: int = 0
+    streams: dict[str, StreamCounters] = field(default_factory=dict)
 
     @property
     def lost(self) -> int:
@@ -99,7 +91,7 @@ class PipelineCounters:
 
     def as_dict(self) -> dict[str, object]:
         """Return the counters as they are printed and stored."""
-        return asdict(self)
+        return {**asdict(self), "bytes_pending": self.bytes_pending}
 
 
 class Pipeline:
@@ -186,7 +178,6 @@ class Pipeline:
         raw = self._decoder.counters() if self._decoder is not None else Counters()
         return PipelineCounters(
             **asdict(raw),
-            bytes_pending=raw.bytes_pending,
             counter_gaps=self._device_clock.counter_gaps,
             packets_missing=self._device_clock.packets_missing,
             clock_restarts=self._device_clock.resets,

@@ -50,14 +50,11 @@ class Viewers:
         address, port = serve_stream(rec)
         url = proxy_url(port, address)
         self._port = viewer_port(start.port)
+        text = f"`rerun {url}` opens a viewer"
         # One that is open goes on with this stream, as after a restart; one that was closed stays closed.
-        if start.open_viewer or self._is_open():
-            self._viewer = start_viewer(self._port, url)
-        text = f"`rerun {url}` opens a viewer" if self._viewer is None else "viewer open"
+        if start.open_viewer or probe(self._port) is Answer.RERUN:
+            self._viewer, text = start_viewer(self._port, url), "viewer open"
         self._serving = Report(text, url, self._port)
-
-    def _is_open(self) -> bool:
-        return probe(self._port) is Answer.RERUN
 
     def poll(self) -> None:
         """Find out whether the native viewer is still there."""
@@ -65,7 +62,9 @@ class Viewers:
         if code:
             text = f"the viewer could not start or go on (exit code {code}); try --view web"
             report = replace(report, text=text)
-        elif code == 0 and not self._is_open():  # else it has passed the stream on to one that was open
+        elif (
+            code == 0 and probe(self._port) is not Answer.RERUN
+        ):  # else it has passed the stream on to one that was open
             report = replace(report, text=f"viewer closed; `rerun {report.url}` brings it back")
         if report != self._reported:
             self._reported = report

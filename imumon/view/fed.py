@@ -16,7 +16,6 @@ import sys
 import threading
 import time
 import traceback
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
@@ -52,7 +51,7 @@ MAX_BYTES = 1024 << 20
 """More memory (a viewer that takes nothing for half an hour) ends the process; it is started anew."""
 
 
-class FedProcess(ABC):
+class FedProcess:
     """Feeds a process that runs a `module`, which calls `serve`; nothing there delays the caller."""
 
     def __init__(self, module: str) -> None:
@@ -63,19 +62,16 @@ class FedProcess(ABC):
         self._process: subprocess.Popen[bytes] | None = None
         self._supervisor = threading.Thread(target=self._supervise, name=f"feeds {module}", daemon=True)
 
-    @abstractmethod
     def _first(self) -> object:
         """Return the first message to a process that starts."""
+        raise NotImplementedError
 
-    @abstractmethod
     def _handed(self, items: Sequence[ViewItem]) -> None:
         """Note what left the queue for the process."""
 
-    @abstractmethod
     def _received(self, message: Any) -> None:
         """Take a message of the process."""
 
-    @abstractmethod
     def _gone(self) -> None:
         """Note that the process has ended, and was heard to its end."""
 

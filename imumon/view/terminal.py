@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from itertools import zip_longest
 from textwrap import wrap
 
 import numpy as np
@@ -101,12 +102,9 @@ class Screen:
         if (columns, rows) != self._size:
             self._size, self._shown = (columns, rows), []
             self._write("\x1b[2J")
-        parts = []
-        for row in range(max(len(lines), len(self._shown))):
-            line = _one_line(lines[row]) if row < len(lines) else ""
-            if row >= len(self._shown) or line != self._shown[row]:
-                parts.append(f"\x1b[{row + 1};1H{line}\x1b[K")
-        self._shown = [_one_line(line) for line in lines]
+        before, self._shown = self._shown, [_one_line(line) for line in lines]
+        pairs = enumerate(zip_longest(self._shown, before, fillvalue=""), 1)
+        parts = [f"\x1b[{row};1H{line}\x1b[K" for row, (line, old) in pairs if line != old]
         if parts:
             self._write("".join(parts))
 
