@@ -62,9 +62,7 @@ class Viewers:
         if code:
             text = f"the viewer could not start or go on (exit code {code}); try --view web"
             report = replace(report, text=text)
-        elif (
-            code == 0 and probe(self._port) is not Answer.RERUN
-        ):  # else it has passed the stream on to one that was open
+        elif code == 0 and probe(self._port) is not Answer.RERUN:  # nor did it pass the stream on
             report = replace(report, text=f"viewer closed; `rerun {report.url}` brings it back")
         if report != self._reported:
             self._reported = report
