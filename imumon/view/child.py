@@ -44,7 +44,7 @@ class Viewers:
         self._report, self._reported = report, Report("")
         self._viewer: subprocess.Popen[bytes] | None = None
         if start.mode == "web":
-            page = serve_page(rec, start.setup, start.web_port, start.bind)
+            page = serve_page(rec, start.setup, start.port, start.bind)
             self._serving = Report("serving the web viewer", page.url, page.port)
             return
         address, port = serve_stream(rec)

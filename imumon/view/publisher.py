@@ -32,7 +32,7 @@ class Start:
     setup: ViewSetup
     mode: Mode
     port: int
-    web_port: int
+    """Of the native viewer, or of the page."""
     bind: str
     open_viewer: bool = True
     """Whether a native viewer is opened where none is open; False after a restart."""
@@ -67,7 +67,7 @@ class ViewPublisher(FedProcess):
         module: str = "imumon.view.child",
     ) -> None:
         super().__init__(module)
-        self._start = Start(setup, mode, port, web_port, bind)
+        self._start = Start(setup, mode, web_port if mode == "web" else port, bind)
         self._lasting: dict[str, ViewItem] = {}
         self._report = Report("view starts")
 
@@ -96,8 +96,7 @@ class ViewPublisher(FedProcess):
         """Keep what a later view process needs: the same port, and no second window."""
         self._report = report
         if report.url:
-            port = "web_port" if self._start.mode == "web" else "port"
-            self._start = replace(self._start, open_viewer=False, **{port: report.port})
+            self._start = replace(self._start, open_viewer=False, port=report.port)
 
     def _gone(self) -> None:
         if not self._queue.closed.is_set():
