@@ -52,6 +52,13 @@ def decode(
     imumon decode sessions/NAME --out samples.parquet
     imumon decode capture.bin --device xsens --out samples.csv
     """
+    _write_table(file, device, rate, out, columns, as_json)
+
+
+def _write_table(
+    file: Path, device: str | None, rate: float | None, out: Path, columns: str | None, as_json: bool
+) -> None:
+    """Decode a capture or a session into a table, and report what came."""
     from imumon.pipeline import Pipeline
     from imumon.recordings.side_tables import Exported, export_run
     from imumon.recordings.source import no_samples, open_source, run_over
@@ -61,7 +68,12 @@ def decode(
     source = open_source(file, device, rate)
     source.refuse_output(out)
     pipeline = Pipeline(source.device)
-    named = {"file": source.path, "device": None if source.device is None else source.device.name}
+    session = None if source.session is None else source.session.path
+    named = {
+        "file": source.path,
+        "session": session,
+        "device": None if source.device is None else source.device.name,
+    }
     doubts = Doubts(source.device is not None and source.device.protocol.startswith("fixed"))
     try:
         with reading_bar([file], quiet=as_json):
@@ -84,8 +96,8 @@ def decode(
         "bytes": f"{counters.bytes_received:,} received, {counters.bytes_in_packets:,} in packets, "
         f"{counters.bytes_skipped:,} skipped, {counters.bytes_pending:,} pending",
         "losses": describe_losses(counters),
-        **describe_streams(counters, exported.tables),
     }
+    rows = (rows if counters.bytes_received else {}) | describe_streams(counters, exported.tables)
     data = named | exported_as_data(source, pipeline, exported) | {"doubts": doubtful}
     print_result(as_json, data, rows)
 
@@ -107,22 +119,11 @@ def export(session: Path, kind: str, out: Path | None, columns: str | None, as_j
     \b
     imumon export sessions/NAME --to csv
     """
-    from imumon.pipeline import Pipeline
     from imumon.recordings.folder import open_session
-    from imumon.recordings.side_tables import export_run
-    from imumon.recordings.source import open_source, run_over
-    from imumon.run.narration import describe_streams
 
     folder = open_session(session).path
-    source = open_source(folder)
     table = folder / f"export.{kind}" if out is None else _named(out, kind)
-    source.refuse_output(table)
-    pipeline = Pipeline(source.device)
-    exported = export_run(run_over(source.items, pipeline), pipeline, source, table, split_columns(columns))
-    warn([*source.warnings(), *exported.warnings])
-    streams = pipeline.counters.as_dict()["streams"]
-    data = {"session": session, **exported.as_dict(), "streams": streams} | source.losses()
-    print_result(as_json, data, describe_streams(pipeline.counters, exported.tables))
+    _write_table(folder, None, None, table, columns, as_json)
 
 
 def _named(out: Path, kind: str) -> Path:
