@@ -78,20 +78,16 @@ __all__ = [
 ]
 
 _ROOMS = {
-    "Column": "columns",
-    "Estimator": "pipeline",
-    "Live": "library.live",
-    "Pipeline": "pipeline",
-    "SampleBlock": "blocks",
-    "Samples": "library.samples",
-    "Setup": "run.setup",
-    "load_model": "models.model",
-    "load_setup": "run.setup",
-    "open": "library.live",
-    "read": "library.reading",
-    "read_blocks": "library.reading",
+    "blocks": ["SampleBlock"],
+    "columns": ["Column"],
+    "library.live": ["Live", "open"],
+    "library.reading": ["read", "read_blocks"],
+    "library.samples": ["Samples"],
+    "models.model": ["load_model"],
+    "pipeline": ["Estimator", "Pipeline"],
+    "run.setup": ["Setup", "load_setup"],
 }
-"""Where a name is made: imported when it is asked for, so that the command line starts at once."""
+"""Where names are made: imported when they are used, so that the command line starts at once."""
 
 
 def __dir__() -> list[str]:
@@ -99,6 +95,7 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> object:
-    if name in _ROOMS:
-        return getattr(import_module(f"{__name__}.{_ROOMS[name]}"), name)
+    for room, names in _ROOMS.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{room}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

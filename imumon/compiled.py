@@ -65,12 +65,7 @@ def inner(function: F | None = None, **options: Any) -> F | Callable[[F], F]:
     return part
 
 
-_TYPES = {
-    "int": np.int64,
-    "IntArray": np.int64,
-    "float": np.float64,
-    "FloatArray": np.float64,
-}
+_TYPES = {"int": np.int64, "IntArray": np.int64, "float": np.float64, "FloatArray": np.float64}
 
 
 def record(fields: type[Fields], **shapes: int | tuple[int, ...]) -> Fields:

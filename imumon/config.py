@@ -90,7 +90,8 @@ def parse_yaml(text: str, model: type[Model], source: str) -> Model:
         # All but the first come from values such as a date with a month 13.
         raise ImumonError(Reason.BAD_CONFIG, f"{source}: not valid YAML: {error}") from error
     if root is None or not isinstance(data, dict):
-        raise ImumonError(Reason.BAD_CONFIG, f"{source}:1: expected a mapping of keys, got {_kind(data)}")
+        kind = "an empty file" if data is None else f"a {type(data).__name__}"
+        raise ImumonError(Reason.BAD_CONFIG, f"{source}:1: expected a mapping of keys, got {kind}")
     try:
         return model.model_validate(data)
     except ValidationError as error:
@@ -101,10 +102,7 @@ def parse_yaml(text: str, model: type[Model], source: str) -> Model:
 def dump_yaml(data: Mapping[str, Any], *, flow: bool | None = False) -> str:
     """Return YAML text from which `parse_yaml` reads the same, keys in their order.
 
-    Parameters
-    ----------
-    flow : bool or None
-        Whether lists are in one line; None for those without another list in them.
+    With `flow` lists are in one line; None: those without another list in them.
     """
     style: Any = {"sort_keys": False, "allow_unicode": True, "width": 110, "default_flow_style": flow}
     return str(yaml.dump(dict(data), Dumper=_Dumper, **style))
@@ -121,9 +119,11 @@ def _describe(item: Any, root: yaml.Node, source: str) -> str:
         return f"{where}this key is required"
     if item["type"] == "value_error":
         return where + message
-    found = repr(item["input"])
-    found = found if len(found) <= 60 else found[:57] + "..."
-    return f"{where}{message}, got {found}"
+    return f"{where}{message}, got {_short(repr(item['input']), 60)}"
+
+
+def _short(text: str, most: int) -> str:
+    return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 def _locate(root: yaml.Node, location: Location) -> tuple[int, str]:
@@ -155,19 +155,15 @@ _UNION_TAGS = {"str", "int", "float", "bool", "function-after", "function-before
 def _refuse_deep(text: str, source: str) -> None:
     """Refuse what is too long or nested too deeply, before the parser builds it: libyaml would crash."""
     if len(text) > MOST_CHARACTERS:
-        raise ImumonError(
-            Reason.BAD_CONFIG, f"{source}: has {len(text):,} characters, at most {MOST_CHARACTERS:,} may be"
-        )
+        what = f"{source}: has {len(text):,} characters, at most {MOST_CHARACTERS:,} may be"
+        raise ImumonError(Reason.BAD_CONFIG, what)
     depth, loader = 0, _Loader(text)
     while loader.check_event():
         event = loader.get_event()
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > DEEPEST:
-            line = event.start_mark.line + 1
-            raise ImumonError(
-                Reason.BAD_CONFIG,
-                f"{source}:{line}: nested more than {DEEPEST} deep, which no file of imumon is",
-            )
+            what = f"{source}:{event.start_mark.line + 1}: nested more than {DEEPEST} deep"
+            raise ImumonError(Reason.BAD_CONFIG, f"{what}, which no file of imumon is")
 
 
 def _refuse_unreasonable(root: yaml.Node | None, loader: Any, source: str) -> None:
@@ -205,7 +201,7 @@ def _refuse_unreasonable(root: yaml.Node | None, loader: Any, source: str) -> No
 def _refuse_number(node: yaml.ScalarNode, loader: Any, source: str) -> None:
     if node.tag not in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float"):
         return
-    shown = node.value if len(node.value) <= 40 else f"{node.value[:37]}..."
+    shown = _short(node.value, 40)
     try:
         number = loader.construct_object(node)
     except (ArithmeticError, IndexError, TypeError, ValueError) as error:  # "1:59:59", "0x", "!!int"
@@ -216,7 +212,3 @@ def _refuse_number(node: yaml.ScalarNode, loader: Any, source: str) -> None:
 
 def _at(node: yaml.Node, source: str, seen: str) -> ImumonError:
     return ImumonError(Reason.BAD_CONFIG, f"{source}:{node.start_mark.line + 1}: {seen}")
-
-
-def _kind(data: object) -> str:
-    return "an empty file" if data is None else f"a {type(data).__name__}"

@@ -116,21 +116,16 @@ def check_output(path: Path, *, replace: bool = False) -> None:
 
     Raises EXISTS or BAD_CONFIG.
     """
-    place = target(path)
+    place, hint = target(path), "nothing was overwritten; give another name"
     if str(path) == "-" or (path.exists() and not path.is_file()):
         what = "is a folder" if path.is_dir() else "is no file"
         raise ImumonError(Reason.BAD_CONFIG, f"{path}: the output {what}", "give the name of a file to write")
     session = any((place.parent / name).exists() for name in TRUTH)
     if session and (place.name in TRUTH or (place.name in SESSION_FILES and place.exists())):
-        raise ImumonError(
-            Reason.EXISTS,
-            f"{place.parent} is a session, whose {place.name} no output may be",
-            "nothing was overwritten; give another name",
-        )
+        what = f"{place.parent} is a session, whose {place.name} no output may be"
+        raise ImumonError(Reason.EXISTS, what, hint)
     if path.exists() and not replace:
-        raise ImumonError(
-            Reason.EXISTS, f"{path} is there already", "nothing was overwritten; give another name"
-        )
+        raise ImumonError(Reason.EXISTS, f"{path} is there already", hint)
     if not place.parent.is_dir():
         raise ImumonError(Reason.BAD_CONFIG, f"{path}: there is no folder {place.parent}", "make it first")
 

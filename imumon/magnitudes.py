@@ -20,13 +20,12 @@ RATES_HZ = (0.1, 40e3)
 
 
 def rate_doubts(rate_hz: float) -> list[str]:
-    """Return what is to be said of a rate of samples, Hz; nothing of NaN."""
+    """Return the warning for a rate of samples, Hz, that no sensor has; none for NaN."""
     slowest, fastest = RATES_HZ
-    if not (rate_hz < slowest or rate_hz > fastest):
-        return []
-    return [
+    text = (
         f"the rows come at {rate_hz:.3g} Hz, as those of no inertial sensor: is the unit of the time right?"
-    ]
+    )
+    return [text] if rate_hz < slowest or rate_hz > fastest else []
 
 
 class SpecificForce:
@@ -35,14 +34,12 @@ class SpecificForce:
     def __init__(self) -> None:
         self._minute = (NO_INT, NO_INT)
         """Segment, and number of the minute in device time."""
-        self._counts = np.zeros(3, np.int64)
-        """Readings in it that are below `GRAVITIES`, above, and all."""
-        self._total = 0.0
-        """Sum of those magnitudes that are beyond, over gravity."""
+        self._sums = np.zeros(4)
+        """Readings in it that are below `GRAVITIES`, above, and all; and the sum of those beyond, in g."""
         self._beyond = 0
         """Minutes in a row most of which was below, or above: negative where below."""
         self.found: str | None = None
-        """What is to be said, once it is certain."""
+        """The warning, once it is certain."""
 
     def look(self, block: SampleBlock) -> None:
         """Take samples, with what is left out of them missing, where they have a time."""
@@ -57,26 +54,21 @@ class SpecificForce:
         if not len(magnitude):
             return
         edges = np.flatnonzero((np.diff(minute) != 0) | (np.diff(segment) != 0)) + 1
-        firsts = np.concatenate([[0], edges])
-        for first, part in zip(firsts.tolist(), np.split(magnitude, edges), strict=True):
+        for first, part in zip([0, *edges.tolist()], np.split(magnitude, edges), strict=True):
             now = int(segment[first]), int(minute[first])
             if now != self._minute:
                 self._end(now)
             low, high = part < GRAVITIES[0], part > GRAVITIES[1]
-            self._counts += [low.sum(), high.sum(), len(part)]
-            self._total += float(part[low | high].sum())
+            self._sums += [low.sum(), high.sum(), len(part), part[low | high].sum()]
 
     def _end(self, now: tuple[int, int]) -> None:
-        """Judge the minute that has ended."""
-        (low, high, every), before = self._counts.tolist(), self._minute
+        """Classify the minute that has ended."""
+        (low, high, every, total), (segment, minute) = self._sums.tolist(), self._minute
         way = -1 if 2 * low > every else 1 if 2 * high > every else 0
-        goes_on = now == (before[0], before[1] + 1)
         self._beyond = way + (self._beyond if way * self._beyond > 0 else 0)
         if abs(self._beyond) >= MINUTES and self.found is None:
-            self.found = (
-                f"the specific force is {self._total / (low + high):.2g} times gravity for minutes, which no "
-                "vehicle on earth bears: is its unit right?"
-            )
-        if not goes_on:
+            what = f"the specific force is {total / (low + high):.2g} times gravity for minutes, which no "
+            self.found = f"{what}vehicle on earth bears: is its unit right?"
+        if now != (segment, minute + 1):
             self._beyond = 0
-        self._minute, self._counts, self._total = now, np.zeros(3, np.int64), 0.0
+        self._minute, self._sums = now, np.zeros(4)

@@ -7,10 +7,9 @@ cut into pieces: a replay of a recording gives the same numbers, bit for bit.
 from __future__ import annotations
 
 import hashlib
-import pickle
 import zlib
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
 
 import numpy as np
@@ -75,23 +74,15 @@ class StreamCounters:
 
 
 @dataclass(frozen=True, slots=True)
-class PipelineCounters:
+class PipelineCounters(Counters):
     """What became of every byte and packet, and of values (`left_out`); the keys of ``--json``."""
 
-    packets: int
-    packets_by_type: dict[str, int]
-    bytes_received: int
-    bytes_in_packets: int
-    bytes_skipped: int
-    bytes_pending: int
-    checksum_errors: int
-    length_errors: int
-    counter_gaps: int
-    packets_missing: int
-    clock_restarts: int
-    samples: int
-    left_out: int
-    streams: dict[str, StreamCounters]
+    counter_gaps: int = 0
+    packets_missing: int = 0
+    clock_restarts: int = 0
+    samples: int = 0
+    left_out: int = 0
+    streams: dict[str, StreamCounters] = field(default_factory=dict)
 
     @property
     def lost(self) -> int:
@@ -100,11 +91,13 @@ class PipelineCounters:
 
     def as_dict(self) -> dict[str, object]:
         """Return the counters as they are printed and stored."""
-        return asdict(self)
+        return {**asdict(self), "bytes_pending": self.bytes_pending}
 
 
 class Pipeline:
     """Decoder, clock and estimators in order.
+
+    A pickle of it is a snapshot: what is loaded from that goes on, bit for bit.
 
     Parameters
     ----------
@@ -184,14 +177,7 @@ class Pipeline:
         """What became of every byte and packet so far."""
         raw = self._decoder.counters() if self._decoder is not None else Counters()
         return PipelineCounters(
-            packets=raw.packets,
-            packets_by_type=dict(raw.packets_by_type),
-            bytes_received=raw.bytes_received,
-            bytes_in_packets=raw.bytes_in_packets,
-            bytes_skipped=raw.bytes_skipped,
-            bytes_pending=raw.bytes_pending,
-            checksum_errors=raw.checksum_errors,
-            length_errors=raw.length_errors,
+            **asdict(raw),
             counter_gaps=self._device_clock.counter_gaps,
             packets_missing=self._device_clock.packets_missing,
             clock_restarts=self._device_clock.resets,
@@ -204,41 +190,17 @@ class Pipeline:
         assembled = self._epochs.counters if self._epochs is not None else {}
         counters = {}
         for stream, intervals in self._intervals.items():
-            own = assembled.get(stream, EpochCounters())
-            restarts = self._device_clock.resets if stream == MAIN else intervals.backwards
+            own, is_main = assembled.get(stream, EpochCounters()), stream == MAIN
             counters[stream] = StreamCounters(
-                own.packets or intervals.rows,
-                intervals.rows,
-                intervals.rate_hz,
-                intervals.gaps,
-                own.incomplete,
-                restarts,
-                self._device_clock.dated_by if stream == MAIN else "",
+                packets=own.packets or intervals.rows,
+                rows=intervals.rows,
+                rate_hz=intervals.rate_hz,
+                gaps=intervals.gaps,
+                incomplete=own.incomplete,
+                restarts=self._device_clock.resets if is_main else intervals.backwards,
+                dated_by=self._device_clock.dated_by if is_main else "",
             )
         return counters
-
-    def snapshot(self) -> bytes:
-        """Return decoder, clocks and stages as they are now; `restore` goes on from there, bit for bit.
-
-        The bytes belong to this version of imumon and of its packages.
-        """
-        return pickle.dumps(self)
-
-    @staticmethod
-    def restore(snapshot: bytes) -> Pipeline:
-        """Return a pipeline that goes on where `snapshot` was taken.
-
-        Only for bytes of one's own: like everything that pickle reads, they can run code.
-
-        Raises ValueError they are damaged, no snapshot of a pipeline, or one of another version of imumon.
-        """
-        try:
-            pipeline = pickle.loads(snapshot)
-        except Exception as error:  # damaged bytes make pickle raise whatever there is
-            raise ValueError(f"no snapshot of a pipeline of this version of imumon: {error}") from error
-        if not isinstance(pipeline, Pipeline):
-            raise ValueError(f"a {type(pipeline).__name__} is no snapshot of a pipeline")
-        return pipeline
 
     def feed(self, data: bytes, arrival_ns: int = UNDATED) -> None:
         """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""
@@ -258,18 +220,18 @@ class Pipeline:
         self._count(MAIN, block)
 
     def finish(self) -> None:
-        """Say that no more bytes come: samples held back behind a damaged header come out."""
+        """End the stream: no more bytes come; samples held back behind a damaged header come out."""
         if self._decoder is not None:
             self._decoder.finish()
             self.pause()
         self._ended = True
 
     def pause(self) -> None:
-        """Say that the port fell silent or closed: a row that waits for more of its fields comes out."""
+        """Let a row that waits for more of its fields come out, as the port fell silent or closed."""
         self._ready.append(self._decoded(end=True))
 
     def port_opened(self) -> None:
-        """Say that the port was opened anew: the device may have restarted meanwhile."""
+        """Begin a new connection, as the port was opened anew: the device may have restarted meanwhile."""
         self.pause()
         self._device_clock.new_connection()
 
@@ -288,7 +250,7 @@ class Pipeline:
         return self._side
 
     def notices(self) -> list[str]:
-        """Return, once each, what the device said that is not data."""
+        """Return, once each, what the device sent that is not data."""
         return self._decoder.notices() if self._decoder is not None else []
 
     def warnings(self) -> list[str]:
@@ -405,13 +367,7 @@ class Digest:
         self._rows += len(block)
 
     def columns(self, without: Collection[str] = ()) -> dict[str, int]:
-        """Return the CRC-32 of each column so far, of side streams as ``STREAM/COLUMN``.
-
-        Parameters
-        ----------
-        without : collection of str
-            Columns to leave out.
-        """
+        """Return the CRC-32 of each column so far, of side streams as ``STREAM/COLUMN``."""
         own = {name: value for name, value in self._sums.items() if name not in without}
         for stream, digest in self._side.items():
             own |= {f"{stream}/{name}": value for name, value in digest.columns().items()}

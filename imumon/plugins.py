@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from traceback import extract_tb
@@ -18,8 +18,6 @@ DEVICES = "imumon.devices"
 """Folders of device files."""
 EFFECTS = "imumon.effects"
 """Effects (`imumon.effects.base.Effect`), under the name that they have."""
-WINGS = "imumon.wings"
-"""Wings (`imumon.wing.Wing`), under their names."""
 WITHOUT = "IMUMON_WITHOUT_PLUGINS"
 """Environment variable of ``imumon --without-plugins``: no plug-in is loaded, in child processes neither."""
 FRAMES = 8
@@ -34,17 +32,13 @@ class Plugin:
     name: str
     package: str
     version: str
-    offered: Any
+    offered: Any = None
 
     def error(self, what: str) -> ImumonError:
         """Return the error that says what is wrong with it."""
-        return plugin_error(self.group, self.name, self.package, what)
-
-
-def plugin_error(group: str, name: str, package: str, what: str) -> ImumonError:
-    """Return the error that says what is wrong with a plug-in."""
-    hint = f"mend it, run with imumon --without-plugins, or remove it: pip uninstall {package}"
-    return ImumonError(Reason.BAD_CONFIG, f"the plug-in {name} of {package} ({group}) {what}", hint)
+        hint = f"mend it, run with imumon --without-plugins, or remove it: pip uninstall {self.package}"
+        seen = f"the plug-in {self.name} of {self.package} ({self.group}) {what}"
+        return ImumonError(Reason.BAD_CONFIG, seen, hint)
 
 
 def package_of(entry: EntryPoint) -> tuple[str, str]:
@@ -62,19 +56,13 @@ def load(entry: EntryPoint, needed: str, fits: Callable[[str, Any], bool]) -> Pl
 
     Raises BAD_CONFIG when it cannot be imported or is something else.
 
-    Parameters
-    ----------
-    needed : str
-        What is offered in its group, in words.
-    fits : callable
-        Tells of a name and what is offered under it whether it is that.
+    `needed` names what is offered in its group; `fits` tests a name and what is offered under it.
     """
-    package, version = package_of(entry)
+    plugin = Plugin(entry.group, entry.name, *package_of(entry))
     try:
-        plugin = Plugin(entry.group, entry.name, package, version, entry.load())
+        plugin = replace(plugin, offered=entry.load())
     except Exception as error:
-        what = f"cannot be imported: {type(error).__name__}: {error}"
-        raise plugin_error(entry.group, entry.name, package, what) from error
+        raise plugin.error(f"cannot be imported: {type(error).__name__}: {error}") from error
     if not fits(plugin.name, plugin.offered):
         raise plugin.error(f"is no {needed}: {plugin.offered!r}")
     return plugin
@@ -98,10 +86,7 @@ def plugins(group: str, needed: str, fits: Callable[[str, Any], bool]) -> tuple[
 def described(error: Exception, caller: str) -> str:
     """Return what somebody else's code raised, with its traceback in one line, the innermost call first.
 
-    Parameters
-    ----------
-    caller : str
-        File of imumon that called the code; it is left out of the traceback.
+    `caller` is the file of imumon that called the code; it is left out of the traceback.
     """
     if isinstance(error, ImumonError):
         return error.seen

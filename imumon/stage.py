@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from typing import Any, Protocol, TypeVar, get_args, runtime_checkable
+from typing import Any, Protocol, TypeVar, get_args
 
 import numpy as np
 
@@ -39,21 +39,8 @@ class Estimator(Protocol):
     def notices(self) -> list[str]:
         """Return, once each, what the user should know of the data or of the parameters."""
 
-
-@runtime_checkable
-class Charting(Protocol):
-    """A stage that has more to show than its columns."""
-
-    def charts(self) -> Sequence[Chart]:
-        """Return its charts as they are now; empty while there is nothing to show."""
-
-
-@runtime_checkable
-class Reporting(Protocol):
-    """A stage that judges: each judgement is a lane of states in the view."""
-
-    def lanes(self) -> Mapping[str, str | LaneState]:
-        """Return the state of each of its lanes as it is now; a str is neither good nor bad."""
+    # It may also have `charts`, which returns a list of `Chart`, and `lanes`, which returns a dict of the
+    # state of each of its lanes in the view: a `LaneState`, or a str, which is neither good nor bad.
 
 
 class GuardedStage:
@@ -96,24 +83,21 @@ class GuardedStage:
 
     def notices(self, live: bool) -> list[str]:
         """Return, once each, what it has to say, and why it was switched off."""
-        nothing: list[str] = []
-        texts = self._call("notices", lambda: _each_is(str, self.stage.notices(), "text"), nothing, live)
+        given = self._call("notices", lambda: _each_is(str, self.stage.notices(), "text"), list[str](), live)
         report, self._report = self._report, []
-        return [*texts, *report]
+        return [*given, *report]
 
     def charts(self, live: bool) -> Sequence[Chart]:
-        """Return its charts as they are now."""
-        stage, nothing = self.stage, list[Chart]()
-        if not isinstance(stage, Charting):
-            return nothing
-        return self._call("charts", lambda: _each_is(Chart, stage.charts(), "chart"), nothing, live)
+        """Return its charts as they are now; empty while there is nothing to show."""
+        if (charts := getattr(self.stage, "charts", None)) is None:
+            return []
+        return self._call("charts", lambda: _each_is(Chart, charts(), "chart"), list[Chart](), live)
 
     def lanes(self, live: bool) -> Mapping[str, LaneState]:
         """Return the state of each of its lanes as it is now."""
-        stage, nothing = self.stage, dict[str, LaneState]()
-        if not isinstance(stage, Reporting):
-            return nothing
-        return self._call("lanes", lambda: _lanes(stage.lanes()), nothing, live)
+        if (lanes := getattr(self.stage, "lanes", None)) is None:
+            return {}
+        return self._call("lanes", lambda: _lanes(lanes()), dict[str, LaneState](), live)
 
     def _call(
         self, name: str, function: Callable[[], T], otherwise: T, live: bool, block: SampleBlock | None = None
@@ -130,26 +114,19 @@ class GuardedStage:
             return otherwise
 
     def _switch_off(self, call: str, error: Exception, block: SampleBlock | None) -> None:
-        declared = {column.name: column for column in (*self._columns, *self._declared())}
+        declared = {column.name: column for column in self._columns}
+        with suppress(Exception):  # those of a stage of imumon by now; it has failed, and may fail here too
+            declared |= {column.name: column for column in self.columns}
         # What another has added already is not its own.
         others = set(block.columns if block is not None else ()) - self._types.keys()
         self._columns = tuple(column for name, column in declared.items() if name not in others)
         self.switched_off = True
-        advice = (
-            "report this defect of imumon"
-            if self._own
-            else "mend it, or leave it out (a plug-in: --without-plugins)"
+        what = (
+            f"{name_of(self.stage)} is switched off after {self._samples:,} samples, its columns are missing"
         )
-        self._report.append(
-            f"{name_of(self.stage)} is switched off after {self._samples:,} samples, its columns are missing "
-            f"from there on: {call}: {described(error, __file__)}; {advice}"
-        )
-
-    def _declared(self) -> Sequence[Column]:
-        """Return the columns that a stage of imumon declares by now; it has failed, and may fail here too."""
-        with suppress(Exception):
-            return self.columns
-        return ()
+        advice = "mend it, or leave it out (a plug-in: --without-plugins)"
+        advice = "report this defect of imumon" if self._own else advice
+        self._report.append(f"{what} from there on: {call}: {described(error, __file__)}; {advice}")
 
     def _processed(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         if self._own:
@@ -162,7 +139,7 @@ class GuardedStage:
             view.flags.writeable = False
         new = self.stage.process(SampleBlock(views))
         if not isinstance(new, Mapping):
-            raise _wrong(f"it returned {_shown(new)}", "return a dict: an array for each column")
+            raise _wrong(f"it returned {_named(new)}", "return a dict: an array for each column")
         return self._checked(new, block) if len(block) else self._missing(block)
 
     def _missing(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
@@ -178,14 +155,13 @@ class GuardedStage:
         """
         if self._types.keys() != new.keys():
             declared = {column.name: np.dtype(column.dtype) for column in self.columns}
-            for name in new:
-                if name in block:
-                    raise _wrong(f"it adds {name}, which is there already", "give it another name")
-                if name not in declared:
-                    what = f"it adds {name}, which its columns do not declare"
-                    raise _wrong(what, "tables and view need its unit")
-            if absent := declared.keys() - new.keys():
-                what = f"it declares {', '.join(sorted(absent))}, which did not come"
+            if there := ", ".join(name for name in new if name in block):
+                raise _wrong(f"it adds {there}, which is there already", "give it another name")
+            if more := ", ".join(name for name in new if name not in declared):
+                what = f"it adds {more}, which its columns do not declare"
+                raise _wrong(what, "tables and view need its unit")
+            if absent := ", ".join(sorted(declared.keys() - new.keys())):
+                what = f"it declares {absent}, which did not come"
                 raise _wrong(what, "return every column, NaN where there is nothing")
             self._types = {name: declared[name] for name in new}
         for name, values in new.items():
@@ -208,8 +184,15 @@ def check_stage(stage: Estimator) -> None:
             raise _wrong(f"{named} is no name of a column", "small letters, digits and _")
         if column.dtype not in get_args(ColumnType):
             raise _wrong(f"{named} has type {column.dtype!r}", f"use {' or '.join(get_args(ColumnType))}")
-        if not is_own(stage):
-            _check_unit(named, column.unit)
+        if is_own(stage):
+            continue
+        if not isinstance(column.unit, str) or not column.unit.strip():
+            raise _wrong(f"{named} has unit {column.unit!r}", 'give its unit; "1" where it has none')
+        try:
+            parse_own_unit(column.unit)
+        except ValueError as error:
+            hint = 'write it like rad/s, or "1" where there is no unit'
+            raise _wrong(f"{named}: {error}", hint) from error
 
 
 def made_by(plugin: Plugin) -> Estimator:
@@ -241,18 +224,10 @@ def name_of(stage: object) -> str:
     return f"stage {name}" if is_own(stage) else f"stage {name} of {type(stage).__module__}"
 
 
-def _check_unit(named: str, unit: object) -> None:
-    if not isinstance(unit, str) or not unit.strip():
-        raise _wrong(f"{named} has unit {unit!r}", 'give its unit; "1" where it has none')
-    try:
-        parse_own_unit(unit)
-    except ValueError as error:
-        raise _wrong(f"{named}: {error}", 'write it like rad/s, or "1" where there is no unit') from error
-
-
 def _check_column(name: str, values: object, dtype: np.dtype[Any], n: int) -> None:
     if not isinstance(values, np.ndarray) or values.ndim != 1:
-        raise _wrong(f"{name} is {_shown(values)}", "return an array of one dimension")
+        shown = f"an array of shape {values.shape}" if isinstance(values, np.ndarray) else _named(values)
+        raise _wrong(f"{name} is {shown}", "return an array of one dimension")
     if len(values) != n:
         raise _wrong(f"{name} has {len(values)} values for {n} samples", "return one for each")
     if values.dtype != dtype:
@@ -277,7 +252,5 @@ def _wrong(what: str, hint: str) -> ImumonError:
     return ImumonError(Reason.BAD_CONFIG, what, hint)
 
 
-def _shown(values: object) -> str:
-    if isinstance(values, np.ndarray):
-        return f"an array of shape {values.shape}"
-    return "None" if values is None else f"a {type(values).__name__}"
+def _named(value: object) -> str:
+    return "None" if value is None else f"a {type(value).__name__}"

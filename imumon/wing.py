@@ -40,9 +40,11 @@ class Wing(NamedTuple):
     It takes the device file and its rate in Hz.
     """
     live_output: str = ""
-    """Option of `imumon monitor` that sends what is recorded elsewhere, too: a `LiveOutput`."""
-    setup_keys: tuple[str, ...] = ()
-    """Keys of a pipeline file that nothing but this wing carries out."""
+    """Option of `imumon monitor` that sends what is recorded elsewhere, too.
+
+    It has the `name` of its parameter, the decorator `option`, `parse`, and `start`, which returns what is
+    running: with `publish`, `text` for the status line, `as_data` and `rows`, `announce` and `close`.
+    """
     stages: str = ""
     """Returns more stages behind those of the core.
 

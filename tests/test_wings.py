@@ -1,25 +1,13 @@
-"""The core knows no wing; what a wing brings is found, also that of another package."""
+"""The core knows no wing; what a wing brings is found."""
 
 from __future__ import annotations
 
 import re
-import sys
-from collections.abc import Callable
-from importlib.metadata import EntryPoint
-from types import ModuleType
 
-import pytest
 from support import rooms
 
-from imumon import plugins, wings
 from imumon.cli import OWN, commands
-from imumon.errors import ImumonError, Reason
-from imumon.protocols.thermometer import TemperatureRateParameters
-from imumon.run.setup import Setup
-from imumon.run.stages import estimators, temperature_rate
-from imumon.wing import GROUPS, Command, Wing
-
-FIR = TemperatureRateParameters(method="fir_exponential", step_degc=0.05)
+from imumon.wing import GROUPS
 
 
 def test_no_room_of_the_core_imports_a_wing() -> None:
@@ -41,38 +29,3 @@ def test_the_drawing_in_the_docs_is_that_of_the_imports() -> None:
 def test_every_command_stands_under_a_heading_of_the_help() -> None:
     assert {*OWN} <= {*GROUPS}
     assert {command.group for command in commands().values()} == {*GROUPS}
-
-
-def test_a_wing_of_another_package_brings_its_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    module = ModuleType("another_wing")
-    module.WING = Wing("another", {"other": Command("Devices", "Do something else.", "another_wing")})  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "another_wing", module)
-    entry = EntryPoint("another", "another_wing:WING", plugins.WINGS)
-    monkeypatch.setattr(plugins, "entry_points", lambda group: [entry] if group == plugins.WINGS else [])
-    plugins.plugins.cache_clear()
-    commands.cache_clear()
-    try:
-        assert wings.wings()[-1].name == "another"
-        assert commands(of_plugins=True)["other"].help == "Do something else."
-        assert "other" not in commands()
-    finally:
-        plugins.plugins.cache_clear()
-        commands.cache_clear()
-
-
-@pytest.mark.parametrize(
-    "asked",
-    [lambda: estimators(None, Setup(published=["fir"])), lambda: temperature_rate(FIR)],
-    ids=["published", "fir"],
-)
-def test_what_only_an_absent_wing_has_is_refused(
-    monkeypatch: pytest.MonkeyPatch, asked: Callable[[], object]
-) -> None:
-    monkeypatch.setattr(wings, "BUILT_IN", ("imumon.lab",))
-    wings.built_in.cache_clear()
-    try:
-        with pytest.raises(ImumonError, match="no wing that is installed has this method") as caught:
-            asked()
-    finally:
-        wings.built_in.cache_clear()
-    assert caught.value.reason is Reason.BAD_CONFIG

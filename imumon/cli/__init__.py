@@ -1,4 +1,4 @@
-"""The command line: one file per command, imported only when that command runs."""
+"""The command line: commands are imported only when they run."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING
 
 import click
@@ -23,7 +23,7 @@ from click.shell_completion import shell_complete
 from imumon.cli.common import INTERRUPTED, note, say
 from imumon.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_USAGE, ImumonError
 from imumon.wing import GROUPS, Command
-from imumon.wings import built_in, wings
+from imumon.wings import wings
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
@@ -38,52 +38,46 @@ through it again and again took a tenth of the time that a recording needs to be
 
 OWN = {
     "Watch and record": {
-        "monitor": "Record a device and watch it live.",
-        "replay": "Run a recording again, bit for bit.",
-        "view": "Show several sessions on one time axis.",
-        "mark": "Put a word into a recording while it runs.",
-        "recover": "Finish a session that was interrupted or damaged.",
+        "monitor": ("monitor_command:command", "Record a device and watch it live."),
+        "replay": ("replay_command:command", "Run a recording again, bit for bit."),
+        "view": ("view_command:command", "Show several sessions on one time axis."),
+        "mark": ("session_commands:mark", "Put a word into a recording while it runs."),
+        "recover": ("session_commands:recover", "Finish a session that was interrupted or damaged."),
     },
     "Data in and out": {
-        "decode": "Turn a raw capture or a session into a table.",
-        "import": "Make a session from a CSV or Parquet table, or from a log.",
-        "export": "Write the samples of a session as a table.",
+        "decode": ("table_commands:decode", "Turn a raw capture or a session into a table."),
+        "import": ("table_commands:import_", "Make a session from a CSV or Parquet table, or from a log."),
+        "export": ("table_commands:export", "Write the samples of a session as a table."),
     },
     "Understand a unit": {
-        "allan": "Find noise, bias instability and drift of a recording at rest.",
-        "align": "Find the heading of a resting unit by the earth rate.",
+        "allan": ("allan_command:command", "Find noise, bias instability and drift of a recording at rest."),
+        "align": ("align_command:command", "Find the heading of a resting unit by the earth rate."),
     },
     "Devices": {
-        "doctor": "Check what this computer lacks.",
-        "ports": "List serial ports.",
-        "detect": "Find device and baud rate of a port.",
-        "devices": "List the devices that imumon knows.",
-        "plugins": "List what other packages add, and whether it loads.",
+        "doctor": ("computer_commands:doctor", "Check what this computer lacks."),
+        "ports": ("computer_commands:ports", "List serial ports."),
+        "detect": ("detect_command:command", "Find device and baud rate of a port."),
+        "devices": ("computer_commands:devices", "List the devices that imumon knows."),
+        "plugins": ("computer_commands:plugins", "List what other packages add, and whether it loads."),
     },
     "Without hardware": {
-        "demo": "Watch a simulated AHRS, without hardware.",
-        "virtual": "Be a device: a simulated AHRS on a pseudo-terminal.",
-        "simulate": "Make a session or a table of a scenario, with true values.",
+        "demo": ("simulated_commands:demo", "Watch a simulated AHRS, without hardware."),
+        "virtual": ("simulated_commands:virtual", "Be a device: a simulated AHRS on a pseudo-terminal."),
+        "simulate": ("simulated_commands:simulate", "Make a session or a table, with true values."),
     },
 }
-"""Commands of the core by group, with the line that the help shows; NAME is in imumon.cli.NAME_command."""
-
-START = ("demo", "doctor", "detect PORT", "monitor PORT --device NAME", "replay sessions/NAME")
-"""What a beginner needs, as `imumon` without arguments shows it."""
+"""Commands of the core by group: where each is in `imumon.cli`, and the line that the help shows."""
 
 
 @cache
-def commands(of_plugins: bool = False) -> dict[str, Command]:
-    """Return the commands by their names, in the order of the help; of each group first those of the core.
-
-    Raises BAD_CONFIG when a wing of another package does not load; those are looked for only where asked.
-    """
+def commands() -> dict[str, Command]:
+    """Return the commands by their names, in the order of the help; of each group first those of the core."""
     found = {
-        name: Command(group, text, f"imumon.cli.{name}_command")
+        name: Command(group, text, f"imumon.cli.{place}")
         for group, lines in OWN.items()
-        for name, text in lines.items()
+        for name, (place, text) in lines.items()
     }
-    for wing in wings() if of_plugins else built_in():
+    for wing in wings():
         found |= {name: command for name, command in wing.commands.items() if name not in found}
     return dict(sorted(found.items(), key=lambda item: GROUPS.index(item[1].group)))
 
@@ -91,57 +85,26 @@ def commands(of_plugins: bool = False) -> dict[str, Command]:
 class _LazyGroup(click.Group):
     """Knows the names of its commands without importing them: the help must not wait for numpy."""
 
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(_listed(ctx))
+    def list_commands(self, _: click.Context) -> list[str]:
+        return list(commands())
 
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if ctx.params.get("without_plugins"):
-            ctx.with_resource(_without_plugins())  # before the command is imported, which may query the wings
-        found = commands().get(cmd_name) or commands(of_plugins=True).get(cmd_name)
+    def get_command(self, _: click.Context, cmd_name: str) -> click.Command | None:
+        found = commands().get(cmd_name)
         if found is None:
             return None
-        command = import_module(found.module).command
+        command = resolve_name(found.module if ":" in found.module else f"{found.module}:command")
         assert isinstance(command, click.Command)
         return command
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        if not args and not ctx.resilient_parsing:
-            click.echo(_short_help(ctx))
-            ctx.exit()
-        return super().parse_args(ctx, args)
+        return super().parse_args(ctx, args or ["--help"])
 
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+    def format_commands(self, _: click.Context, formatter: click.HelpFormatter) -> None:
         for group in GROUPS:
-            lines = [(name, one.help) for name, one in _listed(ctx).items() if one.group == group]
+            lines = [(name, one.help) for name, one in commands().items() if one.group == group]
             if lines:
                 with formatter.section(group):
                     formatter.write_dl(lines)
-
-
-def _short_help(ctx: click.Context) -> str:
-    """Return what a beginner needs to see first: five commands, the names of all, and where more is."""
-    formatter = ctx.make_formatter()
-    formatter.write_text(str(cli.help))
-    with formatter.section("Start here"):
-        first = [(f"imumon {usage}", commands()[usage.split()[0]].help) for usage in START]
-        formatter.write_dl(first, col_max=40)
-    with formatter.section("All commands"):
-        names = [
-            (group, ", ".join(name for name, one in _listed(ctx).items() if one.group == group))
-            for group in GROUPS
-        ]
-        formatter.write_dl([(group, text) for group, text in names if text])
-    formatter.write_paragraph()
-    formatter.write_text("imumon --help has a line on each command, imumon COMMAND --help all about one.")
-    return formatter.getvalue().rstrip("\n")
-
-
-def _listed(ctx: click.Context) -> dict[str, Command]:
-    """Return what the help lists; a wing that does not load is left out, `imumon plugins` says why."""
-    try:
-        return commands(of_plugins=not ctx.params.get("without_plugins"))
-    except ImumonError:
-        return commands()
 
 
 @click.group(
@@ -152,8 +115,15 @@ def _listed(ctx: click.Context) -> dict[str, Command]:
 )
 @click.version_option(package_name="imumon")
 @click.option("--without-plugins", is_flag=True, help="Load nothing that other packages add.")
-def cli(without_plugins: bool) -> None:
-    """Watch, record and understand an IMU or AHRS on the bench."""
+@click.pass_context
+def cli(ctx: click.Context, without_plugins: bool) -> None:
+    """Watch, record and understand an IMU or AHRS on the bench.
+
+    Start with `imumon demo`, or with `imumon doctor`, `imumon detect PORT` and `imumon monitor PORT --device
+    NAME`; `imumon COMMAND --help` has all about one command.
+    """
+    if without_plugins:
+        ctx.with_resource(_without_plugins())
 
 
 @contextmanager
@@ -180,7 +150,7 @@ def main() -> None:
         sys.exit(shell_complete(cli, {}, "imumon", COMPLETION, instruction))
     _heed_interrupts()
     _open_missing_streams()
-    _tell_of_compiling()
+    _report_compiling()
     code = run(sys.argv[1:])
     # All is done: Ctrl-C now only spares what Python does before it ends.
     signal.signal(signal.SIGINT, lambda *_: os._exit(code))
@@ -191,7 +161,7 @@ def main() -> None:
 
 
 def run(arguments: list[str]) -> int:
-    """Run one command and return its exit code; what went wrong is said on standard error."""
+    """Run one command and return its exit code; errors are written on standard error."""
     try:
         # Not cli.main(), which ends with 1 by itself when the reader of our output went away, as `head` does.
         with cli.make_context("imumon", arguments) as context:
@@ -277,19 +247,15 @@ def _open_missing_streams() -> None:
             setattr(sys, name, stream)
 
 
-class _Compiling(logging.Handler):
-    """Says what a command waits for; in the main thread only, as a stopped terminal blocks whoever writes."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        if threading.current_thread() is threading.main_thread():
-            say(record.levelname, record.getMessage())
-
-
-def _tell_of_compiling() -> None:
-    log = logging.getLogger("imumon.compiled")
+def _report_compiling() -> None:
+    """Log what a command waits for; in the main thread only, as a stopped terminal blocks whoever writes."""
+    log, main_thread = logging.getLogger("imumon.compiled"), threading.get_ident()
     log.setLevel(logging.INFO)
     log.propagate = False
-    log.addHandler(_Compiling())
+    handler = logging.Handler()
+    handler.addFilter(lambda record: record.thread == main_thread)
+    handler.emit = lambda record: say(record.levelname, record.getMessage())  # type: ignore[method-assign]
+    log.addHandler(handler)
 
 
 def _settle_streams() -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,15 +21,17 @@ from imumon.cli.common import (
     labelled,
     note,
     print_json,
+    print_table,
     show,
     warn,
 )
 from imumon.cli.live_run import PortRun
-from imumon.cli.setup_options import make_setup
+from imumon.cli.setup_options import SetupOptions, make_setup
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
 
 if TYPE_CHECKING:
-    from imumon.estimation.alignment.report import Guide, Status
+    from imumon.columns import Column
+    from imumon.estimation.alignment.report import Status
     from imumon.estimation.alignment.stage import Alignment
     from imumon.pipeline import Pipeline
     from imumon.run.setup import Setup
@@ -84,20 +87,17 @@ def command(
     two can be separated.
     """
 
-    def setup(recorded: str | None = None, where: str = "") -> Setup:
-        made = make_setup({"pipeline": pipeline, "model": model, "latitude": latitude}, recorded, where)
-        return _with_sigma(made, until)
-
+    options: SetupOptions = {"pipeline": pipeline, "model": model, "latitude": latitude}
     if _is_recording(source):
         if baud is not None or seconds is not None or out is not None:
             raise click.UsageError("--baud, --seconds and --out are for a port; a session is only read")
-        ran = _recorded(Path(source), device, setup)
+        ran, columns = _recorded(Path(source), device, options, until)
     else:
-        made = setup()
-        live = PortRun(source, _needed(device, source), baud, made, out, seconds)
-        ran = _live(live, positions)
-    stage = _stage_of(ran)
-    status = stage.status
+        setup = _with_sigma(make_setup(options), until)
+        ran = _live(PortRun(source, _needed(device, source), baud, setup, out, seconds), positions)
+        columns = ran.columns
+    status = _stage_of(ran).status
+    _refuse_without_sensors(status, source, [column.name for column in columns])
     if as_json:
         print_json(as_data(status, positions) | {"left_out": ran.counters.left_out})
     else:
@@ -109,28 +109,24 @@ def command(
 def _with_sigma(setup: Setup, until: float | None) -> Setup:
     """Return the setup with the sigma wanted; raises BAD_CONFIG when it does not tell the latitude."""
     if setup.latitude_deg is None:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            "the heading is found by the earth rate, and the latitude is not known",
-            "add --latitude DEGREES (north is positive), or latitude_deg to the pipeline file",
-        )
+        what = "the heading is found by the earth rate, and the latitude is not known"
+        hint = "add --latitude DEGREES (north is positive), or latitude_deg to the pipeline file"
+        raise ImumonError(Reason.BAD_CONFIG, what, hint)
     if until is None:
         return setup
     return setup.with_options(alignment=setup.alignment.model_copy(update={"settled_deg": until}))
 
 
 def _is_recording(source: str) -> bool:
-    """Tell a session or capture from a port; raises NOT_FOUND for a name that can be neither."""
+    """Distinguish a session or capture from a port; raises NOT_FOUND for a name that can be neither."""
     path = Path(source)
     if path.is_dir() or path.is_file():
         return True
     if "://" in source or path.exists() or source.startswith("/dev/"):
         return False
-    raise ImumonError(
-        Reason.NOT_FOUND,
-        f"{source}: there is neither a session nor a port of this name",
-        "imumon ports lists the ports; sessions are folders with a session.yaml, usually in ./sessions",
-    )
+    what = f"{source}: there is neither a session nor a port of this name"
+    hint = "imumon ports lists the ports; sessions are folders with a session.yaml, usually in ./sessions"
+    raise ImumonError(Reason.NOT_FOUND, what, hint)
 
 
 def _stage_of(pipeline: Pipeline) -> Alignment:
@@ -139,8 +135,10 @@ def _stage_of(pipeline: Pipeline) -> Alignment:
     return next(stage for stage in pipeline.estimators if isinstance(stage, Alignment))
 
 
-def _recorded(path: Path, device: str | None, make: Callable[..., Setup]) -> Pipeline:
-    """Go through a recording to its end."""
+def _recorded(
+    path: Path, device: str | None, options: SetupOptions, until: float | None
+) -> tuple[Pipeline, list[Column]]:
+    """Go through a recording to its end; return the pipeline, and the columns that came."""
     from imumon.estimation.alignment.stage import Alignment
     from imumon.estimation.gyro_bias.stage import RestAndBias
     from imumon.recordings.source import open_source, run_over
@@ -148,16 +146,15 @@ def _recorded(path: Path, device: str | None, make: Callable[..., Setup]) -> Pip
 
     source = open_source(path, device)
     recorded = None if source.session is None else source.session.metadata.pipeline_yaml
-    setup = make(recorded, f"{path} (pipeline_yaml)")
+    setup = _with_sigma(make_setup(options, recorded, f"{path} (pipeline_yaml)"), until)
     # Only what the heading needs: the other estimators do not change it.
     pipeline = pipeline_of(source, setup, only=(RestAndBias, Alignment))
     stage = _stage_of(pipeline)
-    with _Shown(stage) as shown:
+    with console(error=True).status("alignment") as line:
         for _ in run_over(source.items, pipeline):
-            shown.renew()
+            line.update(_progress(stage.status))
     warn([*source.warnings(), *pipeline.warnings()])
-    _refuse_without_sensors(stage.status, str(path), [column.name for column in source.columns(pipeline)])
-    return pipeline
+    return pipeline, source.columns(pipeline)
 
 
 def _needed(device: str | None, port: str) -> str:
@@ -165,66 +162,39 @@ def _needed(device: str | None, port: str) -> str:
     from imumon.protocols.device import device_names
 
     if device is None:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            f"{port} is a port, so its device must be named",
-            f"add --device NAME: {', '.join(device_names())}, or a file; imumon detect {port} may tell",
-        )
+        what = f"{port} is a port, so its device must be named"
+        hint = f"add --device NAME: {', '.join(device_names())}, or a file; imumon detect {port} may tell"
+        raise ImumonError(Reason.BAD_CONFIG, what, hint)
     return device
 
 
 def _live(live: PortRun, positions: int) -> Pipeline:
     """Record and align a port until the heading has settled, or will not, or the time is over."""
-    stage = _stage_of(live.run.pipeline)
+    from imumon.estimation.alignment.report import Guide
+
+    stage, guide = _stage_of(live.run.pipeline), Guide(positions)
     try:
         live.begin(())
-        _wait(live, stage, positions)
+        with console(error=True).status("alignment") as line:
+            while not guide.done and live.ending.wait() and live.run.processing:
+                live.lines.write()
+                line.update(_progress(stage.status, guide.instruction))
+                for text in guide.update(stage.status):
+                    note(text)
     finally:
         summary = live.run.stop()
         live.lines.write()
     note(f"recorded: {summary.session}")
     live.raise_problem(summary)
-    columns = [column.name for column in live.run.pipeline.columns]
-    _refuse_without_sensors(stage.status, live.port, columns)
     return live.run.pipeline
 
 
-def _wait(live: PortRun, stage: Alignment, positions: int) -> None:
-    from imumon.estimation.alignment.report import Guide
+def _progress(status: Status, instruction: str = "") -> str:
+    """Return what the terminal's line shows: state, sigma on its way to the one wanted, and time to go."""
+    from imumon.estimation.alignment.report import heading_text, to_go_text
 
-    guide = Guide(positions)
-    with _Shown(stage, guide) as shown:
-        while not guide.done and live.ending.wait() and live.run.processing:
-            live.lines.write()
-            shown.renew()
-            for text in guide.update(stage.status):
-                note(text)
-
-
-class _Shown:
-    """A line on the terminal: the state, the sigma on its way to the one wanted, and the time to go."""
-
-    def __init__(self, stage: Alignment, guide: Guide | None = None) -> None:
-        from rich.status import Status as Line
-
-        self._stage, self._guide = stage, guide
-        self._line = Line("alignment", console=console(error=True))
-
-    def __enter__(self) -> _Shown:
-        self._line.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._line.stop()
-
-    def renew(self) -> None:
-        from imumon.estimation.alignment.report import heading_text, to_go_text
-
-        status = self._stage.status
-        text = f"{status.phase}: {heading_text(status)}; {to_go_text(status)}"
-        if self._guide is not None and self._guide.instruction:
-            text = f"{self._guide.instruction}; {text}"
-        self._line.update(text)
+    text = f"{status.phase}: {heading_text(status)}; {to_go_text(status)}"
+    return f"{instruction}; {text}" if instruction else text
 
 
 def _refuse_without_sensors(status: Status, where: str, columns: Sequence[str]) -> None:
@@ -240,38 +210,29 @@ def _refuse_without_sensors(status: Status, where: str, columns: Sequence[str]) 
 
 def as_data(status: Status, positions: int = 1) -> dict[str, object]:
     """Return what ``--json`` prints; headings in degrees clockwise from true north, 0 to 360."""
-    import math
 
-    def degrees(heading: float) -> float:
-        return math.degrees(heading) % 360.0
+    def degrees(angle: float, known: bool = True) -> float:
+        return math.degrees(angle) if known else math.nan
 
+    estimators = {
+        name: {"heading_deg": degrees(one.heading, one.known) % 360.0, "sd_deg": degrees(one.sd, one.known)}
+        for name, one in status.estimates.items()
+    }
     shown = status.shown
     return {
-        "heading_deg": math.nan if shown is None else degrees(shown.heading),
-        "heading_sd_deg": math.nan if shown is None else math.degrees(shown.sd),
+        "heading_deg": math.nan if shown is None else degrees(shown.heading) % 360.0,
+        "heading_sd_deg": math.nan if shown is None else degrees(shown.sd),
         "estimator": None if shown is None else "joint",
         "settled_s": status.settled_s if status.positions >= positions else None,
         "observable": status.observable,
         "positions": status.positions,
-        "estimators": {
-            name: {
-                "heading_deg": degrees(estimate.heading) if estimate.known else math.nan,
-                "sd_deg": math.degrees(estimate.sd) if estimate.known else math.nan,
-            }
-            for name, estimate in status.estimates.items()
-        },
+        "estimators": estimators,
     }
 
 
 def _report(status: Status) -> None:
-    from rich.box import SIMPLE
-    from rich.table import Table
-
     from imumon.estimation.alignment.report import estimator_rows, rows
 
     if status.rest_s > 0.0:
-        table = Table("estimator", "heading [°]", "σ [°]", box=SIMPLE, padding=(0, 1, 0, 0))
-        for row in estimator_rows(status):
-            table.add_row(*row)
-        console().print(table)
+        print_table(["estimator", "heading [°]", "σ [°]"], estimator_rows(status))
     show("\n".join(labelled(rows(status))))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import PATH, console, json_option, print_json, print_rows, warn
+from imumon.cli.common import PATH, json_option, print_json, print_rows, print_table, show, warn
 from imumon.cli.progress import reading_bar
 
 if TYPE_CHECKING:
@@ -47,87 +49,69 @@ def command(
         tell("deviations and terms of all channels")
         results = analyse(opened.series)
     warn([*opened.warnings, *_of_the_fit(results)])
-    written: dict[str, Path] = {}
-    if plot is not None:
-        from imumon.allan.plot import write_plot
-
-        write_plot(plot, results, str(recording))
-        written["plot"] = plot
-    if noise_out is not None:
-        output.write_noise(noise_out, results, recording)
-        written["noise"] = noise_out
-    writers = {"kalibr": write_kalibr, "openvins": write_openvins, "vins": write_vins}
-    for name, path in odometry.items():
-        if path is not None:
-            writers[name](path, results, recording)
-            written[name] = path
+    writers: dict[str, Callable[[Path], None]] = {
+        "plot": lambda path: resolve_name("imumon.allan.plot:write_plot")(path, results, str(recording)),
+        "noise": lambda path: output.write_noise(path, results, recording),
+        "kalibr": lambda path: write_kalibr(path, results, recording),
+        "openvins": lambda path: write_openvins(path, results, recording),
+        "vins": lambda path: write_vins(path, results, recording),
+    }
+    outputs = {name: path for name, path in ({"plot": plot, "noise": noise_out} | odometry).items() if path}
+    for name, path in outputs.items():
+        writers[name](path)
     if as_json:
         print_json(output.as_json(results))
     else:
         _show(results)
-    print_rows({name: str(path) for name, path in written.items()})
+    print_rows({name: str(path) for name, path in outputs.items()})
 
 
 def _of_the_fit(results: dict[str, Result]) -> list[str]:
-    """Tell where the terms are from a part of the curve, or from none, and why."""
-    from imumon.allan.fit import AMBIGUOUS, DIGITS, NO_SUM
-
-    none = [name for name, result in results.items() if result.fit is None]
-    still = [name for name in none if not results[name].allan.values.any()]
-    short = [name for name in none if name not in still]
-    fits = {name: result.fit for name, result in results.items() if result.fit is not None}
-    cut = [f"{name} {results[name].tau_s[fit.first]:.2g} s" for name, fit in fits.items() if fit.first]
-    off = {name: fit.model_error for name, fit in fits.items() if fit.model_error and fit.withheld != DIGITS}
-    begun = [
-        f"{name} {results[name].tau_s[fit.last]:.2g} s"
-        for name, fit in fits.items()
-        if fit.last < results[name].trusted - 1
-    ]
-    channels = {
-        "the reading never changes: the channel is stuck, or its resolution too coarse; no terms": still,
-        "too short for a fit of the terms": short,
-        "shorter averaging times are not fitted: no sum of the terms describes them (a filter?)": cut,
-        "the curve differs so much from every sum of the terms; the standard deviations take that in": [
-            f"{name} {_percent(error)}" for name, error in off.items() if error <= NO_SUM
-        ],
-        "no sum of the terms describes longer averaging times (a vibration, a cycle, motion?): "
-        "only the angle random walk is reported": begun,
-        "no sum of the terms describes the curve (a vibration, a cycle, motion?): no term is reported": [
-            name for name, error in off.items() if error > NO_SUM
-        ],
-        "correlated noise describes the curve as well as bias instability or a random walk: neither is "
-        "reported; record for longer": [name for name, fit in fits.items() if fit.withheld == AMBIGUOUS],
-        "the steps of the readings hide the noise: no term is reported": [
-            _steps(name, results[name]) for name, fit in fits.items() if fit.withheld == DIGITS
-        ],
-        "the steps of the readings add to the noise": [
-            f"{_steps(name, result)}, {result.digits.share:.0%} of the variance"
-            for name, result in results.items()
-            if result.digits is not None and _is_rough(result)
-        ],
-    }
-    return [f"{', '.join(names)}: {text}" for text, names in channels.items() if names]
-
-
-def _steps(name: str, result: Result) -> str:
-    """Return the steps of the readings, and how many times the noise they are."""
+    """Return warnings where the terms are from a part of the curve, or from none; channels together."""
     from imumon.allan.recording import UNITS, group_of
 
-    if result.digits is None:
-        return ""
-    times = 1.0 / result.digits.ratio
-    return f"{name} {result.digits.step:.3g} {UNITS[group_of(name)]}, {times:.2g} times the noise"
+    channels: dict[str, list[str]] = {}
+    for name, result in results.items():
+        for remark, detail in _remarks(result, UNITS[group_of(name)]):
+            channels.setdefault(remark, []).append(f"{name} {detail}".rstrip())
+    return [f"{', '.join(names)}: {remark}" for remark, names in channels.items()]
 
 
-def _is_rough(result: Result) -> bool:
-    """Return whether rounding adds more to the angle random walk than its standard deviation."""
-    walk = None if result.fit is None else result.fit.terms["angle_random_walk"]
-    share = 0.0 if result.digits is None else result.digits.share
-    return walk is not None and 0.5 * share * walk.value > walk.sd
+def _remarks(result: Result, unit: str) -> Iterator[tuple[str, str]]:
+    """Yield the warnings on the fit of a channel, each with its number."""
+    from imumon.allan.fit import AMBIGUOUS, DIGITS, NO_SUM
 
-
-def _percent(variance_error: float) -> str:
-    return f"{50.0 * variance_error:.2g} %"
+    fit, digits = result.fit, result.digits
+    if fit is None and result.allan.values.any():
+        yield "too short for a fit of the terms", ""
+    elif fit is None:
+        yield "the reading never changes: the channel is stuck, or its resolution too coarse; no terms", ""
+    if fit is None:
+        return
+    if fit.first:
+        text = "shorter averaging times are not fitted: no sum of the terms describes them (a filter?)"
+        yield text, f"{result.tau_s[fit.first]:.2g} s"
+    if fit.withheld != DIGITS and fit.model_error > NO_SUM:
+        text = "no sum of the terms describes the curve (a vibration, a cycle, motion?): no term is reported"
+        yield text, ""
+    elif fit.withheld != DIGITS and fit.model_error:
+        text = "the curve differs so much from every sum of the terms; the standard deviations take that in"
+        yield text, f"{50.0 * fit.model_error:.2g} %"
+    if fit.last < result.trusted - 1:
+        text = "no sum of the terms describes longer averaging times (a vibration, a cycle, motion?): "
+        yield text + "only the angle random walk is reported", f"{result.tau_s[fit.last]:.2g} s"
+    if fit.withheld == AMBIGUOUS:
+        text = "correlated noise describes the curve as well as bias instability or a random walk: "
+        yield text + "neither is reported; record for longer", ""
+    if digits is None:
+        return
+    steps = f"{digits.step:.3g} {unit}, {1.0 / digits.ratio:.2g} times the noise"
+    walk = fit.terms["angle_random_walk"]
+    if fit.withheld == DIGITS:
+        yield "the steps of the readings hide the noise: no term is reported", steps
+    if walk is not None and 0.5 * digits.share * walk.value > walk.sd:
+        text = "the steps of the readings add to the noise"
+        yield text, f"{steps}, {digits.share:.0%} of the variance"
 
 
 LARGE = 1e5
@@ -135,32 +119,27 @@ LARGE = 1e5
 
 
 def _show(results: dict[str, Result]) -> None:
-    from rich.box import SIMPLE
-    from rich.table import Column, Table
+    from rich.table import Column
 
     from imumon.allan.parameters import TERMS_OF
 
-    out = console()
     for group, terms in TERMS_OF.items():
         of_group = {name: result for name, result in results.items() if name.startswith(group)}
-        if not of_group:
-            continue
-        axes = [Column(name, justify="right", no_wrap=True) for name in of_group]
-        table = Table(
-            Column("", no_wrap=True), Column("", no_wrap=True), *axes, box=SIMPLE, padding=(0, 1, 0, 0)
-        )
-        for term, row in terms.items():
-            cells = (_with_sd(result, term, row.factor) for result in of_group.values())
-            table.add_row(row.title, row.shown, *cells)
+        found = of_group.values()
         level = terms["bias_instability"]
-        lowest = (f"{level.factor * result.allan.values[result.lowest]:.4g}" for result in of_group.values())
-        table.add_row("lowest deviation", level.shown, *lowest)
-        table.add_row("  at τ", "s", *(f"{result.tau_s[result.lowest]:.4g}" for result in of_group.values()))
-        longest = (f"{result.longest_tau_s:.4g}" for result in of_group.values())
-        table.add_row("longest trusted τ", "s", *longest)
-        out.print(table)
-    out.print("1.234(56): 1.234 with a standard deviation of 0.056.  -: not shown by the data.", style="dim")
-    out.print("Bias instability B: the flat part of the curve is 0.664 B.", style="dim")
+        rows = [
+            [row.title, row.shown, *(_with_sd(result, term, row.factor) for result in found)]
+            for term, row in terms.items()
+        ]
+        lowest = (f"{level.factor * result.allan.values[result.lowest]:.4g}" for result in found)
+        rows.append(["lowest deviation", level.shown, *lowest])
+        rows.append(["  at τ", "s", *(f"{result.tau_s[result.lowest]:.4g}" for result in found)])
+        rows.append(["longest trusted τ", "s", *(f"{result.longest_tau_s:.4g}" for result in found)])
+        if of_group:
+            axes = [Column(name, justify="right", no_wrap=True) for name in of_group]
+            print_table([Column(no_wrap=True), Column(no_wrap=True), *axes], rows)
+    show("1.234(56): 1.234 with a standard deviation of 0.056.  -: not shown by the data.")
+    show("Bias instability B: the flat part of the curve is 0.664 B.")
 
 
 def _with_sd(result: Result, term: str, factor: float) -> str:

@@ -10,7 +10,7 @@ import socket
 import sys
 import textwrap
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from itertools import zip_longest
 from pathlib import Path
@@ -44,8 +44,6 @@ class Number(click.FloatRange):
     """A number in a range; NaN, which compares as if it were in any range, is refused."""
 
     name = "number"
-    quantity = ""
-    """What the range in the help is one of."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the number."""
@@ -57,22 +55,20 @@ class Number(click.FloatRange):
         return float(super().convert(value, param, ctx))
 
     def _describe_range(self) -> str:
-        return described_range(self, self.quantity)
+        return described_range(self, "seconds" if self.name == "seconds" else "")
 
 
 class Seconds(Number):
     """A length of time."""
 
-    name = quantity = "seconds"
+    name = "seconds"
 
 
 class Whole(click.IntRange):
     """A whole number in a range."""
 
     name = "number"
-
-    def _describe_range(self) -> str:
-        return described_range(self)
+    _describe_range = described_range
 
 
 SECONDS = Seconds(min=0, min_open=True, max=1e9)
@@ -128,6 +124,13 @@ def print_json(data: Mapping[str, Any]) -> None:
     click.echo(json.dumps(plain(data), indent=2))
 
 
+def print_result(as_json: bool, data: Mapping[str, Any], rows: Mapping[str, str]) -> None:
+    """Write what a command did: rows for a person on standard error, with ``--json`` the data on output."""
+    if as_json:
+        print_json(data)
+    print_rows(rows)
+
+
 def split_columns(text: str | None) -> list[str] | None:
     """Split ``a,b,c``; None stays None.
 
@@ -160,6 +163,17 @@ def console(*, error: bool = False) -> Console:
     from rich.console import Console
 
     return Console(stderr=error, markup=False, emoji=False, highlight=False)
+
+
+def print_table(columns: Sequence[Any], rows: Iterable[Sequence[str]]) -> None:
+    """Write a table on standard output; a column is its heading, or a `rich.table.Column`."""
+    from rich.box import SIMPLE
+    from rich.table import Table
+
+    table = Table(*columns, box=SIMPLE, padding=(0, 1, 0, 0))
+    for row in rows:
+        table.add_row(*row)
+    console().print(table)
 
 
 def say(level: str, text: str) -> None:
@@ -206,33 +220,22 @@ def chosen_view(view: View | None, bind: str) -> View:
 
     mode = view or default_mode()
     if mode == "terminal" and not is_terminal():
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            "--view terminal: standard error is no terminal",
-            "run it in a terminal, or use --view web or none",
-        )
+        what, hint = "standard error is no terminal", "run it in a terminal, or use --view web or none"
+        raise ImumonError(Reason.BAD_CONFIG, f"--view terminal: {what}", hint)
     if mode == "native" and not has_display():
-        say(
-            "WARN",
-            "--view native: there is no display here, so no window opens; --view web shows the run in a"
-            " browser, monitor --view terminal where it runs",
-        )
+        what = "--view native: there is no display here, so no window opens; --view web shows the run in a"
+        warn([f"{what} browser, monitor --view terminal where it runs"])
     if mode == "web" and bind not in (LOCALHOST, "localhost"):
-        _check_address(bind)
-        say("WARN", f"--bind {bind}: every computer that reaches this one can read the live view")
+        try:
+            socket.create_server((bind, 0)).close()
+        except (OSError, UnicodeError) as error:
+            what, hint = (
+                "is no IPv4 address of this computer",
+                "`ip -4 addr` lists them; 0.0.0.0 is all of them",
+            )
+            raise ImumonError(Reason.BAD_CONFIG, f"--bind {bind}: {what}", hint) from error
+        warn([f"--bind {bind}: every computer that reaches this one can read the live view"])
     return mode
-
-
-def _check_address(bind: str) -> None:
-    """Refuse an address on which this computer cannot serve."""
-    try:
-        socket.create_server((bind, 0)).close()
-    except (OSError, UnicodeError) as error:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            f"--bind {bind}: is no IPv4 address of this computer",
-            "`ip -4 addr` lists them; 0.0.0.0 is all of them",
-        ) from error
 
 
 LEAST_FOLDED = 20
@@ -270,9 +273,8 @@ def results_folder(out: Path) -> Iterator[None]:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ImumonError(
-            Reason.BAD_CONFIG, f"the folder {out} cannot be made: {error.strerror}", "give another folder"
-        ) from error
+        what = f"the folder {out} cannot be made: {error.strerror}"
+        raise ImumonError(Reason.BAD_CONFIG, what, "give another folder") from error
     try:
         yield
     finally:

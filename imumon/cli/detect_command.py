@@ -14,15 +14,16 @@ from imumon.cli.common import (
     PATH,
     SECONDS,
     Whole,
-    console,
     device_help,
     json_option,
     note,
     print_json,
+    print_table,
     results_folder,
     show,
 )
 from imumon.errors import ImumonError, Reason
+from imumon.files import check_output, plain, write_text
 from imumon.version import __version__
 
 if TYPE_CHECKING:
@@ -71,14 +72,13 @@ def command(
     Exit code 0: a device was found.  3: the port cannot be opened, no bytes arrived, or the bytes are
     not packets of any device that was tried.
     """
-    from imumon.files import check_output
     from imumon.protocols.device import device_names, load_device
     from imumon.transport.detect import Verdict, baudrates_to_try, detect, failure
 
     if proposed is not None:
         check_output(proposed)
-    if folder is not None:
-        _check_folder(folder)
+    if folder is not None and folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise ImumonError(Reason.EXISTS, f"{folder} is there already", "give the name of a new folder")
     received = dict[int | None, bytearray]()
     rate: int | None = None
 
@@ -86,7 +86,7 @@ def command(
         nonlocal rate
         rate = settings.baudrate if settings.has_line else None
         received[rate] = bytearray()
-        note(f"listening to {_where(settings)}")
+        note(f"listening to {settings.url if rate is None else f'{rate} baud'}")
 
     def keep(data: bytes) -> None:
         received[rate] += data
@@ -104,7 +104,9 @@ def command(
     wrong = failure(port, evidence)
     fit = [item for item in evidence if item.verdict is Verdict.FRAMES]
     proposal = _propose(received, evidence) if wrong else None
-    data = _as_data(evidence, fit, proposal)
+    found = [{"device": item.protocol, "baudrate": item.baudrate} for item in fit]
+    rows = [{**asdict(e), "share_framed": e.share_framed, "verdict": e.verdict.value} for e in evidence]
+    data = {"found": next(iter(found), None), "fit": found, "evidence": rows, "proposal": proposal}
     if folder is not None:
         _save(folder, received, data)
     if as_json:
@@ -115,24 +117,14 @@ def command(
         if proposal:
             show(f"\nno device file describes what came; this one may:\n\n{proposal}")
     if proposal and proposed:
-        from imumon.files import write_text
-
         write_text(proposed, proposal)
         note(f"look at {proposed}, then: imumon monitor {port} --device {proposed}")
     if wrong:
         raise wrong
 
 
-def _check_folder(folder: Path) -> None:
-    """Refuse a folder that holds something; raises EXISTS."""
-    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-        raise ImumonError(Reason.EXISTS, f"{folder} is there already", "give the name of a new folder")
-
-
-def _save(folder: Path, received: Mapping[int | None, bytearray], data: dict[str, object]) -> None:
+def _save(folder: Path, received: Mapping[int | None, bytearray], data: Mapping[str, object]) -> None:
     """Write the bytes of each rate, and what was found in them, without the name of computer or port."""
-    from imumon.files import plain, write_text
-
     names = {rate: "port.bin" if rate is None else f"{rate}.bin" for rate in received}
     with results_folder(folder):
         for rate, name in names.items():
@@ -140,13 +132,6 @@ def _save(folder: Path, received: Mapping[int | None, bytearray], data: dict[str
         facts = {"imumon": __version__, "files": [*names.values()], **data}
         write_text(folder / "evidence.json", json.dumps(plain(facts), indent=2) + "\n")
     note(f"{folder} has the bytes of {len(names)} baud rate(s) and evidence.json")
-
-
-def _as_data(evidence: list[Evidence], fit: list[Evidence], proposal: str | None) -> dict[str, object]:
-    """Return what ``--json`` prints."""
-    found = [{"device": item.protocol, "baudrate": item.baudrate} for item in fit]
-    rows = [{**asdict(e), "share_framed": e.share_framed, "verdict": e.verdict.value} for e in evidence]
-    return {"found": found[0] if found else None, "fit": found, "evidence": rows, "proposal": proposal}
 
 
 def _propose(received: dict[int | None, bytearray], evidence: list[Evidence]) -> str | None:
@@ -166,17 +151,14 @@ def _propose(received: dict[int | None, bytearray], evidence: list[Evidence]) ->
         return found.text
     for rate in seconds:
         if lengths := binary_proposal.repeated_lengths(bytes(received[rate])):
-            at = "" if rate is None else f"at {rate} baud "
             every = " or ".join(map(str, lengths))
-            note(
-                f"{at}the bytes begin alike every {every} bytes: packets of several lengths, or with a"
-                " checksum that imumon does not know; no device file is proposed"
-            )
+            what = ("" if rate is None else f"at {rate} baud ") + f"the bytes begin alike every {every} bytes"
+            note(f"{what}: packets of several lengths, or an unknown checksum; no device file is proposed")
     return None
 
 
 def _suggest(port: str, fit: list[Evidence]) -> None:
-    """Say what to type for each device that fits."""
+    """Show the command for each device that fits."""
     if len(fit) > 1:
         show("\nmore than one fits; the columns and their units show which it is")
     for item in fit:
@@ -184,18 +166,12 @@ def _suggest(port: str, fit: list[Evidence]) -> None:
         show(f"\n{item.protocol}: imumon monitor {port} --device {item.protocol}{rate}")
 
 
-def _where(settings: PortSettings) -> str:
-    return f"{settings.baudrate} baud" if settings.has_line else settings.url
-
-
 def _show(evidence: list[Evidence]) -> None:
-    from rich.box import SIMPLE
-    from rich.table import Column, Table
+    from rich.table import Column
 
     names = ("device", "baud", "bytes/s", "packets", "samples", "framed", "damaged", "verdict")
-    table = Table(*(Column(name, no_wrap=name != names[-1]) for name in names), box=SIMPLE, padding=0)
-    for item in evidence:
-        table.add_row(
+    rows = (
+        (
             item.protocol,
             "-" if item.baudrate is None else str(item.baudrate),
             f"{item.bytes_per_s:.0f}",
@@ -205,4 +181,6 @@ def _show(evidence: list[Evidence]) -> None:
             str(item.checksum_errors),
             item.verdict.value,
         )
-    console().print(table)
+        for item in evidence
+    )
+    print_table([Column(name, no_wrap=name != names[-1]) for name in names], rows)

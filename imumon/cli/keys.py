@@ -7,8 +7,7 @@ import select
 import signal
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any
+from contextlib import contextmanager, suppress
 
 
 class Keys:
@@ -49,28 +48,19 @@ def single_keys() -> Iterator[Keys]:
     None come to a command in the background.
     """
     keys = Keys(sys.stdin.fileno() if sys.stdin is not None and sys.stdin.isatty() else None)
-    before: list[Any] | None = None
-    if keys.possible and sys.platform != "win32":
-        import termios
-        import tty
-
-        before = termios.tcgetattr(sys.stdin)
-        tty.setcbreak(sys.stdin, termios.TCSANOW)
-    try:
-        yield keys if before is not None else Keys(None)
-    finally:
-        if before is not None:
-            _give_back(before)
-
-
-def _give_back(before: list[Any]) -> None:
-    """Set the terminal as it was, also from the background, for which the system would stop this command."""
+    if not keys.possible or sys.platform == "win32":
+        yield Keys(None)
+        return
     import termios
+    import tty
 
-    held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTTOU})
+    before = termios.tcgetattr(sys.stdin)
+    tty.setcbreak(sys.stdin, termios.TCSANOW)
     try:
-        termios.tcsetattr(sys.stdin, termios.TCSANOW, before)
-    except (OSError, termios.error):  # the terminal was closed
-        pass
+        yield keys
     finally:
+        # The system would stop a command in the background that sets the terminal.
+        held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTTOU})
+        with suppress(OSError, termios.error):  # the terminal was closed
+            termios.tcsetattr(sys.stdin, termios.TCSANOW, before)
         signal.pthread_sigmask(signal.SIG_SETMASK, held)

@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imumon.cli.common import INTERRUPTED, note, say
-from imumon.errors import ImumonError, Reason
 from imumon.heap import prepare_heap
 from imumon.recordings import lines
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from imumon.run.live import LiveRun, LiveSummary
+    from imumon.run.live import LiveSummary
     from imumon.run.setup import Setup
     from imumon.view.items import ViewItem
 
@@ -30,10 +29,7 @@ REFRESH_S = 0.25
 class Ending:
     """The end of a command: Ctrl-C and the like, or its time is over.
 
-    Parameters
-    ----------
-    seconds : float or None
-        How long the command runs, counted from `begin`; None: until a signal.
+    `seconds` is how long the command runs, counted from `begin`; None: until a signal.
     """
 
     def __init__(self, seconds: float | None) -> None:
@@ -53,7 +49,7 @@ class Ending:
 
     @property
     def is_requested(self) -> bool:
-        """Whether a signal has asked for the end."""
+        """Whether a signal has requested the end."""
         return self._signal.is_set()
 
     def wait(self) -> bool:
@@ -66,31 +62,16 @@ class Ending:
 
 def serve(url: str) -> None:
     """Keep a page until Ctrl-C: its servers end with the command."""
-    ending = Ending(None)  # before it is said: who reads it may press Ctrl-C at once
+    ending = Ending(None)  # before the note: who reads it may press Ctrl-C at once
     note(f"all is shown; {url} stays until Ctrl-C")
     while ending.wait():
         pass
 
 
 class PortRun:
-    """A port that is recorded, until its end is asked for.
+    """A port that is recorded, until its end is requested.
 
-    Parameters
-    ----------
-    port : str
-        Anything that pyserial opens.
-    device : str
-        Name of a device, or path of a device file.
-    baud : int or None
-        The first of the device file when None.
-    setup : Setup
-        Of the estimators.
-    out : Path or None
-        Session folder; a new one in ./sessions when None.
-    seconds : float or None
-        How long to record.
-    serial : str or None
-        Serial number of the unit.
+    `out` is the session folder; a new one in ./sessions when None.  `seconds` is how long to record.
     """
 
     def __init__(
@@ -104,32 +85,19 @@ class PortRun:
         serial: str | None = None,
     ) -> None:
         from imumon.protocols.device import device_text, parse_device
+        from imumon.recordings.folder import default_path
         from imumon.run.live import LiveRun  # here, as Ctrl-C while it loads shall leave no session behind
 
         prepare_heap()
         text, source = device_text(device)
-        self.port, self._serial = port, serial
         self._device, self._setup = parse_device(text, source), setup
         self._settings = self._device.port_settings(port, baud)
         self.lines, self.ending = Lines(), Ending(seconds)
-        self.run = self._new_run(LiveRun, text, out)
+        folder = out or default_path(self._device.name, time.time_ns())
+        take = self.lines.put
+        self.run = LiveRun(self._device, text, self._settings, setup, folder, take, serial=serial)
         self.run.open()
         self.ending.begin()
-
-    def _new_run(self, make: type[LiveRun], device_yaml: str, out: Path | None) -> LiveRun:
-        """Make the session; a default name that another monitor takes at the same moment is no obstacle."""
-        from imumon.recordings.folder import default_path
-
-        while True:
-            folder = out or default_path(self._device.name, time.time_ns())
-            try:
-                return make(
-                    self._device, device_yaml, self._settings, self._setup, folder, self.lines.put,
-                    serial=self._serial,
-                )  # fmt: skip
-            except ImumonError as error:
-                if out is not None or error.reason is not Reason.EXISTS:
-                    raise
 
     def begin(self, publish: Sequence[Callable[[ViewItem], None]]) -> None:
         """Begin to decode, once all is compiled."""

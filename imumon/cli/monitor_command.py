@@ -26,8 +26,7 @@ from imumon.cli.common import (
     is_terminal,
     json_option,
     note,
-    print_json,
-    print_rows,
+    print_result,
     serial_option,
     window_option,
 )
@@ -38,12 +37,9 @@ from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
 from imumon.wings import offers
 
 if TYPE_CHECKING:
-    from imumon.live_output import Running
     from imumon.run.live import LiveRun, LiveSummary
     from imumon.run.narration import Progress
-    from imumon.run.setup import Setup
-    from imumon.view.items import ViewItem, ViewSetup
-    from imumon.view.publisher import ViewPublisher
+    from imumon.view.items import ViewSetup
     from imumon.view.terminal import TerminalView
 
 
@@ -106,7 +102,13 @@ def command(
 
     mode = chosen_view(view, bind)
     outputs = [(one, one.parse(options.pop(one.name))) for one in offers("live_output")]
-    setup = _learning(make_setup(cast(SetupOptions, options)), learn)
+    setup = make_setup(cast(SetupOptions, options))
+    if learn and setup.bias_model is None:
+        what = "--learn: there is no bias model that could be better"
+        hint = "add --model MODEL.yaml, made by: imumon calibrate SESSION... --out MODEL.yaml"
+        raise ImumonError(Reason.BAD_CONFIG, what, hint)
+    if learn:
+        setup = setup.with_options(watch=setup.watch.model_copy(update={"learn": True}))
     live = PortRun(port, device, baud, setup, out, seconds, serial)
     run = live.run
     views: _Views | None = None
@@ -122,56 +124,34 @@ def command(
             views.close()
         live.lines.write()
     learned = keep_learned(run.pipeline, run.session) if setup.bias_model is not None else None
-    if as_json:
-        also = {name: value for one in views.outputs for name, value in one.as_data.items()}
-        print_json({**summary.as_dict(), "view_dropped": views.dropped, **also, "learned_model": learned})
-    _report(summary, run.progress, views)
+    also = {name: value for one in views.outputs for name, value in one.as_data.items()}
+    data = {**summary.as_dict(), "view_dropped": views.dropped, **also, "learned_model": learned}
+    rows = _rows(summary, run.progress, views)
     if learned is not None:
-        print_rows({"learned": f"{learned}; before and after: {compared(run.session, learned)}"})
+        rows["learned"] = f"{learned}; before and after: {compared(run.session, learned)}"
+    print_result(as_json, data, rows)
     live.raise_problem(summary)
     return EXIT_NEGATIVE if summary.wire.bytes_unrecorded else EXIT_OK
-
-
-def _learning(setup: Setup, learn: bool) -> Setup:
-    """Return the setup that learns, where that is asked for."""
-    if not learn:
-        return setup
-    if setup.bias_model is None:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            "--learn: there is no bias model that could be better",
-            "add --model MODEL.yaml, made by: imumon calibrate SESSION... --out MODEL.yaml",
-        )
-    return setup.model_copy(update={"watch": setup.watch.model_copy(update={"learn": True})})
 
 
 class _Views:
     """The live view, if any, the recording of the view, and what other programs get."""
 
-    def __init__(
-        self, setup: ViewSetup, run: LiveRun, mode: View, bind: str, outputs: Sequence[Running]
-    ) -> None:
+    def __init__(self, setup: ViewSetup, run: LiveRun, mode: View, bind: str, outputs: Sequence[Any]) -> None:
+        from imumon.view.publisher import ViewPublisher
         from imumon.view.recorder import ViewRecorder
+        from imumon.view.terminal import TerminalView
 
-        self._live: ViewPublisher | None = None
-        self.terminal: TerminalView | None = None
+        self._live = self.terminal = None
         if mode == "terminal":
-            from imumon.view.terminal import TerminalView
-
             self.terminal = TerminalView(setup)
         elif mode != "none":
-            from imumon.view.publisher import ViewPublisher
-
             self._live = ViewPublisher(mode, setup, bind=bind).start()
         self._recorder = ViewRecorder(run.session.view_path, setup, on_error=run.report_view_error)
         self.outputs = outputs
-        self.publish: list[Callable[[ViewItem], None]] = [self._recorder.publish]
-        for output in outputs:
-            self.publish += output.publish
-        if self._live is not None:
-            self.publish.append(self._live.publish)
-        if self.terminal is not None:
-            self.publish.append(self.terminal.publish)
+        ours = [one for one in (self._recorder, self._live, self.terminal) if one is not None]
+        self.publish = [one.publish for one in ours]
+        self.publish += [publish for output in outputs for publish in output.publish]
         self._announced = ""
 
     @property
@@ -184,11 +164,11 @@ class _Views:
 
     @property
     def state(self) -> str:
-        """What the status line says of them."""
+        """What the status line has of them."""
         return (f"  view: {self._live.state}" if self._live else "") + "".join(o.text for o in self.outputs)
 
     def announce(self, tell: Callable[[str, str], None]) -> None:
-        """Say where the view is, as soon as it is known and when it changes."""
+        """Log where the view is, as soon as it is known and when it changes."""
         if self._live is not None and self._live.url and self._live.url != self._announced:
             self._announced = self._live.url
             tell("INFO", f"live view: {self._live.url}")
@@ -211,21 +191,20 @@ KEYS = "m: mark  s: start, stop"
 
 def _watch(live: PortRun, views: _Views) -> None:
     """Wait for the end, with a status line or a screen on a terminal that can show one."""
-    views.announce(live.lines.put)
     with single_keys() as keys:
         marking = _Marking(live.run, keys)
         if views.terminal is not None:
-            _watch_in_terminal(live, views, marking)
+            _watch_in_terminal(live, views, views.terminal, marking)
         else:
-            _watch_line(live, views, marking)
+            _watch_line(live, views, marking, keys.possible)
 
 
-def _watch_line(live: PortRun, views: _Views, marking: _Marking) -> None:
+def _watch_line(live: PortRun, views: _Views, marking: _Marking, has_keys: bool) -> None:
     """Renew the status line until the end, and write log lines above it."""
     interactive = is_terminal()
     clear = CLEAR_LINE if interactive else ""
     run, lines, stopped = live.run, live.lines, False
-    if marking.possible and interactive:
+    if has_keys and interactive:
         lines.put("INFO", f"keys: {KEYS}")
     while live.ending.wait():
         marking.take()
@@ -239,12 +218,10 @@ def _watch_line(live: PortRun, views: _Views, marking: _Marking) -> None:
     note("", newline=False, control=clear)
 
 
-def _watch_in_terminal(live: PortRun, views: _Views, marking: _Marking) -> None:
+def _watch_in_terminal(live: PortRun, views: _Views, view: TerminalView, marking: _Marking) -> None:
     """Draw the screen once a second, until the end; log lines are on it."""
     from imumon.view.terminal import Screen
 
-    view = views.terminal
-    assert view is not None
     screen = Screen(lambda text: note("", newline=False, control=text))
     drawn = -math.inf
     with closing(screen):
@@ -266,26 +243,18 @@ class _Marking:
         self._run, self._keys = run, keys
         self._parts, self._inside = 0, False
 
-    @property
-    def possible(self) -> bool:
-        """Whether there are keys."""
-        return self._keys.possible
-
     def take(self) -> None:
-        """Do what was asked for since the last time."""
-        for key in self._keys.pressed():
-            self.press(key)
-
-    def press(self, key: str) -> None:
+        """Mark what the keys since the last time ask for."""
         from imumon.transport.reader import EventKind
 
-        if key == "m":
-            self._run.mark(EventKind.MARK, "key m")
-        elif key == "s":
-            self._inside = not self._inside
-            self._parts += self._inside
-            kind = EventKind.START if self._inside else EventKind.STOP
-            self._run.mark(kind, f"part {self._parts}")
+        for key in self._keys.pressed():
+            if key == "m":
+                self._run.mark(EventKind.MARK, "key m")
+            elif key == "s":
+                self._inside = not self._inside
+                self._parts += self._inside
+                kind = EventKind.START if self._inside else EventKind.STOP
+                self._run.mark(kind, f"part {self._parts}")
 
 
 def status_line(progress: Progress) -> str:
@@ -298,7 +267,8 @@ def status_line(progress: Progress) -> str:
     )
 
 
-def _report(summary: LiveSummary, progress: Progress, views: _Views) -> None:
+def _rows(summary: LiveSummary, progress: Progress, views: _Views) -> dict[str, str]:
+    """Return what a person reads at the end."""
     from imumon.run.account import describe_disk, describe_span
     from imumon.run.narration import describe, describe_losses
 
@@ -315,4 +285,4 @@ def _report(summary: LiveSummary, progress: Progress, views: _Views) -> None:
         rows["view"] = f"{views.dropped:,} items were not shown; the recording has them"
     rows["session"] = str(summary.session)
     rows["replay"] = f"imumon replay {shlex.quote(str(summary.session))} --view native"
-    print_rows(rows)
+    return rows

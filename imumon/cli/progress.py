@@ -16,41 +16,13 @@ Tell = Callable[[str], None]
 """Takes what is being done now."""
 FIRST_LINE_S, LINE_S = 30.0, 60.0
 """Until the first line without a terminal, and between two."""
-WORTH_SAYING_S = 5.0
-"""Work that takes longer is announced with an estimate of its time."""
-
-
-def announce(what: str, samples: int, span_s: float, expected_s: float, *, quiet: bool) -> None:
-    """Write how long work on so many samples takes, in a line, where that is more than `WORTH_SAYING_S`."""
-    if expected_s > WORTH_SAYING_S and not quiet:
-        say("INFO", f"{what} {samples:,} samples of {span_s:,.0f} s: about {rounded_time(expected_s)}")
-
-
-def rounded_time(seconds: float) -> str:
-    """Return a time as it is estimated: 20 s, 3 min, 2 h."""
-    unit, name = (3600.0, "h") if seconds >= 5400.0 else (60.0, "min") if seconds >= 90.0 else (1.0, "s")
-    return f"{float(f'{seconds / unit:.1g}'):g} {name}"
-
-
-def size_of(paths: Sequence[Path]) -> tuple[int, float]:
-    """Return number of samples and length, s, of sessions by their metadata; 0 for those that lack it."""
-    from imumon.recordings.folder import is_session, open_session
-
-    known = [open_session(path).metadata for path in paths if is_session(path)]
-    spans = [one.duration_s for one in known]
-    return sum(one.counters.get("samples", 0) for one in known), sum(s for s in spans if s == s)
 
 
 @contextmanager
 def progress_lines(state: Callable[[], str], *, quiet: bool) -> Iterator[None]:
-    """Say from time to time what is being done, where standard error is no terminal.
+    """Log from time to time what is being done, where standard error is no terminal.
 
-    Parameters
-    ----------
-    state : callable
-        Returns what is being done now; called by another thread.
-    quiet : bool
-        Say nothing.
+    `state` returns what is being done now; it is called by another thread.
     """
     if quiet or sys.stderr.isatty():
         yield
@@ -72,40 +44,31 @@ def progress_lines(state: Callable[[], str], *, quiet: bool) -> Iterator[None]:
         thread.join()
 
 
-@contextmanager
-def reading_bar(paths: Sequence[Path], *, quiet: bool) -> Iterator[Tell]:
-    """Show how much of recordings has been gone through; then what follows, by what the tell is told.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        Sessions, captures or tables, as they are read one after the other.
-    quiet : bool
-        Show nothing.
-    """
-    if quiet:
-        yield lambda _: None
-        return
-    from imumon.recordings.source import reading, recorded_bytes
-
-    sizes = [recorded_bytes(path) for path in paths]
-    known = [size for size in sizes if size is not None]
-    total = sum(known) if len(known) == len(sizes) else None
-    what = for_log(f"reading {', '.join(path.name for path in paths)}")
-    with (_bar if sys.stderr.isatty() else _lines)(what, total) as (count, tell):
-        token = reading.set(count)
-        try:
-            yield tell
-        finally:
-            reading.reset(token)
-
-
 Shown = Iterator[tuple[Callable[[int], object], Tell]]
-"""Two functions: one takes how many bytes more were read, the other what is being done now."""
+"""Two functions: one takes how much more was done, the other what is being done now."""
 
 
 @contextmanager
-def _lines(what: str, total: int | None) -> Shown:
+def bar(what: str, total: int | None, *, quiet: bool) -> Shown:
+    """Show how much of a total was done: a bar on a terminal, else lines; nothing when quiet."""
+    if not sys.stderr.isatty() or quiet:
+        with _lines(what, total, quiet=quiet) as shown:
+            yield shown
+        return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    label, left = TextColumn("{task.description}", markup=False), TextColumn("left:")
+    columns = (label, BarColumn(), TimeElapsedColumn(), left, TimeRemainingColumn())
+    with Progress(*columns, console=console(error=True), transient=True) as drawn:
+        task = drawn.add_task(for_log(what), total=total)
+        yield (
+            lambda more: drawn.advance(task, more),
+            lambda text: drawn.update(task, description=for_log(text), total=None),
+        )
+
+
+@contextmanager
+def _lines(what: str, total: int | None, *, quiet: bool) -> Shown:
     done, now = 0, ""
 
     def count(more: int) -> None:
@@ -116,24 +79,23 @@ def _lines(what: str, total: int | None) -> Shown:
         nonlocal now
         now = text
 
-    with progress_lines(lambda: now or (f"{what}: {done / total:.0%}" if total else what), quiet=False):
+    with progress_lines(lambda: now or (f"{what}: {done / total:.0%}" if total else what), quiet=quiet):
         yield count, tell
 
 
 @contextmanager
-def _bar(what: str, total: int | None) -> Shown:
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+def reading_bar(paths: Sequence[Path], *, quiet: bool) -> Iterator[Tell]:
+    """Show how much of recordings has been gone through; then what follows, as it is given to the function.
 
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left:"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console(error=True), transient=True) as bar:
-        task = bar.add_task(what, total=total)
-        yield (
-            lambda more: bar.advance(task, more),
-            lambda text: bar.update(task, description=for_log(text), total=None),
-        )
+    `paths` are sessions, captures or tables, as they are read one after the other.
+    """
+    from imumon.recordings.source import reading, recorded_bytes
+
+    sizes = [] if quiet else [recorded_bytes(path) for path in paths]
+    total = sum(size or 0 for size in sizes) if None not in sizes else None
+    with bar(f"reading {', '.join(path.name for path in paths)}", total, quiet=quiet) as (count, tell):
+        token = reading.set(count)
+        try:
+            yield tell
+        finally:
+            reading.reset(token)

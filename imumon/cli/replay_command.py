@@ -16,18 +16,17 @@ from imumon.cli.common import (
     columns_option,
     json_option,
     note,
-    print_json,
-    print_rows,
+    print_result,
     rate_option,
     split_columns,
     truth_option,
     warn,
     window_option,
 )
-from imumon.cli.decode_command import exported_as_data
 from imumon.cli.live_run import serve
 from imumon.cli.progress import reading_bar
 from imumon.cli.setup_options import SetupOptions, make_setup, setup_options
+from imumon.cli.table_commands import exported_as_data
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
 from imumon.files import check_output
 from imumon.wings import offers
@@ -150,22 +149,18 @@ def command(
     if comparison.identical is False:
         warn(["the samples differ from those of the live run: another version, or bytes missing"])
     warn(exported.warnings)
-    if as_json:
-        compared = {"results_digest": digest.hexdigest()} | comparison.as_dict()
-        smoothing: dict[str, object] = {} if disagreement is None else {"disagreement": disagreement}
-        smoothing |= {} if true is None else {"truth": true.as_data()}
-        print_json(
-            {"session": source.path} | exported_as_data(source, pipeline, exported) | compared | smoothing
-        )
-    result = {
-        "samples": f"{exported.rows:,}, {comparison}",
-        "losses": describe_losses(pipeline.counters),
-    }
-    result |= describe_streams(pipeline.counters, exported.tables)
+    data = {"session": source.path} | exported_as_data(source, pipeline, exported)
+    data |= {"results_digest": digest.hexdigest()} | comparison.as_dict()
+    rows = {"samples": f"{exported.rows:,}, {comparison}", "losses": describe_losses(pipeline.counters)}
+    rows |= describe_streams(pipeline.counters, exported.tables)
     if disagreement is not None:
+        data["disagreement"] = disagreement
         text = ", ".join(f"{name} {value:.2f}" for name, value in disagreement.items())
-        result["forward less backward"] = f"{text} σ rms" if text else "nothing to compare"
-    print_rows(result | ({} if true is None else true.rows()))
+        rows["forward less backward"] = f"{text} σ rms" if text else "nothing to compare"
+    if true is not None:
+        data["truth"] = true.as_data()
+        rows |= true.rows()
+    print_result(as_json, data, rows)
     return EXIT_NEGATIVE if comparison.identical is False else EXIT_OK
 
 
@@ -174,28 +169,20 @@ def _truth(session: Path, setup: Setup) -> Truth:
     from imumon.run.truth import read_truth
 
     if setup.latitude_deg is not None and setup.heading_deg is None:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            "--truth with a latitude alone: only a part of the earth's rotation is removed from the bias",
-            "add --heading, or leave --latitude away",
-        )
+        what = "--truth with a latitude alone: only a part of the earth's rotation is removed from the bias"
+        raise ImumonError(Reason.BAD_CONFIG, what, "add --heading, or leave --latitude away")
     return read_truth(session, earth_removed=setup.latitude_deg is not None)
 
 
 def _compare(session: Path, given: tuple[Path, Path], out: Path | None, as_json: bool) -> int:
     """Write the page of what two models leave of a session."""
     if out is None or out.suffix != ".html":
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            "--compare-models makes a page, which has no name",
-            "add --out PAGE.html",
-        )
+        what = "--compare-models makes a page, which has no name"
+        raise ImumonError(Reason.BAD_CONFIG, what, "add --out PAGE.html")
     check_output(out)
-    compare = next(iter(offers("compare_models")))
+    (compare,) = offers("compare_models")
     data, rows = compare(session, given, out)
-    if as_json:
-        print_json(data)
-    print_rows({**rows, "page": str(out)})
+    print_result(as_json, data, {**rows, "page": str(out)})
     return EXIT_OK
 
 

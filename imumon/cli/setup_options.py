@@ -23,7 +23,6 @@ class SetupOptions(TypedDict, total=False):
     pipeline: Path | None
     model: Path | None
     zupt: str | None
-    random_error: str | None
     published: str | None
     latitude: float | None
     heading: float | None
@@ -44,12 +43,6 @@ _OPTIONS = (
         help="How the gyro bias is carried through motion after it was measured at rest (zero-velocity"
         " update, ZUPT): held constant (standard), along the curve of --model (thermal), or along a curve"
         " that is learned in this run (learned).  Default: thermal with --model, else learned.",
-    ),
-    click.option(
-        "--random-error",
-        type=click.Choice(["drift", "sr_rsukf"]),
-        help="How the slow random change of the bias is estimated: imumon's own filter (drift, the default),"
-        " or a sigma-point filter from a paper, for comparison (sr_rsukf).",
     ),
     click.option(
         "--published",
@@ -89,23 +82,19 @@ def make_setup(given: SetupOptions, recorded: str | None = None, source: str = "
         setup = load_setup(path)
     elif recorded is not None:
         setup = parse_setup(recorded, source)
-    model = random_error = published = None
+    model = published = None
     if (path := given.get("model")) is not None:
         from imumon.models.model import load_model
 
         model = load_model(path)
-    if (method := given.get("random_error")) is not None:
-        random_error = setup.random_error.model_copy(update={"method": method})
     if (names := given.get("published")) is not None:
         published = [name for name in map(str.strip, names.split(",")) if name]
         if wrong := [name for name in published if name not in PUBLISHED or published.count(name) > 1]:
-            raise click.BadParameter(
-                f"{wrong[0]}: expected {', '.join(PUBLISHED)}, each once", None, None, "--published"
-            )
+            expected = f"{wrong[0]}: expected {', '.join(PUBLISHED)}, each once"
+            raise click.BadParameter(expected, param_hint="--published")
     return setup.with_options(
         model=model,
         zupt_mode=given.get("zupt"),
-        random_error=random_error,
         published=published,
         latitude_deg=given.get("latitude"),
         heading_deg=given.get("heading"),

@@ -3,23 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from imumon.cli.common import (
-    PATH,
-    bind_option,
-    chosen_view,
-    json_option,
-    note,
-    print_json,
-    print_rows,
-    warn,
-)
+from imumon.cli.common import PATH, bind_option, chosen_view, json_option, note, print_json, print_rows, warn
 from imumon.cli.live_run import serve
 from imumon.cli.progress import reading_bar
 from imumon.errors import ImumonError, Reason
@@ -49,9 +38,7 @@ STARTING_S = 15.0
     help="Begin each session at zero, or put it where its computer's clock says.",
 )
 @click.option(
-    "--view",
-    type=click.Choice(["native", "web"]),
-    help="Default: native with a display, else web.",
+    "--view", type=click.Choice(["native", "web"]), help="Default: native with a display, else web."
 )
 @click.option("--out", type=PATH, help="Write the comparison as NAME.rrd for Rerun, and show nothing.")
 @bind_option
@@ -80,7 +67,11 @@ def command(
 
     if out is not None:
         check_output(out)
-    names = _names(sessions)
+    folders = [path.resolve().name for path in sessions]
+    names = [  # with a number where two have the same
+        name if folders.count(name) == 1 else f"{name} {folders[: at + 1].count(name)}"
+        for at, name in enumerate(folders)
+    ]
     opened = [_opened(path) for path in sessions]  # what is wrong with one is reported before a viewer comes
     setup = ViewSetup(" and ".join(names), f"view-{time.time_ns()}")
     mode = view or default_mode()
@@ -93,7 +84,7 @@ def command(
         url = _shown(rec, setup, mode, bind)
     comparison = Comparison(rec, setup, align)
     titles = []
-    with _kept_when_whole(rec, out):
+    try:
         for one, path, name in zip(opened, sessions, names, strict=True):
             with reading_bar([path], quiet=as_json):
                 titles.append(_log(*one, name, comparison.session(name)))
@@ -101,6 +92,11 @@ def command(
             hint = "an imported table has no times of a computer: --align power-on" if align == "host" else ""
             raise ImumonError(Reason.BAD_DATA, "the sessions have no samples with such times", hint)
         rec.flush()
+    except BaseException:
+        if out is not None:  # no file that is a part
+            rec.disconnect()
+            out.unlink(missing_ok=True)
+        raise
     if url:
         note(f"view: {url}")
     if as_json:
@@ -111,27 +107,6 @@ def command(
     if mode == "web" and out is None:
         serve(url)
     rec.disconnect()
-
-
-@contextmanager
-def _kept_when_whole(rec: rr.RecordingStream, out: Path | None) -> Iterator[None]:
-    """Remove the file again when it could not be finished."""
-    try:
-        yield
-    except BaseException:
-        if out is not None:
-            rec.disconnect()
-            out.unlink(missing_ok=True)
-        raise
-
-
-def _names(paths: Sequence[Path]) -> list[str]:
-    """Return what the sessions are called: their folders, with a number where two have the same name."""
-    folders = [path.resolve().name for path in paths]
-    return [
-        name if folders.count(name) == 1 else f"{name} {folders[: at + 1].count(name)}"
-        for at, name in enumerate(folders)
-    ]
 
 
 def _opened(path: Path) -> tuple[RecordedSession, Source, Pipeline]:
@@ -151,7 +126,7 @@ def _opened(path: Path) -> tuple[RecordedSession, Source, Pipeline]:
 def _log(
     recorded: RecordedSession, source: Source, pipeline: Pipeline, name: str, session: Session
 ) -> tuple[dict[str, object], dict[str, str]]:
-    """Run a session and log it; return what is told of it, to programs and to people."""
+    """Run a session and log it; return the result, for programs and for people."""
     from imumon.recordings.source import run_over
     from imumon.run.account import Outages, describe_disk, describe_span, file_sizes, wall_clock
     from imumon.run.narration import describe_losses
@@ -162,6 +137,9 @@ def _log(
         session.log(block)
     warn([*source.warnings(), *pipeline.warnings()])
     ended_ns = max(metadata.ended_ns or 0, outages.last_ns) or metadata.created_ns
+    span = describe_span(metadata.created_ns, ended_ns)
+    if metadata.table is not None:  # nobody knows when a table was measured
+        span = f"{metadata.duration_s:.1f} s, imported {wall_clock(metadata.created_ns, day=True)}"
     data = {
         "session": path,
         "name": name,
@@ -173,9 +151,7 @@ def _log(
         **pipeline.counters.as_dict(),
     }
     rows = {
-        "recorded": describe_span(metadata.created_ns, ended_ns)
-        if metadata.table is None  # nobody knows when a table was measured
-        else f"{metadata.duration_s:.1f} s, imported {wall_clock(metadata.created_ns, day=True)}",
+        "recorded": span,
         "samples": f"{samples:,}",
         "outages": outages.describe(),
         "losses": describe_losses(pipeline.counters),

@@ -20,7 +20,7 @@ from imumon.cli.common import (
     warn,
     with_warnings,
 )
-from imumon.cli.progress import announce, reading_bar, size_of
+from imumon.cli.progress import reading_bar
 from imumon.files import check_output
 from imumon.lab.autopilot_options import (
     AutopilotOptions,
@@ -34,9 +34,6 @@ if TYPE_CHECKING:
     from imumon.lab.calibration.calibration import Calibration, Finding
     from imumon.lab.diagnosis.extended import Driven
 
-STARTING_S, SAMPLES_PER_S, SPAN_PER_S = 2.0, 55_000.0, 670.0
-"""For the estimate of the time.  Measured on one core: 19 s of computing for 21,600 samples of 3 h, 103 s for
-600,000 samples of 16.7 h."""
 NO_DRIVER = {"drivers": "none of those recorded is proven"}
 
 
@@ -93,9 +90,6 @@ def command(
         check_truth(sessions)
     chosen, driven = chosen_drivers(drivers), None
     warnings: list[str] = []
-    samples, span_s = size_of(sessions)
-    expected_s = STARTING_S + samples / SAMPLES_PER_S + span_s / SPAN_PER_S
-    announce("reading", samples, span_s, expected_s, quiet=as_json)
     with with_warnings(lambda: warnings), reading_bar(sessions, quiet=as_json) as tell:
         check_place(latitude, heading)
         records, found = read_sessions(sessions)

@@ -13,7 +13,6 @@ from imumon.wing import Wing
 
 WING = Wing(
     "papers",
-    setup_keys=("published",),
     stages="imumon.papers.hooks:stages",
     temperature_methods={"fir_exponential": "imumon.papers.hooks:fir_method"},
 )

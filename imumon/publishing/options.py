@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import click
 
 from imumon.cli.common import warn
-from imumon.live_output import LiveOutput
 
 if TYPE_CHECKING:
     from imumon.publishing.publisher import Publisher
@@ -41,7 +40,7 @@ class _Publish:
         return targets
 
     def start(self, parsed: Sequence[Target], setup: ViewSetup) -> Published:
-        """Begin to send to them; see `LiveOutput`."""
+        """Begin to send to them."""
         if not parsed:
             return Published([])
         from imumon.publishing.publisher import Publisher
@@ -49,7 +48,7 @@ class _Publish:
         return Published([Publisher(target, setup).start() for target in parsed])
 
 
-PUBLISH: LiveOutput = _Publish()
+PUBLISH = _Publish()
 
 
 class Published:

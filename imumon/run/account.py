@@ -1,9 +1,9 @@
-"""What the summary of a session says of time and disk: outages, wall-clock times, sizes of files."""
+"""Time and disk in the summary of a session: outages, wall-clock times, sizes of files."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
@@ -17,7 +17,7 @@ NAMED = 20
 """Outages that are named one by one."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Outage:
     """A time without bytes: from the last byte before it to the port's return, Unix time, ns.
 
@@ -28,10 +28,6 @@ class Outage:
     began_ns: int
     ended_ns: int | None = None
 
-    def seconds(self, now_ns: int) -> float:
-        """Return its length, up to now when it lasts."""
-        return ((self.ended_ns or now_ns) - self.began_ns) * 1e-9
-
 
 @dataclass(slots=True)
 class Outages:
@@ -41,19 +37,15 @@ class Outages:
     last_ns: int = 0
     """Time of the last byte or event."""
 
-    def received(self, time_ns: int) -> None:
-        """Take the time of bytes."""
-        self.last_ns = time_ns
-
     def event(self, event: Event) -> None:
         """Take an event of the port."""
-        lasting = bool(self.found) and self.found[-1].ended_ns is None
-        if event.kind in BEGINS and not lasting:
+        lasting = next((one for one in self.found if one.ended_ns is None), None)
+        if event.kind in BEGINS and lasting is None:
             self.found.append(Outage(BEGINS[event.kind], self.last_ns or event.time_ns))
-        elif event.kind in BEGINS:  # it was silent before it was lost
-            self.found[-1] = replace(self.found[-1], kind=BEGINS[event.kind])
-        elif event.kind in ENDS and lasting:
-            self.found[-1] = replace(self.found[-1], ended_ns=event.time_ns)
+        elif event.kind in BEGINS and lasting is not None:  # it was silent before it was lost
+            lasting.kind = BEGINS[event.kind]
+        elif event.kind in ENDS and lasting is not None:
+            lasting.ended_ns = event.time_ns
         self.last_ns = max(self.last_ns, event.time_ns)
 
     def watch(self, items: Iterable[Item] | Iterable[SampleBlock]) -> Iterator[Item | Reads | SampleBlock]:
@@ -62,16 +54,20 @@ class Outages:
             if isinstance(item, Event):
                 self.event(item)
             elif isinstance(item, Bytes):
-                self.received(item.arrival_ns)
+                self.last_ns = item.arrival_ns
             elif isinstance(item, Reads) and len(item.arrivals_ns):
-                self.received(int(item.arrivals_ns[-1]))
+                self.last_ns = int(item.arrivals_ns[-1])
             yield item
+
+    def seconds(self, outage: Outage) -> float:
+        """Return the length of an outage, up to the last item when it lasts."""
+        return ((outage.ended_ns or self.last_ns) - outage.began_ns) * 1e-9
 
     def describe(self) -> str:
         """Return all outages with their lengths, in one phrase."""
         if not self.found:
             return "none"
-        lengths = [outage.seconds(self.last_ns) for outage in self.found]
+        lengths = [self.seconds(outage) for outage in self.found]
         named = [
             f"{wall_clock(outage.began_ns)} {outage.kind} {length:.1f} s"
             for outage, length in zip(self.found[:NAMED], lengths, strict=False)
@@ -82,17 +78,13 @@ class Outages:
     def as_data(self) -> list[dict[str, object]]:
         """Return the outages as ``--json`` has them."""
         return [
-            {
-                "kind": outage.kind,
-                "began_ns": outage.began_ns,
-                "seconds": round(outage.seconds(self.last_ns), 3),
-            }
-            for outage in self.found
+            {"kind": one.kind, "began_ns": one.began_ns, "seconds": round(self.seconds(one), 3)}
+            for one in self.found
         ]
 
 
 def wall_clock(time_ns: int, *, day: bool = False) -> str:
-    """Return a Unix time as the clock on the wall shows it here, with the day if that is asked for."""
+    """Return a Unix time as the clock on the wall shows it here, with the day if requested."""
     at = datetime.fromtimestamp(time_ns * 1e-9).astimezone()
     return f"{at:%Y-%m-%d %H:%M:%S}" if day else f"{at:%H:%M:%S}"
 

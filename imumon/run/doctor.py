@@ -1,35 +1,33 @@
-"""What this computer lacks for imumon, each finding with what to do about it."""
+"""What this computer lacks for imumon, and the plug-ins: of which package each is, and whether it loads."""
 
 from __future__ import annotations
 
 import errno
 import os
 import platform
+import re
 import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from enum import Enum
 from importlib import metadata
+from importlib.metadata import EntryPoint
 from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
+from imumon.effects.offered import EFFECT, guarded, is_effect
 from imumon.errors import ImumonError
-from imumon.run.plugins import installed
+from imumon.plugins import DEVICES, EFFECTS, STAGES, entries, load, package_of
+from imumon.protocols.device import FOLDER, is_folder, load_device
+from imumon.stage import STAGE, is_callable, made_by
 from imumon.transport.errors import open_error
 from imumon.transport.ports import PortInfo, latency_timer_path, list_ports
 from imumon.transport.settings import PortSettings
 from imumon.transport.terminal import latency_text
-from imumon.view.viewer import (
-    VIEWER_PORT,
-    WEB_PORT,
-    Answer,
-    has_display,
-    probe,
-    quiet_environment,
-    viewer_binary,
-)
+from imumon.view.viewer import has_display, quiet_environment, viewer_binary
 
 DISTRIBUTION = "imumon"
 VULKAN_DRIVERS = tuple(Path(place, "vulkan/icd.d") for place in ("/usr/share", "/usr/local/share", "/etc"))
@@ -65,39 +63,23 @@ def examine(folder: Path) -> Iterator[Finding]:
 
 
 def packages() -> Iterator[Finding]:
-    """Test whether each package that imumon requires is there in a version that it takes."""
-    from packaging.requirements import Requirement  # a requirement of matplotlib
-
+    """Name the versions of what imumon requires; `pip check` tells whether they fit."""
     yield Finding("Python", State.GOOD, f"{platform.python_version()} on {platform.platform(terse=True)}")
-    wrong, found = [], [f"{DISTRIBUTION} {metadata.version(DISTRIBUTION)}"]
-    for text in metadata.requires(DISTRIBUTION) or ():
-        required = Requirement(text)
-        if required.marker is not None and not required.marker.evaluate({"extra": ""}):
-            continue
-        try:
-            version = metadata.version(required.name)
-        except metadata.PackageNotFoundError:
-            wrong.append(f"{required} is not installed")
-            continue
-        if required.specifier.contains(version, prereleases=True):
-            found.append(f"{required.name} {version}")
-        else:
-            wrong.append(f"{required.name} {version} is not {required.specifier}")
-    if wrong:
-        remedy = "install imumon again, with what it requires"
-        yield Finding("packages", State.FAULT, "; ".join(wrong), remedy)
-    yield Finding("packages", State.GOOD, ", ".join(found))
+    required = [text for text in metadata.requires(DISTRIBUTION) or () if "extra ==" not in text]
+    names = [DISTRIBUTION, *(re.split(r"[^\w.-]", text)[0] for text in required)]
+    there = {distribution.name.lower() for distribution in metadata.distributions()}
+    versions = [f"{name} {metadata.version(name)}" for name in names if name.lower() in there]
+    yield Finding("packages", State.GOOD, ", ".join(versions))
 
 
 def plug_ins() -> Iterator[Finding]:
     """Test whether each plug-in loads."""
-    found = installed()
-    for plugin in found:
+    for plugin in installed():
         if plugin.problem:
             remedy = f"mend or remove it (pip uninstall {plugin.package}), or imumon --without-plugins"
             yield Finding("plug-ins", State.FAULT, plugin.problem, remedy)
-    if whole := [f"{plugin.name} of {plugin.package}" for plugin in found if not plugin.problem]:
-        yield Finding("plug-ins", State.GOOD, ", ".join(whole))
+        else:
+            yield Finding("plug-ins", State.GOOD, f"{plugin.name} of {plugin.package}")
 
 
 def compiled_code() -> Iterator[Finding]:
@@ -111,23 +93,22 @@ def compiled_code() -> Iterator[Finding]:
         yield Finding(subject, State.FAULT, seen, "set NUMBA_CACHE_DIR to a folder of yours")
     elif not count:
         seen = f"none in {usable[0]}: the first recording waits until it is made"
-        remedy = "imumon virtual in one terminal, imumon monitor in another: what they need is then ready"
-        yield Finding(subject, State.WARNING, seen, remedy)
+        yield Finding(subject, State.WARNING, seen, "imumon demo makes what most recordings need")
     else:
         yield Finding(subject, State.GOOD, f"{count} functions kept in {usable[0]}")
 
 
 def disk(folder: Path) -> Iterator[Finding]:
     """Test whether the folder of the sessions can be written to, and for how long."""
-    there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
-    if not _writable(there):
-        yield Finding("disk", State.FAULT, f"{there} cannot be written to", "monitor --out writes elsewhere")
-        return
+    elsewhere = "make room, or monitor --out writes elsewhere"
+    there = _nearest(folder)
     free = shutil.disk_usage(there).free
     days = free / BYTES_PER_DAY
     seen = f"{free / 1e9:.1f} GB free in {there}: {days:.3g} days of 400 packets of 60 bytes a second"
-    if days < 1.0:
-        yield Finding("disk", State.WARNING, seen, "make room; monitor --out writes elsewhere")
+    if not _writable(there):
+        yield Finding("disk", State.FAULT, f"{there} cannot be written to", elsewhere)
+    elif days < 1.0:
+        yield Finding("disk", State.WARNING, seen, elsewhere)
     else:
         yield Finding("disk", State.GOOD, seen)
 
@@ -148,38 +129,27 @@ def _port(port: PortInfo) -> Finding:
         error = open_error(PortSettings(port.device), refused)
         return Finding(port.device, State.FAULT, error.seen, error.hint)
     if port.holders:
-        seen = f"{port}: open in {', '.join(port.holders)}"
         remedy = "two readers of one port take bytes from each other: end the other"
-        return Finding(port.device, State.WARNING, seen, remedy)
+        return Finding(port.device, State.WARNING, f"{port}: open in {', '.join(port.holders)}", remedy)
     if timer is not None and timer > 1:
-        text = latency_text(False, timer, str(latency_timer_path(port.device)))
-        seen, _, remedy = text.partition("; to change it: ")
-        return Finding(port.device, State.WARNING, f"{port}: low latency is {seen}", remedy)
+        remedy = latency_text(False, timer, str(latency_timer_path(port.device)))
+        return Finding(port.device, State.WARNING, f"{port}: bytes come in bursts", remedy)
     return Finding(port.device, State.GOOD, str(port))
 
 
 def viewer() -> Iterator[Finding]:
-    """Test whether the Rerun viewer is there and starts, and who has its ports."""
+    """Test whether the Rerun viewer is there and starts."""
     try:
         command = [str(viewer_binary()), "--version"]
         done = subprocess.run(
             command, env=quiet_environment(), capture_output=True, text=True, timeout=ANSWER_S, check=True
         )
+        yield Finding("viewer", State.GOOD, " ".join(done.stdout.split()[:2]))
     except ImumonError as error:
         yield Finding("viewer", State.FAULT, error.seen, error.hint)
     except (OSError, subprocess.SubprocessError) as error:
         remedy = "pip install --force-reinstall rerun-sdk"
         yield Finding("viewer", State.FAULT, f"it does not start: {error}", remedy)
-    else:
-        version = "".join(done.stdout.split()[1:2])
-        yield Finding("viewer", State.GOOD, f"Rerun {version or 'of unknown version'}")
-    for port, use in ((VIEWER_PORT, "a window"), (WEB_PORT, "a browser")):
-        if probe(port) in (Answer.OTHER, Answer.SILENT):
-            seen = f"port {port}, where {use} is served, belongs to another program"
-            remedy = (
-                "nothing to do: the next free one is taken, and the address that is printed has its number"
-            )
-            yield Finding("viewer", State.WARNING, seen, remedy)
 
 
 def graphics() -> Iterator[Finding]:
@@ -203,7 +173,48 @@ def graphics() -> Iterator[Finding]:
         yield Finding("graphics", State.GOOD, ", ".join(sorted(drivers)))
 
 
+def _nearest(place: Path) -> Path:
+    """Return a folder, or the one above it that exists."""
+    return next(folder for folder in (place, *place.absolute().parents) if folder.exists())
+
+
 def _writable(place: Path) -> bool:
     """Return whether a folder can be written to, or be made."""
-    there = next(folder for folder in (place, *place.absolute().parents) if folder.exists())
-    return os.access(there, os.W_OK | os.X_OK)
+    return os.access(_nearest(place), os.W_OK | os.X_OK)
+
+
+@dataclass(frozen=True, slots=True)
+class Installed:
+    """An entry point of an installed package."""
+
+    group: str
+    name: str
+    package: str
+    version: str
+    brings: tuple[str, ...] = ()
+    """Columns of a stage, devices of a folder, the sensors of an effect; empty when it does not load."""
+    problem: str = ""
+    """Why it does not load; empty when it does."""
+
+
+def installed() -> list[Installed]:
+    """Return the plug-ins of all groups, each loaded for a try."""
+    return [_tried(entry) for group in (STAGES, DEVICES, EFFECTS) for entry in entries(group)]
+
+
+def _tried(entry: EntryPoint) -> Installed:
+    known = (entry.group, entry.name, *package_of(entry))
+    try:
+        return Installed(*known, tuple(_brought(entry)))
+    except ImumonError as error:
+        return Installed(*known, problem=error.seen)
+
+
+def _brought(entry: EntryPoint) -> list[str]:
+    """Return the names of what an entry point brings."""
+    if entry.group == STAGES:
+        return [column.name for column in made_by(load(entry, STAGE, is_callable)).columns]
+    if entry.group == DEVICES:
+        files = sorted(Path(load(entry, FOLDER, is_folder).offered).glob("*.yaml"))
+        return [load_device(str(file)).name for file in files]
+    return [*guarded(load(entry, EFFECT, is_effect)).sensors]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import shlex
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
-from imumon.models.model import BiasModel, TrainedOn
+from imumon.models.model import TrainedOn
 from imumon.pipeline import Pipeline
 from imumon.recordings.folder import Session, fingerprint
 from imumon.version import __version__
@@ -15,21 +15,12 @@ from imumon.version import __version__
 LEARNED_NAME = "learned-model.yaml"
 
 
-class Offered(Protocol):
-    """A better model."""
-
-    @property
-    def model(self) -> BiasModel:
-        """The model."""
-
-
 @runtime_checkable
 class Learning(Protocol):
     """A stage that looks for a better model than the present one."""
 
-    @property
-    def offered(self) -> Offered | None:
-        """The better model, once it has won."""
+    offered: Any
+    """What has the better `model`, once it has won; else None."""
 
     def evidence(self, session: str, sha256: str) -> TrainedOn:
         """Return what the model was learned from, a session of this name and fingerprint."""
@@ -43,18 +34,14 @@ def keep_learned(pipeline: Pipeline, session: Session) -> Path | None:
     stage = next((one for one in pipeline.estimators if isinstance(one, Learning)), None)
     if stage is None or stage.offered is None:
         return None
-    path = session.path / LEARNED_NAME
-    found: BiasModel = stage.offered.model.model_copy(
-        update={
-            "made_by": f"imumon {__version__}",
-            "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
-            "trained_on": [
-                *stage.offered.model.trained_on,
-                stage.evidence(session.path.name, fingerprint(session.truth_path)),
-            ],
-        }
-    )
-    found.write(path)
+    path, model = session.path / LEARNED_NAME, stage.offered.model
+    evidence = stage.evidence(session.path.name, fingerprint(session.truth_path))
+    changes = {
+        "made_by": f"imumon {__version__}",
+        "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+        "trained_on": [*model.trained_on, evidence],
+    }
+    model.model_copy(update=changes).write(path)
     return path
 
 

@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from queue import SimpleQueue
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -32,20 +33,10 @@ from imumon.recordings.source import feed
 from imumon.recordings.wire import WireCounters, WireWriter
 from imumon.run.account import Outages
 from imumon.run.marks import Marks, append_request
-from imumon.run.narration import Narrator, Progress, Publish, Say
+from imumon.run.narration import Narrator, Publish, Say
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators, pipeline_of
-from imumon.transport.reader import (
-    SILENT_AFTER_S,
-    Bytes,
-    Clock,
-    Event,
-    EventKind,
-    Item,
-    Reader,
-    Reads,
-    Sink,
-)
+from imumon.transport.reader import SILENT_AFTER_S, Bytes, Clock, Event, EventKind, Item, Reader, Reads, Sink
 from imumon.transport.settings import PortSettings
 
 BATCH_S = 0.08
@@ -120,22 +111,8 @@ class LiveSummary:
 class DecodedPort:
     """A port that is read and decoded in threads of its own until it is stopped; nothing is recorded.
 
-    Parameters
-    ----------
-    device : DeviceFile
-        What is on the port.
-    settings : PortSettings
-        The port.
-    pipeline : Pipeline
-        Decoder and estimators.
-    say : callable
-        Where log lines go; called from several threads.
-    record : callable
-        Takes all that comes, in the thread that reads.
-    card : mapping of str to str
-        What the status card begins with.
-    session : Path
-        What SESSION stands for in warnings.
+    `say` takes log lines, from several threads; `record` all that comes, in the thread that reads.  The
+    status card begins with `card`, and SESSION in warnings stands for `session`.
     """
 
     def __init__(
@@ -152,21 +129,17 @@ class DecodedPort:
         self.pipeline.live = True
         self.taken: Callable[[SampleBlock, Mapping[str, SampleBlock]], None] | None = None
         """Given, in the pipeline's thread, the samples and those of the side streams as they come."""
-        self._device, self._settings = device, settings
         self._items: SimpleQueue[Item] = SimpleQueue()
         self._outages, self._clock = Outages(), Clock()
         self._began_ns = self._clock.now_ns()
-        self._reader = reader_of(device, settings, record, self._items.put)
+        silent_after_s = max(SILENT_AFTER_S, SILENT_AFTER_PACKETS / (device.rate_hz or np.inf))
+        self._reader = Reader(settings, record, self._items.put, silent_after_s=silent_after_s)
         self.narrator = Narrator(pipeline, settings, (), say, dict(card), session)
         self._thread = threading.Thread(target=self._run, name="pipeline", daemon=True)
-        self._progress = self.narrator.progress(self._began_ns)
+        self.progress = self.narrator.progress(self._began_ns)
+        """The numbers of the moment, renewed twice a second; in the end with the rates of the whole run."""
         self._finished = False
         self.failure: ImumonError | None = None
-
-    @property
-    def progress(self) -> Progress:
-        """The numbers of the moment, renewed twice a second; in the end with the rates of the whole run."""
-        return self._progress
 
     @property
     def newest_ns(self) -> int:
@@ -206,10 +179,10 @@ class DecodedPort:
                 self._hand_on(self.pipeline.take())
                 if time.monotonic() >= next_tick or closed:
                     next_tick = time.monotonic() + TICK_S
-                    self._progress = self.narrator.tick(self._clock.now_ns())
+                    self.progress = self.narrator.tick(self._clock.now_ns())
             self.pipeline.finish()
             self._hand_on(self.pipeline.take())
-            self._progress = self.narrator.ended(self.narrator.tick(self._clock.now_ns()))
+            self.progress = self.narrator.ended(self.narrator.tick(self._clock.now_ns()))
             self._finished = True
         except ImumonError as error:
             # Reading and recording go on; what could not be decoded can be decoded from the recording.
@@ -227,7 +200,7 @@ class DecodedPort:
             feed(item, self.pipeline)
             self.narrator.item(item)
             if isinstance(item, Reads):
-                self._outages.received(int(item.arrivals_ns[-1]))
+                self._outages.last_ns = int(item.arrivals_ns[-1])
             else:
                 self._outages.event(item)
                 closed = item.kind is EventKind.CLOSED
@@ -242,20 +215,8 @@ class LiveRun(DecodedPort):
 
     Raises EXISTS when the folder holds a session; BAD_CONFIG when it cannot be written.
 
-    Parameters
-    ----------
-    device, settings, say
-        As of `DecodedPort`.
-    device_yaml : str
-        Text of the device file, kept with the session.
-    setup : Setup
-        Parameters of the estimators; kept with the session.
-    folder : Path
-        Where the session goes; must not hold one.
-    stages : sequence of Estimator
-        More stages, behind the others.
-    serial : str or None
-        Serial number of the unit, kept with the session.
+    The session in `folder` keeps the device file, the setup and the serial number of the unit.  `stages`
+    stand behind the others.
     """
 
     def __init__(
@@ -272,7 +233,18 @@ class LiveRun(DecodedPort):
         pipeline = pipeline_of(device, setup, stages)
         self._marks, self._marking = Marks(folder), threading.Lock()
         self._digest = Digest()
-        self.session = create_session(folder, _metadata(device, device_yaml, settings, setup, serial))
+        line = asdict(settings)
+        metadata = SessionMetadata.begun(
+            "live",
+            time.time_ns(),
+            device=device.name,
+            serial=serial,
+            axes=device.axes,
+            device_yaml=device_yaml,
+            pipeline_yaml=setup.text(),
+            port=PortUsed(url=line.pop("url"), settings=line),
+        )
+        self.session = create_session(folder, metadata)
         self._log = SessionLog(self.session.path / LOG_NAME, say)
         self._say = self._log.put
         model = setup.model
@@ -312,14 +284,17 @@ class LiveRun(DecodedPort):
         counters = self.pipeline.counters
         digest = self._digest.hexdigest() if self._finished else None
         if not self._finished and self._thread.ident is not None and self.failure is None:
-            self.failure = self._decoding_ended()
+            self.failure = ImumonError(
+                Reason.BAD_DATA,
+                f"decoding ended after {counters.packets:,} packets by a defect of imumon",
+                f"the recording is whole; please report the defect with it: {self.session.path}",
+            )
         closed = self.session.metadata.closed(
             ended_ns,
-            counters=flat_counters(counters) | {"bytes_unrecorded": wire.bytes_unrecorded},
+            **summary_of(counters, wire.bytes_unrecorded),
             events=wire.events,
             results_digest=digest,
             column_crc32=self._digest.columns(self.pipeline.irreproducible) if self._finished else {},
-            streams=stream_summaries(counters),
             views=list(views),
         )
         try:
@@ -341,13 +316,9 @@ class LiveRun(DecodedPort):
 
     def report_view_error(self, why: str) -> None:
         """Log that the recording of the view has stopped; may be called from any thread."""
-        problem = self._recorder.problem
-        wire = "wire.mcap has all so far" if problem is None else f"wire.mcap has a problem, too: {problem}"
-        self._say(
-            "ERROR",
-            f"the view is not recorded any more: {why}; {wire}; make room on the disk;"
-            f" afterwards imumon replay {self.session.path} --view native shows the whole run",
-        )
+        wire = self._recorder.problem or "wire.mcap has all so far"
+        text = f"the view is not recorded any more: {why}; {wire}; make room on the disk; afterwards"
+        self._say("ERROR", f"{text} imumon replay {self.session.path} --view native shows the whole run")
 
     def _take_marks(self) -> None:
         with self._marking:
@@ -355,23 +326,13 @@ class LiveRun(DecodedPort):
                 self._reader.report(kind, text)
 
     def _wire_writer(self, settings: PortSettings) -> WireWriter:
-        metadata = self.session.metadata.for_wire()
+        path, metadata = self.session.wire_path, self.session.metadata.for_wire()
         try:
-            return WireWriter(self.session.wire_path, metadata | {"port": str(settings)})
+            return WireWriter(path, metadata | {"port": str(settings)})
         except OSError as error:
             remove_empty(self.session)
-            raise ImumonError(
-                Reason.BAD_CONFIG,
-                f"the recording {self.session.wire_path} cannot be made: {error.strerror}",
-                "give another folder",
-            ) from error
-
-    def _decoding_ended(self) -> ImumonError:
-        return ImumonError(
-            Reason.BAD_DATA,
-            f"decoding ended after {self.pipeline.counters.packets:,} packets by a defect of imumon",
-            f"the recording is whole; please report the defect with it: {self.session.path}",
-        )
+            what = f"the recording {path} cannot be made: {error.strerror}"
+            raise ImumonError(Reason.BAD_CONFIG, what, "give another folder") from error
 
     def _hand_on(self, block: SampleBlock) -> None:
         self._digest.update(block, self.pipeline.side)
@@ -379,38 +340,12 @@ class LiveRun(DecodedPort):
 
     def _save(self) -> None:
         """Renew session.yaml and the log, so that a killed session tells how far it came."""
-        counters = self.pipeline.counters
-        changes = {"counters": flat_counters(counters), "streams": stream_summaries(counters)}
+        changes = summary_of(self.pipeline.counters)
         self.session.save(self.session.metadata.model_copy(update=changes))
         self._log.write()
 
     def _recording_problem(self, problem: str | None) -> None:
-        if problem is None:
-            self._say("INFO", "recording goes on")
-        else:
-            self._say("ERROR", problem)
-
-
-def _metadata(
-    device: DeviceFile, device_yaml: str, settings: PortSettings, setup: Setup, serial: str | None
-) -> SessionMetadata:
-    line = asdict(settings)
-    return SessionMetadata.begun(
-        "live",
-        time.time_ns(),
-        device=device.name,
-        serial=serial,
-        axes=device.axes,
-        device_yaml=device_yaml,
-        pipeline_yaml=setup.text(),
-        port=PortUsed(url=line.pop("url"), settings=line),
-    )
-
-
-def reader_of(device: DeviceFile, settings: PortSettings, record: Sink, take: Sink) -> Reader:
-    """Return the reader of a port, which waits longer for a device that sends seldom."""
-    silent_after_s = max(SILENT_AFTER_S, SILENT_AFTER_PACKETS / (device.rate_hz or np.inf))
-    return Reader(settings, record, take, silent_after_s=silent_after_s)
+        self._say("INFO" if problem is None else "ERROR", problem or "recording goes on")
 
 
 def arrived(items: SimpleQueue[Item]) -> Iterator[Reads | Event]:
@@ -435,18 +370,14 @@ def arrived(items: SimpleQueue[Item]) -> Iterator[Reads | Event]:
         yield Reads.of(reads)
 
 
-def flat_counters(counters: PipelineCounters) -> dict[str, int]:
-    """Return what session.yaml has as counters."""
-    named = counters.as_dict()
-    return {
-        **{name: value for name, value in named.items() if isinstance(value, int)},
-        **{f"packets_by_type.{name}": count for name, count in counters.packets_by_type.items()},
-    }
-
-
-def stream_summaries(counters: PipelineCounters) -> dict[str, StreamSummary]:
-    """Return what session.yaml says of the streams."""
-    return {name: StreamSummary(**asdict(stream)) for name, stream in counters.streams.items()}
+def summary_of(counters: PipelineCounters, unrecorded: int | None = None) -> dict[str, Any]:
+    """Return what session.yaml has of counters and streams; `unrecorded` bytes once it is known how many."""
+    flat = {name: value for name, value in counters.as_dict().items() if isinstance(value, int)}
+    flat |= {f"packets_by_type.{name}": count for name, count in counters.packets_by_type.items()}
+    if unrecorded is not None:
+        flat["bytes_unrecorded"] = unrecorded
+    streams = {name: StreamSummary(**asdict(stream)) for name, stream in counters.streams.items()}
+    return {"counters": flat, "streams": streams}
 
 
 def nothing_decoded(
@@ -455,22 +386,20 @@ def nothing_decoded(
     """Return why a run has no rows, or None when it has some."""
     if counters.samples or any(stream.rows for stream in counters.streams.values()):
         return None
+    reason = Reason.WRONG_BAUD
     if counters.packets:
         kinds = ", ".join(f"{count:,} {name}" for name, count in counters.packets_by_type.items())
-        return ImumonError(
-            Reason.WRONG_BAUD,
-            f"{counters.packets:,} packets came ({kinds}), and no row of {device.name} could be made of them",
-            "is it another device, or does it send none of its sensors?  Try: imumon configure --help",
+        what = (
+            f"{counters.packets:,} packets came ({kinds}), and no row of {device.name} could be made of them"
         )
-    if counters.bytes_received == 0:
-        return ImumonError(
-            Reason.SILENT,
-            f"{settings.url} is open, but no byte came",
-            "is the device powered, TX wired to RX, and does it send by itself?",
+        hint = "is it another device, or does it send none of its sensors?  Try: imumon configure --help"
+    elif counters.bytes_received == 0:
+        reason, what = Reason.SILENT, f"{settings.url} is open, but no byte came"
+        hint = "is the device powered, TX wired to RX, and does it send by itself?"
+    else:
+        what = (
+            f"{counters.bytes_received:,} bytes came at {settings.baudrate} baud, none of them a packet of "
+            f"{device.name} ({counters.checksum_errors} with the right header but a wrong checksum)"
         )
-    return ImumonError(
-        Reason.WRONG_BAUD,
-        f"{counters.bytes_received:,} bytes came at {settings.baudrate} baud, none of them a packet of "
-        f"{device.name} ({counters.checksum_errors} with the right header but a wrong checksum)",
-        f"wrong baud rate or device?  Try: imumon detect {settings.url}",
-    )
+        hint = f"wrong baud rate or device?  Try: imumon detect {settings.url}"
+    return ImumonError(reason, what, hint)

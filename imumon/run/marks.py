@@ -1,4 +1,4 @@
-"""Marks that a person puts into a recording while it goes on: asked for in a file of the session's folder.
+"""Marks that a person puts into a recording while it goes on: requested in a file of the session's folder.
 
 Whoever records looks into the file 12 times a second, puts what is new into the recording as an event, and
 removes the file at the end: the recording is what counts.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import shlex
 from contextlib import suppress
 from pathlib import Path
 
@@ -39,19 +38,14 @@ def ask_for_mark(session: Path, kind: EventKind, text: str) -> None:
             f"{session} is not being recorded",
             "marks are made while imumon monitor runs; its summary names the session",
         )
-    goes_on = kind is not EventKind.MARK and _goes_on(opened.path, for_log(text))
-    if kind is EventKind.START and goes_on:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            f"the part {text!r} goes on already in {session}",
-            f"it ends with: imumon mark {shlex.quote(str(session))} {shlex.quote(text)} --stop",
-        )
-    if kind is EventKind.STOP and not goes_on:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            f"no part {text!r} goes on in {session}",
-            f"it begins with: imumon mark {shlex.quote(str(session))} {shlex.quote(text)} --start",
-        )
+    if kind is not EventKind.MARK:
+        requested = [other for other, part in Marks(opened.path).take() if part == for_log(text)]
+        goes_on = [one for one in requested if one is not EventKind.MARK][-1:] == [EventKind.START]
+        if goes_on != (kind is EventKind.STOP):
+            what, option = (
+                ("goes on already", "--stop ends") if goes_on else ("does not go on", "--start begins")
+            )
+            raise ImumonError(Reason.BAD_CONFIG, f"the part {text!r} {what} in {session}", f"{option} it")
     append_request(opened.path, kind, text)
 
 
@@ -66,7 +60,7 @@ def append_request(folder: Path, kind: EventKind, text: str) -> None:
 
 
 class Marks:
-    """What was asked for, as it comes."""
+    """The requests, as they come."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / REQUESTS
@@ -98,12 +92,6 @@ def _request(line: bytes) -> tuple[EventKind, str] | None:
         return KINDS[fields["kind"]], for_log(str(fields["text"]))
     except (ValueError, KeyError, TypeError, RecursionError):
         return None
-
-
-def _goes_on(folder: Path, part: str) -> bool:
-    """Test whether the part was begun and not ended; all requests of a recording are there until its end."""
-    kinds = [kind for kind, text in Marks(folder).take() if text == part and kind is not EventKind.MARK]
-    return kinds[-1:] == [EventKind.START]
 
 
 def _is_recorded(wire: Path) -> bool:

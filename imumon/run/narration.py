@@ -30,37 +30,30 @@ Say = Callable[[str, str], None]
 RATE_WINDOW_NS = 2_000_000_000
 SETTLING_NS = 60_000_000_000
 """The clock fit is called synchronised after this much time in a segment."""
-GARBLED = LaneState("bad: does not frame", Level.BAD)
-OK = LaneState("ok", Level.GOOD)
-LOSSES, FULL = LaneState("warning: losses", Level.WAIT), LaneState("warning: full", Level.WAIT)
-GARBLED_BELOW = 0.5
-GARBLED_AFTER_BYTES = 400
+GARBLED_BELOW, GARBLED_AFTER_BYTES = 0.5, 400
 """When less than half of the bytes of the last 2 s, at least so many, frame: wrong baud rate or protocol."""
-
 RESTLESS = 3
 """A clock that starts anew so often in 2 s is not that of one device: none boots so fast."""
 CHART_NS = 5_000_000_000
 """Charts are made anew this often, while samples come: samples wait for it, and the view draws no faster."""
-_MOTION = {0: LaneState("moving"), 1: LaneState("rest", Level.GOOD)}
 
-_OPEN, _LOST = LaneState("open", Level.GOOD), LaneState("lost", Level.BAD)
-_PORT_STATES = {
-    EventKind.OPENED: _OPEN,
-    EventKind.RESUMED: _OPEN,
+OPEN, LOST = LaneState("open", Level.GOOD), LaneState("lost", Level.BAD)
+PORT = {
+    EventKind.OPENED: OPEN,
+    EventKind.RESUMED: OPEN,
     EventKind.SILENT: LaneState("silent", Level.WAIT),
-    EventKind.LOST: _LOST,
-    EventKind.UNAVAILABLE: _LOST,
+    EventKind.LOST: LOST,
+    EventKind.UNAVAILABLE: LOST,
     EventKind.CLOSED: LaneState("closed", Level.BAD),
 }
-_JUMPED = LaneState("jumped", Level.BAD)
-_SYNCHRONISED = LaneState("synchronised", Level.GOOD)
-_ACQUIRING = LaneState("acquiring", Level.WAIT)
-_MARKS = {
-    EventKind.MARK: "mark",
-    EventKind.START: "start of part",
-    EventKind.STOP: "end of part",
-}
-_LEVELS = {
+"""States of the lanes: of the port, then of the data, the link, the clock, and of motion."""
+OK, GARBLED = LaneState("ok", Level.GOOD), LaneState("bad: does not frame", Level.BAD)
+LOSSES, FULL = LaneState("warning: losses", Level.WAIT), LaneState("warning: full", Level.WAIT)
+JUMPED, ACQUIRING = LaneState("jumped", Level.BAD), LaneState("acquiring", Level.WAIT)
+SYNCHRONISED = LaneState("synchronised", Level.GOOD)
+MOTION = {0: LaneState("moving"), 1: LaneState("rest", Level.GOOD)}
+MARKS = {EventKind.MARK: "mark", EventKind.START: "start of part", EventKind.STOP: "end of part"}
+LEVELS = {
     EventKind.SILENT: "WARN",
     EventKind.LOST: "ERROR",
     EventKind.UNAVAILABLE: "WARN",
@@ -75,12 +68,11 @@ class Progress:
     elapsed_s: float
     counters: PipelineCounters
     packets_per_s: float
-    bytes_per_s: float
     link_load: float | None
+    """Share of what the line can carry; None where there is no line."""
     port: str
-    drift_ppm: float
-    drift_sd_ppm: float
-    delay_ms: float | None
+    clock: Mapping[str, str]
+    """What a person reads of the clock, label and text."""
 
 
 def advised(text: str, session: Path) -> str:
@@ -91,20 +83,8 @@ def advised(text: str, session: Path) -> str:
 class Narrator:
     """Turns what the pipeline does into view items and log lines; used by one thread.
 
-    Parameters
-    ----------
-    pipeline : Pipeline
-        Whose counters and clock are shown.
-    settings : PortSettings or None
-        The port, for the link load; None when there is none.
-    publish : sequence of callable
-        Where view items go: the live view, the recording of the view.
-    say : callable
-        Where log lines go besides the view.
-    card : mapping of str to str
-        What the status card begins with: device, port, recording.
-    session : Path
-        What SESSION stands for in the commands that a warning advises.
+    `settings` is the port, for the link load.  View items go to `publish`, log lines also to `say`.  The
+    status card begins with `card`, and SESSION in the commands that a warning advises stands for `session`.
     """
 
     def __init__(
@@ -116,11 +96,9 @@ class Narrator:
         card: dict[str, str],
         session: Path,
     ) -> None:
-        self._session = session
-        self._pipeline = pipeline
+        self._pipeline, self._session = pipeline, session
         self.publish = tuple(publish)
-        self._say = say
-        self._card = card
+        self._say, self._card = say, card
         self._timebase = Timebase()
         self._link = LinkStatistics(settings) if settings is not None else None
         self._history: deque[tuple[int, PipelineCounters]] = deque()
@@ -131,7 +109,6 @@ class Narrator:
         self._segment = 0
         self._segment_began_ns = 0
         self._restless = False
-        self._status: int | None = None
         self._shown: dict[str, str] = {}
         self._numbers: dict[str, float] = {}
         self._overloaded = False
@@ -141,8 +118,8 @@ class Narrator:
     @property
     def state(self) -> str:
         """What port and data do: open, silent, lost, closed, or does not frame."""
-        port = self._lanes.get("port", _OPEN)
-        return "does not frame" if port == _OPEN and self._lanes.get("data") == GARBLED else port.text
+        port = self._lanes.get("port", OPEN)
+        return "does not frame" if port == OPEN and self._lanes.get("data") == GARBLED else port.text
 
     def item(self, item: Reads | Event) -> None:
         """Take what came from the port: count bytes, or show an event."""
@@ -171,39 +148,29 @@ class Narrator:
         if segment != self._segment:
             if not self._restless:
                 self.log("WARN", f"the device's clock or counter started anew: segment {segment}", arrival)
-            self._lane("clock", _JUMPED, arrival)
+            self._lane("clock", JUMPED, arrival)
             self._segment, self._segment_began_ns = segment, arrival
-        elif not self._segment_began_ns:
-            self._segment_began_ns = arrival
+        self._segment_began_ns = self._segment_began_ns or arrival
         status = block.columns.get("status")
-        if status is not None and status[-1] != NO_INT and int(status[-1]) != self._status:
-            self._status = int(status[-1])
-            self._lane("status", LaneState(f"0x{self._status:04X}"), arrival)
-        self._watch_motion(block)
-
-    def _watch_motion(self, block: SampleBlock) -> None:
-        """Show every change between rest and motion at its own time."""
-        at_rest = block.columns.get("at_rest")
-        if at_rest is None:
-            return
-        changes = np.flatnonzero(np.diff(at_rest, prepend=at_rest[0])).tolist()
-        for row in [0, *changes]:
-            state = _MOTION.get(int(at_rest[row]))
-            if state is not None:
-                self._lane("motion", state, int(block["arrival_time_ns"][row]))
+        if status is not None and status[-1] != NO_INT:
+            self._lane("status", LaneState(f"0x{int(status[-1]):04X}"), arrival)
+        if (at_rest := block.columns.get("at_rest")) is not None:
+            for row in [0, *(np.flatnonzero(np.diff(at_rest)) + 1).tolist()]:  # each change at its own time
+                if (state := MOTION.get(int(at_rest[row]))) is not None:
+                    self._lane("motion", state, int(block["arrival_time_ns"][row]))
 
     def event(self, event: Event) -> None:
         """Show what happened to the port, or what a person says of this moment."""
-        if event.kind in _MARKS:
-            self.log("INFO", f"{_MARKS[event.kind]}: {event.detail}", event.time_ns)
+        if event.kind in MARKS:
+            self.log("INFO", f"{MARKS[event.kind]}: {event.detail}", event.time_ns)
             lane = "mark" if event.kind is EventKind.MARK else "part"
             text = "between parts" if event.kind is EventKind.STOP else for_log(event.detail)
-            self._lanes[lane] = LaneState(text)
-            self._emit(State(self._timebase.at(event.time_ns), lane, text))
+            self._lanes.pop(lane, None)  # the same mark again is another
+            self._lane(lane, LaneState(text), event.time_ns)
             return
-        self.log(_LEVELS.get(event.kind, "INFO"), f"port {event.kind.value}: {event.detail}", event.time_ns)
-        if event.kind in _PORT_STATES:
-            self._lane("port", _PORT_STATES[event.kind], event.time_ns)
+        self.log(LEVELS.get(event.kind, "INFO"), f"port {event.kind.value}: {event.detail}", event.time_ns)
+        if event.kind in PORT:
+            self._lane("port", PORT[event.kind], event.time_ns)
 
     def log(self, level: str, text: str, time_ns: int | None = None) -> None:
         """Show a log line."""
@@ -214,11 +181,11 @@ class Narrator:
     def tick(self, now_ns: int) -> Progress:
         """Show rates, losses and lanes; to be called a few times a second."""
         progress = self.progress(now_ns)
-        counters = progress.counters
         self._show_numbers(progress, now_ns)
         self._watch_link(progress, now_ns)
         self._watch_data(now_ns)
-        self._watch_clock(counters.samples > 0, now_ns)
+        if progress.counters.samples:
+            self._watch_clock(now_ns)
         shown = {**self._card, **describe(progress)}
         if shown != self._shown:  # a port that is lost for days must not fill the recording
             self._shown = shown
@@ -229,16 +196,12 @@ class Narrator:
             self.log("WARN", advised(warning, self._session), now_ns)
         for lane, state in self._pipeline.lanes().items():
             self._lane(lane, state, now_ns)
-        self._show_charts(counters.samples, now_ns)
+        samples = progress.counters.samples
+        if samples != self._charts_samples and now_ns - self._charts_ns >= CHART_NS:
+            self._charts_samples, self._charts_ns = samples, now_ns
+            for chart in self._pipeline.charts():
+                self._emit(Drawing(self._timebase.at(now_ns), chart))
         return progress
-
-    def _show_charts(self, samples: int, now_ns: int) -> None:
-        """Draw the charts anew from time to time; a port that is lost must not fill the recording."""
-        if samples == self._charts_samples or now_ns - self._charts_ns < CHART_NS:
-            return
-        self._charts_samples, self._charts_ns = samples, now_ns
-        for chart in self._pipeline.charts():
-            self._emit(Drawing(self._timebase.at(now_ns), chart))
 
     def ended(self, last: Progress) -> Progress:
         """Return the last numbers with rates that are means, from the first byte that came to the last."""
@@ -248,27 +211,29 @@ class Narrator:
         bytes_per_s = (last.counters.bytes_received - self._first_bytes) / span_s  # the first came before it
         load = self._link.load_of(bytes_per_s) if self._link is not None else None
         packets_per_s = max(last.counters.packets - 1, 0) / span_s  # as many intervals
-        return replace(last, packets_per_s=packets_per_s, bytes_per_s=bytes_per_s, link_load=load)
+        return replace(last, packets_per_s=packets_per_s, link_load=load)
 
     def progress(self, now_ns: int) -> Progress:
         """Return the numbers of the moment."""
-        counters = self._pipeline.counters
+        counters, clock = self._pipeline.counters, self._pipeline.host_clock
         self._history.append((now_ns, counters))
         while len(self._history) > 2 and self._history[1][0] < now_ns - RATE_WINDOW_NS:
             self._history.popleft()
         then_ns, then = self._history[0]
         span_s = (now_ns - then_ns) * 1e-9
-        delay = self._pipeline.host_clock.delay_ns
+        drift = "drift not known yet"
+        if math.isfinite(clock.drift_sd_ppm):
+            drift = f"{measured(clock.drift_ppm, clock.drift_sd_ppm)} ppm"
+        rows = {"clock": f"{drift}, {counters.clock_restarts} restarts"}
+        if clock.delay_ns is not None:
+            rows["latest delay"] = f"{clock.delay_ns * 1e-6:.1f} ms above the least"
         return Progress(
             elapsed_s=0.0 if self._began_ns is None else (now_ns - self._began_ns) * 1e-9,
             counters=counters,
             packets_per_s=(counters.packets - then.packets) / span_s if span_s > 0 else 0.0,
-            bytes_per_s=(counters.bytes_received - then.bytes_received) / span_s if span_s > 0 else 0.0,
             link_load=self._link.load(now_ns) if self._link is not None else None,
             port=self._lanes["port"].text if "port" in self._lanes else "",
-            drift_ppm=self._pipeline.host_clock.drift_ppm,
-            drift_sd_ppm=self._pipeline.host_clock.drift_sd_ppm,
-            delay_ms=None if delay is None else delay * 1e-6,
+            clock=rows,
         )
 
     def _show_numbers(self, progress: Progress, now_ns: int) -> None:
@@ -280,36 +245,34 @@ class Narrator:
         }
         if progress.link_load is not None:
             values["link_load"] = progress.link_load
-        idle = not progress.packets_per_s and values == self._numbers
-        if not idle:
+        if progress.packets_per_s or values != self._numbers:
             self._numbers = values
             self._emit(Numbers(self._timebase.at(now_ns), values))
 
-    def _watch_clock(self, dated: bool, now_ns: int) -> None:
+    def _watch_clock(self, now_ns: int) -> None:
         """The fit of the device clock needs some time in each segment; a jump stays shown until then."""
-        if not dated:
-            return
         restarts = self._history[-1][1].clock_restarts - self._history[0][1].clock_restarts
         if restarts >= RESTLESS and not self._restless:
             text = f"clock or counter started anew {restarts} times in 2 s: do two devices send on this line?"
             self.log("ERROR", text, now_ns)
         self._restless = restarts >= RESTLESS or (self._restless and restarts > 0)
         if now_ns - self._segment_began_ns > SETTLING_NS:
-            self._lane("clock", _SYNCHRONISED, now_ns)
-        elif self._lanes.get("clock") != _JUMPED:
-            self._lane("clock", _ACQUIRING, now_ns)
+            self._lane("clock", SYNCHRONISED, now_ns)
+        elif self._lanes.get("clock") != JUMPED:
+            self._lane("clock", ACQUIRING, now_ns)
 
     def _watch_link(self, progress: Progress, now_ns: int) -> None:
-        overloaded = self._link is not None and self._link.overloaded(now_ns)
+        if self._link is None or progress.link_load is None:
+            return
+        overloaded = self._link.overloaded(now_ns)
         if overloaded and not self._overloaded:
             text = f"the link is {progress.link_load:.0%} full: beyond 100 % a device drops packets"
             self.log("WARN", text, now_ns)
         self._overloaded = overloaded
-        if progress.link_load is not None:
-            self._lane("link", FULL if overloaded else OK, now_ns)
+        self._lane("link", FULL if overloaded else OK, now_ns)
 
     def _watch_data(self, now_ns: int) -> None:
-        """Judge the data of the last 2 s: framed, damaged, or hardly framed at all."""
+        """Classify the data of the last 2 s: framed, damaged, or hardly framed at all."""
         then, now = self._history[0][1], self._history[-1][1]
         framed = now.bytes_in_packets - then.bytes_in_packets
         received = now.bytes_received - then.bytes_received
@@ -318,10 +281,8 @@ class Narrator:
         damaged = now.lost + now.bytes_skipped > then.lost + then.bytes_skipped
         state = GARBLED if framed < GARBLED_BELOW * received else LOSSES if damaged else OK
         if state == GARBLED and self._lanes.get("data") != GARBLED:
-            share = framed / received
-            self.log(
-                "ERROR", f"only {share:.0%} of the bytes are packets: wrong baud rate or device?", now_ns
-            )
+            text = f"only {framed / received:.0%} of the bytes are packets: wrong baud rate or device?"
+            self.log("ERROR", text, now_ns)
         self._lane("data", state, now_ns)
 
     def _lane(self, lane: str, state: LaneState, time_ns: int) -> None:
@@ -339,11 +300,11 @@ def view_setup(
 ) -> ViewSetup:
     """Return what the view must know of a session and its units before the first sample."""
     metadata, name = session.metadata, session.path.name
-    kind = "replay of " if replay else ""
+    title = f"replay of {name}" if replay else name
     port = {"port": metadata.port.url} if metadata.port is not None else {}
     return ViewSetup(
-        title=f"{kind}{name}",
-        recording_id=f"{kind}{name} {metadata.created_ns}".replace(" ", "-"),
+        title=title,
+        recording_id=f"{title} {metadata.created_ns}".replace(" ", "-"),
         units=units,
         z_down=metadata.axes == "FRD",
         window_s=window_s,
@@ -358,40 +319,31 @@ def describe(progress: Progress) -> dict[str, str]:
     Rates and load of the card are those of the last 2 s, those of the summary means (`Narrator.ended`).
     """
     counters = progress.counters
-    rows = {
+    load = {} if progress.link_load is None else {"link load": f"{progress.link_load:.0%}"}
+    return {
         "packets": f"{counters.packets:,} ({progress.packets_per_s:.1f}/s)",
         "bytes": f"{counters.bytes_received:,} received, {counters.bytes_skipped:,} skipped",
         "losses": describe_losses(counters),
-        "clock": f"{_drift(progress)}, {counters.clock_restarts} restarts",
+        **progress.clock,
+        **load,
     }
-    if progress.delay_ms is not None:
-        rows["latest delay"] = f"{progress.delay_ms:.1f} ms above the least"
-    if progress.link_load is not None:
-        rows["link load"] = f"{progress.link_load:.0%}"
-    return rows
 
 
-def _drift(progress: Progress) -> str:
-    """Return how fast the host's clock is against the device's, as far as that is known."""
-    if not math.isfinite(progress.drift_sd_ppm):
-        return "drift not known yet"
-    return f"{measured(progress.drift_ppm, progress.drift_sd_ppm)} ppm"
-
-
-_AT = {
+DATED = {
     "": " at",
     "clock": " at",
     "arrival": ", by their arrival at",
     "rows": ", spaced at",
     "counter": ", by their counter, which is taken to count at",
 }
+"""What stands before the rate of a stream, by how its rows are dated."""
 
 
 def describe_streams(counters: PipelineCounters, tables: Mapping[str, Path]) -> dict[str, str]:
     """Return what came of each stream and which table has it, label and text."""
     rows = {}
     for name, stream in counters.streams.items():
-        rate = "" if stream.rate_hz is None else f"{_AT[stream.dated_by]} {stream.rate_hz:.4g} Hz"
+        rate = "" if stream.rate_hz is None else f"{DATED[stream.dated_by]} {stream.rate_hz:.4g} Hz"
         holes = f", {stream.gaps:,} gaps" if stream.gaps else ""
         parts = f", {stream.incomplete:,} of them incomplete" if stream.incomplete else ""
         where = f" in {tables[name]}" if name in tables else ""

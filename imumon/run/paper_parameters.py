@@ -1,4 +1,4 @@
-"""What a pipeline file says of the random error of gyros; apart from the estimators, to load quickly."""
+"""Keys of a pipeline file for the random error of gyros; apart from the estimators, to load quickly."""
 
 from __future__ import annotations
 

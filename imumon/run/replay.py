@@ -80,18 +80,18 @@ class Comparison:
         """Return the verdict."""
         if self.identical is None:
             return f"not compared with a live run: {self.reason}"
-        sides = {"only in the live run": self.only_live, "only in the replay": self.only_replay}
-        rest = "".join(f"; {side}: {_listed(names)}" for side, names in sides.items() if names)
-        if self.identical:
-            count = f" ({self.compared} columns compared)" if rest else ""
-            return f"bit for bit those of the live run{count}{rest}"
-        differing = f": {_listed(self.differing)}" if self.differing else ""
-        return f"NOT those of the live run{differing}{rest}"
+        rest = _listed("; only in the live run", self.only_live)
+        rest += _listed("; only in the replay", self.only_replay)
+        if not self.identical:
+            return f"NOT those of the live run{_listed('', self.differing)}{rest}"
+        count = f" ({self.compared} columns compared)" if rest else ""
+        return f"bit for bit those of the live run{count}{rest}"
 
 
-def _listed(names: tuple[str, ...]) -> str:
+def _listed(label: str, names: tuple[str, ...]) -> str:
+    """Return the first names behind a label; nothing without names."""
     more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return ", ".join(names[:SHOWN]) + more
+    return f"{label}: {', '.join(names[:SHOWN])}{more}" if names else ""
 
 
 def compare_with_live(session: Session, setup: Setup, digest: Digest, pipeline: Pipeline) -> Comparison:
@@ -111,16 +111,19 @@ def compare_with_live(session: Session, setup: Setup, digest: Digest, pipeline: 
     # No stage makes a column of a side stream: one that lacks was lost.
     lost = {name for name in live.keys() ^ again.keys() if "/" in name}
     differing = sorted(lost | {name for name in common if live[name] != again[name]})
-    sides = ((live, again), (again, live))
-    only_live, only_replay = (tuple(sorted(here.keys() - there.keys() - lost)) for here, there in sides)
-    identical = bool(common) and not differing
-    return Comparison(identical, "", len(common), tuple(differing), only_live, only_replay)
+    return Comparison(
+        identical=bool(common) and not differing,
+        compared=len(common),
+        differing=tuple(differing),
+        only_live=tuple(sorted(live.keys() - again.keys() - lost)),
+        only_replay=tuple(sorted(again.keys() - live.keys() - lost)),
+    )
 
 
 def _narrated(
     items: Iterable[Item | SampleBlock], pipeline: Pipeline, narrator: Narrator
 ) -> Iterator[SampleBlock]:
-    """Run over the items, and tell the narrator of each as the live run does."""
+    """Run over the items, and report each to the narrator as the live run does."""
     next_batch_ns = next_tick_ns = now_ns = 0
     progress = reading.get()
     for item in items:
@@ -149,21 +152,18 @@ def _shown(pipeline: Pipeline, narrator: Narrator) -> SampleBlock:
 
 def _paced(items: Iterable[Item | SampleBlock], speed: float) -> Iterator[Item | SampleBlock]:
     """Yield the items when it is time for data of their age."""
-    began: tuple[int, float] | None = None
-    now_ns = 0
+    first_ns: int | None = None
+    began, now_ns = time.monotonic(), 0
     for item in items:
         now_ns = _time_ns(item, now_ns)
-        began = began or (now_ns, time.monotonic())
-        data_ns, wall = began
-        ahead = (now_ns - data_ns) * 1e-9 / speed - (time.monotonic() - wall)
+        first_ns = now_ns if first_ns is None else first_ns
+        ahead = (now_ns - first_ns) * 1e-9 / speed - (time.monotonic() - began)
         if ahead > 0:
             time.sleep(min(ahead, LONGEST_WAIT_S))
         yield item
 
 
 def _time_ns(item: Item | SampleBlock, before_ns: int) -> int:
-    if isinstance(item, Bytes):
-        return item.arrival_ns
     if isinstance(item, SampleBlock):
         return int(item["device_time_ns"][-1]) if len(item) else before_ns
-    return item.time_ns
+    return item.arrival_ns if isinstance(item, Bytes) else item.time_ns

@@ -1,4 +1,4 @@
-"""Pipeline files: what the estimators are told that the device does not send."""
+"""Pipeline files: what the estimators need to know that the device does not send."""
 
 from __future__ import annotations
 
@@ -61,13 +61,11 @@ class Setup(StrictModel):
             try:
                 super().__init__(**given)
             except ValidationError as error:
-                raise ImumonError(Reason.BAD_CONFIG, "\n".join(map(_described, error.errors()))) from error
+                wrong = [f"{one['loc'][0]}={one['input']!r:.60}: {one['msg']}" for one in error.errors()]
+                raise ImumonError(Reason.BAD_CONFIG, f"Setup: {'; '.join(wrong)}") from error
             if isinstance(self.model, str):  # only `load_setup` knows the folder that it is relative to
-                raise ImumonError(
-                    Reason.BAD_CONFIG,
-                    f"Setup: model={self.model!r}: expected a bias model",
-                    "use imumon.load_model(path)",
-                )
+                what = f"Setup: model={self.model!r}: expected a bias model"
+                raise ImumonError(Reason.BAD_CONFIG, what, "use imumon.load_model(path)")
 
         # Else pydantic calls it for files as well, whose errors `parse_yaml` gives with their lines.
         __init__.__pydantic_base_init__ = True
@@ -129,16 +127,11 @@ class Setup(StrictModel):
         gyro, own = self.noise.gyro, self.random_error
         if gyro is None:
             return own
-        terms = zip(
-            CHANNELS,
-            gyro.angle_random_walk_rad_per_sqrt_s,
-            gyro.bias_instability_rad_per_s,
-            gyro.rate_random_walk_rad_per_s_sqrt_s,
-            strict=True,
-        )
+        whites, flickers = gyro.angle_random_walk_rad_per_sqrt_s, gyro.bias_instability_rad_per_s
+        walks = gyro.rate_random_walk_rad_per_s_sqrt_s
         known = {
             channel: GyroNoise(angle_random_walk=white, bias_instability=flicker, rate_random_walk=walk)
-            for channel, white, flicker, walk in terms
+            for channel, white, flicker, walk in zip(CHANNELS, whites, flickers, walks, strict=True)
             if white and (flicker or walk)
         }
         return own.model_copy(update={"noise": {**known, **own.noise}})
@@ -151,29 +144,16 @@ class Setup(StrictModel):
     def checked(self) -> Setup:
         """Return the setup; raises BAD_CONFIG when its parts contradict each other."""
         if self.zupt_mode == "thermal" and self.bias_model is None:
-            raise ImumonError(
-                Reason.BAD_CONFIG,
-                "the thermal mode needs the bias over temperature, and there is no model",
-                "add --model MODEL.yaml, made by: imumon calibrate SESSION... --out MODEL.yaml",
-            )
+            what = "the thermal mode needs the bias over temperature, and there is no model"
+            hint = "add --model MODEL.yaml, made by: imumon calibrate SESSION... --out MODEL.yaml"
+            raise ImumonError(Reason.BAD_CONFIG, what, hint)
         return self
 
     def text(self) -> str | None:
         """Return the pipeline file that says this much, or None when nothing differs from the defaults."""
         defaults = Setup()
         names = [name for name in Setup.model_fields if getattr(self, name) != getattr(defaults, name)]
-        if not names:
-            return None
-        content = {"format": FORMAT, **self.model_dump(include=set(names))}
-        return dump_yaml(content)
-
-
-def _described(wrong: Any) -> str:
-    """Return what pydantic found wrong of an argument of `Setup`."""
-    name = wrong["loc"][0]
-    if wrong["type"] == "extra_forbidden":
-        return f"Setup: there is no argument {name}"
-    return f"Setup: {name}={wrong['input']!r:.60}: {wrong['msg']}"
+        return dump_yaml({"format": FORMAT, **self.model_dump(include=set(names))}) if names else None
 
 
 def parse_setup(text: str, source: str) -> Setup:

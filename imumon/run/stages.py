@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from imumon.allan.stage import AllanStage
-from imumon.errors import ImumonError, Reason
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.estimation.spectrum.stage import LiveSpectrum
@@ -19,7 +18,7 @@ from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.source import Source
 from imumon.run.setup import Setup
 from imumon.stage import STAGE, is_callable, made_by
-from imumon.wings import named, offers, wings
+from imumon.wings import named, offers
 
 
 def pipeline_of(
@@ -30,14 +29,7 @@ def pipeline_of(
 ) -> Pipeline:
     """Return the pipeline of a device or a recording: the stages of a setup, then more.
 
-    Parameters
-    ----------
-    sent : DeviceFile or Source
-        What sends, or what was recorded.
-    more : sequence of Estimator
-        Stages behind those of the setup.
-    only : tuple of type
-        Which stages of the setup.
+    `only` selects the stages of the setup.
     """
     setup = setup or Setup()
     device, declared = (sent.device, sent.range) if isinstance(sent, Source) else (sent, Ranges())
@@ -49,6 +41,8 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
     """Return new estimators for a device, or for a table when there is none; those of plug-ins come last.
 
     The heading is sought only where the latitude is known.
+
+    Raises BAD_CONFIG for a plug-in that makes no stage, naming it.
     """
     setup = setup or Setup()
     temperature = device.temperature if device is not None else TemperatureRateParameters()
@@ -69,35 +63,14 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
 
         sent = () if device is None else [column.name for column in device.decoder().possible_columns]
         stages.append(Alignment(setup.alignment_with_warm_up, setup.latitude_deg, axes, sent))
-    if setup.asks_for_published and not any("published" in wing.setup_keys for wing in wings()):
-        names = ", ".join(setup.published) or setup.random_error.method
-        raise _not_there(f"published: {names}")
     for more in offers("stages"):
         stages += more(setup, temperature, stages)
-    return [*stages, *_of_plugins()]
-
-
-def _of_plugins() -> list[Estimator]:
-    """Return a new stage of each plug-in.
-
-    Raises BAD_CONFIG, naming it, when it makes none.
-    """
-    return [made_by(plugin) for plugin in plugins(STAGES, STAGE, is_callable)]
-
-
-def _not_there(what: str) -> ImumonError:
-    return ImumonError(
-        Reason.BAD_CONFIG,
-        f"{what}: no wing that is installed has this method",
-        "imumon/wings.py lists the wings",
-    )
+    return [*stages, *map(made_by, plugins(STAGES, STAGE, is_callable))]
 
 
 def temperature_rate(given: TemperatureRateParameters) -> TemperatureRate:
     """Return the stage of the temperature rate with the method that the device file says."""
     method = named("temperature_methods", given.method)
-    if method is not None:
-        return TemperatureRate(parameters=given, new_method=method(given))
-    if given.method != TemperatureRateParameters().method:
-        raise _not_there(f"temperature: method: {given.method}")
-    return TemperatureRate(parameters=given)
+    if method is None:
+        return TemperatureRate(parameters=given)
+    return TemperatureRate(parameters=given, new_method=method(given))

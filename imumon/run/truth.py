@@ -6,10 +6,11 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from imumon.blocks import BoolArray, FloatArray, IntArray, SampleBlock
+from imumon.blocks import FloatArray, IntArray, SampleBlock
 from imumon.columns import TEMPERATURES
 from imumon.errors import ImumonError, Reason
 from imumon.estimation.temperature_rate.stage import TemperatureRate
@@ -32,40 +33,32 @@ Estimate = tuple[FloatArray, FloatArray | None]
 
 
 @dataclass(slots=True)
-class Errors:
-    """Errors of one quantity so far, in its unit."""
+class MeanSquare:
+    """A root mean square of what comes in parts."""
 
     count: int = 0
     squares: float = 0.0
     largest: float = 0.0
-    normalized_count: int = 0
-    normalized_squares: float = 0.0
 
-    def take(self, error: FloatArray, sigma: FloatArray | None) -> None:
-        """Add errors, (n,); those that are NaN are left out."""
-        known = np.isfinite(error)
-        if not known.any():
-            return
-        self.count += int(known.sum())
-        self.squares += float(np.sum(error[known] ** 2))
-        self.largest = max(self.largest, float(np.max(np.abs(error[known]))))
-        if sigma is not None:
-            with np.errstate(divide="ignore", invalid="ignore"):
-                ratio = error / sigma
-            ratio = ratio[np.isfinite(ratio)]
-            self.normalized_count += len(ratio)
-            self.normalized_squares += float(ratio @ ratio)
+    def take(self, values: FloatArray) -> None:
+        """Add values, (n,); those that are not finite are left out."""
+        known = values[np.isfinite(values)]
+        self.count += len(known)
+        self.squares += float(known @ known)
+        self.largest = max(self.largest, float(np.max(np.abs(known), initial=0.0)))
 
     @property
     def rms(self) -> float:
-        """Root mean square of the error; NaN without samples."""
+        """Root mean square; NaN without values."""
         return math.sqrt(self.squares / self.count) if self.count else math.nan
 
-    @property
-    def normalized_rms(self) -> float:
-        """Root mean square of error / sigma, 1 where sigma is right; NaN without a sigma."""
-        count = self.normalized_count
-        return math.sqrt(self.normalized_squares / count) if count else math.nan
+
+class Errors(MeanSquare):
+    """Errors of one quantity so far, in its unit, and `normalized`: each over its sigma."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.normalized = MeanSquare()
 
 
 @dataclass(slots=True, eq=False)
@@ -78,73 +71,56 @@ class Truth:
 
     time_ns: IntArray
     """Device time of each row, increasing."""
-    bias: FloatArray
-    """What the bias estimates are compared with, rad/s, (n, 3)."""
-    temperature: Mapping[str, FloatArray]
-    """°C, (n,), by the columns of the truth."""
+    true: Mapping[str, FloatArray]
+    """What the estimates are compared with, (n,) each: gyro_bias_{x,y,z} in rad/s, temperatures in °C."""
     at_rest: IntArray
     errors: dict[str, Errors] = field(default_factory=dict)
 
     def take(self, block: SampleBlock, estimates: Mapping[str, Estimate], *, at_rest: bool = False) -> None:
         """Compare estimates at the samples of a block.
 
-        Parameters
-        ----------
-        estimates : mapping of str to Estimate
-            By gyro_bias_{x,y,z} (rad/s), and by recorded or estimated temperatures (°C).
-        at_rest : bool
-            Only where the unit is at rest.
+        Estimates are by gyro_bias_{x,y,z}, rad/s, and by recorded or estimated temperatures, °C; with
+        `at_rest` only those where the unit is at rest count.
         """
-        row, matched = self._rows(block["device_time_ns"])
+        time_ns = block["device_time_ns"]
+        row = np.minimum(np.searchsorted(self.time_ns, time_ns), len(self.time_ns) - 1)
+        matched = self.time_ns[row] == time_ns
         if at_rest:
             matched = matched & (self.at_rest[row] == 1)
         for name, (values, sigma) in estimates.items():
-            true = self._true(name)[row]
-            errors = self.errors.setdefault(name, Errors())
-            errors.take(np.where(matched, values - true, np.nan), sigma)
+            true = self.true[name.replace("_estimate", "")][row]
+            errors, error = self.errors.setdefault(name, Errors()), np.where(matched, values - true, np.nan)
+            errors.take(error)
+            if sigma is not None:
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    errors.normalized.take(error / sigma)
 
     def through(self, blocks: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
         """Pass blocks of a replay on, and compare the estimates in them."""
+        sigmas = {name: name.replace("bias", "bias_sd") for name in GYROS}
+        sigmas |= {name: name.replace("estimate", "estimate_sd") for name in ESTIMATED}
         for block in blocks:
-            pairs = {name: name.replace("bias", "bias_sd") for name in GYROS}
-            pairs |= {name: name.replace("estimate", "estimate_sd") for name in ESTIMATED}
-            self.take(
-                block,
-                {
-                    name: (block[name], block.columns.get(sigma))
-                    for name, sigma in pairs.items()
-                    if name in block
-                },
-            )
+            there = {name: block.columns.get(sd) for name, sd in sigmas.items() if name in block}
+            self.take(block, {name: (block[name], sigma) for name, sigma in there.items()})
             yield block
 
-    def _true(self, name: str) -> FloatArray:
-        """Return what an estimate is compared with, (n,)."""
-        if name in GYROS:
-            return self.bias[:, GYROS.index(name)]
-        return self.temperature[name.replace("_estimate", "")]
-
-    def _rows(self, time_ns: IntArray) -> tuple[IntArray, BoolArray]:
-        """Return the row of each sample, and whether the truth has its time."""
-        row = np.minimum(np.searchsorted(self.time_ns, time_ns), len(self.time_ns) - 1)
-        return row, self.time_ns[row] == time_ns
-
-    def as_data(self) -> dict[str, dict[str, float | int | str]]:
+    def as_data(self) -> dict[str, dict[str, Any]]:
         """Return the errors for ``--json``, rates in °/h."""
-        return {
-            name: {
-                "unit": _unit(name)[0],
+        found = {}
+        for name, one in self.errors.items():
+            unit, factor = ("°/h", 1.0 / DEG_PER_H) if name in GYROS else ("°C", 1.0)
+            found[name] = {
+                "unit": unit,
                 "samples": one.count,
-                "rms": one.rms * _unit(name)[1],
-                "rms_over_sigma": one.normalized_rms,
-                "largest": one.largest * _unit(name)[1],
+                "rms": factor * one.rms,
+                "rms_over_sigma": one.normalized.rms,
+                "largest": factor * one.largest,
             }
-            for name, one in self.errors.items()
-        }
+        return found
 
     def rows(self) -> dict[str, str]:
         """Return the errors as lines for a person."""
-        return {f"error of {name}": _described(name, one) for name, one in self.errors.items()}
+        return {f"error of {name}": _described(one) for name, one in self.as_data().items()}
 
 
 def check_truth(sessions: Iterable[Path]) -> None:
@@ -161,10 +137,7 @@ def check_truth(sessions: Iterable[Path]) -> None:
 def read_truth(session: Path, *, earth_removed: bool) -> Truth:
     """Read the truth of a simulated session; raises BAD_DATA where there is none.
 
-    Parameters
-    ----------
-    earth_removed : bool
-        Whether the estimates are without the earth's rotation.
+    `earth_removed` is whether the estimates are without the earth's rotation.
     """
     check_truth([session])
     path = session / TRUTH_NAME
@@ -175,13 +148,11 @@ def read_truth(session: Path, *, earth_removed: bool) -> Truth:
     table, _ = read_table(path)
     if not len(table):
         raise ImumonError(Reason.BAD_DATA, f"{path}: has no rows", "simulate the session anew")
-    bias = np.column_stack([table[name] for name in GYROS])
-    at_rest = table["at_rest"].astype(np.int64)
+    true, at_rest = {name: table[name] for name in (*GYROS, *TEMPERATURES)}, table["at_rest"].astype(np.int64)
     if not earth_removed:
-        bias = bias + _at_last_rest(np.column_stack([table[name] for name in RATES]), at_rest)
-    return Truth(
-        table["device_time_ns"].astype(np.int64), bias, {name: table[name] for name in TEMPERATURES}, at_rest
-    )
+        for name, rate in zip(GYROS, RATES, strict=True):
+            true[name] = true[name] + _at_last_rest(table[rate], at_rest)
+    return Truth(table["device_time_ns"].astype(np.int64), true, at_rest)
 
 
 def errors_of_model(session: Path, model: BiasModel) -> Truth:
@@ -193,25 +164,27 @@ def errors_of_model(session: Path, model: BiasModel) -> Truth:
     names = [f"gyro_{axis}" for axis in "xyz" if f"gyro_{axis}" in model.channels]
     predictor = BiasPredictor(model, names)
     for block in open_recording(session, _stages).blocks():
-        nothing = np.full(len(block), np.nan)
-
-        def column(name: str, of: SampleBlock = block, instead: FloatArray = nothing) -> FloatArray:
-            return of.columns.get(name, instead)
-
+        n = len(block)
         predicted = predictor.process(
             block["device_time_ns"],
             block["segment"],
-            np.column_stack([column(name) for name in predictor.temperature_columns]),
-            np.column_stack([column(f"accel_{axis}") for axis in "xyz"]),
+            _columns(block, predictor.temperature_columns),
+            _columns(block, ["accel_x", "accel_y", "accel_z"]),
             {name: block[name] for name in predictor.drivers if name in block},
         ).bias
-        found: dict[str, Estimate] = {}
-        for at, name in enumerate(names):
-            sigma = np.full(len(block), model.channels[name].residual_sd)
-            found[name.replace("gyro", "gyro_bias")] = predicted[:, at], sigma
+        found: dict[str, Estimate] = {
+            name.replace("gyro", "gyro_bias"): (values, np.full(n, model.channels[name].residual_sd))
+            for name, values in zip(names, predicted.T, strict=True)
+        }
         found |= {name: (block[name], None) for name in TEMPERATURES if name in block}
         truth.take(block, found, at_rest=True)
     return truth
+
+
+def _columns(block: SampleBlock, names: Sequence[str]) -> FloatArray:
+    """Return columns side by side, (n, len(names)); NaN for one that is not there."""
+    nothing = np.full(len(block), np.nan)
+    return np.column_stack([block.columns.get(name, nothing) for name in names])
 
 
 def _stages(device: DeviceFile | None) -> Sequence[Estimator]:
@@ -221,19 +194,14 @@ def _stages(device: DeviceFile | None) -> Sequence[Estimator]:
 
 
 def _at_last_rest(rate: FloatArray, at_rest: IntArray) -> FloatArray:
-    """Return the rate at the last rest, rad/s, (n, 3): the earth's; NaN before the first rest."""
+    """Return the rate at the last rest, rad/s, (n,): the earth's; NaN before the first rest."""
     last = np.maximum.accumulate(np.where(at_rest == 1, np.arange(len(at_rest)), -1))
-    return np.where((last >= 0)[:, np.newaxis], rate[np.maximum(last, 0)], np.nan)
+    return np.where(last >= 0, rate[np.maximum(last, 0)], np.nan)
 
 
-def _unit(name: str) -> tuple[str, float]:
-    return ("°/h", 1.0 / DEG_PER_H) if name in GYROS else ("°C", 1.0)
-
-
-def _described(name: str, errors: Errors) -> str:
-    unit, factor = _unit(name)
-    if not errors.count:
+def _described(errors: Mapping[str, Any]) -> str:
+    if not errors["samples"]:
         return "no estimate"
-    ratio = errors.normalized_rms
-    sigma = f", {ratio:.2f} σ rms" if ratio == ratio else ""
-    return f"{errors.rms * factor:.3g} {unit} rms{sigma}, at most {errors.largest * factor:.3g} {unit}"
+    unit, ratio = errors["unit"], errors["rms_over_sigma"]
+    sigma = "" if math.isnan(ratio) else f", {ratio:.2f} σ rms"
+    return f"{errors['rms']:.3g} {unit} rms{sigma}, at most {errors['largest']:.3g} {unit}"

@@ -38,7 +38,7 @@ class Attitude:
     """Which way the third axis points, 1 or -1; None: as the axes of the device do."""
     place: str = SCENE
 
-    def says(self, rows: Rows) -> bool:
+    def has_values(self, rows: Rows) -> bool:
         """Return whether each column has a value."""
         return bool(np.isfinite(rows.matrix(self.columns)).any(axis=0).all())
 

@@ -11,9 +11,9 @@ import rerun.blueprint as rrb
 from imumon.view.items import ViewSetup
 from imumon.view.layout import FIRST, SCENE, STRIPS, tab_of
 from imumon.view.log_text import LOG_TEXT
-from imumon.view.painter import chart_view
 from imumon.view.panel_log import card_path
 from imumon.view.panels import Panel
+from imumon.view.pictures import chart_view
 from imumon.view.window import Window, series_view, slow_window
 
 OTHER_TAB = "Other"
@@ -61,12 +61,7 @@ class Contents:
 def blueprint(setup: ViewSetup, contents: Contents, timeline: str, *, live: bool) -> rrb.Blueprint:
     """Return the blueprint for what has come so far.
 
-    Parameters
-    ----------
-    timeline : str
-        The one to follow.
-    live : bool
-        True to follow the last seconds, False for a recording: everything.
+    It follows the last seconds of `timeline` where it is `live`; that of a recording shows everything.
     """
     window = Window(setup.window_s) if live else Window()
     slow = Window(slow_window(setup.window_s), contents.full) if live else Window()
@@ -125,9 +120,8 @@ def _tab(name: str, views: list[Any], contents: Contents) -> Any:
         parts.append((2.2, _strips(series, MOST_STRIPS)))
     if charts:
         parts.append((2.0, rrb.Vertical(*charts) if series else rrb.Grid(*charts)))
-    return rrb.Horizontal(
-        *[part for _, part in parts], column_shares=[share for share, _ in parts], name=name
-    )
+    shares = [share for share, _ in parts]
+    return rrb.Horizontal(*[part for _, part in parts], column_shares=shares, name=name)
 
 
 def _strips(views: list[Any], most: int) -> Any:
@@ -146,12 +140,9 @@ def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents:
     right: list[tuple[float, Any]] = []
     lanes = LANE * len(contents.lanes) + LANES_FRAME
     if contents.lanes:
+        shown, axis = list(contents.lanes), window.axis
         states = rrb.StateTimelineView(
-            origin="/",
-            contents=list(contents.lanes),
-            name="States",
-            time_ranges=window.ranges,
-            time_view=window.axis,
+            origin="/", contents=shown, name="States", time_ranges=window.ranges, time_view=axis
         )
         right.append((lanes, states))
     if contents.log:
@@ -160,11 +151,8 @@ def _first_tab(name: str, views: dict[str, list[Any]], window: Window, contents:
     most = MOST_STRIPS if is_short else MOST_NARROW
     middle = [(1.0, _strips(views[STRIPS], most))] if views[STRIPS] else []
     columns = [(share, part) for share, part in ((3.1, left), (5.2, middle), (2.7, right)) if part]
-    return rrb.Horizontal(
-        *[
-            rrb.Vertical(*[view for _, view in part], row_shares=[share for share, _ in part])
-            for _, part in columns
-        ],
-        column_shares=[share for share, _ in columns],
-        name=name,
-    )
+    stacked = [
+        rrb.Vertical(*[view for _, view in part], row_shares=[share for share, _ in part])
+        for _, part in columns
+    ]
+    return rrb.Horizontal(*stacked, column_shares=[share for share, _ in columns], name=name)

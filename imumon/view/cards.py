@@ -41,8 +41,7 @@ class Cards:
         """Take rows: of a column without a sigma the mean is shown, for single samples cannot be read."""
         for reading in readings:
             self._add(reading.column, columns, mean=reading.sd is None and reading.unit != "°")
-            if reading.sd is not None:
-                self._add(reading.sd, columns, mean=False)
+            self._add(reading.sd or "", columns, mean=False)
 
     def take(self) -> dict[str, float]:
         """Return the present value of every column that has had one, and begin anew."""
@@ -81,22 +80,18 @@ def card(readings: Sequence[Reading], now: Mapping[str, float]) -> str:
 
 def cell(reading: Reading, now: Mapping[str, float]) -> str:
     """Return the present value of a reading, with its sigma where it has one."""
-    value = reading.factor * now.get(reading.column, math.nan)
-    sd = math.nan if reading.sd is None else reading.factor * now.get(reading.sd, math.nan)
+    value, sd = (reading.factor * now.get(name or "", math.nan) for name in (reading.column, reading.sd))
     return measured(value, sd, DIGITS.get(reading.unit))
 
 
 def measured(value: float, sd: float = math.nan, decimals: int | None = None) -> str:
     """Return a value as it is written in a log book: with a sigma of two digits, or so many decimals."""
-    return re.sub(r"^-(?=[0.]+( |$))", "", _written(value, sd, decimals))  # no minus before zero
-
-
-def _written(value: float, sd: float, decimals: int | None) -> str:
     if not math.isfinite(value):
         return "–"
-    if not (math.isfinite(sd) and sd > 0):
-        return f"{value:.5g}" if decimals is None else f"{value:.{decimals}f}"
-    places = min(1 - int(f"{sd:.1e}".split("e")[1]), MOST_DECIMALS)
-    if places < 0:
-        return f"{round(value, places):.0f} ± {round(sd, places):.0f}"
-    return f"{value:.{places}f} ± {sd:.{places}f}"
+    if math.isfinite(sd) and sd > 0:
+        places = min(1 - int(f"{sd:.1e}".split("e")[1]), MOST_DECIMALS)
+        digits = max(places, 0)
+        text = f"{round(value, places):.{digits}f} ± {round(sd, places):.{digits}f}"
+    else:
+        text = f"{value:.5g}" if decimals is None else f"{value:.{decimals}f}"
+    return re.sub(r"^-(?=[0.]+( |$))", "", text)  # no minus before zero

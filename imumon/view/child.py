@@ -37,32 +37,24 @@ the newest first, and the server forgets the oldest.  Until a repetition arrives
 class Viewers:
     """Serves the stream, and reports how that goes.
 
-    Parameters
-    ----------
-    start : Start
-        A page for browsers, or a native viewer.
-    report : callable
-        Takes a `Report`, when there is a new one.
+    `report` takes a `Report`, when there is a new one.
     """
 
     def __init__(self, start: Start, rec: rr.RecordingStream, report: Callable[[Report], None]) -> None:
         self._report, self._reported = report, Report("")
         self._viewer: subprocess.Popen[bytes] | None = None
         if start.mode == "web":
-            page = serve_page(rec, start.setup, start.web_port, start.bind)
+            page = serve_page(rec, start.setup, start.port, start.bind)
             self._serving = Report("serving the web viewer", page.url, page.port)
             return
         address, port = serve_stream(rec)
         url = proxy_url(port, address)
         self._port = viewer_port(start.port)
+        text = f"`rerun {url}` opens a viewer"
         # One that is open goes on with this stream, as after a restart; one that was closed stays closed.
-        if start.open_viewer or self._is_open():
-            self._viewer = start_viewer(self._port, url)
-        text = f"`rerun {url}` opens a viewer" if self._viewer is None else "viewer open"
+        if start.open_viewer or probe(self._port) is Answer.RERUN:
+            self._viewer, text = start_viewer(self._port, url), "viewer open"
         self._serving = Report(text, url, self._port)
-
-    def _is_open(self) -> bool:
-        return probe(self._port) is Answer.RERUN
 
     def poll(self) -> None:
         """Find out whether the native viewer is still there."""
@@ -70,7 +62,7 @@ class Viewers:
         if code:
             text = f"the viewer could not start or go on (exit code {code}); try --view web"
             report = replace(report, text=text)
-        elif code == 0 and not self._is_open():  # else it has passed the stream on to one that was open
+        elif code == 0 and probe(self._port) is not Answer.RERUN:  # nor did it pass the stream on
             report = replace(report, text=f"viewer closed; `rerun {report.url}` brings it back")
         if report != self._reported:
             self._reported = report
@@ -110,7 +102,7 @@ def run(
 
 
 def _live_logger(rec: rr.RecordingStream, setup: ViewSetup) -> StreamLogger:
-    from imumon.view.logger import StreamLogger
+    from imumon.view.logger import StreamLogger  # loaded once frames come
 
     return StreamLogger(rec, setup, live=True)
 

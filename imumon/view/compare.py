@@ -12,13 +12,12 @@ import rerun.blueprint as rrb
 from imumon.blocks import SampleBlock
 from imumon.charts import BLUE, GREEN, ORANGE, RED, VIOLET, Color
 from imumon.view.blueprint import arranged
-from imumon.view.extent import entity
 from imumon.view.items import Samples, Timebase, ViewSetup
 from imumon.view.layout import FIRST, Strip, tab_of
 from imumon.view.logger import RECORDED_STEP_NS
 from imumon.view.panels import PANELS
 from imumon.view.rows import Rows
-from imumon.view.window import Window, series_view
+from imumon.view.window import Window, entity, series_view
 
 COLORS: tuple[Color, ...] = (BLUE, ORANGE, GREEN, VIOLET, RED)
 """Of the sessions, in their order; with more they come again."""
@@ -39,11 +38,6 @@ class _Compared:
     drawn: list[Strip] = field(default_factory=list)
     ends: dict[str, tuple[float, float]] = field(default_factory=dict)
 
-    @property
-    def title(self) -> str:
-        name = self.panel.lines[self.number].name
-        return self.panel.title if len(self.panel.lines) == 1 else f"{self.panel.title}: {name}"
-
     def of(self, session: str, color: Color) -> Strip:
         """Return the panel that draws this line of a session."""
         line = replace(self.panel.lines[self.number], name=session, color=color)
@@ -54,22 +48,13 @@ class _Compared:
 class Comparison:
     """Logs sessions, one after the other, to one recording stream.
 
-    Parameters
-    ----------
-    setup : ViewSetup
-        Title and units.
-    align : "power-on" or "host"
-        Whether each session begins at zero, or stands where the clock of its computer says.
+    With `align` each session begins at zero, or stands where the clock of its computer is.
     """
 
     def __init__(self, rec: rr.RecordingStream, setup: ViewSetup, align: Alignment) -> None:
         self._rec, self._setup, self._align = rec, setup, align
-        self._compared = [
-            _Compared(panel, number)
-            for panel in PANELS
-            if isinstance(panel, Strip)
-            for number in range(len(panel.lines))
-        ]
+        strips = [panel for panel in PANELS if isinstance(panel, Strip)]
+        self._compared = [_Compared(panel, at) for panel in strips for at in range(len(panel.lines))]
         self._sessions = 0
         self._first_ns, self._last_ns = np.iinfo(np.int64).max, np.iinfo(np.int64).min
         rec.send_recording_name(setup.title)
@@ -83,13 +68,12 @@ class Comparison:
     def log(self, line: _Compared, panel: Strip, rows: Rows) -> None:
         """Log what a session has of a line."""
         if panel not in line.drawn:
-            if not panel.says(rows):
+            if not panel.has_values(rows):
                 return
             line.drawn.append(panel)
             panel.declare(self._rec)
         panel.log(self._rec, rows)
-        ends = panel.ends(rows)
-        if ends is not None:
+        if (ends := panel.ends(rows)) is not None:
             line.ends[panel.key] = ends
         if rows.clock is not None:
             self._first_ns = min(self._first_ns, int(rows.clock[0]))
@@ -112,15 +96,17 @@ class Comparison:
 
     def _view(self, line: _Compared) -> Any:
         """Return the view of a line; its axis ends behind the data, where the names of the sessions stand."""
-        first = line.drawn[0]
+        panel, (first, *others) = line.panel, line.drawn
         until_ns = self._last_ns + NAMES_MARGIN * (self._last_ns - self._first_ns)
         times = np.array([self._first_ns, until_ns], np.int64)
         rows = Rows({}, None, *((times, None) if self._align == "power-on" else (None, times)))
         lows, highs = zip(*line.ends.values(), strict=True)
         rows.send(self._rec, entity(first.drawn), np.array([[min(lows), max(highs)]] * 2))
-        title = str(first.view(self._setup, Window()).name).replace(line.panel.title, line.title)
-        others = [f"{panel.drawn}/**" for panel in line.drawn[1:]]
-        return series_view(first.drawn, title, Window(), line.panel.y_range, others, legend=True)
+        title = str(first.view(self._setup, Window()).name)
+        if len(panel.lines) > 1:
+            title = title.replace(panel.title, f"{panel.title}: {panel.lines[line.number].name}")
+        beside = [f"{other.drawn}/**" for other in others]
+        return series_view(first.drawn, title, Window(), beside, legend=True)
 
 
 class Session:

@@ -16,7 +16,6 @@ import sys
 import threading
 import time
 import traceback
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
@@ -52,7 +51,7 @@ MAX_BYTES = 1024 << 20
 """More memory (a viewer that takes nothing for half an hour) ends the process; it is started anew."""
 
 
-class FedProcess(ABC):
+class FedProcess:
     """Feeds a process that runs a `module`, which calls `serve`; nothing there delays the caller."""
 
     def __init__(self, module: str) -> None:
@@ -63,19 +62,16 @@ class FedProcess(ABC):
         self._process: subprocess.Popen[bytes] | None = None
         self._supervisor = threading.Thread(target=self._supervise, name=f"feeds {module}", daemon=True)
 
-    @abstractmethod
     def _first(self) -> object:
-        """Return what a process that starts is told."""
+        """Return the first message to a process that starts."""
+        raise NotImplementedError
 
-    @abstractmethod
     def _handed(self, items: Sequence[ViewItem]) -> None:
         """Note what left the queue for the process."""
 
-    @abstractmethod
     def _received(self, message: Any) -> None:
-        """Take what the process says."""
+        """Take a message of the process."""
 
-    @abstractmethod
     def _gone(self) -> None:
         """Note that the process has ended, and was heard to its end."""
 
@@ -91,9 +87,8 @@ class FedProcess(ABC):
         deadline = time.monotonic() + timeout_s
         self._queue.close()
         self._supervisor.join(max(0.0, timeout_s - 0.3))
-        process = self._process
-        if process is not None and process.poll() is None:
-            _kill(process)
+        if self._process is not None and self._process.poll() is None:
+            _kill(self._process)
         self._supervisor.join(max(0.1, deadline - time.monotonic()))
 
     def _supervise(self) -> None:
@@ -123,9 +118,7 @@ class FedProcess(ABC):
                 start_new_session=True,  # Ctrl-C is for the measuring process, which then closes this one
             )
         self._process = process
-        listener = threading.Thread(
-            target=self._listen, args=[from_process, process], name=f"listens to {self._module}", daemon=True
-        )
+        listener = threading.Thread(target=self._listen, args=[from_process, process], daemon=True)
         listener.start()
         try:
             with to_process:
@@ -161,7 +154,7 @@ class FedProcess(ABC):
         return True
 
     def _listen(self, messages: Connection, process: subprocess.Popen[bytes]) -> None:
-        """Take what the process says until it ends; kill it when it does not take a frame."""
+        """Take messages of the process until it ends; kill it when it does not take a frame."""
         with contextlib.suppress(EOFError, OSError):
             while True:
                 if messages.poll(LOOK_S):
@@ -179,8 +172,8 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 def serve(run: Callable[[Connection, Connection], None], problem: Callable[[ImumonError], object]) -> None:
     """Run what a `FedProcess` feeds, given where frames come from and where messages go; does not return.
 
-    An `ImumonError` is told as `problem` says it.  The process leaves without the clean-up of libraries:
-    Rerun's waits for a stuck viewer without end.
+    An `ImumonError` is sent as the message that `problem` makes of it.  The process leaves without the
+    clean-up of libraries: Rerun's waits for a stuck viewer without end.
     """
     prepare_heap()
     sys.setswitchinterval(SWITCH_S)

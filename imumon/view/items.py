@@ -1,9 +1,10 @@
-"""What the view is told: samples, numbers, states, log lines, charts, the status card."""
+"""What the view shows: samples, numbers, states, log lines, charts, the status card."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -28,7 +29,7 @@ class Instant:
 
 
 class ViewItem:
-    """What the view is told; where it waits in a queue, these say what it costs."""
+    """What the view shows; where it waits in a queue, these are its costs."""
 
     __slots__ = ()
 
@@ -225,24 +226,20 @@ class Timebase:
         return Instant(last.sample, device, time_ns)
 
     def _continued(self, device: IntArray, host: IntArray | None, block: SampleBlock) -> IntArray:
-        segment = block["segment"] if "segment" in block else np.zeros(len(block), np.int64)
-        before = np.concatenate(([self._segment], segment[:-1]))
-        starts = np.flatnonzero(segment != before)
-        edges = np.unique(np.concatenate(([0], starts, [len(block)])))
-        shifted = np.empty_like(device)
-        last = self._last
-        for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-            if start in starts and last.device_ns is not None:
+        n, shifted, last = len(block), np.empty_like(device), self._last
+        segment = block["segment"] if "segment" in block else np.zeros(n, np.int64)
+        for start, stop in pairwise([0, *(np.flatnonzero(np.diff(segment)) + 1).tolist(), n]):
+            label = int(segment[start])
+            if label != self._segment and last.device_ns is not None:
                 gap = self._interval_ns
                 if host is not None and last.host_ns is not None:
                     gap = max(gap, int(host[start]) - last.host_ns)
-                self._shift_ns[int(segment[start])] = last.device_ns + gap - int(device[start])
-            shifted[start:stop] = device[start:stop] + self._shift_ns.get(int(segment[start]), 0)
+                self._shift_ns[label] = last.device_ns + gap - int(device[start])
+            shifted[start:stop] = device[start:stop] + self._shift_ns.get(label, 0)
             if stop - start > 1:
                 self._interval_ns = max(0, int(device[stop - 1] - device[stop - 2]))
             host_ns = last.host_ns if host is None else int(host[stop - 1])
-            last = Instant(None, int(shifted[stop - 1]), host_ns)
-        self._segment = int(segment[-1])
+            last, self._segment = Instant(None, int(shifted[stop - 1]), host_ns), label
         return shifted
 
 
@@ -253,7 +250,7 @@ def _complete(block: SampleBlock, name: str) -> IntArray | None:
 
 
 def first_of_steps(times_ns: IntArray, step_ns: int, before_ns: int | None = None) -> BoolArray:
-    """Tell which times are the first in a step of time, (n,); `before_ns` is the last that came before."""
+    """Return which times are the first in a step of time, (n,); `before_ns` is the last that came before."""
     step = times_ns // step_ns
     before = step[:1] - 1 if before_ns is None else before_ns // step_ns
     return np.asarray(np.diff(step, prepend=before) != 0)
@@ -278,15 +275,11 @@ def merge(items: Iterable[ViewItem]) -> list[ViewItem]:
 def _joined(run: list[Samples]) -> Samples:
     if len(run) == 1:
         return run[0]
-    return Samples(
-        run[0].first,
-        _concatenated([item.device_ns for item in run]),
-        _concatenated([item.host_ns for item in run]),
-        join([item.block for item in run]),
-        run[0].stream,
-    )
+    device = _joined_times([item.device_ns for item in run])
+    host = _joined_times([item.host_ns for item in run])
+    return Samples(run[0].first, device, host, join([item.block for item in run]), run[0].stream)
 
 
-def _concatenated(parts: list[IntArray | None]) -> IntArray | None:
-    present = [part for part in parts if part is not None]
+def _joined_times(times: list[IntArray | None]) -> IntArray | None:
+    present = [part for part in times if part is not None]
     return np.concatenate(present) if present else None

@@ -28,12 +28,7 @@ NAMES = {
 LAST = 9
 """The viewer sorts by name: from here on the names themselves decide."""
 
-COLORS = {
-    Level.GOOD: 0x2E9E5BFF,
-    Level.WAIT: 0xE0A020FF,
-    Level.BAD: 0xD64545FF,
-    Level.PLAIN: 0x6C7A92FF,
-}
+COLORS = {Level.GOOD: 0x2E9E5BFF, Level.WAIT: 0xE0A020FF, Level.BAD: 0xD64545FF, Level.PLAIN: 0x6C7A92FF}
 """0xRRGGBBAA."""
 
 COLORED_STATES = 40

@@ -17,10 +17,9 @@ from imumon.blocks import FloatArray
 from imumon.charts import COLOR_NAMES, GREY, Color
 from imumon.columns import KNOWN
 from imumon.view.cards import DIGITS, Reading
-from imumon.view.extent import RECENT_NS, declare_extent, entity
 from imumon.view.items import ViewSetup
 from imumon.view.rows import Rows
-from imumon.view.window import Window, series_view
+from imumon.view.window import RECENT_S, Window, declare_extent, entity, series_view
 
 FIRST = "Live"
 """The first tab."""
@@ -88,8 +87,6 @@ class Strip:
     that have a value, where most have none."""
     beside: str | None = None
     """Entity of another panel, drawn in the same view."""
-    y_range: tuple[float, float] | None = None
-    """Fixed range of the y axis; it follows the data otherwise."""
     limits: tuple[float, float] | None = None
     """Two level lines, in the unit that is drawn."""
     least: float = 0.0
@@ -106,7 +103,7 @@ class Strip:
         """The columns that are drawn, and those of their sigmas: all must be there for a panel to appear."""
         return tuple(name for line in self.lines for name in (line.column, line.sd) if name is not None)
 
-    def says(self, rows: Rows) -> bool:
+    def has_values(self, rows: Rows) -> bool:
         """Return whether each column has a value, and one of them another than `silent`."""
         values = rows.matrix(self.columns)
         finite = np.isfinite(values)
@@ -119,18 +116,15 @@ class Strip:
 
     def declare(self, rec: rr.RecordingStream) -> None:
         """Log what does not change: names, colours and styles."""
-        style: Any = {
-            "names": [line.name for line in self.lines],
-            "colors": [list(line.color) for line in self.lines],
-        }
-        if self.look == "points":
-            look: Any = rr.SeriesPoints(**style, marker_sizes=[2.0] * len(self.lines))
-        else:
-            mode = rr.components.InterpolationMode.StepAfter if self.look == "steps" else None
+        names, colors = [line.name for line in self.lines], [list(line.color) for line in self.lines]
+        look: Any = rr.SeriesPoints(names=names, colors=colors, marker_sizes=[2.0] * len(names))
+        steps = rr.components.InterpolationMode.StepAfter
+        if self.look != "points":
             look = rr.SeriesLines(
-                **style,
-                widths=[1.6] * len(self.lines),
-                interpolation_mode=mode,
+                names=names,
+                colors=colors,
+                widths=[1.6] * len(names),
+                interpolation_mode=steps if self.look == "steps" else None,
                 aggregation_policy=SPIKES_STAY,
             )
         rec.log(self.drawn, look, static=True)
@@ -145,7 +139,7 @@ class Strip:
         half = self._factor * self._half_bands(rows)
         known = np.isfinite(values + half)
         if rows.clock is not None:
-            known &= (rows.clock >= rows.clock[-1] - RECENT_NS)[:, np.newaxis]
+            known &= (rows.clock >= rows.clock[-1] - 1e9 * RECENT_S)[:, np.newaxis]
         if not known.any():
             return None
         low, high = float((values - half)[known].min()), float((values + half)[known].max())
@@ -163,13 +157,11 @@ class Strip:
         if not self.card:
             return []
         last = self.lines[-1]
+        unit, factor = self._unit(setup), self._factor
         return [
-            Reading(
-                self.card, line.name, line.column, line.sd, self._unit(setup), self._factor,
-                self.headline and line is last,
-            )
-            for line in self.lines
-        ]  # fmt: skip
+            Reading(self.card, one.name, one.column, one.sd, unit, factor, self.headline and one is last)
+            for one in self.lines
+        ]
 
     @property
     def _factor(self) -> float:
@@ -200,7 +192,7 @@ class Strip:
             title += ": " + ", ".join(f"{line.name} {COLOR_NAMES[line.color]}" for line in self.lines)
         beside = [self.beside] if self.beside else []
         ends = [entity(drawn.removesuffix("/**")) for drawn in (self.drawn, *beside)]
-        return series_view(self.drawn, title, window, self.y_range, beside, ends)
+        return series_view(self.drawn, title, window, beside, ends)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ LOG_TEXT = "/log_text"
 """Entity of the text; all lines are in the log of the session."""
 LINES = 30
 QUIET = ("INFO", "DEBUG", "TRACE")
-"""Levels that need not be said."""
+"""Levels that are not shown."""
 
 
 class LogText:

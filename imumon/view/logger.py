@@ -32,8 +32,8 @@ from imumon.view.items import (
 from imumon.view.lanes import COLORED_STATES, declare_lane, lane_path
 from imumon.view.log_text import LOG_TEXT, LogText
 from imumon.view.others import Others
-from imumon.view.painter import Painter
 from imumon.view.panel_log import PanelLog
+from imumon.view.pictures import Painter
 from imumon.view.rows import Rows, at_instants, log_markdown
 from imumon.view.window import slow_window
 
@@ -52,16 +52,8 @@ class StreamLogger:
     Call `begin` at the start and in each new file, then `log`.  Entities, styles and arrangement follow from
     the columns that come.
 
-    Parameters
-    ----------
-    rec : RecordingStream
-        Where everything goes; its sinks are the caller's business.
-    setup : ViewSetup
-        Title, units, frame, window.
-    live : bool
-        Whether the blueprint follows the last seconds or shows all of a recording.
-    show : callable, optional
-        Takes the arrangement when it has changed; without, it is sent as a blueprint.
+    The sinks of `rec` are the caller's business.  With `live` the blueprint follows the last seconds, else it
+    shows all of a recording.  `show` takes the arrangement when it has changed; without, it is sent.
     """
 
     def __init__(
@@ -74,8 +66,7 @@ class StreamLogger:
     ) -> None:
         self._rec, self._setup, self._live = rec, setup, live
         self._show = show or rec.send_blueprint
-        self._panels = PanelLog(rec, setup, live=live)
-        self._others = Others(rec, setup)
+        self._panels, self._others = PanelLog(rec, setup, live=live), Others(rec, setup)
         self._painter = Painter(rec, live=live)
         self._lanes: dict[str, dict[str, Level]] = {}
         self._lasting: dict[str, Event] = {}
@@ -115,8 +106,8 @@ class StreamLogger:
             elif isinstance(item, Event):
                 events.append(item)
         self._log_events(events)
-        early = [event for event in events if event.at.sample is None]
-        self._early += early[: EARLY_EVENTS - len(self._early)]
+        self._early += [event for event in events if event.at.sample is None]
+        del self._early[EARLY_EVENTS:]
         if self._newest is not None:
             self._panels.log_cards(self._newest)
         self._painter.draw_next()
@@ -205,13 +196,11 @@ class StreamLogger:
     def _color_states(self, events: Sequence[State]) -> None:
         """Declare the colours of a lane anew where it has states that it had not."""
         lane = events[0].lane
-        known = self._lanes.setdefault(lane, {})
-        before = len(known)
-        for event in events:
-            if len(known) < COLORED_STATES:
-                known.setdefault(event.state, event.level)
-        if len(known) > before:
-            declare_lane(self._rec, lane, known)
+        known = self._lanes.get(lane, {})
+        levels = known | {event.state: event.level for event in events if event.state not in known}
+        if len(levels) > len(known) and len(known) < COLORED_STATES:
+            self._lanes[lane] = levels
+            declare_lane(self._rec, lane, levels)
 
     def end_file(self) -> None:
         """Log what a file of a recording has at its end."""
@@ -219,7 +208,7 @@ class StreamLogger:
 
     def finish(self) -> None:
         """Log the charts and the status card as they are at the end."""
-        self.end_file()
+        self._panels.end_file()
         self._painter.finish()
         self._log_events([event for event in self._lasting.values() if isinstance(event, Status)])
         self._arrange()

@@ -18,7 +18,7 @@ PART_COLORS = {**AXIS_COLORS, "roll": RED, "pitch": GREEN, "yaw": BLUE}
 
 
 class Others:
-    """Logs such columns, each to an entity of its own, once they have said something."""
+    """Logs such columns, each to an entity of its own, once they have a value other than zero."""
 
     def __init__(self, rec: rr.RecordingStream, setup: ViewSetup) -> None:
         self._rec, self._setup = rec, setup
@@ -26,16 +26,17 @@ class Others:
 
     @property
     def views(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
-        """A title and the entities of each view."""
-        found: dict[str, list[str]] = {}
+        """A title and the entities of each view; that of one column names it."""
+        found: dict[tuple[str, str], list[str]] = {}
         for name in sorted(self._names):
-            stream, _, _ = name.rpartition("/")
-            unit = self._read_as(name)[0] or "no unit"
-            found.setdefault(f"{stream}: {unit}" if stream else unit, []).append(name)
-        return tuple(
-            (title if len(names) > 1 else self._alone(names[0]), tuple(map(self._drawn, names)))
-            for title, names in found.items()
-        )
+            found.setdefault((name.rpartition("/")[0], self._read_as(name)[0]), []).append(name)
+        views = []
+        for (stream, unit), names in found.items():
+            title = f"{stream}: {unit or 'no unit'}" if stream else unit or "no unit"
+            if len(names) == 1:
+                title = f"{names[0]} [{unit}]" if unit else names[0]
+            views.append((title, tuple(map(self._drawn, names))))
+        return tuple(views)
 
     def declare(self) -> None:
         """Log what does not change, for a new file."""
@@ -46,7 +47,7 @@ class Others:
         """Log a column; its stream, if any, stands before its name and a slash."""
         numbers = np.asarray(values, np.float64)
         if name not in self._names:
-            if not np.any(np.isfinite(numbers) & (numbers != 0.0)):  # it has not said anything yet
+            if not np.any(np.isfinite(numbers) & (numbers != 0.0)):
                 return
             self._names.add(name)
             self._declare(name)
@@ -61,10 +62,6 @@ class Others:
     def _drawn(self, name: str) -> str:
         """Return the entity of a column, by whether it is drawn in its own unit."""
         return f"{OTHER if self._read_as(name)[1] == 1.0 else CONVERTED}/{name}"
-
-    def _alone(self, name: str) -> str:
-        unit, _ = self._read_as(name)
-        return f"{name} [{unit}]" if unit else name
 
     def _declare(self, name: str) -> None:
         color = PART_COLORS.get(name.rpartition("_")[2])

@@ -8,11 +8,11 @@ import numpy as np
 import rerun as rr
 
 from imumon.view.cards import Cards, Reading, card
-from imumon.view.extent import Extents
 from imumon.view.items import ViewSetup
 from imumon.view.layout import FIRST, SCENE, tab_of
 from imumon.view.panels import PANELS, Panel
 from imumon.view.rows import Rows, log_markdown
+from imumon.view.window import Extents
 
 LIVE_CARD_NS, RECORDED_CARD_NS = 500_000_000, 10_000_000_000
 """How often the cards are written: a person cannot read faster; in a recording each costs 2 kB."""
@@ -39,7 +39,7 @@ class ShownPanels:
     def begins(self, panel: Panel, rows: Rows) -> bool:
         """Take a new panel up when it has something to say; only one body can turn."""
         turns = panel.place == SCENE and any(other.place == SCENE for other in self.begun.values())
-        if panel.key in self.begun or turns or not panel.says(rows):
+        if panel.key in self.begun or turns or not panel.has_values(rows):
             return False
         self.begun[panel.key] = panel
         return True
@@ -104,7 +104,7 @@ class PanelLog:
         return found
 
     def end_file(self) -> None:
-        """Log what a file of a recording has at its end."""
+        """Log how far the axes of a recording reach at its end."""
         self._extents.finish()
 
 

@@ -22,14 +22,10 @@ RESIDUAL = "Residual"
 ATTITUDE = "Attitude"
 """Tab of the attitude: what a device reports, and the estimator's, each a strip of its own."""
 PRESSURE = "Pressure"
-PUBLISHED = "SR-RSUKF"
-"""Tab of the published filter and what it must be compared with."""
 ALIGNMENT = "Alignment"
 """Tab of the heading by the earth rate; its charts stand there, too."""
 LINK = "Link"
 """Tab of the port: rates, load, losses."""
-METHODS = "Published"
-"""Tab of the published methods that `--published` chooses, each beside the default."""
 LEAST_DEGC = 0.04
 """The axis of a reading spans so much at least: four steps of the last digit of the card."""
 
@@ -48,10 +44,6 @@ def _axes_with_sd(name: str) -> tuple[Line, ...]:
     return tuple(_with_sd(f"{name}_{axis}", axis, color) for axis, color in AXIS_COLORS.items())
 
 
-def _means_at_rest(axis: str) -> tuple[Line, ...]:
-    return Line(f"gyro_rest_mean_{axis}", "mean", VIOLET), Line(f"gyro_rest_hold_{axis}", "hold", GREY)
-
-
 def _thermal(suffixes: dict[str, Color], readings: str) -> Iterator[Panel]:
     """Yield the panels of temperature and rate for sensors whose columns end so, with their colours."""
     rows = (
@@ -62,32 +54,6 @@ def _thermal(suffixes: dict[str, Color], readings: str) -> Iterator[Panel]:
         lines = tuple(_with_sd(name + end, end[1:] or "sensor", color) for end, color in suffixes.items())
         card = "temperature rate" if unit == "°C/h" else "temperature"
         yield Bands(name + "".join(suffixes), title, lines, unit, THERMAL, beside=beside, card=card)
-
-
-def _published(
-    method: str, quantity: str, title: str, unit: str, default: str, line: str = "", color: Color = VIOLET
-) -> Panel:
-    """Return the panel of a quantity by a published method, with the entity of the default beside.
-
-    A `line` is named, and its value has no sigma; otherwise the method's name stands there, in a 2σ band.
-    """
-    column, text = f"{method}_{quantity}", f"{title} ({method}) beside the default"
-    drawn = Line(column, line, color) if line else _with_sd(column, method, color)
-    text = text if line else f"{text}, 2σ"
-    return Bands(column, text, (drawn,), unit, METHODS, beside=f"/view/{default}/**")
-
-
-def _published_temperature(suffix: str, default: str) -> Iterator[Panel]:
-    """Yield the panels of the FIR filter for the channel with this ending."""
-    for name, title, unit in (
-        ("temperature_estimate", "Temperature", "°C"),
-        ("temperature_rate", "Temperature rate", "°C/h"),
-    ):
-        yield _published("fir", name + suffix, title + suffix.replace("_", " "), unit, name + default)
-
-
-def _phi(key: str, title: str, place: str) -> Panel:
-    return Bands(key, title, _axes_with_sd(key), "", place, y_range=(-1.0, 1.0))
 
 
 PANELS: tuple[Panel, ...] = (
@@ -198,18 +164,6 @@ PANELS: tuple[Panel, ...] = (
         )
         for line in _axes_with_sd("gyro_random_error")
     ),
-    *(
-        Bands(
-            f"gyro_beside_{axis}",
-            f"Gyro {axis}: SR-RSUKF ({axis}) beside the default, the mean at rest and the held beginning, 2σ",
-            (_with_sd(f"gyro_drift_{axis}", "default", ORANGE), *_means_at_rest(axis)),
-            "°/h",
-            PUBLISHED,
-            beside=f"/view/gyro_random_error_{axis}/**",
-        )
-        for axis in "xyz"
-    ),
-    _phi("gyro_phi", "φ of SR-RSUKF, 2σ", PUBLISHED),
     Bands(
         "heading",
         "Heading from true north, 2σ",
@@ -254,54 +208,6 @@ PANELS: tuple[Panel, ...] = (
         "µg",
         ALIGNMENT,
     ),
-    *_published_temperature("", ""),
-    *(panel for axis in "xyz" for panel in _published_temperature(f"_{axis}", "_x_y_z")),
-    *(
-        _published(
-            method,
-            f"random_error_{axis}",
-            f"Random error {axis}",
-            "°/h",
-            f"gyro_random_error_{axis}",
-            color=color,
-        )
-        for method in ("stf", "sr_ukf", "sr_rsukf")
-        for axis, color in AXIS_COLORS.items()
-    ),
-    *(_phi(f"{method}_phi", f"φ ({method}), 2σ", METHODS) for method in ("sr_ukf", "sr_rsukf")),
-    *(
-        _published(method, f"gyro_bias_{axis}", f"Gyro bias {axis}", "°/h", "gyro_bias", color=color)
-        for method in ("dense_zupt", "dense_tczupt")
-        for axis, color in AXIS_COLORS.items()
-    ),
-    *(
-        _published(method, "heading", "Heading", "°", "heading", line, color)
-        for method, line, color in (
-            ("fixed_gain_loop", "now", GREY),
-            ("total_average", "average", RED),
-            ("curve_fit", "curve-fit", ORANGE),
-        )
-    ),
-    Bands(
-        "fixed_gain_loop_control_rate",
-        "Horizontal control rates (fixed_gain_loop)",
-        (
-            Line("fixed_gain_loop_control_rate_east", "east", RED),
-            Line("fixed_gain_loop_control_rate_north", "north", BLUE),
-        ),
-        "°/h",
-        METHODS,
-    ),
-    *(
-        Bands(
-            f"gyro_rest_{axis}",
-            f"Gyro {axis}: exponential mean at rest, and the beginning held",
-            _means_at_rest(axis),
-            "°/h",
-            METHODS,
-        )
-        for axis in "xyz"
-    ),
     Strip("pressure", "Pressure", (Line("pressure", "static", VIOLET),), place=PRESSURE, card="pressure"),
     Strip(
         "packet_rate",
@@ -314,13 +220,7 @@ PANELS: tuple[Panel, ...] = (
         card="packets",
     ),
     Strip(
-        "link_load",
-        "Link load",
-        (Line("link_load", "load", ORANGE),),
-        "%",
-        LINK,
-        "steps",
-        card="link load",
+        "link_load", "Link load", (Line("link_load", "load", ORANGE),), "%", LINK, "steps", card="link load"
     ),
     Strip(
         "losses",

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import io
-import threading
+import math
+import time
 from functools import cache
 from typing import Any
 
 import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
 
-from imumon.blocks import FloatArray
 from imumon.charts import Chart, Curve
 from imumon.harmless import for_plot
+from imumon.view.items import Drawing
+from imumon.view.rows import at_instants
 
+CHARTS = "/charts"
+PICTURE_SHARE = 0.03
+"""Live, drawing charts takes so much of the time at the most: samples wait for it."""
 SIZE, DOTS_PER_INCH = (7.0, 5.6), 150
 """Inches, of all charts at all times: the viewer warns of a picture whose size changes.  Sharp in half of a
 tab on a full HD screen, readable in a quarter."""
@@ -20,8 +27,6 @@ ROOM, BOTTOM = {"left": 0.114, "right": 0.985}, 0.086
 """Fixed: to fit them to the labels takes as long as all else."""
 LETTERS = 40
 """So many of a headline fit at full size."""
-LEAST_MARKS, READABLE = 3, ((1,), (1, 2, 5), tuple(range(1, 10)))
-"""An axis has so many numbers or more: at the first of these multiples of powers of ten that give them."""
 TOP, NOTE, HEADLINE = 0.98, 0.032, 0.073
 """Where the axes end, and what a line of notes and a headline take of it."""
 PAPER, INK, FAINT = "#0d0d0d", "#d8d8d8", "#3a3a3a"
@@ -39,16 +44,52 @@ STYLE: Any = {
     "ytick.color": INK,
 }
 
-_ONE_AT_A_TIME = threading.Lock()
-"""The figures, and matplotlib's style, are those of the whole program."""
+
+def chart_view(key: str, title: str) -> Any:
+    """Return the view of one chart."""
+    return rrb.Spatial2DView(origin=f"{CHARTS}/{key}", name=title)
 
 
-def picture(chart: Chart, colors: int | None = None) -> bytes:
-    """Return the chart as a PNG, maybe of so many colours; only its texts while it has no point to draw."""
+class Painter:
+    """Logs the latest of each chart as a picture: live one after the other, of a recording at its end."""
+
+    def __init__(self, rec: rr.RecordingStream, *, live: bool) -> None:
+        self._rec, self._live = rec, live
+        self._waiting: dict[str, Drawing] = {}
+        self._next_s = -math.inf
+        self.titles: dict[str, tuple[str, str, str]] = {}
+        """Tab, key and title of every chart, by its key."""
+
+    def add(self, drawing: Drawing) -> None:
+        """Take a chart, which replaces the one before that was not drawn."""
+        chart = drawing.chart
+        self._waiting[chart.key] = drawing
+        self.titles[chart.key] = chart.place, chart.key, chart.title
+
+    def draw_next(self) -> None:
+        """Draw the one that waits longest, live and when it is time."""
+        if self._live and self._waiting and time.monotonic() >= self._next_s:
+            began = time.thread_time()
+            self._draw(self._waiting.pop(next(iter(self._waiting))))
+            self._next_s = time.monotonic() + (time.thread_time() - began) / PICTURE_SHARE
+
+    def finish(self) -> None:
+        """Draw all that wait."""
+        while self._waiting:
+            self._draw(self._waiting.popitem()[1])
+
+    def _draw(self, drawing: Drawing) -> None:
+        """Log the picture of a chart, a PNG; a recording has it whatever moment is looked at."""
+        image = rr.EncodedImage.columns(blob=[picture(drawing.chart)], media_type=["image/png"])
+        indexes = at_instants(drawing.at).indexes if self._live else []
+        self._rec.send_columns(f"{CHARTS}/{drawing.chart.key}", indexes=indexes, columns=image)
+
+
+def picture(chart: Chart) -> bytes:
+    """Return the chart as a PNG; only its texts while it has no point to draw."""
     import matplotlib as mpl  # takes 0.3 s, and only a run with charts needs it
-    from PIL import Image
 
-    with _ONE_AT_A_TIME, mpl.rc_context(STYLE):
+    with mpl.rc_context(STYLE):
         figure = _figure()
         figure.clear()
         axes = figure.add_subplot()
@@ -58,12 +99,7 @@ def picture(chart: Chart, colors: int | None = None) -> bytes:
         if not any(np.isfinite(curve.x * curve.y).any() for curve in chart.curves):
             axes.axis("off")
         out = io.BytesIO()
-        if colors is None:
-            figure.savefig(out, format="png", pil_kwargs={"compress_level": 3})
-        else:
-            figure.canvas.draw()
-            whole = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())).convert("RGB")
-            whole.quantize(colors).save(out, format="png", optimize=True)
+        figure.savefig(out, format="png", pil_kwargs={"compress_level": 3})
     return out.getvalue()
 
 
@@ -92,7 +128,7 @@ def _frame(axes: Any, chart: Chart) -> None:
     from matplotlib.ticker import AutoMinorLocator
 
     for axis, name in ((chart.x, "x"), (chart.y, "y")):
-        if axis.log and _has_logarithm(chart, name):
+        if axis.log and any((np.asarray(getattr(curve, name)) > 0).any() for curve in chart.curves):
             _logarithmic(axes, name)
     axes.set(xlabel=for_plot(chart.x.label), ylabel=for_plot(chart.y.label))
     for axis, scale, name in ((axes.xaxis, chart.x, "x"), (axes.yaxis, chart.y, "y")):
@@ -120,21 +156,9 @@ def _frame(axes: Any, chart: Chart) -> None:
 
 def _logarithmic(axes: Any, name: str) -> None:
     """Make an axis logarithmic, its numbers written out; those between the decades where there are few."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+    from matplotlib.ticker import LogFormatter
 
     axes.set(**{f"{name}scale": "log"})
     axis = getattr(axes, f"{name}axis")
-    low, high = axis.get_view_interval()
-    locators = [*(LogLocator(subs=multiples) for multiples in READABLE), MaxNLocator(4)]
-    for locator in locators:
-        ticks = np.asarray(locator.tick_values(low, high))
-        if ((ticks >= low) & (ticks <= high)).sum() >= LEAST_MARKS:
-            break
-    axis.set_major_locator(locator)
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
-
-
-def _has_logarithm(chart: Chart, name: str) -> bool:
-    values: list[FloatArray] = [getattr(curve, name) for curve in chart.curves]
-    return any(bool((np.asarray(part) > 0).any()) for part in values)
+    axis.set_major_formatter(lambda value, _: f"{value:g}")
+    axis.set_minor_formatter(LogFormatter(minor_thresholds=(2.0, 1.0)))

@@ -27,12 +27,12 @@ class ViewState:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """What a view process is told first: what to show and where; then come lists of items."""
+    """The first message to a view process: what to show and where; then come lists of items."""
 
     setup: ViewSetup
     mode: Mode
     port: int
-    web_port: int
+    """Of the native viewer, or of the page."""
     bind: str
     open_viewer: bool = True
     """Whether a native viewer is opened where none is open; False after a restart."""
@@ -52,18 +52,8 @@ class Report:
 class ViewPublisher(FedProcess):
     """Feeds a process that shows the live view; nothing that happens there delays the caller.
 
-    Parameters
-    ----------
-    mode : "native" or "web"
-        A native window, or a page that browsers open.
-    setup : ViewSetup
-        Title, recording, units, frame, window.
-    port, web_port : int
-        Port of the native viewer, and of the page; when another program has it, the next free one is taken.
-    bind : str
-        Address that the page is on.
-    module : str
-        What the process runs.
+    Where another program has the port of the viewer or `web_port` of the page, the next free one is taken.
+    The page is on the address `bind`.
     """
 
     def __init__(
@@ -77,7 +67,7 @@ class ViewPublisher(FedProcess):
         module: str = "imumon.view.child",
     ) -> None:
         super().__init__(module)
-        self._start = Start(setup, mode, port, web_port, bind)
+        self._start = Start(setup, mode, web_port if mode == "web" else port, bind)
         self._lasting: dict[str, ViewItem] = {}
         self._report = Report("view starts")
 
@@ -89,8 +79,7 @@ class ViewPublisher(FedProcess):
     @property
     def state(self) -> ViewState:
         """How the view is now."""
-        report = self._report
-        return ViewState(report.text, bool(report.url), self._queue.dropped, self._restarts)
+        return ViewState(self._report.text, bool(self.url), self._queue.dropped, self._restarts)
 
     @property
     def url(self) -> str:
@@ -107,9 +96,7 @@ class ViewPublisher(FedProcess):
         """Keep what a later view process needs: the same port, and no second window."""
         self._report = report
         if report.url:
-            start = replace(self._start, open_viewer=False)
-            web = start.mode == "web"
-            self._start = replace(start, web_port=report.port) if web else replace(start, port=report.port)
+            self._start = replace(self._start, open_viewer=False, port=report.port)
 
     def _gone(self) -> None:
         if not self._queue.closed.is_set():

@@ -28,11 +28,6 @@ class DropOldestQueue:
         self.dropped = 0
         """Samples and events dropped so far."""
 
-    @property
-    def size(self) -> int:
-        """Bytes of memory that the items hold."""
-        return self._bytes
-
     def put(self, item: ViewItem) -> None:
         """Append an item; drop the oldest ones when that is too much."""
         with self._filled:
@@ -40,7 +35,12 @@ class DropOldestQueue:
             self._items.append(item)
             self._bytes += item.nbytes
             while self._bytes > self._max_bytes:
-                self._drop_oldest()
+                oldest = self._items.popleft()
+                self._bytes -= oldest.nbytes
+                if oldest.lasting is not None:
+                    self._lasting[oldest.lasting] = oldest
+                else:
+                    self.dropped += oldest.rows
             if was_empty:
                 self._filled.notify()
 
@@ -67,12 +67,3 @@ class DropOldestQueue:
         self.closed.set()
         with self._filled:
             self._filled.notify_all()
-
-    def _drop_oldest(self) -> None:
-        item = self._items.popleft()
-        self._bytes -= item.nbytes
-        key = item.lasting
-        if key is not None:
-            self._lasting[key] = item
-        else:
-            self.dropped += item.rows

@@ -35,16 +35,8 @@ class ViewRecorder:
 
     Raises EXISTS when there is a file already; NOT_FOUND when the folder is missing.
 
-    Parameters
-    ----------
-    path : Path
-        The first segment; the others stand beside it.
-    setup : ViewSetup
-        As for the live view, so that both are the same recording.
-    segment_s : float
-        A new segment begins with the first batch after this much time.
-    on_error : callable
-        Called with `error` once, from the thread that writes.
+    `path` is the first segment, the others stand beside it; one begins with the first batch after
+    `segment_s`. `on_error` is called with `error` once, from the thread that writes.
     """
 
     def __init__(
@@ -65,32 +57,19 @@ class ViewRecorder:
         self._logger = StreamLogger(self._rec, setup, live=False)
         self._queue = DropOldestQueue(QUEUE_BYTES)
         self._refused = 0
-        self._error = ""
+        self.error = ""
+        """Why nothing is written any more (disk full, ...); empty while all is well."""
         self._on_error = on_error
-        self._files: list[Path] = []
+        self.files: list[Path] = []
+        """The segments so far, in order; the last one is being written until `close`."""
         self._open_segment()
         self._thread = threading.Thread(target=self._run, name="view recorder", daemon=True)
         self._thread.start()
 
     @property
-    def files(self) -> list[Path]:
-        """The segments so far, in order; the last one is being written until `close`."""
-        return list(self._files)
-
-    @property
     def dropped(self) -> int:
         """Samples and events that are missing because the disk could not follow, or not take them at all."""
         return self._queue.dropped + self._refused
-
-    @property
-    def has_room(self) -> bool:
-        """Return whether the queue is less than half full: who can wait, loses nothing."""
-        return self._queue.size < QUEUE_BYTES // 2
-
-    @property
-    def error(self) -> str:
-        """Why nothing is written any more (disk full, ...); empty while all is well."""
-        return self._error
 
     def publish(self, item: ViewItem) -> None:
         """Queue an item; takes microseconds."""
@@ -117,7 +96,7 @@ class ViewRecorder:
     def _write_next(self) -> None:
         """Write what has come; where that cannot be, count it."""
         items = merge(self._queue.take(BATCH_S, BATCH_S))
-        if items and not self._error:
+        if items and not self.error:
             if time.monotonic() - self._opened_s > self._segment_s:
                 self._logger.end_file()
                 self._open_segment()
@@ -132,13 +111,13 @@ class ViewRecorder:
             self._rec.flush(timeout_sec=FLUSH_S)
         except RuntimeError as error:  # rerun has no exceptions of its own
             if "timed out" not in str(error).lower():
-                self._error = f"{self._files[-1]} cannot be written any more: {error}"
-                self._on_error(self._error)
+                self.error = f"{self.files[-1]} cannot be written any more: {error}"
+                self._on_error(self.error)
 
     def _open_segment(self) -> None:
-        count = len(self._files)
+        count = len(self.files)
         path = self._path if count == 0 else self._path.with_suffix(f".{count:04d}{self._path.suffix}")
         self._rec.set_sinks(rr.FileSink(path))
-        self._files.append(path)
+        self.files.append(path)
         self._opened_s = time.monotonic()
         self._logger.begin()

@@ -1,10 +1,10 @@
-"""The view in a terminal: present values, the last minute of them, states and the log."""
+"""The view in a terminal: present values, states and the log."""
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from itertools import zip_longest
 from textwrap import wrap
 
 import numpy as np
@@ -19,16 +19,13 @@ from imumon.view.queue import DropOldestQueue
 from imumon.view.rows import Rows
 
 QUEUE_BYTES = 4 << 20
-HISTORY = 60
-"""Values that a sparkline is made of: one each time the screen is drawn."""
 LOG_LINES = 100
-BARS = "▁▂▃▄▅▆▇█"
-NAME, CELL, UNIT, SPARK = 18, 15, 5, 10
+NAME, CELL = 18, 15
 """Columns of text that the parts of a row take."""
 
 
 class TerminalView:
-    """Gathers view items and tells what a screen of some size shows of them.
+    """Gathers view items, and makes the lines of a screen of some size from them.
 
     `publish` may be called from any thread and returns at once; `lines` from one thread.
     """
@@ -38,7 +35,6 @@ class TerminalView:
         self._queue = DropOldestQueue(QUEUE_BYTES)
         self._cards = Cards()
         self._panels = ShownPanels(setup)
-        self._past: dict[str, deque[float]] = {}
         self._lanes: dict[str, str] = {}
         self._log: deque[str] = deque(maxlen=LOG_LINES)
 
@@ -51,8 +47,6 @@ class TerminalView:
         """Return the text of a screen, at most so many rows, each at most so many columns wide."""
         self._take()
         now = self._cards.take()
-        for name, value in now.items():
-            self._past.setdefault(name, deque(maxlen=HISTORY)).append(value)
         shown = (self._panels.readings[key] for key in self._panels.begun)
         numbers = [row for readings in shown if readings for row in self._rows(readings, now, columns)]
         head = f"{self._setup.title}  {status}"
@@ -86,41 +80,12 @@ class TerminalView:
         """Return the rows of one panel: three axes beside each other, other values below each other."""
         if [one.name for one in readings] == AXES and columns >= NAME + len(AXES) * CELL:
             cells = "".join(f"{cell(one, now):>{CELL}}" for one in readings)
-            sparks = "  ".join(f"{one.name} {self._spark(one)}" for one in readings)
-            return [f"{readings[0].row:{NAME}}{cells} {readings[0].unit:{UNIT}} {sparks}"]
-        if columns < NAME + CELL + UNIT:
-            return [_narrow(_label(one, readings), cell(one, now), one.unit, columns) for one in readings]
-        return [
-            f"{_label(one, readings):{NAME}}{cell(one, now):>{CELL}} {one.unit:{UNIT}} {self._spark(one)}"
-            for one in readings
-        ]
-
-    def _spark(self, reading: Reading) -> str:
-        return sparkline(list(self._past.get(reading.column, ()))[-SPARK:])
-
-
-def sparkline(values: Sequence[float]) -> str:
-    """Return values as bars from the lowest to the highest; a blank where there is none."""
-    known = [value for value in values if math.isfinite(value)]
-    if not known:
-        return " " * len(values)
-    low, span = min(known), max(known) - min(known)
-    steps = [(value - low) / (span or 1.0) for value in values]
-    return "".join(BARS[round(step * (len(BARS) - 1))] if math.isfinite(step) else " " for step in steps)
-
-
-def _label(reading: Reading, readings: Sequence[Reading]) -> str:
-    return reading.row if len(readings) == 1 else f"{reading.row} {reading.name}"
-
-
-def _narrow(label: str, value: str, unit: str, columns: int) -> str:
-    """Return a row of few columns: the value without its sigma, and of its name the end and what has room."""
-    text = f"{value.partition(' ± ')[0]} {unit}".rstrip()
-    room = max(columns - len(text) - 1, 0)
-    if len(label) > room:
-        head, _, last = label.rpartition(" ")
-        label = f"{head[: max(room - len(last) - 1, 0)]} {last}"
-    return f"{label:{room}} {text}"
+            return [f"{readings[0].row:{NAME}}{cells} {readings[0].unit}"]
+        rows = []
+        for one in readings:
+            label = one.row if len(readings) == 1 else f"{one.row} {one.name}"
+            rows.append(f"{label:{NAME}}{cell(one, now):>{CELL}} {one.unit}")
+        return rows
 
 
 class Screen:
@@ -137,12 +102,9 @@ class Screen:
         if (columns, rows) != self._size:
             self._size, self._shown = (columns, rows), []
             self._write("\x1b[2J")
-        parts = []
-        for row in range(max(len(lines), len(self._shown))):
-            line = _one_line(lines[row]) if row < len(lines) else ""
-            if row >= len(self._shown) or line != self._shown[row]:
-                parts.append(f"\x1b[{row + 1};1H{line}\x1b[K")
-        self._shown = [_one_line(line) for line in lines]
+        before, self._shown = self._shown, [_one_line(line) for line in lines]
+        pairs = enumerate(zip_longest(self._shown, before, fillvalue=""), 1)
+        parts = [f"\x1b[{row};1H{line}\x1b[K" for row, (line, old) in pairs if line != old]
         if parts:
             self._write("".join(parts))
 

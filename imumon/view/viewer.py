@@ -34,7 +34,7 @@ LIVE_APPLICATION, APPLICATION = "imumon-live", "imumon"
 
 
 class Answer(Enum):
-    """What a port says when asked whether a Rerun viewer or server is behind it."""
+    """How a port answers the question whether a Rerun viewer or server is behind it."""
 
     RERUN = "answers"
     CLOSED = "nothing listens"
@@ -59,14 +59,12 @@ def viewer_binary() -> Path:
     Raises NOT_FOUND when this installation has none.
     """
     spec = find_spec("rerun_cli")
-    folders = spec.submodule_search_locations if spec else None
-    for folder in folders or []:
-        for name in ("rerun", "rerun.exe"):
-            if (path := Path(folder) / name).is_file():
-                return path
-    raise ImumonError(
-        Reason.NOT_FOUND, "the Rerun viewer is not installed", "pip install 'rerun-sdk', or use --view none"
-    )
+    folders = (spec.submodule_search_locations if spec else None) or []
+    for path in (Path(folder) / name for folder in folders for name in ("rerun", "rerun.exe")):
+        if path.is_file():
+            return path
+    hint = "pip install 'rerun-sdk', or use --view none"
+    raise ImumonError(Reason.NOT_FOUND, "the Rerun viewer is not installed", hint)
 
 
 def quiet_environment() -> dict[str, str]:
@@ -156,9 +154,9 @@ def hidden_address() -> tuple[str, int]:
 
     Rerun's server answers whoever reaches its port: a page of another site must not find it.
     """
-    if sys.platform != "linux":
-        return LOCALHOST, free_port(20000 + secrets.randbelow(20000))
-    address = "127." + ".".join(str(1 + secrets.randbelow(254)) for _ in range(3))
+    address = LOCALHOST
+    if sys.platform == "linux":
+        address = "127." + ".".join(str(1 + secrets.randbelow(254)) for _ in range(3))
     return address, free_port(20000 + secrets.randbelow(20000), address)
 
 

@@ -48,7 +48,7 @@ STREAM_PATH = "/rerun."
 """How the paths of the stream begin; they are passed on, so that one port is enough."""
 PART_BYTES = 1 << 16
 OURS = {"connection", "keep-alive", "transfer-encoding", "content-length", "host", "origin", "server", "date"}
-"""Headers that each of two connections has of its own; ``Host`` and ``Origin`` were judged here."""
+"""Headers that each of two connections has of its own; ``Host`` and ``Origin`` were checked here."""
 
 
 HOST = re.compile(r"([\w.-]+|\[[0-9a-fA-F:]+\])(?::\d+)?$")
@@ -61,24 +61,18 @@ def refusal(host: str, origin: str = "") -> str:
     is then in ``Origin``, or in ``Host`` when that name was made to lead here (DNS rebinding).  A name can be
     made to lead anywhere by who owns it; an address, and this computer's name, cannot.
     """
-    requested = HOST.match(host)
-    name = requested.group(1).lower() if requested else ""
-    if not _is_here(name):
-        return f"Host {host!r} is neither an address nor the name of this computer: open it by its address"
-    if origin and (urlsplit(origin).hostname or "") != name.strip("[]"):
+    requested, own = HOST.match(host), socket.gethostname().lower()
+    name = requested.group(1).lower().strip("[]") if requested else ""
+    if name not in ("localhost", own, f"{own}.local"):
+        try:
+            ipaddress.ip_address(name)
+        except ValueError:
+            return (
+                f"Host {host!r} is neither an address nor the name of this computer: open it by its address"
+            )
+    if origin and (urlsplit(origin).hostname or "") != name:
         return f"Origin {origin!r} is another site"
     return ""
-
-
-def _is_here(name: str) -> bool:
-    own = socket.gethostname().lower()
-    if name in ("localhost", own, f"{own}.local"):
-        return True
-    try:
-        ipaddress.ip_address(name.strip("[]"))
-    except ValueError:
-        return False
-    return True
 
 
 def bundled_assets() -> dict[str, bytes]:
@@ -111,14 +105,10 @@ def _fetch(url: str) -> bytes:
         return data
 
 
-def without_elsewhere(html: str) -> str:
-    """Return Rerun's page without what it would load from elsewhere."""
-    return re.sub(r"<link\b[^>]*https://[^>]*>", "", html)
-
-
-def titled(html: str, title: str) -> str:
-    """Return a page with another title."""
-    return re.sub(r"<title>.*?</title>", lambda _: f"<title>{escape(title)}</title>", html, flags=re.DOTALL)
+def page(html: str, title: str) -> str:
+    """Return Rerun's page with another title, and without what it would load from elsewhere."""
+    named = re.sub(r"<title>.*?</title>", lambda _: f"<title>{escape(title)}</title>", html, flags=re.DOTALL)
+    return re.sub(r"<link\b[^>]*https://[^>]*>", "", named)
 
 
 def serve_stream(rec: rr.RecordingStream) -> tuple[str, int]:
@@ -152,14 +142,8 @@ class WebServer:
 
     All comes from one address and port, so that it works as well through a tunnel (``ssh -L``).
 
-    Parameters
-    ----------
-    door : socket
-        Listens where browsers come to; see `imumon.view.viewer.listen`.
-    stream : (str, int)
-        Address and port of the server that the stream comes from; whoever reaches that one is answered.
-    title : str
-        Of the page.
+    `door` listens where browsers come to (`imumon.view.viewer.listen`); `stream` is address and port of the
+    server that the stream comes from, which answers whoever reaches it.
     """
 
     def __init__(self, door: socket.socket, stream: tuple[str, int], title: str = "imumon") -> None:
@@ -168,9 +152,8 @@ class WebServer:
         self.host = socket.gethostname() if bind == "0.0.0.0" else bind  # as others reach it
         self.url = f"http://{self.host}:{self.port}/"
         self.files = bundled_assets()
-        self.files["/"] = titled(without_elsewhere(self.files["/"].decode()), title).encode()
-        handler = partial(_Handler, self)
-        self._server = _Server(door, handler)
+        self.files["/"] = page(self.files["/"].decode(), title).encode()
+        self._server = _Server(door, partial(_Handler, self))
         threading.Thread(target=self._server.serve_forever, name="web viewer", daemon=True).start()
 
     def close(self) -> None:
@@ -250,7 +233,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(b"0\r\n\r\n")
 
     def _refuses(self) -> bool:
-        """Tell a page of another site that it may not read; return whether this is one."""
+        """Refuse the request of a page of another site; return whether this is one."""
         reason = refusal(self.headers.get("Host", ""), self.headers.get("Origin", ""))
         if reason:
             self.send_error(HTTPStatus.FORBIDDEN, explain=reason)

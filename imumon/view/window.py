@@ -1,4 +1,8 @@
-"""What the series of a tab show of time."""
+"""What a view of series shows: which time, and how far its vertical axis reaches.
+
+Rerun's vertical axis follows the lines alone, so that a band is cut off, and it magnifies what is constant
+until the rounding fills the panel.  An invisible line beside the drawn ones spans what has to be seen now.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +10,57 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from imumon.view.extent import LATEST_S
+from imumon.view.rows import Rows
+
+STEP_NS = 1_000_000_000
+"""So often the ends are logged anew."""
+RECENT_S = 10.0
+"""They reach over the bands of so much time, which breathe with motion; wider ones of before are cut off."""
+
+
+def entity(drawn: str) -> str:
+    """Return the entity of the invisible line beside what is drawn."""
+    return f"{drawn}/extent"
+
+
+def declare_extent(rec: rr.RecordingStream, drawn: str) -> None:
+    """Log that the line is not to be seen."""
+    unseen = rr.SeriesLines(names=["", ""], colors=[[0, 0, 0, 0]] * 2, widths=[0.0, 0.0])
+    rec.log(entity(drawn), unseen, static=True)
+
+
+class Extents:
+    """Logs the ends of axes: live once a second, a recording at its end.
+
+    On the way they would cost a recording a fifth of its bytes.
+    """
+
+    def __init__(self, rec: rr.RecordingStream, *, live: bool) -> None:
+        self._rec, self._live = rec, live
+        self._ends: dict[str, tuple[float, float, int, Rows]] = {}
+        self._second: int | None = None
+
+    def set(self, drawn: str, ends: tuple[float, float], row: Rows) -> None:
+        """Let the axis of what is drawn reach over these ends, from the time of a row on."""
+        now = 0 if row.clock is None else int(row.clock[0])
+        low, high, before, _ = self._ends.get(drawn, (*ends, now, row))
+        if abs(now - before) > 1e9 * RECENT_S:  # or the clock has gone back
+            low, high = ends
+        self._ends[drawn] = min(low, ends[0]), max(high, ends[1]), now, row
+        if self._live and now // STEP_NS != self._second:
+            self._second = now // STEP_NS
+            self.finish()
+
+    def finish(self) -> None:
+        """Log what was not logged."""
+        for drawn, (low, high, _, row) in self._ends.items():
+            row.send(self._rec, entity(drawn), np.array([[low, high]]))
+        self._ends.clear()
+
 
 SLOW_WINDOW_S = 600.0
 """The tabs behind the first show what is slow: the time since the start, then so many seconds at least."""
@@ -31,7 +82,7 @@ class Window:
         """Return what is queried of the ends of axes: live the latest."""
         if self.seconds is None:
             return {}
-        start = rrb.TimeRangeBoundary.cursor_relative(seconds=-LATEST_S)
+        start = rrb.TimeRangeBoundary.cursor_relative(seconds=-RECENT_S)
         ranges = [rrb.VisibleTimeRange(one, start=start, end=NOW) for one in TEMPORAL]
         return {one: [rrb.VisibleTimeRanges(ranges)] for one in ends}
 
@@ -59,7 +110,6 @@ def series_view(
     origin: str,
     name: str,
     window: Window,
-    y_range: tuple[float, float] | None = None,
     others: Sequence[str] = (),
     ends: Sequence[str] = (),
     *,
@@ -67,7 +117,7 @@ def series_view(
 ) -> Any:
     """Return a view of series over time, with other entities beside the first, and maybe a legend.
 
-    A legend stands in the view, over data: better the title tells the colours.
+    A legend stands in the view, over data: better the title names the colours.
 
     `ends` are entities that say how far the vertical axis reaches now.
     """
@@ -77,7 +127,6 @@ def series_view(
         name=name,
         time_ranges=window.ranges,
         axis_x=window.axis,
-        axis_y=rrb.ScalarAxis(range=y_range) if y_range else None,
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop if legend else None, visible=legend),
         overrides=window.looks(ends),
     )

@@ -12,8 +12,8 @@ from PIL import Image
 from rerun.chunk import ChunkStore, RrdReader
 
 from imumon.blocks import FloatArray
-from imumon.view.extent import LATEST_S, entity
 from imumon.view.panels import Panel
+from imumon.view.window import RECENT_S, entity
 
 LEGEND = 0.86
 """Where the legend of a view begins, as a share of its width."""
@@ -55,7 +55,7 @@ def axis_faults(recording: Path, panels: Iterable[Panel], window_s: float) -> li
         if len(bands):
             seen = bands[bands[:, 0] > bands[-1, 0] - window_s]
             low, high = min(low, seen[:, 1].min()), max(high, seen[:, 1].max())
-            now = bands[bands[:, 0] > bands[-1, 0] - LATEST_S]
+            now = bands[bands[:, 0] > bands[-1, 0] - RECENT_S]
             half = np.sqrt(now[:, 2])
             outside = (now[:, 1] - half < low) | (now[:, 1] + half > high)
             if outside.mean() > OUTSIDE:

@@ -13,7 +13,7 @@ from imumon.run.setup import Setup
 
 
 def given(**options: Unpack[SetupOptions]) -> Setup:
-    recorded = "format: imumon-pipeline/1\npublished: [stf]\nrandom_error: {risk: 0.25}\n"
+    recorded = "format: imumon-pipeline/1\npublished: [stf]\n"
     return make_setup(options, recorded, "session.yaml")
 
 
@@ -27,11 +27,6 @@ def test_published_methods_are_named_by_commas_and_go_before_the_file() -> None:
 def test_an_unknown_name_or_one_that_comes_twice_is_refused_with_those_there_are(names: str) -> None:
     with pytest.raises(click.BadParameter, match="dense_tczupt"):
         given(published=names)
-
-
-def test_the_method_of_the_random_error_leaves_its_other_parameters() -> None:
-    setup = given(random_error="sr_rsukf")
-    assert (setup.random_error.method, setup.random_error.risk) == ("sr_rsukf", 0.25)
 
 
 def test_a_session_keeps_what_was_chosen(tmp_path: Path) -> None:

@@ -235,7 +235,7 @@ def test_a_wrong_argument_of_a_setup_is_named() -> None:
     with pytest.raises(ImumonError, match=r"latitude_deg=480: .* less than or equal to 90") as caught:
         imumon.Setup(latitude_deg=480)
     assert caught.value.reason is Reason.BAD_CONFIG
-    with pytest.raises(ImumonError, match="there is no argument latitude"):
+    with pytest.raises(ImumonError, match="latitude=48: Extra inputs are not permitted"):
         imumon.Setup(latitude=48)  # type: ignore[call-arg]
     with pytest.raises(ImumonError, match=r"model='unit\.yaml': expected a bias model") as caught:
         imumon.Setup(model="unit.yaml")

@@ -54,7 +54,7 @@ def test_only_a_part_that_goes_on_can_be_stopped(tmp_path: Path) -> None:
             ask_for_mark(folder, EventKind.START, "by a key")
         ask_for_mark(folder, EventKind.STOP, "by a key")
         for part in ("by a key", "never begun"):
-            with pytest.raises(ImumonError, match=f"no part '{part}' goes on") as error:
+            with pytest.raises(ImumonError, match=f"the part '{part}' does not go on") as error:
                 ask_for_mark(folder, EventKind.STOP, part)
             assert error.value.reason is Reason.BAD_CONFIG
         run.stop()

@@ -9,7 +9,6 @@ import pytest
 import rerun as rr
 
 from imumon.view.layout import Bands, Line, Strip
-from imumon.view.panels import METHODS
 from imumon.view.rows import Rows
 
 
@@ -29,7 +28,7 @@ class _Heard:
 
 def test_a_band_named_as_a_session_is_an_entity_whose_name_is_escaped() -> None:
     rec: Any = _Heard()
-    panel = Bands("a/b", "title", (Line("x", "run of monday", (1, 2, 3)),), "°/h", METHODS)
+    panel = Bands("a/b", "title", (Line("x", "run of monday", (1, 2, 3)),), "°/h", "Tab")
     panel.declare(rec)
     times = np.arange(3) * 10**9
     panel.log(rec, Rows({"x": np.ones(3)}, None, times, times))

@@ -16,7 +16,6 @@ from imumon.blocks import FloatArray
 from imumon.charts import GREEN, Axis, Chart, Color, Curve
 from imumon.view.items import Drawing, Instant, ViewSetup
 from imumon.view.logger import StreamLogger
-from imumon.view.painter import COLORS
 from imumon.view.pictures import picture
 
 RED: Color = (232, 72, 72)
@@ -92,7 +91,7 @@ def test_a_short_recording_has_the_last_picture_only(tmp_path: Path) -> None:
         for part in batch.column(name).to_pylist()
     ]
     assert len(blobs) == 1
-    assert bytes(blobs[-1][0]) == picture(charts[-1], colors=COLORS)
+    assert bytes(blobs[-1][0]) == picture(charts[-1])
 
 
 def test_a_later_chart_replaces_an_earlier_one_in_a_queue_that_knows_its_size() -> None:

@@ -13,10 +13,10 @@ from support.picture_faults import axis_faults, is_empty
 from support.screenshots import studio
 
 from imumon.lane import Level
-from imumon.view.extent import entity
 from imumon.view.items import Log, Numbers, State, Status, Timebase, ViewItem, ViewSetup
 from imumon.view.logger import StreamLogger
 from imumon.view.panels import PANELS
+from imumon.view.window import entity
 from tests.view.streams import block
 
 SETUP = ViewSetup("synthetic", "synthetic")

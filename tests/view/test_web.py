@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imumon.view.viewer import listen
-from imumon.view.web import WebServer, refusal, without_elsewhere
+from imumon.view.web import WebServer, page, refusal
 
 HTML = """<html><head><link rel="preconnect" href="https://fonts.example" />
 <link
@@ -59,7 +59,7 @@ def test_other_paths_do_not_exist(server: WebServer) -> None:
 
 
 def test_page_loads_nothing_from_elsewhere() -> None:
-    text = without_elsewhere(HTML)
+    text = page(HTML, "title")
     assert "https://" not in text
     assert "favicon.ico" in text
 

@@ -11,7 +11,7 @@ from imumon.run.narration import Progress
 from imumon.view.items import Drawing, Instant, Log, Samples, State, Timebase
 from tests.view.streams import block
 
-PROGRESS = Progress(1.5, Pipeline(load_device("ax1")).counters, 100.0, 5800.0, 0.5, "open", 0.0, 1.0, None)
+PROGRESS = Progress(1.5, Pipeline(load_device("ax1")).counters, 100.0, 0.5, "open", {})
 
 
 def test_the_picture_is_thin_and_by_the_clock_of_the_host() -> None:

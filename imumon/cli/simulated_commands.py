@@ -1,0 +1,177 @@
+"""``imumon demo``, ``virtual``, ``simulate``: devices and sessions without hardware."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import tempfile
+from inspect import cleandoc
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from imumon.cli.common import (
+    PATH,
+    SECONDS,
+    Number,
+    device_help,
+    json_option,
+    listed,
+    print_result,
+    say,
+    seed_option,
+    serial_option,
+    show,
+)
+from imumon.cli.progress import bar
+from imumon.files import bundled
+
+if TYPE_CHECKING:
+    from imumon.simulation.unit import Scenario
+
+DEVICE = "ax1"
+"""The one that is simulated when none is named."""
+STOP = {signal.SIGINT, signal.SIGTERM}
+TABLES = (".parquet", ".csv")
+
+
+@click.command("demo", context_settings={"ignore_unknown_options": True})
+@click.argument("options", nargs=-1, type=click.UNPROCESSED, metavar="[OPTIONS OF MONITOR]...")
+def demo(options: tuple[str, ...]) -> int:
+    """Watch a virtual AHRS that is turned by hand: to see imumon at work, without hardware.
+
+    \b
+    imumon demo                                  # until Ctrl-C
+    imumon demo --seconds 20 --view terminal     # without a display
+
+    The options are those of `imumon monitor`.
+    """
+    from imumon.simulation.virtual_port import VirtualPort
+
+    # Ctrl-C before the monitor is ready waits until it is, so that every run ends with a summary.
+    signal.pthread_sigmask(signal.SIG_BLOCK, STOP)
+    with tempfile.TemporaryDirectory(prefix="imumon-demo-") as folder:
+        port = VirtualPort(Path(folder) / "ahrs")
+        arguments = ["monitor", port.path, "--device", DEVICE, *options]
+        monitor = subprocess.Popen([sys.executable, "-m", "imumon", *arguments])
+        for number in STOP:  # Ctrl-C in a terminal reaches the monitor anyway, and twice does no harm
+            signal.signal(number, lambda *_: monitor.send_signal(signal.SIGINT))
+        from imumon.protocols.device import load_device  # only now: the monitor starts meanwhile
+        from imumon.simulation.virtual_device import VirtualDevice
+
+        with VirtualDevice(load_device(DEVICE), port=port):
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP)
+            return monitor.wait()
+
+
+@click.command("virtual")
+@click.option("--device", default=DEVICE, show_default=True, help=device_help)
+@click.option("--scenario", help="Unit and motion: a name of the list above, or a file; default: bench.")
+@click.option("--link", type=PATH, help="Symbolic link to the port, which imumon makes.")
+@click.option("--rate", type=Number(min=0, min_open=True, max=1e5), help="Packets per second.")
+@seed_option
+@click.option("--seconds", type=SECONDS, help="Stop after this time.")
+def virtual(
+    device: str, scenario: str | None, link: Path | None, rate: float | None, seed: int, seconds: float | None
+) -> None:
+    """Be a device: a simulated AHRS on a port of its own, until Ctrl-C.
+
+    \b
+    imumon virtual --link ./ahrs                # in one terminal
+    imumon monitor ./ahrs --device ax1          # in another
+
+    The port is a pseudo-terminal, which programs open like any serial port.  Its name is printed on standard
+    output.
+
+    {scenarios}
+    """
+    from imumon.cli.live_run import Ending
+    from imumon.protocols.device import load_device
+    from imumon.simulation.unit.scenario import load_scenario
+    from imumon.simulation.virtual_device import VirtualDevice
+
+    ending = Ending(seconds)
+    played = None if scenario is None else load_scenario(scenario)
+    with VirtualDevice(load_device(device), link, rate, seed, scenario=played) as simulated:
+        show(simulated.port.path)
+        ending.begin()
+        while simulated.failure is None and ending.wait():
+            pass
+    lost = simulated.port.bytes_lost
+    say("INFO", f"sent {simulated.packets_sent:,} packets; {lost:,} bytes had no reader")
+    if simulated.failure is not None:
+        raise simulated.failure
+
+
+@click.command("simulate")
+@click.argument("scenario")
+@click.option("--device", help=f"{device_help}  Default: {DEVICE} for a session.")
+@click.option(
+    "--out", required=True, type=PATH, help="Session folder to make; or a table: NAME.parquet or NAME.csv."
+)
+@serial_option
+@seed_option
+@click.option("--duration", type=SECONDS, help="Length of the simulation; default: that of the scenario.")
+@click.option(
+    "--rate",
+    type=Number(min=0, min_open=True, max=10_000),
+    help="Packets per second; default: those of the scenario.",
+)
+@json_option
+def simulate(
+    scenario: str,
+    device: str | None,
+    out: Path,
+    serial: str | None,
+    seed: int,
+    duration: float | None,
+    rate: float | None,
+    as_json: bool,
+) -> None:
+    """Simulate SCENARIO, a name or a file, and write the true values beside the samples.
+
+    \b
+    imumon simulate kitchen --out sessions/kitchen
+    imumon simulate night --out night.parquet --seed 2
+
+    A session holds the packets of the device and truth.parquet, which has one row a packet: bias, rate and
+    temperature of the simulated unit.  A table has them in columns that begin with true_.
+
+    {scenarios}
+
+    docs/simulation.md describes them, and how to write one.
+    """
+    from imumon.recordings.folder import name_unit
+    from imumon.simulation.unit import load_scenario
+
+    given = {"duration_s": duration, "rate_hz": rate}
+    plan = load_scenario(scenario).model_copy(update={k: v for k, v in given.items() if v is not None})
+    result = _simulated(plan, device, seed, out, quiet=as_json)
+    if "session" in result:
+        name_unit(out, serial)
+    rows = {"samples": f"{plan.samples:,} at {plan.rate_hz:g} Hz"} | {k: str(v) for k, v in result.items()}
+    print_result(as_json, {"scenario": scenario, "seed": seed, "samples": plan.samples, **result}, rows)
+
+
+def _simulated(plan: Scenario, device: str | None, seed: int, out: Path, *, quiet: bool) -> dict[str, Path]:
+    """Write a session or a table, in the axes of the device; return what was written."""
+    from imumon.protocols.device import device_text, parse_device
+    from imumon.simulation.recording import TRUTH_NAME, record_session, write_table
+
+    text, source = device_text(device or DEVICE)
+    described, as_table = parse_device(text, source), out.suffix in TABLES
+    if device is not None or not as_table:
+        plan = plan.played(plan.rate_hz, described.axes)
+    with bar("simulating", plan.samples, quiet=quiet) as (progress, _):
+        if as_table:
+            write_table(plan, seed, out, progress)
+            return {"table": out}
+        record_session(plan, described, text, seed, out, progress)
+    return {"session": out, "truth": out / TRUTH_NAME}
+
+
+SCENARIOS = listed("Scenarios", sorted(bundled("scenarios")))
+for described in (virtual, simulate):
+    described.help = cleandoc(str(described.help)).format(scenarios=SCENARIOS)

@@ -1,0 +1,201 @@
+"""``imumon decode``, ``export``, ``import``: bytes and sessions to tables, tables and logs to sessions."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from imumon.cli.common import (
+    PATH,
+    TABLE,
+    columns_option,
+    device_help,
+    json_option,
+    print_json,
+    print_result,
+    rate_option,
+    say,
+    serial_option,
+    split_columns,
+    warn,
+)
+from imumon.cli.progress import reading_bar
+from imumon.errors import ImumonError, Reason
+from imumon.files import check_output
+from imumon.wings import offers
+
+if TYPE_CHECKING:
+    from imumon.pipeline import Pipeline
+    from imumon.recordings.side_tables import Exported
+    from imumon.recordings.source import Source
+
+KINDS = ["parquet", "csv", "npz", "mat", "mcap"]
+
+
+@click.command("decode")
+@click.argument("file", type=PATH)
+@click.option("--device", help=device_help + "  A session knows its own.")
+@click.option("--out", type=PATH, required=True, help=TABLE)
+@columns_option
+@rate_option
+@json_option
+def decode(
+    file: Path, device: str | None, out: Path, columns: str | None, rate: float | None, as_json: bool
+) -> None:
+    """Decode FILE, a raw capture of any tool or a session, into a table.
+
+    \b
+    imumon decode sessions/NAME --out samples.parquet
+    imumon decode capture.bin --device xsens --out samples.csv
+    """
+    _write_table(file, device, rate, out, columns, as_json)
+
+
+def _write_table(
+    file: Path, device: str | None, rate: float | None, out: Path, columns: str | None, as_json: bool
+) -> None:
+    """Decode a capture or a session into a table, and report what came."""
+    from imumon.pipeline import Pipeline
+    from imumon.recordings.side_tables import Exported, export_run
+    from imumon.recordings.source import no_samples, open_source, run_over
+    from imumon.run.doubts import Doubts
+    from imumon.run.narration import describe_losses, describe_streams
+
+    source = open_source(file, device, rate)
+    source.refuse_output(out)
+    pipeline = Pipeline(source.device)
+    session = None if source.session is None else source.session.path
+    named = {
+        "file": source.path,
+        "session": session,
+        "device": None if source.device is None else source.device.name,
+    }
+    doubts = Doubts(source.device is not None and source.device.protocol.startswith("fixed"))
+    try:
+        with reading_bar([file], quiet=as_json):
+            blocks = doubts.through(run_over(source.items, pipeline))
+            exported = export_run(blocks, pipeline, source, out, split_columns(columns))
+    except ImumonError as error:
+        unread = not pipeline.counters.bytes_received and file.is_file() and file.stat().st_size
+        if error.reason is not Reason.BAD_DATA or pipeline.counters.samples or unread:
+            raise
+        if as_json:
+            print_json(named | exported_as_data(source, pipeline, Exported(0, {})))
+        raise no_samples(source, pipeline) from error
+    counters = pipeline.counters
+    doubtful = doubts.found(counters)
+    warn([*source.warnings(), *pipeline.warnings(), *exported.warnings, *doubtful])
+    for notice in pipeline.notices():
+        say("INFO", f"device: {notice}")
+    rows = {
+        "packets": ", ".join(f"{count:,} {name}" for name, count in counters.packets_by_type.items()),
+        "bytes": f"{counters.bytes_received:,} received, {counters.bytes_in_packets:,} in packets, "
+        f"{counters.bytes_skipped:,} skipped, {counters.bytes_pending:,} pending",
+        "losses": describe_losses(counters),
+    }
+    rows = (rows if counters.bytes_received else {}) | describe_streams(counters, exported.tables)
+    data = named | exported_as_data(source, pipeline, exported) | {"doubts": doubtful}
+    print_result(as_json, data, rows)
+
+
+def exported_as_data(source: Source, pipeline: Pipeline, exported: Exported) -> dict[str, object]:
+    """Return what ``--json`` prints of a run that was exported: the table, what came, what is missing."""
+    return {**exported.as_dict(), **pipeline.counters.as_dict(), **source.losses()}
+
+
+@click.command("export")
+@click.argument("session", type=PATH)
+@click.option("--to", "kind", required=True, type=click.Choice(KINDS), help="Format; mcap: ROS 2 messages.")
+@click.option("--out", type=PATH, help="Table to write; default: export.FORMAT in the session.")
+@columns_option
+@json_option
+def export(session: Path, kind: str, out: Path | None, columns: str | None, as_json: bool) -> None:
+    """Write the samples of SESSION, recorded or imported, as a table.
+
+    \b
+    imumon export sessions/NAME --to csv
+    """
+    from imumon.recordings.folder import open_session
+
+    folder = open_session(session).path
+    table = folder / f"export.{kind}" if out is None else _named(out, kind)
+    _write_table(folder, None, None, table, columns, as_json)
+
+
+def _named(out: Path, kind: str) -> Path:
+    """Return the path of a table of this kind: a bare name, of nothing that is there, gets the suffix."""
+    if out.suffix == f".{kind}":
+        return out
+    check_output(out, replace=True)
+    if out.exists() or out.suffix[1:] in KINDS:
+        what = f"{out}: the output of --to {kind} ends in .{kind}"
+        raise ImumonError(Reason.BAD_CONFIG, what, f"name it {out.stem}.{kind}, or give another --to")
+    return out.with_name(f"{out.name}.{kind}")
+
+
+@click.command("import")
+@click.argument("table", type=PATH)
+@click.option("--map", "map_path", type=PATH, help="YAML file: column and unit of each quantity.")
+@click.option("--sensor", help="Inertial sensor or topic of a log; default: the first.")
+@click.option("--out", required=True, type=PATH, help="Session folder to make.")
+@serial_option
+@json_option
+def import_(
+    table: Path, map_path: Path | None, sensor: str | None, out: Path, serial: str | None, as_json: bool
+) -> None:
+    """Make a session of TABLE: a CSV or Parquet file with a map of its columns, or a log.
+
+    \b
+    imumon import data.csv --map map.yaml --out sessions/mine
+    imumon import flight.ulg --out sessions/flight
+
+    Logs are those of ArduPilot, PX4, Betaflight (after blackbox_decode) and ROS.  A map gives the columns
+    and unit of each quantity:
+
+    \b
+        time: {column: t, unit: s}
+        gyro: {columns: [gx, gy, gz], unit: deg/s}
+        accel: {columns: [ax, ay, az], unit: g}
+        temperature: {columns: [temp], unit: degC}
+
+    Units are products of powers: rad/s, deg/s, mdps, m/s^2, g, mg, uT, hPa, degC.  A unit divided by a
+    number is that of raw counts: dps/16.4, g/16384.  docs/import-map.md has all keys.
+    """
+    from imumon.recordings.folder import name_unit
+    from imumon.recordings.importing import import_table
+
+    chosen: dict[str, Any] = {}
+    more: dict[str, str] = {}
+    if map_path is None:
+        (import_log,) = offers("import_log")
+        found = import_log(table, sensor, out)
+        report, damage = found.rows, found.damage
+        if damage.places:
+            lost = f"{damage.size:,} bytes in {damage.places:,} damaged place(s) of the log were left out"
+            say("WARN", lost)
+        chosen = {"sensor": found.sensor, "other_sensors": found.others, "scaling": found.scaling}
+        others = f" (--sensor: {', '.join(found.others)})" if found.others else ""
+        more = {"sensor": found.sensor + others, "scaling": found.scaling}
+        chosen["damage"] = asdict(damage)
+    elif sensor is not None:
+        raise ImumonError(Reason.BAD_CONFIG, "--sensor is for logs, --map for tables", "give one of them")
+    else:
+        report = import_table(table, map_path, out)
+    name_unit(out, serial)
+    if report.rows_dropped:
+        why = "as their time does not increase" if map_path is None else "as the map requires"
+        say("WARN", f"{report.rows_dropped} of {report.rows_in} rows were dropped, {why}")
+    warn(report.warnings)
+    rate = f" at {report.rate_hz:.4g} Hz" if isfinite(report.rate_hz) else ""
+    rows = {
+        "rows": f"{report.rows_in:,} in, {report.rows_out:,} out, {report.rows_dropped:,} dropped",
+        "columns": ", ".join(report.columns),
+        "not used": ", ".join(report.columns_unused) or "none",
+        "span": f"{report.span_s:.1f} s{rate}, {report.segments} segment(s)",
+        "session": str(out),
+    }
+    print_result(as_json, {"session": out, **asdict(report), **chosen}, rows | more)
