@@ -8,16 +8,28 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 from imumon.cli.common import console, say
 from imumon.harmless import for_log
 
-Tell = Callable[[str], None]
-"""Takes what is being done now."""
 FIRST_LINE_S, LINE_S = 30.0, 60.0
 """Until the first line without a terminal, and between two."""
 WORTH_SAYING_S = 5.0
 """Work that takes longer is announced with an estimate of its time."""
+
+
+class ReadingProgress(NamedTuple):
+    """How far work on recordings has come."""
+
+    count: Callable[[int], object]
+    """Takes how many more bytes were read."""
+    tell: Callable[[str], object]
+    """Takes what is being done now."""
+
+    def __call__(self, text: str) -> None:
+        """Show what is being done now."""
+        self.tell(text)
 
 
 def announce(what: str, samples: int, span_s: float, expected_s: float, *, quiet: bool) -> None:
@@ -73,8 +85,8 @@ def progress_lines(state: Callable[[], str], *, quiet: bool) -> Iterator[None]:
 
 
 @contextmanager
-def reading_bar(paths: Sequence[Path], *, quiet: bool) -> Iterator[Tell]:
-    """Show how much of recordings has been gone through; then what follows, by what the tell is told.
+def reading_bar(paths: Sequence[Path], *, quiet: bool) -> Iterator[ReadingProgress]:
+    """Show how much of recordings has been read, then what the progress is called with.
 
     Parameters
     ----------
@@ -84,28 +96,20 @@ def reading_bar(paths: Sequence[Path], *, quiet: bool) -> Iterator[Tell]:
         Show nothing.
     """
     if quiet:
-        yield lambda _: None
+        yield ReadingProgress(lambda _: None, lambda _: None)
         return
-    from imumon.recordings.source import reading, recorded_bytes
+    from imumon.recordings.source import recorded_bytes
 
     sizes = [recorded_bytes(path) for path in paths]
     known = [size for size in sizes if size is not None]
     total = sum(known) if len(known) == len(sizes) else None
     what = for_log(f"reading {', '.join(path.name for path in paths)}")
-    with (_bar if sys.stderr.isatty() else _lines)(what, total) as (count, tell):
-        token = reading.set(count)
-        try:
-            yield tell
-        finally:
-            reading.reset(token)
-
-
-Shown = Iterator[tuple[Callable[[int], object], Tell]]
-"""Two functions: one takes how many bytes more were read, the other what is being done now."""
+    with (_bar if sys.stderr.isatty() else _lines)(what, total) as progress:
+        yield progress
 
 
 @contextmanager
-def _lines(what: str, total: int | None) -> Shown:
+def _lines(what: str, total: int | None) -> Iterator[ReadingProgress]:
     done, now = 0, ""
 
     def count(more: int) -> None:
@@ -117,11 +121,11 @@ def _lines(what: str, total: int | None) -> Shown:
         now = text
 
     with progress_lines(lambda: now or (f"{what}: {done / total:.0%}" if total else what), quiet=False):
-        yield count, tell
+        yield ReadingProgress(count, tell)
 
 
 @contextmanager
-def _bar(what: str, total: int | None) -> Shown:
+def _bar(what: str, total: int | None) -> Iterator[ReadingProgress]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     columns = (
@@ -133,7 +137,7 @@ def _bar(what: str, total: int | None) -> Shown:
     )
     with Progress(*columns, console=console(error=True), transient=True) as bar:
         task = bar.add_task(what, total=total)
-        yield (
+        yield ReadingProgress(
             lambda more: bar.advance(task, more),
             lambda text: bar.update(task, description=for_log(text), total=None),
         )

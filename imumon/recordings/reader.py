@@ -19,7 +19,7 @@ from imumon.pipeline import Estimator, Pipeline, SampleSink
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.folder import fingerprint, is_session, lost_metadata, open_session
 from imumon.recordings.importing import TableImport
-from imumon.recordings.source import Source, open_source, run_over
+from imumon.recordings.source import Count, Source, no_count, open_source, run_over
 from imumon.recordings.table import SUFFIXES, iterate_table, read_columns
 
 Stages = Callable[[DeviceFile | None], Sequence[Estimator]]
@@ -41,6 +41,8 @@ class Recording:
     """What it runs through."""
     processed: list[SampleBlock]
     """Blocks that have gone through the stages and were not yielded yet."""
+    count: Count
+    """Takes how many more bytes were read."""
 
     @property
     def name(self) -> str:
@@ -73,7 +75,7 @@ class Recording:
 
         What cannot be is missing, and so are rows whose time does not go on: `warnings` counts them.
         """
-        for _ in run_over(self.source.items, self.pipeline):
+        for _ in run_over(self.source.items, self.pipeline, self.count):
             blocks = [*self.processed]
             self.processed.clear()
             yield from blocks
@@ -93,7 +95,9 @@ class Recording:
         return fingerprint(self.truth)
 
 
-def open_recording(path: Path, stages: Stages = no_stages, map_path: Path | None = None) -> Recording:
+def open_recording(
+    path: Path, stages: Stages = no_stages, map_path: Path | None = None, count: Count = no_count
+) -> Recording:
     """Open a session, live or imported, or a table: one that imumon wrote, or any with its map.
 
     Raises BAD_DATA when there is nothing to read, or something that is no recording; BAD_CONFIG for a wrong
@@ -107,13 +111,15 @@ def open_recording(path: Path, stages: Stages = no_stages, map_path: Path | None
         What the samples run through; a stage of which a table has a column already is left out.
     map_path : Path or None
         Says what is in which column of a table from elsewhere.
+    count : callable
+        Takes how many more bytes were read, for a progress bar.
     """
     source = _open(path, map_path)
     there = {column.name for column in source.imported}
     made, processed = stages(source.device), list[SampleBlock]()
     wanted = [stage for stage in made if there.isdisjoint(column.name for column in stage.columns)]
     pipeline = Pipeline(source.device, [*wanted, SampleSink(processed.append)], source.range)
-    return Recording(source, pipeline, processed)
+    return Recording(source, pipeline, processed, count)
 
 
 def _open(path: Path, map_path: Path | None) -> Source:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from contextvars import ContextVar
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -297,12 +296,16 @@ def capture_items(path: Path) -> Iterator[Item]:
             yield Bytes(data, UNDATED)
 
 
-reading: ContextVar[Callable[[int], object]] = ContextVar("reading", default=lambda _: None)
-"""Who wants to know how many bytes more of a recording were gone through: reading one may take minutes."""
+Count = Callable[[int], object]
+"""Takes how many more bytes of a recording were read, for a progress bar."""
+
+
+def no_count(_: int) -> None:
+    """Show no progress."""
 
 
 def recorded_bytes(path: Path) -> int | None:
-    """Return how many bytes `reading` will be told of; None where that is not known before, as of a table."""
+    """Return how many bytes `run_over` will count; None where that is not known before, as of a table."""
     if not is_session(path):
         return path.stat().st_size if path.is_file() and path.suffix not in SUFFIXES else None
     session = open_session(path)
@@ -311,22 +314,26 @@ def recorded_bytes(path: Path) -> int | None:
     return session.metadata.counters.get("bytes_received") or session.wire_path.stat().st_size
 
 
-def run_over(items: Iterable[Item | Reads | SampleBlock], pipeline: Pipeline) -> Iterator[SampleBlock]:
+def run_over(
+    items: Iterable[Item | Reads | SampleBlock], pipeline: Pipeline, count: Count = no_count
+) -> Iterator[SampleBlock]:
     """Run what was recorded through a new pipeline; yield the samples in order, to the last byte.
 
     Parameters
     ----------
     items : iterable of Bytes and Event, or of SampleBlock
         From `WireReader`, `capture_items` or `iterate_samples`.
+    count : callable
+        Called with the number of bytes read since the last call.
     """
-    fed, progress = 0, reading.get()
+    fed = 0
     for item in items.batches() if isinstance(items, WireReader) else items:
         fed += feed(item, pipeline)
         if fed >= BATCH_BYTES:
-            progress(fed)
+            count(fed)
             fed = 0
             yield pipeline.take()
-    progress(fed)
+    count(fed)
     pipeline.finish()
     yield pipeline.take()
 
