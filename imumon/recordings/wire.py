@@ -40,6 +40,7 @@ from imumon.recordings.wire_format import (
     MESSAGE,
     MESSAGE_FIELDS,
     MESSAGE_OP,
+    SEQUENCE_MASK,
     UNRECORDED,
     WIRE_CHANNEL,
     Check,
@@ -86,6 +87,7 @@ class WireWriter:
         self._path = path
         self._metadata = Metadata(name="imumon", metadata=dict(metadata))
         self._unflushed: deque[tuple[int, int]] = deque()
+        """Of each block that is not on disk: where it ends in the file, and the device's bytes in it."""
         self._sequence = 0
         self.counters = WireCounters()
         self._gap = Counter[str]()
@@ -110,7 +112,7 @@ class WireWriter:
         with suppress(OSError):  # a file system that knows no locks
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._spool = _Spool(descriptor)
-        self._block_start = 0
+        self._block_start = self._block_bytes = 0
         self._spool.write(MAGIC)
         self._spool.write(_packed(Header(profile=FORMAT, library=f"imumon {__version__}")))
         self._metadata_at = self._spool.tell()
@@ -156,7 +158,7 @@ class WireWriter:
         self._say_gap(item.arrival_ns if isinstance(item, Bytes) else item.time_ns)
         if isinstance(item, Bytes):
             self._add(WIRE_CHANNEL, item.arrival_ns, CDR.pack(CDR_LITTLE, len(item.data)) + item.data)
-            self._unflushed.append((self._spool.tell(), len(item.data)))
+            self._block_bytes += len(item.data)
         else:
             self._add_event(item.kind.value, item.time_ns, {"detail": item.detail})
         if self._spool.tell() - self._block_start > BLOCK_BYTES:
@@ -210,7 +212,7 @@ class WireWriter:
             self._spool.close()
 
     def _add(self, channel: int, time_ns: int, data: bytes) -> None:
-        length, sequence = MESSAGE_FIELDS + len(data), self._sequence & 0xFFFFFFFF
+        length, sequence = MESSAGE_FIELDS + len(data), self._sequence & SEQUENCE_MASK
         self._spool.write(MESSAGE.pack(MESSAGE_OP, length, channel, sequence, time_ns, time_ns) + data)
         self._first_ns = min(self._first_ns, time_ns) if self._sequence else time_ns
         self._highest_ns, self._last_ns = max(self._highest_ns, time_ns), time_ns
@@ -239,11 +241,12 @@ class WireWriter:
         """Write the check record of what came since the last one."""
         size = self._spool.tell() - self._block_start
         if size:
-            crc = self._spool.take_block_crc()
-            check = Check(self._block_start, size, self._sequence & 0xFFFFFFFF, crc, self._last_ns)
+            crc = self._spool.crc_from(self._block_start)
+            check = Check(self._block_start, size, self._sequence & SEQUENCE_MASK, crc, self._last_ns)
             self._spool.write(check.pack())
-            self._spool.take_block_crc()
             self._block_start = self._spool.tell()
+            self._unflushed.append((self._block_start, self._block_bytes))
+            self._block_bytes = 0
 
     def _finish(self) -> None:
         """Write the end of the data, the summary and the footer that MCAP asks for."""
@@ -304,7 +307,6 @@ class _Spool:
         made = os.fstat(descriptor)
         self.place = made.st_dev, made.st_ino
         self._pending = bytearray()
-        self._block_crc = 0
         self.crc = 0
         self.written = 0
         self.closed = False
@@ -316,11 +318,10 @@ class _Spool:
     def write(self, data: bytes) -> None:
         self._pending += data
         self.crc = zlib.crc32(data, self.crc)
-        self._block_crc = zlib.crc32(data, self._block_crc)
 
-    def take_block_crc(self) -> int:
-        crc, self._block_crc = self._block_crc, 0
-        return crc
+    def crc_from(self, begin: int) -> int:
+        """Return the CRC-32 of what stands behind a place of the file; none of it is written yet."""
+        return zlib.crc32(self._pending[begin - self.written :])
 
     def tell(self) -> int:
         return self.written + len(self._pending)

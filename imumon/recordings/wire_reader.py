@@ -1,8 +1,9 @@
 """Reads a wire file in order of arrival, whatever happened to it.
 
 A block, the bytes that a check record seals, is as it was written or it is not: one whose CRC differs is
-left out as a whole, as its times and bytes may be wrong.  Only what no check record follows is read without:
-the end of a file that was cut short, and files of versions that wrote none.
+left out as a whole, as its times and bytes may be wrong, and so is what no check record follows at the end of
+a file that was cut short.  Files of versions that wrote no check records are read up to the first record that
+cannot be one.
 """
 
 from __future__ import annotations
@@ -40,15 +41,10 @@ from imumon.transport.reader import Event, EventKind, Item, Reads
 
 READ_SIZE = 1 << 20
 """Bytes of reads that are handed on at once, and of which a checksum is taken."""
-RELEASE_SIZE = 16 << 20
-"""Bytes of the file that are taken out of the memory of the process at a time."""
 _BEFORE_DATA = {wf.WIRE_CHANNEL: CDR.size, wf.BARE_CHANNEL: 0}
 """Bytes before the data of a read, by its channel."""
 _PASSED_OVER = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, wf.CHECK_OP)
 """The channels of a wire file have the same numbers in all."""
-LONGEST_MESSAGE = 16 << 20
-LONGEST_RARE = 1 << 20
-"""A record that claims to be longer is damage, not a record."""
 BAD_RECORD = (McapError, struct.error, ValueError, RuntimeError, OverflowError, MemoryError)
 """What the library raises for a record that is not what its first byte says."""
 
@@ -117,7 +113,6 @@ class _Contents:
         self._path, self._data = path, data
         self._done = 0
         """Up to where everything is read or given up."""
-        self._released = 0
         self._next_sequence: int | None = None
         """Of the next message, modulo 2^32; None before the first in a file without check records."""
         self._pieces: list[bytes] = []
@@ -131,28 +126,24 @@ class _Contents:
         Raises BAD_DATA when this is no wire file, or what a newer version wrote is in it.
         """
         data, head = self._data, self._data[: wf.HEAD_SIZE]
-        is_mcap = MAGIC.startswith(head[: len(MAGIC)])
-        if not is_mcap and PROFILE in head:
-            self.found.damage.add(Place(0, len(MAGIC), 0, 0, 0))
         marker = -1
         while (marker := data.find(wf.MARKER, marker + 1)) >= 0:
             at = marker - RECORD.size
             check = Check.unpack(data, at) if at >= 0 else None
             if check is not None:
                 yield from self._block(check, at)
-                self._release(at)
-        ended = yield from self._unsealed(len(MAGIC) if is_mcap or PROFILE in head else 0)
+        if not self._done:
+            if not MAGIC.startswith(head[: len(MAGIC)]) and PROFILE not in head:
+                hint = "only wire files that imumon recorded can be replayed"
+                raise ImumonError(Reason.BAD_DATA, f"{self._path}: is not a wire file", hint)
+            self._done = yield from self._records(data, min(len(MAGIC), len(data)), sealed=False)
         yield from self._reads()
+        ended = self._ends_data()
         if ended:
             yield from self._compare_count()
         else:
             self.found.tail_bytes = len(data) - self._done
         self.found.complete = ended and data[-len(MAGIC) :] == MAGIC
-        if not is_mcap and not self._done:
-            hint = "only wire files that imumon recorded can be replayed"
-            raise ImumonError(Reason.BAD_DATA, f"{self._path}: is not a wire file", hint)
-        if not self.found.reads and data[self._done : self._done + 1] == bytes([Opcode.CHUNK]):
-            raise self._error("another program has put it into chunks")
 
     def _block(self, check: Check, end: int) -> Generator[Reads | Event]:
         """Yield the block that a check record at this place seals, or count what is lost.
@@ -161,58 +152,34 @@ class _Contents:
         """
         if self._next_sequence is None:
             self._next_sequence = 0
-        begin = end - check.size
+        begin, behind = end - check.size, end + CHECK_SIZE
         block = self._data[max(begin, 0) : end]
-        if begin == 0:
-            block = MAGIC + block[len(MAGIC) :]  # the same in all files, should it be damaged
         is_whole = begin >= 0 and zlib.crc32(block) == check.crc
         at = first = len(MAGIC) if block.startswith(MAGIC) else 0
         while is_whole and at < len(block) and block[at] != wf.MESSAGE_OP:
             at += RECORD.size + RECORD.unpack_from(block, at)[1]
+        sequence, time_ns = check.sequence, check.time_ns
         if is_whole and at < len(block):
-            sequence, time_ns = _message_at(block, at)
-        else:
-            sequence, time_ns = check.sequence, check.time_ns
+            _, _, _, sequence, time_ns, _ = MESSAGE.unpack_from(block, at)
         if self._ahead(sequence) < 0:
             return
-        behind = end + CHECK_SIZE
         yield from self._lose((begin if is_whole else behind) - self._done, time_ns, sequence)
         self._done = behind
         if is_whole:
-            stop = yield from self._records(block, first, len(block), sealed=True)
+            stop = yield from self._records(block, first, sealed=True)
             if stop < len(block):
                 raise self._error(f"a record of type {block[stop]} is not understood")
 
-    def _unsealed(self, first: int) -> Generator[Reads | Event, None, bool]:
-        """Yield what no check record follows; in a file without any also behind damage.
-
-        Returns whether the record was reached that ends the data.
-        """
-        data, end = self._data, len(self._data)
-        is_sealed, at = self._done > 0, self._done or first
-        while True:
-            stop = yield from self._records(data, at, end, sealed=False)
-            if stop > at:
-                self._done = stop
-            if stop >= end or (data[stop] == wf.DATA_END_OP and self._is_believed(stop)):
-                return self._ends_data(stop)
-            at = end if is_sealed else self._next_message(stop + 1)
-            if at == end:
-                return False
-            sequence, time_ns = _message_at(data, at)
-            yield from self._lose(at - self._done, time_ns, sequence)
-            self._done = at
-
-    def _ends_data(self, at: int) -> bool:
-        """Return whether the record that ends the data is whole; compare its checksum of all before it."""
+    def _ends_data(self) -> bool:
+        """Return whether the record that ends the data comes next; compare its checksum of all before it."""
+        at = self._done
         record = self._data[at : at + RECORD.size + 4]
         if len(record) < RECORD.size + 4 or RECORD.unpack_from(record) != (wf.DATA_END_OP, 4):
             return False
         if expected := int.from_bytes(record[-4:], "little"):
-            crc, self._released = zlib.crc32(MAGIC), 0
-            for begin in range(len(MAGIC), at, READ_SIZE):
+            crc = 0
+            for begin in range(0, at, READ_SIZE):
                 crc = zlib.crc32(self._data[begin : min(begin + READ_SIZE, at)], crc)
-                self._release(begin)
             self.found.checksum_ok = crc == expected
         return True
 
@@ -226,14 +193,6 @@ class _Contents:
                 yield from self._lose(0, self.found.last_ns, messages & SEQUENCE_MASK)
                 return
             at += RECORD.size + length
-
-    def _release(self, before: int) -> None:
-        """Keep what was read out of the memory that is counted as that of this process."""
-        while before - self._released > RELEASE_SIZE and isinstance(self._data, mmap.mmap):
-            self._data.madvise(mmap.MADV_DONTNEED, self._released, RELEASE_SIZE)
-            self._released += RELEASE_SIZE
-
-    # Losses
 
     def _ahead(self, sequence: int) -> int:
         """Return how many messages are missing before one of this number; below 0 if it was there before."""
@@ -258,16 +217,14 @@ class _Contents:
         hint = "a newer imumon wrote it, or only wire files that imumon recorded can be replayed"
         return ImumonError(Reason.BAD_DATA, f"{self._path}: {what}", hint)
 
-    # Records
-
     def _records(
-        self, data: mmap.mmap | bytes, at: int, end: int, *, sealed: bool
+        self, data: mmap.mmap | bytes, at: int, *, sealed: bool
     ) -> Generator[Reads | Event, None, int]:
         """Yield the items of one record after the other; return where that ends.
 
-        What is sealed is as it was written; any other record must be believed.
+        What is sealed is as it was written; any other record is taken for one by its fields.
         """
-        while at < end and (sealed or self._is_believed(at)):
+        while at < len(data) and (sealed or self._is_record(at)):
             opcode = data[at]
             if opcode == wf.DATA_END_OP:
                 break
@@ -293,52 +250,20 @@ class _Contents:
             at = after
         return at
 
-    def _is_believed(self, at: int) -> bool:
-        """Return whether a record that nothing vouches for is one: another begins where it ends.
-
-        Of a message the number must follow, too.
-        """
-        data, end = self._data, len(self._data)
-        if end - at < RECORD.size or not self._begins(at):
+    def _is_record(self, at: int) -> bool:
+        """Return whether a whole record stands here: a message has its time twice, and its number follows."""
+        data, left = self._data, len(self._data) - at
+        if left < RECORD.size:
             return False
-        after = at + RECORD.size + RECORD.unpack_from(data, at)[1]
-        if after > end or (after < end and not self._begins(after)):
+        opcode, length = RECORD.unpack_from(data, at)
+        if RECORD.size + length > left:
             return False
-        if data[at] != wf.MESSAGE_OP:
-            return True
-        sequence, _ = _message_at(data, at)
-        if after + MESSAGE.size <= end and data[after] == wf.MESSAGE_OP:
-            following, _ = _message_at(data, after)
-            if following != (sequence + 1) & SEQUENCE_MASK:
-                return False
-        return not self._ahead(sequence)
-
-    def _begins(self, at: int) -> bool:
-        """Return whether a record begins here, by the fields that are there: a message has its time twice."""
-        opcode, left = self._data[at], len(self._data) - at
-        if opcode != wf.MESSAGE_OP or left < MESSAGE.size:
-            is_known = 0 < opcode <= wf.DATA_END_OP or opcode == wf.CHECK_OP
-            is_cut = left < RECORD.size or opcode == wf.MESSAGE_OP
-            return is_known and (is_cut or RECORD.unpack_from(self._data, at)[1] <= LONGEST_RARE)
-        _, length, channel, _, time_ns, published_ns = MESSAGE.unpack_from(self._data, at)
-        is_known = channel in _BEFORE_DATA or channel == wf.EVENT_CHANNEL
-        if not is_known or time_ns != published_ns or time_ns >= 1 << 63 or length > LONGEST_MESSAGE:
+        if opcode != wf.MESSAGE_OP:
+            return 0 < opcode <= wf.DATA_END_OP
+        if RECORD.size + length < MESSAGE.size:
             return False
-        if channel != wf.WIRE_CHANNEL or left < MESSAGE.size + CDR.size:
-            return True
-        _, size = CDR.unpack_from(self._data, at + MESSAGE.size)
-        return bool(size == length + RECORD.size - MESSAGE.size - CDR.size)
-
-    def _next_message(self, at: int) -> int:
-        """Return where a message begins that was not there before; the end where there is none."""
-        end = len(self._data)
-        while 0 <= (at := self._data.find(bytes([wf.MESSAGE_OP]), at)) <= end - MESSAGE.size:
-            if self._begins(at) and self._ahead(_message_at(self._data, at)[0]) >= 0:
-                return at
-            at += 1
-        return end
-
-    # What they hold
+        _, _, _, sequence, time_ns, published_ns = MESSAGE.unpack_from(data, at)
+        return bool(time_ns == published_ns < 1 << 63 and not self._ahead(sequence))
 
     def _reads(self) -> Generator[Reads]:
         """Yield the reads that were found since the last event, as one."""
@@ -389,11 +314,7 @@ class _Contents:
         elif opcode == Opcode.METADATA:
             metadata = Metadata.read(stream)
             self.found.metadata |= metadata.metadata if metadata.name == "imumon" else {}
+        elif opcode == Opcode.CHUNK:
+            raise self._error("another program has put it into chunks")
         elif opcode not in _PASSED_OVER:
             raise ValueError("such a record does not stand here")
-
-
-def _message_at(data: mmap.mmap | bytes, at: int) -> tuple[int, int]:
-    """Return number and time of the message that begins here."""
-    _, _, _, sequence, time_ns, _ = MESSAGE.unpack_from(data, at)
-    return sequence, time_ns
