@@ -175,7 +175,7 @@ class Intake:
         can tell gyros that are stuck since the start from those whose noise is below their step, and the bias
         of neither is known.  A thermometer may rightly stay on one level for hours.
         """
-        there = ~np.isnan(readings).any(axis=0)
+        there = np.asarray(~np.isnan(readings).any(axis=0))
         valid = np.any((readings != 0.0) & ~np.isnan(readings), axis=0)
         silent, what = there.copy(), "nothing but zero"
         if sensor == "gyro" and there.any():

@@ -13,8 +13,7 @@ from imumon.protocols.device import device_text, parse_device
 from imumon.recordings.metadata import PortUsed, SessionMetadata, begun_of
 from imumon.recordings.source import wire_device
 from imumon.recordings.wire import WireWriter
-from imumon.recordings.wire_reader import WireReader
-from imumon.recordings.wire_summary import WireSummary
+from imumon.recordings.wire_reader import WireReader, WireSummary
 from imumon.transport.reader import Bytes, Event, Reads
 
 ORIGINAL = "original"

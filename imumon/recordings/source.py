@@ -19,8 +19,7 @@ from imumon.recordings.importing import TableImport
 from imumon.recordings.metadata import begun_of, iso_utc
 from imumon.recordings.table import SUFFIXES, iterate_samples, read_columns
 from imumon.recordings.wire_format import is_wire
-from imumon.recordings.wire_reader import WireReader
-from imumon.recordings.wire_summary import Place, WireSummary
+from imumon.recordings.wire_reader import Place, WireReader, WireSummary
 from imumon.transport.reader import Bytes, EventKind, Item, Reads
 
 READ_SIZE = 1 << 16

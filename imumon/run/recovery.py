@@ -23,8 +23,7 @@ from imumon.recordings.recovery import (
     rewrite,
 )
 from imumon.recordings.source import Source, bytes_missing, source_of
-from imumon.recordings.wire_reader import WireReader
-from imumon.recordings.wire_summary import WireSummary
+from imumon.recordings.wire_reader import WireReader, WireSummary
 from imumon.run.live import flat_counters, stream_summaries
 from imumon.run.narration import Narrator, view_setup
 from imumon.run.replay import replay

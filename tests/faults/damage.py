@@ -19,8 +19,7 @@ from imumon.recordings.folder import METADATA_NAME
 from imumon.recordings.metadata import SessionMetadata, read_metadata
 from imumon.recordings.wire import WireWriter
 from imumon.recordings.wire_format import CHECK_SIZE, MARKER, RECORD, WIRE_CHANNEL
-from imumon.recordings.wire_reader import WireReader
-from imumon.recordings.wire_summary import WireSummary
+from imumon.recordings.wire_reader import WireReader, WireSummary
 from imumon.transport.reader import Bytes, Event, EventKind, Item
 from tests.faults.rows import Row
 
@@ -180,9 +179,7 @@ def truncate_all(folder: Path, step: int) -> Iterator[Row]:
             wrong += read != items[: len(read)] or kept < bisect_right(ends, offset) or not told
         path.unlink()
         kind = "closed" if closed else "killed"
-        said = (
-            f"each read of a whole block before the cut is there, and the cut is reported; not so: {wrong}"
-        )
+        said = f"each read of a whole block before the cut is there, and the cut is reported; not so: {wrong}"
         yield Row(f"cut in its last second, {kind} recording", len(offsets), said, held=not wrong)
     path = folder / METADATA_NAME
     written = SessionMetadata.begun("live", 1, device="ax1", device_yaml=device_text("ax1")[0])

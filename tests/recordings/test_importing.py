@@ -14,9 +14,9 @@ from imumon.blocks import SampleBlock, join
 from imumon.errors import ImumonError, Reason
 from imumon.recordings import foreign
 from imumon.recordings.folder import open_session
+from imumon.recordings.foreign import time_parser
 from imumon.recordings.importing import ImportReport, import_table
 from imumon.recordings.table import iterate_samples, iterate_table, read_columns
-from imumon.recordings.time_text import time_parser
 from tests.data_folder import measured
 
 MAP = "time: {column: t, unit: s}\ngyro: {columns: [x, y, z], unit: deg/s}\naxes: FRD\n"

@@ -17,8 +17,7 @@ from mcap_ros2.decoder import DecoderFactory
 from imumon.errors import ImumonError, Reason
 from imumon.recordings import wire, wire_format
 from imumon.recordings.wire import WireWriter
-from imumon.recordings.wire_reader import WireReader
-from imumon.recordings.wire_summary import WireSummary
+from imumon.recordings.wire_reader import WireReader, WireSummary
 from imumon.transport.reader import Bytes, Event, EventKind, Item
 
 ITEMS: list[Item] = [
