@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
@@ -169,51 +169,6 @@ class TableWriter:
             _write_csv(merged, tables, schema)
             _write_units(units_path(self.path), columns)
         merged.replace(self._place)
-
-
-def export_blocks(
-    blocks: Iterable[SampleBlock],
-    out: Path,
-    columns: Sequence[str] | None,
-    known: Callable[[], Iterable[Column]],
-    also: Sequence[str] = (),
-) -> int:
-    """Write blocks to a table and return the number of rows.
-
-    Raises BAD_CONFIG when a column that was asked for is not there, naming those that are; BAD_DATA when
-    there is no sample; a table that was there then stays as it was; OSError when the table cannot be written;
-    one that was there then stays as it was.
-
-    Parameters
-    ----------
-    columns : sequence of str, or None
-        The columns to write, in this order; None for all that come.
-    known : callable
-        Returns unit and type of every column that has come so far; a device may begin to send more.
-    also : sequence of str
-        Columns to write before those, where they come.
-    """
-    wanted = None if columns is None else list(dict.fromkeys((*also, *columns)))
-    seen: dict[str, None] = {}
-    with TableWriter(out, {}) as writer:
-        for block in blocks:
-            if not len(block):
-                continue
-            seen.update(dict.fromkeys(block.columns))
-            at_hand = {column.name: column for column in known()}
-            names = block.columns if wanted is None else [name for name in wanted if name in block]
-            writer.announce(at_hand[name] for name in wanted or at_hand if name in at_hand)
-            writer.write(SampleBlock({name: block[name] for name in names}))
-        absent = [name for name in columns or () if name not in seen]
-        if absent and seen:
-            raise ImumonError(
-                Reason.BAD_CONFIG,
-                f"no column {', '.join(absent)} in these samples",
-                f"there are: {', '.join(seen)}",
-            )
-        if not writer.rows:
-            raise ImumonError(Reason.BAD_DATA, "there are no samples, so there is no table to write")
-    return writer.rows
 
 
 def iterate_samples(session: Session) -> Iterator[SampleBlock]:
