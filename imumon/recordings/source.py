@@ -222,7 +222,16 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
             what = "is neither a file nor a pipe" if path.exists() else "there is no such file"
             raise ImumonError(Reason.BAD_DATA, f"{path}: {what}", "give a raw capture or a session")
         wire = WireReader(path) if path.is_file() and is_wire(path) else None
-        device = _named(path, device_name) if wire is None or device_name else wire_device(wire)
+        if device_name is not None:
+            device = load_device(device_name)
+        elif wire is not None:
+            device = wire_device(wire)
+        else:
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"{path} is not a session, so its device must be named",
+                "add --device NAME; imumon devices lists them",
+            )
         return Source(path, wire or capture_items(path), device.at_rate(rate_hz), None)
     session = open_session(path)
     if session.metadata.source == "import":
@@ -234,54 +243,35 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
             )
         columns = tuple(read_columns(session.samples_path).values())
         return Source(path, iterate_samples(session), None, session, columns)
-    device = session_device(session) if device_name is None else load_device(device_name)
-    return replace(source_of(session, device.at_rate(rate_hz)), path=path)
+    source = source_of(session, None if device_name is None else load_device(device_name))
+    assert source.device is not None
+    return replace(source, path=path, device=source.device.at_rate(rate_hz))
 
 
 def source_of(session: Session, device: DeviceFile | None = None) -> Source:
-    """Return what is read of a session that has bytes; its own device unless another is given.
+    """Return what is read of a session that has bytes; its device as recorded unless another is given.
 
     Raises BAD_DATA when it keeps no device file and none is given.
     """
-    return Source(session.path, WireReader(session.wire_path), device or session_device(session), session)
-
-
-def _named(path: Path, device_name: str | None) -> DeviceFile:
-    if device_name is None:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            f"{path} is not a session, so its device must be named",
-            "add --device NAME; imumon devices lists them",
-        )
-    return load_device(device_name)
+    if device is None:
+        text = session.metadata.device_yaml
+        if text is None:
+            raise ImumonError(Reason.BAD_DATA, f"{session.path}: session.yaml has no device_yaml")
+        device = parse_device(text, f"{session.path / METADATA_NAME} (device_yaml)")
+    return Source(session.path, WireReader(session.wire_path), device, session)
 
 
 def wire_device(wire: WireReader) -> DeviceFile:
     """Return the device of a wire file that stands alone, as it was when the file was recorded.
 
-    Raises BAD_CONFIG when the file does not say it, with the name that it says.
+    Raises BAD_CONFIG when the file does not hold it.
     """
     metadata = wire.metadata()
     begun = begun_of(metadata)
     if begun is None or begun.device_yaml is None:
-        named = f"; it says the name of the device, {metadata['device']}" if "device" in metadata else ""
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            f"{wire.path} does not hold its device file{named}",
-            f"add --device {metadata.get('device', 'NAME')}, or the path of its file;"
-            " imumon devices lists them",
-        )
+        hint = f"add --device {metadata.get('device', 'NAME')}, or the path of its file"
+        raise ImumonError(Reason.BAD_CONFIG, f"{wire.path} does not hold its device file", hint)
     return parse_device(begun.device_yaml, f"{wire.path} (device_yaml)")
-
-
-def session_device(session: Session) -> DeviceFile:
-    """Return the device of a session as it was when the session was recorded.
-
-    Raises BAD_DATA when the session keeps no device file.
-    """
-    if session.metadata.device_yaml is None:
-        raise ImumonError(Reason.BAD_DATA, f"{session.path}: session.yaml has no device_yaml")
-    return parse_device(session.metadata.device_yaml, f"{session.path / 'session.yaml'} (device_yaml)")
 
 
 def capture_items(path: Path) -> Iterator[Item]:

@@ -201,6 +201,9 @@ class _Contents:
         Raises BAD_DATA when this is no wire file, or what a newer version wrote is in it.
         """
         data, head = self._data, self._data[: wf.HEAD_SIZE]
+        is_mcap = MAGIC.startswith(head[: len(MAGIC)])
+        if not is_mcap and PROFILE in head:
+            self.found.damage.add(Place(0, len(MAGIC), 0, 0, 0))
         marker = -1
         while (marker := data.find(wf.MARKER, marker + 1)) >= 0:
             at = marker - RECORD.size
@@ -208,7 +211,7 @@ class _Contents:
             if check is not None:
                 yield from self._block(check, at)
         if not self._done:
-            if not MAGIC.startswith(head[: len(MAGIC)]) and PROFILE not in head:
+            if not is_mcap and PROFILE not in head:
                 hint = "only wire files that imumon recorded can be replayed"
                 raise ImumonError(Reason.BAD_DATA, f"{self._path}: is not a wire file", hint)
             self._done = yield from self._records(data, min(len(MAGIC), len(data)), sealed=False)
@@ -229,6 +232,8 @@ class _Contents:
             self._next_sequence = 0
         begin, behind = end - check.size, end + CHECK_SIZE
         block = self._data[max(begin, 0) : end]
+        if begin == 0:
+            block = MAGIC + block[len(MAGIC) :]  # the same in all files, should it be damaged
         is_whole = begin >= 0 and zlib.crc32(block) == check.crc
         at = first = len(MAGIC) if block.startswith(MAGIC) else 0
         while is_whole and at < len(block) and block[at] != wf.MESSAGE_OP:
@@ -252,8 +257,8 @@ class _Contents:
         if len(record) < RECORD.size + 4 or RECORD.unpack_from(record) != (wf.DATA_END_OP, 4):
             return False
         if expected := int.from_bytes(record[-4:], "little"):
-            crc = 0
-            for begin in range(0, at, READ_SIZE):
+            crc = zlib.crc32(MAGIC)
+            for begin in range(len(MAGIC), at, READ_SIZE):
                 crc = zlib.crc32(self._data[begin : min(begin + READ_SIZE, at)], crc)
             self.found.checksum_ok = crc == expected
         return True
