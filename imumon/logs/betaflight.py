@@ -69,7 +69,7 @@ def read(path: Path, sensor: str | None = None) -> Log:
     """
     with readable(path):
         data = path.read_bytes()
-    lines, begin = _settings(data)
+    settings, begin = _settings(data)
     end = data.find(b"\n", begin) + 1 or len(data)
     if TABLE.match(data, begin) is None:
         what = f"{path}: is a blackbox log as it was recorded"
@@ -79,7 +79,7 @@ def read(path: Path, sensor: str | None = None) -> Log:
     if "time" not in columns:
         raise ImumonError(Reason.BAD_DATA, f"{path}: has no time in {', '.join(MICROSECONDS)}")
     name, others = pick(path, [one for one in GYROS if f"{one}[0]" in columns], sensor)
-    lines, source = (lines, f"the head of {path.name}") if lines else _beside(path)
+    lines, source = (settings, f"the head of {path.name}") if settings else _beside(path)
     values, damage = _read_table(path, data[end:], titles, columns)
     rate, remark = _rate_scale(path, lines, columns[f"{name}[0]"].unit)
     gyro = named(values, _parts(name), triple("gyro"), rate)
