@@ -55,7 +55,7 @@ class Session:
 
     @property
     def state(self) -> State:
-        """How the session ended; one that is being recorded cannot be told from one that was killed."""
+        """How the session ended; one that is being recorded looks like one that was killed."""
         return "closed" if self.metadata.state == "closed" else "interrupted"
 
     def save(self, metadata: SessionMetadata) -> None:
@@ -173,12 +173,10 @@ def lost_metadata(path: Path) -> Path | None:
     wire, metadata = _folder(path) / WIRE_NAME, _folder(path) / METADATA_NAME
     if not wire.is_file():
         return None
-    if not metadata.is_file():
-        return wire
     try:
         read_metadata(metadata)
     except ImumonError:
-        return None if is_of_another_version(metadata) else wire
+        return None if metadata.is_file() and is_of_another_version(metadata) else wire
     return None
 
 
@@ -228,12 +226,10 @@ def _advice(folder: Path) -> str:
 
 
 def _what_is_at(path: Path) -> str:
+    if path.is_file():
+        return f"it is a file of {path.stat().st_size} bytes"
     if not path.is_dir():
-        return (
-            f"it is a file of {path.stat().st_size} bytes"
-            if path.exists()
-            else "there is no such file or folder"
-        )
+        return "there is no such file or folder"
     names = sorted(entry.name for entry in path.iterdir())
     there = f"it has {', '.join(names[:5])}" if names else "it is empty"
     return f"the folder has no {METADATA_NAME}; {there}{', ...' if len(names) > 5 else ''}"

@@ -6,7 +6,7 @@ import csv
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
@@ -23,6 +23,7 @@ from imumon.blocks import FloatArray, IntArray
 from imumon.errors import ImumonError, Reason
 from imumon.files import readable
 from imumon.recordings.map import TIMESTAMPS, TextFormat, TimeColumn
+from imumon.recordings.table import table_errors
 from imumon.units import parse_unit
 
 ROWS_PER_PART = 20_000
@@ -82,7 +83,7 @@ def read_foreign(
     if not head:
         raise ImumonError(Reason.BAD_DATA, f"{path}: is empty")
     if head.startswith(b"PAR1"):
-        with _parquet_errors(path):
+        with table_errors(path):
             names = list(pq.read_schema(path).names)
         parts = _read_parquet(path, columns, time)
     else:
@@ -275,18 +276,10 @@ def _read_parquet(path: Path, columns: Sequence[str], time: TimeColumn | None) -
     """Yield the rows of a Parquet table; a row is bad when its time is absent or a value is infinite."""
     wanted = list(dict.fromkeys([*columns, *([time.column] if time is not None else [])]))
     first_row = 0
-    with _parquet_errors(path), pq.ParquetFile(path, pre_buffer=False) as file:
+    with table_errors(path), pq.ParquetFile(path, pre_buffer=False) as file:
         for batch in file.iter_batches(batch_size=ROWS_PER_PART, columns=wanted):
             yield _parse_batch(path, batch, columns, time, first_row)
             first_row += len(batch)
-
-
-@contextmanager
-def _parquet_errors(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except (pa.ArrowException, OSError) as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: is damaged Parquet: {error}") from error
 
 
 def _parse_batch(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -180,20 +180,25 @@ def iterate_samples(session: Session) -> Iterator[SampleBlock]:
     if session.metadata.source != "import":
         raise ImumonError(Reason.BAD_DATA, f"{session.path} holds bytes, not samples: it must be decoded")
     imported = session.metadata.table
-    if imported is not None and (rows := _rows(session.samples_path)) != imported.rows_out:
-        raise ImumonError(
-            Reason.BAD_DATA,
-            f"{session.samples_path} was changed after the import: it has {rows:,} rows, and"
-            f" {imported.rows_out:,} were imported",
-            f"import {imported.file} again, into another folder",
-        )
+    if imported is not None:
+        with table_errors(session.samples_path):
+            rows = int(pq.read_metadata(session.samples_path).num_rows)
+        if rows != imported.rows_out:
+            raise ImumonError(
+                Reason.BAD_DATA,
+                f"{session.samples_path} was changed after the import: it has {rows:,} rows, and"
+                f" {imported.rows_out:,} were imported",
+                f"import {imported.file} again, into another folder",
+            )
     return iterate_table(session.samples_path)
 
 
-def _rows(path: Path) -> int:
+@contextmanager
+def table_errors(path: Path) -> Iterator[None]:
+    """Raise BAD_DATA, naming the table, where it cannot be read."""
     try:
-        return int(pq.read_metadata(path).num_rows)
-    except (pa.ArrowException, OSError) as error:
+        yield
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error}") from error
 
 
@@ -209,12 +214,10 @@ def iterate_table(path: Path, columns: Sequence[str] | None = None) -> Iterator[
     """
     there = read_columns(path)
     schema = _schema(there.values() if columns is None else [there[name] for name in columns])
-    try:
+    with table_errors(path):
         for batch in _batches(path, schema):
             for start in range(0, len(batch), READ_ROWS):
                 yield _from_arrow(batch.slice(start, READ_ROWS), schema)
-    except (pa.ArrowException, OSError) as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error}") from error
 
 
 def read_table(path: Path) -> tuple[SampleBlock, dict[str, Column]]:
@@ -234,12 +237,10 @@ def read_columns(path: Path) -> dict[str, Column]:
     Raises BAD_DATA when the table cannot be read or has a column that is neither float nor integer.
     """
     _check_suffix(path, Reason.BAD_DATA)
-    try:
+    with table_errors(path):
         if path.suffix == ".csv":
             return _csv_columns(path)
         schema = pq.read_schema(path)
-    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error}") from error
     return {field.name: _parquet_column(path, field) for field in schema}
 
 
@@ -262,11 +263,10 @@ class _UnitsFile(StrictModel):
 
 def _write_units(path: Path, columns: Iterable[Column]) -> None:
     entries = {
-        column.name: {"unit": column.unit, "type": column.dtype, "description": column.description}
-        for column in columns
+        one.name: _UnitsColumn(unit=one.unit, type=one.dtype, description=one.description) for one in columns
     }
-    content = {"format": FORMAT, "imumon": __version__, "columns": entries}
-    write_text(path, dump_yaml(content))
+    content = _UnitsFile(format="imumon-table/1", imumon=__version__, columns=entries)
+    write_text(path, dump_yaml(content.model_dump()))
 
 
 def _csv_columns(path: Path) -> dict[str, Column]:

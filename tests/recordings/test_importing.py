@@ -323,7 +323,7 @@ def test_a_column_that_the_table_lacks_is_named_with_the_map(tmp_path: Path) -> 
     [
         (b"", "is empty"),
         (b"\xfa\xff\x00\x01" * 100, "neither text nor Parquet"),
-        (b"PAR1 and no more", "damaged Parquet"),
+        (b"PAR1 and no more", "cannot be read"),
         (b"\n\n", "no line of column names"),
         (b"t,x,y,z,z\n0.5,1,2,3,4\n", "'z' is there more than once"),
         (b"t,x,y,z\n", "none of its 0 rows"),
