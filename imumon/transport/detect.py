@@ -152,7 +152,7 @@ def detect(
         Time to listen at each rate when a glance at all has told nothing; less when there is enough evidence.
     before_rate : callable
         Told what is tried next.
-    heard : callable
+    received : callable
         Given the bytes as they come.
     """
     for factory in candidates.values():
@@ -217,22 +217,12 @@ def listen(
     for name, decoder in decoders.items():
         decoder.finish()
         samples[name] += len(decoder.take())
-        counters = decoder.counters()
+        n = decoder.counters()
+        rate = settings.baudrate if settings.has_line else None
+        of_bytes = n.bytes_received, n.bytes_in_packets, n.bytes_pending
+        of_packets = n.packets, n.checksum_errors, n.length_errors, samples[name]
         evidence.append(
-            Evidence(
-                protocol=name,
-                baudrate=settings.baudrate if settings.has_line else None,
-                seconds=elapsed,
-                bytes_received=counters.bytes_received,
-                bytes_in_packets=counters.bytes_in_packets,
-                bytes_pending=counters.bytes_pending,
-                packets=counters.packets,
-                checksum_errors=counters.checksum_errors,
-                length_errors=counters.length_errors,
-                samples=samples[name],
-                odd_share=_share(data, ODD),
-                text_share=_share(data, TEXT),
-            )
+            Evidence(name, rate, elapsed, *of_bytes, *of_packets, _share(data, ODD), _share(data, TEXT))
         )
     return evidence
 
@@ -279,13 +269,13 @@ def _likely_cause(evidence: Sequence[Evidence]) -> str:
             f"{best.protocol} frames, but nothing that it sends is known: see what the device is set to send."
         )
     tried = ", ".join(dict.fromkeys(str(item.baudrate) for item in evidence))
-    hint = f"Another protocol, or another rate than those tried ({tried}); the manual of the device has them."
-    if all(item.odd_share > 0.5 for item in evidence):
-        hint += (
-            "\nMost bytes are 0x00 or 0xFF at every rate: the line may also be inverted (RS-232 on a TTL"
-            " input, the two wires of RS-422 swapped)."
-        )
-    return hint
+    inverted = (
+        "\nMost bytes are 0x00 or 0xFF at every rate: the line may also be inverted (RS-232 on TTL, RS-422)."
+    )
+    return (
+        f"Another protocol, or another rate than those tried ({tried}); the manual of the device has them."
+        + (inverted if all(item.odd_share > 0.5 for item in evidence) else "")
+    )
 
 
 def _decided(decoders: Iterable[Candidate], data: bytearray) -> bool:

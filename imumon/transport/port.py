@@ -66,9 +66,9 @@ class Port:
         self.settings = settings
         self._handle = handle
         self._socket: socket.socket | None = getattr(handle, "_socket", None)
-        self._native = os.name == "posix" and isinstance(handle, serial.Serial)
+        self._native = isinstance(handle, serial.Serial)
         # A subclass (spy://, alt://) wants to see what is read, so only the plain handlers are passed by.
-        direct = os.name == "posix" and type(handle) in (serial.Serial, _SocketHandler)
+        direct = type(handle) in (serial.Serial, _SocketHandler)
         self._take = self._take_direct if direct else self._take_from_handler
         self._fd: int | None = handle.fileno() if direct or self._native else None
         self.vanished_reads = 0
