@@ -226,10 +226,9 @@ def _advice(folder: Path) -> str:
 
 
 def _what_is_at(path: Path) -> str:
-    if path.is_file():
-        return f"it is a file of {path.stat().st_size} bytes"
     if not path.is_dir():
-        return "there is no such file or folder"
+        size = path.stat().st_size if path.exists() else None
+        return "there is no such file or folder" if size is None else f"it is a file of {size} bytes"
     names = sorted(entry.name for entry in path.iterdir())
     there = f"it has {', '.join(names[:5])}" if names else "it is empty"
     return f"the folder has no {METADATA_NAME}; {there}{', ...' if len(names) > 5 else ''}"

@@ -123,14 +123,9 @@ def open_recording(
 
 
 def _open(path: Path, map_path: Path | None) -> Source:
-    if is_session(path) or path.is_dir():
+    if is_session(path) or not path.is_file():
+        open_session(path)  # raises what there is instead
         return open_source(path)
-    if not path.exists():
-        raise ImumonError(
-            Reason.BAD_DATA,
-            f"{path}: there is no such file or folder",
-            "give a session, or a table of samples",
-        )
     if map_path is not None:
         table = TableImport(path, map_path)
         return Source(path, table.blocks(), None, None, tuple(table.columns.values()), table)
@@ -144,11 +139,8 @@ def _open(path: Path, map_path: Path | None) -> Source:
         )
     columns = read_columns(path)
     if "device_time_ns" not in columns:
-        raise ImumonError(
-            Reason.BAD_DATA,
-            f"{path}: has no column device_time_ns, so it is no table of imumon",
-            "a table from elsewhere needs a map: imumon import",
-        )
+        seen = f"{path}: has no column device_time_ns, so it is no table of imumon"
+        raise ImumonError(Reason.BAD_DATA, seen, "a table from elsewhere needs a map: imumon import")
     return Source(path, _with_segment(iterate_table(path)), None, None, tuple(columns.values()))
 
 

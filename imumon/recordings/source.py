@@ -101,7 +101,7 @@ class Source:
         elif self.session is not None and self.session.state == "closed" and not summary.complete:
             texts.append(f"the end of {name} is missing, though the session was closed")
         if summary.tail_bytes:
-            texts.append(f"{summary.tail_bytes:,} bytes at the end of {name} are not a whole record")
+            texts.append(f"{summary.tail_bytes:,} bytes at the end of {name} are not a whole block")
         if summary.bytes_unrecorded:
             texts.append(
                 f"{summary.bytes_unrecorded:,} bytes could not be recorded at the time, or were lost since"
@@ -216,11 +216,8 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
         Packets per second, which dates those of a device that sends no time; default: the device file's.
     """
     if not is_session(path):
-        if path.is_dir():
-            open_session(path)  # raises, saying what is there
         if not path.is_file() and not path.is_fifo():
-            what = "is neither a file nor a pipe" if path.exists() else "there is no such file"
-            raise ImumonError(Reason.BAD_DATA, f"{path}: {what}", "give a raw capture or a session")
+            open_session(path)  # raises, saying what is there
         wire = WireReader(path) if path.is_file() and is_wire(path) else None
         if device_name is not None:
             device = load_device(device_name)
