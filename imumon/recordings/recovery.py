@@ -59,8 +59,7 @@ def metadata_anew(path: Path, device_name: str | None) -> tuple[SessionMetadata,
 
 def is_sound(summary: WireSummary) -> bool:
     """Return whether a wire file is whole and as it was written."""
-    damage = summary.damage
-    is_whole = damage.places == summary.recovered.places and not damage.events
+    is_whole = summary.damage.places == summary.recovered.places
     return summary.complete and summary.checksum_ok is not False and is_whole
 
 
@@ -112,12 +111,12 @@ def _items(path: Path, writer: WireWriter, bytes_missing: int, ended_ns: int) ->
     for batch in reader.batches():
         items = [batch] if isinstance(batch, Event) else list(batch)
         times = [item.time_ns if isinstance(item, Event) else item.arrival_ns for item in items]
-        missing = reader.damage.messages + reader.damage.events - written
+        missing = reader.damage.messages - written
         if missing:
             writer.missing(last_ns, times[0], missing)
         written, last_ns = written + missing, times[-1]
         yield from items
-    missing = reader.damage.messages + reader.damage.events - written
+    missing = reader.damage.messages - written
     if missing or bytes_missing:
         writer.missing(last_ns, max(last_ns, ended_ns), missing, bytes_missing)
 

@@ -137,7 +137,7 @@ class Source:
                 "bytes_unrecorded": summary.bytes_unrecorded,
                 "tail_bytes": summary.tail_bytes,
                 "bytes_missing": 0 if self.session is None else bytes_missing(self.session, summary),
-                "damage": {**damage, "bytes_altered": 0, "where": where},
+                "damage": {**damage, "events": 0, "bytes_altered": 0, "where": where},
             }
         }
 
@@ -188,8 +188,6 @@ def _damage(summary: WireSummary, name: str, began_ns: int | None) -> list[str]:
         texts += [f"damaged: {_place(place, began_ns)}" for place in damage.where[:SHOWN_PLACES]]
         if damage.places > SHOWN_PLACES:
             texts.append(f"damaged: {damage.places - SHOWN_PLACES:,} more places, the first with --json")
-    if damage.events:
-        texts.append(f"{damage.events:,} events of {name} are damaged and were left out")
     return texts
 
 

@@ -82,8 +82,6 @@ class Damage:
     """Bytes of the file that are of no use."""
     messages: int = 0
     """Reads and events that are missing."""
-    events: int = 0
-    """Events that are there and cannot be understood."""
     seconds: float = 0.0
     """Time that the places span."""
     where: list[Place] = field(default_factory=list)
@@ -320,7 +318,15 @@ class _Contents:
                 self._next_sequence = (sequence + 1) & SEQUENCE_MASK
                 self.found.last_ns = time_ns
                 if channel == wf.EVENT_CHANNEL:
-                    yield from self._event(data[at + MESSAGE.size : after], time_ns, sealed=sealed)
+                    yield from self._reads()
+                    try:
+                        event = self._event(data[at + MESSAGE.size : after], time_ns)
+                    except ImumonError:
+                        if sealed:
+                            raise
+                        break
+                    if event is not None:
+                        yield event
                 elif channel in _BEFORE_DATA:
                     self._pieces.append(data[at + MESSAGE.size + _BEFORE_DATA[channel] : after])
                     self._arrivals_ns.append(time_ns)
@@ -356,22 +362,18 @@ class _Contents:
             self.found.bytes += len(data)
             yield batch
 
-    def _event(self, body: bytes, time_ns: int, *, sealed: bool) -> Generator[Reads | Event]:
-        yield from self._reads()
+    def _event(self, body: bytes, time_ns: int) -> Event | None:
+        """Return an event, or count what it says is missing; raises BAD_DATA for one that is not known."""
         try:
             fields = json.loads(body)
             if fields["kind"] == wf.UNRECORDED:
                 self._unrecorded(fields, time_ns)
-                return
+                return None
             event = Event(EventKind(fields["kind"]), time_ns, str(fields["detail"]))
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-            if sealed:
-                text = f"event at {time_ns} ns is not understood: {body[:200]!r}"
-                raise self._error(text) from error
-            self.found.damage.events += 1
-        else:
-            self.found.events += 1
-            yield event
+            raise self._error(f"event at {time_ns} ns is not understood: {body[:200]!r}") from error
+        self.found.events += 1
+        return event
 
     def _unrecorded(self, fields: dict[str, int], time_ns: int) -> None:
         """Count what the file says is missing here."""
