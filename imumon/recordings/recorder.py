@@ -90,7 +90,7 @@ class Recorder:
             thread.join(max(0.0, deadline - time.monotonic()))
         if self._thread.is_alive():
             text = f"the disk did not answer for {STOP_TIMEOUT_S:.0f} s; the recording was not closed"
-            self._say(_WRITING, text)
+            self._report(_WRITING, text)
         return self._writer.counters
 
     def _run(self) -> None:
@@ -99,18 +99,18 @@ class Recorder:
             self._stopping.wait(FLUSH_PERIOD_S)  # slept through: to be woken by each read costs more than it
             stopped = self._take()
             self._try(self._writer.flush, _WRITING)
-            self._look_for_file()
+            self._check_file()
         self._try(self._writer.close, "the recording could not be finished")
 
-    def _look_for_file(self) -> None:
+    def _check_file(self) -> None:
         """Where the file has vanished, say so and begin another; that is tried again until it works."""
         if self._writer.has_vanished:
-            self._say(_GONE, f"{_GONE}: what it held is lost; a new file is begun")
+            self._report(_GONE, f"{_GONE}: what it held is lost; a new file is begun")
             with suppress(OSError, ImumonError):
                 self._writer.begin_again()
                 self._next_save = 0.0
         else:
-            self._say(_GONE, None)
+            self._report(_GONE, None)
 
     def _keep(self) -> None:
         """Let the medium have what was written, and renew the metadata; either may take seconds."""
@@ -135,11 +135,11 @@ class Recorder:
             action()
         except (OSError, ImumonError) as error:
             reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-            self._say(what, f"{what}: {reason}")
+            self._report(what, f"{what}: {reason}")
         else:
-            self._say(what, None)
+            self._report(what, None)
 
-    def _say(self, what: str, problem: str | None) -> None:
+    def _report(self, what: str, problem: str | None) -> None:
         """Note how one kind of work goes, and tell when it begins to fail, or all works again."""
         with self._lock:
             if problem == self._problems.get(what):

@@ -143,23 +143,28 @@ class WireWriter:
         counts.bytes_on_disk, counts.bytes_unrecorded = 0, counts.bytes
         self._unflushed.clear()
         self._gap = Counter(reads=counts.reads, bytes=counts.bytes, events=counts.events)
-        self._say_gap(self._last_ns)
+        self._note_gap(self._last_ns)
 
     def write(self, item: Item) -> None:
         """Take an item in; it is on disk after the next `flush` that succeeds."""
+        counters, is_full = self.counters, self._spool.pending > PENDING_LIMIT
         if isinstance(item, Bytes):
-            self.counters.reads += 1
-            self.counters.bytes += len(item.data)
+            size = len(item.data)
+            counters.reads += 1
+            counters.bytes += size
+            if is_full:
+                counters.bytes_unrecorded += size
+                self._gap.update(reads=1, bytes=size)
+                return
+            self._note_gap(item.arrival_ns)
+            self._add(WIRE_CHANNEL, item.arrival_ns, CDR.pack(CDR_LITTLE, size) + item.data)
+            self._block_bytes += size
         else:
-            self.counters.events += 1
-        if self._spool.pending > PENDING_LIMIT:
-            self._give_up(item)
-            return
-        self._say_gap(item.arrival_ns if isinstance(item, Bytes) else item.time_ns)
-        if isinstance(item, Bytes):
-            self._add(WIRE_CHANNEL, item.arrival_ns, CDR.pack(CDR_LITTLE, len(item.data)) + item.data)
-            self._block_bytes += len(item.data)
-        else:
+            counters.events += 1
+            if is_full:
+                self._gap.update(events=1)
+                return
+            self._note_gap(item.time_ns)
             self._add_event(item.kind.value, item.time_ns, {"detail": item.detail})
         if self._spool.tell() - self._block_start > BLOCK_BYTES:
             self._seal()
@@ -200,7 +205,7 @@ class WireWriter:
         """
         if self._spool.closed:
             return
-        self._say_gap(self._last_ns)
+        self._note_gap(self._last_ns)
         self._seal()
         self._finish()
         try:
@@ -223,18 +228,10 @@ class WireWriter:
         text = json.dumps({"kind": kind, **rest}, ensure_ascii=False)
         self._add(EVENT_CHANNEL, time_ns, text.encode(errors="replace"))
 
-    def _give_up(self, item: Item) -> None:
-        if isinstance(item, Bytes):
-            self._gap.update(reads=1, bytes=len(item.data))
-            self.counters.bytes_unrecorded += len(item.data)
-        else:
-            self._gap.update(events=1)
-
-    def _say_gap(self, time_ns: int) -> None:
+    def _note_gap(self, time_ns: int) -> None:
         if self._gap.total():
-            self._add_event(
-                UNRECORDED, time_ns, {name: self._gap[name] for name in ("reads", "bytes", "events")}
-            )
+            lost = {name: self._gap[name] for name in ("reads", "bytes", "events")}
+            self._add_event(UNRECORDED, time_ns, lost)
             self._gap.clear()
 
     def _seal(self) -> None:
