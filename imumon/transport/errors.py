@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import grp
 import os
 import pwd
 import stat
@@ -132,14 +133,14 @@ def _busy(device: str) -> tuple[str, str]:
 
 def _permission(device: str) -> tuple[str, str]:
     """Name owner, group and mode of the node, and the way in that really leads there."""
-    path = Path(device)
     try:
-        node = path.stat()
+        node = Path(device).stat()
     except OSError as error:
         return f"and its folder cannot be searched: {error.strerror}", ""
     owner, group, user = str(node.st_uid), str(node.st_gid), str(os.geteuid())
     with suppress(KeyError):  # an id without a name
-        owner, group, user = path.owner(), path.group(), pwd.getpwuid(os.geteuid()).pw_name
+        group = grp.getgrgid(node.st_gid).gr_name
+        owner, user = (pwd.getpwuid(uid).pw_name for uid in (node.st_uid, os.geteuid()))
     seen = f"{device} is {stat.filemode(node.st_mode)} {owner}:{group}"
     both = stat.S_IRGRP | stat.S_IWGRP
     if node.st_mode & both != both or node.st_gid == 0:
