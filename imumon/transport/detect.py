@@ -160,37 +160,28 @@ def detect(
     rates = baudrates if PortSettings(url).has_line else baudrates[:1]
     evidence: list[Evidence] = []
     for seconds in [GLANCE_S, seconds_each] if seconds_each > GLANCE_S and len(rates) > 1 else [seconds_each]:
-        evidence = _try_all(url, candidates, rates, seconds, before_rate, received)
+        evidence = []
+        for rate in rates:
+            settings = PortSettings(url, baudrate=rate)
+            before_rate(settings)
+            try:
+                evidence += listen(settings, candidates, seconds, received)
+            except ImumonError as error:
+                if error.reason is not Reason.BAD_CONFIG or rate == rates[-1]:
+                    raise
+            if _is_enough(evidence):
+                break
         if any(item.verdict is Verdict.FRAMES for item in evidence):
             break
         rates = [item.baudrate for item in evidence if item.tells_the_rate and item.baudrate][:1] or rates
     return sorted(evidence, key=_order)
 
 
-def _try_all(
-    url: str,
-    candidates: Mapping[str, Callable[[], Candidate]],
-    rates: Sequence[int],
-    seconds: float,
-    before_rate: Callable[[PortSettings], None],
-    received: Callable[[bytes], None],
-) -> list[Evidence]:
-    """Listen at one rate after the other until one is told or the port is silent."""
-    evidence: list[Evidence] = []
-    for rate in rates:
-        settings = PortSettings(url, baudrate=rate)
-        before_rate(settings)
-        try:
-            evidence += listen(settings, candidates, seconds, received)
-        except ImumonError as error:
-            if error.reason is not Reason.BAD_CONFIG or rate == rates[-1]:
-                raise
-        is_silent = not any(item.bytes_received for item in evidence)
-        if is_silent and len({item.baudrate for item in evidence}) >= SILENT_RATES:
-            break
-        if any(item.tells_the_rate for item in evidence):
-            break
-    return evidence
+def _is_enough(evidence: Sequence[Evidence]) -> bool:
+    """Return whether a rate is found, or the port is silent."""
+    is_silent = not any(item.bytes_received for item in evidence)
+    rates = {item.baudrate for item in evidence}
+    return any(item.tells_the_rate for item in evidence) or (is_silent and len(rates) >= SILENT_RATES)
 
 
 def listen(
