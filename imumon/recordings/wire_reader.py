@@ -41,6 +41,8 @@ from imumon.transport.reader import Event, EventKind, Item, Reads
 
 READ_SIZE = 1 << 20
 """Bytes of reads that are handed on at once, and of which a checksum is taken."""
+RELEASE_SIZE = 16 << 20
+"""Bytes of the file that are taken out of the memory of the process at a time."""
 _BEFORE_DATA = {wf.WIRE_CHANNEL: CDR.size, wf.BARE_CHANNEL: 0}
 """Bytes before the data of a read, by its channel."""
 _PASSED_OVER = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, wf.CHECK_OP)
@@ -186,6 +188,7 @@ class _Contents:
         self._path, self._data = path, data
         self._done = 0
         """Up to where everything is read or given up."""
+        self._released = 0
         self._next_sequence: int | None = None
         """Of the next message, modulo 2^32; None before the first in a file without check records."""
         self._pieces: list[bytes] = []
@@ -208,6 +211,7 @@ class _Contents:
             check = Check.unpack(data, at) if at >= 0 else None
             if check is not None:
                 yield from self._block(check, at)
+                self._release(at)
         if not self._done:
             if not is_mcap and PROFILE not in head:
                 hint = "only wire files that imumon recorded can be replayed"
@@ -255,9 +259,10 @@ class _Contents:
         if len(record) < RECORD.size + 4 or RECORD.unpack_from(record) != (wf.DATA_END_OP, 4):
             return False
         if expected := int.from_bytes(record[-4:], "little"):
-            crc = zlib.crc32(MAGIC)
+            crc, self._released = zlib.crc32(MAGIC), 0
             for begin in range(len(MAGIC), at, READ_SIZE):
                 crc = zlib.crc32(self._data[begin : min(begin + READ_SIZE, at)], crc)
+                self._release(begin)
             self.found.checksum_ok = crc == expected
         return True
 
@@ -271,6 +276,12 @@ class _Contents:
                 yield from self._lose(0, self.found.last_ns, messages & SEQUENCE_MASK)
                 return
             at += RECORD.size + length
+
+    def _release(self, before: int) -> None:
+        """Keep what was read out of the memory that is counted as that of this process."""
+        while before - self._released > RELEASE_SIZE and isinstance(self._data, mmap.mmap):
+            self._data.madvise(mmap.MADV_DONTNEED, self._released, RELEASE_SIZE)
+            self._released += RELEASE_SIZE
 
     def _ahead(self, sequence: int) -> int:
         """Return how many messages are missing before one of this number; below 0 if it was there before."""
