@@ -33,7 +33,7 @@ def metadata_anew(path: Path, device_name: str | None) -> tuple[SessionMetadata,
 
     Beside it stands what could not be known, one sentence each.
 
-    Raises BAD_DATA when the file does not hold them.
+    Raises BAD_CONFIG when the file does not hold them and no device is named; BAD_DATA when it has no message.
 
     Parameters
     ----------
@@ -41,20 +41,25 @@ def metadata_anew(path: Path, device_name: str | None) -> tuple[SessionMetadata,
         Known name or path of a device file; it comes before the one that the wire file holds.
     """
     begun = begun_of(WireReader(path).metadata())
+    unknown = [
+        "what was written into session.yaml after the start is not known, as a serial number",
+        "the digest of the live results is not known: a replay has nothing to be compared with",
+    ]
     if begun is None:
-        raise ImumonError(
-            Reason.BAD_DATA,
-            f"{path} does not hold the session.yaml of its start: it is old, or its beginning is damaged",
-            f"its samples can be read: imumon decode {path} --device NAME --out TABLE.parquet",
-        )
+        seen = f"{path} does not hold the session.yaml of its start: it is old, or its beginning is damaged"
+        if device_name is None:
+            raise ImumonError(Reason.BAD_CONFIG, seen, "add --device NAME; imumon devices lists them")
+        first = next(iter(WireReader(path)), None)
+        if first is None:
+            raise ImumonError(Reason.BAD_DATA, f"{path} holds no message", "there is nothing to recover")
+        at_ns = first.arrival_ns if isinstance(first, Bytes) else first.time_ns
+        begun = SessionMetadata.begun("live", at_ns, device=device_name)
+        unknown = [f"{seen}; only the device is known, and it began with its first message"]
     if device_name is not None:
         text, source = device_text(device_name)
         device = parse_device(text, source)
         begun = begun.model_copy(update={"device": device.name, "axes": device.axes, "device_yaml": text})
-    return begun, [
-        "what was written into session.yaml after the start is not known, as a serial number",
-        "the digest of the live results is not known: a replay has nothing to be compared with",
-    ]
+    return begun, unknown
 
 
 def is_sound(summary: WireSummary) -> bool:

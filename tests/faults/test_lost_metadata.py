@@ -100,17 +100,23 @@ def test_a_bag_is_not_decoded_as_bytes(tmp_path: Path) -> None:
     assert "of profile 'ros2'" in done.stderr
 
 
-def test_what_an_old_wire_file_does_not_hold_is_asked_for(old: Path) -> None:
-    done = imumon("decode", old / "wire.mcap", "--out", old / "a.csv")
-    assert done.returncode == 2
-    assert "does not hold its device file" in done.stderr
-    assert "--device ax1" in done.stderr
-    assert imumon("decode", old / "wire.mcap", "--out", old / "a.csv", "--device", "ax1").returncode == 0
-    done = imumon("recover", old)
-    assert done.returncode == 4
-    assert "does not hold the session.yaml of its start" in done.stderr
-    assert f"imumon decode {old / 'wire.mcap'} --device NAME" in done.stderr
+def test_the_device_is_asked_for_where_nothing_holds_it(old: Path) -> None:
+    for command, what in (
+        (["recover", old], "does not hold the session.yaml of its start"),
+        (["decode", old / "wire.mcap", "--out", old / "a.csv"], "does not hold its device file"),
+    ):
+        done = imumon(*command)
+        assert done.returncode == 2
+        assert what in done.stderr
+        assert "--device" in done.stderr
     assert not (old / "session.yaml").exists()
+    told = answer("recover", old, "--device", "ax1")
+    assert any("only the device is known" in text for text in told["warnings"])
+    metadata = open_session(old).metadata
+    first = next(iter(WireReader(old / "wire.mcap").batches()))
+    assert metadata.created_ns == getattr(first, "time_ns", None)
+    assert metadata.device == "ax1"
+    assert "knows its device" in imumon("recover", old, "--device", "ax1").stderr
 
 
 def test_a_session_of_another_version_is_left_alone(whole: Path, tmp_path: Path) -> None:
