@@ -33,7 +33,7 @@ def metadata_anew(path: Path, device_name: str | None) -> tuple[SessionMetadata,
 
     Beside it stands what could not be known, one sentence each.
 
-    Raises BAD_CONFIG when the file does not hold them and no device is named; BAD_DATA when it has no message.
+    Raises BAD_CONFIG when the file does not hold them and no device is named; BAD_DATA without any message.
 
     Parameters
     ----------
