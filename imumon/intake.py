@@ -76,10 +76,7 @@ class Intake:
 
     The result does not depend on the division into blocks.
 
-    Parameters
-    ----------
-    ranges : Ranges
-        What is declared: from there on a reading is the end of the range, and nobody knows what it was.
+    `ranges`: what is declared: from there on a reading is the end of the range, and nobody knows what it was.
     """
 
     def __init__(self, ranges: Ranges | None = None) -> None:
@@ -201,10 +198,7 @@ def _sensors(columns: Mapping[str, ColumnArray]) -> Iterator[tuple[str, tuple[st
 class _Still:
     """Finds readings at which a sensor cannot be at rest, and which it repeats more often than it did before.
 
-    Parameters
-    ----------
-    least, most : float
-        Of the largest axis at rest, as `IMPOSSIBLE_AT_REST`.
+    `least`, `most`: of the largest axis at rest, as `IMPOSSIBLE_AT_REST`.
     """
 
     def __init__(self, least: float, most: float) -> None:

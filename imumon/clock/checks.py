@@ -75,12 +75,8 @@ class Repeats:
 class NominalRate:
     """Compares the time that a nominal rate gives with the times of arrival.
 
-    Parameters
-    ----------
-    rate_hz : float or None
-        Packets per second; None where nothing is dated by it.
-    given : bool
-        Whether a person gave it for this stream, and not the device file for all.
+    `rate_hz`: packets per second; None where nothing is dated by it.
+    `given`: whether a person gave it for this stream, and not the device file for all.
     """
 
     def __init__(self, rate_hz: float | None, given: bool) -> None:

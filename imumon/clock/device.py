@@ -120,10 +120,7 @@ class DeviceClock:
 
     Raises BAD_CONFIG when the numbers in `timing` cannot be.
 
-    Parameters
-    ----------
-    timing : Timing
-        How the device counts.
+    `timing`: how the device counts.
     """
 
     def __init__(self, timing: Timing) -> None:
@@ -183,14 +180,9 @@ class DeviceClock:
 
         Raises BAD_CONFIG when neither ticks, counter, rate nor arrival times can date the samples.
 
-        Parameters
-        ----------
-        packet_counter, device_ticks : array, (n,), or None
-            As the device sends them, `NO_INT` where it does not.
-        arrival_ns : array, (n,), or None
-            Unix time in ns, `NO_INT` where it is not known.
-        n : int
-            Number of samples.
+        `packet_counter`, `device_ticks` (n,): as the device sends them, `NO_INT` where it does not.
+        `arrival_ns` (n,): Unix time in ns, `NO_INT` where it is not known.
+        `n`: number of samples.
         """
         dated = self._sources[TICKS].limit and device_ticks is not None
         if n and not dated and not self._sources[ROWS].limit and arrival_ns is None:

@@ -24,10 +24,7 @@ FIELDS = ("ticks", "device", "host", "segment")
 class SideClock:
     """Device time, host time and segment of side rows, whatever the division into blocks.
 
-    Parameters
-    ----------
-    timing : Timing
-        How the device counts.
+    `timing`: how the device counts.
     """
 
     def __init__(self, timing: Timing) -> None:
@@ -135,10 +132,7 @@ class SharedCounter:
     Many devices number all their messages in one sequence, so a receiver's message leaves a hole between two
     inertial ones that is no loss.
 
-    Parameters
-    ----------
-    bits : int or None
-        Width of the counter; None when the device has none.
+    `bits`: width of the counter; None when the device has none.
     """
 
     def __init__(self, bits: int | None) -> None:
@@ -151,14 +145,9 @@ class SharedCounter:
     def process(self, counter: IntArray, more: IntArray, side: list[tuple[int, int]]) -> IntArray:
         """Return the counter of the next main rows as if only they were counted.
 
-        Parameters
-        ----------
-        counter : array of int64, (n,)
-            `NO_INT` where a row has none.
-        more : array of int64, (n,)
-            Steps of the counter within each row (`imumon.protocols.epochs.Epochs`).
-        side : list of (int, int)
-            Number of main rows begun before each side packet, and its counter.
+        `counter` (n,): `NO_INT` where a row has none.
+        `more` (n,): steps of the counter within each row (`imumon.protocols.epochs.Epochs`).
+        `side`: number of main rows begun before each side packet, and its counter.
         """
         if not self._modulus:
             return counter

@@ -59,12 +59,8 @@ def import_table(
     BAD_DATA for a table that cannot be read, rows that cannot be taken, or times that do not increase; EXISTS
     when the output is there already; OSError when the session cannot be written.
 
-    Parameters
-    ----------
-    made_of : Path, optional
-        Where the table is only a step on the way: the file that it was made of.
-    rows_dropped : int
-        How many rows of that file are not in the table.
+    `made_of`: where the table is only a step on the way: the file that it was made of.
+    `rows_dropped`: how many rows of that file are not in the table.
     """
     with whole_session(out) as partial:
         source = TableImport(table, map_path)

@@ -35,12 +35,8 @@ class Lines:
 class SessionLog(Lines):
     """The log of a session, as lines of JSON: takes lines from any thread, and writes them in `write`.
 
-    Parameters
-    ----------
-    path : Path
-        File to append to; made with the first line.
-    say : callable
-        Where each line goes besides: its level and its text.
+    `path`: file to append to; made with the first line.
+    `say`: where each line goes besides: its level and its text.
     """
 
     def __init__(self, path: Path, say: Callable[[str, str], None]) -> None:

@@ -103,16 +103,10 @@ def open_recording(
     Raises BAD_DATA when there is nothing to read, or something that is no recording; BAD_CONFIG for a wrong
     map.
 
-    Parameters
-    ----------
-    path : Path
-        Folder of a session or its session.yaml, or a table.
-    stages : callable
-        What the samples run through; a stage of which a table has a column already is left out.
-    map_path : Path or None
-        Says what is in which column of a table from elsewhere.
-    count : callable
-        Takes how many more bytes were read, for a progress bar.
+    `path`: folder of a session or its session.yaml, or a table.
+    `stages`: what the samples run through; a stage of which a table has a column already is left out.
+    `map_path`: says what is in which column of a table from elsewhere.
+    `count`: takes how many more bytes were read, for a progress bar.
     """
     source = _open(path, map_path)
     there = {column.name for column in source.imported}

@@ -30,15 +30,10 @@ class Recorder:
     While the disk is full or fails, items are kept up to a limit and then counted (`WireCounters`); the
     recording goes on as soon as writing works again.  Where its folder has vanished it goes on in a new one.
 
-    Parameters
-    ----------
-    writer : WireWriter
-        Used by the recorder alone from `start` to the return of `stop`, which closes it.
-    on_problem : callable
-        Called from the recorder's threads with one sentence when writing begins to fail, and with None when
-        all works again.
-    save : callable
-        Called from the second thread every 5 s, to write the session's metadata; an `OSError` or
+    `writer`: used by the recorder alone from `start` to the return of `stop`, which closes it.
+    `on_problem`: called from the recorder's threads with one sentence when writing begins to fail, and with
+        None when all works again.
+    `save`: called from the second thread every 5 s, to write the session's metadata; an `OSError` or
         `ImumonError` from it is a problem like any other.
     """
 

@@ -35,10 +35,7 @@ def metadata_anew(path: Path, device_name: str | None) -> tuple[SessionMetadata,
 
     Raises BAD_CONFIG when the file does not hold them and no device is named; BAD_DATA without any message.
 
-    Parameters
-    ----------
-    device_name : str or None
-        Known name or path of a device file; it comes before the one that the wire file holds.
+    `device_name`: known name or path of a device file; it comes before the one that the wire file holds.
     """
     begun = begun_of(WireReader(path).metadata())
     unknown = [

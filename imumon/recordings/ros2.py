@@ -64,12 +64,8 @@ def write_ros2(tables: Mapping[str, Path], out: Path, axes: Literal["FLU", "FRD"
 
     Raises BAD_CONFIG when a package that it needs is not installed.
 
-    Parameters
-    ----------
-    tables : mapping of str to Path
-        Of the main stream and of each side stream, Parquet.
-    axes : "FLU", "FRD" or None
-        Body axes of the samples; where they are not known the samples stay as they are.
+    `tables`: of the main stream and of each side stream, Parquet.
+    `axes`: body axes of the samples; where they are not known the samples stay as they are.
     """
     try:
         from mcap_ros2.writer import Writer

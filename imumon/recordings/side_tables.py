@@ -63,12 +63,8 @@ def export_run(
     place for any of it; BAD_DATA when there is no sample; OSError when the disk is full or fails; a file that
     was there before is untouched.
 
-    Parameters
-    ----------
-    blocks : iterable of SampleBlock
-        The run over `source`, which goes through `pipeline`.
-    columns : sequence of str, or None
-        Columns of the main table, and no others are written; None for all, and all side streams.
+    `blocks`: the run over `source`, which goes through `pipeline`.
+    `columns`: columns of the main table, and no others are written; None for all, and all side streams.
     """
     if out.suffix not in CONVERTED:
         return _tables(blocks, pipeline, source, out, columns)

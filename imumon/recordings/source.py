@@ -208,10 +208,8 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
     Raises BAD_DATA when there is nothing to read; BAD_CONFIG for a capture without a device, or a rate for an
     imported session, whose samples have their times.
 
-    Parameters
-    ----------
-    rate_hz : float, optional
-        Packets per second, which dates those of a device that sends no time; default: the device file's.
+    `rate_hz`: packets per second, which dates those of a device that sends no time; default: the device
+    file's.
     """
     if not is_session(path):
         if not path.is_file() and not path.is_fifo():
@@ -303,12 +301,8 @@ def run_over(
 ) -> Iterator[SampleBlock]:
     """Run what was recorded through a new pipeline; yield the samples in order, to the last byte.
 
-    Parameters
-    ----------
-    items : iterable of Bytes and Event, or of SampleBlock
-        From `WireReader`, `capture_items` or `iterate_samples`.
-    count : callable
-        Called with the number of bytes read since the last call.
+    `items`: from `WireReader`, `capture_items` or `iterate_samples`.
+    `count`: called with the number of bytes read since the last call.
     """
     fed = 0
     for item in items.batches() if isinstance(items, WireReader) else items:

@@ -48,13 +48,9 @@ class TableWriter:
 
     Raises BAD_CONFIG for another suffix, or when the folder of the output does not exist.
 
-    Parameters
-    ----------
-    path : Path
-        Output; the suffix .parquet or .csv decides the format.  An existing file is replaced on success.
-    columns : mapping of str to Column
-        Every column that may come, in the order in which the table shall have them; only those that come
-        are written (all of them when no row comes).
+    `path`: output; the suffix .parquet or .csv decides the format.  An existing file is replaced on success.
+    `columns`: every column that may come, in the order in which the table shall have them; only those that
+        come are written (all of them when no row comes).
     """
 
     def __init__(self, path: Path, columns: Mapping[str, Column]) -> None:
@@ -207,10 +203,7 @@ def iterate_table(path: Path, columns: Sequence[str] | None = None) -> Iterator[
 
     Raises BAD_DATA when the table cannot be read or has a column that is neither float nor integer.
 
-    Parameters
-    ----------
-    columns : sequence of str, optional
-        Only these columns, which the table must have; others are not read.
+    `columns`: only these columns, which the table must have; others are not read.
     """
     there = read_columns(path)
     schema = _schema(there.values() if columns is None else [there[name] for name in columns])

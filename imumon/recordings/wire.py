@@ -75,12 +75,8 @@ class WireWriter:
 
     Raises EXISTS when there is such a file; OSError when it cannot be created.
 
-    Parameters
-    ----------
-    path : Path
-        New file.
-    metadata : mapping of str to str
-        Written into the file as the metadata record "imumon".
+    `path`: new file.
+    `metadata`: written into the file as the metadata record "imumon".
     """
 
     def __init__(self, path: Path, metadata: Mapping[str, str]) -> None:

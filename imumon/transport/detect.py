@@ -140,20 +140,13 @@ def detect(
     Raises ImumonError when the port cannot be opened or is lost.  A rate that the adapter does not offer is
     passed over.
 
-    Parameters
-    ----------
-    url : str
-        The port; where it has no line, it is listened to once.
-    candidates : mapping of str to factory
-        Makes a fresh decoder per name.
-    baudrates : sequence of int
-        Rates in bit/s, in the order to try them.
-    seconds_each : float
-        Time to listen at each rate when a glance at all has told nothing; less when there is enough evidence.
-    before_rate : callable
-        Told what is tried next.
-    received : callable
-        Given the bytes as they come.
+    `url`: the port; where it has no line, it is listened to once.
+    `candidates`: makes a fresh decoder per name.
+    `baudrates`: rates in bit/s, in the order to try them.
+    `seconds_each`: time to listen at each rate when a glance at all has told nothing; less when there is
+        enough evidence.
+    `before_rate`: told what is tried next.
+    `received`: given the bytes as they come.
     """
     for factory in candidates.values():
         factory().feed(b"\0", 0)  # compiled kernels are loaded before bytes pile up

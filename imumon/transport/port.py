@@ -45,12 +45,8 @@ Handle = serial.Serial | _SocketHandler
 class Port:
     """An open port; made by `open_port`.
 
-    Parameters
-    ----------
-    handle : serial.Serial or another of pyserial's handlers
-        An open pyserial port, owned from now on.
-    settings : PortSettings
-        How it was opened.
+    `handle`: an open pyserial port, owned from now on.
+    `settings`: how it was opened.
 
     Attributes
     ----------
