@@ -269,10 +269,6 @@ def _metadata(source: TableImport, report: ImportReport, file: Path) -> SessionM
             rows_out=report.rows_out,
             rows_dropped=report.rows_dropped,
         ),
-        counters={
-            "samples": report.rows_out,
-            "segments": report.segments,
-            SPAN: round(report.span_s * 1e9),
-        },
+        counters={"samples": report.rows_out, "segments": report.segments, SPAN: round(report.span_s * 1e9)},
     )
     return begun.closed(now_ns)

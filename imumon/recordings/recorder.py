@@ -38,10 +38,7 @@ class Recorder:
     """
 
     def __init__(
-        self,
-        writer: WireWriter,
-        on_problem: Callable[[str | None], None],
-        save: Callable[[], None],
+        self, writer: WireWriter, on_problem: Callable[[str | None], None], save: Callable[[], None]
     ) -> None:
         self._writer = writer
         self._on_problem = on_problem

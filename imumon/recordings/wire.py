@@ -17,34 +17,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from mcap import records as mcap
 from mcap.data_stream import RecordBuilder
-from mcap.records import (
-    Channel,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-)
 
 from imumon.errors import ImumonError, Reason
-from imumon.recordings.wire_format import (
-    CDR,
-    CDR_LITTLE,
-    EVENT_CHANNEL,
-    FORMAT,
-    MAGIC,
-    MESSAGE,
-    MESSAGE_FIELDS,
-    MESSAGE_OP,
-    SEQUENCE_MASK,
-    UNRECORDED,
-    WIRE_CHANNEL,
-    Check,
-)
+from imumon.recordings import wire_format as wf
 from imumon.transport.reader import Bytes, Item
 from imumon.version import __version__
 
@@ -81,7 +58,7 @@ class WireWriter:
 
     def __init__(self, path: Path, metadata: Mapping[str, str]) -> None:
         self._path = path
-        self._metadata = Metadata(name="imumon", metadata=dict(metadata))
+        self._metadata = mcap.Metadata(name="imumon", metadata=dict(metadata))
         self._unflushed: deque[tuple[int, int]] = deque()
         """Of each block that is not on disk: where it ends in the file, and the device's bytes in it."""
         self._sequence = 0
@@ -109,8 +86,8 @@ class WireWriter:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._spool = _Spool(descriptor)
         self._block_start = self._block_bytes = 0
-        self._spool.write(MAGIC)
-        self._spool.write(_packed(Header(profile=FORMAT, library=f"imumon {__version__}")))
+        self._spool.write(wf.MAGIC)
+        self._spool.write(_packed(mcap.Header(profile=wf.FORMAT, library=f"imumon {__version__}")))
         self._metadata_at = self._spool.tell()
         self._spool.write(_packed(self._metadata))
         self._spool.write(b"".join(map(_packed, _TOPICS)))
@@ -153,7 +130,7 @@ class WireWriter:
                 self._gap.update(reads=1, bytes=size)
                 return
             self._note_gap(item.arrival_ns)
-            self._add(WIRE_CHANNEL, item.arrival_ns, CDR.pack(CDR_LITTLE, size) + item.data)
+            self._add(wf.WIRE_CHANNEL, item.arrival_ns, wf.CDR.pack(wf.CDR_LITTLE, size) + item.data)
             self._block_bytes += size
         else:
             counters.events += 1
@@ -171,7 +148,7 @@ class WireWriter:
         `size` says how many bytes they had, where that is known.
         """
         lost = {"reads": reads, "bytes": size, "events": 0, "after_ns": after_ns}
-        self._add_event(UNRECORDED, before_ns, lost)
+        self._add_event(wf.UNRECORDED, before_ns, lost)
 
     def flush(self) -> None:
         """Hand everything to the operating system.
@@ -213,8 +190,8 @@ class WireWriter:
             self._spool.close()
 
     def _add(self, channel: int, time_ns: int, data: bytes) -> None:
-        length, sequence = MESSAGE_FIELDS + len(data), self._sequence & SEQUENCE_MASK
-        self._spool.write(MESSAGE.pack(MESSAGE_OP, length, channel, sequence, time_ns, time_ns) + data)
+        length, sequence = wf.MESSAGE_FIELDS + len(data), self._sequence & wf.SEQUENCE_MASK
+        self._spool.write(wf.MESSAGE.pack(wf.MESSAGE_OP, length, channel, sequence, time_ns, time_ns) + data)
         self._first_ns = min(self._first_ns, time_ns) if self._sequence else time_ns
         self._highest_ns, self._last_ns = max(self._highest_ns, time_ns), time_ns
         self._messages[channel] += 1
@@ -222,12 +199,12 @@ class WireWriter:
 
     def _add_event(self, kind: str, time_ns: int, rest: Mapping[str, str | int]) -> None:
         text = json.dumps({"kind": kind, **rest}, ensure_ascii=False)
-        self._add(EVENT_CHANNEL, time_ns, text.encode(errors="replace"))
+        self._add(wf.EVENT_CHANNEL, time_ns, text.encode(errors="replace"))
 
     def _note_gap(self, time_ns: int) -> None:
         if self._gap.total():
             lost = {name: self._gap[name] for name in ("reads", "bytes", "events")}
-            self._add_event(UNRECORDED, time_ns, lost)
+            self._add_event(wf.UNRECORDED, time_ns, lost)
             self._gap.clear()
 
     def _seal(self) -> None:
@@ -235,7 +212,7 @@ class WireWriter:
         size = self._spool.tell() - self._block_start
         if size:
             crc = self._spool.crc_from(self._block_start)
-            check = Check(self._block_start, size, self._sequence & SEQUENCE_MASK, crc, self._last_ns)
+            check = wf.Check(self._block_start, size, self._sequence & wf.SEQUENCE_MASK, crc, self._last_ns)
             self._spool.write(check.pack())
             self._block_start = self._spool.tell()
             self._unflushed.append((self._block_start, self._block_bytes))
@@ -243,8 +220,8 @@ class WireWriter:
 
     def _finish(self) -> None:
         """Write the end of the data, the summary and the footer that MCAP asks for."""
-        self._spool.write(_packed(DataEnd(self._spool.crc)))
-        statistics = Statistics(
+        self._spool.write(_packed(mcap.DataEnd(self._spool.crc)))
+        statistics = mcap.Statistics(
             attachment_count=0,
             channel_count=len(_CHANNELS),
             channel_message_counts=dict(self._messages),
@@ -256,13 +233,13 @@ class WireWriter:
             schema_count=len(_SCHEMAS),
         )
         length = len(_packed(self._metadata))
-        index = MetadataIndex(offset=self._metadata_at, length=length, name=self._metadata.name)
+        index = mcap.MetadataIndex(offset=self._metadata_at, length=length, name=self._metadata.name)
         summary = b"".join(map(_packed, (*_TOPICS, statistics, index)))
         start = self._spool.tell()
-        unchecked = _packed(Footer(summary_start=start, summary_offset_start=0, summary_crc=0))
+        unchecked = _packed(mcap.Footer(summary_start=start, summary_offset_start=0, summary_crc=0))
         crc = zlib.crc32(unchecked[:-4], zlib.crc32(summary))
-        footer = Footer(summary_start=start, summary_offset_start=0, summary_crc=crc)
-        self._spool.write(summary + _packed(footer) + MAGIC)
+        footer = mcap.Footer(summary_start=start, summary_offset_start=0, summary_crc=crc)
+        self._spool.write(summary + _packed(footer) + wf.MAGIC)
         self._block_start = self._spool.tell()
 
 
@@ -273,17 +250,17 @@ _EVENT_SCHEMA = {
     "required": ["kind"],
 }
 _SCHEMAS = (
-    Schema(id=1, name="imumon/msg/Wire", encoding="ros2msg", data=b"uint8[] data"),
-    Schema(id=2, name="imumon.Event", encoding="jsonschema", data=json.dumps(_EVENT_SCHEMA).encode()),
+    mcap.Schema(id=1, name="imumon/msg/Wire", encoding="ros2msg", data=b"uint8[] data"),
+    mcap.Schema(id=2, name="imumon.Event", encoding="jsonschema", data=json.dumps(_EVENT_SCHEMA).encode()),
 )
 _CHANNELS = (
-    Channel(id=WIRE_CHANNEL, topic="/wire", message_encoding="cdr", metadata={}, schema_id=1),
-    Channel(id=EVENT_CHANNEL, topic="/event", message_encoding="json", metadata={}, schema_id=2),
+    mcap.Channel(id=wf.WIRE_CHANNEL, topic="/wire", message_encoding="cdr", metadata={}, schema_id=1),
+    mcap.Channel(id=wf.EVENT_CHANNEL, topic="/event", message_encoding="json", metadata={}, schema_id=2),
 )
-_TOPICS: tuple[McapRecord, ...] = (*_SCHEMAS, *_CHANNELS)
+_TOPICS: tuple[mcap.McapRecord, ...] = (*_SCHEMAS, *_CHANNELS)
 
 
-def _packed(record: McapRecord) -> bytes:
+def _packed(record: mcap.McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]  # the library does not say
