@@ -77,9 +77,8 @@ class Evidence:
     protocol: str
     """Name of the candidate."""
     baudrate: int | None
-    """Rate in bit/s; None where there is no line (``socket://``)."""
+    """In bit/s; None where there is no line (``socket://``)."""
     seconds: float
-    """Time listened."""
     bytes_received: int
     bytes_in_packets: int
     bytes_pending: int

@@ -45,17 +45,7 @@ Handle = serial.Serial | _SocketHandler
 class Port:
     """An open port; made by `open_port`.
 
-    `handle`: an open pyserial port, owned from now on.
-    `settings`: how it was opened.
-
-    Attributes
-    ----------
-    low_latency : str
-        What became of the low-latency mode, and how to get it.
-    shared_with : tuple of str
-        Other programs that had the port open already; what they read is missing here.
-    vanished_reads : int
-        How often bytes were announced and then gone, because another program took them.
+    `handle` is an open pyserial port, owned from now on; `settings` say how it was opened.
     """
 
     def __init__(self, handle: Handle, settings: PortSettings) -> None:
@@ -67,8 +57,11 @@ class Port:
         self._direct = type(handle) in (serial.Serial, _SocketHandler)
         self._fd: int | None = handle.fileno() if self._direct or self._native else None
         self.vanished_reads = 0
+        """How often bytes were announced and then gone, because another program took them."""
         self.low_latency = "no serial adapter here"
+        """What became of the low-latency mode, and how to get it."""
         self.shared_with: tuple[str, ...] = ()
+        """Other programs that had the port open already; what they read is missing here."""
         if self._native and self._fd is not None:
             terminal.set_exclusive(self._fd, True)
             self.low_latency = terminal.set_low_latency(self._fd, str(handle.port))
