@@ -17,11 +17,9 @@ import numpy as np
 from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, join, missing
 from imumon.charts import Chart
 from imumon.clock import DeviceClock, HostClock
-from imumon.clock.held import HeldReadings
-from imumon.clock.nominal import NominalRate
+from imumon.clock.checks import NominalRate, Repeats
 from imumon.clock.rate import Intervals
-from imumon.clock.repeats import Repeats
-from imumon.clock.side import SharedCounter, SideClock
+from imumon.clock.side import HeldReadings, SharedCounter, SideClock
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
 from imumon.intake import Intake
 from imumon.lane import LaneState

@@ -11,7 +11,7 @@ import pytest
 from imumon.errors import ImumonError, Reason
 from imumon.files import SESSION_FILES, TRUTH, check_output, write_text
 from imumon.recordings import folder
-from imumon.recordings.session_log import LOG_NAME
+from imumon.recordings.lines import LOG_NAME
 from imumon.simulation import recording
 
 

@@ -17,6 +17,7 @@ from imumon.estimation.rest.slots import COARSEST_STEPS
 from imumon.filters.rounding import digits
 from imumon.recordings.reader import Stages, no_stages, open_recording
 from imumon.recordings.reduced import ACCEL, GYRO
+from imumon.recordings.source import Count, no_count
 
 GROUPS = ("gyro", "accel")
 CHANNELS = (*GYRO, *ACCEL)
@@ -48,7 +49,7 @@ class Channels:
     warnings: tuple[str, ...]
 
 
-def read_channels(path: Path, stages: Stages = no_stages) -> Channels:
+def read_channels(path: Path, stages: Stages = no_stages, count: Count = no_count) -> Channels:
     """Read the gyro and accelerometer channels of a session, or of a table of samples.
 
     Raises BAD_DATA when there is nothing to read, no such channel, too few samples or no even rate.
@@ -57,8 +58,10 @@ def read_channels(path: Path, stages: Stages = no_stages) -> Channels:
     ----------
     stages : callable
         A rest detector, which tells motion where the table has no column ``at_rest``.
+    count : callable
+        Takes how many more bytes were read, for a progress bar.
     """
-    recording = open_recording(path, stages)
+    recording = open_recording(path, stages, count=count)
     _check_units(path, recording.columns)
     blocks = [
         SampleBlock({name: block[name].copy() for name in WANTED if name in block})

@@ -45,7 +45,7 @@ def command(
 
     output.check_outputs(plot, noise_out, *odometry.values())
     with reading_bar([recording], quiet=as_json) as tell:
-        opened = read_channels(recording, lambda _: [RestDetector()])
+        opened = read_channels(recording, lambda _: [RestDetector()], tell.count)
         tell("deviations and terms of all channels")
         results = analyse(opened.series)
     warn([*opened.warnings, *_of_the_fit(results)])

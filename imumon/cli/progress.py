@@ -7,13 +7,12 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from imumon.cli.common import console, say
 from imumon.harmless import for_log
 
-Tell = Callable[[str], None]
-"""Takes what is being done now."""
 FIRST_LINE_S, LINE_S = 30.0, 60.0
 """Until the first line without a terminal, and between two."""
 
@@ -44,8 +43,20 @@ def progress_lines(state: Callable[[], str], *, quiet: bool) -> Iterator[None]:
         thread.join()
 
 
-Shown = Iterator[tuple[Callable[[int], object], Tell]]
-"""Two functions: one takes how much more was done, the other what is being done now."""
+@dataclass(frozen=True, slots=True)
+class ReadingProgress:
+    """How far work on recordings has come; called with what is being done now, it shows that."""
+
+    count: Callable[[int], object]
+    """Takes how many more bytes were read."""
+    tell: Callable[[str], object]
+
+    def __call__(self, text: str) -> None:
+        """Show what is being done now."""
+        self.tell(text)
+
+
+Shown = Iterator[ReadingProgress]
 
 
 @contextmanager
@@ -61,7 +72,7 @@ def bar(what: str, total: int | None, *, quiet: bool) -> Shown:
     columns = (label, BarColumn(), TimeElapsedColumn(), left, TimeRemainingColumn())
     with Progress(*columns, console=console(error=True), transient=True) as drawn:
         task = drawn.add_task(for_log(what), total=total)
-        yield (
+        yield ReadingProgress(
             lambda more: drawn.advance(task, more),
             lambda text: drawn.update(task, description=for_log(text), total=None),
         )
@@ -80,22 +91,18 @@ def _lines(what: str, total: int | None, *, quiet: bool) -> Shown:
         now = text
 
     with progress_lines(lambda: now or (f"{what}: {done / total:.0%}" if total else what), quiet=quiet):
-        yield count, tell
+        yield ReadingProgress(count, tell)
 
 
 @contextmanager
-def reading_bar(paths: Sequence[Path], *, quiet: bool) -> Iterator[Tell]:
-    """Show how much of recordings has been gone through; then what follows, as it is given to the function.
+def reading_bar(paths: Sequence[Path], *, quiet: bool) -> Shown:
+    """Show how much of recordings has been read; then what follows, as the progress is called with it.
 
     `paths` are sessions, captures or tables, as they are read one after the other.
     """
-    from imumon.recordings.source import reading, recorded_bytes
+    from imumon.recordings.source import recorded_bytes
 
     sizes = [] if quiet else [recorded_bytes(path) for path in paths]
     total = sum(size or 0 for size in sizes) if None not in sizes else None
-    with bar(f"reading {', '.join(path.name for path in paths)}", total, quiet=quiet) as (count, tell):
-        token = reading.set(count)
-        try:
-            yield tell
-        finally:
-            reading.reset(token)
+    with bar(f"reading {', '.join(path.name for path in paths)}", total, quiet=quiet) as progress:
+        yield progress

@@ -128,11 +128,12 @@ def command(
         publisher = _begun(view, view_setup(opened, units, window, replay=True), bind)
         card = {"session": str(session), "replay": "as fast as it goes" if pace is None else f"{pace:g} x"}
         narrator = Narrator(pipeline, None, [publisher.publish], lambda *_: None, card, session)
-    blocks = digested(replay(source.items, pipeline, narrator, pace), pipeline, digest)
-    if true is not None:
-        blocks = true.through(blocks)
     try:
-        with reading_bar([session], quiet=as_json):
+        with reading_bar([session], quiet=as_json) as progress:
+            again = replay(source.items, pipeline, narrator, pace, progress.count)
+            blocks = digested(again, pipeline, digest)
+            if true is not None:
+                blocks = true.through(blocks)
             if out is None:
                 exported = Exported(sum(map(len, blocks)), {})
             else:

@@ -76,8 +76,8 @@ def _write_table(
     }
     doubts = Doubts(source.device is not None and source.device.protocol.startswith("fixed"))
     try:
-        with reading_bar([file], quiet=as_json):
-            blocks = doubts.through(run_over(source.items, pipeline))
+        with reading_bar([file], quiet=as_json) as progress:
+            blocks = doubts.through(run_over(source.items, pipeline, progress.count))
             exported = export_run(blocks, pipeline, source, out, split_columns(columns))
     except ImumonError as error:
         unread = not pipeline.counters.bytes_received and file.is_file() and file.stat().st_size

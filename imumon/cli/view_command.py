@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from imumon.pipeline import Pipeline
     from imumon.recordings.folder import Session as RecordedSession
-    from imumon.recordings.source import Source
+    from imumon.recordings.source import Count, Source
     from imumon.view.compare import Alignment, Session
     from imumon.view.items import ViewSetup
     from imumon.view.viewer import Mode
@@ -86,8 +86,8 @@ def command(
     titles = []
     try:
         for one, path, name in zip(opened, sessions, names, strict=True):
-            with reading_bar([path], quiet=as_json):
-                titles.append(_log(*one, name, comparison.session(name)))
+            with reading_bar([path], quiet=as_json) as progress:
+                titles.append(_log(*one, name, comparison.session(name), progress.count))
         if comparison.arrange() is None:
             hint = "an imported table has no times of a computer: --align power-on" if align == "host" else ""
             raise ImumonError(Reason.BAD_DATA, "the sessions have no samples with such times", hint)
@@ -124,7 +124,12 @@ def _opened(path: Path) -> tuple[RecordedSession, Source, Pipeline]:
 
 
 def _log(
-    recorded: RecordedSession, source: Source, pipeline: Pipeline, name: str, session: Session
+    recorded: RecordedSession,
+    source: Source,
+    pipeline: Pipeline,
+    name: str,
+    session: Session,
+    count: Count,
 ) -> tuple[dict[str, object], dict[str, str]]:
     """Run a session and log it; return the result, for programs and for people."""
     from imumon.recordings.source import run_over
@@ -132,7 +137,7 @@ def _log(
     from imumon.run.narration import describe_losses
 
     metadata, path, outages, samples = recorded.metadata, recorded.path, Outages(), 0
-    for block in run_over(outages.watch(source.items), pipeline):
+    for block in run_over(outages.watch(source.items), pipeline, count):
         samples += len(block)
         session.log(block)
     warn([*source.warnings(), *pipeline.warnings()])

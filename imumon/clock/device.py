@@ -120,10 +120,7 @@ class DeviceClock:
 
     Raises BAD_CONFIG when the numbers in `timing` cannot be.
 
-    Parameters
-    ----------
-    timing : Timing
-        How the device counts.
+    `timing`: how the device counts.
     """
 
     def __init__(self, timing: Timing) -> None:
@@ -183,14 +180,9 @@ class DeviceClock:
 
         Raises BAD_CONFIG when neither ticks, counter, rate nor arrival times can date the samples.
 
-        Parameters
-        ----------
-        packet_counter, device_ticks : array, (n,), or None
-            As the device sends them, `NO_INT` where it does not.
-        arrival_ns : array, (n,), or None
-            Unix time in ns, `NO_INT` where it is not known.
-        n : int
-            Number of samples.
+        `packet_counter`, `device_ticks` (n,): as the device sends them, `NO_INT` where it does not.
+        `arrival_ns` (n,): Unix time in ns, `NO_INT` where it is not known.
+        `n`: number of samples.
         """
         dated = self._sources[TICKS].limit and device_ticks is not None
         if n and not dated and not self._sources[ROWS].limit and arrival_ns is None:
@@ -216,20 +208,18 @@ class DeviceClock:
 
 def _check(timing: Timing) -> Fraction | None:
     """Return the nominal period in ns, to a thousandth, or None; refuse impossible numbers."""
-    bits = timing.counter_bits
-    if bits is not None and not 1 <= bits <= 32:
-        raise ImumonError(Reason.BAD_CONFIG, f"a packet counter of {bits} bits", "1 to 32 can be")
-    if not 0 <= timing.tick_bits <= 64:
-        raise ImumonError(Reason.BAD_CONFIG, f"a clock of {timing.tick_bits} bits", "0 to 64 can be")
-    tick = timing.tick_ns
+    bits, tick, rate_hz = timing.counter_bits, timing.tick_ns, timing.rate_hz
     # A remainder of ticks times the numerator must fit int64.
-    if tick is not None and (tick <= 0 or tick.numerator * tick.denominator >= 1 << 62):
-        raise ImumonError(Reason.BAD_CONFIG, f"a tick of {tick} ns", "give a positive, simple fraction")
-    if timing.rate_hz is None:
-        return None
-    if not 1e-3 <= timing.rate_hz <= 1e6:
-        raise ImumonError(Reason.BAD_CONFIG, f"a rate of {timing.rate_hz} Hz", "0.001 Hz to 1 MHz can be")
-    return (10**9 / Fraction(timing.rate_hz)).limit_denominator(1000)
+    can_tick = tick is None or (tick > 0 and tick.numerator * tick.denominator < 1 << 62)
+    can_count = (bits is None or 1 <= bits <= 32) and 0 <= timing.tick_bits <= 64
+    if not (can_tick and can_count and (rate_hz is None or 1e-3 <= rate_hz <= 1e6)):
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"no device counts like this: {timing}",
+            "a counter has 1 to 32 bits, a clock 0 to 64, a tick is a positive, simple fraction, a rate from"
+            " 0.001 Hz to 1 MHz",
+        )
+    return None if rate_hz is None else (10**9 / Fraction(rate_hz)).limit_denominator(1000)
 
 
 def _sources(timing: Timing, period: Fraction | None) -> Sequence[_Source]:

@@ -96,10 +96,8 @@ class HostClock:
     than 50 ms (the host clock was set) the fit starts anew: at once if the step is towards earlier arrivals,
     after 10 s if it is towards later ones.
 
-    Parameters
-    ----------
-    drift_limit_ppm : float
-        Largest drift of the device clock against the host clock; see `DeviceClock.drift_limit_ppm`.
+    `drift_limit_ppm`: largest drift of the device clock against the host clock; see
+    `DeviceClock.drift_limit_ppm`.
     """
 
     def __init__(self, drift_limit_ppm: float = CRYSTAL_PPM) -> None:
@@ -128,12 +126,9 @@ class HostClock:
     def process(self, device_time_ns: IntArray, segment: IntArray, arrival_ns: IntArray) -> IntArray:
         """Return host time (n,) in ns for samples in order of arrival.
 
-        Parameters
-        ----------
-        device_time_ns, segment : array, (n,)
-            As `DeviceClock` gives them.
-        arrival_ns : array, (n,)
-            Unix time in ns; a row with `NO_INT` gets host time `NO_INT` and leaves the fit alone.
+        `device_time_ns`, `segment` (n,): as `DeviceClock` gives them.
+        `arrival_ns` (n,): Unix time in ns; a row with `NO_INT` gets host time `NO_INT` and leaves the fit
+            alone.
         """
         host_ns = np.empty(len(device_time_ns), np.int64)
         _fit_samples(device_time_ns, segment, arrival_ns, self._limit, self._fit, self._blocks, host_ns)

@@ -1,4 +1,4 @@
-"""Times of side streams: their counts on the clock of the main stream, which they never touch.
+"""Side streams: their counts on the clock of the main stream, and what they lend its rows.
 
 A side stream (a receiver, a barometer) counts with the device's clock as the main stream does, but its data
 may be older or newer than the inertial data between which they come.  So each of its counts is taken as near
@@ -7,9 +7,12 @@ to that of the latest main row as the range of the counter allows.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from imumon.blocks import NO_INT, ColumnArray, IntArray, SampleBlock, missing
+from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray, SampleBlock, missing
+from imumon.columns import TEMPERATURES
 from imumon.protocols.base import Timing
 from imumon.protocols.epochs import Epochs
 
@@ -21,10 +24,7 @@ FIELDS = ("ticks", "device", "host", "segment")
 class SideClock:
     """Device time, host time and segment of side rows, whatever the division into blocks.
 
-    Parameters
-    ----------
-    timing : Timing
-        How the device counts.
+    `timing`: how the device counts.
     """
 
     def __init__(self, timing: Timing) -> None:
@@ -84,16 +84,55 @@ class SideClock:
         return np.where(alone, moved, np.where(anchored, device + moved, device))
 
 
+class HeldReadings:
+    """Adds to main rows the latest reading of the side streams, whatever the division into blocks.
+
+    The estimators of the inertial sensors need temperatures in every row, however seldom they come.
+
+    A reading holds from the first main row that was begun after it was complete; a row's own counts first.
+    """
+
+    def __init__(self) -> None:
+        self._latest: dict[str, float] = {}
+        self._rows = 0
+
+    @property
+    def names(self) -> frozenset[str]:
+        """The columns that are held so far."""
+        return frozenset(self._latest)
+
+    def process(self, main: SampleBlock, side: Mapping[str, Epochs]) -> SampleBlock:
+        """Return main rows with the columns of `TEMPERATURES` that only side streams have."""
+        first = self._rows
+        self._rows += len(main)
+        for name in TEMPERATURES:
+            having = [epochs for epochs in side.values() if name in epochs.block]
+            if having or name in self._latest:
+                values = np.concatenate([np.zeros(0), *(epochs.block[name] for epochs in having)])
+                at = np.concatenate([np.zeros(0, np.int64), *(epochs.until - first for epochs in having)])
+                main = self._with(main, name, values, at)
+        return main
+
+    def _with(self, main: SampleBlock, name: str, values: FloatArray, at: IntArray) -> SampleBlock:
+        """Return the rows with these readings held from row `at` of the block on, where there is none."""
+        there = np.isfinite(values)
+        values, at = values[there], at[there]
+        order = np.argsort(at, kind="stable")
+        known = np.concatenate([[self._latest.get(name, np.nan)], values[order]])
+        held = known[np.searchsorted(at[order], np.arange(len(main)), side="right")]
+        self._latest[name] = float(known[-1])
+        if name in main:
+            held = np.where(np.isnan(main[name]), held, main[name])
+        return main.with_columns({name: held})
+
+
 class SharedCounter:
     """Removes from the main stream's packet counter the steps that packets of side streams made.
 
     Many devices number all their messages in one sequence, so a receiver's message leaves a hole between two
     inertial ones that is no loss.
 
-    Parameters
-    ----------
-    bits : int or None
-        Width of the counter; None when the device has none.
+    `bits`: width of the counter; None when the device has none.
     """
 
     def __init__(self, bits: int | None) -> None:
@@ -106,14 +145,9 @@ class SharedCounter:
     def process(self, counter: IntArray, more: IntArray, side: list[tuple[int, int]]) -> IntArray:
         """Return the counter of the next main rows as if only they were counted.
 
-        Parameters
-        ----------
-        counter : array of int64, (n,)
-            `NO_INT` where a row has none.
-        more : array of int64, (n,)
-            Steps of the counter within each row (`imumon.protocols.epochs.Epochs`).
-        side : list of (int, int)
-            Number of main rows begun before each side packet, and its counter.
+        `counter` (n,): `NO_INT` where a row has none.
+        `more` (n,): steps of the counter within each row (`imumon.protocols.epochs.Epochs`).
+        `side`: number of main rows begun before each side packet, and its counter.
         """
         if not self._modulus:
             return counter

@@ -92,14 +92,14 @@ def command(
     warnings: list[str] = []
     with with_warnings(lambda: warnings), reading_bar(sessions, quiet=as_json) as tell:
         check_place(latitude, heading)
-        records, found = read_sessions(sessions)
+        records, found = read_sessions(sessions, tell.count)
         warnings += found
         result = calibrate(records, latitude, heading, serial, tell)
         result.warnings[:0] = warnings
         if chosen != []:
             from imumon.lab.diagnosis.extended import model_with_drivers
 
-            runs = [read(path, None, at_rest=False) for path in sessions]
+            runs = [read(path, None, at_rest=False, count=tell.count) for path in sessions]
             driven = model_with_drivers(result.model, runs, chosen, tell)
     model = result.model if driven is None else driven.model
     if parameters is not None:

@@ -23,6 +23,7 @@ from imumon.errors import ImumonError, Reason
 if TYPE_CHECKING:
     from imumon.lab.diagnosis.runs import Run
     from imumon.models.model import BiasModel
+    from imumon.recordings.source import Count
 
 SEVERAL = ("--train", "--test")
 
@@ -122,7 +123,7 @@ def command(
     warned = with_warnings(lambda: dict.fromkeys(t for group in runs for run in group for t in run.warnings))
     with warned, results_folder(out), reading_bar([*train, *test], quiet=as_json) as tell:
         sensors = channels.split(",")
-        runs += [read(path, map_path, at_rest, sensors) for path in (*train, *test)]
+        runs += [read(path, map_path, at_rest, sensors, tell.count) for path in (*train, *test)]
         split = len(train)
         training = [run for group in runs[:split] for run in group]
         testing = [run for group in runs[split:] for run in group]
@@ -163,9 +164,15 @@ def chosen_drivers(text: str) -> list[str] | None:
     return {"all": None, "none": []}.get(text, text.split(","))
 
 
-def read(path: Path, map_path: Path | None, at_rest: bool, sensors: Sequence[str] | None = None) -> list[Run]:
+def read(
+    path: Path,
+    map_path: Path | None,
+    at_rest: bool,
+    sensors: Sequence[str] | None = None,
+    count: Count = lambda _: None,
+) -> list[Run]:
     """Read a recording as runs from power-on, for a diagnosis of these sensors."""
     from imumon.estimation.gyro_bias.stage import RestDetector
     from imumon.lab.diagnosis.runs import SENSORS, read_runs
 
-    return read_runs(path, map_path, lambda _: [RestDetector()], at_rest, sensors or SENSORS)
+    return read_runs(path, map_path, lambda _: [RestDetector()], at_rest, sensors or SENSORS, count)

@@ -16,6 +16,7 @@ from imumon.lab.diagnose_command import model_of, read
 if TYPE_CHECKING:
     from imumon.lab.diagnosis.runs import Run
     from imumon.recordings.folder import Session
+    from imumon.recordings.source import Count
 
 
 @click.command("learn")
@@ -56,7 +57,7 @@ def command(
     if model is not None:
         warn(filter(None, {model.of_another(session.metadata.serial) for session in sessions}))
     with reading_bar([session.path for session in sessions], quiet=as_json) as tell:
-        usable = [runs for session in sessions if (runs := _read(session))]
+        usable = [runs for session in sessions if (runs := _read(session, tell.count))]
         if not usable:
             raise ImumonError(
                 Reason.BAD_DATA, f"no session in {folder} can be used", "record the unit at rest for an hour"
@@ -93,12 +94,12 @@ def _of_one(sessions: list[Session], wanted: dict[str, str | None], folder: Path
     return sessions
 
 
-def _read(session: Session) -> list[Run]:
+def _read(session: Session, count: Count) -> list[Run]:
     """Return the runs of a session that can be used, saying why others cannot."""
     from imumon.lab.diagnosis.usable import resting
 
     try:
-        runs = read(session.path, None, at_rest=False)
+        runs = read(session.path, None, at_rest=False, count=count)
     except ImumonError as error:
         warn([f"{session.path.name} is left out: {error.line}"])
         return []

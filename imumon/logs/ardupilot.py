@@ -11,26 +11,15 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from imumon.blocks import IntArray
 from imumon.files import readable
-from imumon.logs.log import (
-    GAUSS_TO_TESLA,
-    Damage,
-    Log,
-    Series,
-    Wanted,
-    beside,
-    named,
-    nanoseconds,
-    pick,
-    triple,
-)
+from imumon.logs import log
+from imumon.logs.log import Damage, Log, Series, named, triple
 
 SCALING = "the units that DataFlash defines for IMU"
 MARK = b"\xa3\x95"
@@ -56,8 +45,8 @@ OWN = {"IMU2": ("IMU", 1), "IMU3": ("IMU", 2)}
 BLOCK = 256
 """The last page of a log that was written in pages is filled up (AP_Logger_Block)."""
 BESIDE = (
-    Wanted("MAG.0", ["MagX", "MagY", "MagZ"], triple("mag"), 1e-3 * GAUSS_TO_TESLA),
-    Wanted("BARO.0", ["Press"], ["pressure"]),
+    log.Wanted("MAG.0", ["MagX", "MagY", "MagZ"], triple("mag"), 1e-3 * log.GAUSS_TO_TESLA),
+    log.Wanted("BARO.0", ["Press"], ["pressure"]),
 )
 
 
@@ -73,17 +62,18 @@ def read(path: Path, sensor: str | None = None) -> Log:
     """
     found, damage = _messages(path)
     imus = sorted(name for name in found if name.startswith("IMU."))
-    name, others = pick(path, imus, sensor, damage)
+    name, others = log.pick(path, imus, sensor, damage)
     imu = found[name]
     gyro = named(imu, ["GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"], [*triple("gyro"), *triple("accel")])
     # A sensor without a thermometer says 0 all the time.
     if np.any(imu["T"] != 0.0):
         gyro |= named(imu, ["T"], ["temperature"])
-    return Log(name, others, Series(_time(imu), gyro), beside(found, BESIDE, _time), "FRD", SCALING, damage)
+    return Log(
+        name, others, Series(_time(imu), gyro), log.beside(found, BESIDE, _time), "FRD", SCALING, damage
+    )
 
 
-@dataclass(frozen=True, slots=True)
-class _Format:
+class _Format(NamedTuple):
     """How messages of a number are read."""
 
     length: int
@@ -92,42 +82,41 @@ class _Format:
     layout: struct.Struct = DESCRIPTION
     """Of its fields, where some are kept."""
     kept: tuple[tuple[int, float] | None, ...] = ()
-    """Where each value that is kept stands among the fields; None where the message has no such field."""
+    """Of each value that is kept its place among the fields, and its factor; None where it is absent."""
     number: int | None = None
     """Where the number of the sensor stands."""
     sensor: int = 0
     """Its number where none stands."""
 
-    @classmethod
-    def described(cls, description: bytes) -> tuple[int, _Format]:
-        """Return the number that a message FMT describes, and how it is read.
-
-        Raises ValueError when it describes nothing that can be.
-        """
-        number, length, *texts = DESCRIPTION.unpack(description)
-        name, types, columns = (text.split(b"\0")[0].decode("ascii") for text in texts)
-        if length < len(HEAD) or number == FORMAT:
-            raise ValueError(f"{name}: {length} bytes")
-        name, sensor = OWN.get(name, (name, 0))
-        if name not in KEPT:
-            return number, cls(length, name)
-        names = columns.split(",")
-        if not set(types) <= set(TYPES) or len(names) != len(types):
-            raise ValueError(f"{name}: {types}")
-        layout = struct.Struct("<" + "".join(TYPES[one][0] for one in types))
-        if length != len(HEAD) + layout.size:
-            raise ValueError(f"{name}: {length} bytes")
-        at = {one: (k, TYPES[types[k]][1]) for k, one in enumerate(names)}
-        kept = tuple(at.get(one) for one in KEPT[name])
-        return number, cls(length, name, layout, kept, at[NUMBER][0] if NUMBER in at else None, sensor)
-
     def row(self, data: bytes, at: int) -> tuple[str, list[float]]:
         """Return name and number of the sensor of the message that begins there, and what is kept of it."""
         values = self.layout.unpack_from(data, at + len(HEAD))
         sensor = self.sensor if self.number is None else values[self.number]
-        return f"{self.name}.{sensor}", [
-            np.nan if one is None else values[one[0]] * one[1] for one in self.kept
-        ]
+        kept = [np.nan if one is None else values[one[0]] * one[1] for one in self.kept]
+        return f"{self.name}.{sensor}", kept
+
+
+def _described(description: bytes) -> tuple[int, _Format]:
+    """Return the number that a message FMT describes, and how it is read.
+
+    Raises ValueError when it describes nothing that can be.
+    """
+    number, length, *texts = DESCRIPTION.unpack(description)
+    name, types, columns = (text.split(b"\0")[0].decode("ascii") for text in texts)
+    if length < len(HEAD) or number == FORMAT:
+        raise ValueError(f"{name}: {length} bytes")
+    name, sensor = OWN.get(name, (name, 0))
+    if name not in KEPT:
+        return number, _Format(length, name)
+    names = columns.split(",")
+    if not set(types) <= set(TYPES) or len(names) != len(types):
+        raise ValueError(f"{name}: {types}")
+    layout = struct.Struct("<" + "".join(TYPES[one][0] for one in types))
+    if length != len(HEAD) + layout.size:
+        raise ValueError(f"{name}: {length} bytes")
+    at = {one: (k, TYPES[types[k]][1]) for k, one in enumerate(names)}
+    kept = tuple(at.get(one) for one in KEPT[name])
+    return number, _Format(length, name, layout, kept, at[NUMBER][0] if NUMBER in at else None, sensor)
 
 
 def _messages(path: Path) -> tuple[dict[str, dict[str, Any]], Damage]:
@@ -142,7 +131,7 @@ def _messages(path: Path) -> tuple[dict[str, dict[str, Any]], Damage]:
         good = end
         if data[at + len(MARK)] == FORMAT:
             try:
-                number, made = _Format.described(data[at + len(HEAD) : end])
+                number, made = _described(data[at + len(HEAD) : end])
             except ValueError:
                 continue  # of itself, or damaged: then its messages are of no known format
             formats[number] = made
@@ -180,4 +169,4 @@ def _walk(data: bytes, formats: Mapping[int, _Format]) -> Iterator[tuple[int, _F
 
 
 def _time(fields: dict[str, Any]) -> IntArray:
-    return nanoseconds(fields["TimeUS"])
+    return log.nanoseconds(fields["TimeUS"])

@@ -11,7 +11,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.files import readable, write_text
 from imumon.logs import ardupilot, betaflight, px4, ros
 from imumon.logs.log import Damage, Log
-from imumon.recordings.importing import ImportReport, Origin, import_table
+from imumon.recordings.importing import ImportReport, import_table
 
 Reader = Callable[[Path, str | None], Log]
 FORMATS: tuple[tuple[Callable[[Path, bytes], bool], Reader], ...] = (
@@ -49,7 +49,7 @@ def import_log(path: Path, sensor: str | None, out: Path) -> LogReport:
                 "make a table of it (mavlogdump.py --format csv), and give --map MAP.yaml",
             )
         write_text(table.with_suffix(".yaml"), text)
-        rows = import_table(table, table.with_suffix(".yaml"), out, Origin(_file_of(path), dropped))
+        rows = import_table(table, table.with_suffix(".yaml"), out, _file_of(path), dropped)
     rows = replace(rows, warnings=(*log.warnings, *rows.warnings))
     return LogReport(rows, log.sensor, log.others, log.scaling, log.damage)
 

@@ -18,18 +18,8 @@ import numpy as np
 from imumon.blocks import IntArray
 from imumon.errors import ImumonError, Reason, missing_package
 from imumon.files import readable
-from imumon.logs.log import (
-    GAUSS_TO_TESLA,
-    Damage,
-    Log,
-    Series,
-    Wanted,
-    beside,
-    named,
-    nanoseconds,
-    pick,
-    triple,
-)
+from imumon.logs import log as logs
+from imumon.logs.log import Damage, Log, Series, Wanted, named, triple
 
 SCALING = "the units that uORB defines for sensor_gyro and sensor_accel"
 HEAD = b"ULog\x01\x12\x35"
@@ -74,11 +64,11 @@ def read(path: Path, sensor: str | None = None) -> Log:
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read as a ULog: {error}") from error
     found = {f"{one.name}.{one.multi_id}": one.data for one in log.data_list}
     gyros = sorted(name for name in found if name.startswith("sensor_gyro."))
-    name, others = pick(path, gyros, sensor, damage)
+    name, others = logs.pick(path, gyros, sensor, damage)
     gyro = named(found[name], [*"xyz", "temperature"], [*triple("gyro"), "temperature"])
     accel = Wanted(f"sensor_accel.{name.rpartition('.')[2]}", [*"xyz"], triple("accel"))
-    mag = Wanted("sensor_mag.0", [*"xyz"], triple("mag"), GAUSS_TO_TESLA)
-    joined = beside(found, (accel, mag, _baro(found)), _time)
+    mag = Wanted("sensor_mag.0", [*"xyz"], triple("mag"), logs.GAUSS_TO_TESLA)
+    joined = logs.beside(found, (accel, mag, _baro(found)), _time)
     return Log(name, others, Series(_time(found[name]), gyro), joined, "FRD", SCALING, damage)
 
 
@@ -128,4 +118,4 @@ def _mended(data: bytes) -> tuple[bytes, Damage]:
 def _time(fields: Any) -> IntArray:
     """Return the times of validity in ns, else of logging."""
     sampled = fields.get("timestamp_sample")
-    return nanoseconds(sampled if sampled is not None and sampled.any() else fields["timestamp"])
+    return logs.nanoseconds(sampled if sampled is not None and sampled.any() else fields["timestamp"])

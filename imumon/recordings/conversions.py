@@ -27,10 +27,7 @@ def convert(
     Raises BAD_CONFIG when a package that is needed is not installed, or the format has no place for any of
     it.
 
-    Parameters
-    ----------
-    tables, out : mapping of str to Path
-        Of each stream.  All streams of a ROS 2 bag go to the first.
+    `tables`, `out`: of each stream.  All streams of a ROS 2 bag go to the first.
     """
     first = next(iter(out.values()))
     if first.suffix == ".mcap":

@@ -55,7 +55,7 @@ class Session:
 
     @property
     def state(self) -> State:
-        """How the session ended; one that is being recorded cannot be told from one that was killed."""
+        """How the session ended; one that is being recorded looks like one that was killed."""
         return "closed" if self.metadata.state == "closed" else "interrupted"
 
     def save(self, metadata: SessionMetadata) -> None:
@@ -105,7 +105,6 @@ def whole_session(path: Path) -> Iterator[Path]:
     if not path.name or (path.is_dir() and any(path.iterdir())):
         raise ImumonError(Reason.EXISTS, f"{path} is there already", "give the name of a new folder")
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    made = [folder for folder in path.parents if not folder.exists()]
     with naming(path):
         try:
             partial.mkdir(parents=True)
@@ -113,9 +112,6 @@ def whole_session(path: Path) -> Iterator[Path]:
             partial.rename(path)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
-            for folder in made:
-                with suppress(OSError):  # it holds the session
-                    folder.rmdir()
 
 
 def refuse_existing(path: Path) -> None:
@@ -173,12 +169,10 @@ def lost_metadata(path: Path) -> Path | None:
     wire, metadata = _folder(path) / WIRE_NAME, _folder(path) / METADATA_NAME
     if not wire.is_file():
         return None
-    if not metadata.is_file():
-        return wire
     try:
         read_metadata(metadata)
     except ImumonError:
-        return None if is_of_another_version(metadata) else wire
+        return None if metadata.is_file() and is_of_another_version(metadata) else wire
     return None
 
 
@@ -229,11 +223,8 @@ def _advice(folder: Path) -> str:
 
 def _what_is_at(path: Path) -> str:
     if not path.is_dir():
-        return (
-            f"it is a file of {path.stat().st_size} bytes"
-            if path.exists()
-            else "there is no such file or folder"
-        )
+        size = path.stat().st_size if path.exists() else None
+        return "there is no such file or folder" if size is None else f"it is a file of {size} bytes"
     names = sorted(entry.name for entry in path.iterdir())
     there = f"it has {', '.join(names[:5])}" if names else "it is empty"
     return f"the folder has no {METADATA_NAME}; {there}{', ...' if len(names) > 5 else ''}"

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from decimal import Decimal, InvalidOperation
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -20,7 +23,8 @@ from imumon.blocks import FloatArray, IntArray
 from imumon.errors import ImumonError, Reason
 from imumon.files import readable
 from imumon.recordings.map import TIMESTAMPS, TextFormat, TimeColumn
-from imumon.recordings.time_text import time_parser
+from imumon.recordings.table import table_errors
+from imumon.units import parse_unit
 
 ROWS_PER_PART = 20_000
 CONTROL_SHARE = 0.05
@@ -29,8 +33,13 @@ SHOWN = 160
 """Characters of a bad row that are kept."""
 _NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
 _NO_VALUE = r"^(nan|na|n/a|null|none)?$"
+_TIMESTAMP = re.compile(
+    r"\s*(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,9}))?\s*(Z|UTC|[+-]\d\d:?\d\d)?\s*", re.ASCII
+)
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 Wrong = dict[int, str]
 """What is wrong with which row of a part."""
+ParseTime = Callable[[str], int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +83,9 @@ def read_foreign(
     if not head:
         raise ImumonError(Reason.BAD_DATA, f"{path}: is empty")
     if head.startswith(b"PAR1"):
-        names, parts = _parquet_names(path), _read_parquet(path, columns, time)
+        with table_errors(path):
+            names = list(pq.read_schema(path).names)
+        parts = _read_parquet(path, columns, time)
     else:
         text = _Text(path, _encoding(path, head), text_format)
         names, parts = text.names, text.parts(columns, time)
@@ -190,6 +201,58 @@ def _numbers_of_text(texts: Sequence[str], decimal: str) -> tuple[FloatArray, Wr
     return values, wrong | {row: f"{text[row].as_py()!r} is too large" for row in large}
 
 
+# Times
+
+
+def time_parser(unit: str, date_format: str | None = None) -> ParseTime:
+    """Return a function from the text of a time to integer nanoseconds, without rounding through floats.
+
+    The function raises ValueError for text that is no time, or out of the range of int64.
+    """
+
+    def parse(text: str) -> int:
+        try:
+            if date_format is not None:
+                time_ns = _of_date(datetime.strptime(text.strip(), date_format))
+            elif unit == TIMESTAMPS:
+                time_ns = _of_timestamp(text)
+            elif "_" in text:  # which Decimal accepts, but no table means
+                raise ValueError
+            else:
+                time_ns = int((Decimal(text) * scale).to_integral_value())
+        except (ValueError, InvalidOperation) as error:
+            raise ValueError(f"time {text.strip()!r} is not {expected}") from error
+        except ArithmeticError as error:
+            raise ValueError(f"time {text.strip()!r} is out of range") from error
+        if not abs(time_ns) < 2**63:
+            raise ValueError(f"time {text.strip()!r} is out of range")
+        return time_ns
+
+    if date_format is not None:
+        expected = f"as {date_format!r}"
+    elif unit == TIMESTAMPS:
+        expected = "a date with time, as 2026-01-31T12:00:00.5Z"
+    else:
+        expected, factor = "a number", parse_unit(unit, "ns").factor
+        scale = Decimal(factor.numerator) / Decimal(factor.denominator)
+    return parse
+
+
+def _of_timestamp(text: str) -> int:
+    """Return Unix time in ns; a time without zone is UTC."""
+    match = _TIMESTAMP.fullmatch(text)
+    if match is None:
+        raise ValueError(text)
+    date, time, fraction, zone = match.groups()
+    zone = "+00:00" if zone in (None, "Z", "UTC") else zone
+    return _of_date(datetime.fromisoformat(f"{date}T{time}{zone}")) + int((fraction or "").ljust(9, "0"))
+
+
+def _of_date(moment: datetime) -> int:
+    since = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)) - _EPOCH
+    return ((since.days * 86_400 + since.seconds) * 10**6 + since.microseconds) * 1000
+
+
 def _times_of_text(texts: Sequence[str | None], time: TimeColumn) -> tuple[IntArray, Wrong]:
     """Return times in ns, (n,), and what is wrong with which of them."""
     parse, wrap_ns = time_parser(time.unit, time.format), time.wrap_ns
@@ -209,24 +272,14 @@ def _times_of_text(texts: Sequence[str | None], time: TimeColumn) -> tuple[IntAr
 # Parquet
 
 
-def _parquet_names(path: Path) -> list[str]:
-    try:
-        return list(pq.read_schema(path).names)
-    except (pa.ArrowException, OSError) as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: is damaged Parquet: {error}") from error
-
-
 def _read_parquet(path: Path, columns: Sequence[str], time: TimeColumn | None) -> Iterator[Part]:
     """Yield the rows of a Parquet table; a row is bad when its time is absent or a value is infinite."""
     wanted = list(dict.fromkeys([*columns, *([time.column] if time is not None else [])]))
     first_row = 0
-    try:
-        with pq.ParquetFile(path, pre_buffer=False) as file:
-            for batch in file.iter_batches(batch_size=ROWS_PER_PART, columns=wanted):
-                yield _parse_batch(path, batch, columns, time, first_row)
-                first_row += len(batch)
-    except (pa.ArrowException, OSError) as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error}") from error
+    with table_errors(path), pq.ParquetFile(path, pre_buffer=False) as file:
+        for batch in file.iter_batches(batch_size=ROWS_PER_PART, columns=wanted):
+            yield _parse_batch(path, batch, columns, time, first_row)
+            first_row += len(batch)
 
 
 def _parse_batch(

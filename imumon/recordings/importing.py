@@ -6,9 +6,13 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
 
-from imumon.blocks import ColumnArray, SampleBlock
+import numpy as np
+
+from imumon.blocks import ColumnArray, IntArray, SampleBlock
+from imumon.clock.rate import Intervals
 from imumon.columns import KNOWN, Column
 from imumon.config import parse_yaml
 from imumon.errors import ImumonError, Reason
@@ -18,7 +22,6 @@ from imumon.recordings.folder import SAMPLES_NAME, Session, fingerprint, whole_s
 from imumon.recordings.foreign import BadRow, Part, read_foreign
 from imumon.recordings.map import TableMap
 from imumon.recordings.metadata import SPAN, SessionMetadata, TableUsed
-from imumon.recordings.row_times import RowTimes
 from imumon.recordings.table import TableWriter
 
 LISTED = 10
@@ -47,25 +50,17 @@ class ImportReport:
     """What cannot be known of the times of the rows."""
 
 
-@dataclass(frozen=True, slots=True)
-class Origin:
-    """What a table was made of, and how many rows of that are not in it."""
-
-    path: Path
-    rows_dropped: int
-
-
-def import_table(table: Path, map_path: Path, out: Path, origin: Origin | None = None) -> ImportReport:
+def import_table(
+    table: Path, map_path: Path, out: Path, made_of: Path | None = None, rows_dropped: int = 0
+) -> ImportReport:
     """Make a session of a CSV or Parquet table; on any error nothing is left behind.
 
     Raises BAD_CONFIG for a wrong map or a column that the table lacks, with the file of the map;
     BAD_DATA for a table that cannot be read, rows that cannot be taken, or times that do not increase; EXISTS
     when the output is there already; OSError when the session cannot be written.
 
-    Parameters
-    ----------
-    origin : Origin, optional
-        Where the table is only a step on the way.
+    `made_of`: where the table is only a step on the way: the file that it was made of.
+    `rows_dropped`: how many rows of that file are not in the table.
     """
     with whole_session(out) as partial:
         source = TableImport(table, map_path)
@@ -73,12 +68,10 @@ def import_table(table: Path, map_path: Path, out: Path, origin: Origin | None =
             for block in source.blocks():
                 writer.write(block)
         report = source.report()
-        if origin is not None:
-            dropped = origin.rows_dropped
-            report = replace(
-                report, rows_in=report.rows_in + dropped, rows_dropped=report.rows_dropped + dropped
-            )
-        metadata = _metadata(source, report, table if origin is None else origin.path)
+        report = replace(
+            report, rows_in=report.rows_in + rows_dropped, rows_dropped=report.rows_dropped + rows_dropped
+        )
+        metadata = _metadata(source, report, made_of or table)
         Session(partial, metadata).save(metadata)
     return report
 
@@ -102,7 +95,7 @@ class TableImport:
             raise ImumonError(error.reason, f"{where}{error.seen}", error.hint) from error
         self.columns = _columns(self.map)
         """Columns of the samples with their units, in canonical order."""
-        self._times = RowTimes(table, self.map)
+        self._times = _RowTimes(table, self.map)
         self._rows_in = self._rows_out = self._rows_bad = 0
         self._listed: list[BadRow] = []
 
@@ -119,15 +112,21 @@ class TableImport:
             self._listed += part.bad[: LISTED - len(self._listed)]
             if not (self._rows_bad and strict):
                 self._rows_out += len(part.index)
-                yield _block(part, self.map, self._times)
+                yield self._block(part)
         if self._rows_bad and strict:
             raise self._bad_rows_error()
         if not self._rows_out:
             raise ImumonError(Reason.BAD_DATA, f"{self.table}: none of its {self._rows_in} rows can be taken")
 
+    def _block(self, part: Part) -> SampleBlock:
+        time_ns, segments = self._times.take(part)
+        columns: dict[str, ColumnArray] = {"device_time_ns": time_ns, "segment": segments}
+        for source, values in zip(self.map.sources(), part.values, strict=True):
+            columns[source.target] = source.unit.convert(values)
+        return SampleBlock(columns)
+
     def report(self) -> ImportReport:
         """Return what became of the table, once its blocks were read."""
-        span_s = self._times.span_ns * 1e-9
         inertial = self.map.gyro is not None or self.map.accel is not None
         rate_hz = self.map.rate_hz or self._times.intervals.rate_hz or math.nan
         used = {source.column for source in self.map.sources()}
@@ -139,7 +138,7 @@ class TableImport:
             columns=tuple(self.columns),
             columns_unused=tuple(name for name in self._names if name not in used),
             segments=self._times.segment + 1,
-            span_s=span_s,
+            span_s=self._times.span_ns * 1e-9,
             rate_hz=rate_hz,
             bad_rows=tuple(self._listed),
             warnings=(*self.warnings(), *(rate_doubts(rate_hz) if inertial else ())),
@@ -172,12 +171,86 @@ def _columns(table_map: TableMap) -> dict[str, Column]:
     return columns
 
 
-def _block(part: Part, table_map: TableMap, times: RowTimes) -> SampleBlock:
-    time_ns, segments = times.take(part)
-    columns: dict[str, ColumnArray] = {"device_time_ns": time_ns, "segment": segments}
-    for source, values in zip(table_map.sources(), part.values, strict=True):
-        columns[source.target] = source.unit.convert(values)
-    return SampleBlock(columns)
+class _RowTimes:
+    """Times of the rows so far: even ones, counts that wrap, segments."""
+
+    def __init__(self, table: Path, table_map: TableMap) -> None:
+        self._table, self._rate_hz = table, table_map.rate_hz
+        self._wrap_ns = None if table_map.time is None else table_map.time.wrap_ns
+        self._may_go_back = table_map.time is not None and table_map.time.backwards == "segment"
+        self.segment = 0
+        self.span_ns = 0
+        self.intervals = Intervals()
+        self._last: tuple[int, int] | None = None
+        """Time and line of the last row."""
+        self._counted = self._wraps = 0
+        """What its column of time says, and how often that has wrapped."""
+
+    def take(self, part: Part) -> tuple[IntArray, IntArray]:
+        """Return the times of rows in ns, and their segments.
+
+        Raises BAD_DATA at the first time that does not increase, unless it goes back and that begins a
+        segment, and for times beyond 64 bits.
+        """
+        try:
+            times = self._times(part)
+        except OverflowError:
+            raise ImumonError(
+                Reason.BAD_DATA,
+                f"{self._table}: its times are beyond the 292 years that a time in ns can tell",
+                "check rate_hz, or wraps_at and the unit of time, in the map",
+            ) from None
+        if not len(times):
+            return times, times
+        before_ns, before_line = self._last or (int(times[0]) - 1, 0)
+        steps = np.diff(times, prepend=before_ns)
+        back = steps < 0
+        for at in np.flatnonzero((steps == 0) | (back & (not self._may_go_back))).tolist():
+            line = before_line if at == 0 else int(part.line[at - 1])
+            raise self._error(int(times[at]), int(steps[at]), int(part.line[at]), line)
+        segments = self.segment + np.cumsum(back)
+        self.span_ns += sum(steps[~back].tolist()) - (self._last is None)
+        self.intervals.add(times, segments)
+        self._last = int(times[-1]), int(part.line[-1])
+        self.segment = int(segments[-1])
+        return times, segments
+
+    def warnings(self) -> list[str]:
+        """Return what cannot be known of these times."""
+        if self._wrap_ns is None:
+            return []
+        wrap = f"{float(self._wrap_ns) * 1e-9:g} s"
+        return [
+            f"{self._table}: time wraps every {wrap}, and how often it did in a gap cannot be known: one"
+            f" of {wrap} or longer comes out short by whole wraps"
+        ]
+
+    def _times(self, part: Part) -> IntArray:
+        if part.time_ns is None:
+            # Each is rounded by itself so that no error adds up; a row that was dropped keeps its time.
+            period_ns = 10**9 / Fraction(str(self._rate_hz))
+            return np.array([round(row * period_ns) for row in part.index.tolist()], np.int64)
+        if self._wrap_ns is None or not len(part.time_ns):
+            return part.time_ns
+        before = part.time_ns[0] if self._last is None else self._counted
+        wraps = self._wraps + np.cumsum(np.diff(part.time_ns, prepend=before) < 0)
+        self._counted, self._wraps = int(part.time_ns[-1]), int(wraps[-1])
+        number, which = np.unique(np.append(wraps, wraps[-1] + 1), return_inverse=True)
+        # The next wrap as well: a time within it must fit in 64 bits.
+        whole = np.array([round(int(one) * self._wrap_ns) for one in number], np.int64)
+        return np.asarray(part.time_ns + whole[which[:-1]])
+
+    def _error(self, time_ns: int, step_ns: int, line: int, line_before: int) -> ImumonError:
+        verb, hint = (
+            "is before",
+            "if the device or the log started anew there, add backwards: segment to time in the map;"
+            " local time goes back where daylight saving ends: write UTC, or the zone (+01:00)",
+        )
+        if not step_ns:
+            verb, hint = "is the same as", "if the rows are evenly spaced, give rate_hz: ... in place of time"
+        after_s, before_s = time_ns * 1e-9, (time_ns - step_ns) * 1e-9
+        seen = f"{self._table}:{line}: time {after_s:.9f} s {verb} {before_s:.9f} s of line {line_before}"
+        return ImumonError(Reason.BAD_DATA, seen, hint)
 
 
 def _metadata(source: TableImport, report: ImportReport, file: Path) -> SessionMetadata:
@@ -196,10 +269,6 @@ def _metadata(source: TableImport, report: ImportReport, file: Path) -> SessionM
             rows_out=report.rows_out,
             rows_dropped=report.rows_dropped,
         ),
-        counters={
-            "samples": report.rows_out,
-            "segments": report.segments,
-            SPAN: round(report.span_s * 1e9),
-        },
+        counters={"samples": report.rows_out, "segments": report.segments, SPAN: round(report.span_s * 1e9)},
     )
     return begun.closed(now_ns)

@@ -1,34 +1,62 @@
-"""Log lines on their way from one thread to another; light, as every command needs them."""
+"""Log lines on their way from one thread to another, and into the log of a session; light, as every command
+needs them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import suppress
-from queue import Empty, SimpleQueue
-from typing import TypeVar
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from queue import SimpleQueue
 
-T = TypeVar("T")
+LOG_NAME = "log.jsonl"
 Line = tuple[str, str]
 """Level and text of a line."""
-
-
-def waiting(queue: SimpleQueue[T]) -> Iterator[T]:
-    """Take what waits in a queue, and wait for nothing."""
-    with suppress(Empty):
-        while True:
-            yield queue.get_nowait()
 
 
 class Lines:
     """Log lines on their way to another thread or process; `put` may be called from any thread."""
 
     def __init__(self) -> None:
-        self._waiting: SimpleQueue[Line] = SimpleQueue()
+        self._waiting: SimpleQueue[tuple[int, str, str]] = SimpleQueue()
 
     def put(self, level: str, text: str) -> None:
         """Take a line; returns at once."""
-        self._waiting.put((level, text))
+        self._waiting.put((time.time_ns(), level, text))
 
     def take(self) -> list[Line]:
         """Return the lines since the last time."""
-        return list(waiting(self._waiting))
+        return [(level, text) for _, level, text in self._take()]
+
+    def _take(self) -> list[tuple[int, str, str]]:
+        return [self._waiting.get_nowait() for _ in range(self._waiting.qsize())]
+
+
+class SessionLog(Lines):
+    """The log of a session, as lines of JSON: takes lines from any thread, and writes them in `write`.
+
+    `path`: file to append to; made with the first line.
+    `say`: where each line goes besides: its level and its text.
+    """
+
+    def __init__(self, path: Path, say: Callable[[str, str], None]) -> None:
+        super().__init__()
+        self._path = path
+        self._say = say
+
+    def put(self, level: str, text: str) -> None:
+        """Take a line; returns at once."""
+        super().put(level, text)
+        self._say(level, text)
+
+    def write(self) -> None:
+        """Write the lines that wait; raises OSError when that fails, and they are lost."""
+        from imumon.recordings.metadata import iso_utc  # here, as it loads pydantic
+
+        lines = [
+            {"time": iso_utc(now_ns), "time_ns": now_ns, "level": level, "text": text}
+            for now_ns, level, text in self._take()
+        ]
+        if lines:
+            with self._path.open("a", encoding="utf-8", errors="replace") as file:
+                file.write("".join(f"{json.dumps(line, ensure_ascii=False)}\n" for line in lines))

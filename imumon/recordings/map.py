@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from fractions import Fraction
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
@@ -94,10 +94,6 @@ class TimeColumn(StrictModel):
         return self
 
 
-def _axes(name: str) -> tuple[str, ...]:
-    return tuple(f"{name}_{axis}" for axis in "xyz")
-
-
 @dataclass(frozen=True, slots=True)
 class Source:
     """A column of the table and the canonical column that it becomes."""
@@ -108,86 +104,50 @@ class Source:
 
 
 class Group(StrictModel):
-    """The columns of one quantity and their unit, which is checked here, so that an error names the line."""
+    """The columns of one quantity and their unit, as `GROUPS` has them."""
 
     columns: list[str]
     unit: UnitText
 
-    becomes: ClassVar[tuple[tuple[str, ...], ...]]
-    """The canonical columns, for each number of columns that there may be."""
 
-    @field_validator("columns")
-    @classmethod
-    def _as_many_as_may_be(cls, given: list[str]) -> list[str]:
-        counts = [len(targets) for targets in cls.becomes]
-        if len(given) not in counts:
-            raise ValueError(f"expected {' or '.join(map(str, counts))} columns, got {len(given)}")
-        return given
-
-    @field_validator("unit")
-    @classmethod
-    def _measures_the_same(cls, given: str, info: ValidationInfo) -> str:
-        columns = info.data.get("columns", cls.becomes[0])
-        for target in cls.targets(len(columns)):
-            cls.unit_of(target, given)
-        return given
-
-    @classmethod
-    def targets(cls, count: int) -> tuple[str, ...]:
-        """Return the canonical columns for so many columns."""
-        return next(targets for targets in cls.becomes if len(targets) == count)
-
-    @classmethod
-    def unit_of(cls, target: str, given: str) -> Unit:
-        """Return the unit as one of a canonical column; arbitrary units of a field stay arbitrary."""
-        unit = "1" if given == "1" and target.startswith("mag_") else KNOWN[target].unit
-        if unit == "1" != given:
-            raise ValueError(f"a quaternion has unit 1, got {given!r}")
-        return parse_unit(given, unit)
-
-    def sources(self) -> list[Source]:
-        """Return what becomes of each column."""
-        targets = self.targets(len(self.columns))
-        return [
-            Source(column, target, self.unit_of(target, self.unit))
-            for column, target in zip(self.columns, targets, strict=True)
-        ]
+def _axes(name: str) -> tuple[str, ...]:
+    return tuple(f"{name}_{axis}" for axis in "xyz")
 
 
-class Gyro(Group):
-    """Angular rate about x, y, z."""
+GROUPS: dict[str, tuple[tuple[str, ...], ...]] = {
+    "gyro": (_axes("gyro"),),
+    "accel": (_axes("accel"),),
+    "mag": (_axes("mag"),),
+    "temperature": (("temperature",), _axes("temperature")),
+    "attitude": (("q_w", "q_x", "q_y", "q_z"), ("roll", "pitch", "yaw")),
+    "pressure": (("pressure",),),
+}
+"""Of each quantity the canonical columns, for each number of columns that there may be.
 
-    becomes = (_axes("gyro"),)
-
-
-class Accel(Group):
-    """Specific force along x, y, z."""
-
-    becomes = (_axes("accel"),)
-
-
-class Mag(Group):
-    """Magnetic field along x, y, z; unit 1 when the sensor has arbitrary units."""
-
-    becomes = (_axes("mag"),)
+Angular rate about and specific force along x, y, z; field along x, y, z, with unit 1 when the sensor has
+arbitrary units; temperature of the sensor, one for all or one for each axis; attitude as the device reports
+it, a quaternion w, x, y, z with unit 1, or roll, pitch, yaw; static pressure.
+"""
 
 
-class Temperature(Group):
-    """Temperature of the sensor, one for all or one for each of x, y, z."""
+def _sources(quantity: str, group: Group) -> list[Source]:
+    """Return what becomes of each column of a group; raises ValueError where that cannot be."""
+    targets = {len(targets): targets for targets in GROUPS[quantity]}
+    if len(group.columns) not in targets:
+        counts = " or ".join(map(str, targets))
+        raise ValueError(f"expected {counts} columns, got {len(group.columns)}")
+    return [
+        Source(column, target, _unit_of(target, group.unit))
+        for column, target in zip(group.columns, targets[len(group.columns)], strict=True)
+    ]
 
-    becomes = (("temperature",), _axes("temperature"))
 
-
-class Pressure(Group):
-    """Static pressure."""
-
-    becomes = (("pressure",),)
-
-
-class Attitude(Group):
-    """Attitude as the device reports it: quaternion w, x, y, z with unit 1, or roll, pitch, yaw."""
-
-    becomes = (("q_w", "q_x", "q_y", "q_z"), ("roll", "pitch", "yaw"))
+def _unit_of(target: str, given: str) -> Unit:
+    """Return the unit as one of a canonical column; arbitrary units of a field stay arbitrary."""
+    unit = "1" if given == "1" and target.startswith("mag_") else KNOWN[target].unit
+    if unit == "1" != given:
+        raise ValueError(f"a quaternion has unit 1, got {given!r}")
+    return parse_unit(given, unit)
 
 
 RESERVED = (*KNOWN, "accel", "gyro", "vibration", "at_rest")
@@ -244,17 +204,24 @@ class TableMap(StrictModel):
 
     time: TimeColumn | None = None
     rate_hz: Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)] | None = None
-    gyro: Gyro | None = None
-    accel: Accel | None = None
-    mag: Mag | None = None
-    temperature: Temperature | None = None
-    attitude: Attitude | None = None
-    pressure: Pressure | None = None
+    gyro: Group | None = None
+    accel: Group | None = None
+    mag: Group | None = None
+    temperature: Group | None = None
+    attitude: Group | None = None
+    pressure: Group | None = None
     other: dict[Name, Other] = Field(default_factory=dict)
     axes: Literal["FLU", "FRD"] | None = None
     range: Ranges = Ranges()
     csv: TextFormat = TextFormat()
     bad_rows: Literal["error", "drop"] = "error"
+
+    @field_validator(*GROUPS)
+    @classmethod
+    def _measures_its_quantity(cls, given: Group | None, info: ValidationInfo) -> Group | None:
+        if given is not None:
+            _sources(str(info.field_name), given)
+        return given
 
     @model_validator(mode="after")
     def _is_whole(self) -> TableMap:
@@ -275,8 +242,8 @@ class TableMap(StrictModel):
 
     def sources(self) -> list[Source]:
         """Return the columns of data that the map names, in canonical order; others come last."""
-        groups = (self.gyro, self.accel, self.mag, self.temperature, self.attitude, self.pressure)
-        found = [source for group in groups if group is not None for source in group.sources()]
+        groups = {name: group for name in GROUPS if (group := getattr(self, name)) is not None}
+        found = [source for name, group in groups.items() for source in _sources(name, group)]
         order = list(KNOWN)
         found.sort(key=lambda source: order.index(source.target))
         others = [Source(one.column, name, parse_own_unit(one.unit)) for name, one in self.other.items()]

@@ -22,8 +22,6 @@ FORMAT: Final = "imumon-session/1"
 SourceKind = Literal["live", "simulation", "import"]
 SPAN: Final = "span_ns"
 """Counter of an imported session: what its rows span, without the gaps between segments."""
-SEARCHED_BYTES: Final = 1 << 19
-"""Bytes of it that a wire file holds: half of the longest record that its reader takes for one."""
 _PACKAGES = ("numpy", "numba", "scipy", "pyarrow", "mcap", "rerun-sdk")
 
 
@@ -102,11 +100,7 @@ class SessionMetadata(StrictModel):
 
     def for_wire(self) -> dict[str, str]:
         """Return what a wire file says, so that session.yaml can be made anew from it (`begun_of`)."""
-        text = dump_yaml(self.model_dump())
-        # A reader takes a longer record for damage: a bias model that large stays in session.yaml alone.
-        if len(text.encode()) > SEARCHED_BYTES:
-            text = dump_yaml(self.model_copy(update={"pipeline_yaml": None}).model_dump())
-        return {"device": self.device, "source": self.source, "session": text}
+        return {"device": self.device, "source": self.source, "session": dump_yaml(self.model_dump())}
 
     @property
     def duration_s(self) -> float:
@@ -143,8 +137,8 @@ def begun_of(metadata: Mapping[str, str]) -> SessionMetadata | None:
 
 def is_of_another_version(path: Path) -> bool:
     """Return whether a session.yaml that this version cannot read says that another one wrote it."""
-    with readable(path), path.open("rb") as file:
-        line = re.search(rb"^format: imumon-session/(\S+)", file.read(SEARCHED_BYTES), re.MULTILINE)
+    with readable(path):
+        line = re.search(rb"^format: imumon-session/(\S+)", path.read_bytes(), re.MULTILINE)
     return line is not None and line[1] != FORMAT.rpartition("/")[2].encode()
 
 

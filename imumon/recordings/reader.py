@@ -19,7 +19,7 @@ from imumon.pipeline import Estimator, Pipeline, SampleSink
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.folder import fingerprint, is_session, lost_metadata, open_session
 from imumon.recordings.importing import TableImport
-from imumon.recordings.source import Source, open_source, run_over
+from imumon.recordings.source import Count, Source, no_count, open_source, run_over
 from imumon.recordings.table import SUFFIXES, iterate_table, read_columns
 
 Stages = Callable[[DeviceFile | None], Sequence[Estimator]]
@@ -41,6 +41,8 @@ class Recording:
     """What it runs through."""
     processed: list[SampleBlock]
     """Blocks that have gone through the stages and were not yielded yet."""
+    count: Count
+    """Takes how many more bytes were read."""
 
     @property
     def name(self) -> str:
@@ -73,7 +75,7 @@ class Recording:
 
         What cannot be is missing, and so are rows whose time does not go on: `warnings` counts them.
         """
-        for _ in run_over(self.source.items, self.pipeline):
+        for _ in run_over(self.source.items, self.pipeline, self.count):
             blocks = [*self.processed]
             self.processed.clear()
             yield from blocks
@@ -93,38 +95,31 @@ class Recording:
         return fingerprint(self.truth)
 
 
-def open_recording(path: Path, stages: Stages = no_stages, map_path: Path | None = None) -> Recording:
+def open_recording(
+    path: Path, stages: Stages = no_stages, map_path: Path | None = None, count: Count = no_count
+) -> Recording:
     """Open a session, live or imported, or a table: one that imumon wrote, or any with its map.
 
     Raises BAD_DATA when there is nothing to read, or something that is no recording; BAD_CONFIG for a wrong
     map.
 
-    Parameters
-    ----------
-    path : Path
-        Folder of a session or its session.yaml, or a table.
-    stages : callable
-        What the samples run through; a stage of which a table has a column already is left out.
-    map_path : Path or None
-        Says what is in which column of a table from elsewhere.
+    `path`: folder of a session or its session.yaml, or a table.
+    `stages`: what the samples run through; a stage of which a table has a column already is left out.
+    `map_path`: says what is in which column of a table from elsewhere.
+    `count`: takes how many more bytes were read, for a progress bar.
     """
     source = _open(path, map_path)
     there = {column.name for column in source.imported}
     made, processed = stages(source.device), list[SampleBlock]()
     wanted = [stage for stage in made if there.isdisjoint(column.name for column in stage.columns)]
     pipeline = Pipeline(source.device, [*wanted, SampleSink(processed.append)], source.range)
-    return Recording(source, pipeline, processed)
+    return Recording(source, pipeline, processed, count)
 
 
 def _open(path: Path, map_path: Path | None) -> Source:
-    if is_session(path) or path.is_dir():
+    if is_session(path) or not path.is_file():
+        open_session(path)  # raises what there is instead
         return open_source(path)
-    if not path.exists():
-        raise ImumonError(
-            Reason.BAD_DATA,
-            f"{path}: there is no such file or folder",
-            "give a session, or a table of samples",
-        )
     if map_path is not None:
         table = TableImport(path, map_path)
         return Source(path, table.blocks(), None, None, tuple(table.columns.values()), table)
@@ -138,11 +133,8 @@ def _open(path: Path, map_path: Path | None) -> Source:
         )
     columns = read_columns(path)
     if "device_time_ns" not in columns:
-        raise ImumonError(
-            Reason.BAD_DATA,
-            f"{path}: has no column device_time_ns, so it is no table of imumon",
-            "a table from elsewhere needs a map: imumon import",
-        )
+        seen = f"{path}: has no column device_time_ns, so it is no table of imumon"
+        raise ImumonError(Reason.BAD_DATA, seen, "a table from elsewhere needs a map: imumon import")
     return Source(path, _with_segment(iterate_table(path)), None, None, tuple(columns.values()))
 
 

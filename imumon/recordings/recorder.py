@@ -30,23 +30,15 @@ class Recorder:
     While the disk is full or fails, items are kept up to a limit and then counted (`WireCounters`); the
     recording goes on as soon as writing works again.  Where its folder has vanished it goes on in a new one.
 
-    Parameters
-    ----------
-    writer : WireWriter
-        Used by the recorder alone from `start` to the return of `stop`, which closes it.
-    on_problem : callable
-        Called from the recorder's threads with one sentence when writing begins to fail, and with None when
-        all works again.
-    save : callable
-        Called from the second thread every 5 s, to write the session's metadata; an `OSError` or
+    `writer`: used by the recorder alone from `start` to the return of `stop`, which closes it.
+    `on_problem`: called from the recorder's threads with one sentence when writing begins to fail, and with
+        None when all works again.
+    `save`: called from the second thread every 5 s, to write the session's metadata; an `OSError` or
         `ImumonError` from it is a problem like any other.
     """
 
     def __init__(
-        self,
-        writer: WireWriter,
-        on_problem: Callable[[str | None], None],
-        save: Callable[[], None],
+        self, writer: WireWriter, on_problem: Callable[[str | None], None], save: Callable[[], None]
     ) -> None:
         self._writer = writer
         self._on_problem = on_problem
@@ -90,7 +82,7 @@ class Recorder:
             thread.join(max(0.0, deadline - time.monotonic()))
         if self._thread.is_alive():
             text = f"the disk did not answer for {STOP_TIMEOUT_S:.0f} s; the recording was not closed"
-            self._say(_WRITING, text)
+            self._report(_WRITING, text)
         return self._writer.counters
 
     def _run(self) -> None:
@@ -99,18 +91,18 @@ class Recorder:
             self._stopping.wait(FLUSH_PERIOD_S)  # slept through: to be woken by each read costs more than it
             stopped = self._take()
             self._try(self._writer.flush, _WRITING)
-            self._look_for_file()
+            self._check_file()
         self._try(self._writer.close, "the recording could not be finished")
 
-    def _look_for_file(self) -> None:
+    def _check_file(self) -> None:
         """Where the file has vanished, say so and begin another; that is tried again until it works."""
         if self._writer.has_vanished:
-            self._say(_GONE, f"{_GONE}: what it held is lost; a new file is begun")
+            self._report(_GONE, f"{_GONE}: what it held is lost; a new file is begun")
             with suppress(OSError, ImumonError):
                 self._writer.begin_again()
                 self._next_save = 0.0
         else:
-            self._say(_GONE, None)
+            self._report(_GONE, None)
 
     def _keep(self) -> None:
         """Let the medium have what was written, and renew the metadata; either may take seconds."""
@@ -135,11 +127,11 @@ class Recorder:
             action()
         except (OSError, ImumonError) as error:
             reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-            self._say(what, f"{what}: {reason}")
+            self._report(what, f"{what}: {reason}")
         else:
-            self._say(what, None)
+            self._report(what, None)
 
-    def _say(self, what: str, problem: str | None) -> None:
+    def _report(self, what: str, problem: str | None) -> None:
         """Note how one kind of work goes, and tell when it begins to fail, or all works again."""
         with self._lock:
             if problem == self._problems.get(what):

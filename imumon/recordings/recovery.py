@@ -10,12 +10,10 @@ from pathlib import Path
 
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import device_text, parse_device
-from imumon.recordings.metadata import PortUsed, SessionMetadata, begun_of
-from imumon.recordings.source import wire_device
+from imumon.recordings.metadata import SessionMetadata, begun_of
 from imumon.recordings.wire import WireWriter
-from imumon.recordings.wire_reader import WireReader
-from imumon.recordings.wire_summary import WireSummary
-from imumon.transport.reader import Bytes, Event, Reads
+from imumon.recordings.wire_reader import WireReader, WireSummary
+from imumon.transport.reader import Bytes, Event
 
 ORIGINAL = "original"
 FLUSH_BYTES = 1 << 20
@@ -31,54 +29,39 @@ def refuse_recording(path: Path) -> None:
 
 
 def metadata_anew(path: Path, device_name: str | None) -> tuple[SessionMetadata, list[str]]:
-    """Return the metadata of a session from what its wire file says; the state is open.
+    """Return the metadata of a session as its wire file holds them since its start; the state is open.
 
     Beside it stands what could not be known, one sentence each.
 
-    Raises BAD_CONFIG when nothing says what device it was; BAD_DATA when the file holds no message.
+    Raises BAD_CONFIG when the file does not hold them and no device is named; BAD_DATA without any message.
 
-    Parameters
-    ----------
-    device_name : str or None
-        Known name or path of a device file; it comes before the one that the wire file holds.
+    `device_name`: known name or path of a device file; it comes before the one that the wire file holds.
     """
-    text = None if device_name is None else device_text(device_name)[0]
-    written = WireReader(path).metadata()
-    begun = begun_of(written)
-    if begun is not None:
-        unknown = [
-            "what was written into session.yaml after the start is not known, as a serial number",
-            "the digest of the live results is not known: a replay has nothing to be compared with",
-        ]
-        if text is not None:
-            device = parse_device(text, str(device_name))
-            begun = begun.model_copy(update={"device": device.name, "axes": device.axes, "device_yaml": text})
-        return begun, unknown
-    device = wire_device(WireReader(path)) if text is None else parse_device(text, str(device_name))
-    first = next(iter(WireReader(path)), None)
-    if first is None:
-        raise ImumonError(Reason.BAD_DATA, f"{path} holds no message", "there is nothing to recover")
-    port = written.get("port")
-    metadata = SessionMetadata.begun(
-        "simulation" if written.get("source") == "simulation" else "live",
-        first.arrival_ns if isinstance(first, Bytes) else first.time_ns,
-        device=device.name,
-        axes=device.axes,
-        device_yaml=text,
-        port=None if port is None else PortUsed(url=port, settings={}),
-    )
+    begun = begun_of(WireReader(path).metadata())
     unknown = [
-        f"{path.name} does not hold the session.yaml of its start: the device file is the one named",
-        "not known are place, bias model and parameters (pipeline_yaml), the serial number, the versions "
-        "that recorded it and the digest of the live results; it began with its first message",
+        "what was written into session.yaml after the start is not known, as a serial number",
+        "the digest of the live results is not known: a replay has nothing to be compared with",
     ]
-    return metadata, unknown
+    if begun is None:
+        seen = f"{path} does not hold the session.yaml of its start: it is old, or its beginning is damaged"
+        if device_name is None:
+            raise ImumonError(Reason.BAD_CONFIG, seen, "add --device NAME; imumon devices lists them")
+        first = next(iter(WireReader(path)), None)
+        if first is None:
+            raise ImumonError(Reason.BAD_DATA, f"{path} holds no message", "there is nothing to recover")
+        at_ns = first.arrival_ns if isinstance(first, Bytes) else first.time_ns
+        begun = SessionMetadata.begun("live", at_ns, device=device_name)
+        unknown = [f"{seen}; only the device is known, and it began with its first message"]
+    if device_name is not None:
+        text, source = device_text(device_name)
+        device = parse_device(text, source)
+        begun = begun.model_copy(update={"device": device.name, "axes": device.axes, "device_yaml": text})
+    return begun, unknown
 
 
 def is_sound(summary: WireSummary) -> bool:
     """Return whether a wire file is whole and as it was written."""
-    damage = summary.damage
-    is_whole = damage.places == summary.recovered.places and not damage.events
+    is_whole = summary.damage.places == summary.recovered.places
     return summary.complete and summary.checksum_ok is not False and is_whole
 
 
@@ -128,25 +111,16 @@ def _items(path: Path, writer: WireWriter, bytes_missing: int, ended_ns: int) ->
     reader = WireReader(path)
     written = last_ns = 0
     for batch in reader.batches():
-        first_ns, after_ns = _times(batch)
-        missing = reader.damage.messages + reader.damage.events - written
+        items = [batch] if isinstance(batch, Event) else list(batch)
+        times = [item.time_ns if isinstance(item, Event) else item.arrival_ns for item in items]
+        missing = reader.damage.messages - written
         if missing:
-            writer.missing(last_ns, first_ns, missing)
-        written, last_ns = written + missing, after_ns
-        if isinstance(batch, Event):
-            yield batch
-        else:
-            yield from batch
-    missing = reader.damage.messages + reader.damage.events - written
+            writer.missing(last_ns, times[0], missing)
+        written, last_ns = written + missing, times[-1]
+        yield from items
+    missing = reader.damage.messages - written
     if missing or bytes_missing:
         writer.missing(last_ns, max(last_ns, ended_ns), missing, bytes_missing)
-
-
-def _times(batch: Reads | Event) -> tuple[int, int]:
-    """Return when the first and the last of what belongs together came."""
-    if isinstance(batch, Event):
-        return batch.time_ns, batch.time_ns
-    return int(batch.arrivals_ns[0]), int(batch.arrivals_ns[-1])
 
 
 def _sync_folder(folder: Path) -> None:

@@ -111,12 +111,8 @@ def _steady(mean: FloatArray, sd: FloatArray) -> BoolArray:
 def reduce(blocks: Iterable[SampleBlock], names: Sequence[str], slot_s: float) -> Reduced:
     """Reduce samples with device_time_ns and segment, and at_rest where that was judged, in bounded memory.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Columns to reduce; one that a block lacks is missing there.
-    slot_s : float
-        Length of a slot; slots lie on a grid from the first sample of each run.
+    `names`: columns to reduce; one that a block lacks is missing there.
+    `slot_s`: length of a slot; slots lie on a grid from the first sample of each run.
     """
     gatherer = gatherer_of(names, slot_s)
     parts = [part for block in blocks for part in kept_slots(gatherer, block, names)]

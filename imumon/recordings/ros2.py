@@ -32,6 +32,10 @@ OK, WARN = 0, 1
 IMU, FIX, MAG = "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/MagneticField"
 TEMPERATURE, PRESSURE = "sensor_msgs/msg/Temperature", "sensor_msgs/msg/FluidPressure"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+SCALARS = {"pressure": (PRESSURE, "fluid_pressure")} | {
+    f"temperature{of}": (TEMPERATURE, "temperature") for of in ("", "_x", "_y", "_z", "_estimate")
+}
+"""Of columns that become messages of one value: type, and field."""
 DIAGONAL_KNOWN = 2
 NOISY = ("gyro", "accel")
 DIAGNOSED = (
@@ -60,12 +64,8 @@ def write_ros2(tables: Mapping[str, Path], out: Path, axes: Literal["FLU", "FRD"
 
     Raises BAD_CONFIG when a package that it needs is not installed.
 
-    Parameters
-    ----------
-    tables : mapping of str to Path
-        Of the main stream and of each side stream, Parquet.
-    axes : "FLU", "FRD" or None
-        Body axes of the samples; where they are not known the samples stay as they are.
+    `tables`: of the main stream and of each side stream, Parquet.
+    `axes`: body axes of the samples; where they are not known the samples stay as they are.
     """
     try:
         from mcap_ros2.writer import Writer
@@ -152,7 +152,7 @@ class Stream:
     def left_out(self) -> list[str]:
         """What has no place in a message."""
         found = [] if self.clock else [f"{self.name}: its rows have no time"]
-        if "mag_x" in self.units and self.units["mag_x"] not in TESLA:
+        if self.units.get("mag_x", "T") not in TESLA:
             found.append(f"the magnetic field: its unit is {self.units['mag_x']!r}, ROS has tesla")
         return found
 
@@ -174,78 +174,66 @@ class Stream:
                     yield topic.name, topic.kind, int(times[row]), message
 
     def _topics(self, block: SampleBlock, begins: BoolArray) -> Iterator[_Topic]:
-        """Yield what the block has messages of."""
+        """Yield what the block has messages of; `begins` says which rows are the first of a second."""
+        prefix = ""
         if self.name == MAIN:
             yield from self._inertial(block)
-        prefix = "" if self.name == MAIN else f"/{self.name}"
+            if any(name in block for name in DIAGNOSED):
+                yield _Topic("/diagnostics", DIAGNOSTICS, begins, lambda row: _diagnostics(block, row))
+        else:
+            prefix = f"/{self.name}"
         for name in block.columns:
             of = name.removesuffix("latitude")
             if name.endswith("latitude") and f"{of}longitude" in block:
                 topic = f"{prefix}/fix" if of in ("", f"{self.name}_") else f"{prefix}/{of}fix"
                 yield _fix(topic, block, of)
-        scalars = [("pressure", PRESSURE, "fluid_pressure")]
-        for name in block.columns:
-            if name == "temperature" or (name[:-1] == "temperature_" and name[-1] in "xyz"):
-                scalars.append((name, TEMPERATURE, "temperature"))
-        scalars.append(("temperature_estimate", TEMPERATURE, "temperature"))
-        for column, kind, of in scalars:
+        for column in SCALARS:
             if column in block:
-                yield self._scalar(f"{prefix}/imu/{column}", kind, block, begins, column, of)
-        if self.name == MAIN and any(name in block for name in DIAGNOSED):
-            yield _Topic("/diagnostics", DIAGNOSTICS, begins, lambda row: _diagnostics(block, row))
+                yield self._scalar(f"{prefix}/imu/{column}", block, column, begins)
 
     def _inertial(self, block: SampleBlock) -> Iterator[_Topic]:
-        gyro, accel = self._vector(block, "gyro"), self._vector(block, "accel")
-        of_gyro, of_accel = (
-            np.tile(self._squares[name] / (2.0 * max(self._steps[name], 1)), (len(block), 1))
+        (gyro, of_gyro), (accel, of_accel) = (
+            (self._vector(block, name), self._squares[name] / (2.0 * max(self._steps[name], 1)))
             for name in NOISY
         )
-        force = ("linear_acceleration", accel, of_accel)
+        force = accel, np.tile(of_accel, (len(block), 1))
         if gyro is not None or accel is not None:
-            nothing = ("orientation", None, None)
-            yield _imu("/imu/data_raw", nothing, ("angular_velocity", gyro, of_gyro), force)
+            rate = gyro, np.tile(of_gyro, (len(block), 1))
+            yield _imu("/imu/data_raw", (None, None), rate, force)
         bias, sd = self._vector(block, "gyro_bias"), block.vector("gyro_bias_sd")
         if gyro is not None and bias is not None and sd is not None:
             variances = np.where(of_gyro.all(), sd**2 + of_gyro, 0.0)
-            attitude = ("orientation", *self._attitude(block))
-            yield _imu("/imu/data", attitude, ("angular_velocity", gyro - bias, variances), force)
+            yield _imu("/imu/data", self._attitude(block), (gyro - bias, variances), force)
         mag = self._vector(block, "mag")
         if mag is not None and (scale := TESLA.get(self.units["mag_x"])):
-            values = mag * scale
+            values, there = mag * scale, np.asarray(np.isfinite(mag).all(axis=1))
+            unknown = {"magnetic_field_covariance": UNKNOWN}
             yield _Topic(
-                "/imu/mag",
-                MAG,
-                np.asarray(np.isfinite(mag).all(axis=1)),
-                lambda row: {"magnetic_field": _named(values[row]), "magnetic_field_covariance": UNKNOWN},
+                "/imu/mag", MAG, there, lambda row: {"magnetic_field": _named(values[row]), **unknown}
             )
 
-    def _scalar(
-        self, topic: str, kind: str, block: SampleBlock, begins: BoolArray, column: str, of: str
-    ) -> _Topic:
+    def _scalar(self, topic: str, block: SampleBlock, column: str, begins: BoolArray) -> _Topic:
         """Return messages of one value and its variance, zero where it is not known.
 
         A reading is published when it has changed, and once a second; an estimate once a second.
         """
-        values, due = block[column], begins.copy()
-        variance = np.zeros(len(block))
-        if f"{column}_sd" in block:
-            variance = np.nan_to_num(block[f"{column}_sd"] ** 2)
+        (kind, of), values, due = SCALARS[column], block[column], begins.copy()
+        variance = np.nan_to_num(_optional(block, f"{column}_sd") ** 2)
         if column != "temperature_estimate":
             due |= np.diff(values, prepend=self._last.get(column, np.nan)) != 0
             self._last[column] = float(values[-1])
-        return _Topic(
-            topic,
-            kind,
-            due & np.isfinite(values),
-            lambda row: {of: float(values[row]), "variance": float(variance[row])},
-        )
+
+        def make(row: int) -> Message:
+            return {of: float(values[row]), "variance": float(variance[row])}
+
+        return _Topic(topic, kind, due & np.isfinite(values), make)
 
     def _vector(self, block: SampleBlock, name: str) -> FloatArray | None:
         """Return a vector in forward-left-up axes, (n, 3)."""
         values = block.vector(name)
         return values if values is None or not self.flip else values * [1.0, -1.0, -1.0]
 
-    def _attitude(self, block: SampleBlock) -> tuple[FloatArray | None, FloatArray | None]:
+    def _attitude(self, block: SampleBlock) -> _Part:
         """Return the estimated attitude x, y, z, w, body to east-north-up, and variances about these."""
         q = block.vector("attitude_estimate", "xyzw")
         if q is None:
@@ -260,22 +248,23 @@ class Stream:
         return q, np.column_stack([tilt**2, tilt**2, yaw])
 
 
-_Part = tuple[str, FloatArray | None, FloatArray | None]
-"""A quantity of a message: its name, values (n, 3) or (n, 4), and variances (n, 3), in SI units."""
+_Part = tuple[FloatArray | None, FloatArray | None]
+"""A quantity of a message: values (n, 3) or (n, 4), and variances (n, 3), in SI units."""
 
 
 def _imu(topic: str, attitude: _Part, rate: _Part, force: _Part) -> _Topic:
     """Return messages `sensor_msgs/Imu` of the rows that have a rate or a force."""
-    inertial = [np.isfinite(values).all(axis=1) for _, values, _ in (rate, force) if values is not None]
+    parts = {"orientation": attitude, "angular_velocity": rate, "linear_acceleration": force}
+    inertial = [np.isfinite(values).all(axis=1) for values, _ in (rate, force) if values is not None]
 
     def make(row: int) -> Message:
         message: Message = {}
-        for name, values, variances in (attitude, rate, force):
-            if values is None or variances is None or not np.isfinite(values[row]).all():
-                absent = (0.0, 0.0, 0.0, 1.0) if name == "orientation" else (0.0, 0.0, 0.0)
-                message |= {name: _named(absent), f"{name}_covariance": NOTHING}
-            else:
-                message |= {name: _named(values[row]), f"{name}_covariance": _diagonal(variances[row])}
+        for name, (values, variances) in parts.items():
+            value: Any = (0.0, 0.0, 0.0, 1.0) if name == "orientation" else (0.0, 0.0, 0.0)
+            covariance = NOTHING
+            if values is not None and variances is not None and np.isfinite(values[row]).all():
+                value, covariance = values[row], _diagonal(variances[row])
+            message |= {name: _named(value), f"{name}_covariance": covariance}
         return message
 
     return _Topic(topic, IMU, np.any(inertial, axis=0), make)
@@ -283,24 +272,19 @@ def _imu(topic: str, attitude: _Part, rate: _Part, force: _Part) -> _Topic:
 
 def _fix(topic: str, block: SampleBlock, of: str) -> _Topic:
     """Return messages `sensor_msgs/NavSatFix`, with the accuracies that the receiver gives."""
-    latitude, longitude, altitude, level, upright = (
-        _optional(block, f"{of}{name}")
-        for name in ("latitude", "longitude", "altitude", "horizontal_accuracy", "vertical_accuracy")
-    )
+    place = {name: _optional(block, f"{of}{name}") for name in ("latitude", "longitude", "altitude")}
+    level, upright = (_optional(block, f"{of}{name}_accuracy") for name in ("horizontal", "vertical"))
 
     def make(row: int) -> Message:
-        known = bool(np.isfinite(level[row] + upright[row]))
         spread = np.array([level[row], level[row], upright[row]]) ** 2
         return {
             "status": {"status": 0, "service": 1},
-            "latitude": float(latitude[row]),
-            "longitude": float(longitude[row]),
-            "altitude": float(altitude[row]),
+            **{name: float(values[row]) for name, values in place.items()},
             "position_covariance": _diagonal(spread),
-            "position_covariance_type": DIAGONAL_KNOWN if known else 0,
+            "position_covariance_type": DIAGONAL_KNOWN if np.isfinite(spread).all() else 0,
         }
 
-    return _Topic(topic, FIX, np.isfinite(latitude + longitude), make)
+    return _Topic(topic, FIX, np.isfinite(place["latitude"] + place["longitude"]), make)
 
 
 def _diagnostics(block: SampleBlock, row: int) -> Message:
@@ -326,5 +310,4 @@ def _named(values: Any) -> dict[str, float]:
 
 
 def _diagonal(variances: FloatArray) -> list[float]:
-    x, y, z = map(float, variances)
-    return [x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z] if np.isfinite(x + y + z) else UNKNOWN
+    return np.diag(variances).ravel().tolist() if np.isfinite(variances).all() else UNKNOWN

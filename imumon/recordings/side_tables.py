@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,11 +10,12 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from imumon.blocks import SampleBlock
+from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
 from imumon.files import check_output, naming, target
 from imumon.protocols.base import MAIN
 from imumon.recordings.conversions import CONVERTED, convert
-from imumon.recordings.table import CLOCKS, TableWriter, export_blocks
+from imumon.recordings.table import CLOCKS, TableWriter
 
 if TYPE_CHECKING:
     from imumon.pipeline import Pipeline
@@ -56,16 +57,14 @@ def export_run(
 ) -> Exported:
     """Write what a run yields, in the format that the suffix of `out` says.
 
-    Raises ImumonError as `imumon.recordings.table.export_blocks`; a run with rows in side streams only has
-    their tables. BAD_CONFIG when the format has no place for any of it; OSError when the disk is full or
-    fails; a file that was there before is untouched.
+    A run with rows in side streams only has their tables.
 
-    Parameters
-    ----------
-    blocks : iterable of SampleBlock
-        The run over `source`, which goes through `pipeline`.
-    columns : sequence of str, or None
-        Columns of the main table, and no others are written; None for all, and all side streams.
+    Raises BAD_CONFIG when a column that was chosen is not there, naming those that are, or the format has no
+    place for any of it; BAD_DATA when there is no sample; OSError when the disk is full or fails; a file that
+    was there before is untouched.
+
+    `blocks`: the run over `source`, which goes through `pipeline`.
+    `columns`: columns of the main table, and no others are written; None for all, and all side streams.
     """
     if out.suffix not in CONVERTED:
         return _tables(blocks, pipeline, source, out, columns)
@@ -90,32 +89,38 @@ def _tables(
     columns: Sequence[str] | None,
     also: Sequence[str] = (),
 ) -> Exported:
-    writers: dict[str, TableWriter] = {}
+    """Write the tables; `also` are columns that come before those that were chosen, where they are there."""
+    main, written, there = TableWriter(out, {}), dict[str, TableWriter](), dict[str, None]()
     with ExitStack() as stack:
-        if columns is None:
-            blocks = _with_side_rows(blocks, pipeline, out, writers, stack)
-        try:
-            rows = export_blocks(blocks, out, columns, lambda: source.columns(pipeline), also)
-        except ImumonError as error:
-            if error.reason is not Reason.BAD_DATA or pipeline.counters.samples or not writers:
-                raise
-            rows = 0
-    tables = {stream: writer.path for stream, writer in writers.items()}
-    return Exported(rows, {MAIN: out, **tables} if rows else tables)
+        for block in blocks:
+            for stream, rows in {**(pipeline.side if columns is None else {}), MAIN: block}.items():
+                if not len(rows):
+                    continue
+                known = source.columns(pipeline) if stream == MAIN else pipeline.stream_columns(stream)
+                if stream == MAIN:
+                    there |= dict.fromkeys(rows.columns)
+                    rows, known = _chosen(rows, known, None if columns is None else [*also, *columns])
+                if stream not in written:
+                    writer = main if stream == MAIN else TableWriter(side_path(out, stream), {})
+                    written[stream] = stack.enter_context(writer)
+                written[stream].announce(known)
+                written[stream].write(rows)
+        absent = [name for name in columns or () if name not in there]
+        if absent and there:
+            seen = f"no column {', '.join(absent)} in these samples"
+            raise ImumonError(Reason.BAD_CONFIG, seen, f"there are: {', '.join(there)}")
+        if not written:
+            raise ImumonError(Reason.BAD_DATA, "there are no samples, so there is no table to write")
+    order = sorted(written, key=lambda stream: stream != MAIN)
+    return Exported(main.rows, {stream: written[stream].path for stream in order})
 
 
-def _with_side_rows(
-    blocks: Iterable[SampleBlock],
-    pipeline: Pipeline,
-    out: Path,
-    writers: dict[str, TableWriter],
-    stack: ExitStack,
-) -> Iterator[SampleBlock]:
-    """Yield the blocks of a run; write the rows of the side streams that came with each."""
-    for block in blocks:
-        for stream, rows in pipeline.side.items():
-            if stream not in writers:
-                writers[stream] = stack.enter_context(TableWriter(side_path(out, stream), {}))
-            writers[stream].announce(pipeline.stream_columns(stream))
-            writers[stream].write(rows)
-        yield block
+def _chosen(
+    rows: SampleBlock, known: list[Column], wanted: Sequence[str] | None
+) -> tuple[SampleBlock, list[Column]]:
+    """Return the columns of rows that are wanted, and what may come of them, in the order of the table."""
+    if wanted is None:
+        return rows, known
+    of = {column.name: column for column in known}
+    names = dict.fromkeys(wanted)
+    return SampleBlock({n: rows[n] for n in names if n in rows}), [of[n] for n in names if n in of]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from contextvars import ContextVar
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -20,8 +19,7 @@ from imumon.recordings.importing import TableImport
 from imumon.recordings.metadata import begun_of, iso_utc
 from imumon.recordings.table import SUFFIXES, iterate_samples, read_columns
 from imumon.recordings.wire_format import is_wire
-from imumon.recordings.wire_reader import WireReader
-from imumon.recordings.wire_summary import Place, WireSummary
+from imumon.recordings.wire_reader import Place, WireReader, WireSummary
 from imumon.transport.reader import Bytes, EventKind, Item, Reads
 
 READ_SIZE = 1 << 16
@@ -103,7 +101,7 @@ class Source:
         elif self.session is not None and self.session.state == "closed" and not summary.complete:
             texts.append(f"the end of {name} is missing, though the session was closed")
         if summary.tail_bytes:
-            texts.append(f"{summary.tail_bytes:,} bytes at the end of {name} are not a whole record")
+            texts.append(f"{summary.tail_bytes:,} bytes at the end of {name} are not a whole block")
         if summary.bytes_unrecorded:
             texts.append(
                 f"{summary.bytes_unrecorded:,} bytes could not be recorded at the time, or were lost since"
@@ -139,7 +137,7 @@ class Source:
                 "bytes_unrecorded": summary.bytes_unrecorded,
                 "tail_bytes": summary.tail_bytes,
                 "bytes_missing": 0 if self.session is None else bytes_missing(self.session, summary),
-                "damage": {**damage, "bytes_altered": 0, "where": where},
+                "damage": {**damage, "events": 0, "bytes_altered": 0, "where": where},
             }
         }
 
@@ -190,8 +188,6 @@ def _damage(summary: WireSummary, name: str, began_ns: int | None) -> list[str]:
         texts += [f"damaged: {_place(place, began_ns)}" for place in damage.where[:SHOWN_PLACES]]
         if damage.places > SHOWN_PLACES:
             texts.append(f"damaged: {damage.places - SHOWN_PLACES:,} more places, the first with --json")
-    if damage.events:
-        texts.append(f"{damage.events:,} events of {name} are damaged and were left out")
     return texts
 
 
@@ -212,19 +208,23 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
     Raises BAD_DATA when there is nothing to read; BAD_CONFIG for a capture without a device, or a rate for an
     imported session, whose samples have their times.
 
-    Parameters
-    ----------
-    rate_hz : float, optional
-        Packets per second, which dates those of a device that sends no time; default: the device file's.
+    `rate_hz`: packets per second, which dates those of a device that sends no time; default: the device
+    file's.
     """
     if not is_session(path):
-        if path.is_dir():
-            open_session(path)  # raises, saying what is there
         if not path.is_file() and not path.is_fifo():
-            what = "is neither a file nor a pipe" if path.exists() else "there is no such file"
-            raise ImumonError(Reason.BAD_DATA, f"{path}: {what}", "give a raw capture or a session")
+            open_session(path)  # raises, saying what is there
         wire = WireReader(path) if path.is_file() and is_wire(path) else None
-        device = _named(path, device_name) if wire is None or device_name else wire_device(wire)
+        if device_name is not None:
+            device = load_device(device_name)
+        elif wire is not None:
+            device = wire_device(wire)
+        else:
+            raise ImumonError(
+                Reason.BAD_CONFIG,
+                f"{path} is not a session, so its device must be named",
+                "add --device NAME; imumon devices lists them",
+            )
         return Source(path, wire or capture_items(path), device.at_rate(rate_hz), None)
     session = open_session(path)
     if session.metadata.source == "import":
@@ -236,54 +236,35 @@ def open_source(path: Path, device_name: str | None = None, rate_hz: float | Non
             )
         columns = tuple(read_columns(session.samples_path).values())
         return Source(path, iterate_samples(session), None, session, columns)
-    device = session_device(session) if device_name is None else load_device(device_name)
-    return replace(source_of(session, device.at_rate(rate_hz)), path=path)
+    source = source_of(session, None if device_name is None else load_device(device_name))
+    assert source.device is not None
+    return replace(source, path=path, device=source.device.at_rate(rate_hz))
 
 
 def source_of(session: Session, device: DeviceFile | None = None) -> Source:
-    """Return what is read of a session that has bytes; its own device unless another is given.
+    """Return what is read of a session that has bytes; its device as recorded unless another is given.
 
     Raises BAD_DATA when it keeps no device file and none is given.
     """
-    return Source(session.path, WireReader(session.wire_path), device or session_device(session), session)
-
-
-def _named(path: Path, device_name: str | None) -> DeviceFile:
-    if device_name is None:
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            f"{path} is not a session, so its device must be named",
-            "add --device NAME; imumon devices lists them",
-        )
-    return load_device(device_name)
+    if device is None:
+        text = session.metadata.device_yaml
+        if text is None:
+            raise ImumonError(Reason.BAD_DATA, f"{session.path}: session.yaml has no device_yaml")
+        device = parse_device(text, f"{session.path / METADATA_NAME} (device_yaml)")
+    return Source(session.path, WireReader(session.wire_path), device, session)
 
 
 def wire_device(wire: WireReader) -> DeviceFile:
     """Return the device of a wire file that stands alone, as it was when the file was recorded.
 
-    Raises BAD_CONFIG when the file does not say it, with the name that it says.
+    Raises BAD_CONFIG when the file does not hold it.
     """
     metadata = wire.metadata()
     begun = begun_of(metadata)
     if begun is None or begun.device_yaml is None:
-        named = f"; it says the name of the device, {metadata['device']}" if "device" in metadata else ""
-        raise ImumonError(
-            Reason.BAD_CONFIG,
-            f"{wire.path} does not hold its device file{named}",
-            f"add --device {metadata.get('device', 'NAME')}, or the path of its file;"
-            " imumon devices lists them",
-        )
+        hint = f"add --device {metadata.get('device', 'NAME')}, or the path of its file"
+        raise ImumonError(Reason.BAD_CONFIG, f"{wire.path} does not hold its device file", hint)
     return parse_device(begun.device_yaml, f"{wire.path} (device_yaml)")
-
-
-def session_device(session: Session) -> DeviceFile:
-    """Return the device of a session as it was when the session was recorded.
-
-    Raises BAD_DATA when the session keeps no device file.
-    """
-    if session.metadata.device_yaml is None:
-        raise ImumonError(Reason.BAD_DATA, f"{session.path}: session.yaml has no device_yaml")
-    return parse_device(session.metadata.device_yaml, f"{session.path / 'session.yaml'} (device_yaml)")
 
 
 def capture_items(path: Path) -> Iterator[Item]:
@@ -297,12 +278,16 @@ def capture_items(path: Path) -> Iterator[Item]:
             yield Bytes(data, UNDATED)
 
 
-reading: ContextVar[Callable[[int], object]] = ContextVar("reading", default=lambda _: None)
-"""Who wants to know how many bytes more of a recording were gone through: reading one may take minutes."""
+Count = Callable[[int], object]
+"""Takes how many more bytes of a recording were read, for a progress bar."""
+
+
+def no_count(_: int) -> None:
+    """Show no progress."""
 
 
 def recorded_bytes(path: Path) -> int | None:
-    """Return how many bytes `reading` will be told of; None where that is not known before, as of a table."""
+    """Return how many bytes `run_over` will count; None where that is not known before, as of a table."""
     if not is_session(path):
         return path.stat().st_size if path.is_file() and path.suffix not in SUFFIXES else None
     session = open_session(path)
@@ -311,22 +296,22 @@ def recorded_bytes(path: Path) -> int | None:
     return session.metadata.counters.get("bytes_received") or session.wire_path.stat().st_size
 
 
-def run_over(items: Iterable[Item | Reads | SampleBlock], pipeline: Pipeline) -> Iterator[SampleBlock]:
+def run_over(
+    items: Iterable[Item | Reads | SampleBlock], pipeline: Pipeline, count: Count = no_count
+) -> Iterator[SampleBlock]:
     """Run what was recorded through a new pipeline; yield the samples in order, to the last byte.
 
-    Parameters
-    ----------
-    items : iterable of Bytes and Event, or of SampleBlock
-        From `WireReader`, `capture_items` or `iterate_samples`.
+    `items`: from `WireReader`, `capture_items` or `iterate_samples`.
+    `count`: called with the number of bytes read since the last call.
     """
-    fed, progress = 0, reading.get()
+    fed = 0
     for item in items.batches() if isinstance(items, WireReader) else items:
         fed += feed(item, pipeline)
         if fed >= BATCH_BYTES:
-            progress(fed)
+            count(fed)
             fed = 0
             yield pipeline.take()
-    progress(fed)
+    count(fed)
     pipeline.finish()
     yield pipeline.take()
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -48,13 +48,9 @@ class TableWriter:
 
     Raises BAD_CONFIG for another suffix, or when the folder of the output does not exist.
 
-    Parameters
-    ----------
-    path : Path
-        Output; the suffix .parquet or .csv decides the format.  An existing file is replaced on success.
-    columns : mapping of str to Column
-        Every column that may come, in the order in which the table shall have them; only those that come
-        are written (all of them when no row comes).
+    `path`: output; the suffix .parquet or .csv decides the format.  An existing file is replaced on success.
+    `columns`: every column that may come, in the order in which the table shall have them; only those that
+        come are written (all of them when no row comes).
     """
 
     def __init__(self, path: Path, columns: Mapping[str, Column]) -> None:
@@ -171,51 +167,6 @@ class TableWriter:
         merged.replace(self._place)
 
 
-def export_blocks(
-    blocks: Iterable[SampleBlock],
-    out: Path,
-    columns: Sequence[str] | None,
-    known: Callable[[], Iterable[Column]],
-    also: Sequence[str] = (),
-) -> int:
-    """Write blocks to a table and return the number of rows.
-
-    Raises BAD_CONFIG when a column that was asked for is not there, naming those that are; BAD_DATA when
-    there is no sample; a table that was there then stays as it was; OSError when the table cannot be written;
-    one that was there then stays as it was.
-
-    Parameters
-    ----------
-    columns : sequence of str, or None
-        The columns to write, in this order; None for all that come.
-    known : callable
-        Returns unit and type of every column that has come so far; a device may begin to send more.
-    also : sequence of str
-        Columns to write before those, where they come.
-    """
-    wanted = None if columns is None else list(dict.fromkeys((*also, *columns)))
-    seen: dict[str, None] = {}
-    with TableWriter(out, {}) as writer:
-        for block in blocks:
-            if not len(block):
-                continue
-            seen.update(dict.fromkeys(block.columns))
-            at_hand = {column.name: column for column in known()}
-            names = block.columns if wanted is None else [name for name in wanted if name in block]
-            writer.announce(at_hand[name] for name in wanted or at_hand if name in at_hand)
-            writer.write(SampleBlock({name: block[name] for name in names}))
-        absent = [name for name in columns or () if name not in seen]
-        if absent and seen:
-            raise ImumonError(
-                Reason.BAD_CONFIG,
-                f"no column {', '.join(absent)} in these samples",
-                f"there are: {', '.join(seen)}",
-            )
-        if not writer.rows:
-            raise ImumonError(Reason.BAD_DATA, "there are no samples, so there is no table to write")
-    return writer.rows
-
-
 def iterate_samples(session: Session) -> Iterator[SampleBlock]:
     """Yield the samples of an imported session in order.
 
@@ -225,20 +176,25 @@ def iterate_samples(session: Session) -> Iterator[SampleBlock]:
     if session.metadata.source != "import":
         raise ImumonError(Reason.BAD_DATA, f"{session.path} holds bytes, not samples: it must be decoded")
     imported = session.metadata.table
-    if imported is not None and (rows := _rows(session.samples_path)) != imported.rows_out:
-        raise ImumonError(
-            Reason.BAD_DATA,
-            f"{session.samples_path} was changed after the import: it has {rows:,} rows, and"
-            f" {imported.rows_out:,} were imported",
-            f"import {imported.file} again, into another folder",
-        )
+    if imported is not None:
+        with table_errors(session.samples_path):
+            rows = int(pq.read_metadata(session.samples_path).num_rows)
+        if rows != imported.rows_out:
+            raise ImumonError(
+                Reason.BAD_DATA,
+                f"{session.samples_path} was changed after the import: it has {rows:,} rows, and"
+                f" {imported.rows_out:,} were imported",
+                f"import {imported.file} again, into another folder",
+            )
     return iterate_table(session.samples_path)
 
 
-def _rows(path: Path) -> int:
+@contextmanager
+def table_errors(path: Path) -> Iterator[None]:
+    """Raise BAD_DATA, naming the table, where it cannot be read."""
     try:
-        return int(pq.read_metadata(path).num_rows)
-    except (pa.ArrowException, OSError) as error:
+        yield
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error}") from error
 
 
@@ -247,19 +203,14 @@ def iterate_table(path: Path, columns: Sequence[str] | None = None) -> Iterator[
 
     Raises BAD_DATA when the table cannot be read or has a column that is neither float nor integer.
 
-    Parameters
-    ----------
-    columns : sequence of str, optional
-        Only these columns, which the table must have; others are not read.
+    `columns`: only these columns, which the table must have; others are not read.
     """
     there = read_columns(path)
     schema = _schema(there.values() if columns is None else [there[name] for name in columns])
-    try:
+    with table_errors(path):
         for batch in _batches(path, schema):
             for start in range(0, len(batch), READ_ROWS):
                 yield _from_arrow(batch.slice(start, READ_ROWS), schema)
-    except (pa.ArrowException, OSError) as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error}") from error
 
 
 def read_table(path: Path) -> tuple[SampleBlock, dict[str, Column]]:
@@ -279,12 +230,10 @@ def read_columns(path: Path) -> dict[str, Column]:
     Raises BAD_DATA when the table cannot be read or has a column that is neither float nor integer.
     """
     _check_suffix(path, Reason.BAD_DATA)
-    try:
+    with table_errors(path):
         if path.suffix == ".csv":
             return _csv_columns(path)
         schema = pq.read_schema(path)
-    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: cannot be read: {error}") from error
     return {field.name: _parquet_column(path, field) for field in schema}
 
 
@@ -307,11 +256,10 @@ class _UnitsFile(StrictModel):
 
 def _write_units(path: Path, columns: Iterable[Column]) -> None:
     entries = {
-        column.name: {"unit": column.unit, "type": column.dtype, "description": column.description}
-        for column in columns
+        one.name: _UnitsColumn(unit=one.unit, type=one.dtype, description=one.description) for one in columns
     }
-    content = {"format": FORMAT, "imumon": __version__, "columns": entries}
-    write_text(path, dump_yaml(content))
+    content = _UnitsFile(format="imumon-table/1", imumon=__version__, columns=entries)
+    write_text(path, dump_yaml(content.model_dump()))
 
 
 def _csv_columns(path: Path) -> dict[str, Column]:

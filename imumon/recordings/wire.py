@@ -17,33 +17,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from mcap import records as mcap
 from mcap.data_stream import RecordBuilder
-from mcap.records import (
-    Channel,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-)
 
 from imumon.errors import ImumonError, Reason
-from imumon.recordings.wire_format import (
-    CDR,
-    CDR_LITTLE,
-    EVENT_CHANNEL,
-    FORMAT,
-    MAGIC,
-    MESSAGE,
-    MESSAGE_FIELDS,
-    MESSAGE_OP,
-    UNRECORDED,
-    WIRE_CHANNEL,
-    Check,
-)
+from imumon.recordings import wire_format as wf
 from imumon.transport.reader import Bytes, Item
 from imumon.version import __version__
 
@@ -74,18 +52,15 @@ class WireWriter:
 
     Raises EXISTS when there is such a file; OSError when it cannot be created.
 
-    Parameters
-    ----------
-    path : Path
-        New file.
-    metadata : mapping of str to str
-        Written into the file as the metadata record "imumon".
+    `path`: new file.
+    `metadata`: written into the file as the metadata record "imumon".
     """
 
     def __init__(self, path: Path, metadata: Mapping[str, str]) -> None:
         self._path = path
-        self._metadata = Metadata(name="imumon", metadata=dict(metadata))
+        self._metadata = mcap.Metadata(name="imumon", metadata=dict(metadata))
         self._unflushed: deque[tuple[int, int]] = deque()
+        """Of each block that is not on disk: where it ends in the file, and the device's bytes in it."""
         self._sequence = 0
         self.counters = WireCounters()
         self._gap = Counter[str]()
@@ -110,9 +85,9 @@ class WireWriter:
         with suppress(OSError):  # a file system that knows no locks
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._spool = _Spool(descriptor)
-        self._block_start = 0
-        self._spool.write(MAGIC)
-        self._spool.write(_packed(Header(profile=FORMAT, library=f"imumon {__version__}")))
+        self._block_start = self._block_bytes = 0
+        self._spool.write(wf.MAGIC)
+        self._spool.write(_packed(mcap.Header(profile=wf.FORMAT, library=f"imumon {__version__}")))
         self._metadata_at = self._spool.tell()
         self._spool.write(_packed(self._metadata))
         self._spool.write(b"".join(map(_packed, _TOPICS)))
@@ -141,23 +116,28 @@ class WireWriter:
         counts.bytes_on_disk, counts.bytes_unrecorded = 0, counts.bytes
         self._unflushed.clear()
         self._gap = Counter(reads=counts.reads, bytes=counts.bytes, events=counts.events)
-        self._say_gap(self._last_ns)
+        self._note_gap(self._last_ns)
 
     def write(self, item: Item) -> None:
         """Take an item in; it is on disk after the next `flush` that succeeds."""
+        counters, is_full = self.counters, self._spool.pending > PENDING_LIMIT
         if isinstance(item, Bytes):
-            self.counters.reads += 1
-            self.counters.bytes += len(item.data)
+            size = len(item.data)
+            counters.reads += 1
+            counters.bytes += size
+            if is_full:
+                counters.bytes_unrecorded += size
+                self._gap.update(reads=1, bytes=size)
+                return
+            self._note_gap(item.arrival_ns)
+            self._add(wf.WIRE_CHANNEL, item.arrival_ns, wf.CDR.pack(wf.CDR_LITTLE, size) + item.data)
+            self._block_bytes += size
         else:
-            self.counters.events += 1
-        if self._spool.pending > PENDING_LIMIT:
-            self._give_up(item)
-            return
-        self._say_gap(item.arrival_ns if isinstance(item, Bytes) else item.time_ns)
-        if isinstance(item, Bytes):
-            self._add(WIRE_CHANNEL, item.arrival_ns, CDR.pack(CDR_LITTLE, len(item.data)) + item.data)
-            self._unflushed.append((self._spool.tell(), len(item.data)))
-        else:
+            counters.events += 1
+            if is_full:
+                self._gap.update(events=1)
+                return
+            self._note_gap(item.time_ns)
             self._add_event(item.kind.value, item.time_ns, {"detail": item.detail})
         if self._spool.tell() - self._block_start > BLOCK_BYTES:
             self._seal()
@@ -168,7 +148,7 @@ class WireWriter:
         `size` says how many bytes they had, where that is known.
         """
         lost = {"reads": reads, "bytes": size, "events": 0, "after_ns": after_ns}
-        self._add_event(UNRECORDED, before_ns, lost)
+        self._add_event(wf.UNRECORDED, before_ns, lost)
 
     def flush(self) -> None:
         """Hand everything to the operating system.
@@ -198,7 +178,7 @@ class WireWriter:
         """
         if self._spool.closed:
             return
-        self._say_gap(self._last_ns)
+        self._note_gap(self._last_ns)
         self._seal()
         self._finish()
         try:
@@ -210,8 +190,8 @@ class WireWriter:
             self._spool.close()
 
     def _add(self, channel: int, time_ns: int, data: bytes) -> None:
-        length, sequence = MESSAGE_FIELDS + len(data), self._sequence & 0xFFFFFFFF
-        self._spool.write(MESSAGE.pack(MESSAGE_OP, length, channel, sequence, time_ns, time_ns) + data)
+        length, sequence = wf.MESSAGE_FIELDS + len(data), self._sequence & wf.SEQUENCE_MASK
+        self._spool.write(wf.MESSAGE.pack(wf.MESSAGE_OP, length, channel, sequence, time_ns, time_ns) + data)
         self._first_ns = min(self._first_ns, time_ns) if self._sequence else time_ns
         self._highest_ns, self._last_ns = max(self._highest_ns, time_ns), time_ns
         self._messages[channel] += 1
@@ -219,36 +199,29 @@ class WireWriter:
 
     def _add_event(self, kind: str, time_ns: int, rest: Mapping[str, str | int]) -> None:
         text = json.dumps({"kind": kind, **rest}, ensure_ascii=False)
-        self._add(EVENT_CHANNEL, time_ns, text.encode(errors="replace"))
+        self._add(wf.EVENT_CHANNEL, time_ns, text.encode(errors="replace"))
 
-    def _give_up(self, item: Item) -> None:
-        if isinstance(item, Bytes):
-            self._gap.update(reads=1, bytes=len(item.data))
-            self.counters.bytes_unrecorded += len(item.data)
-        else:
-            self._gap.update(events=1)
-
-    def _say_gap(self, time_ns: int) -> None:
+    def _note_gap(self, time_ns: int) -> None:
         if self._gap.total():
-            self._add_event(
-                UNRECORDED, time_ns, {name: self._gap[name] for name in ("reads", "bytes", "events")}
-            )
+            lost = {name: self._gap[name] for name in ("reads", "bytes", "events")}
+            self._add_event(wf.UNRECORDED, time_ns, lost)
             self._gap.clear()
 
     def _seal(self) -> None:
         """Write the check record of what came since the last one."""
         size = self._spool.tell() - self._block_start
         if size:
-            crc = self._spool.take_block_crc()
-            check = Check(self._block_start, size, self._sequence & 0xFFFFFFFF, crc, self._last_ns)
+            crc = self._spool.crc_from(self._block_start)
+            check = wf.Check(self._block_start, size, self._sequence & wf.SEQUENCE_MASK, crc, self._last_ns)
             self._spool.write(check.pack())
-            self._spool.take_block_crc()
             self._block_start = self._spool.tell()
+            self._unflushed.append((self._block_start, self._block_bytes))
+            self._block_bytes = 0
 
     def _finish(self) -> None:
         """Write the end of the data, the summary and the footer that MCAP asks for."""
-        self._spool.write(_packed(DataEnd(self._spool.crc)))
-        statistics = Statistics(
+        self._spool.write(_packed(mcap.DataEnd(self._spool.crc)))
+        statistics = mcap.Statistics(
             attachment_count=0,
             channel_count=len(_CHANNELS),
             channel_message_counts=dict(self._messages),
@@ -260,13 +233,13 @@ class WireWriter:
             schema_count=len(_SCHEMAS),
         )
         length = len(_packed(self._metadata))
-        index = MetadataIndex(offset=self._metadata_at, length=length, name=self._metadata.name)
+        index = mcap.MetadataIndex(offset=self._metadata_at, length=length, name=self._metadata.name)
         summary = b"".join(map(_packed, (*_TOPICS, statistics, index)))
         start = self._spool.tell()
-        unchecked = _packed(Footer(summary_start=start, summary_offset_start=0, summary_crc=0))
+        unchecked = _packed(mcap.Footer(summary_start=start, summary_offset_start=0, summary_crc=0))
         crc = zlib.crc32(unchecked[:-4], zlib.crc32(summary))
-        footer = Footer(summary_start=start, summary_offset_start=0, summary_crc=crc)
-        self._spool.write(summary + _packed(footer) + MAGIC)
+        footer = mcap.Footer(summary_start=start, summary_offset_start=0, summary_crc=crc)
+        self._spool.write(summary + _packed(footer) + wf.MAGIC)
         self._block_start = self._spool.tell()
 
 
@@ -277,17 +250,17 @@ _EVENT_SCHEMA = {
     "required": ["kind"],
 }
 _SCHEMAS = (
-    Schema(id=1, name="imumon/msg/Wire", encoding="ros2msg", data=b"uint8[] data"),
-    Schema(id=2, name="imumon.Event", encoding="jsonschema", data=json.dumps(_EVENT_SCHEMA).encode()),
+    mcap.Schema(id=1, name="imumon/msg/Wire", encoding="ros2msg", data=b"uint8[] data"),
+    mcap.Schema(id=2, name="imumon.Event", encoding="jsonschema", data=json.dumps(_EVENT_SCHEMA).encode()),
 )
 _CHANNELS = (
-    Channel(id=WIRE_CHANNEL, topic="/wire", message_encoding="cdr", metadata={}, schema_id=1),
-    Channel(id=EVENT_CHANNEL, topic="/event", message_encoding="json", metadata={}, schema_id=2),
+    mcap.Channel(id=wf.WIRE_CHANNEL, topic="/wire", message_encoding="cdr", metadata={}, schema_id=1),
+    mcap.Channel(id=wf.EVENT_CHANNEL, topic="/event", message_encoding="json", metadata={}, schema_id=2),
 )
-_TOPICS: tuple[McapRecord, ...] = (*_SCHEMAS, *_CHANNELS)
+_TOPICS: tuple[mcap.McapRecord, ...] = (*_SCHEMAS, *_CHANNELS)
 
 
-def _packed(record: McapRecord) -> bytes:
+def _packed(record: mcap.McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]  # the library does not say
@@ -304,7 +277,6 @@ class _Spool:
         made = os.fstat(descriptor)
         self.place = made.st_dev, made.st_ino
         self._pending = bytearray()
-        self._block_crc = 0
         self.crc = 0
         self.written = 0
         self.closed = False
@@ -316,11 +288,10 @@ class _Spool:
     def write(self, data: bytes) -> None:
         self._pending += data
         self.crc = zlib.crc32(data, self.crc)
-        self._block_crc = zlib.crc32(data, self._block_crc)
 
-    def take_block_crc(self) -> int:
-        crc, self._block_crc = self._block_crc, 0
-        return crc
+    def crc_from(self, begin: int) -> int:
+        """Return the CRC-32 of what stands behind a place of the file; none of it is written yet."""
+        return zlib.crc32(self._pending[begin - self.written :])
 
     def tell(self) -> int:
         return self.written + len(self._pending)

@@ -1,8 +1,9 @@
 """Reads a wire file in order of arrival, whatever happened to it.
 
 A block, the bytes that a check record seals, is as it was written or it is not: one whose CRC differs is
-left out as a whole, as its times and bytes may be wrong.  Only what no check record follows is read without:
-the end of a file that was cut short, and files of versions that wrote none.
+left out as a whole, as its times and bytes may be wrong, and so is what no check record follows at the end of
+a file that was cut short.  Files of versions that wrote no check records are read up to the first record that
+cannot be one.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import struct
 import zlib
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 
@@ -35,7 +37,6 @@ from imumon.recordings.wire_format import (
     SEQUENCE_MASK,
     Check,
 )
-from imumon.recordings.wire_summary import Damage, Place, WireSummary
 from imumon.transport.reader import Event, EventKind, Item, Reads
 
 READ_SIZE = 1 << 20
@@ -46,11 +47,81 @@ _BEFORE_DATA = {wf.WIRE_CHANNEL: CDR.size, wf.BARE_CHANNEL: 0}
 """Bytes before the data of a read, by its channel."""
 _PASSED_OVER = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, wf.CHECK_OP)
 """The channels of a wire file have the same numbers in all."""
-LONGEST_MESSAGE = 16 << 20
-LONGEST_RARE = 1 << 20
-"""A record that claims to be longer is damage, not a record."""
 BAD_RECORD = (McapError, struct.error, ValueError, RuntimeError, OverflowError, MemoryError)
 """What the library raises for a record that is not what its first byte says."""
+
+
+KEPT_PLACES = 100
+"""Damaged places of which the details are kept; all are counted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A place of a wire file at which something is missing."""
+
+    offset: int
+    size: int
+    """Where in the file, and how many bytes of the file are of no use there; 0 when bytes were cut out."""
+    after_ns: int
+    before_ns: int
+    """Unix time of the last message before, and of the last one lost or the first one behind; 0 when there
+    is none."""
+    messages: int
+    """Reads and events that are missing, as the numbers of those before and behind say."""
+
+    @property
+    def seconds(self) -> float:
+        """Time that it spans."""
+        return max(0, self.before_ns - self.after_ns) * 1e-9 if self.after_ns and self.before_ns else 0.0
+
+
+@dataclass(slots=True)
+class Damage:
+    """What a wire file lacks."""
+
+    places: int = 0
+    bytes: int = 0
+    """Bytes of the file that are of no use."""
+    messages: int = 0
+    """Reads and events that are missing."""
+    seconds: float = 0.0
+    """Time that the places span."""
+    where: list[Place] = field(default_factory=list)
+    """The first places, with their details."""
+
+    def add(self, place: Place) -> None:
+        """Count a place."""
+        self.places += 1
+        self.bytes += place.size
+        self.messages += place.messages
+        self.seconds += place.seconds
+        if len(self.where) < KEPT_PLACES:
+            self.where.append(place)
+
+
+@dataclass(slots=True)
+class WireSummary:
+    """What a wire file held."""
+
+    reads: int = 0
+    bytes: int = 0
+    events: int = 0
+    bytes_unrecorded: int = 0
+    """Bytes that came from the device and are not in the file, as the file says."""
+    tail_bytes: int = 0
+    """Bytes at the end of the file that are not a whole record, or are damaged: not of use."""
+    complete: bool = False
+    """The file was finished in order; False after a power failure, a kill or a full disk."""
+    checksum_ok: bool | None = None
+    """Whether the checksum over the file agrees; None when there is none because it was not finished."""
+    last_ns: int = 0
+    """Unix time of the last message."""
+    damage: Damage = field(default_factory=Damage)
+    """What is missing, now or before the file was written anew."""
+    recovered: Damage = field(default_factory=Damage)
+    """Of `damage`, what the file says was missing already when it was written."""
+    metadata: dict[str, str] = field(default_factory=dict)
+    """What the recording program wanted to say."""
 
 
 @contextmanager
@@ -141,18 +212,18 @@ class _Contents:
             if check is not None:
                 yield from self._block(check, at)
                 self._release(at)
-        ended = yield from self._unsealed(len(MAGIC) if is_mcap or PROFILE in head else 0)
+        if not self._done:
+            if not is_mcap and PROFILE not in head:
+                hint = "only wire files that imumon recorded can be replayed"
+                raise ImumonError(Reason.BAD_DATA, f"{self._path}: is not a wire file", hint)
+            self._done = yield from self._records(data, min(len(MAGIC), len(data)), sealed=False)
         yield from self._reads()
+        ended = self._ends_data()
         if ended:
             yield from self._compare_count()
         else:
             self.found.tail_bytes = len(data) - self._done
         self.found.complete = ended and data[-len(MAGIC) :] == MAGIC
-        if not is_mcap and not self._done:
-            hint = "only wire files that imumon recorded can be replayed"
-            raise ImumonError(Reason.BAD_DATA, f"{self._path}: is not a wire file", hint)
-        if not self.found.reads and data[self._done : self._done + 1] == bytes([Opcode.CHUNK]):
-            raise self._error("another program has put it into chunks")
 
     def _block(self, check: Check, end: int) -> Generator[Reads | Event]:
         """Yield the block that a check record at this place seals, or count what is lost.
@@ -161,7 +232,7 @@ class _Contents:
         """
         if self._next_sequence is None:
             self._next_sequence = 0
-        begin = end - check.size
+        begin, behind = end - check.size, end + CHECK_SIZE
         block = self._data[max(begin, 0) : end]
         if begin == 0:
             block = MAGIC + block[len(MAGIC) :]  # the same in all files, should it be damaged
@@ -169,42 +240,21 @@ class _Contents:
         at = first = len(MAGIC) if block.startswith(MAGIC) else 0
         while is_whole and at < len(block) and block[at] != wf.MESSAGE_OP:
             at += RECORD.size + RECORD.unpack_from(block, at)[1]
+        sequence, time_ns = check.sequence, check.time_ns
         if is_whole and at < len(block):
-            sequence, time_ns = _message_at(block, at)
-        else:
-            sequence, time_ns = check.sequence, check.time_ns
+            _, _, _, sequence, time_ns, _ = MESSAGE.unpack_from(block, at)
         if self._ahead(sequence) < 0:
             return
-        behind = end + CHECK_SIZE
         yield from self._lose((begin if is_whole else behind) - self._done, time_ns, sequence)
         self._done = behind
         if is_whole:
-            stop = yield from self._records(block, first, len(block), sealed=True)
+            stop = yield from self._records(block, first, sealed=True)
             if stop < len(block):
                 raise self._error(f"a record of type {block[stop]} is not understood")
 
-    def _unsealed(self, first: int) -> Generator[Reads | Event, None, bool]:
-        """Yield what no check record follows; in a file without any also behind damage.
-
-        Returns whether the record was reached that ends the data.
-        """
-        data, end = self._data, len(self._data)
-        is_sealed, at = self._done > 0, self._done or first
-        while True:
-            stop = yield from self._records(data, at, end, sealed=False)
-            if stop > at:
-                self._done = stop
-            if stop >= end or (data[stop] == wf.DATA_END_OP and self._is_believed(stop)):
-                return self._ends_data(stop)
-            at = end if is_sealed else self._next_message(stop + 1)
-            if at == end:
-                return False
-            sequence, time_ns = _message_at(data, at)
-            yield from self._lose(at - self._done, time_ns, sequence)
-            self._done = at
-
-    def _ends_data(self, at: int) -> bool:
-        """Return whether the record that ends the data is whole; compare its checksum of all before it."""
+    def _ends_data(self) -> bool:
+        """Return whether the record that ends the data comes next; compare its checksum of all before it."""
+        at = self._done
         record = self._data[at : at + RECORD.size + 4]
         if len(record) < RECORD.size + 4 or RECORD.unpack_from(record) != (wf.DATA_END_OP, 4):
             return False
@@ -233,8 +283,6 @@ class _Contents:
             self._data.madvise(mmap.MADV_DONTNEED, self._released, RELEASE_SIZE)
             self._released += RELEASE_SIZE
 
-    # Losses
-
     def _ahead(self, sequence: int) -> int:
         """Return how many messages are missing before one of this number; below 0 if it was there before."""
         if self._next_sequence is None:
@@ -258,16 +306,14 @@ class _Contents:
         hint = "a newer imumon wrote it, or only wire files that imumon recorded can be replayed"
         return ImumonError(Reason.BAD_DATA, f"{self._path}: {what}", hint)
 
-    # Records
-
     def _records(
-        self, data: mmap.mmap | bytes, at: int, end: int, *, sealed: bool
+        self, data: mmap.mmap | bytes, at: int, *, sealed: bool
     ) -> Generator[Reads | Event, None, int]:
         """Yield the items of one record after the other; return where that ends.
 
-        What is sealed is as it was written; any other record must be believed.
+        What is sealed is as it was written; any other record is taken for one by its fields.
         """
-        while at < end and (sealed or self._is_believed(at)):
+        while at < len(data) and (sealed or self._is_record(at)):
             opcode = data[at]
             if opcode == wf.DATA_END_OP:
                 break
@@ -283,7 +329,15 @@ class _Contents:
                 self._next_sequence = (sequence + 1) & SEQUENCE_MASK
                 self.found.last_ns = time_ns
                 if channel == wf.EVENT_CHANNEL:
-                    yield from self._event(data[at + MESSAGE.size : after], time_ns, sealed=sealed)
+                    yield from self._reads()
+                    try:
+                        event = self._event(data[at + MESSAGE.size : after], time_ns)
+                    except ImumonError:
+                        if sealed:
+                            raise
+                        break
+                    if event is not None:
+                        yield event
                 elif channel in _BEFORE_DATA:
                     self._pieces.append(data[at + MESSAGE.size + _BEFORE_DATA[channel] : after])
                     self._arrivals_ns.append(time_ns)
@@ -293,52 +347,20 @@ class _Contents:
             at = after
         return at
 
-    def _is_believed(self, at: int) -> bool:
-        """Return whether a record that nothing vouches for is one: another begins where it ends.
-
-        Of a message the number must follow, too.
-        """
-        data, end = self._data, len(self._data)
-        if end - at < RECORD.size or not self._begins(at):
+    def _is_record(self, at: int) -> bool:
+        """Return whether a whole record stands here: a message has its time twice, and its number follows."""
+        data, left = self._data, len(self._data) - at
+        if left < RECORD.size:
             return False
-        after = at + RECORD.size + RECORD.unpack_from(data, at)[1]
-        if after > end or (after < end and not self._begins(after)):
+        opcode, length = RECORD.unpack_from(data, at)
+        if RECORD.size + length > left:
             return False
-        if data[at] != wf.MESSAGE_OP:
-            return True
-        sequence, _ = _message_at(data, at)
-        if after + MESSAGE.size <= end and data[after] == wf.MESSAGE_OP:
-            following, _ = _message_at(data, after)
-            if following != (sequence + 1) & SEQUENCE_MASK:
-                return False
-        return not self._ahead(sequence)
-
-    def _begins(self, at: int) -> bool:
-        """Return whether a record begins here, by the fields that are there: a message has its time twice."""
-        opcode, left = self._data[at], len(self._data) - at
-        if opcode != wf.MESSAGE_OP or left < MESSAGE.size:
-            is_known = 0 < opcode <= wf.DATA_END_OP or opcode == wf.CHECK_OP
-            is_cut = left < RECORD.size or opcode == wf.MESSAGE_OP
-            return is_known and (is_cut or RECORD.unpack_from(self._data, at)[1] <= LONGEST_RARE)
-        _, length, channel, _, time_ns, published_ns = MESSAGE.unpack_from(self._data, at)
-        is_known = channel in _BEFORE_DATA or channel == wf.EVENT_CHANNEL
-        if not is_known or time_ns != published_ns or time_ns >= 1 << 63 or length > LONGEST_MESSAGE:
+        if opcode != wf.MESSAGE_OP:
+            return bool(0 < opcode <= wf.DATA_END_OP)
+        if RECORD.size + length < MESSAGE.size:
             return False
-        if channel != wf.WIRE_CHANNEL or left < MESSAGE.size + CDR.size:
-            return True
-        _, size = CDR.unpack_from(self._data, at + MESSAGE.size)
-        return bool(size == length + RECORD.size - MESSAGE.size - CDR.size)
-
-    def _next_message(self, at: int) -> int:
-        """Return where a message begins that was not there before; the end where there is none."""
-        end = len(self._data)
-        while 0 <= (at := self._data.find(bytes([wf.MESSAGE_OP]), at)) <= end - MESSAGE.size:
-            if self._begins(at) and self._ahead(_message_at(self._data, at)[0]) >= 0:
-                return at
-            at += 1
-        return end
-
-    # What they hold
+        _, _, _, sequence, time_ns, published_ns = MESSAGE.unpack_from(data, at)
+        return bool(time_ns == published_ns < 1 << 63 and not self._ahead(sequence))
 
     def _reads(self) -> Generator[Reads]:
         """Yield the reads that were found since the last event, as one."""
@@ -351,22 +373,18 @@ class _Contents:
             self.found.bytes += len(data)
             yield batch
 
-    def _event(self, body: bytes, time_ns: int, *, sealed: bool) -> Generator[Reads | Event]:
-        yield from self._reads()
+    def _event(self, body: bytes, time_ns: int) -> Event | None:
+        """Return an event, or count what it says is missing; raises BAD_DATA for one that is not known."""
         try:
             fields = json.loads(body)
             if fields["kind"] == wf.UNRECORDED:
                 self._unrecorded(fields, time_ns)
-                return
+                return None
             event = Event(EventKind(fields["kind"]), time_ns, str(fields["detail"]))
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-            if sealed:
-                text = f"event at {time_ns} ns is not understood: {body[:200]!r}"
-                raise self._error(text) from error
-            self.found.damage.events += 1
-        else:
-            self.found.events += 1
-            yield event
+            raise self._error(f"event at {time_ns} ns is not understood: {body[:200]!r}") from error
+        self.found.events += 1
+        return event
 
     def _unrecorded(self, fields: dict[str, int], time_ns: int) -> None:
         """Count what the file says is missing here."""
@@ -389,11 +407,7 @@ class _Contents:
         elif opcode == Opcode.METADATA:
             metadata = Metadata.read(stream)
             self.found.metadata |= metadata.metadata if metadata.name == "imumon" else {}
+        elif opcode == Opcode.CHUNK:
+            raise self._error("another program has put it into chunks")
         elif opcode not in _PASSED_OVER:
             raise ValueError("such a record does not stand here")
-
-
-def _message_at(data: mmap.mmap | bytes, at: int) -> tuple[int, int]:
-    """Return number and time of the message that begins here."""
-    _, _, _, sequence, time_ns, _ = MESSAGE.unpack_from(data, at)
-    return sequence, time_ns

@@ -26,9 +26,9 @@ from imumon.models.model import BiasModel
 from imumon.pipeline import Digest, Estimator, Pipeline, PipelineCounters
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.folder import create_session, remove_empty
+from imumon.recordings.lines import LOG_NAME, SessionLog
 from imumon.recordings.metadata import PortUsed, SessionMetadata, StreamSummary
 from imumon.recordings.recorder import Recorder
-from imumon.recordings.session_log import LOG_NAME, SessionLog
 from imumon.recordings.source import feed
 from imumon.recordings.wire import WireCounters, WireWriter
 from imumon.run.account import Outages

@@ -10,8 +10,7 @@ from imumon.recordings.folder import METADATA_NAME, WIRE_NAME, Session, lost_met
 from imumon.recordings.metadata import SessionMetadata
 from imumon.recordings.recovery import is_sound, keep_original, metadata_anew, refuse_recording, rewrite
 from imumon.recordings.source import Source, bytes_missing, run_over, source_of
-from imumon.recordings.wire_reader import WireReader
-from imumon.recordings.wire_summary import WireSummary
+from imumon.recordings.wire_reader import WireReader, WireSummary
 from imumon.run.live import summary_of
 from imumon.run.narration import advised
 from imumon.run.setup import recorded_setup

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from imumon.blocks import SampleBlock
 from imumon.pipeline import Digest, Pipeline
 from imumon.recordings.folder import Session
-from imumon.recordings.source import feed, reading, run_over
+from imumon.recordings.source import Count, feed, no_count, run_over
 from imumon.run.narration import Narrator
 from imumon.run.setup import Setup
 from imumon.transport.reader import Bytes, Item
@@ -27,6 +27,7 @@ def replay(
     pipeline: Pipeline,
     narrator: Narrator | None = None,
     speed: float | None = None,
+    count: Count = no_count,
 ) -> Iterator[SampleBlock]:
     """Run what was recorded through a new pipeline; yield the samples in order, to the last byte.
 
@@ -38,10 +39,14 @@ def replay(
         Shows the run as it would be shown live; needs items with times.
     speed : float or None
         1 is as fast as it was recorded, 2 twice as fast; None is as fast as it goes.
+    count : callable
+        Takes how many more bytes were read, for a progress bar.
     """
     if speed is not None:
         items = _paced(items, speed)
-    return run_over(items, pipeline) if narrator is None else _narrated(items, pipeline, narrator)
+    if narrator is None:
+        return run_over(items, pipeline, count)
+    return _narrated(items, pipeline, narrator, count)
 
 
 def digested(blocks: Iterable[SampleBlock], pipeline: Pipeline, digest: Digest) -> Iterator[SampleBlock]:
@@ -121,14 +126,13 @@ def compare_with_live(session: Session, setup: Setup, digest: Digest, pipeline: 
 
 
 def _narrated(
-    items: Iterable[Item | SampleBlock], pipeline: Pipeline, narrator: Narrator
+    items: Iterable[Item | SampleBlock], pipeline: Pipeline, narrator: Narrator, count: Count
 ) -> Iterator[SampleBlock]:
     """Run over the items, and report each to the narrator as the live run does."""
     next_batch_ns = next_tick_ns = now_ns = 0
-    progress = reading.get()
     for item in items:
         now_ns = _time_ns(item, now_ns)
-        progress(feed(item, pipeline))
+        count(feed(item, pipeline))
         if isinstance(item, Bytes):
             narrator.received(len(item.data), item.arrival_ns)
         elif not isinstance(item, SampleBlock):

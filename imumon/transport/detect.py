@@ -77,9 +77,8 @@ class Evidence:
     protocol: str
     """Name of the candidate."""
     baudrate: int | None
-    """Rate in bit/s; None where there is no line (``socket://``)."""
+    """In bit/s; None where there is no line (``socket://``)."""
     seconds: float
-    """Time listened."""
     bytes_received: int
     bytes_in_packets: int
     bytes_pending: int
@@ -140,57 +139,41 @@ def detect(
     Raises ImumonError when the port cannot be opened or is lost.  A rate that the adapter does not offer is
     passed over.
 
-    Parameters
-    ----------
-    url : str
-        The port; where it has no line, it is listened to once.
-    candidates : mapping of str to factory
-        Makes a fresh decoder per name.
-    baudrates : sequence of int
-        Rates in bit/s, in the order to try them.
-    seconds_each : float
-        Time to listen at each rate when a glance at all has told nothing; less when there is enough evidence.
-    before_rate : callable
-        Told what is tried next.
-    heard : callable
-        Given the bytes as they come.
+    `url`: the port; where it has no line, it is listened to once.
+    `candidates`: makes a fresh decoder per name.
+    `baudrates`: rates in bit/s, in the order to try them.
+    `seconds_each`: time to listen at each rate when a glance at all has told nothing; less when there is
+        enough evidence.
+    `before_rate`: told what is tried next.
+    `received`: given the bytes as they come.
     """
     for factory in candidates.values():
         factory().feed(b"\0", 0)  # compiled kernels are loaded before bytes pile up
     rates = baudrates if PortSettings(url).has_line else baudrates[:1]
     evidence: list[Evidence] = []
     for seconds in [GLANCE_S, seconds_each] if seconds_each > GLANCE_S and len(rates) > 1 else [seconds_each]:
-        evidence = _try_all(url, candidates, rates, seconds, before_rate, received)
+        evidence = []
+        for rate in rates:
+            settings = PortSettings(url, baudrate=rate)
+            before_rate(settings)
+            try:
+                evidence += listen(settings, candidates, seconds, received)
+            except ImumonError as error:
+                if error.reason is not Reason.BAD_CONFIG or rate == rates[-1]:
+                    raise
+            if _is_enough(evidence):
+                break
         if any(item.verdict is Verdict.FRAMES for item in evidence):
             break
         rates = [item.baudrate for item in evidence if item.tells_the_rate and item.baudrate][:1] or rates
     return sorted(evidence, key=_order)
 
 
-def _try_all(
-    url: str,
-    candidates: Mapping[str, Callable[[], Candidate]],
-    rates: Sequence[int],
-    seconds: float,
-    before_rate: Callable[[PortSettings], None],
-    received: Callable[[bytes], None],
-) -> list[Evidence]:
-    """Listen at one rate after the other until one is told or the port is silent."""
-    evidence: list[Evidence] = []
-    for rate in rates:
-        settings = PortSettings(url, baudrate=rate)
-        before_rate(settings)
-        try:
-            evidence += listen(settings, candidates, seconds, received)
-        except ImumonError as error:
-            if error.reason is not Reason.BAD_CONFIG or rate == rates[-1]:
-                raise
-        is_silent = not any(item.bytes_received for item in evidence)
-        if is_silent and len({item.baudrate for item in evidence}) >= SILENT_RATES:
-            break
-        if any(item.tells_the_rate for item in evidence):
-            break
-    return evidence
+def _is_enough(evidence: Sequence[Evidence]) -> bool:
+    """Return whether a rate is found, or the port is silent."""
+    is_silent = not any(item.bytes_received for item in evidence)
+    rates = {item.baudrate for item in evidence}
+    return any(item.tells_the_rate for item in evidence) or (is_silent and len(rates) >= SILENT_RATES)
 
 
 def listen(
@@ -217,22 +200,12 @@ def listen(
     for name, decoder in decoders.items():
         decoder.finish()
         samples[name] += len(decoder.take())
-        counters = decoder.counters()
+        n = decoder.counters()
+        rate = settings.baudrate if settings.has_line else None
+        of_bytes = n.bytes_received, n.bytes_in_packets, n.bytes_pending
+        of_packets = n.packets, n.checksum_errors, n.length_errors, samples[name]
         evidence.append(
-            Evidence(
-                protocol=name,
-                baudrate=settings.baudrate if settings.has_line else None,
-                seconds=elapsed,
-                bytes_received=counters.bytes_received,
-                bytes_in_packets=counters.bytes_in_packets,
-                bytes_pending=counters.bytes_pending,
-                packets=counters.packets,
-                checksum_errors=counters.checksum_errors,
-                length_errors=counters.length_errors,
-                samples=samples[name],
-                odd_share=_share(data, ODD),
-                text_share=_share(data, TEXT),
-            )
+            Evidence(name, rate, elapsed, *of_bytes, *of_packets, _share(data, ODD), _share(data, TEXT))
         )
     return evidence
 
@@ -279,13 +252,13 @@ def _likely_cause(evidence: Sequence[Evidence]) -> str:
             f"{best.protocol} frames, but nothing that it sends is known: see what the device is set to send."
         )
     tried = ", ".join(dict.fromkeys(str(item.baudrate) for item in evidence))
-    hint = f"Another protocol, or another rate than those tried ({tried}); the manual of the device has them."
-    if all(item.odd_share > 0.5 for item in evidence):
-        hint += (
-            "\nMost bytes are 0x00 or 0xFF at every rate: the line may also be inverted (RS-232 on a TTL"
-            " input, the two wires of RS-422 swapped)."
-        )
-    return hint
+    inverted = (
+        "\nMost bytes are 0x00 or 0xFF at every rate: the line may also be inverted (RS-232 on TTL, RS-422)."
+    )
+    return (
+        f"Another protocol, or another rate than those tried ({tried}); the manual of the device has them."
+        + (inverted if all(item.odd_share > 0.5 for item in evidence) else "")
+    )
 
 
 def _decided(decoders: Iterable[Candidate], data: bytearray) -> bool:

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import errno
+import grp
 import os
+import pwd
 import stat
-import sys
+import termios
+from contextlib import suppress
 from pathlib import Path
 
 from imumon.errors import ImumonError, Reason
 from imumon.transport.ports import describe_ports, holders
 from imumon.transport.settings import PortSettings
 
-if sys.platform != "win32":
-    import grp
-    import pwd
-    import termios
-
-    PORT_ERRORS: tuple[type[Exception], ...] = (OSError, termios.error)
-    """What pyserial and the system raise when a port fails (`SerialException` is an `OSError`)."""
-else:
-    PORT_ERRORS = (OSError,)
-
+PORT_ERRORS: tuple[type[Exception], ...] = (OSError, termios.error)
+"""What pyserial and the system raise when a port fails (`SerialException` is an `OSError`)."""
 OPEN_ERRORS: tuple[type[Exception], ...] = (*PORT_ERRORS, ValueError)
 """The same while opening, where pyserial also refuses values."""
 UDEV_RULES = "/etc/udev/rules.d/70-imumon.rules"
@@ -47,16 +42,18 @@ def open_error(settings: PortSettings, error: Exception) -> ImumonError:
     if settings.scheme in NETWORK_SCHEMES:
         hint = "Check host and port, and that the server runs; a serial server often takes one client only."
         return ImumonError(Reason.NOT_FOUND, seen, hint)
-    device = device_path(settings)
+    device = settings.device
     reason = _REASON_BY_ERRNO.get(number or 0, Reason.NOT_FOUND)
-    explain = {
-        Reason.PERMISSION: _permission,
-        Reason.BUSY: _busy,
-        Reason.LOST: _failing,
-        Reason.NOT_FOUND: _not_found,
-    }[reason]
-    more, hint = explain(device, number)
-    return ImumonError(reason, f"{seen}; {more}" if more else seen, hint)
+    if reason is Reason.PERMISSION:
+        more, hint = _permission(device)
+    elif reason is Reason.BUSY:
+        more, hint = _busy(device)
+    elif reason is Reason.LOST:
+        more = "the device is there but does not answer its driver"
+        hint = f"Replug it; see `dmesg` for {device}."
+    else:
+        more, hint = _not_found(device, number)
+    return ImumonError(reason, f"{seen}; {more}", hint)
 
 
 def lost_error(settings: PortSettings, cause: Exception | str) -> ImumonError:
@@ -93,13 +90,6 @@ def wrong_baud_error(
     )
 
 
-def device_path(settings: PortSettings) -> str:
-    """Return the device that a URL such as ``spy:///dev/ttyUSB0?all`` names, or the URL itself."""
-    if settings.scheme != "spy":
-        return settings.url
-    return settings.url.partition("://")[2].partition("?")[0]
-
-
 def _errno(error: BaseException | None) -> int | None:
     """Return the system's error number from an exception or those it was raised from.
 
@@ -131,11 +121,7 @@ def _not_found(device: str, number: int | None) -> tuple[str, str]:
     return ports, hint
 
 
-def _failing(device: str, _number: int | None) -> tuple[str, str]:
-    return "the device is there but does not answer its driver", f"Replug it; see `dmesg` for {device}."
-
-
-def _busy(device: str, _number: int | None) -> tuple[str, str]:
+def _busy(device: str) -> tuple[str, str]:
     others = holders(device)
     if others:
         return "open in " + ", ".join(others), "Close that program, then try again."
@@ -145,15 +131,16 @@ def _busy(device: str, _number: int | None) -> tuple[str, str]:
     )
 
 
-def _permission(device: str, _number: int | None) -> tuple[str, str]:
+def _permission(device: str) -> tuple[str, str]:
     """Name owner, group and mode of the node, and the way in that really leads there."""
-    if sys.platform == "win32":
-        return "", "Another program may hold the port."
     try:
         node = Path(device).stat()
     except OSError as error:
         return f"and its folder cannot be searched: {error.strerror}", ""
-    owner, group = _name_of_user(node.st_uid), _name_of_group(node.st_gid)
+    owner, group, user = str(node.st_uid), str(node.st_gid), str(os.geteuid())
+    with suppress(KeyError):  # an id without a name
+        group = grp.getgrgid(node.st_gid).gr_name
+        owner, user = (pwd.getpwuid(uid).pw_name for uid in (node.st_uid, os.geteuid()))
     seen = f"{device} is {stat.filemode(node.st_mode)} {owner}:{group}"
     both = stat.S_IRGRP | stat.S_IWGRP
     if node.st_mode & both != both or node.st_gid == 0:
@@ -165,22 +152,7 @@ def _permission(device: str, _number: int | None) -> tuple[str, str]:
         )
     if node.st_gid in os.getgroups():
         return seen, f"This session is in group {group}, so a container or security policy refuses."
-    user = _name_of_user(os.geteuid())
     return (
         seen,
         f"sudo usermod -aG {group} {user}    (then, or if you are in it already, log out and in again)",
     )
-
-
-def _name_of_user(uid: int) -> str:
-    try:
-        return pwd.getpwuid(uid).pw_name
-    except KeyError:
-        return str(uid)
-
-
-def _name_of_group(gid: int) -> str:
-    try:
-        return grp.getgrgid(gid).gr_name
-    except KeyError:
-        return str(gid)

@@ -20,7 +20,7 @@ from imumon.transport.settings import PortSettings
 READ_SIZE = 1 << 16
 """Bytes taken at once: as many as a Linux tty can hold back after a stall."""
 SLICE_S = 0.05
-"""Longest wait inside a handler that has no descriptor to wait for."""
+"""Longest wait inside a handler whose descriptor is not read directly."""
 WRITE_TIMEOUT_S = 1.0
 
 
@@ -45,35 +45,23 @@ Handle = serial.Serial | _SocketHandler
 class Port:
     """An open port; made by `open_port`.
 
-    Parameters
-    ----------
-    handle : serial.Serial or another of pyserial's handlers
-        An open pyserial port, owned from now on.
-    settings : PortSettings
-        How it was opened.
-
-    Attributes
-    ----------
-    low_latency : str
-        What became of the low-latency mode, and how to get it.
-    shared_with : tuple of str
-        Other programs that had the port open already; what they read is missing here.
-    vanished_reads : int
-        How often bytes were announced and then gone, because another program took them.
+    `handle` is an open pyserial port, owned from now on; `settings` say how it was opened.
     """
 
     def __init__(self, handle: Handle, settings: PortSettings) -> None:
         self.settings = settings
         self._handle = handle
         self._socket: socket.socket | None = getattr(handle, "_socket", None)
-        self._native = os.name == "posix" and isinstance(handle, serial.Serial)
+        self._native = isinstance(handle, serial.Serial)
         # A subclass (spy://, alt://) wants to see what is read, so only the plain handlers are passed by.
-        direct = os.name == "posix" and type(handle) in (serial.Serial, _SocketHandler)
-        self._take = self._take_direct if direct else self._take_from_handler
-        self._fd: int | None = handle.fileno() if direct or self._native else None
+        self._direct = type(handle) in (serial.Serial, _SocketHandler)
+        self._fd: int | None = handle.fileno() if self._direct or self._native else None
         self.vanished_reads = 0
+        """How often bytes were announced and then gone, because another program took them."""
         self.low_latency = "no serial adapter here"
+        """What became of the low-latency mode, and how to get it."""
         self.shared_with: tuple[str, ...] = ()
+        """Other programs that had the port open already; what they read is missing here."""
         if self._native and self._fd is not None:
             terminal.set_exclusive(self._fd, True)
             self.low_latency = terminal.set_low_latency(self._fd, str(handle.port))
@@ -87,10 +75,10 @@ class Port:
         Raises LOST when the port failed, hung up, or the peer closed the connection.
         """
         try:
-            if self._fd is None:
+            if self._fd is None or not self._direct:
                 return self._wait_in_handler(timeout_s)
             ready = select.select([self._fd], [], [], max(timeout_s, 0.0))[0]
-            return self._take() if ready else b""
+            return self._take(self._fd) if ready else b""
         except PORT_ERRORS as error:
             raise lost_error(self.settings, error) from error
 
@@ -150,27 +138,23 @@ class Port:
         """Close the port."""
         self.close()
 
-    def _take_direct(self) -> bytes:
+    def _take(self, fd: int) -> bytes:
         """Read the ready descriptor.
 
         Nothing there although select said so means either hang-up or that another program was faster.
         """
-        assert self._fd is not None
         try:
-            data = os.read(self._fd, READ_SIZE)
+            data = os.read(fd, READ_SIZE)
         except BlockingIOError:
             data = b""
         else:
             if not data and self._socket is not None:
                 raise lost_error(self.settings, "the peer closed the connection")
         if not data:
-            if terminal.hung_up(self._fd):
+            if terminal.hung_up(fd):
                 raise lost_error(self.settings, "the device hung up (unplugged, or its driver let go)")
             self.vanished_reads += 1
         return data
-
-    def _take_from_handler(self) -> bytes:
-        return bytes(self._handle.read(max(self._handle.in_waiting, 1)))
 
     def _wait_in_handler(self, timeout_s: float) -> bytes:
         """Wait in slices of the handler's own timeout, `SLICE_S`."""

@@ -64,7 +64,7 @@ def list_ports() -> list[PortInfo]:
             driver=driver(port.device),
             by_id=links.get(os.path.realpath(port.device)),
             latency_timer_ms=latency_timer_ms(port.device),
-            accessible=os.access(port.device, os.R_OK | os.W_OK) or os.name == "nt",
+            accessible=os.access(port.device, os.R_OK | os.W_OK),
             holders=tuple(holders(port.device)),
         )
         for port in _comports()

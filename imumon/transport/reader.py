@@ -134,14 +134,10 @@ class Reader:
     A silent port is left open unless its device node vanished or was replaced: opening again toggles DTR,
     which resets some devices, and cannot help when the node is still the same.
 
-    Parameters
-    ----------
-    settings : PortSettings
-        The port.
-    sinks : callable
-        Each gets every `Bytes` and `Event` in order, called from the reader thread.
-    silent_after_s : float
-        Time without bytes after which the port is called silent; set it for devices that send less often.
+    `settings`: the port.
+    `sinks`: each gets every `Bytes` and `Event` in order, called from the reader thread.
+    `silent_after_s`: time without bytes after which the port is called silent; set it for devices that send
+        less often.
     """
 
     def __init__(self, settings: PortSettings, *sinks: Sink, silent_after_s: float = SILENT_AFTER_S) -> None:

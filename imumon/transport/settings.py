@@ -41,17 +41,20 @@ class PortSettings:
         if self.baudrate <= 0:
             raise ImumonError(Reason.BAD_CONFIG, f"baud rate must be positive, got {self.baudrate}")
         for name, allowed in _ALLOWED.items():
-            if getattr(self, name) not in allowed:
+            if (given := getattr(self, name)) not in allowed:
                 expected = ", ".join(map(str, allowed))
-                raise ImumonError(
-                    Reason.BAD_CONFIG, f"{name} must be one of {expected}, got {getattr(self, name)}"
-                )
+                raise ImumonError(Reason.BAD_CONFIG, f"{name} must be one of {expected}, got {given}")
 
     @property
     def scheme(self) -> str:
         """Part of the URL before ``://`` in lower case; empty for a device."""
         head, separator, _ = self.url.partition("://")
         return head.lower() if separator else ""
+
+    @property
+    def device(self) -> str:
+        """The device that a URL such as ``spy:///dev/ttyUSB0?all`` names, or the URL itself."""
+        return self.url.partition("://")[2].partition("?")[0] if self.scheme == "spy" else self.url
 
     @property
     def has_line(self) -> bool:

@@ -24,10 +24,7 @@ CALM_BELOW = 0.70
 class LinkStatistics:
     """Counts what arrives; fed and asked by one thread.
 
-    Parameters
-    ----------
-    settings : PortSettings
-        Give what the line can carry; without a line (``socket://``) there is no load.
+    `settings`: give what the line can carry; without a line (``socket://``) there is no load.
     """
 
     def __init__(self, settings: PortSettings) -> None:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
 import struct
 import sys
+import termios
 
 from imumon.transport.ports import latency_timer_ms, latency_timer_path
-
-if sys.platform != "win32":
-    import fcntl
-    import termios
 
 _SERIAL_STRUCT_BYTES = 128  # struct serial_struct of <linux/serial.h>, with room to grow
 _FLAGS_OFFSET = 16  # its int flags
@@ -20,10 +18,7 @@ def set_exclusive(fd: int, on: bool) -> None:
     """Refuse (or allow) further opening, also by programs that ignore the lock that pyserial takes.
 
     The flag outlives the descriptor while anyone holds the device, so it is taken back before closing.
-    Windows opens ports exclusively in any case.
     """
-    if sys.platform == "win32":
-        return
     try:
         fcntl.ioctl(fd, termios.TIOCEXCL if on else termios.TIOCNXCL)
     except OSError:  # the device is gone, which the next read tells with its reason
@@ -32,8 +27,6 @@ def set_exclusive(fd: int, on: bool) -> None:
 
 def hung_up(fd: int) -> bool:
     """Return whether the device behind a terminal descriptor is gone."""
-    if sys.platform == "win32":
-        return False
     try:
         termios.tcgetattr(fd)
     except termios.error:
@@ -43,8 +36,6 @@ def hung_up(fd: int) -> bool:
 
 def set_low_latency(fd: int, device: str) -> str:
     """Ask the driver not to hold bytes back; return what became of it and how to get more."""
-    if sys.platform == "win32":
-        return "set the latency timer to 1 ms in the port's advanced settings (device manager)"
     accepted = sys.platform == "linux" and _request_low_latency(fd)
     return latency_text(accepted, latency_timer_ms(device), str(latency_timer_path(device)))
 

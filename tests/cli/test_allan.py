@@ -19,7 +19,7 @@ from imumon.blocks import SampleBlock
 from imumon.columns import KNOWN, Column
 from imumon.config import StrictModel, parse_yaml
 from imumon.recordings.importing import import_table
-from imumon.recordings.table import export_blocks
+from imumon.recordings.table import TableWriter
 from tests.allan.simulated import noise
 from tests.cli.command import imumon
 
@@ -39,7 +39,8 @@ def allan(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 def write(path: Path, columns: dict[str, Any]) -> Path:
     known = [KNOWN.get(name, Column(name, "1", "int64")) for name in columns]
-    export_blocks([SampleBlock(columns)], path, None, lambda: known)
+    with TableWriter(path, {column.name: column for column in known}) as writer:
+        writer.write(SampleBlock(columns))
     return path
 
 

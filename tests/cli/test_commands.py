@@ -257,7 +257,7 @@ def test_measured_captures_decode_without_loss(tmp_path: Path) -> None:
         (["monitor", "\udcff", "--device", "ax1", "--view", "none"], 2, "not plain text"),
         (["detect", "/dev/ttyNONE", "--seconds", "-1"], 2, "is not in the range"),
         (["decode", "n" * 300, "--device", "ax1", "--out", "t.csv"], 2, "File name too long"),
-        (["decode", "/dev/null", "--device", "ax1", "--out", "t.csv"], 4, "neither a file nor a pipe"),
+        (["decode", "/dev/null", "--device", "ax1", "--out", "t.csv"], 4, "is not a session"),
         (["decode", "{capture}", "--device", "ax1", "--out", "none/t.csv"], 2, "there is no folder"),
         (["export", "nothing", "--to", "csv"], 4, "there is no such file or folder"),
         (["export", "{capture}", "--to", "csv"], 4, "not a session"),

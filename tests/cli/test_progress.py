@@ -13,7 +13,7 @@ from queue import Queue
 import pytest
 
 from imumon.cli import progress
-from imumon.recordings.source import reading, recorded_bytes
+from imumon.recordings.source import recorded_bytes
 from tests.cli.command import IMUMON, imumon
 from tests.waiting import LIMIT_S
 
@@ -80,7 +80,7 @@ def test_without_a_terminal_long_work_says_from_time_to_time_how_far_it_has_come
     assert total
     with progress.reading_bar([session], quiet=False) as tell:
         until("reading session: 0%, ")
-        reading.get()(total // 2)
+        tell.count(total // 2)
         until("reading session: 50%, ")
         tell("trying curves for gyro_x")
         until("trying curves for gyro_x, ")

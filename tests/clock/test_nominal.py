@@ -7,7 +7,7 @@ import pytest
 
 from imumon.blocks import NO_INT, IntArray
 from imumon.clock import DeviceClock
-from imumon.clock.nominal import NominalRate
+from imumon.clock.checks import NominalRate
 from imumon.protocols.base import Timing
 
 NOMINAL_HZ, SECONDS = 50.0, 40.0

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from imumon.blocks import NO_INT, IntArray
+from imumon.clock.checks import STANDS, Repeats
 from imumon.clock.device import DatedBy
-from imumon.clock.repeats import STANDS, Repeats
 
 N = 3 * STANDS
 

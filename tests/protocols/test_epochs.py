@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imumon.blocks import FloatArray, SampleBlock, join
-from imumon.clock.held import HeldReadings
+from imumon.clock.side import HeldReadings
 from imumon.pipeline import UNDATED, Digest, Pipeline
 from imumon.protocols.device import load_device
 from imumon.protocols.epochs import Epochs

@@ -14,9 +14,9 @@ from imumon.blocks import SampleBlock, join
 from imumon.errors import ImumonError, Reason
 from imumon.recordings import foreign
 from imumon.recordings.folder import open_session
+from imumon.recordings.foreign import time_parser
 from imumon.recordings.importing import ImportReport, import_table
 from imumon.recordings.table import iterate_samples, iterate_table, read_columns
-from imumon.recordings.time_text import time_parser
 from tests.data_folder import measured
 
 MAP = "time: {column: t, unit: s}\ngyro: {columns: [x, y, z], unit: deg/s}\naxes: FRD\n"
@@ -323,7 +323,7 @@ def test_a_column_that_the_table_lacks_is_named_with_the_map(tmp_path: Path) -> 
     [
         (b"", "is empty"),
         (b"\xfa\xff\x00\x01" * 100, "neither text nor Parquet"),
-        (b"PAR1 and no more", "damaged Parquet"),
+        (b"PAR1 and no more", "cannot be read"),
         (b"\n\n", "no line of column names"),
         (b"t,x,y,z,z\n0.5,1,2,3,4\n", "'z' is there more than once"),
         (b"t,x,y,z\n", "none of its 0 rows"),

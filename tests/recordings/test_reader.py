@@ -15,7 +15,7 @@ from imumon.pipeline import Estimator
 from imumon.protocols.device import DeviceFile
 from imumon.recordings.importing import import_table
 from imumon.recordings.reader import Recording, no_stages, open_recording
-from imumon.recordings.table import export_blocks
+from imumon.recordings.table import TableWriter
 
 N = 500
 MAP = "rate_hz: 10\naxes: FRD\ngyro: {columns: [gx, gy, gz], unit: rad/s}\n"
@@ -57,14 +57,16 @@ def test_stages_add_columns_but_not_those_that_a_table_has(table: Path, tmp_path
     written = tmp_path / "own.parquet"
     told = block.with_columns({"at_rest": np.arange(N) % 2})
     known = KNOWN | {column.name: column for column in RestDetector().columns}
-    export_blocks([told], written, ["device_time_ns", "gyro_x", "gyro_y", "gyro_z", "at_rest"], known.values)
+    with TableWriter(written, known) as writer:
+        writer.write(told)
     again = samples(open_recording(written, rest))
     np.testing.assert_array_equal(again["at_rest"], told["at_rest"])
 
 
 def test_a_table_without_segment_is_one_segment(tmp_path: Path) -> None:
     block = SampleBlock({"device_time_ns": np.arange(N) * 10**7, "gyro_x": np.ones(N)})
-    export_blocks([block], tmp_path / "t.parquet", None, KNOWN.values)
+    with TableWriter(tmp_path / "t.parquet", KNOWN) as writer:
+        writer.write(block)
     assert not samples(open_recording(tmp_path / "t.parquet"))["segment"].any()
 
 

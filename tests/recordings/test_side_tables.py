@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import errno
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
+from imumon.blocks import SampleBlock
+from imumon.columns import KNOWN, Column
 from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Pipeline
 from imumon.recordings.side_tables import export_run, side_path
@@ -66,3 +73,83 @@ def test_nothing_at_all_is_an_error_and_leaves_no_file(tmp_path: Path) -> None:
     with pytest.raises(ImumonError, match="no samples"):
         _export(tmp_path / "raw.bin", b"no packet", out)
     assert list(tmp_path.glob("drive*")) == []
+
+
+def block(start: int, stop: int, *names: str) -> SampleBlock:
+    count = np.arange(start, stop)
+    floats = {name: count.astype(np.float64) for name in names}
+    return SampleBlock({"device_time_ns": count * 10_000_000, **floats})
+
+
+def export_blocks(
+    blocks: Iterable[SampleBlock],
+    out: Path,
+    columns: list[str] | None,
+    known: Callable[[], Iterable[Column]] = KNOWN.values,
+) -> int:
+    """Export blocks of a run whose columns are known as they come."""
+    source: Any = SimpleNamespace(columns=lambda _: [*known()])
+    return export_run(blocks, Pipeline(None), source, out, columns).rows
+
+
+def test_only_the_columns_that_were_asked_for_are_exported_in_that_order(tmp_path: Path) -> None:
+    blocks = [block(0, 5, "gyro_x"), block(5, 9, "gyro_x", "latitude")]
+    assert export_blocks(blocks, tmp_path / "t.csv", ["latitude", "device_time_ns"]) == 9
+    assert (tmp_path / "t.csv").read_text().splitlines()[:2] == ["latitude,device_time_ns", ",0"]
+    assert export_blocks(blocks, tmp_path / "u.csv", None) == 9
+    assert (tmp_path / "u.csv").read_text().startswith("device_time_ns,gyro_x,latitude\n")
+
+
+def test_a_column_that_becomes_known_late_stands_where_it_belongs(tmp_path: Path) -> None:
+    blocks = [block(0, 5, "gyro_x"), block(5, 9, "gyro_x", "latitude")]
+    came: list[SampleBlock] = []
+
+    def known() -> list[Column]:
+        names = {name for part in came for name in part.columns}
+        return [KNOWN[name] for name in ("device_time_ns", "latitude", "gyro_x") if name in names]
+
+    def stream() -> Iterator[SampleBlock]:
+        for part in blocks:
+            came.append(part)
+            yield part
+
+    for columns, header in (
+        (["gyro_x", "latitude"], "gyro_x,latitude"),
+        (None, "device_time_ns,latitude,gyro_x"),
+    ):
+        came.clear()
+        export_blocks(stream(), tmp_path / "t.csv", columns, known)
+        assert (tmp_path / "t.csv").read_text().splitlines()[0] == header
+
+
+@pytest.mark.parametrize("name", ["gyro_y", "nonsense"])
+def test_a_column_that_is_not_there_is_refused_with_those_that_are(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ImumonError, match=f"no column {name}.*\n.*device_time_ns, gyro_x") as caught:
+        export_blocks([block(0, 5, "gyro_x")], tmp_path / "t.csv", ["gyro_x", name])
+    assert caught.value.reason is Reason.BAD_CONFIG
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_samples_make_no_table(tmp_path: Path) -> None:
+    with pytest.raises(ImumonError, match="no samples") as caught:
+        export_blocks([], tmp_path / "t.csv", None)
+    assert caught.value.reason is Reason.BAD_DATA
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".csv"])
+def test_a_full_disk_is_named_and_leaves_the_old_table(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "Error writing bytes to file. Detail: ...")
+
+    out = tmp_path / f"t{suffix}"
+    out.write_text("old")
+    block = SampleBlock({"gyro_x": np.zeros(3)})
+    monkeypatch.setattr(pq.ParquetWriter, "write_table", full)
+    with pytest.raises(OSError, match="No space left on device") as caught:
+        export_blocks([block], out, None, lambda: [KNOWN["gyro_x"]])
+    assert caught.value.filename == str(out)
+    assert [path.name for path in tmp_path.iterdir()] == [out.name]
+    assert out.read_text() == "old"

@@ -1,9 +1,7 @@
 from __future__ import annotations
 
 import csv
-import errno
 import math
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +15,7 @@ from imumon.blocks import NO_INT, SampleBlock
 from imumon.columns import KNOWN, Column
 from imumon.errors import ImumonError, Reason
 from imumon.recordings import table
-from imumon.recordings.table import TableWriter, export_blocks, iterate_table, read_table
+from imumon.recordings.table import TableWriter, iterate_table, read_table
 
 SUFFIXES = [".parquet", ".csv"]
 
@@ -156,74 +154,11 @@ def test_a_table_is_read_in_blocks_of_any_size(
     assert np.concatenate([part["gyro_x"] for part in blocks]).tolist() == list(range(50))
 
 
-def test_only_the_columns_that_were_asked_for_are_exported_in_that_order(tmp_path: Path) -> None:
-    blocks = [block(0, 5, "gyro_x"), block(5, 9, "gyro_x", "latitude")]
-    assert export_blocks(blocks, tmp_path / "t.csv", ["latitude", "device_time_ns"], KNOWN.values) == 9
-    assert (tmp_path / "t.csv").read_text().splitlines()[:2] == ["latitude,device_time_ns", ",0"]
-    assert export_blocks(blocks, tmp_path / "u.csv", None, KNOWN.values) == 9
-    assert (tmp_path / "u.csv").read_text().startswith("device_time_ns,gyro_x,latitude\n")
-
-
-def test_a_column_that_becomes_known_late_stands_where_it_belongs(tmp_path: Path) -> None:
-    blocks = [block(0, 5, "gyro_x"), block(5, 9, "gyro_x", "latitude")]
-    came: list[SampleBlock] = []
-
-    def known() -> list[Column]:
-        names = {name for part in came for name in part.columns}
-        return [KNOWN[name] for name in ("device_time_ns", "latitude", "gyro_x") if name in names]
-
-    def stream() -> Iterator[SampleBlock]:
-        for part in blocks:
-            came.append(part)
-            yield part
-
-    for columns, header in (
-        (["gyro_x", "latitude"], "gyro_x,latitude"),
-        (None, "device_time_ns,latitude,gyro_x"),
-    ):
-        came.clear()
-        export_blocks(stream(), tmp_path / "t.csv", columns, known)
-        assert (tmp_path / "t.csv").read_text().splitlines()[0] == header
-
-
-@pytest.mark.parametrize("name", ["gyro_y", "nonsense"])
-def test_a_column_that_is_not_there_is_refused_with_those_that_are(tmp_path: Path, name: str) -> None:
-    with pytest.raises(ImumonError, match=f"no column {name}.*\n.*device_time_ns, gyro_x") as caught:
-        export_blocks([block(0, 5, "gyro_x")], tmp_path / "t.csv", ["gyro_x", name], KNOWN.values)
-    assert caught.value.reason is Reason.BAD_CONFIG
-    assert not list(tmp_path.iterdir())
-
-
-def test_no_samples_make_no_table(tmp_path: Path) -> None:
-    with pytest.raises(ImumonError, match="no samples") as caught:
-        export_blocks([], tmp_path / "t.csv", None, KNOWN.values)
-    assert caught.value.reason is Reason.BAD_DATA
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize("name", ["t.xlsx", "t", "none/t.csv"])
 def test_an_output_that_cannot_be_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(ImumonError) as caught:
         TableWriter(tmp_path / name, KNOWN)
     assert caught.value.reason is Reason.BAD_CONFIG
-
-
-@pytest.mark.parametrize("suffix", [".parquet", ".csv"])
-def test_a_full_disk_is_named_and_leaves_the_old_table(
-    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: object, **__: object) -> None:
-        raise OSError(errno.ENOSPC, "Error writing bytes to file. Detail: ...")
-
-    out = tmp_path / f"t{suffix}"
-    out.write_text("old")
-    block = SampleBlock({"gyro_x": np.zeros(3)})
-    monkeypatch.setattr(pq.ParquetWriter, "write_table", full)
-    with pytest.raises(OSError, match="No space left on device") as caught:
-        export_blocks([block], out, None, lambda: [KNOWN["gyro_x"]])
-    assert caught.value.filename == str(out)
-    assert [path.name for path in tmp_path.iterdir()] == [out.name]
-    assert out.read_text() == "old"
 
 
 def test_a_table_that_cannot_be_read_is_bad_data(tmp_path: Path) -> None:

@@ -10,8 +10,7 @@ import pytest
 
 from imumon.recordings.recovery import rewrite
 from imumon.recordings.wire_format import CHECK_OP, MAGIC, MESSAGE_OP, RECORD
-from imumon.recordings.wire_reader import WireReader
-from imumon.recordings.wire_summary import WireSummary
+from imumon.recordings.wire_reader import WireReader, WireSummary
 from imumon.transport.reader import Bytes, Item
 from tests.faults.damage import made_items, record
 

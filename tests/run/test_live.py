@@ -15,7 +15,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.pipeline import Digest, Pipeline
 from imumon.protocols.device import device_text, load_device, parse_device
 from imumon.recordings.folder import Session, open_session
-from imumon.recordings.session_log import LOG_NAME
+from imumon.recordings.lines import LOG_NAME
 from imumon.recordings.source import run_over, session_device
 from imumon.recordings.wire_reader import WireReader
 from imumon.run import live

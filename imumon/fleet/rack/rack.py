@@ -19,8 +19,7 @@ from imumon.fleet.rack.items import OfUnit, Overview
 from imumon.fleet.rack.table import Row, markdown
 from imumon.fleet.rack.unit import Ended, Task, Update, run_unit
 from imumon.lane import LaneState, Level
-from imumon.recordings.lines import waiting
-from imumon.recordings.session_log import SessionLog
+from imumon.recordings.lines import SessionLog
 from imumon.view.items import Instant, Log, State, ViewItem, ViewSetup
 
 LOG_NAME = "rack.jsonl"
@@ -73,7 +72,7 @@ class Process:
 
     def hear(self) -> list[Message]:
         """Return what it has said since the last time."""
-        messages = list(waiting(self._messages))
+        messages = [self._messages.get_nowait() for _ in range(self._messages.qsize())]
         if messages:
             self.received_s, self._has_spoken = time.monotonic(), True
         return messages

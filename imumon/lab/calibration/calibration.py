@@ -22,6 +22,7 @@ from imumon.lab.calibration.selection import Choice, choose, slow_variance
 from imumon.models.curves.points import Points
 from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
 from imumon.recordings.reduced import ACCEL, GYRO
+from imumon.recordings.source import Count, no_count
 from imumon.version import __version__
 
 Tell = Callable[[str], None]
@@ -69,12 +70,12 @@ class Calibration:
     """Whether its runs are in several poses: their offsets then hold what gravity and the earth rate do."""
 
 
-def read_sessions(paths: Sequence[Path]) -> tuple[list[Record], list[str]]:
+def read_sessions(paths: Sequence[Path], count: Count = no_count) -> tuple[list[Record], list[str]]:
     """Return the records of sessions, and what is to be said of them.
 
     Raises BAD_DATA when one cannot be read.
     """
-    found = [read_session(path) for path in paths]
+    found = [read_session(path, count) for path in paths]
     return [record for record, _ in found], [text for _, texts in found for text in texts]
 
 

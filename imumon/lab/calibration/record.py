@@ -16,6 +16,7 @@ from imumon.protocols.device import DeviceFile
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.reader import open_recording
 from imumon.recordings.reduced import ACCEL, AXES, GYRO, Reduced, reduce
+from imumon.recordings.source import Count, no_count
 
 COLUMNS = (*GYRO, *ACCEL, *TEMPERATURES, "temperature_estimate", *(f"temperature_estimate_{a}" for a in AXES))
 BLOCK_S = 10.0
@@ -68,12 +69,12 @@ def record_of(
     return Record(name, sha256, device, axes, means, rest, serial)
 
 
-def read_session(path: Path) -> tuple[Record, list[str]]:
+def read_session(path: Path, count: Count = no_count) -> tuple[Record, list[str]]:
     """Read a session, recorded or imported; return its record, and what the user should know of it.
 
     Raises BAD_DATA when there is no session, or it cannot be read.
     """
-    recording = open_recording(path, _stages)
+    recording = open_recording(path, _stages, count=count)
     record = record_of(
         recording.blocks(),
         recording.name,

@@ -17,6 +17,7 @@ from imumon.errors import ImumonError, Reason
 from imumon.lab.diagnosis.quality import Samples, Watcher
 from imumon.recordings.reader import Stages, no_stages, open_recording
 from imumon.recordings.reduced import ACCEL, GYRO, Reduced, reduce
+from imumon.recordings.source import Count, no_count
 
 CHANNELS = (*GYRO, *ACCEL)
 SENSORS = ("gyro", "accel", CLOCK)
@@ -104,6 +105,7 @@ def read_runs(
     stages: Stages = no_stages,
     at_rest: bool = False,
     sensors: Sequence[str] = SENSORS,
+    count: Count = no_count,
 ) -> list[Run]:
     """Read a session, or a table with its map (one that imumon wrote needs none), as runs from power-on.
 
@@ -112,7 +114,7 @@ def read_runs(
 
     Raises BAD_DATA when there is nothing to read, no run of five minutes, or a table that needs a map.
     """
-    recording = open_recording(path, stages, map_path)
+    recording = open_recording(path, stages, map_path, count)
     # A table that imumon wrote may have columns beside the known ones that are made of the gyros themselves.
     own = recording.source.session is None and map_path is None
     made = {column.name for stage in stages(None) for column in stage.columns}

@@ -1,0 +1,137 @@
+"""Whether what dates the rows is true: counts that stand still, packets that come twice, a nominal rate."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imumon.blocks import NO_INT, IntArray, missing
+from imumon.clock.device import RATE_STEADINESS, DatedBy
+
+STANDS = 100
+"""Packets in a row for which a count stays: a clock that ticks every 10 ms has 80 of a stream at 8 kHz."""
+MEASURED_S = 10.0
+"""Arrivals scatter by 0.1 s and more; over so long they tell a rate to a few percent."""
+SILENT_NS = 3_000_000_000
+"""After a longer silence nobody knows how many packets there would have been."""
+SETTLE_NS = 1_000_000_000
+"""What comes so soon after a silence, or first of all, may have been sent long before: it is not counted."""
+
+
+class Repeats:
+    """Compares the packet counter and the clock of each packet with those of the one before.
+
+    A counter may stay while the clock goes on, or the clock while the counter does; where both are there and
+    neither goes on, the packet has come twice.  What a device does not send is not looked for.
+    """
+
+    def __init__(self) -> None:
+        self._last = np.full((2, 1), NO_INT)
+        """Counter and clock of the last packet."""
+        self._run = np.zeros(2, np.int64)
+        """Packets in a row for which only this one has stayed by now."""
+        self._stands_at: dict[int, int] = {}
+        """The count, of the first run of `STANDS` packets."""
+        self._twice = self._rows = 0
+        self._reported: set[str] = set()
+
+    def add(self, counter: IntArray | None, ticks: IntArray | None, n: int) -> None:
+        """Take rows that follow those of the last call, (n,) each, `NO_INT` where there is no count."""
+        if not n:
+            return
+        none = missing(n, np.int64)
+        counts = np.stack([none if count is None else count for count in (counter, ticks)])
+        stays = (counts == np.hstack([self._last, counts[:, :-1]])) & (counts != NO_INT)
+        self._last = counts[:, -1:]
+        self._rows += n
+        self._twice += int(stays.all(axis=0).sum())
+        place = np.arange(n)
+        for which in range(2):
+            alone = stays[which] & ~stays[1 - which]
+            run = place - np.maximum.accumulate(np.where(alone, -1 - self._run[which], place))
+            self._run[which] = run[-1]
+            if (run >= STANDS).any():
+                self._stands_at.setdefault(which, int(counts[which, np.argmax(run >= STANDS)]))
+
+    def notices(self, dated_by: DatedBy) -> list[str]:
+        """Return, once each, what does not go on and what that means for the times of the rows."""
+        one = "their rows have one time, and estimates leave out all but the first"
+        texts = {}
+        if 0 in self._stands_at:
+            times = f", and {one}" if dated_by == "counter" else ""
+            lost = f"it does not show packets that are lost{times}"
+            texts["counter"] = f"the packet counter stands at {self._stands_at[0]}: {lost}"
+        if 1 in self._stands_at:
+            texts["clock"] = f"the device's clock stands at its count {self._stands_at[1]}: {one}"
+        if self._twice:
+            texts["twice"] = (
+                f"{self._twice:,} of {self._rows:,} rows have the counter and the time of the one before, "
+                "as of packets sent or recorded twice: they have its time, and estimates leave them out"
+            )
+        new = [text for what, text in texts.items() if what not in self._reported]
+        self._reported.update(texts)
+        return new
+
+
+class NominalRate:
+    """Compares the time that a nominal rate gives with the times of arrival.
+
+    `rate_hz`: packets per second; None where nothing is dated by it.
+    `given`: whether a person gave it for this stream, and not the device file for all.
+    """
+
+    def __init__(self, rate_hz: float | None, given: bool) -> None:
+        self._rate_hz, self._given = rate_hz, given
+        self._last: tuple[int, int, int] | None = None
+        """Time, segment and arrival of the last row."""
+        self._device_s = self._arrived_s = self._latest_s = 0.0
+        """Between the rows compared, by the rate and by the arrivals; the longest time without a read."""
+        self._since_ns = 0
+        """Arrival of the first row after the latest silence."""
+        self._reported = False
+
+    @property
+    def measured_hz(self) -> float | None:
+        """The rate by the times of arrival; None before there is enough of them."""
+        if self._rate_hz is None or self._arrived_s < MEASURED_S:
+            return None
+        return self._rate_hz * self._device_s / self._arrived_s
+
+    def add(self, time_ns: IntArray, segment: IntArray, arrival_ns: IntArray) -> None:
+        """Take rows that were dated by the rate, (n,) each, behind those of the last call."""
+        known = arrival_ns != NO_INT
+        rows = np.column_stack([time_ns[known], segment[known], arrival_ns[known]])
+        if not len(rows):
+            return
+        if self._last is not None:
+            rows = np.vstack([self._last, rows])
+        else:
+            self._since_ns = int(rows[0, 2])
+        self._last = int(rows[-1, 0]), int(rows[-1, 1]), int(rows[-1, 2])
+        step, change, arrived = np.diff(rows, axis=0).T
+        since = np.where(arrived >= SILENT_NS, rows[1:, 2], self._since_ns)
+        since = np.maximum.accumulate(np.append(self._since_ns, since))
+        self._since_ns = int(since[-1])
+        lively = (arrived >= 0) & (arrived < SILENT_NS)
+        near = lively & (change == 0) & (rows[:-1, 2] - since[:-1] > SETTLE_NS)
+        self._latest_s = max(self._latest_s, float(arrived[lively].max(initial=0)) * 1e-9)
+        self._device_s += float(step[near].sum()) * 1e-9
+        self._arrived_s += float(arrived[near].sum()) * 1e-9
+
+    def notices(self, ended: bool) -> list[str]:
+        """Return, once, that the rate is contradicted, or at the end that it is only assumed."""
+        measured = self.measured_hz
+        if self._rate_hz is None or self._reported or (measured is None and (not ended or self._given)):
+            return []
+        text = "and nothing shows whether they came at it: if they did not, give --rate HZ"
+        if measured is not None:
+            # The packets at either end may have waited for as long as the longest time without a read.
+            allowed_s = self._arrived_s / RATE_STEADINESS + 2.0 * self._latest_s
+            if abs(self._device_s - self._arrived_s) <= allowed_s:
+                return []
+            found = f"{float(f'{measured:.3g}'):g}"
+            advice = f"replay with --rate {found}, or say rate_hz: {found} in the device file"
+            text = f"but they arrive at {found} Hz: {advice}"
+        self._reported = True
+        whose = "the given" if self._given else "the device file's nominal"
+        spaced = f"no packet says when it was measured: the rows are spaced at {whose} {self._rate_hz:g} Hz"
+        return [f"{spaced}, {text}"]
