@@ -7,8 +7,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 from imumon.cli.common import console, say
 from imumon.harmless import for_log
@@ -19,7 +19,8 @@ WORTH_SAYING_S = 5.0
 """Work that takes longer is announced with an estimate of its time."""
 
 
-class ReadingProgress(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class ReadingProgress:
     """How far work on recordings has come."""
 
     count: Callable[[int], object]
