@@ -16,7 +16,7 @@ from imumon.pipeline import Digest, Pipeline
 from imumon.protocols.device import device_text, load_device, parse_device
 from imumon.recordings.folder import Session, open_session
 from imumon.recordings.lines import LOG_NAME
-from imumon.recordings.source import run_over, session_device
+from imumon.recordings.source import run_over, source_of
 from imumon.recordings.wire_reader import WireReader
 from imumon.run import live
 from imumon.run.live import LiveRun, nothing_decoded, warm_up
@@ -56,7 +56,8 @@ def start(path: str, folder: Path, watcher: Watcher, baudrate: int = 115200) -> 
 
 
 def replayed(session: Session) -> tuple[SampleBlock, Pipeline]:
-    device = session_device(session)
+    device = source_of(session).device
+    assert device is not None
     pipeline = Pipeline(device, estimators(device))
     return join(list(run_over(WireReader(session.wire_path), pipeline))), pipeline
 
