@@ -8,7 +8,7 @@ import yaml
 
 from imumon.protocols.binary_proposal import propose, repeated_lengths
 from imumon.protocols.device import load_device, parse_device
-from imumon.protocols.fixed.device import SeveralDevice
+from imumon.protocols.fixed import SeveralDevice
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from tests.protocols.streams import feed_in_chunks
 

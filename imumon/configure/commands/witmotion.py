@@ -24,7 +24,7 @@ from imumon.configure.commands.core import (
     no_rate,
     nothing_to_keep,
 )
-from imumon.protocols.frame_checks import Sum
+from imumon.protocols.checks import Sum
 from imumon.protocols.framing import Frame, fixed_length
 from imumon.protocols.witmotion import SIZE
 

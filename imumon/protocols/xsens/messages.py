@@ -89,7 +89,7 @@ def identifier_name(code: int) -> str:
     notes = []
     if found.framed:
         notes.append(next((name for name, bits in FRAMES.items() if bits == code & 0xC), "frame?"))
-    if found.values and not found.values[0].type and not found.raw:
+    if found.is_real:
         notes.append(tuple(PRECISIONS)[code & 0x3])
     return f"{found.name} ({', '.join(notes)})" if notes else found.name
 

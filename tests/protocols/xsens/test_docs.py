@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,8 +10,7 @@ import pytest
 
 from imumon.protocols.device import device_text, parse_device
 from imumon.protocols.xsens.fields import DERIVED, IDENTIFIERS, Identifier
-from imumon.protocols.xsens.mtdata import MTDataDevice
-from imumon.protocols.xsens.profile import MODE_BITS, mtdata_field
+from imumon.protocols.xsens.mtdata import MODE_BITS, MTDataDevice, mtdata_field
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "devices-xsens.md"
 
@@ -29,8 +29,11 @@ def shorten(names: list[str]) -> str:
     return ", ".join(f"`{stem}_{{{','.join(axes)}}}`" if axes else f"`{stem}`" for stem, axes in found)
 
 
+SATELLITE = re.compile(r"gnss_sat\d+_")
+
+
 def columns_of(item: Identifier) -> list[str]:
-    names = [value.column.name for value in item.values if value.column is not None]
+    names = [value.name for value in item.numbers if value.column and not SATELLITE.match(value.name)]
     for derived in DERIVED:
         if set(derived.sources) <= set(names):
             first = names.index(derived.sources[0]) if derived.sources[0] in names else 0
@@ -43,9 +46,10 @@ def identifier_table() -> Iterator[str]:
     yield "| identifier | name | format | columns |"
     yield "|---|---|---|---|"
     for item in IDENTIFIERS:
-        real = bool(item.values) and not item.values[0].type and not item.raw
         code = f"{item.code:04X}"
-        kinds = [text for text, on in (("real", real), ("frame", item.framed), ("counts", item.raw)) if on]
+        kinds = [
+            text for text, on in (("real", item.is_real), ("frame", item.framed), ("counts", item.raw)) if on
+        ]
         row = f"| {code} | {item.name} | {', '.join(kinds)} | {shorten(columns_of(item)) or 'counted only'} |"
         yield row
 
