@@ -6,7 +6,7 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass
 
-from imumon.configure.commands.core import CommandError, Family, Refusal, Request
+from imumon.configure.core import CommandError, Family, Refusal, Request
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
 from imumon.transport.detect import GLANCE_S, Evidence, Verdict, detect

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from imumon.configure.command_link import HEAR_S, CommandLink
-from imumon.configure.commands.core import BAUD, CommandError, Family, Request, Wish
+from imumon.configure.core import BAUD, CommandError, Family, Request, Wish
 from imumon.configure.measured_stream import Stream, measure
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
@@ -177,7 +177,7 @@ class Configuration:
             others = ", ".join(self._link.port.shared_with)
             self._report.warnings.append(f"{others} reads this port, too: answers may go there")
         self._quiet()
-        self._family = self._family.learn(self._link.ask)
+        self._family.learn(self._link.ask)
         self._present = {name: self._link.ask(self._family.read(name)) for name in self._family.settings}
         report, family = self._report, self._family
         report.identity = family.identity

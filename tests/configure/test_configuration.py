@@ -9,10 +9,10 @@ import pytest
 
 from imumon.configure import configuration, measured_stream
 from imumon.configure.command_link import CommandLink
-from imumon.configure.commands.core import BAUD, Wish
 from imumon.configure.configuration import planned
-from imumon.configure.firmware.mip import MipFirmware
+from imumon.configure.core import BAUD, Wish
 from imumon.configure.measured_stream import Stream
+from imumon.configure.mip import MipFirmware
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
 from tests.configure.faults import Faults
@@ -268,7 +268,7 @@ def test_a_silent_device_is_left_silent_when_it_fails(monkeypatch: pytest.Monkey
 
 
 def test_a_dry_run_needs_no_device(name: str) -> None:
-    from imumon.configure.commands.families import family_of
+    from imumon.configure.core import family_of
     from imumon.protocols.device import load_device
 
     family = family_of(load_device(name))
