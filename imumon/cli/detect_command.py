@@ -162,17 +162,7 @@ def _propose(received: dict[int | None, bytearray], evidence: list[Evidence]) ->
     seconds = {item.baudrate: item.seconds for item in evidence}
     tried = [binary_proposal.propose(bytes(received[rate]), s, rate) for rate, s in seconds.items()]
     found = max((one for one in tried if one is not None), key=lambda one: one.weight, default=None)
-    if found is not None:
-        return found.text
-    for rate in seconds:
-        if lengths := binary_proposal.repeated_lengths(bytes(received[rate])):
-            at = "" if rate is None else f"at {rate} baud "
-            every = " or ".join(map(str, lengths))
-            note(
-                f"{at}the bytes begin alike every {every} bytes: packets of several lengths, or with a"
-                " checksum that imumon does not know; no device file is proposed"
-            )
-    return None
+    return found.text if found is not None else None
 
 
 def _suggest(port: str, fit: list[Evidence]) -> None:

@@ -89,18 +89,6 @@ def propose(data: bytes, seconds: float, baudrate: int | None) -> Proposal | Non
     return best
 
 
-def repeated_lengths(data: bytes) -> list[int]:
-    """Return the distances, in bytes, at which the bytes begin alike; empty when less than 80 % do."""
-    best = _repeating(np.frombuffer(data[:MOST_BYTES], np.uint8))[:1]
-    held = min(len(data), MOST_BYTES)
-    return [
-        int(n)
-        for anchors, lengths in best
-        if np.isin(np.diff(anchors), lengths) @ np.diff(anchors) >= COVERED_UNCHECKED * held
-        for n in lengths
-    ]
-
-
 def _repeating(held: ByteArray) -> list[tuple[IntArray, IntArray]]:
     """Return places of patterns of one or two bytes, and the usual distances between them, the best first."""
     if len(held) < LEAST_PACKETS * SHORTEST:
@@ -251,23 +239,16 @@ def _layout(at: IntArray, packets: ByteArray, check: Checksum | None, rate: floa
 
 
 def _counter(before: ByteArray, after: ByteArray, known: BoolArray) -> Iterator[tuple[str, str, str]]:
-    """Yield the word or the low bits of a byte that rise by one a packet, and mark them as known."""
-    for order in ("big", "little"):
-        step, free = _steps(before, after, known, 2, order)
-        carried = np.any((_numbers(after, 2, order) & 0xFF == 0) & (step == 1), axis=0)
-        for k in np.flatnonzero(free & carried & (np.mean(step == 1, axis=0) >= COUNTS))[:1].tolist():
-            known[k : k + 2] = True
-            yield "rises by one a packet", f"at: {k}, type: u16, column: packet_counter", order
+    """Yield the word, or else the byte, that rises by one a packet, and mark it as known."""
+    for size, order in ((2, "big"), (2, "little"), (1, "big")):
+        step, free = _steps(before, after, known, size, order)
+        numbers = _numbers(after, size, order)
+        # The low byte of a word carries, and a byte has all its bits: other counters stay unknown.
+        whole = np.any((step == 1) & (numbers & 0xFF == 0 if size == 2 else numbers > 0x7F), axis=0)
+        for k in np.flatnonzero(free & whole & (np.mean(step == 1, axis=0) >= COUNTS))[:1].tolist():
+            known[k : k + size] = True
+            yield "rises by one a packet", f"at: {k}, type: u{8 * size}, column: packet_counter", order
             return
-    masks = np.array([0xFF, 0x7F, 0x3F, 0x1F, 0x0F])
-    share = np.mean((after - before)[:, np.newaxis] & masks[:, np.newaxis] == 1, axis=0) * ~known
-    n, k = np.unravel_index(np.argmax(share), share.shape)
-    if share[n, k] >= COUNTS:
-        known[k] = True
-        bits = "" if n == 0 else f", mask: {masks[n]:#x}"
-        wrapped = np.any(after[:, k] & masks[n] < before[:, k] & masks[n])
-        guess = "" if wrapped else "; it did not wrap, so how many bits it has is a guess"
-        yield f"rises by one a packet{guess}", f"at: {k}, type: u8, column: packet_counter{bits}", ""
 
 
 def _clock(

@@ -268,10 +268,7 @@ def _texts(held: ByteArray, at: IntArray, length: IntArray) -> list[str]:
 def line_lengths(after_end: bool) -> Lengths:
     """Return the `Lengths` of lines.
 
-    Parameters
-    ----------
-    after_end : bool
-        The line begins behind a line end, which is counted to it instead of the one at its own end.
+    `after_end`: the line begins behind a line end, which is counted to it instead of the one at its own end.
     """
     return partial(_to_line_end, after_end)
 

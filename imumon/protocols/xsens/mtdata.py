@@ -6,7 +6,7 @@ bits) and SetOutputSettings (32 bits), and the fixed order of the parts of MTDat
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from fractions import Fraction
 from typing import Literal
 
@@ -32,39 +32,7 @@ from imumon.protocols.xsens.fields import (
     UTC_VALUES,
     VELOCITY,
 )
-from imumon.protocols.xsens.messages import (
-    CONFIGURATION,
-    MTDATA,
-    MTDATA2,
-    NAMES,
-    OUTPUT_MODE,
-    OUTPUT_SETTINGS,
-    configured_devices,
-    describe,
-)
-
-MODE_BITS = {
-    "temperature": 0x0001,
-    "calibrated": 0x0002,
-    "orientation": 0x0004,
-    "auxiliary": 0x0008,
-    "position": 0x0010,
-    "velocity": 0x0020,
-    "status": 0x0800,
-    "raw_gps": 0x1000,
-    "raw_inertial": 0x4000,
-}
-"""Flags of the output mode."""
-
-TIMESTAMPS = {"none": 0, "sample_counter": 1, "utc": 2, "sample_counter_and_utc": 3}
-ORIENTATIONS = {"quaternion": 0x00, "euler": 0x04, "matrix": 0x08}
-CALIBRATED_OFF = {"accel": 0x10, "gyro": 0x20, "mag": 0x40}
-STATUS = {"compact": 0x00, "detailed": 0x80}
-FORMATS = {"float32": 0x000, "fp12.20": 0x100, "fp16.32": 0x200, "float64": 0x300}
-ANALOG_OFF = {1: 0x400, 2: 0x800}
-NED_BIT = 1 << 31
-SETTINGS_BITS = 0x00000FFF | NED_BIT
-"""Bits of the output settings that are understood; the others choose between what has one choice only."""
+from imumon.protocols.xsens.messages import MTDATA, MTDATA2, NAMES, describe
 
 Part = Literal[
     "temperature", "calibrated", "orientation", "auxiliary", "position", "velocity", "status", "raw_gps",
@@ -96,29 +64,6 @@ class Profile(StrictModel):
         if "raw_inertial" in self.output_mode and others:
             raise ValueError(f"output_mode: raw_inertial cannot be combined with {', '.join(sorted(others))}")
         return self
-
-
-def _name_of(table: dict[str, int], bits: int) -> str:
-    return next((name for name, value in table.items() if value == bits), f"unknown ({bits:#x})")
-
-
-def profile_lines(mode: int | None, settings: int | None) -> Iterator[str]:
-    """Return what a device says of its mode and settings as lines of a device file."""
-    if mode is not None:
-        unknown = mode & ~sum(MODE_BITS.values())
-        more = f"  # and unknown bits {unknown:#06x}" if unknown else ""
-        yield f"output_mode: [{', '.join(name for name, bit in MODE_BITS.items() if mode & bit)}]{more}"
-    if settings is not None:
-        yield "output_settings:"
-        yield f"  timestamp: {_name_of(TIMESTAMPS, settings & 0x3)}"
-        yield f"  orientation: {_name_of(ORIENTATIONS, settings & 0xC)}"
-        yield f"  calibrated: [{', '.join(n for n, bit in CALIBRATED_OFF.items() if not settings & bit)}]"
-        yield f"  number_format: {_name_of(FORMATS, settings & 0x300)}"
-        yield f"  analog: [{', '.join(str(n) for n, bit in ANALOG_OFF.items() if not settings & bit)}]"
-        yield f"  status: {_name_of(STATUS, settings & 0x80)}"
-        yield f"  frame: {'NED' if settings & NED_BIT else 'NWU'}"
-        if settings & ~SETTINGS_BITS:
-            yield f"  # and unknown bits {settings & ~SETTINGS_BITS:#010x}"
 
 
 def _gps(name: str, unit: str, kind: str, factor: float) -> Number:
@@ -215,18 +160,6 @@ class MTDataDecoder(TaggedDecoder):
         yield from describe(kind, payload)
         if kind == MTDATA2:
             yield "the device sends MTData2, which needs the device xsens"
-        elif kind == CONFIGURATION:
-            for size, mode, settings in configured_devices(payload):
-                intro = f"the device says that it sends {size} bytes with this profile"
-                yield _as_profile(mode, settings, intro)
-        elif kind == OUTPUT_MODE and len(payload) == 2:
-            yield _as_profile(int.from_bytes(payload, "big"), None, "the device says that its mode is")
-        elif kind == OUTPUT_SETTINGS and len(payload) == 4:
-            yield _as_profile(None, int.from_bytes(payload, "big"), "the device says that its settings are")
-
-
-def _as_profile(mode: int | None, settings: int | None, intro: str) -> str:
-    return "\n".join([f"{intro}:", *profile_lines(mode, settings)])
 
 
 class MTDataEncoder(TaggedEncoder):

@@ -10,7 +10,7 @@ import pytest
 
 from imumon.protocols.device import device_text, parse_device
 from imumon.protocols.xsens.fields import DERIVED, IDENTIFIERS, Identifier
-from imumon.protocols.xsens.mtdata import MODE_BITS, MTDataDevice, mtdata_field
+from imumon.protocols.xsens.mtdata import MTDataDevice, mtdata_field
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "devices-xsens.md"
 
@@ -59,13 +59,6 @@ def test_the_table_of_identifiers_is_that_of_the_program() -> None:
     expected = "\n".join(dict.fromkeys(identifier_table()))
     shown = text[text.index("| identifier |") :].split("\n\n", 1)[0]
     assert shown == expected
-
-
-def test_every_part_of_the_output_mode_is_explained() -> None:
-    text = PAGE.read_text(encoding="utf-8")
-    rows = [line for line in text.splitlines() if line.startswith("| `")]
-    for part, bit in MODE_BITS.items():
-        assert any(f"`{part}`" in row and f"{bit:04X}" in row for row in rows), part
 
 
 def test_the_example_profile_is_a_device_file_of_the_stated_length() -> None:
