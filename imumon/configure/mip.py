@@ -190,7 +190,7 @@ class Mip(Family):
         self.settings = (*(name for name, of in OF_SET.items() if of in rates), BAUD)
         self.speed_in_base = known(ask, uart) is None
 
-    def _command(self, name: str) -> tuple[int, int, bytes]:
+    def command(self, name: str) -> tuple[int, int, bytes]:
         """Return command set, command, and what follows the function selector."""
         if name == BAUD:
             return (BASE, COMM_SPEED, MAIN_PORT) if self.speed_in_base else (THREE_DM, UART_BAUD, b"")
@@ -203,19 +203,19 @@ class Mip(Family):
 
     def read(self, name: str) -> Request:
         """Return the command with the function selector READ."""
-        command_set, command, of = self._command(name)
+        command_set, command, of = self.command(name)
         return request(command_set, command, READ + of, f"read {name}", len(of))
 
     def write(self, name: str, value: bytes) -> tuple[Request, ...]:
         """Return the command with the function selector WRITE."""
-        command_set, command, of = self._command(name)
+        command_set, command, of = self.command(name)
         return (request(command_set, command, APPLY + of + value, f"{name}: {self.describe(name, value)}"),)
 
     def save(self, names: Sequence[str]) -> tuple[Request, ...]:
         """Return the commands with the function selector SAVE: these settings only."""
         found = []
         for name in names:
-            command_set, command, of = self._command(name)
+            command_set, command, of = self.command(name)
             found.append(request(command_set, command, SAVE + of, f"save {name}", timeout_s=SAVE_S))
         return tuple(found)
 
@@ -297,13 +297,11 @@ FORMATS = {SENSOR: SENSOR_FORMAT, FILTER: FILTER_FORMAT_NAME}
 class MipFirmware(Firmware):
     """A MicroStrain device with sensors and a filter."""
 
-    family = Mip()
-    old = False
-    """Whether it knows the formats of single data sets only."""
+    family: Mip
 
     def __init__(self, device: DeviceFile, rate_hz: float) -> None:
         assert isinstance(device, MipDevice)
-        self._device = device
+        self.family, self._device = Mip.of(device), device
         by = nearest(USUAL_BASE_HZ, rate_hz)
         codes = {name: code for code, name in self._names(SENSOR).items()}
         settings = {
@@ -325,11 +323,11 @@ class MipFirmware(Firmware):
         code, data = there[0] if there else (0, b"")
         if command.kind == BASE:
             return self._base(command, code)
-        if self.old and code in (FORMAT, BASE_RATE):
+        if code == BASE_RATE and not self.family.modern:
             return acknowledged(command, UNKNOWN)
         if code in (BASE_RATE, IMU_BASE_RATE, FILTER_BASE_RATE):
             return acknowledged(command, DONE, data[:1] + USUAL_BASE_HZ.to_bytes(2, "big"))
-        name, of = self._named(code, data[1:])
+        name, of = self._named(command, code, data[1:])
         if not name:
             return acknowledged(command, UNKNOWN)
         if data[:1] == READ:
@@ -355,19 +353,13 @@ class MipFirmware(Firmware):
             self.streaming = code == RESUME
         return acknowledged(command, DONE)
 
-    def _named(self, code: int, data: bytes) -> tuple[str, bytes]:
-        """Return the setting that a command is about, and the selector that it carries."""
-        if code == UART_BAUD:
-            return BAUD, b""
-        if code in (IMU_FORMAT, FILTER_FORMAT) and self.old:
-            return (SENSOR_FORMAT if code == IMU_FORMAT else FILTER_FORMAT_NAME), b""
-        selectors = (
-            {value: key for key, value in OLD_SELECTOR.items()} if self.old else {s: s for s in STREAMS}
-        )
-        of = selectors.get(data[0]) if data else None
-        if of is None or code not in (STREAM, FORMAT):
-            return "", b""
-        return (STREAMS if code == STREAM else FORMATS)[of], data[:1]
+    def _named(self, command: Message, code: int, data: bytes) -> tuple[str, bytes]:
+        """Return the setting that a command is about, and the selector that it carries; else nothing."""
+        for name in self.family.settings:
+            command_set, number, of = self.family.command(name)
+            if (command.kind, code) == (command_set, number) and data.startswith(of):
+                return name, of
+        return "", b""
 
     def _possible(self, name: str, value: bytes) -> bool:
         if name == BAUD:

@@ -25,8 +25,8 @@ from imumon.configure.firmware import Firmware, PacketKind, nearest
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Frame
 from imumon.protocols.text import line_lengths, lines_right, sentence, sentence_body
-from imumon.protocols.vectornav import XMODEM, Header, VectorNavDevice, VectorNavEncoder, read_header
-from imumon.protocols.vectornav_fields import ATTITUDE, COMMON, GROUP_NAMES, GROUPS, IMU
+from imumon.protocols.vectornav import PLACES, XMODEM, Header, VectorNavDevice, VectorNavEncoder, read_header
+from imumon.protocols.vectornav_fields import GROUP_NAMES
 
 SYNC = b"$VN"
 ERRORS = {1: "hard fault", 2: "serial buffer overflow", 3: "invalid checksum", 4: "invalid command",
@@ -35,18 +35,16 @@ ERRORS = {1: "hard fault", 2: "serial buffer overflow", 3: "invalid checksum", 4
           12: "insufficient baud rate", 255: "error buffer overflow"}  # fmt: skip
 OUTPUT, SECOND, THIRD, ASCII = "binary output 1", "binary output 2", "binary output 3", "ASCII output"
 REGISTERS = {OUTPUT: 75, SECOND: 76, THIRD: 77, ASCII: 6, BAUD: 5}
-TIME_STARTUP = (COMMON, 0)
-FIELDS: Mapping[str, tuple[tuple[int, int], ...]] = {
-    "inertial": ((IMU, 2), (IMU, 3)),
-    "increments": ((IMU, 6), (IMU, 7)),
-    "magnetometer": ((IMU, 1),),
-    "temperature": ((IMU, 4),),
-    "pressure": ((IMU, 5),),
-    "attitude": ((ATTITUDE, 2),),
-    "status": ((ATTITUDE, 0),),
+FIELDS: Mapping[str, tuple[str, ...]] = {
+    "inertial": ("Imu.UncompAccel", "Imu.UncompGyro"),
+    "increments": ("Imu.DeltaTheta", "Imu.DeltaVelocity"),
+    "magnetometer": ("Imu.UncompMag",),
+    "temperature": ("Imu.Temperature",),
+    "pressure": ("Imu.Pressure",),
+    "attitude": ("Attitude.Quaternion",),
+    "status": ("Attitude.VpeStatus",),
 }
-"""Group and bit of the fields: UncompAccel, UncompGyro, DeltaTheta, DeltaVel, UncompMag, Temp, Pres,
-Quaternion, VpeStatus.  AngRate and Accel have the filter's bias taken off and are never asked for."""
+"""AngRate and Accel have the filter's bias taken off and are never asked for."""
 FAST_HZ, SLOW_HZ = 800, 400
 """Base rate of the binary outputs of a VN-100 (and 110), and of the others."""
 
@@ -112,10 +110,10 @@ class Output:
         return cls(port, by, groups, tuple(words))
 
     @classmethod
-    def of(cls, port: int, by: int, places: Sequence[tuple[int, int]]) -> Output:
-        """Return the output of fields, each a group and a bit."""
+    def of(cls, port: int, by: int, names: Sequence[str]) -> Output:
+        """Return the output of fields."""
         words: dict[int, int] = {}
-        for group, bit in sorted(places):
+        for group, bit in sorted(PLACES[name] for name in names):
             words[group] = words.get(group, 0) | 1 << bit
         return cls(port, by, sum(1 << group - 1 for group in words), tuple(words.values()))
 
@@ -238,8 +236,7 @@ class VectorNav(Family):
         old = now.get(OUTPUT, NO_OUTPUT)
         by, port = divisor(self.base_hz, rate_hz), old.port or 1
         if outputs is not None:
-            places = [place for name in outputs for place in FIELDS[name]]
-            new = Output.of(port, by, [TIME_STARTUP, *places])
+            new = Output.of(port, by, ["Common.TimeStartup", *(x for name in outputs for x in FIELDS[name])])
         elif old.on:
             new = Output(port, by, old.groups, old.words)
         else:
@@ -279,13 +276,7 @@ class VectorNav(Family):
 INVALID_COMMAND, INVALID_PARAMETER, INVALID_REGISTER = 4, 7, 8
 IDENTITY = {1: "VN-100-VIRTUAL", 3: "0100000001", 4: "2.1.0.0"}
 NAMES = {number: name for name, number in REGISTERS.items()}
-PLACES = {
-    (group, bit): f"{GROUP_NAMES[group]}.{item.name}"
-    for group, items in GROUPS.items()
-    for bit, item in enumerate(items)
-    if item is not None and item.columns
-}
-"""Names of the fields that the encoder knows."""
+FIELD_OF_PLACE = {place: name for name, place in PLACES.items()}
 
 
 class VectorNavFirmware(Firmware):
@@ -295,10 +286,9 @@ class VectorNavFirmware(Firmware):
 
     def __init__(self, device: DeviceFile, rate_hz: float) -> None:
         assert isinstance(device, VectorNavDevice)
-        places = [place for place, name in PLACES.items() if name in device.sends]
         off = Output(0, 1, 0, ()).value
         settings = dict.fromkeys(REGISTERS, off) | {
-            OUTPUT: Output.of(1, nearest(FAST_HZ, rate_hz), places).value,
+            OUTPUT: Output.of(1, nearest(FAST_HZ, rate_hz), device.sends).value,
             ASCII: b"0",
         }
         super().__init__(device, settings)
@@ -342,7 +332,7 @@ class VectorNavFirmware(Firmware):
 def _names(register: Output) -> list[str]:
     groups = [bit + 1 for bit in range(7) if register.groups >> bit & 1]
     return [
-        PLACES[group, bit]
+        FIELD_OF_PLACE[group, bit]
         for group, word in zip(groups, register.words, strict=True)
         for bit in range(16)
         if word >> bit & 1

@@ -160,8 +160,6 @@ def _numbers_of(text: str) -> list[float] | None:
 
 BINARY, SENTENCE = 0, 2
 """Numbers of their frames."""
-ITEMS = [item for items in GROUPS.values() for item in items if item is not None and item.columns]
-"""All fields that are read."""
 
 
 class VectorNavDecoder(Decoder):
@@ -173,7 +171,8 @@ class VectorNavDecoder(Decoder):
             Frame("split", b"\xfb\x00", counted_length(4, 2, 8, LONGEST_PACKET), XMODEM),
             Frame("ascii", b"$VN", line_lengths(after_end=False), lines_right(_sentence)),
         )
-        layouts = [Record(item.placed(0, item.size, False)) for item in ITEMS]
+        there = [item for items in GROUPS.values() for item in items if item is not None and item.columns]
+        layouts = [Record(item.placed(0, item.size, False)) for item in there]
         groups = groups_of(layouts, SIDE_GROUPS, apart=tuple(RECEIVERS.values()))
         timing = Timing(tick_ns=Fraction(1), rate_hz=rate_hz)
         super().__init__(frames, timing, groups)
@@ -265,6 +264,15 @@ def _renamed(numbers: Sequence[Number], factory: frozenset[str]) -> list[Number]
     ]
 
 
+PLACES = {
+    f"{GROUP_NAMES[group]}.{item.name}": (group, bit)
+    for group, items in GROUPS.items()
+    for bit, item in enumerate(items)
+    if item is not None and item.columns
+}
+"""Group and bit of the fields that are read, by GROUP.FIELD."""
+
+
 class VectorNavEncoder(Encoder):
     """Makes binary packets of one output.
 
@@ -277,20 +285,16 @@ class VectorNavEncoder(Encoder):
     """
 
     def __init__(self, names: Sequence[str]) -> None:
-        places = {
-            f"{GROUP_NAMES[group]}.{item.name}": (group, bit, item)
-            for group, items in GROUPS.items()
-            for bit, item in enumerate(items)
-            if item is not None and item.columns
-        }
-        sent = sorted(chosen(names, places, "field"), key=lambda place: place[:2])
         words: dict[int, int] = {}
-        for group, bit, _ in sent:
+        numbers = list[Number]()
+        for group, bit in sorted(chosen(names, PLACES, "field")):
             words[group] = words.get(group, 0) | 1 << bit
         groups = sum(1 << group - 1 for group in words if group < 8)
         self._header = bytes([0xFA, groups]) + b"".join(word.to_bytes(2, "little") for word in words.values())
-        numbers, self._size = list[Number](), len(self._header)
-        for *_, item in sent:
+        self._size = len(self._header)
+        for group, bit in sorted(PLACES[name] for name in names):
+            item = GROUPS[group][bit]
+            assert item is not None
             numbers += item.placed(self._size, item.size, False)
             self._size += item.size
         self._numbers = _renamed(numbers, _factory(numbers))

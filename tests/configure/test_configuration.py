@@ -12,7 +12,7 @@ from imumon.configure.command_link import CommandLink
 from imumon.configure.configuration import planned
 from imumon.configure.core import BAUD, Wish
 from imumon.configure.measured_stream import Stream
-from imumon.configure.mip import MipFirmware
+from imumon.configure.mip import Mip, MipFirmware
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
 from tests.configure.faults import Faults
@@ -205,7 +205,7 @@ def test_a_slower_line_comes_after_less_data(monkeypatch: pytest.MonkeyPatch) ->
 def test_an_older_mip_device_is_told_by_its_own_commands(monkeypatch: pytest.MonkeyPatch) -> None:
     one = looped(monkeypatch, "microstrain")
     assert isinstance(one.port.firmware, MipFirmware)
-    one.port.firmware.old = True
+    one.port.firmware.family = Mip(modern=False)
     succeeded(one)
     assert one.report.plan[1].frame[4:6] == bytes([len(one.report.plan[1].frame) - 6, 0x08])
     assert one.report.stream is not None
