@@ -35,14 +35,7 @@ class Sent:
 class CommandLink:
     """A device at the end of an open port.
 
-    Parameters
-    ----------
-    port : Port
-        Owned from now on.
-    family : Family
-        Tells answers from data.
-    streaming : bool
-        Whether the device sent data when it was found.
+    `port` is owned from now on; `streaming`: whether the device sent data when it was found.
     """
 
     def __init__(self, port: Port, family: Family, streaming: bool) -> None:

@@ -97,10 +97,7 @@ class Request:
 class CommandError(Exception):
     """A request came to nothing.
 
-    Parameters
-    ----------
-    refused : bool
-        Whether the device said no; else it did not answer.
+    `refused`: whether the device said no; else it did not answer.
     """
 
     def __init__(self, request: Request, why: str, refused: bool) -> None:

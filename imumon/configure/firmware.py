@@ -26,12 +26,7 @@ class PacketKind:
 class Sending:
     """What a configured device sends of the samples of its unit.
 
-    Parameters
-    ----------
-    base_hz : float
-        Rate that the outputs divide.
-    outputs : sequence of PacketKind
-        In the order in which their packets are sent.
+    `base_hz` is the rate that the outputs divide; these are sent in their order.
     """
 
     def __init__(self, base_hz: float, outputs: list[PacketKind]) -> None:
@@ -67,12 +62,7 @@ class Sending:
 class Firmware(ABC):
     """Answers commands and says what is to be sent.
 
-    Parameters
-    ----------
-    device : DeviceFile
-        Its first baud rate is that of the line as delivered.
-    settings : mapping of str to bytes
-        The others as delivered, by the names of their family.
+    `settings` are those as delivered, by the names of their family, without the baud rate.
     """
 
     family: Family

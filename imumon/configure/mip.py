@@ -122,12 +122,7 @@ def _base_rate(modern: bool, of: int) -> Request:
 class Mip(Family):
     """Commands of a MicroStrain device.
 
-    Parameters
-    ----------
-    attitude, clock : str
-        As in the device file.
-    modern : bool
-        Whether one command has the format of any data set.
+    `modern`: whether one command has the format of any data set.
     """
 
     base_hz: Mapping[int, int] = {SENSOR: USUAL_BASE_HZ, FILTER: USUAL_BASE_HZ}

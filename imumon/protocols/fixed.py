@@ -283,14 +283,8 @@ class DescribedLayout(Record):
 class FixedDecoder(Decoder):
     """Decodes packets of described kinds, a row for each, or for those of one moment.
 
-    Parameters
-    ----------
-    name : str
-        What a packet without a name is called in the counters.
-    packets : sequence of Packet
-        Of several that begin at the same place the first that is valid counts.
-    rate_hz : float or None
-        Nominal packet rate.
+    `name` is what a packet without a name is called in the counters.  Of several packets that begin at the
+    same place the first that is valid counts.
     """
 
     def __init__(self, name: str, packets: Sequence[Packet], rate_hz: float | None) -> None:

@@ -38,18 +38,8 @@ Part = tuple[Number, ...]
 def part(at: int, kind: str, columns: str | Sequence[Column], factor: float = 1.0, group: str = "") -> Part:
     """Return numbers of one type, one behind the other.
 
-    Parameters
-    ----------
-    at : int
-        Place in the payload.
-    kind : str
-        Type of the numbers, see `imumon.protocols.numbers.NUMBER_TYPES`.
-    columns : str or sequence of Column
-        Name of a canonical quantity, or columns.
-    factor : float
-        From the number to the unit of the column.
-    group : str
-        Group of the columns; that of the message when none is given.
+    `kind` is one of `NUMBER_TYPES`; `factor` leads to the unit of the column.  A canonical quantity goes by
+    its name.  Without a group the numbers are of that of the message.
     """
     there = known(columns) if isinstance(columns, str) else columns
     return in_a_row((Number(column, kind, factor, group=group) for column in there), at)
@@ -103,18 +93,7 @@ def field(name: str, numbers: Iterable[Number], group: str = MAIN) -> Message:
 class TableDecoder(Decoder):
     """Decodes packets that hold messages of a table.
 
-    Parameters
-    ----------
-    frames, timing
-        As for `Decoder`.
-    messages : iterable of Message
-        All that may come.
-    derived : sequence of Derived
-        Columns that are computed.
-    names, apart : sequence of str
-        As for `groups_of`.
-    big : bool
-        Whether the most significant byte of a number comes first.
+    `messages` are all that may come; `names` and `apart` as for `groups_of`.
     """
 
     def __init__(

@@ -248,14 +248,7 @@ class MipEncoder(TaggedEncoder):
 
     Raises BAD_CONFIG when there is no such field in the set.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Names of fields in the order in which they are sent.
-    descriptor_set : int
-        Descriptor set that they belong to.
-    attitude, clock : str
-        As for the decoder.
+    `names` are sent in their order.
     """
 
     def __init__(

@@ -138,18 +138,7 @@ MIP = Form(Frame("MIP", b"\x75\x65", counted_length(3, 1, 6, 261), _FLETCHER), _
 class TaggedDecoder(TableDecoder):
     """Decodes packets of identified fields by a table; a row for each packet that carries a known one.
 
-    Parameters
-    ----------
-    form : Form
-        XBUS, XBUS_DATA or MIP.
-    timing : Timing
-        How the device counts time.
-    fields : iterable of Message
-        All fields that may come.
-    data : collection of int
-        Types of packets that carry data; others are messages.
-    derived, apart
-        As for `TableDecoder`.
+    `fields` are all that may come; `data` the types of packets that carry data: others are messages.
     """
 
     def __init__(
@@ -166,6 +155,9 @@ class TaggedDecoder(TableDecoder):
         there = [field for field in fields if field.columns]
         frames = [replace(form.frame, fits=self._fit)]
         super().__init__(frames, timing, there, derived, (OTHER,), apart, big=True)
+
+    _type_names: Mapping[int, str] = {}
+    """Names of the packet types."""
 
     @abstractmethod
     def _field(self, key: int, size: int) -> Message | None:
@@ -221,7 +213,7 @@ class TaggedDecoder(TableDecoder):
         return f"0x{key:04X}"
 
     def _type_name(self, kind: int) -> str:
-        return f"0x{kind:02X}"
+        return self._type_names.get(kind, f"0x{kind:02X}")
 
     def _by_type(self) -> dict[str, int]:
         return {self._type_name(kind): n for kind, n in enumerate(self._types.tolist())}
@@ -232,16 +224,7 @@ class TaggedEncoder(Encoder):
 
     Raises BAD_CONFIG when a field has no values to encode or the packet becomes too long.
 
-    Parameters
-    ----------
-    form : Form
-        XBUS, XBUS_DATA or MIP.
-    kind : int
-        Packet type.
-    fields : sequence of (int, Message)
-        Keys of the fields of a packet, and what they carry.  A field of which a row has no value is left out.
-    derived : sequence of Derived
-        How columns that are not sent are turned into those that are.
+    `kind` is the packet type, `fields` have their keys.  A field of which a row has no value is left out.
     """
 
     def __init__(

@@ -197,12 +197,7 @@ def sentence(body: str) -> bytes:
 def sentence_body(text: str, crc: Checksum | None = None) -> str | None:
     """Return what a sentence has before its checksum, or None when that is wrong.
 
-    Parameters
-    ----------
-    text : str
-        The line without its end.
-    crc : Trailing
-        What the checksum is when it has four hexadecimal digits.
+    A checksum of four hexadecimal digits is a `crc`.
     """
     body, star, given = text.rpartition("*")
     if not star or not HEXADECIMAL.fullmatch(given):

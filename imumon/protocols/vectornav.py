@@ -278,10 +278,7 @@ class VectorNavEncoder(Encoder):
 
     Raises BAD_CONFIG when there is no such field.
 
-    Parameters
-    ----------
-    names : sequence of str
-        GROUP.FIELD, for example ``Imu.UncompGyro``; sent in the order of their bits.
+    Fields are GROUP.FIELD, as ``Imu.UncompGyro``; they are sent in the order of their bits.
     """
 
     def __init__(self, names: Sequence[str]) -> None:

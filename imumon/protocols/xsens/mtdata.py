@@ -130,6 +130,8 @@ class MTDataDecoder(TaggedDecoder):
         Nominal rate of the messages; with the sample counter it dates them.
     """
 
+    _type_names = NAMES
+
     def __init__(self, profile: Profile, rate_hz: float | None = None) -> None:
         self._data = mtdata_field(profile)
         sent = {column.name for column in self._data.columns}
@@ -152,9 +154,6 @@ class MTDataDecoder(TaggedDecoder):
                 "change output_mode or output_settings in a copy of the device file"
             )
         return size == self._data.size
-
-    def _type_name(self, kind: int) -> str:
-        return NAMES.get(kind) or super()._type_name(kind)
 
     def _describe(self, kind: int, payload: bytes) -> Iterable[str]:
         yield from describe(kind, payload)

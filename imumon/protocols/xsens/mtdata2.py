@@ -24,11 +24,10 @@ _FRAMED = {item.code for item in IDENTIFIERS if item.framed}
 class MTData2Decoder(TaggedDecoder):
     """Decodes MTData2; one row per message, with the columns that the device has sent so far.
 
-    Parameters
-    ----------
-    rate_hz : float or None
-        Nominal rate of the messages.
+    `rate_hz` is the nominal rate of the messages.
     """
+
+    _type_names = NAMES
 
     def __init__(self, rate_hz: float | None = None) -> None:
         timing = Timing(counter_bits=16, tick_ns=TICK_NS, tick_bits=32, rate_hz=rate_hz)
@@ -49,9 +48,6 @@ class MTData2Decoder(TaggedDecoder):
 
     def _field_name(self, key: int) -> str:
         return identifier_name(key)
-
-    def _type_name(self, kind: int) -> str:
-        return NAMES.get(kind) or super()._type_name(kind)
 
 
 def find_fields(
