@@ -23,12 +23,10 @@ from imumon.configure.core import (
 )
 from imumon.configure.firmware import Firmware, PacketKind, nearest
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.framing import Frame
-from imumon.protocols.text import line_lengths, lines_right, sentence, sentence_body
+from imumon.protocols.text import line_frame, sentence, sentence_body
 from imumon.protocols.vectornav import PLACES, XMODEM, Header, VectorNavDevice, VectorNavEncoder, read_header
 from imumon.protocols.vectornav_fields import GROUP_NAMES
 
-SYNC = b"$VN"
 ERRORS = {1: "hard fault", 2: "serial buffer overflow", 3: "invalid checksum", 4: "invalid command",
           5: "not enough parameters", 6: "too many parameters", 7: "invalid parameter", 8: "invalid register",
           9: "unauthorized access", 10: "watchdog reset", 11: "output buffer overflow",
@@ -173,7 +171,7 @@ class VectorNav(Family):
     base_hz = FAST_HZ
     """What the divisors of the outputs divide."""
     settings = tuple(REGISTERS)
-    answer_frame = Frame("ascii", SYNC, line_lengths(after_end=False), lines_right(_body))
+    answer_frame = line_frame("ascii", b"$VN", _body)
     title = "VectorNav"
     verified = "lines of other programs and of the vendor's, and the virtual device; never a real unit"
     baud_codes: Mapping[int, bytes] = {rate: str(rate).encode() for rate in BAUDRATES}

@@ -41,13 +41,9 @@ CRCS = {
 """CRCs by the names of the catalogue, with a hyphen behind the width."""
 
 
-def _total(data: ByteArray, size: IntArray) -> IntArray:
+def _total(data: ByteArray, size: IntArray, sign: int = 1) -> IntArray:
     del size
-    return np.asarray(np.sum(data, axis=1, dtype=np.int64))
-
-
-def _negated(data: ByteArray, size: IntArray) -> IntArray:
-    return -_total(data, size)
+    return np.asarray(sign * np.sum(data, axis=1, dtype=np.int64))
 
 
 def _exclusive_or(data: ByteArray, size: IntArray) -> IntArray:
@@ -69,7 +65,7 @@ Formula = Callable[[ByteArray, IntArray], IntArray]
 """Takes rows of bytes, which begin with zeros where they are shorter than the longest, and their sizes."""
 SIMPLE: dict[str, tuple[int, Formula]] = {
     "sum8": (1, _total),
-    "sum8-negated": (1, _negated),
+    "sum8-negated": (1, partial(_total, sign=-1)),
     "xor8": (1, _exclusive_or),
     "sum16": (2, _total),
     "sum16-words-le": (2, partial(_words, big=False)),

@@ -100,9 +100,9 @@ class Number(NamedTuple):
         kind = NUMBER_TYPES[self.type]
         assert self.column is not None
         if kind.size == 3:
-            raw = _of_three_bytes(raw, self.big, kind.signed)
+            raw = _of_bytes(raw, (2, 1, 0) if self.big else (0, 1, 2), kind.signed)
         elif self.type == "fp1632":
-            raw = _of_fp1632(raw)
+            raw = _of_bytes(raw, (3, 2, 1, 0, 5, 4), signed=True) / 2.0**32
         if self.mask:
             raw = (raw.astype(np.uint64) & np.uint64(self.mask)) >> np.uint64(self.lowest_bit)
         if self.column.dtype == "int64" and kind.integer:
@@ -141,20 +141,12 @@ def record_type(numbers: Sequence[Number], size: int) -> np.dtype[np.void]:
     return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
 
 
-def _of_three_bytes(three: ColumnArray, big: bool, signed: bool) -> IntArray:
-    """Return integers of three bytes, (n, 3)."""
-    high, middle, low = three.astype(np.int64).T[:: 1 if big else -1]
-    whole: IntArray = high << 16 | middle << 8 | low
-    return whole - ((whole >> 23) << 24) if signed else whole
-
-
-def _of_fp1632(six: ColumnArray) -> FloatArray:
-    """Return numbers of which the fraction is sent first, (n, 6)."""
-    bytes_of = six.astype(np.int64).T
-    whole = bytes_of[4] << 40 | bytes_of[5] << 32
-    for k in range(4):
-        whole |= bytes_of[k] << 8 * (3 - k)
-    return np.asarray((whole - ((whole >> 47) << 48)) / 2.0**32)
+def _of_bytes(raw: ColumnArray, lowest_first: Sequence[int], signed: bool) -> IntArray:
+    """Return integers of bytes, (n, size), which stand in this order."""
+    parts = raw.astype(np.int64).T
+    whole: IntArray = sum(parts[k] << 8 * n for n, k in enumerate(lowest_first))
+    bits = 8 * len(lowest_first)
+    return whole - (whole >> bits - 1 << bits) if signed else whole
 
 
 def is_missing(values: ColumnArray) -> BoolArray:

@@ -26,7 +26,7 @@ from imumon.protocols.checks import Checksum
 from imumon.protocols.decoder import Decoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.fixed import NumberField, NumberName, timing_of
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Check, Found, Frame, Lengths
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame
 from imumon.protocols.layouts import groups_of
 from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING, Number, is_missing
 
@@ -260,15 +260,11 @@ def _texts(held: ByteArray, at: IntArray, length: IntArray) -> list[str]:
     return [held[a : a + n].tobytes().decode("ascii", "replace") for a, n in spans]
 
 
-def line_lengths(after_end: bool) -> Lengths:
-    """Return the `Lengths` of lines.
+def line_lengths(after_end: bool, held: ByteArray, at: IntArray) -> IntArray:
+    """Return the lengths of lines; the `Lengths` of a frame when `after_end` is given.
 
     `after_end`: the line begins behind a line end, which is counted to it instead of the one at its own end.
     """
-    return partial(_to_line_end, after_end)
-
-
-def _to_line_end(after_end: bool, held: ByteArray, at: IntArray) -> IntArray:
     ends = np.flatnonzero(held == LINE_END)
     k = np.searchsorted(ends, at, "right" if after_end else "left")
     there = k < len(ends)
@@ -279,13 +275,14 @@ def _to_line_end(after_end: bool, held: ByteArray, at: IntArray) -> IntArray:
     return result
 
 
-def lines_right(read: Callable[[str], object]) -> Check:
-    """Return the `Check` of lines that are right when they can be read."""
-    return partial(_readable, read)
-
-
-def _readable(read: Callable[[str], object], held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+def lines_right(read: Callable[[str], object], held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+    """Tell which lines can be read; the `Check` of a frame when `read` is given."""
     return np.array([read(text) is not None for text in _texts(held, at, length)], np.bool_)
+
+
+def line_frame(name: str, begin: bytes, read: Callable[[str], object], after_end: bool = False) -> Frame:
+    """Return the frame of lines that are right when they can be read."""
+    return Frame(name, begin, partial(line_lengths, after_end), partial(lines_right, read))
 
 
 class _ReadOnce:
@@ -308,7 +305,7 @@ class TextDecoder(Decoder):
     def __init__(self, lines: Sequence[Line], rate_hz: float | None) -> None:
         readers = [_ReadOnce(line) for line in lines]
         frames = [
-            Frame(x.name, x.prefix.encode() or b"\n", line_lengths(not x.prefix), lines_right(read))
+            line_frame(x.name, x.prefix.encode() or b"\n", read, not x.prefix)
             for x, read in zip(lines, readers, strict=True)
         ]
         timing = timing_of([field for line in lines for field in line.fields], rate_hz)

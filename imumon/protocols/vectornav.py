@@ -28,7 +28,7 @@ from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame, count
 from imumon.protocols.layouts import Layout, Record, groups_of
 from imumon.protocols.messages import Message
 from imumon.protocols.numbers import Number, write
-from imumon.protocols.text import LineLayout, line_lengths, lines_right, sentence_body
+from imumon.protocols.text import LineLayout, line_frame, sentence_body
 from imumon.protocols.vectornav_fields import (
     COMMON,
     FILTERED,
@@ -169,7 +169,7 @@ class VectorNavDecoder(Decoder):
         frames = (
             Frame("binary", b"\xfa", _lengths, XMODEM),
             Frame("split", b"\xfb\x00", counted_length(4, 2, 8, LONGEST_PACKET), XMODEM),
-            Frame("ascii", b"$VN", line_lengths(after_end=False), lines_right(_sentence)),
+            line_frame("ascii", b"$VN", _sentence),
         )
         there = [item for items in GROUPS.values() for item in items if item is not None and item.columns]
         layouts = [Record(item.placed(0, item.size, False)) for item in there]

@@ -51,15 +51,15 @@ DILUTIONS = [number(f"gnss_{c}dop", "1", "dilution") for c in "phv"]
 RECEIVER = number("gnss_altitude", "m", "of the receiver"), number("gnss_course", "rad", "of the receiver")
 
 
-def _degrees(value: ColumnArray) -> ColumnArray:
-    """Return degrees of a number whose digits are degrees and, the last seven, minutes times 1e5."""
-    whole = np.sign(value) * (np.abs(value) // 10_000_000)
-    return np.asarray(whole + np.sign(value) * (np.abs(value) % 10_000_000) / 6e6)
+def _degrees_of(columns: Columns) -> list[ColumnArray]:
+    """Return degrees of numbers whose digits are degrees and, the last seven, minutes times 1e5."""
+    values = [columns[name] for name in ("_longitude", "_latitude")]
+    return [np.sign(v) * (np.abs(v) // 10_000_000 + np.abs(v) % 10_000_000 / 6e6) for v in values]
 
 
-def _digits(degrees: ColumnArray) -> ColumnArray:
-    whole = np.trunc(degrees)
-    return np.rint(whole * 1e7 + (degrees - whole) * 6e6).astype(np.int64)
+def _digits_of(columns: Columns) -> list[ColumnArray]:
+    values = [columns[name] for name in ("longitude", "latitude")]
+    return [np.rint(np.trunc(v) * 1e7 + (v - np.trunc(v)) * 6e6).astype(np.int64) for v in values]
 
 
 def _message(name: str, *parts: Part, group: str = MAIN) -> Message:
@@ -69,14 +69,6 @@ def _message(name: str, *parts: Part, group: str = MAIN) -> Message:
 PORTS = [count(f"port_d{k}", f"port D{k}") for k in range(4)]
 HEIGHT = [number("pressure_altitude", "m", "from the pressure")]
 PLACE = [count("_longitude", "longitude"), count("_latitude", "latitude")]
-
-
-def _degrees_of(c: Columns) -> list[ColumnArray]:
-    return [_degrees(c["_longitude"]), _degrees(c["_latitude"])]
-
-
-def _digits_of(c: Columns) -> list[ColumnArray]:
-    return [_digits(c["longitude"]), _digits(c["latitude"])]
 
 
 DERIVED = (

@@ -23,7 +23,7 @@ from imumon.protocols.base import MAIN, ByteArray, Timing
 from imumon.protocols.framing import Found, Frame
 from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, TableFamily, part
 from imumon.protocols.quantities import number, vector
-from imumon.protocols.text import NUMBER, line_lengths, lines_right
+from imumon.protocols.text import NUMBER, line_frame, line_lengths
 
 BINARY: Final = 0x80
 END, ESCAPE = b"\x0a", b"\xdb"
@@ -34,7 +34,7 @@ TIME_SIZE: Final = 8
 YEARS_US: Final = 1 << 58
 """Microseconds of 9000 years: a message that claims more began in the middle of another."""
 DEGREE: Final = pi / 180
-LINE: Final = line_lengths(after_end=False)
+LINE: Final = partial(line_lengths, False)
 
 MATRIX = [number(f"matrix_{i}{j}", "1", "rotation matrix") for i in "xyz" for j in "xyz"]
 
@@ -137,7 +137,7 @@ def _wrapped(key: int, payload: bytes) -> bytes:
 
 FRAMES = [
     *(Frame(m.name, bytes([key | BINARY]), LINE, partial(_right, m.size)) for key, m in MESSAGES.items()),
-    *(Frame(f"{m.name} text", b"%c," % key, LINE, lines_right(_numbers)) for key, m in MESSAGES.items()),
+    *(line_frame(f"{m.name} text", b"%c," % key, _numbers) for key, m in MESSAGES.items()),
 ]
 
 
