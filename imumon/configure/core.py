@@ -160,7 +160,7 @@ def packets_among(data: bytes, frame: Frame) -> tuple[list[bytes], int]:
 
 
 class Family(ABC):
-    """How devices of a family are configured: pure functions of settings, which are bytes under names."""
+    """How a device of a family is configured: its settings are bytes under names."""
 
     title: str
     columns: Mapping[str, tuple[str, ...]] = USUAL_COLUMNS

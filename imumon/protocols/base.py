@@ -56,6 +56,8 @@ class Groups:
     """Group of each column; a column that is not here goes with every row of its packet."""
     apart: tuple[bool, ...]
     """Groups that never join the main stream."""
+    layouts: Mapping[str, tuple[int, ...]]
+    """Numbers of the layouts that have each column: columns of the same come together."""
 
     def bits(self, groups: Collection[str]) -> int:
         """Return the bits of groups; without any, that of `OTHER`, or else of the main one."""

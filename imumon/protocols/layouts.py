@@ -76,11 +76,12 @@ def groups_of(layouts: Iterable[Layout], names: Sequence[str] = (), apart: Seque
     apart : sequence of str
         Groups that never join the rows of the main one.
     """
-    of_column: dict[str, str] = {}
+    of_column, having = dict[str, str](), dict[str, tuple[int, ...]]()
     there = dict.fromkeys((MAIN, *names))
-    for layout in layouts:
+    for number, layout in enumerate(layouts):
         of_column = layout.of_column | of_column
+        having |= {column: (*having.get(column, ()), number) for column in layout.of_column}
         there |= dict.fromkeys(layout.of_column.values())
     order = [*there]
     numbers = {column: order.index(group) for column, group in of_column.items()}
-    return Groups(tuple(order), numbers, tuple(name in apart for name in order))
+    return Groups(tuple(order), numbers, tuple(name in apart for name in order), having)
