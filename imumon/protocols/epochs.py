@@ -214,8 +214,7 @@ class EpochAssembler:
     def _bit(self, name: str) -> int:
         """Return the bit of a column: columns that always come together have one.
 
-        Of more than `BITS` such sets some share a bit, which at worst begins a row too early, or shows a value
-        in two streams.
+        Of more than `BITS` sets some share one: a row may begin too early, or a value may show twice.
         """
         return 1 << self._bits.setdefault(self._groups.layouts[name], len(self._bits)) % BITS
 

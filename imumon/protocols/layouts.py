@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -51,7 +52,10 @@ class Record:
             if made.sources[0] in self.of_column:
                 self.of_column |= dict.fromkeys(made.names, self.of_column[made.sources[0]])
         self.columns = tuple(column for column in sent if not column.name.startswith("_"))
-        self._type = record_type(self._numbers, max((item.end for item in self._numbers), default=1))
+
+    @cached_property
+    def _type(self) -> np.dtype[np.void]:
+        return record_type(self._numbers, max((item.end for item in self._numbers), default=1))
 
     def read(self, found: Found) -> dict[str, ColumnArray]:
         """Return a value a packet for each column."""

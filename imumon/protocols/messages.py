@@ -21,6 +21,7 @@ from imumon.protocols.framing import Frame
 from imumon.protocols.layouts import Layout, Record, groups_of
 from imumon.protocols.numbers import (
     NO_GROUP,
+    NUMBER_TYPES,
     Derived,
     Number,
     in_a_row,
@@ -42,7 +43,8 @@ def part(at: int, kind: str, columns: str | Sequence[Column], factor: float = 1.
     its name.  Without a group the numbers are of that of the message.
     """
     there = known(columns) if isinstance(columns, str) else columns
-    return in_a_row((Number(column, kind, factor, group=group) for column in there), at)
+    size = NUMBER_TYPES[kind].size
+    return tuple(Number(c, kind, factor, at=at + k * size, group=group) for k, c in enumerate(there))
 
 
 def whole(at: int, kind: str, name: str, description: str, unit: str = "1") -> Part:

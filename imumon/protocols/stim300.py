@@ -143,7 +143,8 @@ class StimDevice(DeviceFile):
 
     def decoder(self) -> FamilyDecoder:
         """Make a decoder for this device."""
-        return self._family.decodes(self._family, self.rate_hz)
+        family = self._family
+        return family.decodes(family, self.rate_hz)
 
     def encoder(self) -> TableEncoder:
         """Make an encoder that sends what the device would send."""
