@@ -23,11 +23,10 @@ from imumon.clock.side import HeldReadings, SharedCounter, SideClock
 from imumon.columns import KNOWN, TIME_COLUMNS, Column
 from imumon.intake import Intake
 from imumon.lane import LaneState
-from imumon.protocols.base import COMMON, MAIN, Timing
+from imumon.protocols.base import COMMON, MAIN, ByteArray, Timing
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.epochs import EpochAssembler, EpochCounters
 from imumon.protocols.ranges import Ranges
-from imumon.protocols.stream import ByteArray
 from imumon.stage import Estimator as Estimator
 from imumon.stage import GuardedStage
 from imumon.transport.statistics import Counters

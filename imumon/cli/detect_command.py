@@ -147,14 +147,7 @@ def _propose(received: dict[int | None, bytearray], evidence: list[Evidence]) ->
     seconds = {item.baudrate: item.seconds for item in evidence}
     tried = [binary_proposal.propose(bytes(received[rate]), s, rate) for rate, s in seconds.items()]
     found = max((one for one in tried if one is not None), key=lambda one: one.weight, default=None)
-    if found is not None:
-        return found.text
-    for rate in seconds:
-        if lengths := binary_proposal.repeated_lengths(bytes(received[rate])):
-            every = " or ".join(map(str, lengths))
-            what = ("" if rate is None else f"at {rate} baud ") + f"the bytes begin alike every {every} bytes"
-            note(f"{what}: packets of several lengths, or an unknown checksum; no device file is proposed")
-    return None
+    return found.text if found is not None else None
 
 
 def _suggest(port: str, fit: list[Evidence]) -> None:

@@ -10,9 +10,9 @@ WING = Wing(
         ),
     },
     firmware={
-        "xsens-mtdata2": "imumon.configure.firmware.xsens:XsensFirmware",
-        "mip": "imumon.configure.firmware.mip:MipFirmware",
-        "vectornav": "imumon.configure.firmware.vectornav:VectorNavFirmware",
-        "witmotion": "imumon.configure.firmware.witmotion:WitMotionFirmware",
+        "xsens-mtdata2": "imumon.configure.xsens:XsensFirmware",
+        "mip": "imumon.configure.mip:MipFirmware",
+        "vectornav": "imumon.configure.vectornav:VectorNavFirmware",
+        "witmotion": "imumon.configure.witmotion:WitMotionFirmware",
     },
 )

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 
-from imumon.configure.commands.core import CommandError, Family, Refusal, Request
+from imumon.configure.core import CommandError, Family, Refusal, Request
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
 from imumon.transport.detect import GLANCE_S, Evidence, Verdict, detect
@@ -34,14 +35,7 @@ class Sent:
 class CommandLink:
     """A device at the end of an open port.
 
-    Parameters
-    ----------
-    port : Port
-        Owned from now on.
-    family : Family
-        Tells answers from data.
-    streaming : bool
-        Whether the device sent data when it was found.
+    `port` is owned from now on; `streaming`: whether the device sent data when it was found.
     """
 
     def __init__(self, port: Port, family: Family, streaming: bool) -> None:
@@ -74,29 +68,29 @@ class CommandLink:
 
     def _answer(self, request: Request) -> bytes | Refusal | None:
         assert request.answer is not None
-        held, end = bytearray(), time.monotonic() + request.timeout_s
-        while True:
-            left = end - time.monotonic()
-            data = self.port.read(max(min(left, POLL_S), 0.0))
-            held += data
-            messages, done = self._family.messages(bytes(held))
+        held = b""
+        for data in self._arriving(request.timeout_s):
+            messages, done = self._family.messages(held + data)
+            held = (held + data)[done:]
             for message in messages:
                 answer = request.answer(message)
                 if answer is not None:
                     return answer
-            del held[:done]
-            if left <= 0.0 and (not data or left < -POLL_S):  # what came while the host stalled is read, too
-                return None
+        return None
 
-    def discard(self, seconds: float = 0.0) -> int:
-        """Take what has come, and what comes within so many seconds; return how many bytes that was."""
-        end, count = time.monotonic() + seconds, 0
+    def _arriving(self, seconds: float) -> Iterator[bytes]:
+        """Yield what has come, and what comes within so many seconds, also while the host stalled."""
+        end = time.monotonic() + seconds
         while True:
             left = end - time.monotonic()
             data = self.port.read(max(min(left, POLL_S), 0.0))
-            count += len(data)
+            yield data
             if left <= 0.0 and (not data or left < -POLL_S):
-                return count
+                return
+
+    def discard(self, seconds: float = 0.0) -> int:
+        """Take what has come, and what comes within so many seconds; return how many bytes that was."""
+        return sum(map(len, self._arriving(seconds)))
 
     def answers_at(self, baudrate: int | None, seconds: float) -> bool:
         """Return whether the device answers at a rate, asking for so many seconds."""
@@ -107,12 +101,10 @@ class CommandLink:
             try:
                 self.ask(self._family.hello, tries=1)
             except CommandError as error:
-                if error.refused:
-                    return True
-                if time.monotonic() >= end:
-                    return False
-            else:
-                return True
+                if not error.refused and time.monotonic() < end:
+                    continue
+                return error.refused
+            return True
 
     def close(self) -> None:
         """Close the port."""
@@ -120,21 +112,11 @@ class CommandLink:
 
 
 def connect(url: str, device: DeviceFile, family: Family, baudrate: int | None) -> CommandLink:
-    """Open a port at the rate of the device, found by listening, and ask whether it is one of the family.
+    """Open a port at the rate of the device, found by listening if not given, and ask if it is of the family.
 
     Raises ImumonError what opening a port raises; WRONG_BAUD when something else is there; SILENT when
     nothing answers.
-
-    Parameters
-    ----------
-    url : str
-        The port.
-    device : DeviceFile
-        Its decoder and its rates; what its packets are known by.
-    baudrate : int or None
-        Rate at which the device talks; found when None.
     """
-    device.decoder().feed(b"\0", 0)  # compiled kernels are loaded before bytes pile up
     evidence = _received(url, device) if baudrate is None else []
     rates = [baudrate] if baudrate is not None else _rates_received(url, device, evidence)
     line = device.serial
@@ -182,15 +164,11 @@ def _rates_received(url: str, device: DeviceFile, evidence: list[Evidence]) -> l
 
 
 def _mute(link: CommandLink, device: DeviceFile, rates: list[int]) -> ImumonError:
-    tried = ", ".join(map(str, rates))
-    if link.streaming:
-        return ImumonError(
-            Reason.SILENT,
-            f"{link.port.settings} sends, but no {device.name} device answers (queried at {tried} baud)",
-            "is the line to the device (TX of the adapter) connected?  Does it take commands on this port?",
-        )
+    port = f"{link.port.settings} sends" if link.streaming else f"{link.port.settings.url}: no data"
     return ImumonError(
         Reason.SILENT,
-        f"{link.port.settings.url}: no data, and no {device.name} device answers (queried at {tried} baud)",
-        "check power, wiring (RX and TX swapped?) and the rate (--at)",
+        f"{port}, and no {device.name} device answers (queried at {', '.join(map(str, rates))} baud)",
+        "is the line to the device (TX of the adapter) connected, does it take commands on this port?"
+        if link.streaming
+        else "check power, wiring (RX and TX swapped?) and the rate (--at)",
     )

@@ -7,10 +7,10 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from imumon.configure.command_link import HEAR_S, CommandLink
-from imumon.configure.commands.core import BAUD, CommandError, Family, Request, Wish
+from imumon.configure.core import BAUD, CommandError, Family, Request, Wish
 from imumon.configure.measured_stream import Stream, measure
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
@@ -24,15 +24,7 @@ NEARLY_FULL = 0.8
 """Share of the line from which packets may have to wait."""
 
 
-REPORTED = (
-    "port", "device", "identity", "assumed", "verified", "before", "after", "warnings", "result", "saved",
-    "flash_begun", "restored", "not_restored",
-)  # fmt: skip
-"""Fields of a report that JSON has as they are."""
-
-
-@dataclass(frozen=True, slots=True)
-class Change:
+class Change(NamedTuple):
     """A setting that is to change."""
 
     name: str
@@ -67,7 +59,7 @@ class Report:
         sent = link.sent if link else []
         stream = self.stream
         return {
-            **{name: getattr(self, name) for name in REPORTED},
+            **vars(self),
             "plan": [_as_dict(request) for request in self.plan],
             "sent": [{**_as_dict(item.request), "answered": item.answered} for item in sent],
             "stream": stream and {name: getattr(stream, name) for name in ("seconds", "rate_hz", "columns")},
@@ -124,18 +116,7 @@ def check_load(family: Family, values: Mapping[str, bytes], line: PortSettings) 
 class Configuration:
     """One device that is being configured.
 
-    Parameters
-    ----------
-    link : CommandLink
-        An open line to the device.
-    family : Family
-        Commands of the device.
-    device : DeviceFile
-        Its decoder.
-    report : Report
-        Written as the work goes on.
-    tell : callable
-        Told what is going on, a line each.
+    `report` is written as the work goes on; `tell` gets a line for each step.
     """
 
     def __init__(
@@ -176,8 +157,8 @@ class Configuration:
         if self._link.port.shared_with:
             others = ", ".join(self._link.port.shared_with)
             self._report.warnings.append(f"{others} reads this port, too: answers may go there")
-        self._quiet()
-        self._family = self._family.learn(self._link.ask)
+        self._try_each(self._family.quiet)
+        self._family.learn(self._link.ask)
         self._present = {name: self._link.ask(self._family.read(name)) for name in self._family.settings}
         report, family = self._report, self._family
         report.identity = family.identity
@@ -218,7 +199,7 @@ class Configuration:
             self._begun.append(change)
             self._report.flash_begun |= self._family.stores_at_once
             self._apply(change.name, change.after)
-        self._resume()
+        self._try_each(self._family.resume)
         self._report.result = "done" if changes else "read" if wish.only_reads else "unchanged"
         if not changes:
             return
@@ -265,7 +246,7 @@ class Configuration:
         if not self._link.answers_at(new, WAKE_S + self._family.reset_s):
             line.set_baudrate(old)
             raise CommandError(requests[0], f"no answer at {new} baud", refused=False)
-        self._quiet()
+        self._try_each(self._family.quiet)
 
     def _save(self, wish: Wish) -> None:
         """Write into flash what was asked for, also where it was so already."""
@@ -292,7 +273,7 @@ class Configuration:
             for request in self._family.save(self._saving) if self._saving else ():
                 self._link.ask(request)
             if silent:
-                self._resume()
+                self._try_each(self._family.resume)
                 silent = False
         except (CommandError, ImumonError) as error:
             self._report.not_restored += [self._shown(change) for change in left]
@@ -329,13 +310,7 @@ class Configuration:
                 ]
         if not any(self._link.answers_at(rate, patience) for rate in dict.fromkeys(rates)):
             raise ImumonError(Reason.SILENT, "the device does not answer any more")
-        self._quiet()
-
-    def _quiet(self) -> None:
         self._try_each(self._family.quiet)
-
-    def _resume(self) -> None:
-        self._try_each(self._family.resume)
 
     def _try_each(self, requests: Sequence[Request]) -> None:
         """Ask; a device that does not know how to be quiet is configured between its data."""

@@ -12,8 +12,8 @@ from imumon.cli.live_run import ending_signals
 from imumon.errors import ImumonError, Reason
 
 if TYPE_CHECKING:
-    from imumon.configure.commands.core import Family, Wish
     from imumon.configure.configuration import Report
+    from imumon.configure.core import Family, Wish
 
 
 @click.command("configure")
@@ -55,9 +55,8 @@ def command(
     fails, or Ctrl-C ends it, the device gets its old settings back.  For xsens, microstrain, vectornav and
     witmotion.
     """
-    from imumon.configure.commands.core import Wish
-    from imumon.configure.commands.families import family_of
     from imumon.configure.configuration import Report
+    from imumon.configure.core import Wish, family_of
     from imumon.protocols.device import load_device
 
     described = load_device(device)

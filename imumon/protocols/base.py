@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
 
 from imumon.blocks import IntArray, SampleBlock
 from imumon.errors import ImumonError, Reason
@@ -15,14 +18,17 @@ T = TypeVar("T")
 
 MAIN = "imu"
 """Name of the stream of the inertial sensors."""
+OTHER = "other"
+"""Group of packets that have nothing but fields of no group, where these are not of the main one."""
 COMMON = ("arrival_time_ns", "device_ticks", "packet_counter")
 """Columns of a packet that every stream of its fields has."""
 
-ONLY_CORRECTED = (
-    "only rates come from which the device's filter has taken its own estimate of the bias "
-    "(gyro_compensated_*): what imumon finds is the rest of it"
-)
-"""Warning of a device that sends no rate as it was calibrated in the factory."""
+ByteArray = npt.NDArray[np.uint8]
+
+CHUNK = 1 << 16
+"""Bytes that wait at the most until they are searched."""
+LONGEST_PACKET = 4096
+"""Bytes that a packet may have, so also the most that can be pending."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +56,13 @@ class Groups:
     """Group of each column; a column that is not here goes with every row of its packet."""
     apart: tuple[bool, ...]
     """Groups that never join the main stream."""
+    layouts: Mapping[str, tuple[int, ...]]
+    """Numbers of the layouts that have each column: columns of the same come together."""
+
+    def bits(self, groups: Collection[str]) -> int:
+        """Return the bits of groups; without any, that of `OTHER`, or else of the main one."""
+        there = groups or ({OTHER} & {*self.names}) or {MAIN}
+        return sum(1 << self.names.index(group) for group in there)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

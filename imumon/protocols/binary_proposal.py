@@ -9,15 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 from imumon.blocks import BoolArray, IntArray
-from imumon.protocols.checksums import CHECKSUM_NAMES
-from imumon.protocols.frame_checks import Trailing, sent, trailing
+from imumon.protocols.base import ByteArray
+from imumon.protocols.checks import CHECKSUM_NAMES, Checksum, sent
 from imumon.protocols.framing import windows
-from imumon.protocols.stream import ByteArray
 
 LEAST_PACKETS: Final = 8
 """Packets from which a layout is proposed."""
@@ -68,25 +67,6 @@ class Proposal:
         return self.checked, self.covered
 
 
-class _Check(NamedTuple):
-    """A checksum at the end of packets, over all bytes from `first` on."""
-
-    name: str
-    first: int
-    big: bool
-    zeros: int
-
-    @property
-    def trailing(self) -> Trailing:
-        return trailing(self.name, self.first, self.big, self.zeros)
-
-    def right(self, packets: ByteArray) -> int:
-        """Return in how many packets it fits."""
-        n, size = packets.shape
-        right = self.trailing(packets.reshape(-1), np.arange(n) * size, np.full(n, size))
-        return int(np.count_nonzero(right))
-
-
 def propose(data: bytes, seconds: float, baudrate: int | None) -> Proposal | None:
     """Return a device file for binary packets of one length; None when nothing repeats as they do.
 
@@ -107,18 +87,6 @@ def propose(data: bytes, seconds: float, baudrate: int | None) -> Proposal | Non
             found = _proposal(held, anchors, int(lengths[0]), seconds, baudrate)
             best = max(filter(None, (best, found)), key=lambda one: one.weight, default=None)
     return best
-
-
-def repeated_lengths(data: bytes) -> list[int]:
-    """Return the distances, in bytes, at which the bytes begin alike; empty when less than 80 % do."""
-    best = _repeating(np.frombuffer(data[:MOST_BYTES], np.uint8))[:1]
-    held = min(len(data), MOST_BYTES)
-    return [
-        int(n)
-        for anchors, lengths in best
-        if np.isin(np.diff(anchors), lengths) @ np.diff(anchors) >= COVERED_UNCHECKED * held
-        for n in lengths
-    ]
 
 
 def _repeating(held: ByteArray) -> list[tuple[IntArray, IntArray]]:
@@ -186,7 +154,7 @@ def _constant(packets: ByteArray) -> BoolArray:
     return np.asarray(np.mean(packets == np.median(packets, axis=0), axis=0) >= CONSTANT)
 
 
-def _beginning(held: ByteArray, anchors: IntArray, length: int) -> tuple[int | None, _Check | None]:
+def _beginning(held: ByteArray, anchors: IntArray, length: int) -> tuple[int | None, Checksum | None]:
     """Return where packets begin, from the pattern on, and their checksum; None where nothing tells it."""
     constant = _constant(_cut(held, anchors, length))
     begins = np.flatnonzero(constant & ~np.roll(constant, 1))
@@ -194,13 +162,13 @@ def _beginning(held: ByteArray, anchors: IntArray, length: int) -> tuple[int | N
     places = np.append(begins, (begins + 1) % length)
     places = places[constant[places]]
     shifts = np.where(places > length // 2, places - length, places).tolist()
-    best: tuple[float, int, int, _Check] | None = None
+    best: tuple[float, int, int, Checksum] | None = None
     for shift in shifts:
         packets = np.unique(_cut(held, anchors + shift, length), axis=0)
         packets = packets[np.linspace(0, len(packets) - 1, min(len(packets), TRIED_PACKETS)).astype(int)]
         for right, check in _fitting(packets):
-            if best is None or (right, check.trailing.size) > best[:2]:
-                best = right, check.trailing.size, shift, check
+            if best is None or (right, check.size) > best[:2]:
+                best = right, check.size, shift, check
     if best is not None:
         return best[2:]
     runs = {s: int(np.argmin(np.append(np.roll(constant, -s), False))) for s in shifts}
@@ -208,13 +176,13 @@ def _beginning(held: ByteArray, anchors: IntArray, length: int) -> tuple[int | N
     return (None, None) if constant.all() or runs.get(longest, 0) < 2 else (longest, None)
 
 
-def _fitting(packets: ByteArray) -> Iterator[tuple[float, _Check]]:
+def _fitting(packets: ByteArray) -> Iterator[tuple[float, Checksum]]:
     """Yield checksums that fit at the end of different packets, and in which share of them."""
     n, size = packets.shape
     held, begin = packets.reshape(-1), np.arange(n) * size
     for name in CHECKSUM_NAMES[1:]:
         for zeros in range(4 if name.startswith("crc32") else 1):
-            check = trailing(name, zeros=zeros)
+            check = Checksum(name, zeros=zeros)
             firsts = FIRSTS[: size - check.size - 1]
             first, last = (begin[:, np.newaxis] + firsts).reshape(-1), begin + size - check.size
             values = check.values(held, first, last.repeat(len(firsts))).reshape(n, -1)
@@ -223,10 +191,10 @@ def _fitting(packets: ByteArray) -> Iterator[tuple[float, _Check]]:
                 right = np.sum(values == stored[:, np.newaxis], axis=0)
                 k = int(np.argmax(right))
                 if right[k] >= max(LEAST_RIGHT, RIGHT * n) and len(np.unique(stored)) >= LEAST_RIGHT:
-                    yield float(right[k]) / n, _Check(name, int(firsts[k]), big, zeros)
+                    yield float(right[k]) / n, Checksum(name, int(firsts[k]), big, zeros)
 
 
-def _layout(at: IntArray, packets: ByteArray, check: _Check | None, rate: float) -> Iterator[str]:
+def _layout(at: IntArray, packets: ByteArray, check: Checksum | None, rate: float) -> Iterator[str]:
     """Yield the description of the packets."""
     length = packets.shape[1]
     constant, usual = _constant(packets), np.median(packets, axis=0).astype(int)
@@ -235,7 +203,7 @@ def _layout(at: IntArray, packets: ByteArray, check: _Check | None, rate: float)
         sync = check.first
     while sync > (1 if check else 2) and usual[sync - 1] in HIGH_BYTES:
         sync -= 1
-    end = length - (0 if check is None else check.trailing.size)
+    end = length - (0 if check is None else check.size)
     known = np.ones(length, np.bool_)
     known[sync:end] = False
     follows = np.diff(at) == length
@@ -255,8 +223,9 @@ def _layout(at: IntArray, packets: ByteArray, check: _Check | None, rate: float)
         keys = f"type: {check.name}, first: {check.first}, last: {end - 1}, at: {end}"
         order = f", byte_order: {'big' if check.big else 'little'}" if end < length - 1 else ""
         zeros = f", zeros: {check.zeros}" if check.zeros else ""
-        right = f"right in {check.right(packets)} of {len(packets)} packets"
-        yield f"checksum: {{{keys}{order}{zeros}}}  # {right}"
+        n = len(packets)
+        right = check(packets.reshape(-1), np.arange(n) * length, np.full(n, length))
+        yield f"checksum: {{{keys}{order}{zeros}}}  # right in {np.count_nonzero(right)} of {n} packets"
     yield "fields:"
     for why, keys, _ in fields:
         yield f"  # {why}"
@@ -270,23 +239,16 @@ def _layout(at: IntArray, packets: ByteArray, check: _Check | None, rate: float)
 
 
 def _counter(before: ByteArray, after: ByteArray, known: BoolArray) -> Iterator[tuple[str, str, str]]:
-    """Yield the word or the low bits of a byte that rise by one a packet, and mark them as known."""
-    for order in ("big", "little"):
-        step, free = _steps(before, after, known, 2, order)
-        carried = np.any((_numbers(after, 2, order) & 0xFF == 0) & (step == 1), axis=0)
-        for k in np.flatnonzero(free & carried & (np.mean(step == 1, axis=0) >= COUNTS))[:1].tolist():
-            known[k : k + 2] = True
-            yield "rises by one a packet", f"at: {k}, type: u16, column: packet_counter", order
+    """Yield the word, or else the byte, that rises by one a packet, and mark it as known."""
+    for size, order in ((2, "big"), (2, "little"), (1, "big")):
+        step, free = _steps(before, after, known, size, order)
+        numbers = _numbers(after, size, order)
+        # The low byte of a word carries, and a byte has all its bits: other counters stay unknown.
+        whole = np.any((step == 1) & (numbers & 0xFF == 0 if size == 2 else numbers > 0x7F), axis=0)
+        for k in np.flatnonzero(free & whole & (np.mean(step == 1, axis=0) >= COUNTS))[:1].tolist():
+            known[k : k + size] = True
+            yield "rises by one a packet", f"at: {k}, type: u{8 * size}, column: packet_counter", order
             return
-    masks = np.array([0xFF, 0x7F, 0x3F, 0x1F, 0x0F])
-    share = np.mean((after - before)[:, np.newaxis] & masks[:, np.newaxis] == 1, axis=0) * ~known
-    n, k = np.unravel_index(np.argmax(share), share.shape)
-    if share[n, k] >= COUNTS:
-        known[k] = True
-        bits = "" if n == 0 else f", mask: {masks[n]:#x}"
-        wrapped = np.any(after[:, k] & masks[n] < before[:, k] & masks[n])
-        guess = "" if wrapped else "; it did not wrap, so how many bits it has is a guess"
-        yield f"rises by one a packet{guess}", f"at: {k}, type: u8, column: packet_counter{bits}", ""
 
 
 def _clock(

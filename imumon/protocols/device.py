@@ -15,17 +15,17 @@ from imumon.errors import ImumonError, Reason
 from imumon.files import bundled, read_text
 from imumon.plugins import DEVICES, plugins
 from imumon.protocols.base import Encoder
-from imumon.protocols.framing import Decoder
+from imumon.protocols.decoder import Decoder
 from imumon.protocols.ranges import Ranges
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.transport.settings import PortSettings
 
 PROTOCOLS = {
-    "fixed": "imumon.protocols.fixed.device:FixedDevice",
+    "fixed": "imumon.protocols.fixed:FixedDevice",
     "text": "imumon.protocols.text:TextDevice",
     "ximu3": "imumon.protocols.ximu3:XimuDevice",
     "mavlink": "imumon.protocols.mavlink:MavlinkDevice",
-    "fixed-several": "imumon.protocols.fixed.device:SeveralDevice",
+    "fixed-several": "imumon.protocols.fixed:SeveralDevice",
     "xsens-mtdata2": "imumon.protocols.xsens.mtdata2:MTData2Device",
     "xsens-mtdata": "imumon.protocols.xsens.mtdata:MTDataDevice",
     "witmotion": "imumon.protocols.witmotion:WitMotionDevice",

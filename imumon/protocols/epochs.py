@@ -56,7 +56,7 @@ class EpochCounters:
 RecordArray = npt.NDArray[np.void]
 
 BITS = 62
-"""Columns of which each has a bit of its own in a word."""
+"""Sets of columns of which each has a bit of its own in a word."""
 
 
 class _Group:
@@ -131,7 +131,7 @@ class EpochAssembler:
         self._state = records(_Group, n)
         _array(self._state)["apart"] = groups.apart
         self._counts = record(_Counts)
-        self._bits: dict[str, int] = {}
+        self._bits: dict[tuple[int, ...], int] = {}
         self._packets = np.zeros(n, np.int64)
         self.counted_aside: list[tuple[int, int]] = []
         """Of the side packets that `process` saw last: the main rows begun before each, and its counter."""
@@ -212,12 +212,11 @@ class EpochAssembler:
         return masks, group_masks
 
     def _bit(self, name: str) -> int:
-        """Return the bit of a column.
+        """Return the bit of a column: columns that always come together have one.
 
-        Some protocols have more columns than a word has bits; those beyond share one, which at worst begins a
-        row too early, or shows a value in two streams.
+        Of more than `BITS` sets some share one: a row may begin too early, or a value may show twice.
         """
-        return 1 << self._bits.setdefault(name, len(self._bits)) % BITS
+        return 1 << self._bits.setdefault(self._groups.layouts[name], len(self._bits)) % BITS
 
     def _gather(
         self, stream: str, block: SampleBlock, entries: RecordArray, place: IntArray, n: int

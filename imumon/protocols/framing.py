@@ -15,26 +15,17 @@ ends behind it is accepted, too; bytes count once.  Not so inside a packet that 
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from imumon.blocks import BoolArray, IntArray, SampleBlock, join, missing
-from imumon.columns import Column
-from imumon.protocols.base import Groups, Packets, Timing
-from imumon.protocols.stream import CHUNK, ByteArray
-from imumon.transport.statistics import Counters
+from imumon.blocks import BoolArray, IntArray
+from imumon.protocols.base import ByteArray
 
 INCOMPLETE, NO_PACKET, IMPOSSIBLE, BAD_SUM = -1, -2, -3, -4
 """Instead of a length: more bytes must come, nothing of this kind, no such length, the checksum differs."""
-
-MOST_AT_ONCE = 1 << 20
-"""Bytes that are searched at once at the most: what is made of them takes twenty times as much memory."""
-MOST_NOTICES = 1000
-"""Different notices that a decoder gives at the most; more would be a stream of rubbish."""
 
 Lengths = Callable[[ByteArray, IntArray], IntArray]
 """Takes the bytes and places of sync patterns, (n,); returns the whole length or one of the codes, (n,)."""
@@ -136,163 +127,7 @@ def windows(held: ByteArray, at: IntArray, size: int) -> ByteArray:
     return every[at].view(np.uint8).reshape(-1, size)
 
 
-class Decoder(ABC):
-    """Turns a byte stream into columns, whatever the chunking; `take` returns what has come since.
-
-    It finds packets by frames and keeps count of every byte; a subclass reads what is in them.
-
-    Parameters
-    ----------
-    frames : sequence of Frame
-        Kinds of packets; where two begin at the same place the first that is valid counts.
-    """
-
-    timing: Timing
-    groups: Groups | None = None
-    """Groups of the fields, for a protocol that may spread one moment over several packets; else None."""
-
-    def __init__(self, frames: Sequence[Frame]) -> None:
-        self._frames = tuple(frames)
-        self._done: list[Packets] = []
-        self._notices: dict[str, bool] = {}
-        self._warned: dict[str, bool] = {}
-        self._parts: list[bytes] = []
-        self._waiting = 0  # bytes in the parts
-        self._rest = b""  # searched, and still part of what may become a packet
-        self._overlap = 0  # bytes at the front of the rest that belong to the packet accepted last
-        # Bytes up to each end, counted from the first, arrived at these times.
-        self._ends: list[IntArray] = []
-        self._times: list[IntArray] = []
-        self._searched = 0  # bytes before the rest
-        self._received = self._in_packets = self._checksum_errors = self._length_errors = 0
-        self._by_frame = [0] * len(self._frames)
-
-    @property
-    @abstractmethod
-    def columns(self) -> tuple[Column, ...]:
-        """Columns of the blocks that `take` returns now; a device may begin to send more."""
-
-    @property
-    @abstractmethod
-    def possible_columns(self) -> tuple[Column, ...]:
-        """All columns that may ever come."""
-
-    @abstractmethod
-    def _read(self, found: Found, arrival_ns: IntArray) -> Packets:
-        """Return what the packets carry: a row for each that has something for a row, in order."""
-
-    def feed(self, data: bytes | memoryview | ByteArray, arrival_ns: int) -> None:
-        """Take bytes that arrived at `arrival_ns` (Unix time, ns)."""
-        self.feed_reads(data, np.array([len(data)]), np.array([arrival_ns]))
-
-    def feed_reads(self, data: bytes | memoryview | ByteArray, ends: IntArray, arrivals_ns: IntArray) -> None:
-        """Take the bytes of several reads: of each where it ends in the data, and when it arrived."""
-        self._ends.append(ends + self._received)
-        self._times.append(arrivals_ns.copy())
-        for start in range(0, len(data), MOST_AT_ONCE):
-            part = bytes(data[start : start + MOST_AT_ONCE])
-            self._parts.append(part)
-            self._waiting += len(part)
-            self._received += len(part)
-            if self._waiting > CHUNK:
-                self._search(final=False)
-
-    def take(self) -> SampleBlock:
-        """Return the packets decoded since the last call, a row each."""
-        return self.take_packets().block
-
-    def take_packets(self) -> Packets:
-        """Return the packets decoded since the last call, with the groups of their fields."""
-        self._search(final=False)
-        done, self._done = self._done, []
-        if not done:
-            empty = {column.name: missing(0, column.dtype) for column in self.columns}
-            return Packets(SampleBlock(empty), np.zeros(0, np.int64))
-        return Packets(join([part.block for part in done]), np.concatenate([part.groups for part in done]))
-
-    def notices(self) -> list[str]:
-        """Return, once each, what the device said that is not data (errors, warnings, configuration)."""
-        self._search(final=False)
-        return _once(self._notices)
-
-    def warnings(self) -> list[str]:
-        """Return, once each, why numbers are not fit for an estimate: the device has corrected them, say."""
-        return _once(self._warned)
-
-    def _say(self, text: str) -> None:
-        """Keep a notice unless it was given before."""
-        if len(self._notices) < MOST_NOTICES:
-            self._notices.setdefault(text, False)
-
-    def _warn(self, text: str) -> None:
-        self._warned.setdefault(text, False)
-
-    def finish(self) -> None:
-        """Decode what is held on the understanding that no more bytes come.
-
-        A damaged header that claims a long packet holds back the packets behind it until that length has
-        arrived; at the end of the data they are found.  What is pending afterwards is a packet cut short.
-        """
-        self._search(final=True)
-
-    def counters(self) -> Counters:
-        """Return what became of the bytes so far."""
-        self._search(final=False)
-        named = {f.name: n for f, n in zip(self._frames, self._by_frame, strict=True) if n}
-        return Counters(
-            bytes_received=self._received,
-            bytes_in_packets=self._in_packets,
-            bytes_skipped=self._received - self._in_packets - len(self._rest) + self._overlap,
-            packets=sum(self._by_frame),
-            checksum_errors=self._checksum_errors,
-            length_errors=self._length_errors,
-            packets_by_type=named,
-        )
-
-    def _search(self, final: bool) -> None:
-        """Find the packets in what has come, and keep what may still become one."""
-        if not self._waiting and not (final and self._rest):
-            return
-        data = b"".join([self._rest, *self._parts])
-        self._parts.clear()
-        self._waiting = 0
-        candidates = _Candidates(self._frames, np.frombuffer(data, np.uint8), final)
-        taken, rest, overlap = candidates.walk(self._overlap)
-        found = candidates.found(taken)
-        self._count(found, candidates.at, candidates.verdict, rest)
-        ends, times = np.concatenate(self._ends), np.concatenate(self._times)
-        if len(found):
-            last = self._searched + found.at + found.length
-            packets = self._read(found, times[np.searchsorted(ends, last)])
-            if len(packets):
-                self._done.append(packets)
-        self._rest, self._overlap = data[rest:], overlap
-        self._searched += rest
-        recent = int(np.searchsorted(ends, self._searched, "right"))
-        self._ends, self._times = [ends[recent:]], [times[recent:]]
-
-    def _count(self, found: Found, at: IntArray, verdict: IntArray, rest: int) -> None:
-        """Count the packets, their bytes once each, and the errors outside of them."""
-        ends = found.at + found.length
-        begins = np.maximum(found.at, np.concatenate([[self._overlap], ends[:-1]])) if len(found) else ends
-        self._in_packets += int(np.sum(ends - begins))
-        for number, packets in enumerate(np.bincount(found.frame, minlength=len(self._frames)).tolist()):
-            self._by_frame[number] += packets
-        inside = np.searchsorted(found.at, at, "right") - 1
-        covered = np.where(inside >= 0, ends[inside], 0) if len(found) else np.zeros(len(at), np.int64)
-        outside = (at >= np.maximum(covered, self._overlap)) & (at < rest)
-        self._checksum_errors += int(np.sum(outside & (verdict == BAD_SUM)))
-        self._length_errors += int(np.sum(outside & (verdict == IMPOSSIBLE)))
-
-
-def _once(texts: dict[str, bool]) -> list[str]:
-    """Return the texts that were not given before."""
-    new = [text for text, given in texts.items() if not given]
-    texts.update(dict.fromkeys(new, True))
-    return new
-
-
-class _Candidates:
+class Candidates:
     """Places of sync patterns in order, one for each place, with what a packet there would be.
 
     The first frame counts that finds a packet there; or that may still find one, when more bytes come.

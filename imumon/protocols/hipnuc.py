@@ -12,37 +12,22 @@ from fractions import Fraction
 from math import pi
 from typing import Final
 
-from imumon.columns import KNOWN, Column
+from imumon.columns import Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import Timing
-from imumon.protocols.checksums import CRCS
-from imumon.protocols.frame_checks import CyclicCheck, rearranged
+from imumon.protocols.checks import Checksum, Rearranged
 from imumon.protocols.framing import Frame, counted_length
 from imumon.protocols.messages import (
+    FamilyDecoder,
     Message,
     Part,
-    TableDecoder,
     TableDevice,
     TableEncoder,
     TableFamily,
     part,
     whole,
 )
-from imumon.protocols.numbers import NUMBER_TYPES
-from imumon.protocols.tagged_columns import (
-    ANGLES,
-    FORCE,
-    MAG,
-    PRESSURE,
-    QUATERNION,
-    RATE,
-    TEMPERATURE,
-    TICKS,
-    count,
-    known,
-    number,
-    vector,
-)
+from imumon.protocols.quantities import count, known, number, vector
 
 SYNC = b"\x5a\xa5"
 HEADER, LONGEST = 6, 512 + 6
@@ -51,31 +36,31 @@ SHORT_FORCE: Final = 0.0048828
 SHORT_MAG: Final = 0.030517
 OF_BITS = 0x83
 
-STATUS = part(1, "u16", [KNOWN["status"]])
+STATUS = part(1, "u16", "status")
 INS_STATUS = whole(3, "u8", "ins_status", "status of the filter")
 PLACE = known("longitude", "latitude", "altitude")
 VELOCITY_ENU = vector("velocity_enu", "m/s", "velocity east, north, up")
 FREE_ENU = vector("free_accel_enu", "m/s^2", "acceleration without gravity, east, north, up")
 
 PACKETS = {
-    0x91: Message("imu91", 76, (STATUS, part(3, "i8", TEMPERATURE), part(4, "f32", PRESSURE),
-                                part(8, "u32", TICKS, 1000.0),
-                                part(12, "f32", FORCE, STANDARD_GRAVITY), part(24, "f32", RATE, DEGREE),
-                                part(36, "f32", MAG), part(48, "f32", ANGLES, DEGREE),
-                                part(60, "f32", QUATERNION))),
+    0x91: Message("imu91", 76, (STATUS, part(3, "i8", "temperature"), part(4, "f32", "pressure"),
+                                part(8, "u32", "device_ticks", 1000.0),
+                                part(12, "f32", "accel", STANDARD_GRAVITY), part(24, "f32", "gyro", DEGREE),
+                                part(36, "f32", "mag"), part(48, "f32", "angles", DEGREE),
+                                part(60, "f32", "q"))),
     0x81: Message("ins81", 104, (STATUS, INS_STATUS, whole(4, "u16", "gps_week", "GPS week"),
                                  whole(6, "u32", "gps_time_of_week", "GPS time of week", "ms"),
-                                 part(12, "i16", RATE, 1e-3), part(18, "i16", FORCE, SHORT_FORCE),
-                                 part(24, "i16", MAG, SHORT_MAG), part(34, "i8", TEMPERATURE),
-                                 part(42, "i16", ANGLES[:2], DEGREE / 100),
-                                 part(46, "u16", ANGLES[2:], DEGREE / 100), part(48, "i16", QUATERNION, 1e-4),
+                                 part(12, "i16", "gyro", 1e-3), part(18, "i16", "accel", SHORT_FORCE),
+                                 part(24, "i16", "mag", SHORT_MAG), part(34, "i8", "temperature"),
+                                 part(42, "i16", known("roll", "pitch"), DEGREE / 100),
+                                 part(46, "u16", "yaw", DEGREE / 100), part(48, "i16", "q", 1e-4),
                                  part(56, "i32", PLACE[:2], 1e-7), part(64, "i32", PLACE[2:], 1e-3),
                                  part(78, "i16", VELOCITY_ENU, 0.01),
                                  part(84, "i16", FREE_ENU, SHORT_FORCE))),
 }  # fmt: skip
 """Packets with one layout, by their tag."""
 
-Bit = tuple[str, Sequence[Column], float, int]
+Bit = tuple[str, str | Sequence[Column], float, int]
 
 
 def _several(name: str, unit: str, what: str) -> Sequence[Column]:
@@ -83,15 +68,15 @@ def _several(name: str, unit: str, what: str) -> Sequence[Column]:
 
 
 BITS: dict[int, Bit] = {
-    0: ("f32", FORCE, 1.0, 12),
-    1: ("f32", RATE, DEGREE, 12),
-    2: ("f32", MAG, 1.0, 12),
-    3: ("f32", ANGLES, DEGREE, 12),
-    4: ("f32", QUATERNION, 1.0, 16),
-    5: ("u64", TICKS, 1.0, 8),
+    0: ("f32", "accel", 1.0, 12),
+    1: ("f32", "gyro", DEGREE, 12),
+    2: ("f32", "mag", 1.0, 12),
+    3: ("f32", "angles", DEGREE, 12),
+    4: ("f32", "q", 1.0, 16),
+    5: ("u64", "device_ticks", 1.0, 8),
     6: ("", (), 1.0, 8),
-    7: ("f32", PRESSURE, 1.0, 4),
-    8: ("f32", TEMPERATURE, 1.0, 4),
+    7: ("f32", "pressure", 1.0, 4),
+    8: ("f32", "temperature", 1.0, 4),
     9: ("f32", vector("inclination", "deg", "of the axis"), 1.0, 12),
     10: ("f32", _several("", "m", "displacement"), 1.0, 12),
     11: ("f32", _several("_frequency", "Hz", "frequency"), 1.0, 12),
@@ -121,7 +106,6 @@ def of_bits(bits: int) -> Message:
             break
         kind, columns, factor, size = BITS[bit]
         if columns:
-            assert len(columns) * NUMBER_TYPES[kind].size <= size
             parts.append(part(at, kind, columns, factor))
         at += size
     return Message(f"imu83:{bits:#x}", at, tuple(parts))
@@ -134,8 +118,8 @@ def _header_behind(size: int) -> list[int]:
     return [*range(4), *range(HEADER, size), 4, 5]
 
 
-_XMODEM = CyclicCheck(CRCS["crc16-xmodem"])
-_RIGHT = rearranged(_XMODEM, _header_behind)
+_XMODEM = Checksum("crc16-xmodem")
+_RIGHT = Rearranged(_XMODEM, _header_behind)
 """The CRC stands in the header: as if it stood behind the payload."""
 
 
@@ -146,7 +130,7 @@ def _wrapped(key: int, payload: bytes) -> bytes:
     return head + _XMODEM.sealed(head + payload)[-2:] + payload
 
 
-class HipnucDecoder(TableDecoder):
+class HipnucDecoder(FamilyDecoder):
     """Decodes the first packet of each frame: devices send one."""
 
     def _message(self, key: int) -> Message | None:

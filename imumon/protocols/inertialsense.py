@@ -12,26 +12,12 @@ from typing import Final
 import numpy as np
 
 from imumon.blocks import ColumnArray
-from imumon.protocols.base import Timing
-from imumon.protocols.frame_checks import Fletcher
+from imumon.protocols.base import LONGEST_PACKET, Timing
+from imumon.protocols.checks import Checksum
 from imumon.protocols.framing import Frame, counted_length
-from imumon.protocols.messages import Message, TableDecoder, TableDevice, TableFamily, part, whole
+from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, TableFamily, part, whole
 from imumon.protocols.numbers import Columns, Derived
-from imumon.protocols.stream import LONGEST_PACKET
-from imumon.protocols.tagged_columns import (
-    ANGLES,
-    FORCE,
-    MAG,
-    PLACE,
-    PRESSURE,
-    QUATERNION,
-    RATE,
-    STATUS,
-    TEMPERATURE,
-    TICKS,
-    number,
-    vector,
-)
+from imumon.protocols.quantities import known, number, vector
 
 SYNC = b"\xef\x49"
 HEADER, AROUND = 6, 8
@@ -40,7 +26,7 @@ KILOPASCAL: Final = 1000.0
 USUAL_S: Final = 0.004
 """Time over which a virtual device sums increments when nothing says it, s."""
 
-TIME = part(0, "f64", TICKS, 1e9)
+TIME = part(0, "f64", "device_ticks", 1e9)
 DELTA_TIME = [number("delta_time", "s", "time over which the increments were summed")]
 THETA = vector("delta_theta", "rad", "rotation over the sample")
 DELTA_VELOCITY = vector("delta_velocity", "m/s", "velocity increment")
@@ -58,40 +44,43 @@ def _mean_rates(columns: Columns) -> list[ColumnArray]:
 
 def _with_increments(columns: Columns) -> list[ColumnArray]:
     interval = columns.get("delta_time", np.full(len(columns["gyro_x"]), USUAL_S))
-    return [interval, *(columns[column.name] * interval for column in (*RATE, *FORCE))]
+    return [interval, *(columns[column.name] * interval for column in known("gyro", "accel"))]
 
 
-MEANS = Derived(tuple(c.name for c in (*DELTA_TIME, *THETA, *DELTA_VELOCITY)), (*RATE, *FORCE), _mean_rates,
-                _with_increments)  # fmt: skip
+MEANS = Derived(tuple(c.name for c in (*DELTA_TIME, *THETA, *DELTA_VELOCITY)), known("gyro", "accel"),
+                _mean_rates, _with_increments)  # fmt: skip
 
+SAMPLE = (TIME, part(8, "u32", "status"), part(12, "f32", "gyro"), part(24, "f32", "accel"))
 DATA_SETS = {
-    58: Message("imu", 36, (TIME, part(8, "u32", STATUS), part(12, "f32", RATE), part(24, "f32", FORCE))),
-    97: Message("imu_raw", 36, (TIME, part(8, "u32", STATUS), part(12, "f32", RATE), part(24, "f32", FORCE))),
-    3: Message("pimu", 40, (TIME, part(8, "f32", DELTA_TIME), part(12, "u32", STATUS), part(16, "f32", THETA),
-                            part(28, "f32", DELTA_VELOCITY)), derived=(MEANS,)),
-    11: Message("sys_sensors", 80, (TIME, part(8, "f32", TEMPERATURE), part(12, "f32", RATE),
-                                    part(24, "f32", FORCE), part(36, "f32", MAG),
-                                    part(48, "f32", PRESSURE, KILOPASCAL)), "sensors"),
+    58: Message("imu", 36, SAMPLE),
+    97: Message("imu_raw", 36, SAMPLE),
+    3: Message("pimu", 40, (TIME, part(8, "f32", DELTA_TIME), part(12, "u32", "status"),
+                            part(16, "f32", THETA), part(28, "f32", DELTA_VELOCITY))),
+    11: Message("sys_sensors", 80, (TIME, part(8, "f32", "temperature"), part(12, "f32", "gyro"),
+                                    part(24, "f32", "accel"), part(36, "f32", "mag"),
+                                    part(48, "f32", "pressure", KILOPASCAL)), "sensors"),
     10: Message("sys_params", 64, (whole(0, "u32", "time_of_week_ms", "GPS time of week", "ms"),
-                                   part(12, "f32", TEMPERATURE)), "temperature"),
-    52: Message("mag", 20, (TIME, part(8, "f32", MAG)), "mag"),
-    53: Message("baro", 24, (TIME, part(8, "f32", PRESSURE, KILOPASCAL),
+                                   part(12, "f32", "temperature")), "temperature"),
+    52: Message("mag", 20, (TIME, part(8, "f32", "mag")), "mag"),
+    53: Message("baro", 24, (TIME, part(8, "f32", "pressure", KILOPASCAL),
                              part(12, "f32", [number("altitude_msl", "m", "from the pressure")]),
                              part(16, "f32", [number("baro_temperature", "degC", "of the barometer")])),
                 "pressure"),
-    4: Message("ins_1", 80, (*OF_WEEK, *FILTER, part(20, "f32", ANGLES), part(32, "f32", BODY_VELOCITY),
-                             part(44, "f64", PLACE)), "filter"),
-    5: Message("ins_2", 72, (*OF_WEEK, *FILTER, part(20, "f32", QUATERNION),
-                             part(36, "f32", BODY_VELOCITY), part(48, "f64", PLACE)), "filter"),
+    4: Message("ins_1", 80, (*OF_WEEK, *FILTER, part(20, "f32", "angles"), part(32, "f32", BODY_VELOCITY),
+                             part(44, "f64", "place")), "filter"),
+    5: Message("ins_2", 72, (*OF_WEEK, *FILTER, part(20, "f32", "q"),
+                             part(36, "f32", BODY_VELOCITY), part(48, "f64", "place")), "filter"),
 }  # fmt: skip
 """Data sets by their identifier."""
 
 
 def _wrapped(key: int, payload: bytes) -> bytes:
-    return Fletcher().sealed(SYNC + bytes([DATA, key]) + len(payload).to_bytes(2, "little") + payload)
+    return Checksum("fletcher16-256").sealed(
+        SYNC + bytes([DATA, key]) + len(payload).to_bytes(2, "little") + payload
+    )
 
 
-class InertialSenseDecoder(TableDecoder):
+class InertialSenseDecoder(FamilyDecoder):
     """Decodes data sets that come whole; other packets are counted."""
 
     def _key(self, packet: bytes) -> int:
@@ -106,11 +95,12 @@ class InertialSenseDevice(TableDevice):
 
     family = TableFamily(
         DATA_SETS,
-        [Frame("ISB", SYNC, counted_length(4, 2, AROUND, LONGEST_PACKET), Fletcher())],
+        [Frame("ISB", SYNC, counted_length(4, 2, AROUND, LONGEST_PACKET), Checksum("fletcher16-256"))],
         InertialSenseDecoder,
         _wrapped,
         Timing(tick_ns=Fraction(1)),
         HEADER,
         AROUND,
         head=(2, 3),
+        derived=(MEANS,),
     )

@@ -17,26 +17,12 @@ import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, IntArray
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.protocols.base import MAIN, Timing
-from imumon.protocols.checksums import CRCS
-from imumon.protocols.frame_checks import CyclicCheck, sent
+from imumon.protocols.base import MAIN, ByteArray, Timing
+from imumon.protocols.checks import CRCS, Checksum, by_distance, sent
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame, windows
-from imumon.protocols.messages import Message, TableDecoder, TableDevice, TableFamily, part, whole
+from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, TableFamily, part, whole
 from imumon.protocols.numbers import Columns, Derived
-from imumon.protocols.stream import ByteArray
-from imumon.protocols.tagged_columns import (
-    ANGLES,
-    FORCE,
-    MAG,
-    PRESSURE,
-    QUATERNION,
-    RATE,
-    TEMPERATURE,
-    TICKS,
-    count,
-    number,
-    vector,
-)
+from imumon.protocols.quantities import count, known, number, vector
 
 FIRST, SECOND = b"\xfe", b"\xfd"
 HEADERS = {FIRST: 6, SECOND: 10}
@@ -60,36 +46,37 @@ def _of_celsius(columns: Columns) -> list[ColumnArray]:
     return [np.where(np.isnan(columns["temperature"]), 0, np.where(raw == 0, 1, raw)).astype(np.int64)]
 
 
-CELSIUS = Derived((HUNDREDTHS.name,), TEMPERATURE, _to_celsius, _of_celsius)
+CELSIUS = Derived((HUNDREDTHS.name,), known("temperature"), _to_celsius, _of_celsius)
 
 
 def _imu(
     at: int, temperature_at: int, size: int, name: str, ticks: str, factor: float, group: str
 ) -> Message:
     parts = (
-        part(0, ticks, TICKS, factor),
-        part(at, "i16", FORCE, STANDARD_GRAVITY / 1000),
-        part(at + 6, "i16", RATE, 1e-3),
-        part(at + 12, "i16", MAG, GAUSS / 1000),
+        part(0, ticks, "device_ticks", factor),
+        part(at, "i16", "accel", STANDARD_GRAVITY / 1000),
+        part(at + 6, "i16", "gyro", 1e-3),
+        part(at + 12, "i16", "mag", GAUSS / 1000),
         part(temperature_at, "i16", [HUNDREDTHS]),
     )
-    return Message(name, size, parts, group, (CELSIUS,), least=1)
+    return Message(name, size, parts, group, least=1)
 
 
 MESSAGES = {
-    105: Message("highres_imu", 63, (part(0, "u64", TICKS), part(8, "f32", FORCE), part(20, "f32", RATE),
-                                     part(32, "f32", MAG, GAUSS),
-                                     part(44, "f32", PRESSURE, HECTOPASCAL),
+    105: Message("highres_imu", 63, (part(0, "u64", "device_ticks"), part(8, "f32", "accel"),
+                                     part(20, "f32", "gyro"),
+                                     part(32, "f32", "mag", GAUSS),
+                                     part(44, "f32", "pressure", HECTOPASCAL),
                                      part(52, "f32", [number("pressure_altitude", "m", "from the pressure")]),
-                                     part(56, "f32", TEMPERATURE),
+                                     part(56, "f32", "temperature"),
                                      whole(60, "u16", "updated", "which values are new, bits")), least=1),
     26: _imu(4, 22, 24, "scaled_imu", "u32", 1000.0, MAIN),
     27: _imu(8, 27, 29, "raw_imu", "u64", 1.0, MAIN),
-    29: Message("scaled_pressure", 16, (part(0, "u32", TICKS, 1000.0),
-                                        part(4, "f32", PRESSURE, HECTOPASCAL)), "pressure", least=1),
-    30: Message("attitude", 28, (part(0, "u32", TICKS, 1000.0), part(4, "f32", ANGLES),
+    29: Message("scaled_pressure", 16, (part(0, "u32", "device_ticks", 1000.0),
+                                        part(4, "f32", "pressure", HECTOPASCAL)), "pressure", least=1),
+    30: Message("attitude", 28, (part(0, "u32", "device_ticks", 1000.0), part(4, "f32", "angles"),
                                  part(16, "f32", FILTER_RATE)), "attitude", least=1),
-    31: Message("attitude_quaternion", 32, (part(0, "u32", TICKS, 1000.0), part(4, "f32", QUATERNION),
+    31: Message("attitude_quaternion", 32, (part(0, "u32", "device_ticks", 1000.0), part(4, "f32", "q"),
                                             part(20, "f32", FILTER_RATE)), "attitude", least=1),
     0: Message("heartbeat", 9, (whole(0, "u32", "vehicle_mode", "mode of the vehicle"),), "vehicle", least=1),
 }  # fmt: skip
@@ -99,8 +86,10 @@ EXTRA = {0: 50, 2: 137, 26: 170, 27: 144, 29: 115, 30: 39, 31: 246, 105: 93, 107
 """Byte of each message that the checksum counts behind the last."""
 EXTRAS = np.full(256, -1)
 EXTRAS[list(EXTRA)] = [*EXTRA.values()]
-_CRC = CyclicCheck(CRCS["crc16-mcrf4xx"])
-_BEFORE_EXTRA = CyclicCheck(CRCS["crc16-mcrf4xx"], zeros=1)
+_CRC = Checksum("crc16-mcrf4xx")
+_OF_LAST_BYTE = by_distance(CRCS["crc16-mcrf4xx"], 1)[0]
+"""What the last byte adds to the CRC, by its value."""
+_BEFORE_EXTRA = Checksum("crc16-mcrf4xx", zeros=1)
 
 
 def _number(held: ByteArray, at: IntArray, header: int) -> IntArray:
@@ -126,11 +115,11 @@ def _right(header: int, held: ByteArray, at: IntArray, length: IntArray) -> Bool
     signature = SIGNATURE * (held[at + 2] & SIGNED) if header == HEADERS[SECOND] else 0
     end, extra = at + length - signature, EXTRAS[_number(held, at, header)]
     # The CRC is linear: that of a zero in the place of the extra byte, and what this adds.
-    crc = _BEFORE_EXTRA.values(held, at + 1, end - 2) ^ _BEFORE_EXTRA.of_last_byte[extra]
+    crc = _BEFORE_EXTRA.values(held, at + 1, end - 2) ^ _OF_LAST_BYTE[extra]
     return np.asarray(crc == sent(held, end, 2, big=False))
 
 
-class MavlinkDecoder(TableDecoder):
+class MavlinkDecoder(FamilyDecoder):
     """Decodes the inertial messages of the first vehicle that is heard."""
 
     _vehicle = b""
@@ -182,4 +171,5 @@ class MavlinkDevice(TableDevice):
         HEADERS[SECOND],
         HEADERS[SECOND],
         head=(5, 6, 7, 8, 9),
+        derived=(CELSIUS,),
     )

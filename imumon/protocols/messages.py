@@ -1,6 +1,6 @@
-"""Families whose packets carry an identifier and numbers at fixed places: tables of messages.
+"""Tables of messages: what packets with an identifier, or the fields in a packet, carry at fixed places.
 
-A family is a table of `Message`, frames, and a `TableDecoder` that says where the identifier stands.  Older
+A family is a table of `Message`, frames, and a `FamilyDecoder` that says where the identifier stands.  Older
 devices send shorter messages and newer ones longer: what is behind the last number that is known is passed
 over, and numbers behind the end are absent.
 """
@@ -8,37 +8,43 @@ over, and numbers behind the end are absent.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
-
-import numpy as np
 
 from imumon.blocks import SampleBlock
 from imumon.columns import Column
 from imumon.protocols.base import COMMON, MAIN, Encoder, Timing, chosen
+from imumon.protocols.decoder import Alike, Decoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Frame
-from imumon.protocols.layouts import Alike, Layout, LayoutDecoder, Record, groups_of
+from imumon.protocols.layouts import Layout, Record, groups_of
 from imumon.protocols.numbers import (
     NO_GROUP,
     NUMBER_TYPES,
     Derived,
-    Placed,
-    Value,
+    Number,
+    in_a_row,
     with_sources,
     write,
 )
-from imumon.protocols.tagged_columns import count
+from imumon.protocols.quantities import count, known
 
-Part = tuple[Placed, ...]
+ANY_SIZE = -1
+"""Size of a field that is recognised and skipped whatever its length."""
+Part = tuple[Number, ...]
 """Numbers with their places in the payload."""
 
 
-def part(at: int, kind: str, columns: Sequence[Column], factor: float = 1.0, group: str = NO_GROUP) -> Part:
-    """Return numbers of one type, one behind the other, of the group of the message when none is given."""
+def part(at: int, kind: str, columns: str | Sequence[Column], factor: float = 1.0, group: str = "") -> Part:
+    """Return numbers of one type, one behind the other.
+
+    `kind` is one of `NUMBER_TYPES`; `factor` leads to the unit of the column.  A canonical quantity goes by
+    its name.  Without a group the numbers are of that of the message.
+    """
+    there = known(columns) if isinstance(columns, str) else columns
     size = NUMBER_TYPES[kind].size
-    return tuple(Placed(Value(c, kind, factor), at + k * size, group) for k, c in enumerate(columns))
+    return tuple(Number(c, kind, factor, at=at + k * size, group=group) for k, c in enumerate(there))
 
 
 def whole(at: int, kind: str, name: str, description: str, unit: str = "1") -> Part:
@@ -48,7 +54,7 @@ def whole(at: int, kind: str, name: str, description: str, unit: str = "1") -> P
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """What packets with one identifier carry."""
+    """What packets with one identifier carry, or a field of a packet."""
 
     name: str
     """What the device file and the counters call it."""
@@ -58,19 +64,21 @@ class Message:
     """Its numbers, as `part` makes them."""
     group: str = MAIN
     """Group of its columns; times and counters have none."""
-    derived: tuple[Derived, ...] = ()
-    """Columns that are computed."""
     least: int = 0
     """Bytes of the shortest payload that is read; `size` when 0."""
 
-    def numbers(self, start: int, size: int, big: bool) -> list[Placed]:
-        """Return the numbers of packets whose payload begins at `start` and has `size` bytes."""
+    @property
+    def columns(self) -> list[Column]:
+        """Columns of its numbers."""
+        return [item.column for one in self.parts for item in one if item.column is not None]
+
+    def placed(self, start: int, size: int, big: bool) -> list[Number]:
+        """Return the numbers of a payload that begins at `start` and has `size` bytes."""
         return [
-            Placed(
-                item.value,
-                start + item.at,
-                NO_GROUP if item.name in COMMON else item.group or self.group,
-                big,
+            item._replace(
+                at=start + item.at,
+                group=NO_GROUP if item.name in COMMON else item.group or self.group,
+                big=big,
             )
             for one in self.parts
             for item in one
@@ -78,16 +86,54 @@ class Message:
         ]
 
 
+def field(name: str, numbers: Iterable[Number], group: str = MAIN) -> Message:
+    """Return a field of numbers that stand one behind the other; of any size when there are none."""
+    row = in_a_row(numbers)
+    return Message(name, row[-1].end if row else ANY_SIZE, (row,), group)
+
+
+class TableDecoder(Decoder):
+    """Decodes packets that hold messages of a table.
+
+    `messages` are all that may come; `names` and `apart` as for `groups_of`.
+    """
+
+    def __init__(
+        self,
+        frames: Sequence[Frame],
+        timing: Timing,
+        messages: Iterable[Message],
+        derived: Sequence[Derived] = (),
+        names: Sequence[str] = (),
+        apart: Sequence[str] = (),
+        big: bool = False,
+    ) -> None:
+        layouts = [Record(message.placed(0, message.size, big), derived) for message in messages]
+        possible = [column for layout in layouts for column in layout.columns]
+        super().__init__(frames, timing, groups_of(layouts, names, apart), possible)
+        self._derived, self._big = derived, big
+
+    @abstractmethod
+    def _contents(self, packet: bytes) -> list[tuple[Message, int, int]]:
+        """Return the messages in a packet that are in the table, and where each begins and its size."""
+
+    def _layout(self, alike: Alike) -> Layout | None:
+        there = self._contents(alike.packet)
+        numbers = [item for message, at, size in there for item in message.placed(at, size, self._big)]
+        layout = Record(numbers, self._derived)
+        return layout if layout.columns else None
+
+
 @dataclass(frozen=True, slots=True)
 class TableFamily:
-    """A family that is a table of messages."""
+    """A family of which each packet is a message of a table."""
 
     messages: Mapping[int, Message]
     """What each identifier means."""
     frames: Sequence[Frame]
     """Kinds of packets."""
-    decodes: Callable[[TableFamily, float | None], TableDecoder]
-    """Makes a `TableDecoder`, which says where the identifier stands."""
+    decodes: Callable[[TableFamily, float | None], FamilyDecoder]
+    """Makes a `FamilyDecoder`, which says where the identifier stands."""
     wrap: Callable[[int, bytes], bytes]
     """Makes a packet of an identifier and a payload."""
     timing: Timing
@@ -101,39 +147,18 @@ class TableFamily:
     """Whether the most significant byte comes first."""
     apart: Sequence[str] = ()
     """Groups that never join the main rows."""
-
-    def layout(self, message: Message, size: int) -> Record:
-        """Return the layout of packets with so many bytes of payload."""
-        return Record(message.numbers(self.start, size, self.big), message.derived)
+    derived: Sequence[Derived] = ()
+    """Columns that are computed."""
 
 
-class TableDevice(DeviceFile):
-    """Device file of a family; `sends` is for its virtual twin alone."""
-
-    family: ClassVar[TableFamily]
-    sends: list[str]
-
-    def decoder(self) -> TableDecoder:
-        """Make a decoder for this device."""
-        return self.family.decodes(self.family, self.rate_hz)
-
-    def encoder(self) -> TableEncoder:
-        """Make an encoder that sends what the device would send."""
-        return TableEncoder(self.family, self.sends)
-
-
-class TableDecoder(LayoutDecoder):
+class FamilyDecoder(TableDecoder):
     """Decodes the messages of a family."""
 
     def __init__(self, family: TableFamily, rate_hz: float | None) -> None:
+        timing = replace(family.timing, rate_hz=rate_hz)
+        messages = family.messages.values()
+        super().__init__(family.frames, timing, messages, family.derived, apart=family.apart, big=family.big)
         self._family = family
-        layouts = [family.layout(message, message.size) for message in family.messages.values()]
-        super().__init__(
-            family.frames,
-            replace(family.timing, rate_hz=rate_hz),
-            groups_of(layouts, apart=family.apart),
-            [column for layout in layouts for column in layout.columns],
-        )
 
     @abstractmethod
     def _key(self, packet: bytes) -> int:
@@ -147,11 +172,11 @@ class TableDecoder(LayoutDecoder):
         del packet
         return self._family.head
 
-    def _layout(self, alike: Alike) -> Layout | None:
-        message, size = self._message(self._key(alike.packet)), len(alike.packet) - self._family.more
+    def _contents(self, packet: bytes) -> list[tuple[Message, int, int]]:
+        message, size = self._message(self._key(packet)), len(packet) - self._family.more
         if message is None or size < (message.least or message.size):
-            return None
-        return self._family.layout(message, min(size, message.size))
+            return []
+        return [(message, self._family.start, min(size, message.size))]
 
 
 class TableEncoder(Encoder):
@@ -172,10 +197,25 @@ class TableEncoder(Encoder):
 
     def encode(self, block: SampleBlock) -> list[bytes]:
         """Return the packets of each row; see `imumon.protocols.base.Encoder`."""
-        rows, parts = np.arange(len(block)), list[list[bytes]]()
+        parts = list[list[bytes]]()
         for key, message in self._sent:
-            numbers = message.numbers(0, message.size, self._family.big)
-            columns = with_sources(block.columns, message.derived, [item.name for item in numbers])
-            payloads = write(message.name, numbers, message.size, columns, rows)
+            numbers = message.placed(0, message.size, self._family.big)
+            columns = with_sources(block.columns, self._family.derived, [item.name for item in numbers])
+            payloads = write(message.name, numbers, bytes(message.size), columns, len(block))
             parts.append([self._family.wrap(key, payload.tobytes()) for payload in payloads])
         return [b"".join(row) for row in zip(*parts, strict=True)]
+
+
+class TableDevice(DeviceFile):
+    """Device file of a family; `sends` is for its virtual twin alone."""
+
+    family: ClassVar[TableFamily]
+    sends: list[str]
+
+    def decoder(self) -> FamilyDecoder:
+        """Make a decoder for this device."""
+        return self.family.decodes(self.family, self.rate_hz)
+
+    def encoder(self) -> TableEncoder:
+        """Make an encoder that sends what the device would send."""
+        return TableEncoder(self.family, self.sends)

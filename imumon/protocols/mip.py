@@ -18,30 +18,30 @@ from imumon.columns import KNOWN, Column
 from imumon.geodesy import STANDARD_GRAVITY as G
 from imumon.protocols.base import MAIN, Timing, chosen
 from imumon.protocols.device import DeviceFile
+from imumon.protocols.messages import ANY_SIZE, Message, field
 from imumon.protocols.mip_filter import (
     GAUSS,
     GPS_TIME,
     MILLIBAR,
     Attitude,
     Row,
+    angles,
     counted,
     doubles,
-    euler,
     filter_fields,
     floats,
     valid,
 )
-from imumon.protocols.numbers import NO_GROUP, Columns, Derived, Value
-from imumon.protocols.tagged import MIP, Field, FieldTable, TaggedDecoder, TaggedEncoder
-from imumon.protocols.tagged_columns import (
+from imumon.protocols.numbers import NO_GROUP, Columns, Derived, Number
+from imumon.protocols.quantities import (
     MATRIX,
-    QUATERNION,
     QUATERNION_OF_MATRIX,
     count,
     known,
     number,
     vector,
 )
+from imumon.protocols.tagged import MIP, TaggedDecoder, TaggedEncoder
 
 WEEK_NS = 7 * 86_400 * 10**9
 
@@ -73,14 +73,14 @@ ERRORS = {1: "unknown command", 2: "invalid checksum", 3: "invalid parameter", 4
 Clock = Literal["reference", "gps"]
 
 
-def _shared(descriptor_set: int, clock: Clock) -> list[Field]:
+def _shared(clock: Clock) -> dict[int, Message]:
     """Return the fields that every data set may carry."""
     reference = (
         KNOWN["device_ticks"] if clock == "reference" else count("reference_time", "device clock", "ns")
     )
     since = "since the last packet"
     table: list[Row] = [
-        (0xD5, "ReferenceTime", (Value(reference, "u64"),)),
+        (0xD5, "ReferenceTime", (Number(reference, "u64"),)),
         (0xD3, "GpsTime", GPS_TIME),
         (0xD7, "ExternalTime", (counted("external_time", "external clock", "u64", "ns"),
                                 valid("external_time"))),
@@ -92,12 +92,12 @@ def _shared(descriptor_set: int, clock: Clock) -> list[Field]:
         (0xD8, "ExternalTimeDelta", (counted("delta_external_time", since, "u64", "ns"),
                                      valid("delta_external_time"))),
     ]  # fmt: skip
-    return [Field(descriptor_set << 8 | code, name, values, NO_GROUP) for code, name, values in table]
+    return {code: field(name, numbers, NO_GROUP) for code, name, numbers in table}
 
 
-def _sensor_fields(attitude: Attitude) -> list[Field]:
+def _sensor_fields(attitude: Attitude) -> dict[int, Message]:
     own = attitude == "imu"
-    quaternion = QUATERNION if own else vector("imu_q", "1", "attitude of the complementary filter", "wxyz")
+    quaternion = known("q") if own else vector("imu_q", "1", "attitude of the complementary filter", "wxyz")
     temperatures = (
         number("temperature_min", "degC", "lowest sensor temperature"),
         number("temperature_max", "degC", "highest sensor temperature"),
@@ -108,13 +108,13 @@ def _sensor_fields(attitude: Attitude) -> list[Field]:
         number("odometer_accuracy", "m/s", "accuracy of that speed"),
     )
     table: list[Row] = [
-        (0x05, "ScaledGyro", floats(known("gyro_x", "gyro_y", "gyro_z"))),
-        (0x04, "ScaledAccel", floats(known("accel_x", "accel_y", "accel_z"), G)),
-        (0x06, "ScaledMag", floats(known("mag_x", "mag_y", "mag_z"), GAUSS)),
+        (0x05, "ScaledGyro", floats("gyro")),
+        (0x04, "ScaledAccel", floats("accel", G)),
+        (0x06, "ScaledMag", floats("mag", GAUSS)),
         (0x14, "Temperature", floats(temperatures)),
-        (0x17, "ScaledPressure", floats(known("pressure"), MILLIBAR)),
+        (0x17, "ScaledPressure", floats("pressure", MILLIBAR)),
         (0x0A, "ImuQuaternion", floats(quaternion)),
-        (0x0C, "ImuEuler", floats(euler("" if own else "imu_"))),
+        (0x0C, "ImuEuler", floats(angles("" if own else "imu_"))),
         (0x09, "ImuMatrix", floats(MATRIX) if own else ()),
         (0x07, "DeltaTheta", floats(vector("delta_theta", "rad", "rotation over the sample"))),
         (0x08, "DeltaVelocity", floats(vector("delta_velocity", "m/s", "velocity increment"), G)),
@@ -133,10 +133,7 @@ def _sensor_fields(attitude: Attitude) -> list[Field]:
         (0x0F, "PpsTimestamp", (counted("pps_seconds", "time since the last pulse, s", "u32", "s"),
                                 counted("pps_microseconds", "and us", "u32", "us"))),
     ]  # fmt: skip
-    return [
-        Field(SENSOR << 8 | code, name, values, _SENSOR_GROUPS.get(code, MAIN))
-        for code, name, values in table
-    ]
+    return {code: field(name, numbers, _SENSOR_GROUPS.get(code, MAIN)) for code, name, numbers in table}
 
 
 _SENSOR_GROUPS = {
@@ -151,9 +148,7 @@ _SENSOR_GROUPS = {
 """What of the sensor set is not inertial."""
 
 
-def _gnss_fields(descriptor_set: int) -> list[Field]:
-    prefix = GNSS[descriptor_set]
-
+def _gnss_fields(prefix: str) -> dict[int, Message]:
     def of(*names_and_units: tuple[str, str]) -> tuple[Column, ...]:
         return tuple(
             number(f"{prefix}_{name}", unit, f"receiver {prefix}: {name}") for name, unit in names_and_units
@@ -173,15 +168,16 @@ def _gnss_fields(descriptor_set: int) -> list[Field]:
         (0x05, "Velocity", velocity),
         (0x07, "Dop", (*dilutions, valid(f"{prefix}_dop"))),
     ]
-    return [Field(descriptor_set << 8 | code, name, values, prefix) for code, name, values in table]
+    return {code: field(name, numbers, prefix) for code, name, numbers in table}
 
 
-def mip_fields(attitude: Attitude = "filter", clock: Clock = "reference") -> list[Field]:
-    """Return every field that is understood."""
-    sets = {SENSOR: _sensor_fields(attitude), FILTER: filter_fields(FILTER, attitude)}
-    sets.update({code: _gnss_fields(code) for code in GNSS})
-    shared_first = [field for code in sets for field in _shared(code, clock)]
-    return [*shared_first, *(field for fields in sets.values() for field in fields)]
+@cache
+def mip_fields(attitude: Attitude = "filter", clock: Clock = "reference") -> dict[int, Message]:
+    """Return every field that is understood, by descriptor set and code: set << 8 | code."""
+    sets = {SENSOR: _sensor_fields(attitude), FILTER: filter_fields(attitude)}
+    sets |= {code: _gnss_fields(prefix) for code, prefix in GNSS.items()}
+    shared = _shared(clock)
+    return {of << 8 | code: item for of, own in sets.items() for code, item in (shared | own).items()}
 
 
 def _gps_to_ticks(columns: Columns) -> list[ColumnArray]:
@@ -206,12 +202,6 @@ def _derived(clock: Clock) -> tuple[Derived, ...]:
     return (QUATERNION_OF_MATRIX, _GPS_CLOCK) if clock == "gps" else (QUATERNION_OF_MATRIX,)
 
 
-@cache
-def _table(attitude: Attitude, clock: Clock) -> FieldTable:
-    """Return the fields, put together once for all decoders."""
-    return FieldTable(mip_fields(attitude, clock), _derived(clock), apart=GNSS.values())
-
-
 class MipDecoder(TaggedDecoder):
     """Decodes MIP data packets; commands and replies are counted by descriptor set.
 
@@ -226,25 +216,27 @@ class MipDecoder(TaggedDecoder):
         Nominal rate of the packets.
     """
 
-    _remedy = "; send ScaledGyro besides CompensatedRate"
-
     def __init__(
         self, attitude: Attitude = "filter", clock: Clock = "reference", rate_hz: float | None = None
     ) -> None:
         timing = Timing(tick_ns=Fraction(1), rate_hz=rate_hz)
-        super().__init__(
-            _table(attitude, clock), MIP, (SENSOR, FILTER, *GNSS), SET_NAMES, timing, counted=DATA_SETS
-        )
+        self._fields = mip_fields(attitude, clock)
+        sets = (SENSOR, FILTER, *GNSS)
+        super().__init__(MIP, timing, self._fields.values(), sets, _derived(clock), [*GNSS.values()])
+
+    def _field(self, key: int, size: int) -> Message | None:
+        found = self._fields.get(key)
+        return found if found is not None and found.size in (size, ANY_SIZE) else None
 
     def _type_name(self, kind: int) -> str:
         return SET_NAMES.get(kind, f"set 0x{kind:02X}")
 
     def _field_name(self, key: int) -> str:
-        name = next((field.name for field in self.table.fields if field.key == key), f"0x{key & 0xFF:02X}")
+        name = self._fields[key].name if key in self._fields else f"0x{key & 0xFF:02X}"
         return f"{name} of {self._type_name(key >> 8)}"
 
     def _describe(self, kind: int, payload: bytes) -> Iterable[str]:
-        while len(payload) >= 2 and 2 <= payload[0] <= len(payload):
+        while kind not in DATA_SETS and len(payload) >= 2 and 2 <= payload[0] <= len(payload):
             if payload[1] == 0xF1 and payload[0] >= 4 and payload[3]:
                 why = ERRORS.get(payload[3], f"code {payload[3]}")
                 yield f"the device refused command 0x{payload[2]:02X} of the {self._type_name(kind)}: {why}"
@@ -256,14 +248,7 @@ class MipEncoder(TaggedEncoder):
 
     Raises BAD_CONFIG when there is no such field in the set.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Names of fields in the order in which they are sent.
-    descriptor_set : int
-        Descriptor set that they belong to.
-    attitude, clock : str
-        As for the decoder.
+    `names` are sent in their order.
     """
 
     def __init__(
@@ -273,9 +258,13 @@ class MipEncoder(TaggedEncoder):
         attitude: Attitude = "filter",
         clock: Clock = "reference",
     ) -> None:
-        there = {f.name: f for f in mip_fields(attitude, clock) if f.key >> 8 == descriptor_set and f.values}
+        there = {
+            item.name: (key, item)
+            for key, item in mip_fields(attitude, clock).items()
+            if key >> 8 == descriptor_set and item.columns
+        }
         fields = chosen(names, there, f"field of descriptor set 0x{descriptor_set:02X}")
-        super().__init__(fields, _derived(clock), MIP, descriptor_set)
+        super().__init__(MIP, descriptor_set, fields, _derived(clock))
 
 
 class MipDevice(DeviceFile):

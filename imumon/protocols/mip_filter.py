@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from typing import Literal
 
 from imumon.columns import KNOWN, Column
-from imumon.protocols.numbers import NO_GROUP, Value
-from imumon.protocols.tagged import Field
-from imumon.protocols.tagged_columns import MATRIX, QUATERNION, count, known, number, vector
+from imumon.protocols.messages import Message, field
+from imumon.protocols.numbers import NO_GROUP, Number
+from imumon.protocols.quantities import MATRIX, count, known, number, vector
 
 GAUSS = 100.0
 """Gauss in µT."""
@@ -16,43 +16,42 @@ MILLIBAR = 100.0
 """Millibar in Pa."""
 
 Attitude = Literal["filter", "imu"]
-Row = tuple[int, str, tuple[Value, ...]]
+Row = tuple[int, str, tuple[Number, ...]]
 
 
-def floats(columns: Iterable[Column], factor: float = 1.0) -> tuple[Value, ...]:
-    """Return numbers of four bytes."""
-    return tuple(Value(column, "f32", factor) for column in columns)
+def floats(columns: str | Iterable[Column], factor: float = 1.0) -> tuple[Number, ...]:
+    """Return numbers of four bytes; a canonical quantity goes by its name."""
+    there = known(columns) if isinstance(columns, str) else columns
+    return tuple(Number(column, "f32", factor) for column in there)
 
 
-def doubles(columns: Iterable[Column]) -> tuple[Value, ...]:
+def doubles(columns: Iterable[Column]) -> tuple[Number, ...]:
     """Return numbers of eight bytes."""
-    return tuple(Value(column, "f64") for column in columns)
+    return tuple(Number(column, "f64") for column in columns)
 
 
-def counted(name: str, description: str, kind: str, unit: str = "1") -> Value:
+def counted(name: str, description: str, kind: str, unit: str = "1") -> Number:
     """Return an integer."""
-    return Value(count(name, description, unit), kind)
+    return Number(count(name, description, unit), kind)
 
 
-def valid(name: str) -> Value:
+def valid(name: str) -> Number:
     """Return the flags that say whether a field is valid."""
     return counted(f"{name}_valid", f"validity of {name.replace('_', ' ')}", "u16")
 
 
 GPS_TIME = (
-    Value(number("gps_time_of_week", "s", "GPS time of week"), "f64"),
+    Number(number("gps_time_of_week", "s", "GPS time of week"), "f64"),
     counted("gps_week", "GPS week", "u16"),
     valid("gps_time"),
 )
 
 
-def euler(prefix: str) -> tuple[Column, ...]:
+def angles(prefix: str) -> tuple[Column, ...]:
     """Return roll, pitch and yaw, the canonical ones without a prefix."""
-    if not prefix:
-        return known("roll", "pitch", "yaw")
-    return tuple(
-        number(f"{prefix}{angle}", "rad", f"{angle} of another filter") for angle in ("roll", "pitch", "yaw")
-    )
+    names = known("angles")
+    described = [number(prefix + angle.name, "rad", f"{angle.name} of another filter") for angle in names]
+    return tuple(described) if prefix else names
 
 
 _VECTORS = (
@@ -118,14 +117,14 @@ def _estimated() -> list[Row]:
 def _aiding() -> list[Row]:
     """Return fields about what aids the filter."""
 
-    def receiver(prefix: str) -> Value:
+    def receiver(prefix: str) -> Number:
         return counted(f"{prefix}_receiver", "number of the receiver", "u8")
 
-    def tow(prefix: str) -> Value:
-        return Value(number(f"{prefix}_time_of_week", "s", "GPS time of week"), "f32")
+    def tow(prefix: str) -> Number:
+        return Number(number(f"{prefix}_time_of_week", "s", "GPS time of week"), "f32")
 
-    def passed(kind: str, n: int) -> tuple[Value, ...]:
-        return (Value(None, kind),) * n
+    def passed(kind: str, n: int) -> tuple[Number, ...]:
+        return (Number(None, kind),) * n
 
     offset = vector("receiver_antenna_offset", "m", "estimated offset of the antenna of a receiver")
     offset_sigma = vector("receiver_antenna_offset_sigma", "m", "uncertainty of that")
@@ -164,8 +163,8 @@ def _models() -> list[Row]:
     heading = (number("filter_heading", "rad", "heading that aided the filter"),
                number("filter_heading_sigma", "rad", "uncertainty of that"))  # fmt: skip
     earth = vector("mag_model", "uT", "field of the world magnetic model north, east, down")
-    angles = (number("inclination", "rad", "of the magnetic model"),
-              number("declination", "rad", "of the magnetic model"))  # fmt: skip
+    dip = (number("inclination", "rad", "of the magnetic model"),
+           number("declination", "rad", "of the magnetic model"))  # fmt: skip
     air = (number("geometric_altitude", "m", "standard atmosphere"),
            number("geopotential_altitude", "m", "standard atmosphere"),
            number("standard_temperature", "degC", "standard atmosphere"))  # fmt: skip
@@ -179,7 +178,7 @@ def _models() -> list[Row]:
         (0x14, "HeadingUpdate", (*floats(heading),
                                  counted("heading_source", "what gave the heading, bits", "u16"),
                                  valid("filter_heading"))),
-        (0x15, "MagneticModel", (*floats(earth, GAUSS), *floats(angles), valid("mag_model"))),
+        (0x15, "MagneticModel", (*floats(earth, GAUSS), *floats(dip), valid("mag_model"))),
         (0x20, "StandardAtmosphere", (*floats(air), *floats(pressure, MILLIBAR), *floats(density),
                                       valid("standard_atmosphere"))),
         (0x40, "PositionEcef", (*doubles(place), valid("ecef"))),
@@ -187,29 +186,24 @@ def _models() -> list[Row]:
     ]  # fmt: skip
 
 
-def filter_fields(descriptor_set: int, attitude: Attitude) -> list[Field]:
-    """Return the fields of the filter set.
+def filter_fields(attitude: Attitude) -> dict[int, Message]:
+    """Return the fields of the filter set by their codes.
 
-    Parameters
-    ----------
-    descriptor_set : int
-        Its number.
-    attitude : str
-        Whether the attitude of this set ("filter") or of the sensor set ("imu") has the canonical names.
+    `attitude`: whether that of this set ("filter") or of the sensor set ("imu") has the canonical names.
     """
     own = attitude == "filter"
-    quaternion = QUATERNION if own else vector("filter_q", "1", "attitude of the filter", "wxyz")
+    quaternion = known("q") if own else vector("filter_q", "1", "attitude of the filter", "wxyz")
     status = (
         counted("filter_state", "state of the filter", "u16"),
         counted("filter_dynamics", "dynamics mode of the filter", "u16"),
-        Value(KNOWN["status"], "u16"),
+        Number(KNOWN["status"], "u16"),
     )
     velocity = vector("velocity", "m/s", "velocity north, east, down")
     table: list[Row] = [
         (0x03, "Quaternion", (*floats(quaternion), valid("attitude"))),
-        (0x05, "Euler", (*floats(euler("" if own else "filter_")), valid("attitude"))),
+        (0x05, "Euler", (*floats(angles("" if own else "filter_")), valid("attitude"))),
         (0x04, "Matrix", (*floats(MATRIX), valid("attitude")) if own else ()),
-        (0x01, "Position", (*doubles(known("latitude", "longitude", "altitude")), valid("position"))),
+        (0x01, "Position", (*doubles(known("place")), valid("position"))),
         (0x02, "Velocity", (*floats(velocity), valid("velocity"))),
         (0x11, "FilterGpsTime", GPS_TIME),
         (0x10, "FilterStatus", status),
@@ -218,7 +212,6 @@ def filter_fields(descriptor_set: int, attitude: Attitude) -> list[Field]:
         *_aiding(),
         *((code, name, ()) for code, name in _NOT_READ),
     ]  # fmt: skip
-    return [
-        Field(descriptor_set << 8 | code, name, values, NO_GROUP if code == 0x11 else "filter")
-        for code, name, values in table
-    ]
+    return {
+        code: field(name, numbers, NO_GROUP if code == 0x11 else "filter") for code, name, numbers in table
+    }

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.stream import ByteArray
+from imumon.protocols.base import ByteArray
 
 
 class NumberType(NamedTuple):
@@ -44,22 +43,6 @@ WRAPPING = ("packet_counter", "device_ticks")
 _FLOAT32_MAX = float(np.finfo(np.float32).max)
 
 
-@dataclass(frozen=True, slots=True)
-class Value:
-    """A number: its column (None: passed over) is number * factor + offset; a mask picks bits out of it."""
-
-    column: Column | None
-    type: str
-    factor: float = 1.0
-    offset: float = 0.0
-    mask: int = 0
-
-    @property
-    def lowest_bit(self) -> int:
-        """Number of the lowest bit of the mask."""
-        return (self.mask & -self.mask).bit_length() - 1
-
-
 Columns = Mapping[str, ColumnArray]
 
 
@@ -72,59 +55,85 @@ class Derived:
     decode: Callable[[Columns], list[ColumnArray]]
     encode: Callable[[Columns], list[ColumnArray]]
 
+    @property
+    def names(self) -> list[str]:
+        """Names of the results."""
+        return [column.name for column in self.results]
+
 
 NO_GROUP = ""
 """Group of times and counters."""
 
 
-class Placed(NamedTuple):
-    """A number at a place of a packet, and the group that it belongs to."""
+class Number(NamedTuple):
+    """A number of a packet: its column (None: passed over) is number * factor + offset."""
 
-    value: Value
-    at: int
+    column: Column | None
+    type: str
+    factor: float = 1.0
+    offset: float = 0.0
+    mask: int = 0
+    """Bits that count, of which the lowest becomes bit 0; 0: all."""
+    at: int = 0
+    """First byte."""
     group: str = NO_GROUP
     big: bool = False
+    """Whether the most significant byte comes first."""
 
     @property
     def name(self) -> str:
         """Name of the column."""
-        return "" if self.value.column is None else self.value.column.name
+        return "" if self.column is None else self.column.name
 
     @property
     def end(self) -> int:
         """First byte behind the number."""
-        return self.at + NUMBER_TYPES[self.value.type].size
+        return self.at + NUMBER_TYPES[self.type].size
+
+    @property
+    def lowest_bit(self) -> int:
+        """Number of the lowest bit of the mask."""
+        return (self.mask & -self.mask).bit_length() - 1
 
     def read(self, raw: ColumnArray) -> ColumnArray:
         """Return the column of what the field of `record_type` has."""
-        value, kind = self.value, NUMBER_TYPES[self.value.type]
-        assert value.column is not None
+        kind = NUMBER_TYPES[self.type]
+        assert self.column is not None
         if kind.size == 3:
-            raw = _of_three_bytes(raw, self.big, kind.signed)
-        elif value.type == "fp1632":
-            raw = _of_fp1632(raw)
-        if value.mask:
-            raw = (raw.astype(np.uint64) & np.uint64(value.mask)) >> np.uint64(value.lowest_bit)
-        if value.column.dtype == "int64" and kind.integer:
-            whole = raw.astype(np.int64) * int(value.factor)
+            raw = _of_bytes(raw, (2, 1, 0) if self.big else (0, 1, 2), kind.signed)
+        elif self.type == "fp1632":
+            raw = _of_bytes(raw, (3, 2, 1, 0, 5, 4), signed=True) / 2.0**32
+        if self.mask:
+            raw = (raw.astype(np.uint64) & np.uint64(self.mask)) >> np.uint64(self.lowest_bit)
+        if self.column.dtype == "int64" and kind.integer:
+            whole = raw.astype(np.int64) * int(self.factor) + int(self.offset)
             if kind.signed or self.name in WRAPPING:
                 return whole
             return np.where(whole < 0, NO_INT, whole)  # more than a column of integers holds
         with np.errstate(invalid="ignore"):  # a signalling NaN becomes a quiet one
             numbers: FloatArray = raw.astype(np.float64)
-            if value.factor != 1.0:
-                numbers *= value.factor
-            if value.offset:
-                numbers += value.offset
+            if self.factor != 1.0:
+                numbers *= self.factor
+            if self.offset:
+                numbers += self.offset
             # A clock that is not a number becomes the least integer.
-            return numbers if value.column.dtype == "float64" else np.rint(numbers).astype(np.int64)
+            return numbers if self.column.dtype == "float64" else np.rint(numbers).astype(np.int64)
 
 
-def record_type(numbers: Sequence[Placed], size: int) -> np.dtype[np.void]:
+def in_a_row(numbers: Iterable[Number], at: int = 0) -> tuple[Number, ...]:
+    """Return numbers that stand one behind the other from a place on."""
+    found = []
+    for number in numbers:
+        found.append(number._replace(at=at))
+        at = found[-1].end
+    return tuple(found)
+
+
+def record_type(numbers: Sequence[Number], size: int) -> np.dtype[np.void]:
     """Return packets of a size as a structured type; those that NumPy lacks as bytes."""
     formats: list[tuple[str, int] | str] = []
     for item in numbers:
-        kind = NUMBER_TYPES[item.value.type]
+        kind = NUMBER_TYPES[item.type]
         letter = "f" if not kind.integer else "i" if kind.signed else "u"
         order = ">" if item.big else "<"
         formats.append(("u1", kind.size) if kind.size in (3, 6) else f"{order}{letter}{kind.size}")
@@ -132,20 +141,12 @@ def record_type(numbers: Sequence[Placed], size: int) -> np.dtype[np.void]:
     return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
 
 
-def _of_three_bytes(three: ColumnArray, big: bool, signed: bool) -> IntArray:
-    """Return integers of three bytes, (n, 3)."""
-    high, middle, low = three.astype(np.int64).T[:: 1 if big else -1]
-    whole: IntArray = high << 16 | middle << 8 | low
-    return whole - ((whole >> 23) << 24) if signed else whole
-
-
-def _of_fp1632(six: ColumnArray) -> FloatArray:
-    """Return numbers of which the fraction is sent first, (n, 6)."""
-    bytes_of = six.astype(np.int64).T
-    whole = bytes_of[4] << 40 | bytes_of[5] << 32
-    for k in range(4):
-        whole |= bytes_of[k] << 8 * (3 - k)
-    return np.asarray((whole - ((whole >> 47) << 48)) / 2.0**32)
+def _of_bytes(raw: ColumnArray, lowest_first: Sequence[int], signed: bool) -> IntArray:
+    """Return integers of bytes, (n, size), which stand in this order."""
+    parts = raw.astype(np.int64).T
+    whole: IntArray = sum(parts[k] << 8 * n for n, k in enumerate(lowest_first))
+    bits = 8 * len(lowest_first)
+    return whole - (whole >> bits - 1 << bits) if signed else whole
 
 
 def is_missing(values: ColumnArray) -> BoolArray:
@@ -153,22 +154,20 @@ def is_missing(values: ColumnArray) -> BoolArray:
     return np.isnan(values) if values.dtype.kind == "f" else values == NO_INT
 
 
-def write(
-    what: str, numbers: Sequence[Placed], size: int, columns: Columns, rows: npt.NDArray[np.intp]
-) -> ByteArray:
-    """Return packets with these numbers, (n, size); other bytes, and columns that are not there, are zero.
+def write(what: str, numbers: Sequence[Number], blank: bytes, columns: Columns, n: int) -> ByteArray:
+    """Return n packets with these numbers, (n, size); what no column gives is as in `blank`.
 
     Raises BAD_DATA when a value does not fit; `what` is what the packets are called in it.
     """
-    packets: ByteArray = np.zeros((len(rows), size), np.uint8)
+    packets = np.tile(np.frombuffer(blank, np.uint8), (n, 1))
     for item in numbers:
         if item.name in columns:
-            most_first = _packed(f"{what}, column {item.name}", item.value, columns[item.name][rows])
+            most_first = _packed(f"{what}, column {item.name}", item, columns[item.name])
             packets[:, item.at : item.end] |= most_first if item.big else most_first[:, ::-1]
     return packets
 
 
-def _packed(where: str, value: Value, numbers: ColumnArray) -> ByteArray:
+def _packed(where: str, value: Number, numbers: ColumnArray) -> ByteArray:
     """Return the bytes of a number, most significant first, (n, size)."""
     kind = NUMBER_TYPES[value.type]
     if value.type in ("f32", "f64"):
@@ -177,7 +176,7 @@ def _packed(where: str, value: Value, numbers: ColumnArray) -> ByteArray:
             _refuse(np.isfinite(numbers) & (np.abs(numbers) > _FLOAT32_MAX), numbers, where)
         return numbers.astype(f">f{kind.size}").view(np.uint8).reshape(-1, kind.size)
     numbers = np.where(is_missing(numbers), value.offset if numbers.dtype.kind == "f" else 0, numbers)
-    if numbers.dtype.kind == "f" or value.factor != 1.0 or value.type == "fp1632":
+    if numbers.dtype.kind == "f" or (value.factor, value.offset) != (1.0, 0.0) or value.type == "fp1632":
         scaled = (numbers - value.offset) / value.factor * (2.0**32 if value.type == "fp1632" else 1.0)
         _refuse(~np.isfinite(scaled) | (np.abs(scaled) > 2.0**62), numbers, where)
         numbers = np.rint(scaled).astype(np.int64)
@@ -206,6 +205,6 @@ def with_sources(
     """Return the columns, and those from which others are computed, as far as they are sent."""
     found = dict(columns)
     for made in derived:
-        if {*made.sources} <= {*sent} and all(column.name in columns for column in made.results):
+        if {*made.sources} <= {*sent} and {*made.names} <= columns.keys():
             found |= dict(zip(made.sources, made.encode(columns), strict=True))
     return found

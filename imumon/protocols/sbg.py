@@ -12,26 +12,12 @@ from fractions import Fraction
 import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, IntArray
-from imumon.columns import KNOWN
-from imumon.protocols.base import Timing
-from imumon.protocols.checksums import CRCS
-from imumon.protocols.frame_checks import CyclicCheck
+from imumon.protocols.base import LONGEST_PACKET, ByteArray, Timing
+from imumon.protocols.checks import Checksum
 from imumon.protocols.framing import Frame, counted_length
-from imumon.protocols.messages import Message, TableDecoder, TableDevice, TableFamily, part, whole
+from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, TableFamily, part, whole
 from imumon.protocols.numbers import Columns, Derived
-from imumon.protocols.stream import LONGEST_PACKET, ByteArray
-from imumon.protocols.tagged_columns import (
-    ANGLES,
-    FORCE,
-    PLACE,
-    QUATERNION,
-    RATE,
-    TEMPERATURE,
-    TICKS,
-    count,
-    number,
-    vector,
-)
+from imumon.protocols.quantities import count, known, number, vector
 
 SYNC, END = b"\xff\x5a", 0x33
 HEADER, AROUND = 6, 9
@@ -41,8 +27,8 @@ HIGH_RATE = 1 << 10
 """Bit of the status of IMU_SHORT: the rates have the scale of fast sensors."""
 FAST, FINE = 12_304_174.0, 67_108_864.0
 
-TIME = part(0, "u32", TICKS)
-STATUS = part(4, "u16", [KNOWN["status"]])
+TIME = part(0, "u32", "device_ticks")
+STATUS = part(4, "u16", "status")
 RAW_RATE = tuple(count(f"_rate_{axis}", "rate as it is sent") for axis in "xyz")
 FILTER = count("filter_status", "mode of the filter and what it uses, bits")
 
@@ -58,7 +44,7 @@ def _of_rates(columns: Columns) -> list[ColumnArray]:
     return [np.rint(np.nan_to_num(columns[f"gyro_{axis}"]) * scale).astype(np.int64) for axis in "xyz"]
 
 
-RATES = Derived(tuple(column.name for column in RAW_RATE), RATE, _to_rates, _of_rates)
+RATES = Derived(tuple(column.name for column in RAW_RATE), known("gyro"), _to_rates, _of_rates)
 
 ANGLE_SIGMA = tuple(
     number(f"{name}_sigma", "rad", f"uncertainty of {name}") for name in ("roll", "pitch", "yaw")
@@ -75,20 +61,20 @@ NED = (vector("rate_ned", "rad/s", "angular rate, bias and earth rate taken off,
        vector("free_accel_ned", "m/s^2", "acceleration without gravity, north, east, down"))  # fmt: skip
 
 LOGS = {
-    44: Message("imu_short", 32, (TIME, STATUS, part(6, "i32", FORCE, 2.0**-20), part(18, "i32", RAW_RATE),
-                                  part(30, "i16", TEMPERATURE, 1 / 256)), derived=(RATES,)),
-    3: Message("imu_data", 58, (TIME, STATUS, part(6, "f32", FORCE), part(18, "f32", RATE),
-                                part(30, "f32", TEMPERATURE)), least=34),
+    44: Message("imu_short", 32, (TIME, STATUS, part(6, "i32", "accel", 2.0**-20), part(18, "i32", RAW_RATE),
+                                  part(30, "i16", "temperature", 1 / 256))),
+    3: Message("imu_data", 58, (TIME, STATUS, part(6, "f32", "accel"), part(18, "f32", "gyro"),
+                                part(30, "f32", "temperature")), least=34),
     4: Message("mag", 30, (TIME, whole(4, "u16", "mag_status", "status of the magnetometer"),
                            part(6, "f32", vector("mag", "a.u.", "field, 1 when calibrated"))), "mag"),
-    6: Message("ekf_euler", 40, (TIME, part(4, "f32", ANGLES), part(16, "f32", ANGLE_SIGMA),
+    6: Message("ekf_euler", 40, (TIME, part(4, "f32", "angles"), part(16, "f32", ANGLE_SIGMA),
                                  part(28, "u32", [FILTER]), part(32, "f32", DECLINATION)),
                 "filter", least=32),
-    7: Message("ekf_quat", 44, (TIME, part(4, "f32", QUATERNION),
+    7: Message("ekf_quat", 44, (TIME, part(4, "f32", "q"),
                                 part(20, "f32", ANGLE_SIGMA), part(32, "u32", [FILTER]),
                                 part(36, "f32", DECLINATION)), "filter", least=36),
     8: Message("ekf_nav", 72, (TIME, part(4, "f32", VELOCITY), part(16, "f32", VELOCITY_SIGMA),
-                               part(28, "f64", PLACE),
+                               part(28, "f64", "place"),
                                part(52, "f32", [number("undulation", "m", "of the geoid")]),
                                part(56, "f32", POSITION_SIGMA), part(68, "u32", [FILTER])), "filter"),
     1: Message("status", 27, (TIME, whole(4, "u16", "general_status", "power, temperature, processor, bits"),
@@ -106,7 +92,7 @@ LOGS = {
 }  # fmt: skip
 """Logs of class 0 by their identifier, those with the inertial sensors first."""
 
-_CRC = CyclicCheck(CRCS["crc16-kermit"], first=2)
+_CRC = Checksum("crc16-kermit", first=2)
 
 
 def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
@@ -117,7 +103,7 @@ def _wrapped(key: int, payload: bytes) -> bytes:
     return _CRC.sealed(SYNC + bytes([key, 0]) + len(payload).to_bytes(2, "little") + payload) + bytes([END])
 
 
-class SbgDecoder(TableDecoder):
+class SbgDecoder(FamilyDecoder):
     """Decodes the logs of class 0; all other frames are counted."""
 
     def _key(self, packet: bytes) -> int:
@@ -138,4 +124,5 @@ class SbgDevice(TableDevice):
         HEADER,
         AROUND,
         head=(2, 3),
+        derived=(RATES,),
     )

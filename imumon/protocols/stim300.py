@@ -19,12 +19,11 @@ from pydantic import PositiveFloat, model_validator
 from imumon.columns import Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import Timing
-from imumon.protocols.checksums import CRCS
+from imumon.protocols.checks import Checksum
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.frame_checks import CyclicCheck
 from imumon.protocols.framing import Frame, fixed_length
-from imumon.protocols.messages import Message, Part, TableDecoder, TableEncoder, TableFamily, part, whole
-from imumon.protocols.tagged_columns import FORCE, RATE, TICKS, known, number, vector
+from imumon.protocols.messages import FamilyDecoder, Message, Part, TableEncoder, TableFamily, part, whole
+from imumon.protocols.quantities import known, number, vector
 
 TICK_NS: Final = 500_000
 """The counter counts samples of the internal 2000 Hz, not datagrams."""
@@ -49,7 +48,7 @@ RANGE_BITS = {5: 20, 10: 19, 30: 18, 80: 16}
 
 AccelRange = Literal[5, 10, 30, 80]
 Output = Literal["rate", "increment"]
-Block = tuple[str, Sequence[Column], float]
+Block = tuple[str, str | Sequence[Column], float]
 
 
 def _blocks(output: Output, accel_range_g: AccelRange, rate_hz: float | None) -> dict[str, Block]:
@@ -60,8 +59,8 @@ def _blocks(output: Output, accel_range_g: AccelRange, rate_hz: float | None) ->
     force = STANDARD_GRAVITY * 2.0**-bits if output == "rate" else 2.0 ** -(bits + 3) * per_sample
     tilt = STANDARD_GRAVITY * 2.0**-22 if output == "rate" else 2.0**-25 * per_sample
     return {
-        "gyro": ("i24", RATE, rate),
-        "acc": ("i24", FORCE, force),
+        "gyro": ("i24", "gyro", rate),
+        "acc": ("i24", "accel", force),
         "incl": ("i24", vector("inclinometer", "m/s^2", "specific force of the inclinometer"), tilt),
         "gyro_temp": ("i16", known("temperature_x", "temperature_y", "temperature_z"), 2.0**-8),
         "acc_temp": ("i16", vector("accel_temperature", "degC", "of the accelerometer"), 2.0**-8),
@@ -82,7 +81,7 @@ def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) 
                 parts.append(part(at, kind, columns, factor))
                 at += BLOCK_SIZES[name]
                 parts.append(whole(at - 1, "u8", f"{name}_status", f"status of {name}, bits; 0 is good"))
-            parts.append(part(at, "u8", TICKS))
+            parts.append(part(at, "u8", "device_ticks"))
             parts.append(part(at + 1, "u16", [number("latency", "us", "measurement to transmission")]))
             messages[key] = Message(f"{key:02X}", at + 3, tuple(parts))
     return messages
@@ -91,14 +90,14 @@ def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) 
 ZEROS = {key: zeros for key, (_, zeros) in BLOCKS.items()} | dict(
     zip(WITH_PULSE.values(), PULSE_ZEROS, strict=True)
 )
-CHECKS = {key: CyclicCheck(CRCS["crc32-mpeg2"], big=True, zeros=zeros) for key, zeros in ZEROS.items()}
+CHECKS = {key: Checksum("crc32-mpeg2", big=True, zeros=zeros) for key, zeros in ZEROS.items()}
 
 
 def _wrapped(key: int, payload: bytes, line_end: bool) -> bytes:
     return CHECKS[key].sealed(bytes([key]) + payload[1:]) + (b"\r\n" if line_end else b"")
 
 
-class StimDecoder(TableDecoder):
+class StimDecoder(FamilyDecoder):
     """Decodes the datagrams of normal mode, with and without a line end behind them."""
 
     def __init__(self, assumed: str, family: TableFamily, rate_hz: float | None) -> None:
@@ -142,9 +141,10 @@ class StimDevice(DeviceFile):
         wrap = partial(_wrapped, line_end=self.line_end)
         return TableFamily(messages, frames, decodes, wrap, timing, 0, CRC_SIZE, (0,), big=True)
 
-    def decoder(self) -> TableDecoder:
+    def decoder(self) -> FamilyDecoder:
         """Make a decoder for this device."""
-        return self._family.decodes(self._family, self.rate_hz)
+        family = self._family
+        return family.decodes(family, self.rate_hz)
 
     def encoder(self) -> TableEncoder:
         """Make an encoder that sends what the device would send."""

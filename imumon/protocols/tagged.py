@@ -1,4 +1,4 @@
-"""Packets that are lists of identified fields (Xbus, MIP): what their fields are, decoder and encoder.
+"""Packets that are lists of identified fields (Xbus, MIP): decoder and encoder.
 
 ====  =======================================  ==============================  =========================
       packet                                   field                           checksum
@@ -9,54 +9,39 @@ MIP   75, 65, type, length, fields             size of the field, identifier,  t
                                                data                            Fletcher, modulo 256
 ====  =======================================  ==============================  =========================
 
-Packets of one length whose field headers are the same carry the same numbers at the same places.
-
 Other Xbus addresses than FF (the device on its own) and 01 are those of trackers behind an Xbus Master, which
 answer only to commands; taking them for packets would make noise of every FA in damaged data.
 """
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, IntArray, SampleBlock
-from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.base import COMMON, MAIN, Encoder, Groups, Timing
-from imumon.protocols.frame_checks import Fletcher, Sum, Trailing
+from imumon.protocols.base import OTHER, ByteArray, Encoder, Timing
+from imumon.protocols.checks import Checksum
 from imumon.protocols.framing import (
     IMPOSSIBLE,
     INCOMPLETE,
     NO_PACKET,
     Found,
     Frame,
-    Lengths,
     counted_length,
 )
-from imumon.protocols.layouts import Alike, Layout, LayoutDecoder, Record
-from imumon.protocols.numbers import (
-    NUMBER_TYPES,
-    Derived,
-    Placed,
-    Value,
-    is_missing,
-    with_sources,
-    write,
-)
-from imumon.protocols.stream import ByteArray
-from imumon.transport.statistics import Counters
+from imumon.protocols.messages import Message, TableDecoder
+from imumon.protocols.numbers import Derived, Number, is_missing, with_sources, write
 
-ANY_SIZE = -1
-"""Size of a field that is recognised and skipped whatever its length."""
 LONGEST_XBUS_PAYLOAD = 2048
 KIND_AT = 2
 """Place of the packet type."""
-OTHER = "other"
-"""Stream of packets that have nothing but fields of no group."""
+
+Place = tuple[int, int, int]
+"""Key of a field, where its data begin, and their bytes."""
 
 
 def xbus_lengths(held: ByteArray, at: IntArray) -> IntArray:
@@ -73,242 +58,151 @@ def xbus_lengths(held: ByteArray, at: IntArray) -> IntArray:
     return length
 
 
-class Form(NamedTuple):
+def _begin(packet: bytes) -> int:
+    return 6 if packet[0] == 0xFA and packet[3] == 0xFF else 4
+
+
+def _xbus_places(packet: bytes) -> list[Place]:
+    at, found = _begin(packet), list[Place]()
+    while at + 3 < len(packet):
+        found.append((packet[at] << 8 | packet[at + 1], at + 3, packet[at + 2]))
+        at += 3 + packet[at + 2]
+    return found
+
+
+def _mip_places(packet: bytes) -> list[Place]:
+    at, found = 4, list[Place]()
+    while at + 2 <= len(packet) - 2 and packet[at] >= 2:
+        found.append((packet[KIND_AT] << 8 | packet[at + 1], at + 2, packet[at] - 2))
+        at += packet[at]
+    return found
+
+
+def _whole_payload(packet: bytes) -> list[Place]:
+    return [(0, _begin(packet), len(packet) - 1 - _begin(packet))]
+
+
+def xbus_message(kind: int, payload: bytes = b"") -> bytes:
+    """Return an Xbus message without its checksum."""
+    size = len(payload)
+    return bytes([0xFA, 0xFF, kind, *([0xFF, size >> 8, size & 0xFF] if size >= 0xFF else [size])]) + payload
+
+
+def _xbus_list(kind: int, fields: Sequence[tuple[int, bytes]]) -> bytes:
+    parts = (key.to_bytes(2, "big") + bytes([len(data)]) + data for key, data in fields)
+    return xbus_message(kind, b"".join(parts))
+
+
+def _mip_list(kind: int, fields: Sequence[tuple[int, bytes]]) -> bytes:
+    payload = b"".join(bytes([len(data) + 2, key & 0xFF]) + data for key, data in fields)
+    return bytes([0x75, 0x65, kind, len(payload)]) + payload
+
+
+def _xbus_data(kind: int, fields: Sequence[tuple[int, bytes]]) -> bytes:
+    return xbus_message(kind, b"".join(data for _, data in fields))
+
+
+@dataclass(frozen=True)
+class Form:
     """How packets and the fields in them are written."""
 
-    name: str
-    sync: bytes
-    lengths: Lengths
-    check: Trailing
+    frame: Frame
+    check: Checksum
     longest: int
     """Most bytes of a payload."""
-    start: Callable[[int, int], bytes]
-    """Makes what is before the payload, of the packet type and the bytes of the payload."""
-    begin: Callable[[bytes], int]
-    """Place of the payload in a packet, of which at least the first four bytes are given."""
     header: int
     """Bytes of a field before its data."""
-    head: Callable[[int, int], bytes]
-    """Makes these bytes, of the key of the field and the bytes of its data."""
-    field: Callable[[bytes, int], tuple[int, int]]
-    """Key of the field whose header begins at this place of the packet, and the bytes of its data."""
+    places: Callable[[bytes], list[Place]]
+    """Returns the fields of a packet; the last may end behind it."""
+    packed: Callable[[int, Sequence[tuple[int, bytes]]], bytes]
+    """Returns a packet without its checksum: of its type, and of key and data of its fields."""
+
+    def payload(self, packet: bytes) -> bytes:
+        """Return what is between header and checksum."""
+        return packet[_begin(packet) : -self.check.size]
+
+    def sealed(self, kind: int, *fields: tuple[int, bytes]) -> bytes:
+        """Return a packet of fields."""
+        return self.check.sealed(self.packed(kind, fields))
 
 
-def _xbus_start(kind: int, size: int) -> bytes:
-    return bytes([0xFA, 0xFF, kind, *([0xFF, size >> 8, size & 0xFF] if size >= 0xFF else [size])])
+_SUM, _FLETCHER = Checksum("sum8-negated", first=1), Checksum("fletcher16-256")
+XBUS_FRAME = Frame("Xbus", b"\xfa", xbus_lengths, _SUM)
+XBUS = Form(XBUS_FRAME, _SUM, LONGEST_XBUS_PAYLOAD, 3, _xbus_places, _xbus_list)
+XBUS_DATA = Form(XBUS_FRAME, _SUM, LONGEST_XBUS_PAYLOAD, 0, _whole_payload, _xbus_data)
+"""Without headers: the payload is one field, of key 0."""
+MIP = Form(Frame("MIP", b"\x75\x65", counted_length(3, 1, 6, 261), _FLETCHER), _FLETCHER, 255, 2,
+           _mip_places, _mip_list)  # fmt: skip
 
 
-def _xbus_begin(packet: bytes) -> int:
-    return 6 if packet[3] == 0xFF else 4
-
-
-def _xbus_head(key: int, size: int) -> bytes:
-    return bytes([key >> 8, key & 0xFF, size])
-
-
-def _xbus_field(packet: bytes, at: int) -> tuple[int, int]:
-    return packet[at] << 8 | packet[at + 1], packet[at + 2]
-
-
-def _mip_start(kind: int, size: int) -> bytes:
-    return bytes([0x75, 0x65, kind, size])
-
-
-def _mip_begin(packet: bytes) -> int:
-    del packet
-    return 4
-
-
-def _mip_head(key: int, size: int) -> bytes:
-    return bytes([size + 2, key & 0xFF])
-
-
-def _mip_field(packet: bytes, at: int) -> tuple[int, int]:
-    return packet[KIND_AT] << 8 | packet[at + 1], packet[at] - 2
-
-
-XBUS = Form("Xbus", b"\xfa", xbus_lengths, Sum(first=1, negated=True), LONGEST_XBUS_PAYLOAD,
-            _xbus_start, _xbus_begin, 3, _xbus_head, _xbus_field)  # fmt: skip
-MIP = Form("MIP", b"\x75\x65", counted_length(3, 1, 6, 261), Fletcher(), 255,
-           _mip_start, _mip_begin, 2, _mip_head, _mip_field)  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class Field:
-    """A field as it comes: identifier, name, what is in it, and with which others it belongs together.
-
-    Without values it may have any size.  A field of no group (times, counters) goes with the others of its
-    packet.
-    """
-
-    key: int
-    name: str
-    values: tuple[Value, ...] = ()
-    group: str = MAIN
-
-    @property
-    def size(self) -> int:
-        """Bytes of data, or `ANY_SIZE`."""
-        return sum(NUMBER_TYPES[value.type].size for value in self.values) if self.values else ANY_SIZE
-
-    @property
-    def columns(self) -> tuple[Column, ...]:
-        """Columns of the values."""
-        return tuple(value.column for value in self.values if value.column is not None)
-
-    def placed(self, at: int) -> list[Placed]:
-        """Return the numbers of a field whose data begin here."""
-        found = []
-        for value in self.values:
-            found.append(Placed(value, at, self.group, big=True))
-            at += NUMBER_TYPES[value.type].size
-        return found
-
-
-class FieldTable:
-    """The fields of a protocol.
-
-    Parameters
-    ----------
-    fields : sequence of Field
-        Several may have the same key and differ in size.
-    derived : sequence of Derived
-        Columns that are computed.  A column whose name begins with "_" is only a source of such.
-    apart : collection of str
-        Groups that are streams of their own from the beginning.
-    """
-
-    def __init__(
-        self, fields: Sequence[Field], derived: Sequence[Derived] = (), apart: Collection[str] = ()
-    ) -> None:
-        self.fields = tuple(fields)
-        self.derived = tuple(derived)
-        sent = {column.name: column for field in fields for column in field.columns}
-        made = [column for item in derived if sent.keys() >= {*item.sources} for column in item.results]
-        self.columns = [column for column in (*sent.values(), *made) if not column.name.startswith("_")]
-        there = dict.fromkeys(field.group for field in fields if field.group)
-        names = tuple(dict.fromkeys((MAIN, *there, OTHER)))
-        of_column: dict[str, int] = {}
-        for field in fields:
-            for column in field.columns if field.group else ():
-                if column.name not in COMMON:
-                    of_column.setdefault(column.name, names.index(field.group))
-        for item in derived:
-            if item.sources[0] in of_column:
-                results = dict.fromkeys((c.name for c in item.results), of_column[item.sources[0]])
-                of_column |= results | of_column
-        self.groups = Groups(names, of_column, tuple(name in apart for name in names))
-        self._of_size = {(field.key, field.size): field for field in fields}
-
-    def find(self, key: int, size: int) -> Field | None:
-        """Return the field with this key and so many bytes; None when there is none."""
-        return self._of_size.get((key, size)) or self._of_size.get((key, ANY_SIZE))
-
-
-class TaggedDecoder(LayoutDecoder):
+class TaggedDecoder(TableDecoder):
     """Decodes packets of identified fields by a table; a row for each packet that carries a known one.
 
-    Parameters
-    ----------
-    table : FieldTable
-        What the fields mean.
-    form : Form
-        XBUS or MIP.
-    data : collection of int
-        Types of packets that carry data.
-    type_names : mapping of int to str
-        Names of the packet types; those not named are shown as numbers.
-    timing : Timing
-        How the device counts time.
-    counted : collection of int
-        Types that are only counted; those that are neither are messages.
-    bare : bool
-        Whether a packet has no field headers: its payload is the first field of the table.
+    `fields` are all that may come; `data` the types of packets that carry data: others are messages.
     """
 
     def __init__(
         self,
-        table: FieldTable,
         form: Form,
-        data: Collection[int],
-        type_names: Mapping[int, str],
         timing: Timing,
-        counted: Collection[int] = (),
-        bare: bool = False,
+        fields: Iterable[Message],
+        data: Collection[int],
+        derived: Sequence[Derived] = (),
+        apart: Sequence[str] = (),
     ) -> None:
-        frame = Frame(form.name, form.sync, form.lengths, form.check, fits=self._fits)
-        super().__init__([frame], timing, table.groups, table.columns)
-        self.table = table
-        self._form, self._type_names, self._bare = form, type_names, bare
-        self._is_data = np.isin(np.arange(256), [*data])
-        self._is_message = ~self._is_data & ~np.isin(np.arange(256), [*counted])
+        self._form, self._is_data = form, np.isin(np.arange(256), [*data])
         self._types = np.zeros(256, np.int64)
-        self._known: set[Field] = set()
-        self.wrong_length = 0
-        """Bytes of the latest payload that did not fit the one field of a packet."""
+        there = [field for field in fields if field.columns]
+        frames = [replace(form.frame, fits=self._fit)]
+        super().__init__(frames, timing, there, derived, (OTHER,), apart, big=True)
 
-    def _split(self, packet: bytes) -> tuple[list[tuple[int, int, int]], list[int], bool]:
-        """Return key, place and size of each field, where headers are, and if the fields fill the payload."""
-        form = self._form
-        at, end = form.begin(packet), len(packet) - form.check.size
-        places = [*range(KIND_AT, at)]
-        if self._bare:
-            only = self.table.fields[0]
-            return [(only.key, at, end - at)], places, end - at == only.size
-        fields = []
-        while at + form.header <= end:
-            key, size = form.field(packet, at)
-            if size < 0:
-                break
-            places += range(at, at + form.header)
-            fields.append((key, at + form.header, size))
-            at += form.header + size
-        return fields, places, at == end
+    _type_names: Mapping[int, str] = {}
+    """Names of the packet types."""
+
+    @abstractmethod
+    def _field(self, key: int, size: int) -> Message | None:
+        """Return the field with this key and so many bytes; None when there is none."""
+
+    def _contents(self, packet: bytes) -> list[tuple[Message, int, int]]:
+        found = []
+        for key, at, size in self._form.places(packet):
+            field = self._field(key, size)
+            if field is not None:
+                found.append((field, at, size))
+            else:
+                self._say(f"field {self._field_name(key)} of {size} bytes is not known and is passed over")
+        return found
 
     def _signature(self, packet: bytes) -> Sequence[int]:
-        return self._split(packet)[1]
+        header, begin = self._form.header, _begin(packet)
+        heads = (range(at - header, at) for _, at, _ in self._form.places(packet))
+        return [*range(KIND_AT, begin), *(place for head in heads for place in head)]
 
-    def _fits(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+    def _is_filled(self, packet: bytes) -> bool:
+        """Return whether the fields of a packet end where its payload ends."""
+        fields = self._form.places(packet)
+        end = sum(fields[-1][1:]) if fields else _begin(packet)
+        return end == len(packet) - self._form.check.size
+
+    def _fit(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
         """Tell of packets with a right checksum whether their payload is what their type says."""
-        fits = np.ones(len(at), np.bool_)
+        fit = np.ones(len(at), np.bool_)
         data = np.flatnonzero(self._is_data[held[at + KIND_AT]])
         for alike in self._alike(Found(held, at[data], length[data], np.zeros(len(data), np.int64))):
-            fields, _, fills = self._split(alike.packet)
-            fits[data[alike.rows]] = fills
-            if self._bare and not fills:
-                self.wrong_length = fields[0][2]
-        return fits
+            fit[data[alike.rows]] = self._is_filled(alike.packet)
+        return fit
 
     def _layout_numbers(self, found: Found) -> IntArray:
         kind = found.held[found.at + KIND_AT]
         numbers = np.full(len(found), -1, np.int64)
         self._types += np.bincount(kind, minlength=256)
-        for row in np.flatnonzero(self._is_message[kind]).tolist():
-            message = found.held[found.at[row] :][: found.length[row]].tobytes()
-            payload = message[self._form.begin(message) : -self._form.check.size]
-            for text in self._describe(int(kind[row]), payload):
+        for row in np.flatnonzero(~self._is_data[kind]).tolist():
+            packet = found.held[found.at[row] :][: found.length[row]].tobytes()
+            for text in self._describe(int(kind[row]), self._form.payload(packet)):
                 self._say(text)
         data = np.flatnonzero(self._is_data[kind])
         numbers[data] = super()._layout_numbers(found.only(data))
         return numbers
-
-    def _layout(self, alike: Alike) -> Layout | None:
-        """Work out what packets with these fields carry; of several numbers for a column the last counts."""
-        numbers = list[Placed]()
-        for key, at, size in self._split(alike.packet)[0]:
-            field = self.table.find(key, size)
-            if field is None:
-                self._say(f"field {self._field_name(key)} of {size} bytes is not known and is passed over")
-                continue
-            self._known.add(field)
-            numbers = field.placed(at)[::-1] + numbers
-        return Record(numbers, self.table.derived) if any(item.name for item in numbers) else None
-
-    @property
-    def _no_group(self) -> int:
-        return 1 << len(self.table.groups.names) - 1
-
-    # What is said of it
 
     def _describe(self, kind: int, payload: bytes) -> Iterable[str]:
         """Say in words what a message that is not data tells the user, if anything."""
@@ -321,11 +215,8 @@ class TaggedDecoder(LayoutDecoder):
     def _type_name(self, kind: int) -> str:
         return self._type_names.get(kind, f"0x{kind:02X}")
 
-    def counters(self) -> Counters:
-        """Return what became of the bytes so far."""
-        counts = super().counters()
-        named = {self._type_name(kind): n for kind, n in enumerate(self._types.tolist()) if n}
-        return replace(counts, packets_by_type=named)
+    def _by_type(self) -> dict[str, int]:
+        return {self._type_name(kind): n for kind, n in enumerate(self._types.tolist())}
 
 
 class TaggedEncoder(Encoder):
@@ -333,61 +224,50 @@ class TaggedEncoder(Encoder):
 
     Raises BAD_CONFIG when a field has no values to encode or the packet becomes too long.
 
-    Parameters
-    ----------
-    fields : sequence of Field
-        What a packet carries, in this order.  A field of which a row has no value is left out.
-    derived : sequence of Derived
-        How columns that are not sent are turned into those that are.
-    form : Form
-        XBUS or MIP.
-    kind : int
-        Packet type.
-    bare : bool
-        Whether fields have no headers; then all are sent.
+    `kind` is the packet type, `fields` have their keys.  A field of which a row has no value is left out.
     """
 
     def __init__(
-        self, fields: Sequence[Field], derived: Sequence[Derived], form: Form, kind: int, bare: bool = False
+        self,
+        form: Form,
+        kind: int,
+        fields: Sequence[tuple[int, Message]],
+        derived: Sequence[Derived] = (),
     ) -> None:
-        if empty := [field.name for field in fields if not field.values]:
+        if empty := [field.name for _, field in fields if field.size < 0]:
             raise ImumonError(Reason.BAD_CONFIG, f"{', '.join(empty)}: carries nothing that can be encoded")
-        longest = sum((0 if bare else form.header) + field.size for field in fields)
+        longest = sum(form.header + field.size for _, field in fields)
         if longest > form.longest:
             raise ImumonError(Reason.BAD_CONFIG, f"a packet with these fields has {longest} bytes, too many")
-        self._fields, self._derived = tuple(fields), tuple(derived)
-        self._form, self._kind, self._bare = form, kind, bare
+        self._form, self._kind, self._fields, self._derived = form, kind, fields, derived
 
     def encode(self, block: SampleBlock) -> list[bytes]:
         """Return a packet for each row, of fields that have a value; see `imumon.protocols.base.Encoder`."""
-        sent = [column.name for field in self._fields for column in field.columns]
+        sent = [column.name for _, field in self._fields for column in field.columns]
         columns = with_sources(block.columns, self._derived, sent)
-        present = np.column_stack([self._present(field, columns, len(block)) for field in self._fields])
-        packets: list[bytes] = [b""] * len(block)
+        present = np.ones((len(block), len(self._fields)), np.bool_)
+        for k, (_, field) in enumerate(self._fields):
+            there = [~is_missing(columns[c.name]) for c in field.columns if c.name in columns]
+            if there:  # a field without any column is sent as zero
+                present[:, k] = np.any(there, axis=0)
+        packets = [b""] * len(block)
         patterns, which = np.unique(present, axis=0, return_inverse=True)
         for number, pattern in enumerate(patterns):
             rows = np.flatnonzero(which.reshape(-1) == number)
             fields = [field for field, there in zip(self._fields, pattern, strict=True) if there]
-            for row, packet in zip(rows, self._packets(fields, columns, rows), strict=True):
+            of_rows = {name: values[rows] for name, values in columns.items()}
+            for row, packet in zip(rows, self._packets(fields, of_rows, len(rows)), strict=True):
                 packets[row] = packet.tobytes()
         return packets
 
-    def _present(self, field: Field, columns: Mapping[str, ColumnArray], n: int) -> BoolArray:
-        """Tell in which rows there is something to send; a field without any column is sent as zero."""
-        found = [~is_missing(columns[column.name]) for column in field.columns if column.name in columns]
-        if self._bare or not found:
-            return np.ones(n, np.bool_)
-        return np.asarray(np.any(found, axis=0))
-
     def _packets(
-        self, fields: Sequence[Field], columns: Mapping[str, ColumnArray], rows: IntArray
+        self, fields: Sequence[tuple[int, Message]], columns: Mapping[str, ColumnArray], n: int
     ) -> ByteArray:
-        """Return packets of these fields, (n, size)."""
-        heads = [b"" if self._bare else self._form.head(field.key, field.size) for field in fields]
-        start = self._form.start(self._kind, sum(len(h) + f.size for h, f in zip(heads, fields, strict=True)))
-        fixed, numbers = bytearray(start), list[Placed]()
-        for head, field in zip(heads, fields, strict=True):
-            numbers += field.placed(len(fixed) + len(head))
-            fixed += head + bytes(field.size)
-        bodies = write("packet", numbers, len(fixed), columns, rows) | np.frombuffer(fixed, np.uint8)
-        return self._form.check.sealed_rows(bodies)
+        """Return n packets of these fields, (n, size)."""
+        blank = self._form.packed(self._kind, [(key, bytes(field.size)) for key, field in fields])
+        at, numbers = len(blank), list[Number]()
+        for _, field in fields[::-1]:
+            at -= field.size
+            numbers += field.placed(at, field.size, big=True)
+            at -= self._form.header
+        return self._form.check.sealed_rows(write("packet", numbers, blank, columns, n))

@@ -21,14 +21,14 @@ from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.config import StrictModel
-from imumon.protocols.base import COMMON, MAIN, Encoder
+from imumon.protocols.base import COMMON, MAIN, ByteArray, Encoder
+from imumon.protocols.checks import Checksum
+from imumon.protocols.decoder import Decoder
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.fixed.description import NumberField, NumberName, timing_of
-from imumon.protocols.frame_checks import Trailing
-from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Check, Found, Frame, Lengths
-from imumon.protocols.layouts import LayoutDecoder, groups_of
-from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING, Placed, Value, is_missing
-from imumon.protocols.stream import ByteArray
+from imumon.protocols.fixed import NumberField, NumberName, timing_of
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame
+from imumon.protocols.layouts import groups_of
+from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING, Number, is_missing
 
 LINE_END: Final = 0x0A
 MOST_LINES: Final = 1 << 14
@@ -103,10 +103,10 @@ class Line(StrictModel):
         return [key for field in self.fields for key in field.keys]
 
     @property
-    def numbers(self) -> list[Placed]:
+    def numbers(self) -> list[Number]:
         """What each number is; its place in the line does not count."""
         scaled = [field.scaled(name) for field in self.fields for name in field.names]
-        return [Placed(Value(column, "f64", factor, offset), 0) for column, factor, offset in scaled]
+        return [Number(column, "f64", factor, offset) for column, factor, offset in scaled]
 
     def read(self, text: str) -> list[float] | None:
         """Return the numbers of a line, in the order of the columns; None when it is not one of these."""
@@ -194,15 +194,10 @@ def sentence(body: str) -> bytes:
     return f"{body}*{_xor(body):02X}".encode()
 
 
-def sentence_body(text: str, crc: Trailing | None = None) -> str | None:
+def sentence_body(text: str, crc: Checksum | None = None) -> str | None:
     """Return what a sentence has before its checksum, or None when that is wrong.
 
-    Parameters
-    ----------
-    text : str
-        The line without its end.
-    crc : Trailing
-        What the checksum is when it has four hexadecimal digits.
+    A checksum of four hexadecimal digits is a `crc`.
     """
     body, star, given = text.rpartition("*")
     if not star or not HEXADECIMAL.fullmatch(given):
@@ -244,13 +239,13 @@ class LineLayout:
     ----------
     read : callable
         Returns the numbers of a line.
-    numbers : sequence of Placed
+    numbers : sequence of Number
         What each of them is.
     """
 
-    def __init__(self, read: Callable[[str], list[float] | None], numbers: Sequence[Placed]) -> None:
+    def __init__(self, read: Callable[[str], list[float] | None], numbers: Sequence[Number]) -> None:
         self._read, self._numbers = read, numbers
-        self.columns = tuple(n.value.column for n in numbers if n.value.column is not None)
+        self.columns = tuple(n.column for n in numbers if n.column is not None)
         self.of_column = {c.name: MAIN for c in self.columns if c.name not in COMMON}
 
     def read(self, found: Found) -> dict[str, ColumnArray]:
@@ -265,18 +260,11 @@ def _texts(held: ByteArray, at: IntArray, length: IntArray) -> list[str]:
     return [held[a : a + n].tobytes().decode("ascii", "replace") for a, n in spans]
 
 
-def line_lengths(after_end: bool) -> Lengths:
-    """Return the `Lengths` of lines.
+def line_lengths(after_end: bool, held: ByteArray, at: IntArray) -> IntArray:
+    """Return the lengths of lines; the `Lengths` of a frame when `after_end` is given.
 
-    Parameters
-    ----------
-    after_end : bool
-        The line begins behind a line end, which is counted to it instead of the one at its own end.
+    `after_end`: the line begins behind a line end, which is counted to it instead of the one at its own end.
     """
-    return partial(_to_line_end, after_end)
-
-
-def _to_line_end(after_end: bool, held: ByteArray, at: IntArray) -> IntArray:
     ends = np.flatnonzero(held == LINE_END)
     k = np.searchsorted(ends, at, "right" if after_end else "left")
     there = k < len(ends)
@@ -287,13 +275,14 @@ def _to_line_end(after_end: bool, held: ByteArray, at: IntArray) -> IntArray:
     return result
 
 
-def lines_right(read: Callable[[str], object]) -> Check:
-    """Return the `Check` of lines that are right when they can be read."""
-    return partial(_readable, read)
-
-
-def _readable(read: Callable[[str], object], held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+def lines_right(read: Callable[[str], object], held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
+    """Tell which lines can be read; the `Check` of a frame when `read` is given."""
     return np.array([read(text) is not None for text in _texts(held, at, length)], np.bool_)
+
+
+def line_frame(name: str, begin: bytes, read: Callable[[str], object], after_end: bool = False) -> Frame:
+    """Return the frame of lines that are right when they can be read."""
+    return Frame(name, begin, partial(line_lengths, after_end), partial(lines_right, read))
 
 
 class _ReadOnce:
@@ -310,18 +299,18 @@ class _ReadOnce:
         return _ReadOnce, (self._line,)
 
 
-class TextDecoder(LayoutDecoder):
+class TextDecoder(Decoder):
     """Decodes described lines, a row for each; of several kinds that fit a line the first counts."""
 
     def __init__(self, lines: Sequence[Line], rate_hz: float | None) -> None:
         readers = [_ReadOnce(line) for line in lines]
         frames = [
-            Frame(x.name, x.prefix.encode() or b"\n", line_lengths(not x.prefix), lines_right(read))
+            line_frame(x.name, x.prefix.encode() or b"\n", read, not x.prefix)
             for x, read in zip(lines, readers, strict=True)
         ]
         timing = timing_of([field for line in lines for field in line.fields], rate_hz)
         self._lines = [LineLayout(read, line.numbers) for line, read in zip(lines, readers, strict=True)]
-        super().__init__(frames, timing, groups_of(self._lines), ())
+        super().__init__(frames, timing, groups_of(self._lines))
         for layout in self._lines:
             self._add(layout)
 
@@ -343,7 +332,7 @@ class TextEncoder(Encoder):
             for k, number in enumerate(line.numbers):
                 if number.name in block:
                     values = block[number.name]
-                    raw = (values - number.value.offset) / number.value.factor
+                    raw = (values - number.offset) / number.factor
                     table[:, k] = np.where(is_missing(values), 0.0, raw)
             parts.append([line.write(row) for row in line.wrapped(table).tolist()])
         return [b"".join(row) for row in zip(*parts, strict=True)]

@@ -20,24 +20,24 @@ import numpy as np
 
 from imumon.blocks import IntArray, SampleBlock
 from imumon.columns import KNOWN
-from imumon.protocols.base import MAIN, Encoder, Timing, chosen
-from imumon.protocols.checksums import CRCS
+from imumon.protocols.base import LONGEST_PACKET, MAIN, ByteArray, Encoder, Timing, chosen
+from imumon.protocols.checks import Checksum
+from imumon.protocols.decoder import Alike, Decoder
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.frame_checks import CyclicCheck
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame, counted_length, windows
-from imumon.protocols.layouts import Alike, Layout, LayoutDecoder, Record, groups_of
-from imumon.protocols.numbers import Placed, Value, write
-from imumon.protocols.stream import LONGEST_PACKET, ByteArray
-from imumon.protocols.text import LineLayout, line_lengths, lines_right, sentence_body
+from imumon.protocols.layouts import Layout, Record, groups_of
+from imumon.protocols.messages import Message
+from imumon.protocols.numbers import Number, write
+from imumon.protocols.text import LineLayout, line_frame, sentence_body
 from imumon.protocols.vectornav_fields import (
     COMMON,
     FILTERED,
     GROUP_NAMES,
     GROUPS,
     RECEIVERS,
+    REPEATS,
     SENTENCES,
     SIDE_GROUPS,
-    Item,
 )
 
 MOST_HEADER = 64
@@ -58,7 +58,7 @@ def read_header(packet: bytes) -> Header | int:
             break
     else:
         return IMPOSSIBLE
-    items: list[Item] = []
+    items: list[Message] = []
     for group in groups:
         left, more = GROUPS.get(group, ()), group in GROUPS
         if not more:
@@ -81,7 +81,7 @@ def read_header(packet: bytes) -> Header | int:
 class Header:
     """What a header announces, in the order of the payload, and the bytes it has, FA included."""
 
-    items: tuple[Item, ...]
+    items: tuple[Message, ...]
     size: int
 
     def offsets(self, packet: bytes) -> list[int] | int:
@@ -89,10 +89,11 @@ class Header:
         at, places = self.size, []
         for item in self.items:
             places.append(at)
-            if item.repeat:
-                if at + item.counter >= len(packet):
+            if item.name in REPEATS:
+                more, counter = REPEATS[item.name]
+                if at + counter >= len(packet):
                     return INCOMPLETE
-                at += item.repeat * packet[at + item.counter]
+                at += more * packet[at + counter]
             at += item.size
             if at + 2 > LONGEST_PACKET:
                 return IMPOSSIBLE
@@ -116,7 +117,7 @@ def _lengths(held: ByteArray, at: IntArray) -> IntArray:
         packet = stream[at[left[0]] :][:LONGEST_PACKET]
         header = read_header(packet[:MOST_HEADER])
         same = left == left[0]
-        if isinstance(header, Header) and not any(item.repeat for item in header.items):
+        if isinstance(header, Header) and not REPEATS.keys() & {item.name for item in header.items}:
             whole = np.flatnonzero(at[left] + header.size <= len(held))
             heads = windows(held, at[left[whole]], header.size)
             same[whole] = np.all(heads == np.frombuffer(packet[: header.size], np.uint8), axis=1)
@@ -127,7 +128,7 @@ def _lengths(held: ByteArray, at: IntArray) -> IntArray:
     return length
 
 
-XMODEM = CyclicCheck(CRCS["crc16-xmodem"], first=1, big=True)
+XMODEM = Checksum("crc16-xmodem", first=1, big=True)
 
 
 def _sentence(text: str) -> tuple[str, list[str]] | None:
@@ -159,23 +160,22 @@ def _numbers_of(text: str) -> list[float] | None:
 
 BINARY, SENTENCE = 0, 2
 """Numbers of their frames."""
-ITEMS = [item for items in GROUPS.values() for item in items if item is not None and item.values]
-"""All fields that are read."""
 
 
-class VectorNavDecoder(LayoutDecoder):
+class VectorNavDecoder(Decoder):
     """Decodes binary outputs with any fields and ASCII sentences, mixed as they may come."""
 
     def __init__(self, rate_hz: float | None = None) -> None:
         frames = (
             Frame("binary", b"\xfa", _lengths, XMODEM),
             Frame("split", b"\xfb\x00", counted_length(4, 2, 8, LONGEST_PACKET), XMODEM),
-            Frame("ascii", b"$VN", line_lengths(after_end=False), lines_right(_sentence)),
+            line_frame("ascii", b"$VN", _sentence),
         )
-        layouts = [Record(item.placed(0)) for item in ITEMS]
+        there = [item for items in GROUPS.values() for item in items if item is not None and item.columns]
+        layouts = [Record(item.placed(0, item.size, False)) for item in there]
         groups = groups_of(layouts, SIDE_GROUPS, apart=tuple(RECEIVERS.values()))
         timing = Timing(tick_ns=Fraction(1), rate_hz=rate_hz)
-        super().__init__(frames, timing, groups, ())
+        super().__init__(frames, timing, groups)
         self._factory: frozenset[str] = frozenset()
         """Quantities that have come as they were calibrated in the factory."""
 
@@ -201,20 +201,28 @@ class VectorNavDecoder(LayoutDecoder):
             return ()
         offsets = header.offsets(packet)
         assert not isinstance(offsets, int)
-        counters = [at + item.counter for item, at in zip(header.items, offsets, strict=False) if item.repeat]
+        counters = [
+            at + REPEATS[item.name][1]
+            for item, at in zip(header.items, offsets, strict=False)
+            if item.name in REPEATS
+        ]
         return [*range(header.size), *counters]
 
-    def _numbers_of(self, alike: Alike) -> list[Placed]:
+    def _numbers_of(self, alike: Alike) -> list[Number]:
         """Return the numbers of packets; those of a sentence are in its order."""
         if alike.frame == SENTENCE:
             values = SENTENCES.get(alike.packet[3:6].decode("ascii", "replace"), ())
-            return [Placed(value, 0, MAIN) for value in values]
+            return [value._replace(group=MAIN) for value in values]
         header = read_header(alike.packet[:MOST_HEADER])
         if alike.frame != BINARY or isinstance(header, int):
             return []
         offsets = header.offsets(alike.packet)
         assert not isinstance(offsets, int)
-        return [n for item, at in zip(header.items, offsets, strict=False) for n in item.placed(at)]
+        return [
+            n
+            for item, at in zip(header.items, offsets, strict=False)
+            for n in item.placed(at, item.size, False)
+        ]
 
     def _layout(self, alike: Alike) -> Layout | None:
         numbers = _renamed(self._numbers_of(alike), self._factory)
@@ -240,22 +248,29 @@ class VectorNavDecoder(LayoutDecoder):
             self._say(f"sentence $VN{read[0]} is counted and not read")
 
 
-def _factory(numbers: Sequence[Placed]) -> frozenset[str]:
+def _factory(numbers: Sequence[Number]) -> frozenset[str]:
     """Return of which quantities there are numbers as they were calibrated in the factory."""
     names = {number.name for number in numbers}
     return frozenset(base for base in FILTERED if f"{base}_x" in names)
 
 
-def _renamed(numbers: Sequence[Placed], factory: frozenset[str]) -> list[Placed]:
+def _renamed(numbers: Sequence[Number], factory: frozenset[str]) -> list[Number]:
     """Return the numbers; those of the filter have the plain names where nothing comes as calibrated."""
     bases = {*FILTERED} - factory
     plain = {f"{base}_compensated_{axis}": f"{base}_{axis}" for base in bases for axis in "xyz"}
     return [
-        number._replace(value=Value(KNOWN[plain[number.name]], number.value.type, number.value.factor))
-        if number.name in plain
-        else number
+        number._replace(column=KNOWN[plain[number.name]]) if number.name in plain else number
         for number in numbers
     ]
+
+
+PLACES = {
+    f"{GROUP_NAMES[group]}.{item.name}": (group, bit)
+    for group, items in GROUPS.items()
+    for bit, item in enumerate(items)
+    if item is not None and item.columns
+}
+"""Group and bit of the fields that are read, by GROUP.FIELD."""
 
 
 class VectorNavEncoder(Encoder):
@@ -263,36 +278,28 @@ class VectorNavEncoder(Encoder):
 
     Raises BAD_CONFIG when there is no such field.
 
-    Parameters
-    ----------
-    names : sequence of str
-        GROUP.FIELD, for example ``Imu.UncompGyro``; sent in the order of their bits.
+    Fields are GROUP.FIELD, as ``Imu.UncompGyro``; they are sent in the order of their bits.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
-        places = {
-            f"{GROUP_NAMES[group]}.{item.name}": (group, bit, item)
-            for group, items in GROUPS.items()
-            for bit, item in enumerate(items)
-            if item is not None and item.values
-        }
-        sent = sorted(chosen(names, places, "field"), key=lambda place: place[:2])
         words: dict[int, int] = {}
-        for group, bit, _ in sent:
+        numbers = list[Number]()
+        for group, bit in sorted(chosen(names, PLACES, "field")):
             words[group] = words.get(group, 0) | 1 << bit
         groups = sum(1 << group - 1 for group in words if group < 8)
         self._header = bytes([0xFA, groups]) + b"".join(word.to_bytes(2, "little") for word in words.values())
-        numbers, self._size = list[Placed](), len(self._header)
-        for *_, item in sent:
-            numbers += item.placed(self._size)
+        self._size = len(self._header)
+        for group, bit in sorted(PLACES[name] for name in names):
+            item = GROUPS[group][bit]
+            assert item is not None
+            numbers += item.placed(self._size, item.size, False)
             self._size += item.size
         self._numbers = _renamed(numbers, _factory(numbers))
 
     def encode(self, block: SampleBlock) -> list[bytes]:
         """Return one packet per row; see `imumon.protocols.base.Encoder`."""
-        rows = np.arange(len(block))
-        packets = write("binary output", self._numbers, self._size, block.columns, rows)
-        packets[:, : len(self._header)] = np.frombuffer(self._header, np.uint8)
+        blank = self._header + bytes(self._size - len(self._header))
+        packets = write("binary output", self._numbers, blank, block.columns, len(block))
         return [packet.tobytes() for packet in XMODEM.sealed_rows(packets)]
 
 

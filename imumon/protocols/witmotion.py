@@ -11,35 +11,20 @@ Many units send a rate of exactly zero while they take themselves to be at rest.
 from __future__ import annotations
 
 from fractions import Fraction
-from functools import partial
 from math import pi
 from typing import Final
 
 import numpy as np
 
 from imumon.blocks import ColumnArray, IntArray
-from imumon.columns import KNOWN, Column
+from imumon.columns import KNOWN
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.protocols.base import MAIN, Packets, Timing
-from imumon.protocols.frame_checks import Sum
+from imumon.protocols.base import MAIN, ByteArray, Packets, Timing
+from imumon.protocols.checks import Checksum
 from imumon.protocols.framing import INCOMPLETE, NO_PACKET, Found, Frame, fixed_length, unchecked
-from imumon.protocols.messages import Message, Part, TableDecoder, TableDevice, TableFamily, part
-from imumon.protocols.numbers import NO_GROUP, Columns, Derived
-from imumon.protocols.stream import ByteArray
-from imumon.protocols.tagged_columns import (
-    ANGLES,
-    FORCE,
-    PRESSURE,
-    QUATERNION,
-    RATE,
-    TEMPERATURE,
-    calendar,
-    count,
-    known,
-    number,
-    unix_seconds,
-    vector,
-)
+from imumon.protocols.messages import FamilyDecoder, Message, Part, TableDevice, TableFamily, part
+from imumon.protocols.numbers import NO_GROUP, Columns, Derived, Number
+from imumon.protocols.quantities import count, date, known, number, utc_time, vector
 
 FORCE_FACTOR, RATE_FACTOR, ANGLE_FACTOR = (
     16 * STANDARD_GRAVITY / 32768,
@@ -53,51 +38,32 @@ ZEROS: Final = 10
 """Frames in a row with three rates of zero, after which it is said: with noise that needs much luck."""
 
 
-def _date(at: int) -> Part:
-    """Return the parts of a date, sources of a time."""
-    columns = [count(f"_{name}", name) for name in DATE_PARTS]
-    return (*part(at, "u8", columns[:6]), *part(at + 6, "u16", columns[6:]))
+def _date(at: int, prefix: str, per_ms: int) -> Part:
+    """Return the parts of a date, sources of a time; so many counts a millisecond."""
+    of_second, year, *parts = date(prefix)
+    rest = (*part(at + 1, "u8", parts), *part(at + 6, "u16", [of_second], per_ms))
+    return (Number(year, "u8", offset=2000, at=at), *rest)
 
 
-DATE_PARTS = ("year", "month", "day", "hour", "minute", "second", "millisecond")
-DATE = tuple(f"_{name}" for name in DATE_PARTS)
 CLOCK = count("device_clock", "calendar of the device as Unix time; not that of the sample", "ns")
 SATELLITES, SPEED = [count("gnss_satellites", "in use")], [number("gnss_speed", "m/s", "over ground")]
 DILUTIONS = [number(f"gnss_{c}dop", "1", "dilution") for c in "phv"]
 RECEIVER = number("gnss_altitude", "m", "of the receiver"), number("gnss_course", "rad", "of the receiver")
 
 
-def _time_of_date(per_ms: int, columns: Columns) -> list[ColumnArray]:
-    """Return the time since 1970 of a date, `per_ms` counts a millisecond."""
-    year, month, *parts, ms = (columns[name] for name in DATE)
-    seconds = unix_seconds(year + 2000, np.clip(month, 1, 12), *parts)
-    return [(seconds * 1000 + ms) * per_ms]
+def _degrees_of(columns: Columns) -> list[ColumnArray]:
+    """Return degrees of numbers whose digits are degrees and, the last seven, minutes times 1e5."""
+    values = [columns[name] for name in ("_longitude", "_latitude")]
+    return [np.sign(v) * (np.abs(v) // 10_000_000 + np.abs(v) % 10_000_000 / 6e6) for v in values]
 
 
-def _date_of_time(name: str, per_ms: int, columns: Columns) -> list[ColumnArray]:
-    seconds, ms = np.divmod(columns[name] // per_ms, 1000)
-    year, *parts = calendar(seconds)
-    return [year - 2000, *parts, ms]
+def _digits_of(columns: Columns) -> list[ColumnArray]:
+    values = [columns[name] for name in ("longitude", "latitude")]
+    return [np.rint(np.trunc(v) * 1e7 + (v - np.trunc(v)) * 6e6).astype(np.int64) for v in values]
 
 
-def _of_date(column: Column, per_ms: int) -> Derived:
-    to_time, to_date = partial(_time_of_date, per_ms), partial(_date_of_time, column.name, per_ms)
-    return Derived(DATE, (column,), to_time, to_date)
-
-
-def _degrees(value: ColumnArray) -> ColumnArray:
-    """Return degrees of a number whose digits are degrees and, the last seven, minutes times 1e5."""
-    whole = np.sign(value) * (np.abs(value) // 10_000_000)
-    return np.asarray(whole + np.sign(value) * (np.abs(value) % 10_000_000) / 6e6)
-
-
-def _digits(degrees: ColumnArray) -> ColumnArray:
-    whole = np.trunc(degrees)
-    return np.rint(whole * 1e7 + (degrees - whole) * 6e6).astype(np.int64)
-
-
-def _message(name: str, *parts: Part, group: str = MAIN, derived: Derived | None = None) -> Message:
-    return Message(name, PAYLOAD, parts, group, () if derived is None else (derived,))
+def _message(name: str, *parts: Part, group: str = MAIN) -> Message:
+    return Message(name, PAYLOAD, parts, group)
 
 
 PORTS = [count(f"port_d{k}", f"port D{k}") for k in range(4)]
@@ -105,41 +71,34 @@ HEIGHT = [number("pressure_altitude", "m", "from the pressure")]
 PLACE = [count("_longitude", "longitude"), count("_latitude", "latitude")]
 
 
-def _degrees_of(c: Columns) -> list[ColumnArray]:
-    return [_degrees(c["_longitude"]), _degrees(c["_latitude"])]
-
-
-def _digits_of(c: Columns) -> list[ColumnArray]:
-    return [_digits(c["longitude"]), _digits(c["latitude"])]
-
-
-OF_DATE = _of_date(CLOCK, 1_000_000)
-OF_SAMPLE = _of_date(KNOWN["device_ticks"], 1)
-"""The 28 bytes of 0x61 have the time of the sample itself."""
-OF_PLACE = Derived(("_longitude", "_latitude"), known("longitude", "latitude"), _degrees_of, _digits_of)
+DERIVED = (
+    utc_time("clock_", CLOCK),
+    utc_time("sample_", KNOWN["device_ticks"], per_s=1000),  # 0x61 has the time of the sample itself
+    Derived(("_longitude", "_latitude"), known("longitude", "latitude"), _degrees_of, _digits_of),
+)
 
 TYPES = {
-    0x50: _message("time", _date(0), group=NO_GROUP, derived=OF_DATE),
-    0x51: _message("accel", part(0, "i16", FORCE, FORCE_FACTOR), part(6, "i16", TEMPERATURE, 0.01)),
-    0x52: _message("gyro", part(0, "i16", RATE, RATE_FACTOR)),
-    0x53: _message("angle", part(0, "i16", ANGLES, ANGLE_FACTOR), group="attitude"),
+    0x50: _message("time", _date(0, "clock_", 1_000_000), group=NO_GROUP),
+    0x51: _message("accel", part(0, "i16", "accel", FORCE_FACTOR), part(6, "i16", "temperature", 0.01)),
+    0x52: _message("gyro", part(0, "i16", "gyro", RATE_FACTOR)),
+    0x53: _message("angle", part(0, "i16", "angles", ANGLE_FACTOR), group="attitude"),
     0x54: _message("mag", part(0, "i16", vector("mag", "a.u.", "magnetic field, raw counts")), group="mag"),
     0x55: _message("ports", part(0, "u16", PORTS), group="status"),
-    0x56: _message("pressure", part(0, "u32", PRESSURE), part(4, "i32", HEIGHT, 0.01),
+    0x56: _message("pressure", part(0, "u32", "pressure"), part(4, "i32", HEIGHT, 0.01),
                    group="pressure"),
-    0x57: _message("position", part(0, "i32", PLACE), group="gnss", derived=OF_PLACE),
+    0x57: _message("position", part(0, "i32", PLACE), group="gnss"),
     0x58: _message("speed", part(0, "i16", RECEIVER[:1], 0.1), part(2, "i16", RECEIVER[1:], pi / 1800),
                    part(4, "u32", SPEED, 1 / 3600), group="gnss"),
-    0x59: _message("quaternion", part(0, "i16", QUATERNION, 1 / 32768),
+    0x59: _message("quaternion", part(0, "i16", "q", 1 / 32768),
                    group="attitude"),
     0x5A: _message("satellites", part(0, "u16", SATELLITES), part(2, "u16", DILUTIONS, 0.01), group="gnss"),
 }  # fmt: skip
 """What each type carries; the fourth number of 0x52 and 0x54 depends on the model and is left out."""
-IN_ONE = (part(0, "i16", FORCE, FORCE_FACTOR), part(6, "i16", RATE, RATE_FACTOR),
-          part(12, "i16", ANGLES, ANGLE_FACTOR, "attitude"))  # fmt: skip
+IN_ONE = (part(0, "i16", "accel", FORCE_FACTOR), part(6, "i16", "gyro", RATE_FACTOR),
+          part(12, "i16", "angles", ANGLE_FACTOR, "attitude"))  # fmt: skip
 COMBINED_FORMS = {
     COMBINED << 8 | SHORT: Message("combined", SHORT - HEADER, IN_ONE),
-    COMBINED << 8 | LONG: Message("timed", LONG - HEADER, (*IN_ONE, _date(18)), MAIN, (OF_SAMPLE,)),
+    COMBINED << 8 | LONG: Message("timed", LONG - HEADER, (*IN_ONE, _date(18, "sample_", 1))),
 }
 """The frame of several quantities, by its length."""
 
@@ -158,17 +117,20 @@ def _combined_lengths(held: ByteArray, at: IntArray) -> IntArray:
 def _wrapped(key: int, payload: bytes) -> bytes:
     if key in COMBINED_FORMS:
         return bytes([0x55, COMBINED]) + payload
-    return Sum().sealed(bytes([0x55, key]) + payload)
+    return Checksum("sum8").sealed(bytes([0x55, key]) + payload)
 
 
 FRAMES = [
-    *(Frame(message.name, bytes([0x55, kind]), fixed_length(SIZE), Sum()) for kind, message in TYPES.items()),
-    Frame("register", b"\x55\x5f", fixed_length(SIZE), Sum()),
+    *(
+        Frame(message.name, bytes([0x55, kind]), fixed_length(SIZE), Checksum("sum8"))
+        for kind, message in TYPES.items()
+    ),
+    Frame("register", b"\x55\x5f", fixed_length(SIZE), Checksum("sum8")),
     Frame("combined", bytes([0x55, COMBINED]), _combined_lengths, unchecked),
 ]
 
 
-class WitMotionDecoder(TableDecoder):
+class WitMotionDecoder(FamilyDecoder):
     """Decodes frames of all types, and 0x61 in both lengths."""
 
     _zeros = 0
@@ -179,9 +141,9 @@ class WitMotionDecoder(TableDecoder):
     def _read(self, found: Found, arrival_ns: IntArray) -> Packets:
         """Read the packets, and warn when the rates of many in a row are exactly zero."""
         packets = super()._read(found, arrival_ns)
-        if RATE[0].name not in packets.block:
+        if "gyro_x" not in packets.block:
             return packets
-        rates = np.column_stack([packets.block[column.name] for column in RATE])
+        rates = np.column_stack([packets.block[f"gyro_{axis}"] for axis in "xyz"])
         still = ~np.any(rates[~np.isnan(rates[:, 0])], axis=1)
         run = np.arange(1, len(still) + 1) + self._zeros
         run = run - np.maximum.accumulate(np.where(still, 0, run))
@@ -207,4 +169,5 @@ class WitMotionDevice(TableDevice):
         HEADER,
         head=(1,),
         apart=("gnss",),
+        derived=DERIVED,
     )

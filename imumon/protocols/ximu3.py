@@ -19,21 +19,11 @@ import numpy as np
 from imumon.blocks import BoolArray, IntArray
 from imumon.columns import Column
 from imumon.geodesy import STANDARD_GRAVITY
-from imumon.protocols.base import MAIN, Timing
+from imumon.protocols.base import MAIN, ByteArray, Timing
 from imumon.protocols.framing import Found, Frame
-from imumon.protocols.messages import Message, TableDecoder, TableDevice, TableFamily, part
-from imumon.protocols.stream import ByteArray
-from imumon.protocols.tagged_columns import (
-    ANGLES,
-    FORCE,
-    QUATERNION,
-    RATE,
-    TEMPERATURE,
-    TICKS,
-    number,
-    vector,
-)
-from imumon.protocols.text import NUMBER, line_lengths, lines_right
+from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, TableFamily, part
+from imumon.protocols.quantities import number, vector
+from imumon.protocols.text import NUMBER, line_frame, line_lengths
 
 BINARY: Final = 0x80
 END, ESCAPE = b"\x0a", b"\xdb"
@@ -44,18 +34,18 @@ TIME_SIZE: Final = 8
 YEARS_US: Final = 1 << 58
 """Microseconds of 9000 years: a message that claims more began in the middle of another."""
 DEGREE: Final = pi / 180
-LINE: Final = line_lengths(after_end=False)
+LINE: Final = partial(line_lengths, False)
 
 MATRIX = [number(f"matrix_{i}{j}", "1", "rotation matrix") for i in "xyz" for j in "xyz"]
 
-Kind = tuple[str, str, list[tuple[Sequence[Column], float]]]
+Kind = tuple[str, str, list[tuple[str | Sequence[Column], float]]]
 KINDS: dict[str, Kind] = {
-    "I": ("inertial", MAIN, [(RATE, DEGREE),
-                             (FORCE, STANDARD_GRAVITY)]),
+    "I": ("inertial", MAIN, [("gyro", DEGREE),
+                             ("accel", STANDARD_GRAVITY)]),
     "M": ("magnetometer", "mag", [(vector("mag", "a.u.", "magnetic field, 1 when calibrated"), 1.0)]),
-    "T": ("temperature", "temperature", [(TEMPERATURE, 1.0)]),
-    "Q": ("quaternion", "attitude", [(QUATERNION, 1.0)]),
-    "A": ("euler", "attitude", [(ANGLES, DEGREE)]),
+    "T": ("temperature", "temperature", [("temperature", 1.0)]),
+    "Q": ("quaternion", "attitude", [("q", 1.0)]),
+    "A": ("euler", "attitude", [("angles", DEGREE)]),
     "R": ("matrix", "attitude", [(MATRIX, 1.0)]),
     "L": ("linear", "attitude", [(vector("free_accel", "m/s^2", "without gravity"), STANDARD_GRAVITY)]),
     "E": ("earth", "attitude", [(vector("earth_accel", "m/s^2", "without gravity, in the reference frame"),
@@ -74,10 +64,10 @@ KINDS: dict[str, Kind] = {
 
 def _message(letter: str) -> Message:
     name, group, vectors = KINDS[letter]
-    at, parts = TIME_SIZE, [part(0, "u64", TICKS)]
+    at, parts = TIME_SIZE, [part(0, "u64", "device_ticks")]
     for columns, factor in vectors:
         parts.append(part(at, "f32", columns, factor))
-        at += 4 * len(columns)
+        at = parts[-1][-1].end
     return Message(name, at, tuple(parts), group)
 
 
@@ -109,12 +99,12 @@ def _is_whole(message: bytes, size: int) -> bool:
 def _numbers(text: str) -> list[float] | None:
     """Return time and numbers of a text message, else None."""
     letter, *words = text.rstrip("\r\n").split(",")
-    size = sum(len(columns) for columns, _ in KINDS[letter][2])
+    size = len(MESSAGES[ord(letter)].columns) - 1
     good = len(words) == size + 1 and words[0].isdigit() and all(NUMBER.fullmatch(word) for word in words)
     return [float(word) for word in words] if good and float(words[0]) < YEARS_US else None
 
 
-class XimuDecoder(TableDecoder):
+class XimuDecoder(FamilyDecoder):
     """Decodes data messages with numbers; answers to commands and notes are skipped."""
 
     def _plain(self, found: Found) -> Found:
@@ -147,7 +137,7 @@ def _wrapped(key: int, payload: bytes) -> bytes:
 
 FRAMES = [
     *(Frame(m.name, bytes([key | BINARY]), LINE, partial(_right, m.size)) for key, m in MESSAGES.items()),
-    *(Frame(f"{m.name} text", b"%c," % key, LINE, lines_right(_numbers)) for key, m in MESSAGES.items()),
+    *(line_frame(f"{m.name} text", b"%c," % key, _numbers) for key, m in MESSAGES.items()),
 ]
 
 

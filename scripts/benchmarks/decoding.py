@@ -11,10 +11,10 @@ import numpy as np
 from benchmarks.measure import Bar, Result, Table, measure
 from imumon.blocks import ColumnArray, SampleBlock, join
 from imumon.pipeline import Digest, Pipeline
+from imumon.protocols.base import ByteArray
+from imumon.protocols.decoder import Decoder
 from imumon.protocols.device import DeviceFile, device_names, load_device
-from imumon.protocols.fixed.device import FixedDevice
-from imumon.protocols.framing import Decoder
-from imumon.protocols.stream import ByteArray
+from imumon.protocols.fixed import FixedDevice
 
 CHUNKS = (256, 1024, 4096, 65_536, 1_048_576)
 CHUNK = 65_536
@@ -93,11 +93,11 @@ def cut(data: bytes, size: int) -> list[ByteArray]:
 
 def by_numpy(device: FixedDevice, data: bytes) -> Callable[[], object]:
     """Return what NumPy does for packets that are known to be whole and aligned: no search, no checksum."""
-    placed = device.packet.placed()
+    placed = device.packet.numbers
     layout = np.dtype(
         {
             "names": [item.name for item in placed],
-            "formats": [(">" if item.big else "<") + CODES[item.value.type] for item in placed],
+            "formats": [(">" if item.big else "<") + CODES[item.type] for item in placed],
             "offsets": [item.at for item in placed],
             "itemsize": device.packet.length,
         }
@@ -105,7 +105,7 @@ def by_numpy(device: FixedDevice, data: bytes) -> Callable[[], object]:
 
     def decode() -> object:
         records = np.frombuffer(data, layout)
-        return [records[item.name] * item.value.factor + item.value.offset for item in placed]
+        return [records[item.name] * item.factor + item.offset for item in placed]
 
     return decode
 

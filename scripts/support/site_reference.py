@@ -62,7 +62,7 @@ def _helps(command: click.Command, parent: click.Context, name: str) -> Iterator
 
 def settings() -> str:
     """Return the keys of every file that a user writes, with type, default and meaning."""
-    from imumon.protocols.fixed.device import FixedDevice, SeveralDevice
+    from imumon.protocols.fixed import FixedDevice, SeveralDevice
     from imumon.protocols.text import TextDevice
     from imumon.recordings.map import TableMap
     from imumon.run.setup import Setup

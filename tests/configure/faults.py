@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from imumon.configure.commands.core import Message
-from imumon.configure.commands.vectornav import frame as sentence
-from imumon.configure.commands.xsens import frame as xbus
-from imumon.configure.firmware.core import Firmware
-from imumon.configure.firmware.mip import INVALID, acknowledged
+from imumon.configure.core import Message
+from imumon.configure.firmware import Firmware
+from imumon.configure.mip import INVALID, acknowledged
+from imumon.configure.vectornav import frame as sentence
+from imumon.configure.xsens import frame as xbus
 from imumon.protocols.xsens.messages import ERROR
 
 REFUSALS: dict[str, Callable[[Message], bytes]] = {

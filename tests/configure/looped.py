@@ -14,10 +14,9 @@ import pytest
 from imumon.blocks import SampleBlock, join
 from imumon.configure import command_link, measured_stream
 from imumon.configure.command_link import CommandLink
-from imumon.configure.commands.core import Wish
-from imumon.configure.commands.families import family_of
 from imumon.configure.configuration import Configuration, Report
-from imumon.configure.firmware.core import Firmware, Sending
+from imumon.configure.core import Wish, family_of
+from imumon.configure.firmware import Firmware, Sending
 from imumon.errors import ImumonError
 from imumon.protocols.device import DeviceFile, load_device
 from imumon.simulation.unit import SimulatedUnit, load_scenario

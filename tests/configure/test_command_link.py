@@ -9,7 +9,7 @@ import pytest
 
 from imumon.configure import command_link
 from imumon.configure.command_link import HEAR_S, connect
-from imumon.configure.commands.families import family_of
+from imumon.configure.core import family_of
 from imumon.protocols.device import load_device
 from imumon.simulation.virtual_device import VirtualDevice
 from imumon.transport.detect import GLANCE_S, Evidence, Verdict, detect

@@ -9,10 +9,10 @@ import pytest
 
 from imumon.configure import configuration, measured_stream
 from imumon.configure.command_link import CommandLink
-from imumon.configure.commands.core import BAUD, Wish
 from imumon.configure.configuration import planned
-from imumon.configure.firmware.mip import MipFirmware
+from imumon.configure.core import BAUD, Wish
 from imumon.configure.measured_stream import Stream
+from imumon.configure.mip import Mip, MipFirmware
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
 from tests.configure.faults import Faults
@@ -205,7 +205,7 @@ def test_a_slower_line_comes_after_less_data(monkeypatch: pytest.MonkeyPatch) ->
 def test_an_older_mip_device_is_told_by_its_own_commands(monkeypatch: pytest.MonkeyPatch) -> None:
     one = looped(monkeypatch, "microstrain")
     assert isinstance(one.port.firmware, MipFirmware)
-    one.port.firmware.old = True
+    one.port.firmware.family = Mip(modern=False)
     succeeded(one)
     assert one.report.plan[1].frame[4:6] == bytes([len(one.report.plan[1].frame) - 6, 0x08])
     assert one.report.stream is not None
@@ -268,7 +268,7 @@ def test_a_silent_device_is_left_silent_when_it_fails(monkeypatch: pytest.Monkey
 
 
 def test_a_dry_run_needs_no_device(name: str) -> None:
-    from imumon.configure.commands.families import family_of
+    from imumon.configure.core import family_of
     from imumon.protocols.device import load_device
 
     family = family_of(load_device(name))

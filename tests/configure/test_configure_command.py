@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import serial
 
-from imumon.configure.firmware.core import Firmware
+from imumon.configure.firmware import Firmware
 from imumon.protocols.device import load_device
 from imumon.recordings.table import read_table
 from imumon.simulation.virtual_device import VirtualDevice

@@ -8,9 +8,8 @@ from collections.abc import Iterator
 import pytest
 import serial
 
-from imumon.configure.commands.core import BAUD
-from imumon.configure.commands.vectornav import OUTPUT, VectorNav, frame
-from imumon.configure.firmware.vectornav import VectorNavFirmware
+from imumon.configure.core import BAUD
+from imumon.configure.vectornav import OUTPUT, VectorNav, VectorNavFirmware, frame
 from imumon.protocols.device import load_device
 from imumon.simulation.virtual_device import VirtualDevice
 from imumon.simulation.virtual_port import VirtualPort

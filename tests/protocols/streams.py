@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from imumon.blocks import SampleBlock
-from imumon.protocols.framing import Decoder
+from imumon.protocols.decoder import Decoder
 from imumon.transport.statistics import Counters
 
 chunkings = st.lists(st.integers(1, 400), min_size=1, max_size=20)

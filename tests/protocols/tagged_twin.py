@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from imumon.blocks import NO_INT, SampleBlock
+from imumon.protocols.messages import Message
 from imumon.protocols.numbers import NUMBER_TYPES
-from imumon.protocols.tagged import ANY_SIZE, MIP, XBUS, Field, Form
+from imumon.protocols.tagged import MIP, Form
 
 MESSAGE, LIST, FIXED, COUNTED = range(4)
 """What a packet type is: a message, a list of fields, one field without header, or only counted."""
@@ -19,7 +20,7 @@ MESSAGE, LIST, FIXED, COUNTED = range(4)
 def candidate(data: bytes, at: int, framing: Form) -> int | str:
     """Length of the packet whose header stands at `at`, or "none", "cut" or "impossible"."""
     head = data[at : at + 6]
-    if head[:1] != (b"\xfa" if framing == XBUS else b"\x75"):
+    if head[:1] != (b"\x75" if framing == MIP else b"\xfa"):
         return "none"
     if len(head) < 2:
         return "cut"
@@ -40,7 +41,7 @@ def candidate(data: bytes, at: int, framing: Form) -> int | str:
 
 
 def checksum_right(packet: bytes, framing: Form) -> bool:
-    if framing == XBUS:
+    if framing != MIP:
         return sum(packet[1:]) % 256 == 0
     first = second = 0
     for byte in packet[:-2]:
@@ -59,7 +60,7 @@ def split_fields(kind: int, payload: bytes, framing: Form) -> list[tuple[int, by
     """Identifier and data of each field; None when they do not fill the payload."""
     found = []
     while payload:
-        if framing == XBUS:
+        if framing != MIP:
             if len(payload) < 3:
                 return None
             key, header, end = int.from_bytes(payload[:2], "big"), 3, 3 + payload[2]
@@ -84,11 +85,10 @@ def read_number(data: bytes, kind: str) -> float | int:
     return int.from_bytes(data, "big", signed=NUMBER_TYPES[kind].signed)
 
 
-def read_field(item: Field, data: bytes) -> dict[str, float | int]:
+def read_field(item: Message, data: bytes) -> dict[str, float | int]:
     found: dict[str, float | int] = {}
-    for value in item.values:
-        size = NUMBER_TYPES[value.type].size
-        number, data = read_number(data[:size], value.type), data[size:]
+    for value in (value for part in item.parts for value in part if value.end <= len(data)):
+        number = read_number(data[value.at : value.end], value.type)
         if value.column is not None:
             integer = value.column.dtype == "int64"
             found[value.column.name] = number if integer else number * value.factor
@@ -108,7 +108,11 @@ class Twin:
 
 
 def decode_plainly(
-    data: bytes, arrival: Sequence[int], framing: Form, roles: Mapping[int, int], fields: Sequence[Field]
+    data: bytes,
+    arrival: Sequence[int],
+    framing: Form,
+    roles: Mapping[int, int],
+    find: Callable[[int, int], Message | None],
 ) -> Twin:
     """Decode a whole stream as feed and finish do; `arrival` has the time of each byte."""
     twin = Twin()
@@ -116,7 +120,7 @@ def decode_plainly(
     pending: int | None = None
     errors = [0, 0]
     while at < len(data):
-        if at < done < len(data) and data[done] == (0xFA if framing == XBUS else 0x75):
+        if at < done < len(data) and data[done] == (0x75 if framing == MIP else 0xFA):
             at = done
         length = candidate(data, at, framing)
         if length == "cut" or (isinstance(length, int) and at + length > len(data)):
@@ -139,8 +143,8 @@ def decode_plainly(
             continue
         kind, payload = packet[2], payload_of(packet, framing)
         role = roles.get(kind)
-        listed = split_fields(kind, payload, framing) if role == LIST else [(fields[0].key, payload)]
-        if listed is None or (role == FIXED and len(payload) != fields[0].size):
+        listed = split_fields(kind, payload, framing) if role == LIST else [(0, payload)]
+        if listed is None or (role == FIXED and find(0, len(payload)) is None):
             errors[1] += at >= done
             at += 1
             continue
@@ -155,9 +159,9 @@ def decode_plainly(
         if role in (LIST, FIXED):
             row: dict[str, float | int] = {}
             for key, content in listed:
-                match = [f for f in fields if f.key == key and f.size in (len(content), ANY_SIZE)]
-                if match:
-                    row.update(read_field(match[0], content))
+                match = find(key, len(content))
+                if match is not None:
+                    row.update(read_field(match, content))
             if row:
                 twin.rows.append({**row, "arrival_time_ns": arrival[done - 1]})
     if pending is None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import yaml
 
-from imumon.protocols.binary_proposal import propose, repeated_lengths
+from imumon.protocols.binary_proposal import propose
 from imumon.protocols.device import load_device, parse_device
-from imumon.protocols.fixed.device import SeveralDevice
+from imumon.protocols.fixed import SeveralDevice
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from tests.protocols.streams import feed_in_chunks
 
@@ -74,17 +74,13 @@ def test_counter_clock_and_unknown_bytes_are_given() -> None:
     assert "right in 399 of 399 packets" in proposal.text
 
 
-def test_a_counter_of_seven_bits_is_seen_by_its_wrap() -> None:
-    stream = packets("kvh1750")
-    long, short = (propose(b"".join(stream[:n]), n / 100, 115_200) for n in (400, 100))
-    assert long is not None
-    assert short is not None
-    assert "column: packet_counter, mask: 0x7f" in long.text
-    assert "did not wrap" not in long.text
-    assert "did not wrap, so how many bits it has is a guess" in short.text
+def test_a_counter_of_seven_bits_stays_unknown() -> None:
+    found = propose(b"".join(packets("kvh1750")[:400]), 4.0, 115_200)
+    assert found is not None
+    assert "packet_counter" not in found.text
 
 
-def test_packets_of_several_lengths_get_no_proposal_but_their_lengths() -> None:
+def test_packets_of_several_lengths_get_no_proposal() -> None:
     device = load_device("kvh1750")
     assert isinstance(device, SeveralDevice)
     others = device.model_copy(update={"sends": ["b"]}).encoder()
@@ -92,7 +88,6 @@ def test_packets_of_several_lengths_get_no_proposal_but_their_lengths() -> None:
     pairs = zip(packets("kvh1750", 200), b, strict=True)
     stream = b"".join(x + y if RNG.random() < 0.5 else y + x for x, y in pairs)
     assert propose(stream, 2.0, 921_600) is None
-    assert repeated_lengths(stream) == [36, 40]
 
 
 def test_where_no_checksum_fits_the_length_is_proposed_alone() -> None:

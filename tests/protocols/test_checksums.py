@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imumon.protocols.checksums import CHECKSUM_NAMES, CRCS
-from imumon.protocols.frame_checks import trailing
+from imumon.protocols.checks import CHECKSUM_NAMES, CRCS, Checksum
 
 # Check values of the CRC catalogue (over the ASCII digits 1 to 9), and sums worked out by hand.
 CHECK = {
@@ -23,7 +22,7 @@ CHECK = {
 
 def compute(name: str, data: bytes) -> int:
     buf = np.frombuffer(b"xx" + data + b"yy", np.uint8)
-    return int(trailing(name).values(buf, np.array([2]), np.array([2 + len(data)]))[0])
+    return int(Checksum(name).values(buf, np.array([2]), np.array([2 + len(data)]))[0])
 
 
 def bitwise_crc(name: str, data: bytes) -> int:

@@ -61,6 +61,25 @@ def _mti(n: int, counted: str, lost: tuple[int, ...] = ()) -> list[bytes]:
     return [packet for i, packet in enumerate(packets) if i not in lost]
 
 
+def test_a_receiver_with_many_satellites_stays_apart_from_the_inertial_rows() -> None:
+    sats = b"\0\0\0\0" + bytes([40, 0, 0, 0]) + bytes(4 * 40)
+    packets = [
+        xbus(
+            (0x1060, struct.pack(">I", 100 * k)),
+            (0x4020, bytes(12)),
+            (0x8020, bytes(12)),
+            *((code, bytes(size)) for code, size in ((0x2010, 16), (0xE020, 4), (0x0810, 4), (0xC020, 12))),
+            *([(0x7010, bytes(94)), (0x7020, sats)] if k % 10 == 0 else []),
+        )
+        for k in range(200)
+    ]
+    main, side, _ = run("xsens", b"".join(packets))
+    assert len(main) == 200
+    assert not [name for name in main.columns if name.startswith("gnss_")]
+    assert len(side["gnss"]) == 20
+    assert {"gnss_fix_type", "gnss_sat40_cno"} <= side["gnss"].columns.keys()
+
+
 @pytest.mark.parametrize("counted", ["shared", "own", "not"])
 def test_a_receiver_that_dates_back_is_a_stream_of_its_own(counted: str) -> None:
     packets = _mti(4746, counted)

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from imumon.blocks import ColumnArray, SampleBlock
 from imumon.pipeline import Pipeline
+from imumon.protocols.checks import Checksum
 from imumon.protocols.device import device_names, load_device
-from imumon.protocols.frame_checks import trailing
 from tests.protocols.streams import chunkings, damage, feed_in_chunks
 from tests.protocols.test_checksums import CHECK
 
@@ -34,23 +34,23 @@ def packets_of(family: str, n: int = 60, seed: int = 0) -> list[bytes]:
 @pytest.mark.parametrize("name", CHECK)
 @pytest.mark.parametrize("big", [False, True])
 def test_checks_of_many_packets_agree_with_the_catalogue(name: str, big: bool) -> None:
-    size = trailing(name).size
+    size = Checksum(name).size
     value = CHECK[name].to_bytes(size, "big" if big else "little")
     packets = [b"x123456789" + value, b"x12345678" + value, b"y123456789" + value]
     held = np.frombuffer(b"".join(packets), np.uint8)
     length = np.array([len(packet) for packet in packets])
-    right = trailing(name, first=1, big=big)(held, np.cumsum(length) - length, length)
+    right = Checksum(name, first=1, big=big)(held, np.cumsum(length) - length, length)
     assert right.tolist() == [True, False, True]
 
 
 def test_zeros_that_are_not_sent_count() -> None:
     data = b"\x01\x02\x03"
     padded = np.frombuffer(data + bytes(5), np.uint8)
-    crc = int(trailing("crc32-mpeg2").values(padded, np.array([0]), np.array([8]))[0]).to_bytes(4, "big")
+    crc = int(Checksum("crc32-mpeg2").values(padded, np.array([0]), np.array([8]))[0]).to_bytes(4, "big")
     held = np.frombuffer(data + crc, np.uint8)
     one, size = np.array([0]), np.array([7])
-    assert trailing("crc32-mpeg2", big=True, zeros=5)(held, one, size).tolist() == [True]
-    assert trailing("crc32-mpeg2", big=True, zeros=4)(held, one, size).tolist() == [False]
+    assert Checksum("crc32-mpeg2", big=True, zeros=5)(held, one, size).tolist() == [True]
+    assert Checksum("crc32-mpeg2", big=True, zeros=4)(held, one, size).tolist() == [False]
 
 
 @pytest.mark.parametrize("family", DEVICES)
@@ -123,7 +123,7 @@ import sys
 import numpy as np
 from imumon.blocks import SampleBlock
 from imumon.protocols.device import device_names, load_device
-from imumon.protocols.framing import Decoder
+from imumon.protocols.decoder import Decoder
 for name in device_names():
     device = load_device(name)
     decoder = device.decoder()

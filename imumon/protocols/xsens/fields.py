@@ -7,17 +7,16 @@ the reference frame.  Values are in the device's units times a factor.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import pi
 
 from imumon.columns import KNOWN, Column
 from imumon.protocols.base import MAIN
-from imumon.protocols.numbers import NO_GROUP, Value
-from imumon.protocols.tagged import Field
-from imumon.protocols.tagged_columns import (
+from imumon.protocols.messages import Message, field
+from imumon.protocols.numbers import NO_GROUP, Number
+from imumon.protocols.quantities import (
     MATRIX,
-    QUATERNION,
     QUATERNION_OF_MATRIX,
     count,
     date,
@@ -41,11 +40,7 @@ FRAMES = {"ENU": 0x0, "NED": 0x4, "NWU": 0x8}
 """Reference frames of orientation, velocity and free acceleration, by their bits in the identifier."""
 
 
-GYRO = known("gyro_x", "gyro_y", "gyro_z")
-ACCEL = known("accel_x", "accel_y", "accel_z")
 MAG = vector("mag", "a.u.", "magnetic field, 1 at the place of calibration (the device has no unit)")
-EULER = known("roll", "pitch", "yaw")
-TEMPERATURE = known("temperature")
 VELOCITY = vector("velocity", "m/s", "velocity in the reference frame")
 NANO, YEAR, MONTH, DAY, HOUR, MINUTE, SECOND = date("utc_")
 UTC_VALID = count("utc_valid", "validity bits of the UTC time")
@@ -57,7 +52,7 @@ RAW = (
 RAW_TEMPERATURE = number("raw_temperature", "1", "temperature, raw counts")
 
 UTC_VALUES = tuple(
-    Value(column, kind)
+    Number(column, kind)
     for column, kind in zip(
         (NANO, YEAR, MONTH, DAY, HOUR, MINUTE, SECOND, UTC_VALID),
         ("u32", "u16", "u8", "u8", "u8", "u8", "u8", "u8"),
@@ -70,22 +65,34 @@ UTC_VALUES = tuple(
 class Identifier:
     """A data identifier without its format bits.
 
-    `values` with an empty type are real numbers in the precision that the identifier says; without values,
-    the field is recognised and counted whatever its size.  `raw`: the last bit says if counts are signed.
-    `each` returns what more there is for the k-th of a number of things, which the size of the field tells.
+    Numbers without a type are real ones in the precision that the identifier says; without numbers, the field
+    is recognised and counted whatever its size.  `raw`: the last bit says if counts are signed.  `least`:
+    bytes of the shortest field, whose last numbers are absent.
     """
 
     code: int
     name: str
-    values: tuple[Value, ...] = ()
+    numbers: tuple[Number, ...] = ()
     framed: bool = False
     raw: bool = False
-    each: Callable[[int], tuple[Value, ...]] | None = None
+    least: int = 0
 
     @property
-    def group(self) -> str:
-        """The group of fields that it belongs to; the first byte of the code is the vendor's own grouping."""
-        return _HIGH_RATE.get(self.code) or _GROUPS.get(self.code >> 8, "status")
+    def is_real(self) -> bool:
+        """Whether the format says a precision."""
+        return bool(self.numbers) and not self.numbers[0].type and not self.raw
+
+    def message(self, form: int = 0) -> Message | None:
+        """Return the field in a format, the last four bits of the identifier; None when it has no such."""
+        group = _HIGH_RATE.get(self.code) or _GROUPS.get(self.code >> 8, "status")
+        kind, factor, good = "", 1.0, form == 0
+        if self.is_real:
+            kind, factor = [*PRECISIONS.values()][form & 0x3]
+            good = form & 0xC in (FRAMES.values() if self.framed else (0,))
+        elif self.raw or not self.numbers:
+            kind, good = ("u16", "i16")[form & 1], form < 2
+        typed = [n._replace(type=n.type or kind, factor=n.factor * factor) for n in self.numbers]
+        return replace(field(self.name, typed, group), least=self.least) if good else None
 
 
 _GROUPS = {
@@ -107,46 +114,46 @@ _HIGH_RATE = {0x4040: "imu_hr", 0x8040: "imu_hr", 0x4030: "attitude", 0xA050: "m
 def _real(
     code: int, name: str, columns: tuple[Column, ...], factor: float = 1.0, framed: bool = False
 ) -> Identifier:
-    return Identifier(code, name, tuple(Value(column, "", factor) for column in columns), framed)
+    return Identifier(code, name, tuple(Number(column, "", factor) for column in columns), framed)
 
 
-def _plain(code: int, name: str, *values: Value) -> Identifier:
-    return Identifier(code, name, values)
+def _plain(code: int, name: str, *numbers: Number) -> Identifier:
+    return Identifier(code, name, numbers)
 
 
 def _raw(code: int, name: str, *columns: Column) -> Identifier:
     # A temperature is signed in either format.
     kinds = ["i16" if "temperature" in column.name else "" for column in columns]
-    return Identifier(code, name, tuple(map(Value, columns, kinds)), raw=True)
+    return Identifier(code, name, tuple(map(Number, columns, kinds)), raw=True)
 
 
-def _trigger(line: int) -> tuple[Value, ...]:
+def _trigger(line: int) -> tuple[Number, ...]:
     what = f"trigger {line}"
     return (
-        Value(count(f"trigger{line}_line", f"{what}: line"), "u8"),
-        Value(count(f"trigger{line}_polarity", f"{what}: polarity"), "u8"),
-        Value(count(f"trigger{line}_ticks", f"{what}: time in device ticks"), "u32"),
-        Value(count(f"trigger{line}_frame", f"{what}: frame number"), "u16"),
+        Number(count(f"trigger{line}_line", f"{what}: line"), "u8"),
+        Number(count(f"trigger{line}_polarity", f"{what}: polarity"), "u8"),
+        Number(count(f"trigger{line}_ticks", f"{what}: time in device ticks"), "u32"),
+        Number(count(f"trigger{line}_frame", f"{what}: frame number"), "u16"),
     )
 
 
-def _gnss(name: str, unit: str, description: str, kind: str, factor: float) -> Value:
-    return Value(number(f"gnss_{name}", unit, f"GNSS receiver: {description}"), kind, factor)
+def _gnss(name: str, unit: str, description: str, kind: str, factor: float) -> Number:
+    return Number(number(f"gnss_{name}", unit, f"GNSS receiver: {description}"), kind, factor)
 
 
-def _gnss_count(name: str, description: str, kind: str) -> Value:
-    return Value(count(f"gnss_{name}", f"GNSS receiver: {description}"), kind)
+def _gnss_count(name: str, description: str, kind: str) -> Number:
+    return Number(count(f"gnss_{name}", f"GNSS receiver: {description}"), kind)
 
 
 _G_NANO, _G_YEAR, _G_MONTH, _G_DAY, _G_HOUR, _G_MINUTE, _G_SECOND = date("gnss_utc_")
 _TIME_OF_WEEK = _gnss("time_of_week", "s", "GPS time of week", "u32", 1e-3)
-_DATE = (Value(_G_YEAR, "u16"), Value(_G_MONTH, "u8"), Value(_G_DAY, "u8"), Value(_G_HOUR, "u8"),
-         Value(_G_MINUTE, "u8"), Value(_G_SECOND, "u8"))  # fmt: skip
+_DATE = (Number(_G_YEAR, "u16"), Number(_G_MONTH, "u8"), Number(_G_DAY, "u8"), Number(_G_HOUR, "u8"),
+         Number(_G_MINUTE, "u8"), Number(_G_SECOND, "u8"))  # fmt: skip
 _TIME_VALID = _gnss_count("time_valid", "validity bits of date and time", "u8")
 _TIME_ACCURACY = _gnss("time_accuracy", "s", "time accuracy", "u32", 1e-9)
 
 
-def _dilutions(*names: str) -> tuple[Value, ...]:
+def _dilutions(*names: str) -> tuple[Number, ...]:
     return tuple(_gnss(f"{name}dop", "1", f"dilution of precision, {name}", "u16", 0.01) for name in names)
 
 
@@ -155,11 +162,11 @@ _PVT = (
     *_DATE,
     _TIME_VALID,
     _TIME_ACCURACY,
-    Value(_G_NANO, "i32"),
+    Number(_G_NANO, "i32"),
     _gnss_count("fix_type", "kind of fix", "u8"),
     _gnss_count("flags", "flags of the fix", "u8"),
     _gnss_count("satellites", "satellites used", "u8"),
-    Value(None, "u8"),
+    Number(None, "u8"),
     _gnss("longitude", "deg", "longitude", "i32", 1e-7),
     _gnss("latitude", "deg", "latitude", "i32", 1e-7),
     _gnss("altitude", "m", "height above the ellipsoid", "i32", 1e-3),
@@ -178,7 +185,7 @@ _PVT = (
 )
 _SOLUTION = (
     _TIME_OF_WEEK,
-    Value(None, "i32"),
+    Number(None, "i32"),
     _gnss_count("week", "GPS week", "i16"),
     _gnss_count("fix_type", "kind of fix", "u8"),
     _gnss_count("flags", "flags of the fix", "u8"),
@@ -190,16 +197,16 @@ _SOLUTION = (
     *(_gnss(f"ecef_velocity_{axis}", "m/s", f"velocity, earth-fixed, {axis}", "i32", 0.01) for axis in "xyz"),
     _gnss("speed_accuracy", "m/s", "speed accuracy", "u32", 0.01),
     *_dilutions("p"),
-    Value(None, "u8"),
+    Number(None, "u8"),
     _gnss_count("satellites", "satellites used", "u8"),
-    Value(None, "u8"),
+    Number(None, "u8"),
 )
 
-MOST_SATELLITES, SATELLITES_SENT = 60, 8
-"""Satellites in a GnssSatInfo at the most, and in one of the virtual device."""
+MOST_SATELLITES = 60
+"""In a GnssSatInfo."""
 
 
-def _satellite(k: int) -> tuple[Value, ...]:
+def _satellite(k: int) -> tuple[Number, ...]:
     return (
         _gnss_count(f"sat{k}_id", f"satellite {k}: system times 256 and number", "u16"),
         _gnss_count(f"sat{k}_cno", f"satellite {k}: carrier to noise, dBHz", "u8"),
@@ -207,32 +214,32 @@ def _satellite(k: int) -> tuple[Value, ...]:
     )
 
 
-_SATELLITES = (_TIME_OF_WEEK, _gnss_count("satellites_seen", "satellites listed", "u8"), Value(None, "u24"))
+_SATELLITES = (_TIME_OF_WEEK, _gnss_count("satellites_seen", "satellites listed", "u8"), Number(None, "u24"))
 
 IDENTIFIERS: tuple[Identifier, ...] = (
-    _plain(0x1020, "PacketCounter", Value(KNOWN["packet_counter"], "u16")),
-    _plain(0x1060, "SampleTimeFine", Value(KNOWN["device_ticks"], "u32")),
-    _plain(0x1070, "SampleTimeCoarse", Value(count("sample_time_coarse", "device clock, s", "s"), "u32")),
-    _plain(0x10A0, "SampleTime64", Value(count("sample_time_64", "device clock", "ns"), "u64")),
-    _plain(0x1090, "PacketCounter8", Value(count("packet_counter_8", "packet counter of 8 bits"), "u8")),
+    _plain(0x1020, "PacketCounter", Number(KNOWN["packet_counter"], "u16")),
+    _plain(0x1060, "SampleTimeFine", Number(KNOWN["device_ticks"], "u32")),
+    _plain(0x1070, "SampleTimeCoarse", Number(count("sample_time_coarse", "device clock, s", "s"), "u32")),
+    _plain(0x10A0, "SampleTime64", Number(count("sample_time_64", "device clock", "ns"), "u64")),
+    _plain(0x1090, "PacketCounter8", Number(count("packet_counter_8", "packet counter of 8 bits"), "u8")),
     _plain(0x1010, "UtcTime", *UTC_VALUES),
-    _plain(0x1030, "Itow", Value(number("time_of_week", "s", "GPS time of week"), "u32", 1e-3)),
-    _plain(0x1040, "GnssAge", Value(count("gnss_age", "age of the GNSS data, in packets"), "u8")),
-    _plain(0x1050, "PressureAge", Value(count("pressure_age", "age of the pressure, in packets"), "u8")),
+    _plain(0x1030, "Itow", Number(number("time_of_week", "s", "GPS time of week"), "u32", 1e-3)),
+    _plain(0x1040, "GnssAge", Number(count("gnss_age", "age of the GNSS data, in packets"), "u8")),
+    _plain(0x1050, "PressureAge", Number(count("pressure_age", "age of the pressure, in packets"), "u8")),
     _plain(
         0x1080,
         "FrameRange",
-        Value(count("frame_first", "first frame of the packet"), "u16"),
-        Value(count("frame_last", "last frame of the packet"), "u16"),
+        Number(count("frame_first", "first frame of the packet"), "u16"),
+        Number(count("frame_last", "last frame of the packet"), "u16"),
     ),
-    _real(0x8020, "RateOfTurn", GYRO),
-    _real(0x4020, "Acceleration", ACCEL),
+    _real(0x8020, "RateOfTurn", known("gyro")),
+    _real(0x4020, "Acceleration", known("accel")),
     _real(0xC020, "MagneticField", MAG),
-    _real(0x0810, "Temperature", TEMPERATURE),
-    _real(0x2010, "Quaternion", QUATERNION, framed=True),
+    _real(0x0810, "Temperature", known("temperature")),
+    _real(0x2010, "Quaternion", known("q"), framed=True),
     _real(0x2020, "RotationMatrix", MATRIX, framed=True),
-    _real(0x2030, "EulerAngles", EULER, DEGREE, framed=True),
-    _plain(0x3010, "BaroPressure", Value(KNOWN["pressure"], "u32")),
+    _real(0x2030, "EulerAngles", known("angles"), DEGREE, framed=True),
+    _plain(0x3010, "BaroPressure", Number(KNOWN["pressure"], "u32")),
     _real(0x5040, "LatLon", known("latitude", "longitude")),
     _real(0x5020, "AltitudeEllipsoid", known("altitude")),
     _real(0x5010, "AltitudeMsl", (number("altitude_msl", "m", "height above mean sea level"),)),
@@ -244,18 +251,19 @@ IDENTIFIERS: tuple[Identifier, ...] = (
     _real(0x4040, "AccelerationHR", vector("accel_hr", "m/s^2", "specific force, high rate")),
     _real(0x8040, "RateOfTurnHR", vector("gyro_hr", "rad/s", "angular rate, high rate")),
     _real(0xC030, "MagneticFieldCorrected", vector("mag_corrected", "a.u.", "magnetic field, corrected")),
-    _plain(0xE010, "StatusByte", Value(KNOWN["status"], "u8")),
-    _plain(0xE020, "StatusWord", Value(KNOWN["status"], "u32")),
-    _plain(0xE040, "Rssi", Value(number("rssi", "1", "strength of the radio signal"), "i8")),
-    _plain(0xE080, "DeviceId", Value(count("device_id", "identity of the device"), "u32")),
-    _plain(0xE080, "DeviceId", Value(count("device_id", "identity of the device"), "u64")),
-    _plain(0xE090, "LocationId", Value(count("location_id", "number given by the user"), "u16")),
+    _plain(0xE010, "StatusByte", Number(KNOWN["status"], "u8")),
+    _plain(0xE020, "StatusWord", Number(KNOWN["status"], "u32")),
+    _plain(0xE040, "Rssi", Number(number("rssi", "1", "strength of the radio signal"), "i8")),
+    _plain(0xE080, "DeviceId", Number(count("device_id", "identity of the device"), "u32")),
+    _plain(0xE080, "DeviceId", Number(count("device_id", "identity of the device"), "u64")),
+    _plain(0xE090, "LocationId", Number(count("location_id", "number given by the user"), "u16")),
     _plain(0x7010, "GnssPvtData", *_PVT),
-    Identifier(0x7020, "GnssSatInfo", _SATELLITES, each=_satellite),
+    Identifier(0x7020, "GnssSatInfo", (*_SATELLITES, *(
+        value for k in range(MOST_SATELLITES) for value in _satellite(k + 1))), least=8),
     _plain(0x7030, "GnssPvtPulse"),
     _plain(0x8830, "GpsDop", _TIME_OF_WEEK, *_dilutions("g", "p", "t", "v", "h", "n", "e")),
     _plain(0x8840, "GpsSol", *_SOLUTION),
-    _plain(0x8880, "GpsTimeUtc", _TIME_OF_WEEK, _TIME_ACCURACY, Value(_G_NANO, "i32"), *_DATE, _TIME_VALID),
+    _plain(0x8880, "GpsTimeUtc", _TIME_OF_WEEK, _TIME_ACCURACY, Number(_G_NANO, "i32"), *_DATE, _TIME_VALID),
     _plain(0x88A0, "GpsSvInfo"),
     _raw(0xA010, "RawAccGyrMagTemp", *RAW, RAW_TEMPERATURE),
     _raw(0xA020, "RawGyroTemp", *vector("raw_gyro_temperature", "1", "gyroscope temperature, raw counts")),
@@ -265,42 +273,29 @@ IDENTIFIERS: tuple[Identifier, ...] = (
     _plain(0xA060, "RawDeltaQ"),
     _plain(0xA070, "RawDeltaV"),
     _plain(0xA080, "RawBlob"),
-    _plain(0xB010, "AnalogIn1", Value(number("analog_1", "1", "analog input 1, raw counts"), "u16")),
-    _plain(0xB020, "AnalogIn2", Value(number("analog_2", "1", "analog input 2, raw counts"), "u16")),
+    _plain(0xB010, "AnalogIn1", Number(number("analog_1", "1", "analog input 1, raw counts"), "u16")),
+    _plain(0xB020, "AnalogIn2", Number(number("analog_2", "1", "analog input 2, raw counts"), "u16")),
     *(_plain(0xEE00 + 0x10 * line, f"TriggerIn{line}", *_trigger(line)) for line in (1, 2, 3)),
     *(_plain(0x4800 + 0x10 * line, f"TriggerIn{line}", *_trigger(line)) for line in (1, 2, 3)),
 )  # fmt: skip
 """Every data identifier, in the order of the columns."""
 
 
-def _variants(identifier: Identifier) -> list[Field]:
-    """Return the fields that an identifier stands for, one for each format."""
-    values, forms = identifier.values, list[tuple[int, tuple[Value, ...]]]()
-    if identifier.each is not None:
-        numbers = sorted(range(MOST_SATELLITES + 1), key=lambda n: n != SATELLITES_SENT)
-        more = [[value for k in range(n) for value in identifier.each(k + 1)] for n in numbers]
-        forms = [(0, (*values, *each)) for each in more]
-    elif identifier.raw:
-        kinds = enumerate(("u16", "i16"))
-        forms = [(sign, tuple(Value(v.column, v.type or kind) for v in values)) for sign, kind in kinds]
-    elif not values:
-        forms = [(0, ()), (1, ())]
-    elif values[0].type:
-        forms = [(0, values)]
-    else:
-        frames = FRAMES.values() if identifier.framed else (0,)
-        forms = [
-            (frame | code, tuple(Value(value.column, kind, value.factor * factor) for value in values))
-            for frame in frames
-            for code, (kind, factor) in enumerate(PRECISIONS.values())
-        ]
-    return [
-        Field(identifier.code | low, identifier.name, content, identifier.group) for low, content in forms
-    ]
+_OF_CODE = {
+    code: [item for item in IDENTIFIERS if item.code == code] for code in {i.code for i in IDENTIFIERS}
+}
 
 
-MTDATA2_FIELDS: tuple[Field, ...] = tuple(field for item in IDENTIFIERS for field in _variants(item))
-"""Every field that an MTData2 message may carry, with its format bits."""
+@lru_cache
+def message_of(code: int, size: int | None = None) -> Message | None:
+    """Return what an identifier with its format bits stands for, of so many bytes if given; None: nothing."""
+    for item in _OF_CODE.get(code & 0xFFF0, ()):
+        found = item.message(code & 0xF)
+        if found is not None and (
+            size in (None, found.size) or found.size < 0 or 0 < found.least <= (size or 0) <= found.size
+        ):
+            return found
+    return None
 
 
 DERIVED = (

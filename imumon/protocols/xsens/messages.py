@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 
 from imumon.protocols.xsens.fields import FRAMES, IDENTIFIERS, PRECISIONS
 
@@ -71,14 +71,13 @@ def describe(kind: int, payload: bytes) -> Iterable[str]:
             often = "with every packet" if rate == 0xFFFF else f"at {rate} Hz"
             outputs.append(f"{identifier_name(code)} {often}")
         yield f"the device is configured to send {', '.join(outputs) or 'nothing'}"
-    elif kind == CONFIGURATION:
-        yield from _configuration(payload)
-    elif kind == DEVICE_ID and len(payload) in (4, 8):
-        yield f"device id {payload.hex().upper()}"
-    elif kind == PRODUCT_CODE:
-        yield f"product code {payload.decode('ascii', 'replace').strip()}"
-    elif kind == FIRMWARE and len(payload) >= 3:
-        yield f"firmware {payload[0]}.{payload[1]}.{payload[2]}"
+    elif kind == CONFIGURATION:  # 98 bytes, and 20 for each device
+        for at in range(98, len(payload) - 19, 20):
+            size, mode, settings = struct.unpack_from(">HHI", payload, at + 4)
+            yield f"the device sends {size} bytes: output mode {mode:04X}, output settings {settings:08X}"
+    elif kind in (OUTPUT_MODE, OUTPUT_SETTINGS) and payload:
+        what = "mode" if kind == OUTPUT_MODE else "settings"
+        yield f"the device has the output {what} {payload.hex().upper()}"
 
 
 def identifier_name(code: int) -> str:
@@ -89,26 +88,6 @@ def identifier_name(code: int) -> str:
     notes = []
     if found.framed:
         notes.append(next((name for name, bits in FRAMES.items() if bits == code & 0xC), "frame?"))
-    if found.values and not found.values[0].type and not found.raw:
+    if found.is_real:
         notes.append(tuple(PRECISIONS)[code & 0x3])
     return f"{found.name} ({', '.join(notes)})" if notes else found.name
-
-
-SAMPLING_CLOCK_HZ = 115_200
-"""The sampling period in a Configuration message counts in this clock."""
-
-
-def _configuration(payload: bytes) -> Iterator[str]:
-    """Describe a Configuration message: 98 bytes, and 20 for each device."""
-    if len(payload) < 98:
-        yield f"the device sent a configuration of {len(payload)} bytes, too short to be understood"
-        return
-    period, skip = struct.unpack_from(">HH", payload, 4)
-    rate = f", {SAMPLING_CLOCK_HZ / period / (skip + 1):g} Hz" if period and skip != 0xFFFF else ""
-    yield f"configuration: master {payload[0:4].hex().upper()}{rate}"
-
-
-def configured_devices(payload: bytes) -> Iterator[tuple[int, int, int]]:
-    """Return data length, output mode and output settings of each device in a Configuration message."""
-    for at in range(98, len(payload) - 19, 20):
-        yield struct.unpack_from(">HHI", payload, at + 4)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
-from functools import cache
 from typing import Literal
 
 from imumon.protocols.base import Timing, chosen
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.tagged import XBUS, Field, FieldTable, TaggedDecoder, TaggedEncoder
-from imumon.protocols.xsens.fields import DERIVED, FRAMES, IDENTIFIERS, MTDATA2_FIELDS, PRECISIONS
+from imumon.protocols.messages import Message
+from imumon.protocols.tagged import XBUS, TaggedDecoder, TaggedEncoder
+from imumon.protocols.xsens.fields import DERIVED, FRAMES, IDENTIFIERS, PRECISIONS, message_of
 from imumon.protocols.xsens.messages import MTDATA, MTDATA2, NAMES, describe, identifier_name
 
 Precision = Literal["float32", "fp12.20", "fp16.32", "float64"]
@@ -18,41 +18,28 @@ Frame = Literal["ENU", "NED", "NWU"]
 
 TICK_NS = Fraction(100_000)
 """SampleTimeFine counts in 10 kHz."""
-
-
-@cache
-def _table() -> FieldTable:
-    """Return the fields, put together once for all decoders: it takes 9 ms."""
-    return FieldTable(MTDATA2_FIELDS, DERIVED, apart=("gnss",))
+_FRAMED = {item.code for item in IDENTIFIERS if item.framed}
 
 
 class MTData2Decoder(TaggedDecoder):
     """Decodes MTData2; one row per message, with the columns that the device has sent so far.
 
-    Parameters
-    ----------
-    rate_hz : float or None
-        Nominal rate of the messages.
+    `rate_hz` is the nominal rate of the messages.
     """
+
+    _type_names = NAMES
 
     def __init__(self, rate_hz: float | None = None) -> None:
         timing = Timing(counter_bits=16, tick_ns=TICK_NS, tick_bits=32, rate_hz=rate_hz)
-        super().__init__(_table(), XBUS, [MTDATA2], NAMES, timing)
+        fields = [field for item in IDENTIFIERS if (field := item.message()) is not None]
+        super().__init__(XBUS, timing, fields, [MTDATA2], DERIVED, apart=("gnss",))
 
-    @property
-    def reference_frame(self) -> Frame | None:
-        """Frame of orientation, velocity and free acceleration; None before one of them has come."""
-        framed = {item.code for item in IDENTIFIERS if item.framed}
-        self._search(final=False)
-        codes = [field.key & 0xC for field in self._known if field.key & 0xFFF0 in framed]
-        frames: tuple[Frame, ...] = ("ENU", "NED", "NWU")
-        return next((frame for frame in frames if FRAMES[frame] in codes), None)
-
-    def notices(self) -> list[str]:
-        """Return, once each, what the device said that is not data, its frame, and what is not understood."""
-        if self.reference_frame is not None:
-            self._say(f"orientation and velocity are given in the frame {self.reference_frame}")
-        return super().notices()
+    def _field(self, key: int, size: int) -> Message | None:
+        found = message_of(key, size)
+        if found is not None and key & 0xFFF0 in _FRAMED:
+            frame = next(name for name, bits in FRAMES.items() if bits == key & 0xC)
+            self._say(f"orientation and velocity are given in the frame {frame}")
+        return found
 
     def _describe(self, kind: int, payload: bytes) -> Iterable[str]:
         if kind == MTDATA:
@@ -63,16 +50,18 @@ class MTData2Decoder(TaggedDecoder):
         return identifier_name(key)
 
 
-def find_fields(names: Sequence[str], precision: Precision = "float32", frame: Frame = "ENU") -> list[Field]:
-    """Return the fields of these data identifiers in a precision; raises as `MTData2Encoder`."""
+def find_fields(
+    names: Sequence[str], precision: Precision = "float32", frame: Frame = "ENU"
+) -> list[tuple[int, Message]]:
+    """Return codes and fields of these data identifiers in a precision; raises as `MTData2Encoder`."""
     found = []
-    code_of_precision = tuple(PRECISIONS).index(precision)
-    there = {item.name: item for item in reversed(IDENTIFIERS) if item.values}
+    there = {item.name: item for item in reversed(IDENTIFIERS) if item.numbers}
     for item in chosen(names, there, "data identifier"):
-        code = item.code | (FRAMES[frame] if item.framed else 0)
-        if not item.raw and not item.values[0].type:
-            code |= code_of_precision
-        found.append(next(field for field in MTDATA2_FIELDS if field.key == code))
+        form = FRAMES[frame] if item.framed else 0
+        form |= [*PRECISIONS].index(precision) if item.is_real else 0
+        field = item.message(form)
+        assert field is not None
+        found.append((item.code | form, field))
     return found
 
 
@@ -92,7 +81,7 @@ class MTData2Encoder(TaggedEncoder):
     """
 
     def __init__(self, names: Sequence[str], precision: Precision = "float32", frame: Frame = "ENU") -> None:
-        super().__init__(find_fields(names, precision, frame), DERIVED, XBUS, MTDATA2)
+        super().__init__(XBUS, MTDATA2, find_fields(names, precision, frame), DERIVED)
 
 
 class MTData2Device(DeviceFile):

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imumon.configure.commands.core import Message, Refusal, Request
-from imumon.configure.commands.families import family_of
+from imumon.configure.core import Message, Refusal, Request, family_of
 from imumon.protocols.device import load_device
 from imumon.simulation.unit import SimulatedUnit, load_scenario
 from imumon.wings import firmware_of

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from imumon.configure.commands import mip, vectornav, witmotion, xsens
-from imumon.configure.commands.core import BAUD, OUTPUTS, Family, Wish, divisor
-from imumon.configure.commands.families import FAMILIES, family_of
+from imumon.configure import mip, vectornav, witmotion, xsens
+from imumon.configure.core import BAUD, FAMILIES, OUTPUTS, Family, Wish, divisor, family_of
 from imumon.errors import ImumonError
 from imumon.protocols.device import load_device
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from imumon.protocols.fixed.device import FixedDevice
-from imumon.protocols.frame_checks import trailing
+from imumon.protocols.checks import Checksum
+from imumon.protocols.fixed import FixedDevice
 
 CODES = {"u8": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "i32": "i", "u64": "Q", "i64": "q",
          "f32": "f", "f64": "d"}  # fmt: skip
@@ -64,7 +64,7 @@ def _judge(device: FixedDevice, piece: bytes, sync: bytes) -> str:
         return "incomplete"
     if packet.checksum.type == "none":
         return "good"
-    check = trailing(packet.checksum.type)
+    check = Checksum(packet.checksum.type)
     buf = np.frombuffer(piece, np.uint8)
     first, stop = np.array([packet.checksum.first]), np.array([packet.checksum.last + 1])
     computed = int(check.values(buf, first, stop)[0])
@@ -75,8 +75,8 @@ def _judge(device: FixedDevice, piece: bytes, sync: bytes) -> str:
 
 def _fields(device: FixedDevice, piece: bytes) -> dict[str, float | int]:
     row: dict[str, float | int] = {}
-    for item in device.packet.placed():
-        value, kind = item.value, item.value.type
+    for item in device.packet.numbers:
+        value, kind = item, item.type
         if kind in ("u24", "i24"):
             raw: float | int = int.from_bytes(
                 piece[item.at : item.at + 3], "big" if item.big else "little", signed=kind == "i24"

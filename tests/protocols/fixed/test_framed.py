@@ -8,7 +8,7 @@ import pytest
 from imumon.blocks import SampleBlock
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.device import load_device, parse_device
-from imumon.protocols.fixed.device import FixedDecoder
+from imumon.protocols.fixed import FixedDecoder
 from tests.protocols.streams import feed_in_chunks
 from tests.protocols.test_device import complaint
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,8 +10,7 @@ import pytest
 
 from imumon.protocols.device import device_text, parse_device
 from imumon.protocols.xsens.fields import DERIVED, IDENTIFIERS, Identifier
-from imumon.protocols.xsens.mtdata import MTDataDevice
-from imumon.protocols.xsens.profile import MODE_BITS, mtdata_field
+from imumon.protocols.xsens.mtdata import MTDataDevice, mtdata_field
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "devices-xsens.md"
 
@@ -29,8 +29,11 @@ def shorten(names: list[str]) -> str:
     return ", ".join(f"`{stem}_{{{','.join(axes)}}}`" if axes else f"`{stem}`" for stem, axes in found)
 
 
+SATELLITE = re.compile(r"gnss_sat\d+_")
+
+
 def columns_of(item: Identifier) -> list[str]:
-    names = [value.column.name for value in item.values if value.column is not None]
+    names = [value.name for value in item.numbers if value.column and not SATELLITE.match(value.name)]
     for derived in DERIVED:
         if set(derived.sources) <= set(names):
             first = names.index(derived.sources[0]) if derived.sources[0] in names else 0
@@ -43,9 +46,10 @@ def identifier_table() -> Iterator[str]:
     yield "| identifier | name | format | columns |"
     yield "|---|---|---|---|"
     for item in IDENTIFIERS:
-        real = bool(item.values) and not item.values[0].type and not item.raw
         code = f"{item.code:04X}"
-        kinds = [text for text, on in (("real", real), ("frame", item.framed), ("counts", item.raw)) if on]
+        kinds = [
+            text for text, on in (("real", item.is_real), ("frame", item.framed), ("counts", item.raw)) if on
+        ]
         row = f"| {code} | {item.name} | {', '.join(kinds)} | {shorten(columns_of(item)) or 'counted only'} |"
         yield row
 
@@ -55,13 +59,6 @@ def test_the_table_of_identifiers_is_that_of_the_program() -> None:
     expected = "\n".join(dict.fromkeys(identifier_table()))
     shown = text[text.index("| identifier |") :].split("\n\n", 1)[0]
     assert shown == expected
-
-
-def test_every_part_of_the_output_mode_is_explained() -> None:
-    text = PAGE.read_text(encoding="utf-8")
-    rows = [line for line in text.splitlines() if line.startswith("| `")]
-    for part, bit in MODE_BITS.items():
-        assert any(f"`{part}`" in row and f"{bit:04X}" in row for row in rows), part
 
 
 def test_the_example_profile_is_a_device_file_of_the_stated_length() -> None:

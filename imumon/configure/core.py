@@ -10,7 +10,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from pkgutil import resolve_name
+from typing import Self
 
 import numpy as np
 
@@ -96,10 +97,7 @@ class Request:
 class CommandError(Exception):
     """A request came to nothing.
 
-    Parameters
-    ----------
-    refused : bool
-        Whether the device said no; else it did not answer.
+    `refused`: whether the device said no; else it did not answer.
     """
 
     def __init__(self, request: Request, why: str, refused: bool) -> None:
@@ -162,41 +160,41 @@ def packets_among(data: bytes, frame: Frame) -> tuple[list[bytes], int]:
 
 
 class Family(ABC):
-    """How devices of a family are configured: pure functions of settings, which are bytes under names."""
+    """How a device of a family is configured: its settings are bytes under names."""
 
-    title: ClassVar[str]
-    columns: ClassVar[Mapping[str, tuple[str, ...]]] = USUAL_COLUMNS
+    title: str
+    columns: Mapping[str, tuple[str, ...]] = USUAL_COLUMNS
     """For each output the columns of which one must come when it is on."""
-    baud_codes: ClassVar[Mapping[int, bytes]]
+    baud_codes: Mapping[int, bytes]
     """Value of the baud setting for each baud rate."""
-    verified: ClassVar[str]
+    verified: str
     """Against what the commands were checked."""
-    stores_at_once: ClassVar[bool] = False
+    stores_at_once = False
     """Whether the device writes into flash whatever is written."""
-    save_confirmed: ClassVar[bool] = True
+    save_confirmed = True
     """Whether the device confirms that it has written into flash."""
-    hello_quiets: ClassVar[bool] = False
+    hello_quiets = False
     """Whether the first question stops the data."""
-    reset_s: ClassVar[float] = 0.0
+    reset_s = 0.0
     """How long the device does not answer after a change of its baud rate."""
-    silent_hint: ClassVar[str] = ""
+    silent_hint = ""
     """What else may be wrong when the device takes its settings and no data come."""
-    assumed: ClassVar[tuple[str, ...]] = ()
+    assumed: tuple[str, ...] = ()
     """What is taken for granted where no device is asked."""
     settings: tuple[str, ...]
     """Names of the settings that are read, the baud rate last."""
     identity: tuple[str, ...] = ()
     """What the device reports of itself, after `learn`."""
 
-    answer_frame: ClassVar[Frame]
+    answer_frame: Frame
     """How what may be an answer is told from other bytes."""
-    hello: ClassVar[Request]
+    hello: Request
     """Changes no setting; every device of the family answers."""
-    quiet: ClassVar[tuple[Request, ...]] = ()
+    quiet: tuple[Request, ...] = ()
     """Stops the data while the settings change."""
-    resume: ClassVar[tuple[Request, ...]] = ()
+    resume: tuple[Request, ...] = ()
     """Lets the data come again."""
-    questions: ClassVar[tuple[Request, ...]] = ()
+    questions: tuple[Request, ...] = ()
     """What `learn` asks of a device of the newest kind."""
 
     @classmethod
@@ -205,9 +203,8 @@ class Family(ABC):
         del device
         return cls()
 
-    @staticmethod
     @abstractmethod
-    def message(packet: bytes) -> Message:
+    def message(self, packet: bytes) -> Message:
         """Return what a packet carries."""
 
     def messages(self, held: bytes) -> tuple[list[Message], int]:
@@ -215,10 +212,9 @@ class Family(ABC):
         packets, done = packets_among(held, self.answer_frame)
         return [self.message(packet) for packet in packets], done
 
-    def learn(self, ask: Ask) -> Self:
-        """Return the family as this device has it: its commands, its base rate."""
+    def learn(self, ask: Ask) -> None:
+        """Find out what this device has: its commands, its base rate."""
         del ask
-        return self
 
     @abstractmethod
     def read(self, name: str) -> Request:
@@ -264,15 +260,10 @@ class Family(ABC):
     def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
         """Return the rate of the inertial data, or None when none come."""
 
+    @abstractmethod
     def describe(self, name: str, value: bytes) -> str:
         """Return what a value of a setting means, in words."""
-        if name == BAUD:
-            return str(self.baud_of(value) or f"code {value.hex()}")
-        return self.describe_output(name, value)
-
-    @abstractmethod
-    def describe_output(self, name: str, value: bytes) -> str:
-        """Return what a value of another setting than the baud rate means."""
+        return str(self.baud_of(value) or f"code {value.hex()}")
 
     def baud_of(self, value: bytes) -> int | None:
         """Return the baud rate of a value of the setting; None when it is not known."""
@@ -324,3 +315,27 @@ def divisor(base_hz: float, rate_hz: float | None) -> int:
     low = min(max(int(exact), 1), MOST_DIVISOR)
     there = [base_hz / low, base_hz / min(low + 1, MOST_DIVISOR)]
     raise no_rate(rate_hz, there, f"the device divides {base_hz:g} Hz by a whole number")
+
+
+FAMILIES = {
+    "xsens-mtdata2": "imumon.configure.xsens:Xsens",
+    "mip": "imumon.configure.mip:Mip",
+    "vectornav": "imumon.configure.vectornav:VectorNav",
+    "witmotion": "imumon.configure.witmotion:WitMotion",
+}
+"""Class of the commands of each protocol; imported when a device of it is asked for."""
+
+
+def family_of(device: DeviceFile) -> Family:
+    """Return the commands for a device.
+
+    Raises BAD_CONFIG when imumon has none for it.
+    """
+    if device.protocol not in FAMILIES:
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"imumon does not configure {device.name} devices",
+            "those that it does: xsens, microstrain, vectornav, witmotion; use the vendor's software",
+        )
+    family: type[Family] = resolve_name(FAMILIES[device.protocol])
+    return family.of(device)

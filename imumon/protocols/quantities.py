@@ -1,4 +1,4 @@
-"""Columns for tables of fields, and those that are computed: times from dates, quaternions from matrices."""
+"""Columns for tables of messages; those that are computed: times from dates, quaternions from matrices."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray
 from imumon.columns import KNOWN, Column
 from imumon.protocols.numbers import Columns, Derived
 
-DATE_PARTS = ("nanosecond", "year", "month", "day", "hour", "minute", "second")
+DATE_PARTS = ("of_second", "year", "month", "day", "hour", "minute", "second")
 
 
 def number(name: str, unit: str, description: str) -> Column:
@@ -28,9 +28,17 @@ def vector(name: str, unit: str, description: str, axes: str = "xyz") -> tuple[C
     return tuple(number(f"{name}_{axis}", unit, f"{description}, {axis}") for axis in axes)
 
 
+_VECTORS = {base: tuple(f"{base}_{axis}" for axis in "xyz") for base in ("accel", "gyro", "mag")} | {
+    "q": ("q_w", "q_x", "q_y", "q_z"),
+    "angles": ("roll", "pitch", "yaw"),
+    "place": ("latitude", "longitude", "altitude"),
+}
+"""Canonical columns that come together."""
+
+
 def known(*names: str) -> tuple[Column, ...]:
-    """Look up canonical columns."""
-    return tuple(KNOWN[name] for name in names)
+    """Look up canonical columns; accel, gyro, mag, q, angles and place are several."""
+    return tuple(KNOWN[column] for name in names for column in _VECTORS.get(name, (name,)))
 
 
 def date(prefix: str) -> tuple[Column, ...]:
@@ -38,10 +46,7 @@ def date(prefix: str) -> tuple[Column, ...]:
     return tuple(count(f"_{prefix}{part}", part) for part in DATE_PARTS)
 
 
-FORCE, RATE, MAG = (known(*(f"{base}_{axis}" for axis in "xyz")) for base in ("accel", "gyro", "mag"))
-TICKS, STATUS, TEMPERATURE = known("device_ticks"), known("status"), known("temperature")
-PRESSURE, PLACE = known("pressure"), known("latitude", "longitude", "altitude")
-QUATERNION, ANGLES = known("q_w", "q_x", "q_y", "q_z"), known("roll", "pitch", "yaw")
+QUATERNION = known("q")
 MATRIX = tuple(
     number(f"_matrix_{i}{j}", "1", "rotation matrix, reference to body") for i in "123" for j in "123"
 )
@@ -71,30 +76,30 @@ def calendar(seconds: IntArray) -> list[IntArray]:
     ]
 
 
-def _utc_to_parts(name: str, columns: Columns) -> list[ColumnArray]:
-    """Split a Unix time in ns into nanosecond, year, month, day, hour, minute, second."""
+def _time_to_parts(name: str, per_s: int, columns: Columns) -> list[ColumnArray]:
+    """Split a Unix time into counts of a second, year, month, day, hour, minute, second."""
     time = columns[name]
-    seconds, nano = np.divmod(np.where(time == NO_INT, 0, time), 1_000_000_000)
-    return [np.where(time == NO_INT, NO_INT, part) for part in (nano, *calendar(seconds))]
+    seconds, rest = np.divmod(np.where(time == NO_INT, 0, time), per_s)
+    return [np.where(time == NO_INT, NO_INT, part) for part in (rest, *calendar(seconds))]
 
 
-def _parts_to_utc(prefix: str, columns: Columns) -> list[ColumnArray]:
-    """Make a Unix time in ns of a date; an impossible date (all zero before the first fix) is missing."""
-    nano, *parts = (columns[f"_{prefix}{part}"] for part in DATE_PARTS)
+def _parts_to_time(prefix: str, per_s: int, columns: Columns) -> list[ColumnArray]:
+    """Make a Unix time of a date; an impossible date (all zero before the first fix) is missing."""
+    rest, *parts = (columns[f"_{prefix}{part}"] for part in DATE_PARTS)
     year, month, day = parts[:3]
     good = (year > 1900) & (year < 2262) & (month >= 1) & (month <= 12) & (day >= 1) & (day <= 31)
     epoch = (1970, 1, 1, 0, 0, 0)
     seconds = unix_seconds(*(np.where(good, part, first) for part, first in zip(parts, epoch, strict=True)))
-    return [np.where(good, seconds * 1_000_000_000 + nano, NO_INT)]
+    return [np.where(good, seconds * per_s + rest, NO_INT)]
 
 
-def utc_time(prefix: str, result: Column) -> Derived:
-    """Derive a time in ns from the columns of `date`."""
+def utc_time(prefix: str, result: Column, per_s: int = 1_000_000_000) -> Derived:
+    """Derive a time, so many counts a second, from the columns of `date`."""
     return Derived(
         tuple(f"_{prefix}{part}" for part in DATE_PARTS),
         (result,),
-        partial(_parts_to_utc, prefix),
-        partial(_utc_to_parts, result.name),
+        partial(_parts_to_time, prefix, per_s),
+        partial(_time_to_parts, result.name, per_s),
     )
 
 

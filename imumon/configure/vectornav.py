@@ -9,9 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
-from imumon.configure.commands.core import (
+from imumon.configure.core import (
     BAUD,
     SAVE_S,
     Ask,
@@ -22,30 +21,28 @@ from imumon.configure.commands.core import (
     divisor,
     nothing_to_keep,
 )
-from imumon.protocols.framing import Frame
-from imumon.protocols.text import line_lengths, lines_right, sentence, sentence_body
-from imumon.protocols.vectornav import XMODEM, Header, read_header
-from imumon.protocols.vectornav_fields import ATTITUDE, COMMON, GROUP_NAMES, IMU
+from imumon.configure.firmware import Firmware, PacketKind, nearest
+from imumon.protocols.device import DeviceFile
+from imumon.protocols.text import line_frame, sentence, sentence_body
+from imumon.protocols.vectornav import PLACES, XMODEM, Header, VectorNavDevice, VectorNavEncoder, read_header
+from imumon.protocols.vectornav_fields import GROUP_NAMES
 
-SYNC = b"$VN"
 ERRORS = {1: "hard fault", 2: "serial buffer overflow", 3: "invalid checksum", 4: "invalid command",
           5: "not enough parameters", 6: "too many parameters", 7: "invalid parameter", 8: "invalid register",
           9: "unauthorized access", 10: "watchdog reset", 11: "output buffer overflow",
           12: "insufficient baud rate", 255: "error buffer overflow"}  # fmt: skip
 OUTPUT, SECOND, THIRD, ASCII = "binary output 1", "binary output 2", "binary output 3", "ASCII output"
 REGISTERS = {OUTPUT: 75, SECOND: 76, THIRD: 77, ASCII: 6, BAUD: 5}
-TIME_STARTUP = (COMMON, 0)
-FIELDS: Mapping[str, tuple[tuple[int, int], ...]] = {
-    "inertial": ((IMU, 2), (IMU, 3)),
-    "increments": ((IMU, 6), (IMU, 7)),
-    "magnetometer": ((IMU, 1),),
-    "temperature": ((IMU, 4),),
-    "pressure": ((IMU, 5),),
-    "attitude": ((ATTITUDE, 2),),
-    "status": ((ATTITUDE, 0),),
+FIELDS: Mapping[str, tuple[str, ...]] = {
+    "inertial": ("Imu.UncompAccel", "Imu.UncompGyro"),
+    "increments": ("Imu.DeltaTheta", "Imu.DeltaVelocity"),
+    "magnetometer": ("Imu.UncompMag",),
+    "temperature": ("Imu.Temperature",),
+    "pressure": ("Imu.Pressure",),
+    "attitude": ("Attitude.Quaternion",),
+    "status": ("Attitude.VpeStatus",),
 }
-"""Group and bit of the fields: UncompAccel, UncompGyro, DeltaTheta, DeltaVel, UncompMag, Temp, Pres,
-Quaternion, VpeStatus.  AngRate and Accel have the filter's bias taken off and are never asked for."""
+"""AngRate and Accel have the filter's bias taken off and are never asked for."""
 FAST_HZ, SLOW_HZ = 800, 400
 """Base rate of the binary outputs of a VN-100 (and 110), and of the others."""
 
@@ -111,10 +108,10 @@ class Output:
         return cls(port, by, groups, tuple(words))
 
     @classmethod
-    def of(cls, port: int, by: int, places: Sequence[tuple[int, int]]) -> Output:
-        """Return the output of fields, each a group and a bit."""
+    def of(cls, port: int, by: int, names: Sequence[str]) -> Output:
+        """Return the output of fields."""
         words: dict[int, int] = {}
-        for group, bit in sorted(places):
+        for group, bit in sorted(PLACES[name] for name in names):
             words[group] = words.get(group, 0) | 1 << bit
         return cls(port, by, sum(1 << group - 1 for group in words), tuple(words.values()))
 
@@ -168,43 +165,38 @@ def _groups(mask: int) -> list[str]:
     return [GROUP_NAMES.get(bit + 1, f"group {bit + 1}") for bit in range(7) if mask >> bit & 1]
 
 
-@dataclass(frozen=True)
 class VectorNav(Family):
     """Commands of a VectorNav."""
 
-    base_hz: int = FAST_HZ
+    base_hz = FAST_HZ
     """What the divisors of the outputs divide."""
-    settings: tuple[str, ...] = tuple(REGISTERS)
-    identity: tuple[str, ...] = ()
-    answer_frame: ClassVar[Frame] = Frame("ascii", SYNC, line_lengths(after_end=False), lines_right(_body))
-    title: ClassVar[str] = "VectorNav"
-    verified: ClassVar[str] = (
-        "lines of other programs and of the vendor's, and the virtual device; never a real unit"
-    )
-    baud_codes: ClassVar[Mapping[int, bytes]] = {rate: str(rate).encode() for rate in BAUDRATES}
-    silent_hint: ClassVar[str] = "the binary output may go to the other serial port of the device"
-    assumed: ClassVar[tuple[str, ...]] = (
+    settings = tuple(REGISTERS)
+    answer_frame = line_frame("ascii", b"$VN", _body)
+    title = "VectorNav"
+    verified = "lines of other programs and of the vendor's, and the virtual device; never a real unit"
+    baud_codes: Mapping[int, bytes] = {rate: str(rate).encode() for rate in BAUDRATES}
+    silent_hint = "the binary output may go to the other serial port of the device"
+    assumed = (
         f"base rate {FAST_HZ} Hz (VN-100, 110); {SLOW_HZ} Hz for the others: the model is queried first",
         "binary output 1 goes to serial port 1, or where it goes now",
         "binary outputs 2 and 3 are off; where they are not, they are switched off",
     )
-    hello: ClassVar[Request] = request("VNRRG,01", "read the model", "1")
-    quiet: ClassVar[tuple[Request, ...]] = (request("VNASY,0", "no data while settings change"),)
-    resume: ClassVar[tuple[Request, ...]] = (request("VNASY,1", "data again"),)
-    questions: ClassVar[tuple[Request, ...]] = (hello, request("VNRRG,04", "read the firmware", "4"))
+    hello = request("VNRRG,01", "read the model", "1")
+    quiet = (request("VNASY,0", "no data while settings change"),)
+    resume = (request("VNASY,1", "data again"),)
+    questions = (hello, request("VNRRG,04", "read the firmware", "4"))
 
-    @staticmethod
-    def message(packet: bytes) -> Message:
+    def message(self, packet: bytes) -> Message:
         """Return the letters of the command, and what follows them."""
         body = _body(packet.decode("ascii", "replace"))
         assert body is not None
         return Message(body[3:6], body[7:].encode())
 
-    def learn(self, ask: Ask) -> VectorNav:
+    def learn(self, ask: Ask) -> None:
         """Ask the model, of which the base rate depends, and the firmware."""
         model, firmware = (ask(question).decode("ascii", "replace") for question in self.questions)
-        base_hz = FAST_HZ if model.upper().startswith("VN-1") else SLOW_HZ
-        return replace(self, base_hz=base_hz, identity=(model, f"firmware {firmware}"))
+        self.base_hz = FAST_HZ if model.upper().startswith("VN-1") else SLOW_HZ
+        self.identity = (model, f"firmware {firmware}")
 
     def read(self, name: str) -> Request:
         """Return $VNRRG."""
@@ -242,8 +234,7 @@ class VectorNav(Family):
         old = now.get(OUTPUT, NO_OUTPUT)
         by, port = divisor(self.base_hz, rate_hz), old.port or 1
         if outputs is not None:
-            places = [place for name in outputs for place in FIELDS[name]]
-            new = Output.of(port, by, [TIME_STARTUP, *places])
+            new = Output.of(port, by, ["Common.TimeStartup", *(x for name in outputs for x in FIELDS[name])])
         elif old.on:
             new = Output(port, by, old.groups, old.words)
         else:
@@ -267,8 +258,10 @@ class VectorNav(Family):
         outputs = [Output.read(values[name]) for name in (OUTPUT, SECOND, THIRD) if name in values]
         return sum(output.packet_bytes() * self.base_hz / output.by for output in outputs if output.on)
 
-    def describe_output(self, name: str, value: bytes) -> str:
+    def describe(self, name: str, value: bytes) -> str:
         """Return fields, rate and port of a binary output, or the type of the ASCII output."""
+        if name == BAUD:
+            return super().describe(name, value)
         if name == ASCII:
             return "off" if value == b"0" else f"type {value.decode('ascii', 'replace')}"
         output = Output.read(value)
@@ -276,3 +269,84 @@ class VectorNav(Family):
             return "off"
         rate = f"{self.base_hz / output.by:.6g} Hz ({self.base_hz}/{output.by})"
         return f"{rate} on serial port {output.port}, {', '.join(output.fields())}"
+
+
+INVALID_COMMAND, INVALID_PARAMETER, INVALID_REGISTER = 4, 7, 8
+IDENTITY = {1: "VN-100-VIRTUAL", 3: "0100000001", 4: "2.1.0.0"}
+NAMES = {number: name for name, number in REGISTERS.items()}
+FIELD_OF_PLACE = {place: name for name, place in PLACES.items()}
+
+
+class VectorNavFirmware(Firmware):
+    """A VN-100."""
+
+    family = VectorNav()
+
+    def __init__(self, device: DeviceFile, rate_hz: float) -> None:
+        assert isinstance(device, VectorNavDevice)
+        off = Output(0, 1, 0, ()).value
+        settings = dict.fromkeys(REGISTERS, off) | {
+            OUTPUT: Output.of(1, nearest(FAST_HZ, rate_hz), device.sends).value,
+            ASCII: b"0",
+        }
+        super().__init__(device, settings)
+
+    def answer(self, command: Message) -> bytes:
+        """Carry a command out."""
+        kind, text = str(command.kind), command.payload.decode()
+        if kind == "ASY" and text in ("0", "1"):
+            self.streaming = text == "1"
+            return frame(f"VNASY,{text}")
+        if kind == "WNV":
+            self.save()
+            return frame("VNWNV")
+        first, _, value = text.partition(",")
+        register = int(first) if first.isdigit() else -1
+        if kind not in ("RRG", "WRG"):
+            return frame(f"VNERR,{INVALID_COMMAND:02d}")
+        if kind == "RRG" and register in IDENTITY:
+            return frame(f"VNRRG,{register:02d},{IDENTITY[register]}")
+        name = NAMES.get(register)
+        if name is None:
+            return frame(f"VNERR,{INVALID_REGISTER:02d}")
+        if kind == "RRG":
+            return frame(f"VNRRG,{register:02d},{self.volatile[name].decode()}")
+        if not _possible(name, value.encode()):
+            return frame(f"VNERR,{INVALID_PARAMETER:02d}")
+        self.obey(name, value.encode())
+        self.baudrate = self.baud()
+        return frame(f"VNWRG,{register:02d},{value}")
+
+    def outputs(self) -> tuple[float, list[PacketKind]]:
+        """Return the packets of the binary outputs that go to port 1."""
+        found = []
+        for name in NAMES.values():
+            register = Output.read(self.volatile[name]) if "binary" in name else None
+            if register is not None and register.on and register.port & 1:
+                found.append(PacketKind(VectorNavEncoder, dict.fromkeys(_names(register), register.by)))
+        return FAST_HZ, found
+
+
+def _names(register: Output) -> list[str]:
+    groups = [bit + 1 for bit in range(7) if register.groups >> bit & 1]
+    return [
+        FIELD_OF_PLACE[group, bit]
+        for group, word in zip(groups, register.words, strict=True)
+        for bit in range(16)
+        if word >> bit & 1
+    ]
+
+
+def _possible(name: str, value: bytes) -> bool:
+    """Return whether the device takes a value."""
+    if name == BAUD:
+        return value in VectorNav.baud_codes.values()
+    if name == ASCII:
+        return value.isdigit()
+    register = Output.read(value)
+    if not register.on:
+        return register.value == value
+    try:
+        return bool(_names(register))
+    except (KeyError, ValueError):  # a field that the encoder lacks, or a word too many
+        return False

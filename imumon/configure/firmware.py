@@ -10,13 +10,13 @@ from math import gcd, lcm
 import numpy as np
 
 from imumon.blocks import SampleBlock
-from imumon.configure.commands.core import BAUD, MOST_DIVISOR, Family, Message
+from imumon.configure.core import BAUD, MOST_DIVISOR, Family, Message
 from imumon.protocols.base import Encoder
 from imumon.protocols.device import DeviceFile
 
 
 @dataclass(frozen=True, slots=True)
-class Output:
+class PacketKind:
     """Fields that are sent in packets of one kind: each by name, with every how many samples it is sent."""
 
     make: Callable[[list[str]], Encoder]
@@ -26,20 +26,15 @@ class Output:
 class Sending:
     """What a configured device sends of the samples of its unit.
 
-    Parameters
-    ----------
-    base_hz : float
-        Rate that the outputs divide.
-    outputs : sequence of Output
-        In the order in which their packets are sent.
+    `base_hz` is the rate that the outputs divide; these are sent in their order.
     """
 
-    def __init__(self, base_hz: float, outputs: list[Output]) -> None:
+    def __init__(self, base_hz: float, outputs: list[PacketKind]) -> None:
         shared = gcd(*(by for output in outputs for by in output.every.values())) or 1
         self.rate_hz = base_hz / shared
         """Samples per second that the unit must take."""
         self._outputs = [
-            Output(o.make, {name: by // shared for name, by in o.every.items()}) for o in outputs
+            PacketKind(o.make, {name: by // shared for name, by in o.every.items()}) for o in outputs
         ]
         self._cycle = lcm(*(by for output in self._outputs for by in output.every.values()))
         self._encoders: dict[tuple[int, tuple[str, ...]], Encoder] = {}
@@ -67,12 +62,7 @@ class Sending:
 class Firmware(ABC):
     """Answers commands and says what is to be sent.
 
-    Parameters
-    ----------
-    device : DeviceFile
-        Its first baud rate is that of the line as delivered.
-    settings : mapping of str to bytes
-        The others as delivered, by the names of `imumon.configure.commands`.
+    `settings` are those as delivered, by the names of their family, without the baud rate.
     """
 
     family: Family
@@ -124,7 +114,7 @@ class Firmware(ABC):
         """Carry a command out and return the answer."""
 
     @abstractmethod
-    def outputs(self) -> tuple[float, list[Output]]:
+    def outputs(self) -> tuple[float, list[PacketKind]]:
         """Return the base rate and what is sent with the settings as they are."""
 
     def sending(self) -> Sending | None:

@@ -8,12 +8,10 @@ reading back, and one question waits for its answer before the next.  Saving sto
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import reduce
+from functools import partial, reduce
 from operator import or_
-from typing import ClassVar
 
-from imumon.configure.commands.core import (
+from imumon.configure.core import (
     BAUD,
     CLOSE_ENOUGH,
     USUAL_COLUMNS,
@@ -23,10 +21,14 @@ from imumon.configure.commands.core import (
     Request,
     no_rate,
     nothing_to_keep,
+    packets_among,
 )
-from imumon.protocols.frame_checks import Sum
-from imumon.protocols.framing import Frame, fixed_length
-from imumon.protocols.witmotion import SIZE
+from imumon.configure.firmware import Firmware, PacketKind
+from imumon.protocols.checks import Checksum
+from imumon.protocols.device import DeviceFile
+from imumon.protocols.framing import Frame, fixed_length, unchecked
+from imumon.protocols.messages import TableEncoder
+from imumon.protocols.witmotion import SIZE, TYPES, WitMotionDevice
 
 REGISTER_ANSWER = 0x5F
 CONTENT, RATE = "output content", "output rate"
@@ -65,26 +67,22 @@ def _read(name: str) -> Request:
     return Request(f"read {name}", frame(READ_ADDRESS, bytes([REGISTERS[name], 0])), _registers)
 
 
-@dataclass(frozen=True)
 class WitMotion(Family):
     """Commands of a WitMotion module."""
 
-    answer_frame: ClassVar[Frame] = Frame("register", b"\x55", fixed_length(SIZE), Sum())
-    title: ClassVar[str] = "WitMotion"
-    verified: ClassVar[str] = "codes of the vendor's sample code, and the virtual device; never a real unit"
-    save_confirmed: ClassVar[bool] = False
-    baud_codes: ClassVar[Mapping[int, bytes]] = {
-        rate: bytes([code, 0]) for code, rate in enumerate(BAUDRATES, 1)
-    }
-    columns: ClassVar[Mapping[str, tuple[str, ...]]] = {
+    answer_frame = Frame("register", b"\x55", fixed_length(SIZE), Checksum("sum8"))
+    title = "WitMotion"
+    verified = "codes of the vendor's sample code, and the virtual device; never a real unit"
+    save_confirmed = False
+    baud_codes: Mapping[int, bytes] = {rate: bytes([code, 0]) for code, rate in enumerate(BAUDRATES, 1)}
+    columns: Mapping[str, tuple[str, ...]] = {
         **{name: USUAL_COLUMNS[name] for name in ("inertial", "magnetometer", "temperature", "pressure")},
         "attitude": ("roll",),
     }
-    settings: tuple[str, ...] = tuple(REGISTERS)
-    hello: ClassVar[Request] = _read(RATE)
+    settings = tuple(REGISTERS)
+    hello = _read(RATE)
 
-    @staticmethod
-    def message(packet: bytes) -> Message:
+    def message(self, packet: bytes) -> Message:
         """Return type and data."""
         return Message(packet[1], packet[2:10])
 
@@ -127,9 +125,75 @@ class WitMotion(Family):
         frames = int.from_bytes(values[CONTENT], "little").bit_count()
         return SIZE * frames * (self.rate_hz(values) or 0.0)
 
-    def describe_output(self, name: str, value: bytes) -> str:
+    def describe(self, name: str, value: bytes) -> str:
         """Return the rate, or the frames of a sample."""
+        if name == BAUD:
+            return super().describe(name, value)
         code = int.from_bytes(value, "little")
         if name == RATE:
             return f"{RATES[code]:g} Hz" if code in RATES else f"code {code}"
         return ", ".join(frame for bit, frame in enumerate(BITS) if code >> bit & 1) or "nothing"
+
+
+WRITE = Frame("write", b"\xff\xaa", fixed_length(5), unchecked)
+"""A command; it has no checksum."""
+FASTEST_HZ = 200.0
+FIRST_FRAME = 0x50
+NOT_ENCODED = ("time", "position")
+
+
+class WitMotionFirmware(Firmware):
+    """A WitMotion module."""
+
+    family = WitMotion()
+
+    def __init__(self, device: DeviceFile, rate_hz: float) -> None:
+        assert isinstance(device, WitMotionDevice)
+        bits = {message.name: 1 << kind - FIRST_FRAME for kind, message in TYPES.items()}
+        content = sum(bits[name] for name in device.sends)
+        rate = min(RATES, key=lambda code: abs(RATES[code] - rate_hz))
+        super().__init__(device, {CONTENT: content.to_bytes(2, "little"), RATE: bytes([rate, 0])})
+        self._locked = True
+
+    def found(self, held: bytes) -> tuple[list[Message], int]:
+        """Find writes, which are unlike answers."""
+        packets, done = packets_among(held, WRITE)
+        return [Message(packet[2], packet[3:]) for packet in packets], done
+
+    def answer(self, command: Message) -> bytes:
+        """Carry a command out; only a read is answered."""
+        register, data = int(command.kind), command.payload
+        if register == UNLOCK[2]:
+            self._locked = data != UNLOCK[3:]
+            return b""
+        if register == READ_ADDRESS:
+            return self._four(data[0])
+        if self._locked:
+            return b""
+        if register == SAVE:
+            self.save()
+            return b""
+        possible = {
+            RSW: data != b"\0\0",
+            RRATE: data[0] in RATES,
+            BAUD_REGISTER: data in self.family.baud_codes.values(),
+        }
+        if possible.get(register):
+            self.obey(next(name for name, number in REGISTERS.items() if number == register), data)
+            self.baudrate = self.baud()
+        return b""
+
+    def _four(self, first: int) -> bytes:
+        there = {number: self.volatile[name] for name, number in REGISTERS.items()}
+        data = b"".join(there.get(first + k, b"\0\0") for k in range(4))
+        packet = bytes([0x55, REGISTER_ANSWER]) + data
+        assert len(packet) == SIZE - 1
+        return packet + bytes([sum(packet) & 0xFF])
+
+    def outputs(self) -> tuple[float, list[PacketKind]]:
+        """Return the frames of a sample; what the encoder lacks is left out."""
+        content = int.from_bytes(self.volatile[CONTENT], "little")
+        names = [TYPES[FIRST_FRAME + bit].name for bit in range(len(BITS)) if content >> bit & 1]
+        rate = RATES[self.volatile[RATE][0]]
+        every = {name: round(FASTEST_HZ / rate) for name in names if name not in NOT_ENCODED}
+        return FASTEST_HZ, [PacketKind(partial(TableEncoder, WitMotionDevice.family), every)]

@@ -1,21 +1,30 @@
-"""A fixed-length packet in a device file: sync bytes, length, checksum and fields, all of it data."""
+"""Devices that send packets of fixed lengths, which their files describe alone: decoder and encoder.
+
+A packet has sync bytes, a length, a checksum and fields, all of it data of the device file.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from fractions import Fraction
-from typing import Annotated, Literal, Self, get_args
+from functools import partial
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, NonNegativeInt, PositiveInt, StringConstraints, model_validator
+import numpy as np
+from pydantic import AfterValidator, Field, NonNegativeInt, PositiveInt, StringConstraints, model_validator
 
+from imumon.blocks import ColumnArray, IntArray, SampleBlock, missing
 from imumon.columns import KNOWN, NAME, Column
 from imumon.config import LARGEST_NUMBER, StrictModel
 from imumon.errors import ImumonError
-from imumon.protocols.base import COMMON, MAIN, Timing
-from imumon.protocols.checksums import CHECKSUM_NAMES
-from imumon.protocols.frame_checks import Trailing, trailing
-from imumon.protocols.numbers import NO_GROUP, NUMBER_TYPES, Placed, Value
-from imumon.protocols.stream import LONGEST_PACKET
+from imumon.protocols.base import COMMON, LONGEST_PACKET, MAIN, ByteArray, Encoder, Timing
+from imumon.protocols.checks import CHECKSUM_NAMES, Checksum, Rearranged
+from imumon.protocols.decoder import Decoder
+from imumon.protocols.device import DeviceFile
+from imumon.protocols.framing import IMPOSSIBLE, Check, Found, Frame, unchecked
+from imumon.protocols.layouts import Record, groups_of
+from imumon.protocols.numbers import NO_GROUP, NUMBER_TYPES, Number, write
 from imumon.units import exact_conversion
 
 ByteOrder = Literal["big", "little"]
@@ -23,13 +32,15 @@ Byte = Annotated[int, Field(ge=0, le=255)]
 ColumnName = Annotated[str, StringConstraints(pattern=NAME)]
 NumberName = Literal["u8", "i8", "u16", "i16", "u24", "i24", "u32", "i32", "u64", "i64", "f32", "f64"]
 IntegerName = Literal["u8", "u16", "u32"]
-ChecksumName = Literal[
-    "none", "sum8", "sum8-negated", "xor8", "sum16", "sum16-words-le", "sum16-words-be",
-    "fletcher16", "fletcher16-256",
-    "crc16-arc", "crc16-modbus", "crc16-xmodem", "crc16-ccitt-false", "crc16-aug-ccitt", "crc16-genibus",
-    "crc16-kermit", "crc16-mcrf4xx", "crc16-x25", "crc32", "crc32-mpeg2", "crc32c",
-]  # fmt: skip
-assert set(get_args(ChecksumName)) == set(CHECKSUM_NAMES)
+
+
+def _known_checksum(name: str) -> str:
+    if name not in CHECKSUM_NAMES:
+        raise ValueError(f"expected one of {', '.join(CHECKSUM_NAMES)}")
+    return name
+
+
+ChecksumName = Annotated[str, AfterValidator(_known_checksum)]
 
 ARBITRARY = "a.u."
 """Unit of a magnetometer that is not calibrated to a field strength."""
@@ -189,7 +200,7 @@ class Packet(StrictModel):
                 )
         check = self.checksum
         if check.type != "none":
-            self._inside("checksum", check.at, check.at + trailing(check.type).size)
+            self._inside("checksum", check.at, check.at + Checksum(check.type).size)
             self._inside("checksum", check.first, check.last + 1)
             if check.first <= check.at <= check.last:
                 raise ValueError(
@@ -207,40 +218,39 @@ class Packet(StrictModel):
                 raise ValueError(f"fields[{number}]: when: there is no column {field.when.column}")
         return self
 
-    def placed(self) -> list[Placed]:
-        """Return all numbers of the packet in the order of the file."""
+    @property
+    def numbers(self) -> list[Number]:
+        """All numbers of the packet in the order of the file."""
         return [
-            Placed(
-                Value(column, field.type, scale, offset, field.mask or 0),
-                field.at + k * NUMBER_TYPES[field.type].size,
-                NO_GROUP if column.name in COMMON else MAIN,
-                (field.byte_order or self.byte_order) == "big",
+            Number(
+                *(column, field.type, scale, offset, field.mask or 0),
+                at=field.at + k * NUMBER_TYPES[field.type].size,
+                group=NO_GROUP if column.name in COMMON else MAIN,
+                big=(field.byte_order or self.byte_order) == "big",
             )
             for field in self.fields
             for k, (column, scale, offset) in enumerate(map(field.scaled, field.names))
         ]
 
+    @property
     def length_bytes(self) -> list[tuple[int, int]]:
-        """Return places and values of the bytes of the length."""
+        """Places and values of the bytes of the length."""
         field = self.length_field
         if field is None:
             return []
         size = NUMBER_TYPES[field.type].size
         return [*enumerate(field.value.to_bytes(size, field.byte_order or self.byte_order), field.at)]
 
-    def check(self, first: int = 0) -> Trailing | None:
+    def check(self, first: int = 0) -> Checksum | None:
         """Return the checksum of what begins at a place, if there is one."""
         field = self.checksum
         big = (field.byte_order or self.byte_order) == "big"
-        return None if field.type == "none" else trailing(field.type, first, big, field.zeros)
+        return None if field.type == "none" else Checksum(field.type, first, big, field.zeros)
 
+    @property
     def turns(self) -> dict[str, When]:
-        """Return in which packets the columns are there that are not in all."""
+        """In which packets the columns are there that are not in all."""
         return {name: field.when for field in self.fields for name in field.names if field.when}
-
-    def timing(self, rate_hz: float | None) -> Timing:
-        """Return how the packet counts time."""
-        return timing_of(self.fields, rate_hz)
 
     def _inside(self, what: str, start: int, stop: int) -> None:
         if start >= stop or stop > self.length:
@@ -252,3 +262,140 @@ class Packet(StrictModel):
 def _fraction(number: float | int | str) -> Fraction:
     """Take a decimal for what it says: 0.1 is a tenth."""
     return Fraction(str(number)) if isinstance(number, float) else Fraction(number)
+
+
+class DescribedLayout(Record):
+    """What a described packet carries; a field that is not there at its turn is missing."""
+
+    def __init__(self, packet: Packet) -> None:
+        super().__init__(packet.numbers)
+        self._turns = packet.turns
+
+    def read(self, found: Found) -> dict[str, ColumnArray]:
+        """Return a value a packet for each column."""
+        columns = super().read(found)
+        for name, when in self._turns.items():
+            absent = columns[when.column] % when.modulo != when.equals
+            columns[name][absent] = missing(1, columns[name].dtype)
+        return columns
+
+
+class FixedDecoder(Decoder):
+    """Decodes packets of described kinds, a row for each, or for those of one moment.
+
+    `name` is what a packet without a name is called in the counters.  Of several packets that begin at the
+    same place the first that is valid counts.
+    """
+
+    def __init__(self, name: str, packets: Sequence[Packet], rate_hz: float | None) -> None:
+        timings = [timing_of(packet.fields, rate_hz) for packet in packets]
+        counted = next((t for t in timings if t.counter_bits is not None), timings[0])
+        timed = next((t for t in timings if t.tick_ns is not None), timings[0])
+        timing = replace(timed, counter_bits=counted.counter_bits)
+        layouts = [DescribedLayout(packet) for packet in packets]
+        groups = groups_of(layouts) if len(packets) > 1 else None
+        super().__init__([_frame(packet, name) for packet in packets], timing, groups)
+        for layout in layouts:
+            self._add(layout)
+
+    def _layout_numbers(self, found: Found) -> IntArray:
+        return found.frame
+
+
+def _frame(packet: Packet, name: str) -> Frame:
+    length, tail = partial(_length, packet), bytes(packet.tail)
+    return Frame(packet.name or name, bytes(packet.sync), length, _check(packet), tail)
+
+
+def _length(packet: Packet, held: ByteArray, at: IntArray) -> IntArray:
+    result = np.full(len(at), packet.length, np.int64)
+    for place, byte in packet.length_bytes:
+        agrees = held[np.minimum(at + place, len(held) - 1)] == byte
+        result[(at + place < len(held)) & ~agrees] = IMPOSSIBLE
+    return result
+
+
+def _check(packet: Packet) -> Check:
+    field, check = packet.checksum, packet.check()
+    if check is None:
+        return unchecked
+    if field.last + 1 == field.at and field.at + check.size == packet.length:
+        return packet.check(field.first) or unchecked
+    places = [*range(field.first, field.last + 1), *range(field.at, field.at + check.size)]
+    return Rearranged(check, partial(_always, places))
+
+
+def _always(places: list[int], size: int) -> list[int]:
+    del size
+    return places
+
+
+class FixedEncoder(Encoder):
+    """Makes described packets, one after the other for each row."""
+
+    def __init__(self, packets: Sequence[Packet]) -> None:
+        self._packets = packets
+
+    def encode(self, block: SampleBlock) -> list[bytes]:
+        """Return the packets of each row; see `imumon.protocols.base.Encoder`."""
+        parts = [_encoded(packet, block) for packet in self._packets]
+        return [b"".join(row) for row in zip(*parts, strict=True)]
+
+
+def _encoded(packet: Packet, block: SampleBlock) -> list[bytes]:
+    columns, numbers, blank = dict(block.columns), packet.numbers, bytearray(packet.length)
+    for item in numbers:
+        when = packet.turns.get(item.name)
+        if when is not None and item.name in block and when.column in block:
+            there = block[when.column] % when.modulo == when.equals
+            columns[item.name] = np.where(there, block[item.name], item.offset)  # a raw zero
+    for at, byte in (*enumerate(packet.sync), *packet.length_bytes):
+        blank[at] = byte
+    sent = write(packet.name or "packet", numbers, bytes(blank), columns, len(block))
+    field, check = packet.checksum, packet.check()
+    if check is not None:
+        begin = np.arange(len(sent)) * packet.length
+        sums = check.values(sent.reshape(-1), begin + field.first, begin + field.last + 1)
+        sent[:, field.at : field.at + check.size] = check.stored(sums)
+    return [row.tobytes() + bytes(packet.tail) for row in sent]
+
+
+class FixedDevice(DeviceFile):
+    """A device that sends packets of one fixed length."""
+
+    protocol: Literal["fixed"]
+    packet: Packet
+
+    def decoder(self) -> FixedDecoder:
+        """Make a decoder for this packet."""
+        return FixedDecoder(self.name, [self.packet], self.rate_hz)
+
+    def encoder(self) -> FixedEncoder:
+        """Make an encoder for this packet."""
+        return FixedEncoder([self.packet])
+
+
+class SeveralDevice(DeviceFile):
+    """A device that sends several kinds of packets of fixed lengths; `sends` is for its virtual twin."""
+
+    protocol: Literal["fixed-several"]
+    packets: list[Packet] = Field(min_length=1)
+    sends: list[str] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _named(self) -> Self:
+        names = [packet.name for packet in self.packets]
+        if "" in names or len({*names}) < len(names):
+            raise ValueError("packets: each needs a name of its own")
+        unknown = sorted({*self.sends} - {*names})
+        if unknown:
+            raise ValueError(f"sends: no packet {', '.join(unknown)}; there are: {', '.join(names)}")
+        return self
+
+    def decoder(self) -> FixedDecoder:
+        """Make a decoder for these packets."""
+        return FixedDecoder(self.name, self.packets, self.rate_hz)
+
+    def encoder(self) -> FixedEncoder:
+        """Make an encoder for those that are sent."""
+        return FixedEncoder([packet for packet in self.packets if packet.name in self.sends])

@@ -10,10 +10,9 @@ older ones one for each (0x08, 0x0A): the device is asked which it knows.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from functools import partial
 
-from imumon.configure.commands.core import (
+from imumon.configure.core import (
     BAUD,
     SAVE_S,
     USUAL_COLUMNS,
@@ -26,17 +25,13 @@ from imumon.configure.commands.core import (
     known,
     nothing_to_keep,
 )
+from imumon.configure.firmware import Firmware, PacketKind, nearest
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.framing import Frame, counted_length
-from imumon.protocols.mip import ERRORS, FILTER, SENSOR, SET_NAMES, Clock, MipDevice, mip_fields
+from imumon.protocols.mip import ERRORS, FILTER, SENSOR, SET_NAMES, Clock, MipDevice, MipEncoder, mip_fields
 from imumon.protocols.mip_filter import Attitude
 from imumon.protocols.tagged import MIP
 
-SYNC = b"\x75\x65"
-AROUND, LONGEST = 6, 261
-"""Bytes of a packet besides its payload, and of the longest."""
-CHECK = MIP.check
 BASE, THREE_DM = 0x01, 0x0C
 PING, IDLE, DEVICE_INFO, RESUME, COMM_SPEED = 0x01, 0x02, 0x03, 0x06, 0x09
 IMU_BASE_RATE, IMU_FORMAT, FILTER_FORMAT, FILTER_BASE_RATE = 0x06, 0x08, 0x0A, 0x0B
@@ -58,6 +53,7 @@ SENSOR_STREAM, FILTER_STREAM = "sensor stream", "filter stream"
 OF_SET = {SENSOR_FORMAT: SENSOR, FILTER_FORMAT_NAME: FILTER, SENSOR_STREAM: SENSOR, FILTER_STREAM: FILTER}
 ON, OFF = b"\x01", b"\x00"
 USUAL_BASE_HZ = 500
+BAUDRATES = (115_200, 230_400, 460_800, 921_600)
 
 SENSOR_FIELDS: Mapping[str, tuple[int, ...]] = {
     "inertial": (0x04, 0x05),
@@ -69,12 +65,6 @@ SENSOR_FIELDS: Mapping[str, tuple[int, ...]] = {
 }
 TIME = {"reference": (0xD5, 0xD5), "gps": (0x12, 0x11)}
 """Field that dates a packet of the sensors, and one of the filter."""
-
-
-def frame(descriptor_set: int, *fields: tuple[int, bytes]) -> bytes:
-    """Return a packet of fields."""
-    payload = b"".join(bytes([len(data) + 2, code]) + data for code, data in fields)
-    return CHECK.sealed(SYNC + bytes([descriptor_set, len(payload)]) + payload)
 
 
 def fields(payload: bytes) -> list[tuple[int, bytes]]:
@@ -107,7 +97,7 @@ def request(
             return None if asking or data[:1] == READ else b""
         return found[0][strip:] if found[0][:strip] == repeated else None
 
-    return Request(meaning, frame(command_set, (command, data)), answer, timeout_s)
+    return Request(meaning, MIP.sealed(command_set, (command, data)), answer, timeout_s)
 
 
 def formatted(value: bytes) -> list[tuple[int, int]]:
@@ -129,45 +119,42 @@ def _base_rate(modern: bool, of: int) -> Request:
     return request(THREE_DM, IMU_BASE_RATE if of == SENSOR else FILTER_BASE_RATE, b"", f"Get{what}")
 
 
-@dataclass(frozen=True)
 class Mip(Family):
-    """Commands of a MicroStrain device."""
+    """Commands of a MicroStrain device.
 
-    attitude: Attitude = "filter"
-    clock: Clock = "reference"
-    """As in the device file."""
-    modern: bool = True
-    """Whether one command has the format of any data set."""
-    base_hz: Mapping[int, int] = field(default_factory=lambda: {SENSOR: USUAL_BASE_HZ, FILTER: USUAL_BASE_HZ})
+    `modern`: whether one command has the format of any data set.
+    """
+
+    base_hz: Mapping[int, int] = {SENSOR: USUAL_BASE_HZ, FILTER: USUAL_BASE_HZ}
     """Base rate of each data set that the device has, of those that are configured."""
-    speed_in_base: bool = False
+    speed_in_base = False
     """Whether the baud rate is set by a base command."""
-    settings: tuple[str, ...] = (*OF_SET, BAUD)
-    identity: tuple[str, ...] = ()
-    answer_frame: ClassVar[Frame] = Frame("MIP", SYNC, counted_length(3, 1, AROUND, LONGEST), CHECK)
-    title: ClassVar[str] = "MicroStrain"
-    verified: ClassVar[str] = (
-        "frames of other programs (0x08, 0x0A), and the virtual device; never a real unit"
-    )
-    baud_codes: ClassVar[Mapping[int, bytes]] = {
+    settings = (*OF_SET, BAUD)
+    answer_frame = MIP.frame
+    title = "MicroStrain"
+    verified = "frames of other programs (0x08, 0x0A), and the virtual device; never a real unit"
+    baud_codes: Mapping[int, bytes] = {
         rate: rate.to_bytes(4, "big") for rate in (115_200, 230_400, 460_800, 921_600)
     }
-    columns: ClassVar[Mapping[str, tuple[str, ...]]] = USUAL_COLUMNS | {"status": ("overrange",)}
-    assumed: ClassVar[tuple[str, ...]] = (
+    columns = USUAL_COLUMNS | {"status": ("overrange",)}
+    assumed = (
         f"base rate {USUAL_BASE_HZ} Hz for sensors and filter; the device is queried for it first",
         "message format by command 0x0F; older devices are set by 0x08 and 0x0A",
     )
-    hello: ClassVar[Request] = request(BASE, PING, b"", "Ping")
-    quiet: ClassVar[tuple[Request, ...]] = (
-        request(BASE, IDLE, b"", "SetToIdle: no data while settings change"),
-    )
-    resume: ClassVar[tuple[Request, ...]] = (request(BASE, RESUME, b"", "Resume: data again"),)
-    questions: ClassVar[tuple[Request, ...]] = (
+    hello = request(BASE, PING, b"", "Ping")
+    quiet = (request(BASE, IDLE, b"", "SetToIdle: no data while settings change"),)
+    resume = (request(BASE, RESUME, b"", "Resume: data again"),)
+    questions = (
         request(BASE, DEVICE_INFO, b"", "GetDeviceInfo", timeout_s=SAVE_S),
         _base_rate(True, SENSOR),
         _base_rate(True, FILTER),
         request(THREE_DM, UART_BAUD, READ, "read baud rate (UARTBaudRate)"),
     )
+
+    def __init__(
+        self, attitude: Attitude = "filter", clock: Clock = "reference", modern: bool = True
+    ) -> None:
+        self.attitude, self.clock, self.modern = attitude, clock, modern
 
     @classmethod
     def of(cls, device: DeviceFile) -> Mip:
@@ -175,12 +162,11 @@ class Mip(Family):
         assert isinstance(device, MipDevice)
         return cls(device.attitude, device.clock)
 
-    @staticmethod
-    def message(packet: bytes) -> Message:
+    def message(self, packet: bytes) -> Message:
         """Return descriptor set and fields."""
         return Message(packet[2], packet[4:-2])
 
-    def learn(self, ask: Ask) -> Mip:
+    def learn(self, ask: Ask) -> None:
         """Ask what it is, which commands it knows and its base rates."""
         about, sensors, _, uart = self.questions
         info = ask(about)
@@ -195,16 +181,11 @@ class Mip(Family):
         rates = {of: base for of, base in known_hz.items() if base}
         if SENSOR not in rates:
             raise ImumonError(Reason.BAD_DATA, "the device reports no base rate of its sensors")
-        return replace(
-            self,
-            identity=tuple(filter(None, texts)),
-            modern=modern,
-            base_hz=rates,
-            settings=(*(name for name, of in OF_SET.items() if of in rates), BAUD),
-            speed_in_base=known(ask, uart) is None,
-        )
+        self.identity, self.modern, self.base_hz = tuple(filter(None, texts)), modern, rates
+        self.settings = (*(name for name, of in OF_SET.items() if of in rates), BAUD)
+        self.speed_in_base = known(ask, uart) is None
 
-    def _command(self, name: str) -> tuple[int, int, bytes]:
+    def command(self, name: str) -> tuple[int, int, bytes]:
         """Return command set, command, and what follows the function selector."""
         if name == BAUD:
             return (BASE, COMM_SPEED, MAIN_PORT) if self.speed_in_base else (THREE_DM, UART_BAUD, b"")
@@ -217,19 +198,19 @@ class Mip(Family):
 
     def read(self, name: str) -> Request:
         """Return the command with the function selector READ."""
-        command_set, command, of = self._command(name)
+        command_set, command, of = self.command(name)
         return request(command_set, command, READ + of, f"read {name}", len(of))
 
     def write(self, name: str, value: bytes) -> tuple[Request, ...]:
         """Return the command with the function selector WRITE."""
-        command_set, command, of = self._command(name)
+        command_set, command, of = self.command(name)
         return (request(command_set, command, APPLY + of + value, f"{name}: {self.describe(name, value)}"),)
 
     def save(self, names: Sequence[str]) -> tuple[Request, ...]:
         """Return the commands with the function selector SAVE: these settings only."""
         found = []
         for name in names:
-            command_set, command, of = self._command(name)
+            command_set, command, of = self.command(name)
             found.append(request(command_set, command, SAVE + of, f"save {name}", timeout_s=SAVE_S))
         return tuple(found)
 
@@ -275,25 +256,134 @@ class Mip(Family):
 
     def bytes_per_s(self, values: Mapping[str, bytes]) -> float:
         """Return packets of both data sets, as long as they do not exceed 255 bytes of fields."""
-        sizes = {field.key: field.size for field in mip_fields(self.attitude, self.clock)}
+        there = mip_fields(self.attitude, self.clock)
         total = 0.0
         for name in (SENSOR_FORMAT, FILTER_FORMAT_NAME):
             of, items = OF_SET[name], [(code, by) for code, by in formatted(values.get(name, b"")) if by]
             if items and values.get(name.replace("format", "stream")) != OFF:
                 base = self.base_hz[of]
                 total += 6 * base / min(by for _, by in items)
-                total += sum((2 + max(sizes.get(of << 8 | code, 0), 0)) * base / by for code, by in items)
+                for code, by in items:
+                    field = there.get(of << 8 | code)
+                    total += (2 + (max(field.size, 0) if field else 0)) * base / by
         return total
 
-    def describe_output(self, name: str, value: bytes) -> str:
+    def describe(self, name: str, value: bytes) -> str:
         """Return whether a stream is on, or each field of a format with its rate."""
+        if name == BAUD:
+            return super().describe(name, value)
         if name in (SENSOR_STREAM, FILTER_STREAM):
             return "off" if value == OFF else "on"
         of = OF_SET[name]
-        names = {item.key: item.name for item in mip_fields(self.attitude, self.clock)}
+        names = {key: item.name for key, item in mip_fields(self.attitude, self.clock).items()}
         base = self.base_hz.get(of, USUAL_BASE_HZ)
         shown = [
             f"{names.get(of << 8 | code, f'0x{code:02X}')} {f'{base / by:.6g} Hz' if by else 'never'}"
             for code, by in formatted(value)
         ]
         return ", ".join(shown) or "nothing"
+
+
+DONE, UNKNOWN, INVALID = 0, 1, 3
+STREAMS = {SENSOR: SENSOR_STREAM, FILTER: FILTER_STREAM}
+FORMATS = {SENSOR: SENSOR_FORMAT, FILTER: FILTER_FORMAT_NAME}
+
+
+class MipFirmware(Firmware):
+    """A MicroStrain device with sensors and a filter."""
+
+    family: Mip
+
+    def __init__(self, device: DeviceFile, rate_hz: float) -> None:
+        assert isinstance(device, MipDevice)
+        self.family, self._device = Mip.of(device), device
+        by = nearest(USUAL_BASE_HZ, rate_hz)
+        codes = {name: code for code, name in self._names(SENSOR).items()}
+        settings = {
+            SENSOR_FORMAT: message_format([(codes[name], by) for name in device.sends]),
+            FILTER_FORMAT_NAME: message_format([]),
+            SENSOR_STREAM: ON,
+            FILTER_STREAM: ON,
+        }
+        super().__init__(device, settings)
+
+    def _names(self, of: int) -> dict[int, str]:
+        """Return the names of the fields of a data set, by their descriptors."""
+        there = mip_fields(self._device.attitude, self._device.clock).items()
+        return {key & 0xFF: field.name for key, field in there if key >> 8 == of and field.columns}
+
+    def answer(self, command: Message) -> bytes:
+        """Carry a command out."""
+        there = fields(command.payload)
+        code, data = there[0] if there else (0, b"")
+        if command.kind == BASE:
+            return self._base(command, code)
+        if code == BASE_RATE and not self.family.modern:
+            return acknowledged(command, UNKNOWN)
+        if code in (BASE_RATE, IMU_BASE_RATE, FILTER_BASE_RATE):
+            return acknowledged(command, DONE, data[:1] + USUAL_BASE_HZ.to_bytes(2, "big"))
+        name, of = self._named(command, code, data[1:])
+        if not name:
+            return acknowledged(command, UNKNOWN)
+        if data[:1] == READ:
+            return acknowledged(command, DONE, of + self.volatile[name])
+        if data[:1] == SAVE:
+            self.save(name)
+            return acknowledged(command, DONE)
+        value = data[1 + len(of) :]
+        if data[:1] != APPLY or not self._possible(name, value):
+            return acknowledged(command, INVALID)
+        self.obey(name, value)
+        self.baudrate = self.baud()
+        return acknowledged(command, DONE)
+
+    def _base(self, command: Message, code: int) -> bytes:
+        if code == DEVICE_INFO:
+            texts = ("VIRTUAL", "0000-0001", "1", "", "")
+            info = b"\x04\x01" + b"".join(text.rjust(16).encode() for text in texts)
+            return acknowledged(command, DONE, info)
+        if code not in (PING, IDLE, RESUME):
+            return acknowledged(command, UNKNOWN)
+        if code != PING:
+            self.streaming = code == RESUME
+        return acknowledged(command, DONE)
+
+    def _named(self, command: Message, code: int, data: bytes) -> tuple[str, bytes]:
+        """Return the setting that a command is about, and the selector that it carries; else nothing."""
+        for name in self.family.settings:
+            command_set, number, of = self.family.command(name)
+            if (command.kind, code) == (command_set, number) and data.startswith(of):
+                return name, of
+        return "", b""
+
+    def _possible(self, name: str, value: bytes) -> bool:
+        if name == BAUD:
+            return value in Mip.baud_codes.values()
+        if name in (SENSOR_STREAM, FILTER_STREAM):
+            return len(value) == 1
+        of = SENSOR if name == SENSOR_FORMAT else FILTER
+        items, names = formatted(value), self._names(of)
+        return len(value) == 1 + 3 * len(items) and all(code in names and by > 0 for code, by in items)
+
+    def outputs(self) -> tuple[float, list[PacketKind]]:
+        """Return packets of the sensors and of the filter."""
+        found = []
+        for of, name in FORMATS.items():
+            names, on = self._names(of), self.volatile[STREAMS[of]] == ON
+            every = {names[code]: by for code, by in formatted(self.volatile[name]) if on}
+            found.append(PacketKind(partial(self._encoder, of), every))
+        return USUAL_BASE_HZ, found
+
+    def _encoder(self, of: int, names: Sequence[str]) -> MipEncoder:
+        return MipEncoder(names, of, self._device.attitude, self._device.clock)
+
+
+def acknowledged(command: Message, code: int, data: bytes | None = None) -> bytes:
+    """Return an answer with its code, zero when the command was carried out, and data."""
+    there = fields(command.payload)
+    number = there[0][0] if there else 0
+    parts = [(ACK, bytes([number, code]))]
+    kind = int(command.kind)
+    if data is not None and (kind, number) in ANSWERS:
+        parts.append((ANSWERS[kind, number], data))
+    return MIP.sealed(kind, *parts)

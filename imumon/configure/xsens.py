@@ -8,10 +8,9 @@ counts after a reset.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import replace
 
-from imumon.configure.commands.core import (
+from imumon.configure.core import (
     BAUD,
     SAVE_S,
     Ask,
@@ -23,14 +22,14 @@ from imumon.configure.commands.core import (
     no_rate,
     nothing_to_keep,
 )
+from imumon.configure.firmware import Firmware, PacketKind, nearest
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.framing import Frame
-from imumon.protocols.tagged import XBUS, xbus_lengths
-from imumon.protocols.xsens.fields import MTDATA2_FIELDS
+from imumon.protocols.device import DeviceFile
+from imumon.protocols.tagged import XBUS, xbus_message
+from imumon.protocols.xsens.fields import message_of
 from imumon.protocols.xsens.messages import ERROR, ERRORS, NAMES, identifier_name
+from imumon.protocols.xsens.mtdata2 import MTData2Device, MTData2Encoder, find_fields
 
-SYNC = b"\xfa\xff"
-CHECK = XBUS.check
 GO_TO_MEASUREMENT, SET_BAUDRATE, REQ_PRODUCT_CODE, GO_TO_CONFIG = 0x10, 0x18, 0x1C, 0x30
 REQ_FIRMWARE, RESET, SET_OUTPUT_CONFIGURATION = 0x12, 0x40, 0xC0
 OUTPUT = "output configuration"
@@ -58,9 +57,8 @@ MAIN_CODES = (0x4020, 0x8020, 0x4010, 0x8030)
 
 
 def frame(kind: int, payload: bytes = b"") -> bytes:
-    """Return a message with its checksum: all bytes behind the preamble add up to zero."""
-    size = bytes([len(payload)]) if len(payload) < 255 else b"\xff" + len(payload).to_bytes(2, "big")
-    return CHECK.sealed(SYNC + bytes([kind]) + size + payload)
+    """Return a message with its checksum."""
+    return XBUS.check.sealed(xbus_message(kind, payload))
 
 
 def request(kind: int, payload: bytes = b"", meaning: str = "", timeout_s: float = SAVE_S) -> Request:
@@ -96,34 +94,31 @@ def _version(payload: bytes) -> str:
     return "firmware " + ".".join(map(str, payload[:3]))
 
 
-@dataclass(frozen=True)
 class Xsens(Family):
     """Commands of an MTi."""
 
-    settings: tuple[str, ...] = (OUTPUT, BAUD)
-    identity: tuple[str, ...] = ()
-    answer_frame: ClassVar[Frame] = Frame("Xbus", SYNC, xbus_lengths, CHECK)
-    title: ClassVar[str] = "Xsens MTi"
-    verified: ClassVar[str] = "frames of other programs, and the virtual device; never a real unit"
-    stores_at_once: ClassVar[bool] = True
-    hello_quiets: ClassVar[bool] = True
-    reset_s: ClassVar[float] = 5.0
-    baud_codes: ClassVar[Mapping[int, bytes]] = {rate: bytes([code]) for code, rate in BAUD_CODES.items()}
-    hello: ClassVar[Request] = request(GO_TO_CONFIG, timeout_s=0.5)  # measuring, an MTi answers nothing else
-    quiet: ClassVar[tuple[Request, ...]] = (request(GO_TO_CONFIG),)
-    resume: ClassVar[tuple[Request, ...]] = (request(GO_TO_MEASUREMENT),)
-    questions: ClassVar[tuple[Request, ...]] = (request(REQ_PRODUCT_CODE), request(REQ_FIRMWARE))
+    settings = (OUTPUT, BAUD)
+    answer_frame = replace(XBUS.frame, sync=b"\xfa\xff")
+    title = "Xsens MTi"
+    verified = "frames of other programs, and the virtual device; never a real unit"
+    stores_at_once = True
+    hello_quiets = True
+    reset_s = 5.0
+    baud_codes: Mapping[int, bytes] = {rate: bytes([code]) for code, rate in BAUD_CODES.items()}
+    hello = request(GO_TO_CONFIG, timeout_s=0.5)  # measuring, an MTi answers nothing else
+    quiet = (request(GO_TO_CONFIG),)
+    resume = (request(GO_TO_MEASUREMENT),)
+    questions = (request(REQ_PRODUCT_CODE), request(REQ_FIRMWARE))
 
-    @staticmethod
-    def message(packet: bytes) -> Message:
+    def message(self, packet: bytes) -> Message:
         """Return identifier and data."""
-        return Message(packet[2], packet[6 if packet[3] == 0xFF else 4 : -1])
+        return Message(packet[2], XBUS.payload(packet))
 
-    def learn(self, ask: Ask) -> Xsens:
+    def learn(self, ask: Ask) -> None:
         """Ask what it is; a unit that refuses to tell can be configured all the same."""
         answers = [known(ask, question) for question in self.questions]
         texts = [of(answer) for of, answer in zip((_text, _version), answers, strict=True) if answer]
-        return replace(self, identity=tuple(texts))
+        self.identity = tuple(texts)
 
     def read(self, name: str) -> Request:
         """Return a request without data, which reads."""
@@ -189,14 +184,16 @@ class Xsens(Family):
     def bytes_per_s(self, values: Mapping[str, bytes]) -> float:
         """Return headers and checksums of all messages, and each output at its rate."""
         fastest = self.rate_hz(values) or 0.0
-        sizes = {field.key: field.size for field in MTDATA2_FIELDS}
-        return 5 * fastest + sum(
-            (3 + max(sizes.get(code, 0), 0)) * min(rate, fastest) for code, rate in entries(values[OUTPUT])
-        )
+        total = 5 * fastest
+        for code, rate in entries(values[OUTPUT]):
+            field = message_of(code)
+            total += (3 + (max(field.size, 0) if field else 0)) * min(rate, fastest)
+        return total
 
-    def describe_output(self, name: str, value: bytes) -> str:
+    def describe(self, name: str, value: bytes) -> str:
         """Return each output with its rate."""
-        del name
+        if name == BAUD:
+            return super().describe(name, value)
         outputs = [
             f"{identifier_name(code)} {'always' if rate == WITH_EVERY_PACKET else f'{rate} Hz'}"
             for code, rate in entries(value)
@@ -206,3 +203,78 @@ class Xsens(Family):
     def baud_of(self, value: bytes) -> int | None:
         """Return the baud rate of a code."""
         return 921_600 if value == OLD_921600 else super().baud_of(value)
+
+
+INVALID_PARAMETER, INVALID_MESSAGE, NO_SUCH_BAUDRATE = 33, 4, 32
+TIMELESS = {0x10, 0xE0}
+"""Groups of identifiers that go with every packet: times and status."""
+
+
+class XsensFirmware(Firmware):
+    """An MTi that sends MTData2."""
+
+    family = Xsens()
+
+    def __init__(self, device: DeviceFile, rate_hz: float) -> None:
+        assert isinstance(device, MTData2Device)
+        keys = [key for key, _ in find_fields(device.sends, device.precision)]
+        output = [(key, WITH_EVERY_PACKET if key >> 8 in TIMELESS else round(rate_hz)) for key in keys]
+        super().__init__(device, {OUTPUT: packed(output)})
+
+    def answer(self, command: Message) -> bytes:
+        """Carry a command out; in the state of measurement only that which ends it."""
+        kind, data = int(command.kind), command.payload
+        if kind == GO_TO_CONFIG:
+            self.streaming = False
+            return frame(kind + 1)
+        if self.streaming:
+            return b""
+        if kind == GO_TO_MEASUREMENT:
+            self.streaming = True
+            return frame(kind + 1)
+        if kind == RESET:
+            self.power_on()
+            return frame(kind + 1)
+        if kind == SET_OUTPUT_CONFIGURATION:
+            return self._output(data)
+        if kind == SET_BAUDRATE:
+            return self._baudrate(data)
+        identity = {REQ_PRODUCT_CODE: b"MTi-VIRTUAL", REQ_FIRMWARE: bytes([1, 2, 3])}
+        return frame(kind + 1, identity[kind]) if kind in identity else frame(ERROR, bytes([INVALID_MESSAGE]))
+
+    def _output(self, data: bytes) -> bytes:
+        if data:
+            if len(data) % 4 or not all(_sendable(code, rate) for code, rate in entries(data)):
+                return frame(ERROR, bytes([INVALID_PARAMETER]))
+            self.obey(OUTPUT, data)
+            self.save(OUTPUT)
+        return frame(SET_OUTPUT_CONFIGURATION + 1, self.volatile[OUTPUT])
+
+    def _baudrate(self, data: bytes) -> bytes:
+        if data:
+            if data not in self.family.baud_codes.values():
+                return frame(ERROR, bytes([NO_SUCH_BAUDRATE]))
+            self.obey(BAUD, data)
+            self.save(BAUD)
+        return frame(SET_BAUDRATE + 1, b"" if data else self.volatile[BAUD])
+
+    def outputs(self) -> tuple[float, list[PacketKind]]:
+        """Return MTData2 messages; each holds what is due."""
+        pairs = entries(self.volatile[OUTPUT])
+        fastest = max((rate for _, rate in pairs if rate != WITH_EVERY_PACKET), default=0)
+        every = {
+            _name(code): nearest(FASTEST_HZ, fastest if rate == WITH_EVERY_PACKET else rate)
+            for code, rate in pairs
+            if fastest and rate
+        }
+        return FASTEST_HZ, [PacketKind(MTData2Encoder, every)]
+
+
+def _name(code: int) -> str:
+    """Return the name of an identifier that can be encoded; else nothing."""
+    field = message_of(code)
+    return field.name if field is not None and field.columns else ""
+
+
+def _sendable(code: int, rate: int) -> bool:
+    return bool(_name(code)) and (rate == WITH_EVERY_PACKET or rate <= FASTEST_HZ)

@@ -1,1 +1,0 @@
-"""How devices are configured, only when a user asks for it: one file per family over a small core."""

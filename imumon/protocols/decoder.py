@@ -1,0 +1,296 @@
+"""Decoders: bytes to columns, whatever the family.
+
+What a packet carries is a *layout*.  Packets are alike when their *signature* is the same: kind, length, and
+the bytes that say what they carry.  The first packet of each signature is looked at in Python; all that are
+like it are read at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from imumon.blocks import ColumnArray, IntArray, SampleBlock, join, missing
+from imumon.columns import KNOWN, Column
+from imumon.protocols.base import CHUNK, ByteArray, Groups, Packets, Timing
+from imumon.protocols.epochs import GENERATION
+from imumon.protocols.framing import BAD_SUM, IMPOSSIBLE, Candidates, Found, Frame, windows
+from imumon.protocols.layouts import Layout
+from imumon.transport.statistics import Counters
+
+MOST_AT_ONCE = 1 << 20
+"""Bytes that are searched at once at the most: what is made of them takes twenty times as much memory."""
+MOST_NOTICES = 1000
+"""Different notices that a decoder gives at the most; more would be a stream of rubbish."""
+MOST_LAYOUTS = 4096
+"""Signatures that are remembered: so many come of random bytes alone."""
+ONLY_CORRECTED = (
+    "only rates come from which the device's filter has taken its own estimate of the bias "
+    "(gyro_compensated_*): what imumon finds is the rest of it; send calibrated rates as well, as "
+    "MIP's ScaledGyro"
+)
+"""Warning of a device that sends no rate as it was calibrated in the factory."""
+_ORDER = {name: place for place, name in enumerate(KNOWN)}
+
+
+def _place(name: str) -> tuple[int, str]:
+    """Return what columns are sorted by: the canonical ones first, in their order."""
+    return _ORDER.get(name, len(_ORDER)), name
+
+
+class Alike(NamedTuple):
+    """Packets of one signature: their rows, the number of their frame, and the first of them."""
+
+    rows: IntArray
+    frame: int
+    packet: bytes
+    key: tuple[int, int, bytes]
+    """The signature: frame, length, and the bytes that say what is in the packet."""
+
+
+class Decoder:
+    """Turns a byte stream into columns, whatever the chunking; `take` returns what has come since.
+
+    It finds packets by frames, keeps count of every byte, and makes a row of each packet that has a layout.
+
+    Parameters
+    ----------
+    frames : sequence of Frame
+        Kinds of packets; where two begin at the same place the first that is valid counts.
+    timing : Timing
+        How the device counts time.
+    groups : Groups, optional
+        Groups of all columns that may come, for a protocol that may spread one moment over several packets;
+        none where each packet is a row.
+    possible : iterable of Column
+        All columns that may come.
+    """
+
+    def __init__(
+        self, frames: Sequence[Frame], timing: Timing, groups: Groups | None, possible: Iterable[Column] = ()
+    ) -> None:
+        self.timing, self.groups = timing, groups
+        self._frames = tuple(frames)
+        self._done: list[Packets] = []
+        self._notices: dict[str, bool] = {}
+        self._warned: dict[str, bool] = {}
+        self._parts: list[bytes] = []
+        self._waiting = 0  # bytes in the parts
+        self._rest = b""  # searched, and still part of what may become a packet
+        self._overlap = 0  # bytes at the front of the rest that belong to the packet accepted last
+        # Bytes up to each end, counted from the first, arrived at these times.
+        self._ends: list[IntArray] = []
+        self._times: list[IntArray] = []
+        self._searched = 0  # bytes before the rest
+        self._received = self._in_packets = self._checksum_errors = self._length_errors = 0
+        self._by_frame = np.zeros(len(self._frames), np.int64)
+        self._layouts: list[Layout] = []
+        self._group_bits: list[int] = []
+        self._numbers: dict[tuple[int, int, bytes], int] = {}
+        self._columns = {"arrival_time_ns": KNOWN["arrival_time_ns"]}
+        self._possible = self._columns | {column.name: column for column in possible}
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """Columns of the blocks that `take` returns now; a device may begin to send more."""
+        self._search(final=False)
+        return tuple(self._columns[name] for name in sorted(self._columns, key=_place))
+
+    @property
+    def possible_columns(self) -> tuple[Column, ...]:
+        """All columns that may ever come."""
+        return tuple((self._possible | self._columns).values())
+
+    def feed(self, data: bytes | memoryview | ByteArray, arrival_ns: int) -> None:
+        """Take bytes that arrived at `arrival_ns` (Unix time, ns)."""
+        self.feed_reads(data, np.array([len(data)]), np.array([arrival_ns]))
+
+    def feed_reads(self, data: bytes | memoryview | ByteArray, ends: IntArray, arrivals_ns: IntArray) -> None:
+        """Take the bytes of several reads: of each where it ends in the data, and when it arrived."""
+        self._ends.append(ends + self._received)
+        self._times.append(arrivals_ns.copy())
+        for start in range(0, len(data), MOST_AT_ONCE):
+            part = bytes(data[start : start + MOST_AT_ONCE])
+            self._parts.append(part)
+            self._waiting += len(part)
+            self._received += len(part)
+            if self._waiting > CHUNK:
+                self._search(final=False)
+
+    def take(self) -> SampleBlock:
+        """Return the packets decoded since the last call, a row each."""
+        return self.take_packets().block
+
+    def take_packets(self) -> Packets:
+        """Return the packets decoded since the last call, with all columns that have come so far."""
+        self._search(final=False)
+        done, self._done = self._done, []
+        block = join([part.block for part in done]) if done else SampleBlock({})
+        groups = np.concatenate([np.zeros(0, np.int64), *(part.groups for part in done)])
+        columns = {
+            column.name: block[column.name] if column.name in block else missing(len(groups), column.dtype)
+            for column in self.columns
+        }
+        return Packets(SampleBlock(columns), groups)
+
+    def finish(self) -> None:
+        """Decode what is held on the understanding that no more bytes come.
+
+        A damaged header that claims a long packet holds back the packets behind it until that length has
+        arrived; at the end of the data they are found.  What is pending afterwards is a packet cut short.
+        """
+        self._search(final=True)
+
+    def notices(self) -> list[str]:
+        """Return, once each, what the device said that is not data (errors, warnings, configuration)."""
+        self._search(final=False)
+        return _once(self._notices)
+
+    def warnings(self) -> list[str]:
+        """Return, once each, why numbers are not fit for an estimate: the device has corrected them, say."""
+        corrected = "gyro_compensated_x" in self._columns and "gyro_x" not in self._columns
+        if corrected and self._by_frame.sum() >= GENERATION:
+            self._warn(ONLY_CORRECTED)
+        return _once(self._warned)
+
+    def counters(self) -> Counters:
+        """Return what became of the bytes so far."""
+        self._search(final=False)
+        return Counters(
+            bytes_received=self._received,
+            bytes_in_packets=self._in_packets,
+            bytes_skipped=self._received - self._in_packets - len(self._rest) + self._overlap,
+            packets=int(self._by_frame.sum()),
+            checksum_errors=self._checksum_errors,
+            length_errors=self._length_errors,
+            packets_by_type={name: n for name, n in self._by_type().items() if n},
+        )
+
+    def _by_type(self) -> dict[str, int]:
+        """Return the number of packets of each kind."""
+        return dict(zip([frame.name for frame in self._frames], self._by_frame.tolist(), strict=True))
+
+    def _say(self, text: str) -> None:
+        """Keep a notice unless it was given before."""
+        if len(self._notices) < MOST_NOTICES:
+            self._notices.setdefault(text, False)
+
+    def _warn(self, text: str) -> None:
+        self._warned.setdefault(text, False)
+
+    def _search(self, final: bool) -> None:
+        """Find the packets in what has come, and keep what may still become one."""
+        if not self._waiting and not (final and self._rest):
+            return
+        data = b"".join([self._rest, *self._parts])
+        self._parts.clear()
+        self._waiting = 0
+        candidates = Candidates(self._frames, np.frombuffer(data, np.uint8), final)
+        taken, rest, overlap = candidates.walk(self._overlap)
+        found = candidates.found(taken)
+        self._count(found, candidates.at, candidates.verdict, rest)
+        ends, times = np.concatenate(self._ends), np.concatenate(self._times)
+        if len(found):
+            last = self._searched + found.at + found.length
+            packets = self._read(found, times[np.searchsorted(ends, last)])
+            if len(packets):
+                self._done.append(packets)
+        self._rest, self._overlap = data[rest:], overlap
+        self._searched += rest
+        recent = int(np.searchsorted(ends, self._searched, "right"))
+        self._ends, self._times = [ends[recent:]], [times[recent:]]
+
+    def _count(self, found: Found, at: IntArray, verdict: IntArray, rest: int) -> None:
+        """Count the packets, their bytes once each, and the errors outside of them."""
+        ends = found.at + found.length
+        begins = np.maximum(found.at, np.concatenate([[self._overlap], ends])[:-1])
+        self._in_packets += int(np.sum(ends - begins))
+        self._by_frame += np.bincount(found.frame, minlength=len(self._frames))
+        covered = np.concatenate([[0], ends])[np.searchsorted(found.at, at, "right")]
+        outside = (at >= np.maximum(covered, self._overlap)) & (at < rest)
+        self._checksum_errors += int(np.sum(outside & (verdict == BAD_SUM)))
+        self._length_errors += int(np.sum(outside & (verdict == IMPOSSIBLE)))
+
+    def _signature(self, packet: bytes) -> Sequence[int]:
+        """Return the places of the bytes that say what is in a packet."""
+        raise NotImplementedError
+
+    def _layout(self, alike: Alike) -> Layout | None:
+        """Return what packets of a signature carry; None: nothing for a row."""
+        raise NotImplementedError
+
+    def _plain(self, found: Found) -> Found:
+        """Return the packets as the layouts have them, where they are sent in another form."""
+        return found
+
+    def _alike(self, found: Found) -> Iterator[Alike]:
+        """Yield the packets by their signatures, in the order of the first of each."""
+        left = np.arange(len(found))
+        while len(left):
+            one = int(left[0])
+            frame, size = int(found.frame[one]), int(found.length[one])
+            packet = found.held[found.at[one] :][:size].tobytes()
+            places = [*self._signature(packet)]
+            same = (found.length[left] == size) & (found.frame[left] == frame)
+            key = bytes(packet[k] for k in places)
+            if places:
+                heads = windows(found.held, found.at[left[same]], max(places) + 1)[:, places]
+                same[same] = np.all(heads == np.frombuffer(key, np.uint8), axis=1)
+            yield Alike(left[same], frame, packet, (frame, size, key))
+            left = left[~same]
+
+    def _layout_numbers(self, found: Found) -> IntArray:
+        """Return which layout each packet has, as `_add` numbers them; -1: nothing for a row."""
+        numbers = np.full(len(found), -1, np.int64)
+        for alike in self._alike(found):
+            numbers[alike.rows] = self._number(alike)
+        return numbers
+
+    def _number(self, alike: Alike) -> int:
+        """Return the number of the layout of packets of one signature."""
+        if alike.key not in self._numbers:
+            layout = self._layout(alike)
+            self._numbers[alike.key] = -1 if layout is None else self._add(layout)
+        return self._numbers[alike.key]
+
+    def _add(self, layout: Layout) -> int:
+        """Add a layout; return its number."""
+        for column in layout.columns:
+            self._columns.setdefault(column.name, column)
+        self._layouts.append(layout)
+        self._group_bits.append(1 if self.groups is None else self.groups.bits({*layout.of_column.values()}))
+        return len(self._layouts) - 1
+
+    def _read(self, found: Found, arrival_ns: IntArray) -> Packets:
+        """Return what the packets carry: a row for each that has something for a row, in order."""
+        if len(self._numbers) > MOST_LAYOUTS:
+            for known in (self._numbers, self._layouts, self._group_bits):
+                known.clear()
+        found = self._plain(found)
+        numbers = self._layout_numbers(found)
+        rows = np.flatnonzero(numbers >= 0)
+        numbers = numbers[rows]
+        columns: dict[str, ColumnArray] = {"arrival_time_ns": arrival_ns[rows]}
+        groups = np.ones(len(rows), np.int64)
+        for number in np.flatnonzero(np.bincount(numbers)).tolist():
+            mine = np.flatnonzero(numbers == number)
+            layout = self._layouts[number]
+            groups[mine] = self._group_bits[number]
+            values = layout.read(found.only(rows[mine]))
+            for column in layout.columns:
+                if len(mine) == len(rows):
+                    columns[column.name] = values[column.name]
+                    continue
+                if column.name not in columns:
+                    columns[column.name] = missing(len(rows), column.dtype)
+                columns[column.name][mine] = values[column.name]
+        return Packets(SampleBlock(columns), groups)
+
+
+def _once(texts: dict[str, bool]) -> list[str]:
+    """Return the texts that were not given before."""
+    new = [text for text, given in texts.items() if not given]
+    texts.update(dict.fromkeys(new, True))
+    return new

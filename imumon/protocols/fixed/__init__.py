@@ -1,1 +1,0 @@
-"""Packets of one fixed length, described by a device file alone."""
