@@ -105,6 +105,7 @@ def whole_session(path: Path) -> Iterator[Path]:
     if not path.name or (path.is_dir() and any(path.iterdir())):
         raise ImumonError(Reason.EXISTS, f"{path} is there already", "give the name of a new folder")
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    made = [folder for folder in path.parents if not folder.exists()]
     with naming(path):
         try:
             partial.mkdir(parents=True)
@@ -112,6 +113,9 @@ def whole_session(path: Path) -> Iterator[Path]:
             partial.rename(path)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
+            for folder in made:
+                with suppress(OSError):  # it holds the session
+                    folder.rmdir()
 
 
 def refuse_existing(path: Path) -> None:
