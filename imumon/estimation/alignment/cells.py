@@ -32,6 +32,15 @@ MIN_VARIANCE = 1e-24
 CREEP_CELLS, CREEP_YAW, CREEP_NOISE = 12, 3e-4, 4.0
 """A unit creeps about the vertical whose angle by means of 12 cells of the vertical gyro, less their mean,
 varies by more than 0.3 mrad and more than 4 times what the white noise turns in this time."""
+LEAST_ROWS, MIN_PERIODS = 60, 1.5
+"""Rows of the record, and periods in it, that a line needs; a slower sway is left to the trend and the
+settling hypotheses."""
+FEW_PERIODS, RESIDUAL_SHARE = 5.0, 0.3
+"""A line with fewer periods than this must reduce the residual variance to this share: a knock has power at
+all frequencies, too."""
+LINE_RATIO = 40.0
+"""Ratio of the power of a line to the median of the spectrum; white noise exceeds it with probability e^-40
+a bin."""
 
 
 class Cells(NamedTuple):
@@ -89,22 +98,18 @@ def scatter(values: ColumnArray, used: BoolArray, order: int) -> tuple[float, Bo
     return max(float(square[used].sum()), MIN_VARIANCE) / max(freedom - 2.0, 1.0), used, freedom
 
 
-def steady_from(data: HorizontalRows) -> int | None:
-    """Return the row from which on the unit does not creep about the vertical; None if it does to the end."""
+def creeps(data: HorizontalRows) -> bool:
+    """Return whether the unit turns slowly about the vertical, at a rate that changes."""
     n = len(data.valid)
-    for start in (0, n // 4, n // 2, 3 * n // 4):
-        vertical, valid = data.vertical[start:], data.valid[start:]
-        if len(valid) < 2 * (CREEP_CELLS + 1):
-            return None if start else 0
-        windows = hann_windows(len(valid), CREEP_CELLS)
-        means = (windows @ vertical)[windows @ ~valid == 0.0]
-        if len(means) < MIN_CELLS:
-            continue
-        yaw = np.cumsum(means - means.mean()) * data.row_s * len(valid) / (CREEP_CELLS + 1)
-        noise = math.sqrt(0.5 * np.mean(np.diff(vertical[valid]) ** 2) * len(valid)) * data.row_s
-        if np.ptp(yaw) < max(CREEP_YAW, CREEP_NOISE * noise):
-            return start
-    return None
+    windows = hann_windows(n, CREEP_CELLS)
+    means = (windows @ data.vertical)[windows @ ~data.valid == 0.0]
+    if n < 2 * (CREEP_CELLS + 1) or len(means) < MIN_CELLS:
+        return False
+    yaw = np.cumsum(means - means.mean()) * data.row_s * n / (CREEP_CELLS + 1)
+    steps = np.diff(data.vertical[data.valid])
+    steps = steps[steps != 0.0]  # a sample may fill several rows
+    noise = math.sqrt(0.5 * steps @ steps) * data.row_s * n / max(len(steps), 1)
+    return float(np.ptp(yaw)) > max(CREEP_YAW, CREEP_NOISE * noise)
 
 
 def divide(data: HorizontalRows, rate: ColumnArray) -> Cells | None:
@@ -139,43 +144,24 @@ def divide(data: HorizontalRows, rate: ColumnArray) -> Cells | None:
     return best
 
 
-LEAST_ROWS = 60
-"""Rows of the record that a line needs."""
-LINE_RATIO = 40.0
-"""Ratio of the power of a line to the median of the spectrum; white noise exceeds it with probability e^-40
-a bin."""
-MIN_PERIODS = 1.5
-"""A line with fewer periods in the record is left to the trend and the settling hypotheses."""
-FEW_PERIODS, RESIDUAL_SHARE = 5.0, 0.3
-"""A line with fewer periods than this must reduce the residual variance to this share: a knock has power at
-all frequencies, too."""
+def without_sway(rate: ColumnArray, alpha: ColumnArray, valid: BoolArray, slow: FloatArray) -> ColumnArray:
+    """Return rates, rad/s, and α, rad, of horizontal axes, (n,) each, without the strongest line, (2, n).
 
-
-def without_sway(
-    rate: ColumnArray, alpha: ColumnArray, valid: BoolArray, slow: FloatArray
-) -> tuple[ColumnArray, FloatArray]:
-    """Return rates, rad/s, and α, rad, of horizontal axes, (n,) each, without their line, (2, n).
-
-    The line is found in the rate, and fitted beside slow functions of time, (n, m).  The second result,
-    (n, 4) or (n, 0), are its basis functions times its amplitude, rad/s: its uncertainty.
+    The line is found in the rate, and fitted beside slow functions of time, (n, m).
     """
     n, given = len(rate), np.column_stack([rate, alpha])
-    slow = slow / np.sqrt(np.sum(slow**2, axis=0)) * valid[:, None]
-    rate = rate * valid
-    left = rate - slow @ _least_squares(slow, rate)
-    omega = _strongest(left * np.hanning(n + 2)[1:-1]) if n >= LEAST_ROWS else None
+    slow = slow / np.sqrt(np.sum(slow**2, axis=0))
+    left = rate - slow @ _amplitudes(slow, rate, valid)
+    omega = _strongest(left * valid * np.hanning(n + 2)[1:-1]) if n >= LEAST_ROWS else None
     if omega is None:
-        return given.T, np.zeros((n, 0))
+        return given.T
     line = _line(n, omega)
-    columns = np.column_stack([slow, line * valid[:, None]])
-    amplitudes = _least_squares(columns, given * valid[:, None])
-    remains = rate - columns @ amplitudes[:, 0]
-    reduced = np.vdot(remains, remains).real < RESIDUAL_SHARE * np.vdot(left, left).real
-    if omega * n < FEW_PERIODS * math.tau and not reduced:
-        return given.T, np.zeros((n, 0))
-    swing = line @ amplitudes[-4:]
-    size = math.sqrt(2.0 * float(np.mean(np.abs(swing[:, 0]) ** 2)))
-    return np.asarray((given - swing).T), line * size
+    swing = line @ _amplitudes(np.column_stack([slow, line]), given, valid)[-4:]
+    remains = left - swing[:, 0]
+    share = np.sum(np.abs(remains[valid]) ** 2) / np.sum(np.abs(left[valid]) ** 2)
+    if omega * n < FEW_PERIODS * math.tau and share > RESIDUAL_SHARE:
+        return given.T
+    return np.asarray((given - swing).T)
 
 
 def _line(n: int, omega: float) -> FloatArray:
@@ -200,7 +186,9 @@ def _strongest(left: ColumnArray) -> float | None:
     return math.tau * (least + peak) / bins if power[peak] > LINE_RATIO * np.median(power) else None
 
 
-def _least_squares(columns: FloatArray, data: ColumnArray) -> ColumnArray:
+def _amplitudes(columns: FloatArray, data: ColumnArray, valid: BoolArray) -> ColumnArray:
+    """Return the least-squares solution over the valid rows."""
+    columns = columns[valid]
     normal = columns.T @ columns
     normal.flat[:: len(normal) + 1] *= 1.0 + 1e-9
-    return np.asarray(np.linalg.solve(normal, columns.T @ data))
+    return np.asarray(np.linalg.solve(normal, columns.T @ data[valid]))

@@ -25,7 +25,6 @@ from imumon.estimation.alignment.cells import (
     correlation,
     divide,
     scatter,
-    steady_from,
     trend,
     without_sway,
 )
@@ -106,8 +105,7 @@ class PositionFit(NamedTuple):
 
     `log_weight` (h,) is that of prior and evidence, the largest 0; `rate` (h,) earth rate and bias, rad/s,
     with the variance of each part; `vertical` is the vertical gyro, rad/s, and `white` the white noise of the
-    quietest gyro, (rad/s)²/Hz; `attitude` as in `HorizontalRows`; `crept` is whether the beginning was left
-    out.
+    quietest gyro, (rad/s)²/Hz; `attitude` as in `HorizontalRows`.
     """
 
     log_weight: FloatArray
@@ -117,7 +115,6 @@ class PositionFit(NamedTuple):
     vertical_variance: float
     white: float
     attitude: FloatArray
-    crept: bool
 
     def averaged(self) -> PositionFit:
         """Return the fit with one hypothesis that has the mean and the variance of all."""
@@ -129,24 +126,23 @@ class PositionFit(NamedTuple):
 
 
 def fit_position(data: HorizontalRows, warm_up: RemainingWarmUp) -> PositionFit | None:
-    """Return the fit of one position given each hypothesis; None if too little of the record is steady.
-
-    What came before the unit crept about the vertical is left out.
-    """
-    start = steady_from(data)
-    if start is None:
-        return None
-    data = data.since(start)
+    """Return the fit of one position given each hypothesis; None if the record is too short."""
     n = len(data.rate)
     courses = -np.expm1(-data.row_s * np.arange(n + 1.0)[:, None] / SETTLING_TAU_S)
     slopes, middles = np.diff(courses, axis=0) / data.row_s, 0.5 * (courses[1:] + courses[:-1])
     slow = np.column_stack([trend(n, TREND_ORDER), slopes])
-    (rate, alpha), sways = without_sway(data.rate, data.alpha, data.valid, slow)
+    rate, alpha = without_sway(data.rate, data.alpha, data.valid, slow)
     cells = divide(data, rate)
     if cells is None:
         return None
-
-    by_gyros = _by_gyros(cells, slopes, sways, len(warm_up.tau_s))
+    windows = cells.windows[cells.used]
+    by_gyros = information(
+        np.column_stack(
+            [np.ones(len(windows)), windows @ slopes, np.zeros((len(windows), len(warm_up.tau_s)))]
+        ),
+        cells.rate[cells.used] - cells.mean_rate,
+        cells.variance * correlation(cells.used),
+    )
     by_accelerometers = _by_accelerometers(cells, alpha, data.row_s, middles, warm_up.tau_s)
     log_weight, rate, variance = _of_each_hypothesis(by_gyros.plus(by_accelerometers), warm_up)
     likely = log_weight > log_weight.max() + LIKELY
@@ -158,21 +154,6 @@ def fit_position(data: HorizontalRows, warm_up: RemainingWarmUp) -> PositionFit 
         vertical_variance=cells.vertical_variance,
         white=cells.white,
         attitude=data.attitude,
-        crept=start > 0,
-    )
-
-
-def _by_gyros(cells: Cells, slopes: FloatArray, sways: FloatArray, warm_ups: int) -> Information:
-    """Return the information of the gyros on the rate, less the mean of the cells, and the amplitudes.
-
-    `slopes` (n, 8) are the derivatives of the exponentials; `sways` (n, ...) have amplitudes of N(0, 1).
-    """
-    windows = cells.windows[cells.used]
-    uncertain = windows @ sways
-    return information(
-        np.column_stack([np.ones(len(windows)), windows @ slopes, np.zeros((len(windows), warm_ups))]),
-        cells.rate[cells.used] - cells.mean_rate,
-        cells.variance * correlation(cells.used) + uncertain @ uncertain.T,
     )
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,29 +20,22 @@ CAPACITY = 4096
 a fit stays bounded."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Slot:
-    """Means over one slot.
+class Slot(NamedTuple):
+    """Means over the samples of one slot.
 
-    `index` counts slots of `SLOT_S` since the first sample of the segment, `length_s` is the time since the
-    last slot with samples, `samples` the number of samples, and `values` (6,) the mean rate, rad/s, and the
+    `index` counts slots of `SLOT_S` since the first sample of the segment.  The samples stand for the last
+    `length` slots: those since the slot with samples before.  `values` (6,) are the mean rate, rad/s, and the
     mean specific force, m/s², in body axes.
     """
 
     index: int
-    length_s: float
-    samples: int
+    length: int
     values: FloatArray
 
     @property
     def rate(self) -> FloatArray:
         """Mean rate, rad/s, (3,)."""
         return self.values[:3]
-
-    @property
-    def begun_s(self) -> float:
-        """Beginning, s since the first sample."""
-        return SLOT_S * self.index
 
     @property
     def ended_s(self) -> float:
@@ -53,33 +47,43 @@ class Slot:
 class Record:
     """Sums over the slots of one position, in rows of `slots_per_row` slots.
 
-    A row (7,) has the number of samples, and the sums of their rates (3) and specific forces (3).  A row
-    without samples is missing: the unit was moving, or the data have a gap.
+    A row (7,) has the number of slots, and the sums of their rates (3) and specific forces (3).  A row
+    without slots is a gap in the data.
     """
 
     first_slot: int
     slots_per_row: int = 1
     slots: int = 0
     """Slots from the first to the last."""
-    rest_s: float = 0.0
-    """Time at rest."""
     sums: FloatArray = field(default_factory=lambda: np.zeros((CAPACITY, 7)))
 
     def add(self, slot: Slot) -> None:
         """Add a slot at rest."""
-        offset = slot.index - self.first_slot
-        while offset >= CAPACITY * self.slots_per_row:
+        end = slot.index + 1 - self.first_slot
+        while end > CAPACITY * self.slots_per_row:
             pairs = self.sums.reshape(-1, 2, 7).sum(axis=1)
             self.sums = np.concatenate([pairs, np.zeros_like(pairs)])
             self.slots_per_row *= 2
-        self.sums[offset // self.slots_per_row] += slot.samples * np.concatenate([[1.0], slot.values])
-        self.slots = offset + 1
-        self.rest_s += slot.length_s
+        for k in range(max(end - slot.length, 0), end):
+            self.sums[k // self.slots_per_row] += np.concatenate([[1.0], slot.values])
+        self.slots = end
+
+    def forget_half(self) -> None:
+        """Drop the first half of the rows."""
+        half = self.slots // self.slots_per_row // 2
+        self.sums = np.concatenate([self.sums[half:], np.zeros((half, 7))])
+        self.first_slot += half * self.slots_per_row
+        self.slots -= half * self.slots_per_row
 
     @property
     def row_s(self) -> float:
         """Length of a row, s."""
         return SLOT_S * self.slots_per_row
+
+    @property
+    def rest_s(self) -> float:
+        """Time at rest, s."""
+        return SLOT_S * float(self.sums[:, 0].sum())
 
     @property
     def begun_s(self) -> float:
@@ -98,8 +102,7 @@ class Record:
         return count > 0.0, sums[:, 1:] / np.maximum(count, 1.0)[:, None]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class HorizontalRows:
+class HorizontalRows(NamedTuple):
     """The rows of a record in horizontal axes, complex: forward + i left.
 
     `rate` (n,) are the horizontal gyros, rad/s, in axes that follow the horizon of the accelerometers,
@@ -114,11 +117,6 @@ class HorizontalRows:
     alpha: ColumnArray
     attitude: FloatArray
 
-    def since(self, row: int) -> HorizontalRows:
-        """Return the rows from one on."""
-        valid, rate = self.valid[row:], self.rate[row:]
-        return replace(self, valid=valid, rate=rate, vertical=self.vertical[row:], alpha=self.alpha[row:])
-
 
 def horizontal_rows(
     record: Record, attitude: FloatArray, earth_vertical: float, known: KnownWarmUp | None
@@ -129,10 +127,10 @@ def horizontal_rows(
     """
     valid, means = record.rows()
     attitude = upright(attitude[0], means[valid, 3:].mean(axis=0))
-    time_s = np.asarray(record.begun_s + record.row_s * (np.arange(len(means)) + 0.5), np.float64)
-    bias_g = np.zeros((len(means), 3)) if known is None else known.bias_g(time_s)
-    force = (means[:, 3:] / STANDARD_GRAVITY - bias_g) @ attitude.T
-    rate = means[:, :3] @ attitude.T
+    force = means[:, 3:] / STANDARD_GRAVITY
+    if known is not None:
+        force -= known.bias_g(record.begun_s + record.row_s * (np.arange(len(means)) + 0.5))
+    force, rate = force @ attitude.T, means[:, :3] @ attitude.T
     alpha = np.where(valid, force[:, 1] - 1j * force[:, 0], 0.0)
     horizontal = rate[:, 0] + 1j * rate[:, 1] - 1j * alpha * earth_vertical
     return HorizontalRows(record.row_s, valid, horizontal, rate[:, 2], alpha, attitude)
@@ -147,11 +145,6 @@ def upright(ahead: FloatArray, force: FloatArray) -> FloatArray:
     ahead = ahead - (ahead @ up) * up
     ahead = ahead / math.sqrt(float(ahead @ ahead))
     return np.vstack([ahead, np.cross(up, ahead), up])
-
-
-def first_attitude(force: FloatArray) -> FloatArray:
-    """Return the attitude, (3, 3), of the first position: its forward, left and up are the reference."""
-    return upright(forward(force / math.sqrt(float(force @ force))), force)
 
 
 def direction_of(attitude: FloatArray) -> float:
