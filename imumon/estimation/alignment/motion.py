@@ -11,7 +11,7 @@ from collections import deque
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.alignment.record import SLOT_S, Slot
+from imumon.estimation.alignment.position import SLOT_S, Slot
 from imumon.filters.turns import STILL, Turn, angle_of
 from imumon.geodesy import EARTH_RATE
 

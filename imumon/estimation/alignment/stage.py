@@ -15,7 +15,7 @@ from imumon.columns import Column
 from imumon.estimation.alignment.aligner import Aligner
 from imumon.estimation.alignment.motion import CALM_SLOTS
 from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.record import SLOT_S, Slot, direction_of
+from imumon.estimation.alignment.position import SLOT_S, Slot, direction_of
 from imumon.estimation.alignment.report import PositionHeading, heading_text, to_go_text
 from imumon.filters.slots import SlotGatherer, Slots, held
 from imumon.geodesy import DEG_PER_H

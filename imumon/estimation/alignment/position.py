@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray
 from imumon.estimation.alignment.parameters import KnownWarmUp
 from imumon.geodesy import STANDARD_GRAVITY, forward
+
+if TYPE_CHECKING:
+    from imumon.estimation.alignment.fit import PositionFit
 
 SLOT_S = 0.25
 """Length of the slots into which samples are gathered: motion is detected, and rows are filled, four times a
@@ -43,15 +46,39 @@ class Slot(NamedTuple):
         return SLOT_S * (self.index + 1)
 
 
-@dataclass
-class Record:
-    """Sums over the slots of one position, in rows of `slots_per_row` slots.
+class HorizontalRows(NamedTuple):
+    """The rows of a record in horizontal axes, complex: forward + i left.
 
-    A row (7,) has the number of slots, and the sums of their rates (3) and specific forces (3).  A row
-    without slots is a gap in the data.
+    `rate` (n,) are the horizontal gyros, rad/s, in axes that follow the horizon of the accelerometers,
+    `vertical` (n,) is the vertical gyro, and `alpha` (n,) the tilt by the accelerometers, rad, whose
+    derivative is a part of the rate; `attitude` (3, 3) is from body axes by the mean specific force.
+    """
+
+    row_s: float
+    valid: BoolArray
+    rate: ColumnArray
+    vertical: FloatArray
+    alpha: ColumnArray
+    attitude: FloatArray
+
+
+@dataclass
+class Position:
+    """A rest in one attitude: sums over its slots, in rows of `slots_per_row` slots.
+
+    A row of `sums` (7,) has the number of slots, and the sums of their rates (3) and specific forces (3).  A
+    row without slots is a gap in the data.
+
+    `attitude` (3, 3) is from body axes to the reference frame, which is forward, left and up of the first
+    position; `azimuth_variance` is that of the angle about the vertical since then, rad².  `number` counts
+    from 1 the attitudes that differ.
     """
 
     first_slot: int
+    attitude: FloatArray
+    azimuth_variance: float = 0.0
+    number: int = 1
+    fit: PositionFit | None = None
     slots_per_row: int = 1
     slots: int = 0
     """Slots from the first to the last."""
@@ -101,39 +128,20 @@ class Record:
         count = sums[:, 0]
         return count > 0.0, sums[:, 1:] / np.maximum(count, 1.0)[:, None]
 
+    def horizontal(self, earth_vertical: float, known: KnownWarmUp | None) -> HorizontalRows:
+        """Return the complete rows in horizontal axes; of the attitude only the azimuth is used.
 
-class HorizontalRows(NamedTuple):
-    """The rows of a record in horizontal axes, complex: forward + i left.
-
-    `rate` (n,) are the horizontal gyros, rad/s, in axes that follow the horizon of the accelerometers,
-    `vertical` (n,) is the vertical gyro, and `alpha` (n,) the tilt by the accelerometers, rad, whose
-    derivative is a part of the rate; `attitude` (3, 3) is from body axes by the mean specific force.
-    """
-
-    row_s: float
-    valid: BoolArray
-    rate: ColumnArray
-    vertical: FloatArray
-    alpha: ColumnArray
-    attitude: FloatArray
-
-
-def horizontal_rows(
-    record: Record, attitude: FloatArray, earth_vertical: float, known: KnownWarmUp | None
-) -> HorizontalRows:
-    """Return a record in horizontal axes; of the attitude, body to reference frame, only the azimuth is used.
-
-    `earth_vertical` is Ω sin L, rad/s; a known warm-up of the accelerometers is subtracted.
-    """
-    valid, means = record.rows()
-    attitude = upright(attitude[0], means[valid, 3:].mean(axis=0))
-    force = means[:, 3:] / STANDARD_GRAVITY
-    if known is not None:
-        force -= known.bias_g(record.begun_s + record.row_s * (np.arange(len(means)) + 0.5))
-    force, rate = force @ attitude.T, means[:, :3] @ attitude.T
-    alpha = np.where(valid, force[:, 1] - 1j * force[:, 0], 0.0)
-    horizontal = rate[:, 0] + 1j * rate[:, 1] - 1j * alpha * earth_vertical
-    return HorizontalRows(record.row_s, valid, horizontal, rate[:, 2], alpha, attitude)
+        `earth_vertical` is Ω sin L, rad/s; a known warm-up of the accelerometers is subtracted.
+        """
+        valid, means = self.rows()
+        attitude = upright(self.attitude[0], means[valid, 3:].mean(axis=0))
+        force = means[:, 3:] / STANDARD_GRAVITY
+        if known is not None:
+            force -= known.bias_g(self.begun_s + self.row_s * (np.arange(len(means)) + 0.5))
+        force, rate = force @ attitude.T, means[:, :3] @ attitude.T
+        alpha = np.where(valid, force[:, 1] - 1j * force[:, 0], 0.0)
+        horizontal = rate[:, 0] + 1j * rate[:, 1] - 1j * alpha * earth_vertical
+        return HorizontalRows(self.row_s, valid, horizontal, rate[:, 2], alpha, attitude)
 
 
 def upright(ahead: FloatArray, force: FloatArray) -> FloatArray:

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from imumon.estimation.alignment.record import CAPACITY, SLOT_S, Record, Slot
+from imumon.estimation.alignment.position import CAPACITY, SLOT_S, Position, Slot
 from tests.estimation.alignment.units import aligned, error_deg, samples, scenario
 
 
 def test_merged_rows_keep_time_and_mean() -> None:
-    record, rng = Record(100), np.random.default_rng(1)
+    record, rng = Position(100, np.eye(3)), np.random.default_rng(1)
     slots = rng.normal(size=(2 * CAPACITY + 6, 6))
     for k, values in enumerate(slots):
         record.add(Slot(100 + k, 1, values))
@@ -28,7 +28,7 @@ def test_merged_rows_keep_time_and_mean() -> None:
 
 
 def test_a_slot_fills_the_rows_since_the_slot_before_it() -> None:
-    record = Record(0)
+    record = Position(0, np.eye(3))
     for index, length, value in ((0, 1, 1.0), (3, 3, 3.0), (6, 2, 4.0)):
         record.add(Slot(index, length, np.full(6, value)))
     valid, means = record.rows()
@@ -39,8 +39,7 @@ def test_a_slot_fills_the_rows_since_the_slot_before_it() -> None:
 @pytest.mark.parametrize("rate_hz", [1.0, 2.9, 3.5, 4.0])
 def test_a_device_with_a_sample_a_slot_at_most_leaves_no_row_empty(rate_hz: float) -> None:
     stage, _ = aligned(samples(scenario(120.0, rate_hz=rate_hz)))
-    record = stage._aligner.positions[-1].record
-    assert record is not None
+    record = stage._aligner.positions[-1]
     assert record.rows()[0].all()
     assert record.rest_s == pytest.approx(120.0, abs=3.0)
 
