@@ -5,7 +5,6 @@ A turn is followed by the gyros, sample by sample (`imumon.filters.turns`), less
 
 from __future__ import annotations
 
-import math
 from collections import deque
 
 import numpy as np
@@ -24,8 +23,8 @@ CALM_SLOTS, SWAYING_SLOTS, MEDIAN_SLOTS = 8, 40, 120
 """Slots: 2 s of calm are a rest, 10 s of sway at the start; the rate at rest is the median of 30 s."""
 MOST_PENDING = 480
 """Slots: 2 minutes of a motion, or before the first rest, may turn out to be rest; what is older is lost."""
-SAME_ATTITUDE = 1e-4
-"""rad: a turn by less leaves the attitude as it is."""
+SAME_ATTITUDE, SHORT_PATH = 1e-3, 20e-3
+"""rad: a turn by less (0.06°, the noise of 1 °/√h in 10 s) on a path of less leaves the attitude as it is."""
 
 
 class Motion:
@@ -71,7 +70,7 @@ class Motion:
         calm = list(self.pending)[-CALM_SLOTS:]
         if any(self._is_motion(one) for one in calm):
             return [], False
-        turned = angle_of(self.turn.rotation) > max(SAME_ATTITUDE, 6.0 * self._noise)
+        turned = angle_of(self.turn.rotation) > SAME_ATTITUDE or self.turn.path > SHORT_PATH
         return calm if turned else list(self.pending), turned
 
     def _first_rest(self) -> bool:
@@ -104,13 +103,6 @@ class Motion:
         self.pending.clear()
         self.turn = STILL
 
-    @property
-    def _noise(self) -> float:
-        """Standard deviation of the angle of the turn by noise of the slots and of the rate at rest, rad."""
-        spread = float(np.std(np.array(self.recent), axis=0).max())
-        slots = (self.pending[-1].ended_s - self.begun_s) / SLOT_S
-        return SLOT_S * spread * math.sqrt(slots + slots**2 / len(self.recent))
-
     def azimuth_variance(self, up: FloatArray, scale_sd: float) -> float:
         """Return the variance of the angle by which the unit has turned about the vertical, rad².
 
@@ -120,4 +112,4 @@ class Motion:
         # The earth rate turns against the body: up to all of it is wrong while it turns by a radian.
         drift = EARTH_RATE * (self.ended_s - self.begun_s) * min(self.turn.path, 1.0)
         by_scale = scale_sd**2 * float(np.sum(self.turn.scale_about(up) ** 2))
-        return by_scale + self.turn.sampling_variance(up) + self._noise**2 + drift**2
+        return by_scale + self.turn.sampling_variance(up) + drift**2

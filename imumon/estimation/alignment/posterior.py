@@ -27,8 +27,8 @@ import numpy as np
 from scipy.special import i0e, i1e
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.fit import Information, PositionFit
+from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.report import ANY_ANGLE_SD
 from imumon.geodesy import DEG_PER_H, EARTH_RATE
 

@@ -10,8 +10,8 @@ ANY_ANGLE_SD = math.pi / math.sqrt(3.0)
 """Standard deviation of an angle that is uniform on the circle, rad."""
 NOT_OBSERVABLE_S, HOPELESS_S = 30.0, 120.0
 """Times at rest after which "not observable", and a bias that hides the north, are reported."""
-LEAST_S, LONGEST_S = 20.0, 300.0
-"""Shortest and longest time in one of several positions."""
+LONGEST_S = 300.0
+"""Longest time in one of several positions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,12 +160,12 @@ class Guide:
         before, at = self.instruction, status.positions
         ended = status.settled_s is not None or status.hopeless
         too_long = status.position_s >= LONGEST_S
-        enough = status.position_s >= LEAST_S and status.position_sd <= status.wanted_sd
+        enough = too_long or status.position_sd <= status.wanted_sd
         if self.positions == 1:
             self.done = ended
         elif at >= self.positions and (ended or too_long):
             self.instruction, self.done = "done", True
-        elif at < self.positions and (too_long or enough):
+        elif at < self.positions and enough:
             self.instruction = f"turn the unit now by about {360.0 / self.positions:.0f}° about the vertical"
         elif at and not status.moving:
             self.instruction = f"position {at} of {self.positions}: do not touch the unit"

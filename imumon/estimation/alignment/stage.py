@@ -210,8 +210,7 @@ class Alignment:
         limit = math.inf if declared is None else 3.0 * max(declared, 0.01) * DEG_PER_H
         return {
             "heading not observable with this gyro: its bias is not small beside the earth's horizontal rate "
-            f"of {horizontal:.1f} °/h (a turn by half a circle, and a rest, separate them), or the unit "
-            "creeps about the vertical, or an axis, a unit or the latitude is wrong": (
+            f"of {horizontal:.1f} °/h; a turn by half a circle, and a rest, separate them": (
                 status.phase == "not observable"
             ),
             "alignment: the gyros' turn-on bias is not declared (gyro_bias_sd_deg_per_h); sigma takes it for "
