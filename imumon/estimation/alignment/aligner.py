@@ -100,10 +100,13 @@ class Aligner:
         """Begin a position with the rest after a turn; return whether the angle of the turn is known."""
         motion, before = self.motion, self.positions[-1]
         self._fit_position()
+        attitude = upright(self.attitude[0], _mean_force(rest[CALM_SLOTS // 2 :]))
+        # Gravity shows how wrong the horizontal axes are; the vertical one may be as wrong.
+        lean = (self.attitude @ attitude[2])[:2]
         variance = motion.azimuth_variance(before.attitude[2], self.errors.scale)
+        variance += max(0.5 * float(lean @ lean) - variance - 2.0 * self.errors.accel_bias**2, 0.0)
         if variance > ANY_ANGLE_SD**2:
             return False
-        attitude = upright(self.attitude[0], _mean_force(rest[CALM_SLOTS // 2 :]))
         new = angle_of(motion.turn.rotation) > NEW_POSITION
         angle, sd = -yaw_between(before.attitude, attitude), math.sqrt(variance)
         seconds, what = motion.ended_s - motion.begun_s, "a new position, " if new else ""
