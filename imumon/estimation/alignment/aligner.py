@@ -73,7 +73,7 @@ class Aligner:
             return f"the unit turned at {motion.begun_s:.1f} s for {LONGEST_MOTION_S:g} s" if lost else None
         if begins and not self.positions:
             force = _mean_force(rest)
-            self._begin(Position(rest[0].index, upright(forward(force / np.linalg.norm(force)), force)))
+            self._begin(Position(rest[0].number, upright(forward(force / np.linalg.norm(force)), force)))
         elif begins and not self._end_turn(rest):
             return f"the unit turned at {motion.begun_s:.1f} s by an angle that is not known"
         for one in rest:
@@ -119,7 +119,7 @@ class Aligner:
         variance += self.yaw_since_fit**2
         self.variance_since_fit += variance
         variance += before.azimuth_variance
-        self._begin(Position(rest[0].index, attitude, variance, before.number + new))
+        self._begin(Position(rest[0].number, attitude, variance, before.number + new))
         return True
 
     @property

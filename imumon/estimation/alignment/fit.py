@@ -24,7 +24,6 @@ import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray
 from imumon.estimation.alignment.parameters import RemainingWarmUp
-from imumon.estimation.alignment.position import HorizontalRows
 
 CELLS = (96, 24, 6)
 """Candidate numbers of windows in a record; ablation: 48 alone makes 2.6 times the error."""
@@ -112,6 +111,22 @@ class Information(NamedTuple):
             self.vector[..., :kept, :] - gain @ vector,
         )
         return rest, log_density
+
+
+class HorizontalRows(NamedTuple):
+    """The rows of a position in horizontal axes, complex: forward + i left.
+
+    `rate` (n,) are the horizontal gyros, rad/s, in axes that follow the horizon of the accelerometers,
+    `vertical` (n,) is the vertical gyro, and `alpha` (n,) the tilt by the accelerometers, rad, whose
+    derivative is a part of the rate; `attitude` (3, 3) is from body axes by the mean specific force.
+    """
+
+    row_s: float
+    valid: BoolArray
+    rate: ColumnArray
+    vertical: FloatArray
+    alpha: ColumnArray
+    attitude: FloatArray
 
 
 class PositionFit(NamedTuple):

@@ -95,7 +95,7 @@ class Motion:
     def add_rest(self, slot: Slot) -> None:
         """Add the rate of a slot at rest; update the median every 10 s."""
         self.recent.append(slot.rate)
-        if slot.index % SWAYING_SLOTS < slot.length:
+        if slot.number % SWAYING_SLOTS < slot.length:
             self._update_rest_rate(np.array(self.recent))
 
     def end(self) -> None:

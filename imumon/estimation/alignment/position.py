@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import BoolArray, ColumnArray, FloatArray
+from imumon.blocks import BoolArray, FloatArray
+from imumon.estimation.alignment.fit import HorizontalRows, PositionFit
 from imumon.estimation.alignment.parameters import KnownWarmUp
 from imumon.geodesy import STANDARD_GRAVITY, forward
-
-if TYPE_CHECKING:
-    from imumon.estimation.alignment.fit import PositionFit
 
 SLOT_S = 0.25
 """Length of the slots into which samples are gathered: motion is detected, and rows are filled, four times a
@@ -26,12 +24,12 @@ a fit stays bounded."""
 class Slot(NamedTuple):
     """Means over the samples of one slot.
 
-    `index` counts slots of `SLOT_S` since the first sample of the segment.  The samples stand for the last
+    `number` counts slots of `SLOT_S` since the first sample of the segment.  The samples stand for the last
     `length` slots: those since the slot with samples before.  `values` (6,) are the mean rate, rad/s, and the
     mean specific force, m/s², in body axes.
     """
 
-    index: int
+    number: int
     length: int
     values: FloatArray
 
@@ -43,23 +41,7 @@ class Slot(NamedTuple):
     @property
     def ended_s(self) -> float:
         """End, s since the first sample."""
-        return SLOT_S * (self.index + 1)
-
-
-class HorizontalRows(NamedTuple):
-    """The rows of a record in horizontal axes, complex: forward + i left.
-
-    `rate` (n,) are the horizontal gyros, rad/s, in axes that follow the horizon of the accelerometers,
-    `vertical` (n,) is the vertical gyro, and `alpha` (n,) the tilt by the accelerometers, rad, whose
-    derivative is a part of the rate; `attitude` (3, 3) is from body axes by the mean specific force.
-    """
-
-    row_s: float
-    valid: BoolArray
-    rate: ColumnArray
-    vertical: FloatArray
-    alpha: ColumnArray
-    attitude: FloatArray
+        return SLOT_S * (self.number + 1)
 
 
 @dataclass
@@ -86,7 +68,7 @@ class Position:
 
     def add(self, slot: Slot) -> None:
         """Add a slot at rest."""
-        end = slot.index + 1 - self.first_slot
+        end = slot.number + 1 - self.first_slot
         while end > CAPACITY * self.slots_per_row:
             pairs = self.sums.reshape(-1, 2, 7).sum(axis=1)
             self.sums = np.concatenate([pairs, np.zeros_like(pairs)])
@@ -137,7 +119,8 @@ class Position:
         attitude = upright(self.attitude[0], means[valid, 3:].mean(axis=0))
         force = means[:, 3:] / STANDARD_GRAVITY
         if known is not None:
-            force -= known.bias_g(self.begun_s + self.row_s * (np.arange(len(means)) + 0.5))
+            time_s = self.begun_s + self.row_s * (np.arange(len(means)) + 0.5)
+            force -= known.bias_g(np.asarray(time_s, np.float64))
         force, rate = force @ attitude.T, means[:, :3] @ attitude.T
         alpha = np.where(valid, force[:, 1] - 1j * force[:, 0], 0.0)
         horizontal = rate[:, 0] + 1j * rate[:, 1] - 1j * alpha * earth_vertical
