@@ -54,9 +54,10 @@ class Aligner:
         """Time at rest, s, north and sigma of each fit."""
         self.rest_s, self.due_s = 0.0, FIRST_FIT_S
         """Time at rest, and that at which the next fit is due."""
+        self.vertical: float | None = None
+        """Mean of the vertical gyro in the last fit, rad/s."""
         self.yaw_since_fit, self.creeping = 0.0, False
-        """What the vertical gyro has turned since the last fit, less its mean until then, rad, and whether
-        that was a creep."""
+        """What it has turned since, less that, rad, and whether that was a creep."""
         self.variance_since_fit = 0.0
         """Variance of the turns since the last heading, rad²."""
         self.settled_s: float | None = None
@@ -87,8 +88,8 @@ class Aligner:
         here, seconds = self.positions[-1], SLOT_S * slot.length
         here.add(slot)
         self.rest_s += seconds
-        if here.fit is not None:
-            self.yaw_since_fit += seconds * (float(here.attitude[2] @ slot.rate) - here.fit.vertical)
+        if self.vertical is not None:
+            self.yaw_since_fit += seconds * (float(here.attitude[2] @ slot.rate) - self.vertical)
         self.motion.add_rest(slot)
 
     def _begin(self, position: Position) -> None:
@@ -140,7 +141,7 @@ class Aligner:
         fit = fit_position(data, RemainingWarmUp() if known is None else known.remaining)
         if fit is None:
             return False
-        here.fit = fit
+        here.fit, self.vertical = fit, fit.vertical
         here.azimuth_variance += self.creeping * self.yaw_since_fit**2
         self.yaw_since_fit, self.creeping = 0.0, False
         white = min(one.fit.white for one in self.positions if one.fit is not None)

@@ -61,7 +61,7 @@ makes up to 8 times the error."""
 WALK = 1e-7
 """Random walk of a warmed-up accelerometer, g/√s.  A drift of 1 µg is read as a tilt of 1 µrad."""
 OFFSET_SD = 1e-3
-"""Standard deviation of the constant part of α, rad."""
+"""Standard deviation of the constant part of α, and of its step in a knock, rad."""
 LIKELY = -15.0
 """Log weight relative to the largest below which a hypothesis is dropped."""
 
@@ -177,20 +177,23 @@ def fit_position(data: HorizontalRows, warm_up: RemainingWarmUp) -> PositionFit 
     courses = -np.expm1(-dt * np.arange(n + 1.0)[:, None] / SETTLING_TAU_S)
     slopes, middles = np.diff(courses, axis=0) / dt, 0.5 * (courses[1:] + courses[:-1])
     slow = np.column_stack([_trend(n, TREND_ORDER), slopes])
-    rate, alpha = _without_sway(data.rate, data.alpha, data.valid, slow)
+    (rate, alpha), line = _without_sway(data.rate, data.alpha, data.valid, slow)
     cells = _divide(data, rate)
     if cells is None:
         return None
     windows, used, warm_ups = cells.windows, cells.used, len(warm_up.tau_s)
     mean_rate = complex(cells.rate[used].mean())
+    uncertain = windows[used] @ line
     by_gyros = _information(
         np.column_stack([np.ones(n), slopes, np.zeros((n, warm_ups))]),
-        cells.rate - mean_rate, windows, used, cells.variance * _correlation(used),
+        cells.rate - mean_rate, windows, used, cells.variance * _correlation(used) + uncertain @ uncertain.T,
     )  # fmt: skip
     levels, time_s = windows @ alpha, dt * (windows @ np.arange(n))
     noise, level, _ = _scatter(levels, used, TREND_ORDER)
     walk = OFFSET_SD**2 + WALK**2 * np.minimum.outer(time_s[level], time_s[level])
     covariance = noise * _correlation(level) + walk + 1e-14 * np.eye(level.sum())
+    for knock_s in time_s[~level & np.r_[True, level[:-1]]]:  # the offset is unknown anew behind it
+        covariance += OFFSET_SD**2 * np.outer(time_s[level] > knock_s, time_s[level] > knock_s)
     warm = -np.expm1(-dt * (np.arange(n)[:, None] + 0.5) / np.array(warm_up.tau_s))
     by_accelerometers = _information(
         np.column_stack([np.zeros(n), middles, warm]),
@@ -307,27 +310,32 @@ def creeps(data: HorizontalRows) -> bool:
     return float(np.ptp(yaw)) > max(CREEP_YAW, CREEP_NOISE * noise)
 
 
-def _without_sway(rate: ColumnArray, alpha: ColumnArray, valid: BoolArray, slow: FloatArray) -> ColumnArray:
+def _without_sway(
+    rate: ColumnArray, alpha: ColumnArray, valid: BoolArray, slow: FloatArray
+) -> tuple[ColumnArray, FloatArray]:
     """Return rates, rad/s, and α, rad, of horizontal axes, (n,) each, without the strongest line, (2, n).
 
     The line is found in the rate, and fitted beside slow functions of time, (n, m).  Cosine and sine have an
     amplitude that may change along the record, and the frequency by a fraction of a period in the record.
+    The second result are these functions times the amplitude, (n, 4) or (n, 0), rad/s: its uncertainty.
     """
     n, given = len(rate), np.column_stack([rate, alpha])
     slow = slow / np.sqrt(np.sum(slow**2, axis=0))
     left = rate - slow @ _amplitudes(slow, rate, valid)
     omega = _strongest(left * valid * np.hanning(n + 2)[1:-1]) if n >= LEAST_ROWS else None
     if omega is None:
-        return given.T
+        return given.T, np.zeros((n, 0))
     row = (np.arange(n) - 0.5 * (n - 1))[:, None]
     wave = np.hstack([np.cos(omega * row), np.sin(omega * row)])
-    columns = np.hstack([slow, wave, wave * row / (0.5 * n)])
+    line = np.hstack([wave, wave * row / (0.5 * n)])
+    columns = np.hstack([slow, line])
     amplitudes = _amplitudes(columns, given, valid)
     remains = rate - columns @ amplitudes[:, 0]
     share = np.sum(np.abs(remains[valid]) ** 2) / np.sum(np.abs(left[valid]) ** 2)
     if omega * n < FEW_PERIODS * math.tau and share > RESIDUAL_SHARE:
-        return given.T
-    return np.asarray((given - columns[:, -4:] @ amplitudes[-4:]).T)
+        return given.T, np.zeros((n, 0))
+    swing = line @ amplitudes[-4:]
+    return np.asarray((given - swing).T), line * math.sqrt(2.0 * np.mean(np.abs(swing[:, 0]) ** 2))
 
 
 def _strongest(left: ColumnArray) -> float | None:

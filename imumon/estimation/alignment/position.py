@@ -1,4 +1,4 @@
-"""What a unit at rest in one position measured, in rows of equal length, and the same in horizontal axes."""
+"""What a unit at rest in one position measured, in rows of equal length."""
 
 from __future__ import annotations
 

@@ -91,11 +91,6 @@ class Status:
         )
         return next((phase for condition, phase in table if condition), "coarse")
 
-    @property
-    def hopeless(self) -> bool:
-        """Whether more time will not bring the wanted sigma, as the gyros' bias limits it."""
-        return self.rest_s >= HOPELESS_S and self.remaining_s is None
-
 
 def heading_text(status: Status) -> str:
     """Return the heading with its sigma, or the reason why there is none."""
@@ -158,7 +153,8 @@ class Guide:
     def update(self, status: Status) -> list[str]:
         """Return a new instruction, if there is one, (0 or 1)."""
         before, at = self.instruction, status.positions
-        ended = status.settled_s is not None or status.hopeless
+        hopeless = status.rest_s >= HOPELESS_S and status.remaining_s is None
+        ended = status.settled_s is not None or hopeless
         too_long = status.position_s >= LONGEST_S
         enough = too_long or status.position_sd <= status.wanted_sd
         if self.positions == 1:
