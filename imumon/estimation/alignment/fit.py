@@ -56,8 +56,7 @@ SETTLING_TAU_S = np.geomspace(5.0, 640.0, 8)
 TILT_SD, NOTHING = (1e-5, 1e-4, 1e-3), 1e-9
 """rad: sizes of a tilt; rad or g: what is none."""
 P_SETTLES = 0.3
-"""Prior probability of a settling tripod.  With 0.03 a slow tilt passes for a bias, 9 sigma off; ablation: 0
-makes up to 8 times the error."""
+"""Prior probability of a settling tripod.  With 0.03 a slow tilt passes for a bias, 9 sigma off."""
 WALK = 1e-7
 """Random walk of a warmed-up accelerometer, g/√s.  A drift of 1 µg is read as a tilt of 1 µrad."""
 OFFSET_SD = 1e-3
