@@ -14,23 +14,23 @@ from alignment_site_scenes import record as record_of
 from study import rms
 
 from imumon.blocks import FloatArray
-from imumon.estimation.alignment import aligner, cells, hypotheses, sensor_errors
+from imumon.estimation.alignment import aligner, fit, posterior
 from imumon.estimation.alignment.parameters import RemainingWarmUp
 
 VARIANTS: Mapping[str, Change] = {
-    "cells: 48 alone": [(cells, "CELLS", (48,))],
-    "cells: also 48 and 12": [(cells, "CELLS", (96, 48, 24, 12, 6))],
-    "rejection of knocks": [(cells, "KNOCK", 1e9)],
-    "sway": [(cells, "LEAST_ROWS", 1_000_000)],
-    "sway with fewer than 5 periods": [(cells, "MIN_PERIODS", 5.0)],
-    "a creep is left out": [(cells, "CREEP_YAW", math.inf)],
-    "warm-up": [(aligner, "RemainingWarmUp", lambda: RemainingWarmUp(hypotheses.NOTHING))],
-    "settling": [(hypotheses, "P_SETTLES", 1e-9)],
-    "settling: one exponential": [(hypotheses, "TILTS", hypotheses.tilt_hypotheses(1))],
-    "settling: all exponentials": [(hypotheses, "TILTS", hypotheses.tilt_hypotheses(8))],
-    "settling: prior of 0.03": [(hypotheses, "P_SETTLES", 0.03)],
-    "averaging: the best hypothesis": [(hypotheses, "LIKELY", -1e-9)],
-    "gyros worse than the others": [(sensor_errors, "P_WORSE", 1e-12)],
+    "cells: 48 alone": [(fit, "CELLS", (48,))],
+    "cells: also 48 and 12": [(fit, "CELLS", (96, 48, 24, 12, 6))],
+    "rejection of knocks": [(fit, "KNOCK", 1e9)],
+    "sway": [(fit, "LEAST_ROWS", 1_000_000)],
+    "sway with fewer than 5 periods": [(fit, "MIN_PERIODS", 5.0)],
+    "the record of a creep is halved": [(fit, "CREEP_YAW", math.inf)],
+    "warm-up": [(aligner, "RemainingWarmUp", lambda: RemainingWarmUp(fit.NOTHING))],
+    "settling": [(fit, "P_SETTLES", 1e-9)],
+    "settling: one exponential": [(fit, "TILTS", fit.tilt_hypotheses(1))],
+    "settling: all exponentials": [(fit, "TILTS", fit.tilt_hypotheses(8))],
+    "settling: prior of 0.03": [(fit, "P_SETTLES", 0.03)],
+    "averaging: the best hypothesis": [(fit, "LIKELY", -1e-9)],
+    "gyros worse than the others": [(posterior, "P_WORSE", 1e-12)],
     "sigma of a heading that moves from fit to fit": [(aligner, "RECENT_SHARE", 0.0)],
 }
 """What is left out or set otherwise."""

@@ -1,37 +1,28 @@
-"""The alignment of one device, slot by slot: the record of each position, and the fits."""
+"""The alignment of one device, slot by slot: its positions, and the fits."""
 
 from __future__ import annotations
 
 import cmath
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.alignment.hypotheses import PositionFit, fit_position
+from imumon.estimation.alignment.fit import creeps, fit_position
 from imumon.estimation.alignment.motion import CALM_SLOTS, Motion
 from imumon.estimation.alignment.parameters import AlignmentParameters, RemainingWarmUp
-from imumon.estimation.alignment.posterior import HeadingPosterior, heading_posterior
-from imumon.estimation.alignment.record import (
-    Record,
-    Slot,
-    direction_of,
-    first_attitude,
-    horizontal_rows,
-    upright,
-    yaw_between,
-)
-from imumon.estimation.alignment.report import ANY_ANGLE_SD, Estimate, PositionHeading
-from imumon.estimation.alignment.sensor_errors import SensorErrors, sensor_errors
+from imumon.estimation.alignment.position import SLOT_S, Position, Slot, direction_of, upright, yaw_between
+from imumon.estimation.alignment.posterior import HeadingPosterior, heading_posterior, sensor_errors
+from imumon.estimation.alignment.report import ANY_ANGLE_SD, Estimate, PositionHeading, Status
 from imumon.filters.turns import Turn, angle_of
-from imumon.geodesy import EARTH_RATE
+from imumon.geodesy import EARTH_RATE, forward
 
 FIRST_FIT_S, LONGEST_REFIT_S = 10.0, 60.0
 """Time at rest of the first fit of a position, and the longest between two fits; in between a position is
 fitted anew when its time at rest has grown by a third, which lowers sigma by an eighth."""
+FORGET_S = 60.0
+"""A longer record loses its first half while the unit creeps."""
 RECENT_SHARE = 0.5
 """Sigma is at least the distance to the headings fitted in the last half of the time at rest in a position;
 ablation: without it, six of 41 sites were over 7 sigma off once, not two."""
@@ -40,31 +31,7 @@ NEW_POSITION = 0.01
 LONGEST_MOTION_S = 120.0
 """After a longer motion the alignment starts anew: the rates in the first rest may have been a turn."""
 MOST_FITS = 400
-"""Results that are kept, for the chart and for sigma."""
-
-
-@dataclass
-class Position:
-    """A rest in one attitude.
-
-    `attitude` (3, 3) is from body axes to the reference frame, which is forward, left and up of the first
-    position; `azimuth_variance` is that of the angle about the vertical since then, rad².  `number` counts
-    from 1 the attitudes that differ by more than NEW_POSITION.
-    """
-
-    attitude: FloatArray
-    azimuth_variance: float
-    number: int
-    record: Record
-    fit: PositionFit | None = None
-
-
-class Result(NamedTuple):
-    """A result of a fit: time at rest, s; direction of north, counter-clockwise, and sigma, rad."""
-
-    rest_s: float
-    north: float
-    sd: float
+"""Headings that are kept, for the chart and for sigma."""
 
 
 class Aligner:
@@ -74,18 +41,25 @@ class Aligner:
         self.parameters = parameters
         self.latitude = math.radians(latitude_deg)
         self.earth_horizontal = EARTH_RATE * math.cos(self.latitude)
+        self.wanted_sd = math.radians(parameters.settled_deg)
         self.motion = Motion()
         self.positions: list[Position] = []
+        self.errors = sensor_errors(0.0, parameters)
+        """Of the sensors: declared, or by the noise of the quietest gyro in any fit."""
         self.posterior: HeadingPosterior | None = None
         """Of the last fit; None before it."""
-        self.means: dict[str, Result] = {}
-        """By means of the gyros, beside the joint fit."""
-        self.history: list[Result] = []
-        """By the joint fit."""
+        self.means: dict[str, tuple[float, float]] = {}
+        """North by means of the gyros, rad, counter-clockwise in the reference frame, and sigma."""
+        self.history: list[tuple[float, float, float]] = []
+        """Time at rest, s, north and sigma of each fit."""
         self.rest_s, self.due_s = 0.0, FIRST_FIT_S
         """Time at rest, and that at which the next fit is due."""
-        self.crept = 0.0
-        """What the vertical gyro has turned since the last fit, less its mean until then, rad."""
+        self.vertical: float | None = None
+        """Mean of the vertical gyro in the last fit, rad/s."""
+        self.yaw_since_fit, self.creeping = 0.0, False
+        """What it has turned since, less that, rad, and whether that was a creep."""
+        self.variance_since_fit = 0.0
+        """Variance of the turns since the last heading, rad²."""
         self.settled_s: float | None = None
         """Time since the first sample at which the heading settled; None if it is not settled."""
         self.events: list[str] = []
@@ -99,46 +73,39 @@ class Aligner:
             lost = motion.moving and slot.ended_s - motion.begun_s > LONGEST_MOTION_S
             return f"the unit turned at {motion.begun_s:.1f} s for {LONGEST_MOTION_S:g} s" if lost else None
         if begins and not self.positions:
-            self._begin_position(first_attitude(_mean_force(rest)), 0.0, 1, rest)
+            force = _mean_force(rest)
+            self._begin(Position(rest[0].number, upright(forward(force / np.linalg.norm(force)), force)))
         elif begins and not self._end_turn(rest):
             return f"the unit turned at {motion.begun_s:.1f} s by an angle that is not known"
-        elif not begins:
-            for one in rest:
-                self._add_rest(one)
+        for one in rest:
+            self._add_rest(one)
         motion.end()
         if self.rest_s >= self.due_s:
             self._update_heading()
         return None
 
     def _add_rest(self, slot: Slot) -> None:
-        here = self.positions[-1]
-        here.record.add(slot)
-        self.rest_s += slot.length_s
-        if here.fit is not None:
-            self.crept += slot.length_s * (float(here.attitude[2] @ slot.rate) - here.fit.vertical)
-        self.motion.add_rest(slot.rate)
+        here, seconds = self.positions[-1], SLOT_S * slot.length
+        here.add(slot)
+        self.rest_s += seconds
+        if self.vertical is not None:
+            self.yaw_since_fit += seconds * (float(here.attitude[2] @ slot.rate) - self.vertical)
+        self.motion.add_rest(slot)
 
-    def _begin_position(
-        self, attitude: FloatArray, variance: float, number: int, rest: Sequence[Slot]
-    ) -> None:
-        """Begin a position whose record starts with these slots."""
-        first, slots_per_row = rest[0], 1
-        if max(slot.samples for slot in rest) == 1:  # each row must last for two samples: none stays empty
-            interval = (rest[-1].index - first.index) / (len(rest) - 1)
-            slots_per_row = 1 << math.ceil(math.log2(2.0 * interval))
-        self.positions.append(Position(attitude, variance, number, Record(first.index, slots_per_row)))
-        self.due_s, self.crept = self.rest_s + FIRST_FIT_S, 0.0
-        for slot in rest:
-            self._add_rest(slot)
+    def _begin(self, position: Position) -> None:
+        self.positions.append(position)
+        self.due_s = self.rest_s + FIRST_FIT_S
+        self.yaw_since_fit, self.creeping = 0.0, False
 
     def _end_turn(self, rest: Sequence[Slot]) -> bool:
         """Begin a position with the rest after a turn; return whether the angle of the turn is known."""
-        motion, errors, before = self.motion, self.errors, self.positions[-1]
+        motion, before = self.motion, self.positions[-1]
         self._fit_position()
         attitude = upright(self.attitude[0], _mean_force(rest[CALM_SLOTS // 2 :]))
-        variance = motion.azimuth_variance(before.attitude, errors.scale) + motion.unexplained_variance(
-            before.attitude, attitude[2], errors.scale, math.sqrt(2.0) * errors.accel_bias
-        )
+        # Gravity shows how wrong the horizontal axes are; the vertical one may be as wrong.
+        lean = (self.attitude @ attitude[2])[:2]
+        variance = motion.azimuth_variance(before.attitude[2], self.errors.scale)
+        variance += max(0.5 * float(lean @ lean) - variance - 2.0 * self.errors.accel_bias**2, 0.0)
         if variance > ANY_ANGLE_SD**2:
             return False
         new = angle_of(motion.turn.rotation) > NEW_POSITION
@@ -149,10 +116,11 @@ class Aligner:
             f"turned by {math.degrees(angle):.2f}° ± {math.degrees(sd):.2f}° about the vertical"
         )
         before.fit = before.fit and before.fit.averaged()
-        before.record.sums = np.empty((0, 7))
-        motion.recent.clear()
-        variance += before.azimuth_variance + self.crept**2
-        self._begin_position(attitude, variance, before.number + new, rest)
+        before.sums = np.empty((0, 7))
+        variance += self.yaw_since_fit**2
+        self.variance_since_fit += variance
+        variance += before.azimuth_variance
+        self._begin(Position(rest[0].number, attitude, variance, before.number + new))
         return True
 
     @property
@@ -161,60 +129,59 @@ class Aligner:
         here = self.positions[-1].attitude if self.positions else np.eye(3)
         return np.asarray(here @ self.motion.turn.rotation)
 
-    @property
-    def errors(self) -> SensorErrors:
-        """Standard deviations of the sensor errors, declared or from the noise of the quietest gyro."""
-        white = min((one.fit.white for one in self.positions if one.fit is not None), default=0.0)
-        return sensor_errors(math.sqrt(white), self.parameters)
-
     def _fit_position(self) -> bool:
-        """Fit the present position, and both means of its gyros; return whether the record is long enough."""
+        """Fit the present position, and both means of its gyros; return whether its record allows it."""
         here, known = self.positions[-1], self.parameters.known_warm_up
-        data = horizontal_rows(here.record, here.attitude, EARTH_RATE * math.sin(self.latitude), known)
+        data = here.horizontal(EARTH_RATE * math.sin(self.latitude), known)
+        if creeps(data):
+            self.creeping = True
+            if here.rest_s > FORGET_S:
+                here.forget_half()
+            return False
         fit = fit_position(data, RemainingWarmUp() if known is None else known.remaining)
         if fit is None:
             return False
-        here.fit = fit
-        here.azimuth_variance += fit.crept * self.crept**2
-        self.crept = 0.0
+        here.fit, self.vertical = fit, fit.vertical
+        here.azimuth_variance += self.creeping * self.yaw_since_fit**2
+        self.yaw_since_fit, self.creeping = 0.0, False
+        white = min(one.fit.white for one in self.positions if one.fit is not None)
+        self.errors = sensor_errors(math.sqrt(white), self.parameters)
         rate, bias = data.rate[data.valid], self.posterior.bias_size if self.posterior else 0.0
         for name, taper, factor in (("gyro_mean", np.ones, 1.0), ("hann_mean", np.hanning, 1.5)):
-            mean = complex(taper(len(rate)) @ rate)
-            sd = math.sqrt(factor * fit.white / here.record.rest_s + bias**2) / self.earth_horizontal
-            self.means[name] = Result(self.rest_s, cmath.phase(mean), min(sd, ANY_ANGLE_SD))
+            sd = math.sqrt(factor * fit.white / here.rest_s + bias**2) / self.earth_horizontal
+            self.means[name] = cmath.phase(complex(taper(len(rate)) @ rate)), min(sd, ANY_ANGLE_SD)
         return True
 
     def _update_heading(self) -> None:
         """Fit the present position, and update the heading by the fits of all positions."""
-        here_s = self.positions[-1].record.rest_s
-        self.due_s = self.rest_s + min(max(here_s / 3.0, 1.0), LONGEST_REFIT_S)
+        here = self.positions[-1]
+        self.due_s = self.rest_s + min(max(here.rest_s / 3.0, 1.0), LONGEST_REFIT_S)
         if not self._fit_position():
             return
         fitted = [(one.fit, one.azimuth_variance) for one in self.positions if one.fit]
         fits, variances = zip(*fitted, strict=True)
         new = heading_posterior(fits, np.array(variances), self.latitude, self.errors)
         # What no hypothesis explains shows as a heading that moves from fit to fit.
-        recent = [one.north for one in self.history if one.rest_s >= self.rest_s - RECENT_SHARE * here_s]
+        since_s = self.rest_s - RECENT_SHARE * here.rest_s
+        recent = [north for rest_s, north, _ in self.history if rest_s >= since_s]
         moved = max((abs(math.remainder(new.north - north, 2.0 * math.pi)) for north in recent), default=0.0)
         self.posterior = new._replace(sd=min(max(new.sd, moved), ANY_ANGLE_SD))
-        self.history = [*self.history[1 - MOST_FITS :], Result(self.rest_s, new.north, self.posterior.sd)]
+        self.variance_since_fit = 0.0
+        self.history = [*self.history[1 - MOST_FITS :], (self.rest_s, new.north, self.posterior.sd)]
         # Settled when sigma falls to the wanted one, and no longer when it exceeds 1.25 times that.
-        wanted, record = math.radians(self.parameters.settled_deg), self.positions[-1].record
-        if not (self.observable and self.heading_sd <= 1.25 * wanted):
+        if not (self.observable and self.heading_sd <= 1.25 * self.wanted_sd):
             self.settled_s = None
-        elif self.settled_s is None and self.heading_sd <= wanted:
-            self.settled_s = record.ended_s
+        elif self.settled_s is None and self.heading_sd <= self.wanted_sd:
+            self.settled_s = here.ended_s
 
     @property
     def heading_sd(self) -> float:
         """Standard deviation of the heading, rad: of the last fit, turns and creep since; NaN before it."""
         if self.posterior is None:
             return math.nan
-        here = self.positions[-1]
-        fitted = next(one for one in reversed(self.positions) if one.fit is not None)
-        variance = self.posterior.sd**2 + here.azimuth_variance - fitted.azimuth_variance + self.crept**2
+        variance = self.posterior.sd**2 + self.variance_since_fit + self.yaw_since_fit**2
         if self.motion.moving:
-            variance += self.motion.azimuth_variance(here.attitude, self.errors.scale)
+            variance += self.motion.azimuth_variance(self.positions[-1].attitude[2], self.errors.scale)
         return min(math.sqrt(variance), ANY_ANGLE_SD)
 
     @property
@@ -227,11 +194,11 @@ class Aligner:
         """Headings by the joint fit and the means of the gyros, NaN if not observable; none before a fit."""
         if self.posterior is None:
             return {}
-        joint = Result(self.rest_s, self.posterior.north, self.heading_sd)
         direction = direction_of(self.attitude) if self.observable else math.nan
+        joint = (self.posterior.north, self.heading_sd)
         return {
-            name: Estimate((one.north - direction) % (2.0 * math.pi), one.sd)
-            for name, one in {"joint": joint, **self.means}.items()
+            name: Estimate((north - direction) % (2.0 * math.pi), sd)
+            for name, (north, sd) in {"joint": joint, **self.means}.items()
         }
 
     @property
@@ -239,23 +206,38 @@ class Aligner:
         """Time until the wanted sigma, if all of sigma that is no bias is noise; None if unknown or never."""
         if self.posterior is None or not self.observable:
             return None
-        wanted = math.radians(self.parameters.settled_deg)
-        if self.heading_sd <= wanted:
+        if self.heading_sd <= self.wanted_sd:
             return 0.0
-        # Several positions separate the bias from the earth rate.
         bias_sd = 0.0
-        if self.positions[-1].number == 1:
+        if self.positions[-1].number == 1:  # several separate the bias from the earth rate
             by_level = self.errors.accel_bias * math.tan(self.latitude)
             bias_sd = math.hypot(self.posterior.bias_size / self.earth_horizontal, by_level)
-        left, noise = wanted**2 - bias_sd**2, max(self.heading_sd**2 - bias_sd**2, 0.0)
+        left, noise = self.wanted_sd**2 - bias_sd**2, max(self.heading_sd**2 - bias_sd**2, 0.0)
         return max(self.rest_s * (noise / left - 1.0), 1.0) if left > 0.0 else None
 
-    @property
-    def turned(self) -> float:
-        """Angle about the vertical since the previous position, rad, clockwise; also during a turn."""
-        moving = self.motion.moving
-        before = [one for one in self.positions if moving or one.number < self.positions[-1].number]
-        return -yaw_between(before[-1].attitude, self.attitude) if before else 0.0
+    def status(self, elapsed_s: float) -> Status:
+        """Return the state so long after the first sample."""
+        number, position_s, position_sd, turned = 0, 0.0, math.inf, 0.0
+        if self.positions:
+            here, moving = self.positions[-1], self.motion.moving
+            number, position_s = here.number, here.rest_s
+            if here.fit is not None:
+                position_sd = math.sqrt(here.fit.variance.min()) / self.earth_horizontal
+            before = [one.attitude for one in self.positions if moving or one.number < number]
+            turned = -yaw_between(before[-1], self.attitude) if before else 0.0
+        return Status(
+            moving=self.motion.moving,
+            estimates=self.estimates,
+            settled_s=self.settled_s,
+            remaining_s=self.remaining_s,
+            wanted_sd=self.wanted_sd,
+            rest_s=self.rest_s,
+            elapsed_s=elapsed_s,
+            positions=number,
+            position_s=position_s,
+            position_sd=position_sd,
+            turned=turned,
+        )
 
     def headings(self, run: int) -> list[PositionHeading]:
         """Fit the rest since the last fit; return the heading in each position of a segment."""
@@ -263,13 +245,12 @@ class Aligner:
             self._update_heading()
         if self.posterior is None:
             return []
-        found = []
+        found, last = [], self.positions[-1].azimuth_variance
         for one in self.positions:
-            variance = self.posterior.sd**2 + self.positions[-1].azimuth_variance - one.azimuth_variance
-            sd = min(math.sqrt(variance), ANY_ANGLE_SD)
+            sd = min(math.sqrt(self.posterior.sd**2 + last - one.azimuth_variance), ANY_ANGLE_SD)
             shown = self.posterior.north if sd < math.radians(self.parameters.observable_deg) else math.nan
             heading = (shown - direction_of(one.attitude)) % (2.0 * math.pi)
-            found.append(PositionHeading(run, one.record.begun_s, one.record.ended_s, heading, sd))
+            found.append(PositionHeading(run, one.begun_s, one.ended_s, heading, sd))
         return found
 
 

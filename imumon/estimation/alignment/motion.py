@@ -5,14 +5,12 @@ A turn is followed by the gyros, sample by sample (`imumon.filters.turns`), less
 
 from __future__ import annotations
 
-import math
 from collections import deque
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.alignment.record import Slot
+from imumon.estimation.alignment.position import SLOT_S, Slot
 from imumon.filters.turns import STILL, Turn, angle_of
 from imumon.geodesy import EARTH_RATE
 
@@ -25,30 +23,26 @@ CALM_SLOTS, SWAYING_SLOTS, MEDIAN_SLOTS = 8, 40, 120
 """Slots: 2 s of calm are a rest, 10 s of sway at the start; the rate at rest is the median of 30 s."""
 MOST_PENDING = 480
 """Slots: 2 minutes of a motion, or before the first rest, may turn out to be rest; what is older is lost."""
-SAME_ATTITUDE = 1e-4
-"""rad: a turn by less leaves the attitude as it is."""
+SAME_ATTITUDE, SHORT_PATH = 1e-3, 20e-3
+"""rad: a turn by less (0.06°, the noise of 1 °/√h in 10 s) on a path of less leaves the attitude as it is."""
 
 
-@dataclass
 class Motion:
-    """State of the motion detector."""
+    """The motion detector."""
 
-    rest_rate: FloatArray | None = None
-    """Median rate at rest, rad/s, (3,); None before the first rest."""
-    limit: float = MOTION_RATE
-    """Distance from it that is still rest, rad/s."""
-    recent: deque[FloatArray] = field(default_factory=lambda: deque(maxlen=MEDIAN_SLOTS))
-    """Rates of slots at rest in this position."""
-    since_update: int = 0
-    """Slots at rest since the median was updated, in earlier positions, too: a strong sway is taken for turns
-    until then."""
-    pending: deque[Slot] = field(default_factory=lambda: deque(maxlen=MOST_PENDING))
-    """Slots of the motion; before the first rest, those that may belong to it."""
-    turn: Turn = STILL
-    """Since the motion began."""
-    begun_s: float = 0.0
-    ended_s: float = 0.0
-    """Of the motion, s since the first sample."""
+    def __init__(self) -> None:
+        self.rest_rate: FloatArray | None = None
+        """Median rate at rest, rad/s, (3,); None before the first rest."""
+        self.limit = MOTION_RATE
+        """Distance from it that is still rest, rad/s."""
+        self.recent: deque[FloatArray] = deque(maxlen=MEDIAN_SLOTS)
+        """Rates of slots at rest."""
+        self.pending: deque[Slot] = deque(maxlen=MOST_PENDING)
+        """Slots of the motion; before the first rest, those that may belong to it."""
+        self.turn: Turn = STILL
+        """Since the motion began."""
+        self.begun_s = self.ended_s = 0.0
+        """Of the motion, s since the first sample."""
 
     @property
     def moving(self) -> bool:
@@ -68,7 +62,7 @@ class Motion:
         if not (self.pending or in_motion):
             return [slot], False
         if not self.pending:
-            self.begun_s = slot.begun_s
+            self.begun_s = slot.ended_s - SLOT_S
         if in_motion:
             self.ended_s = slot.ended_s
         self.pending.append(slot)
@@ -76,7 +70,7 @@ class Motion:
         calm = list(self.pending)[-CALM_SLOTS:]
         if any(self._is_motion(one) for one in calm):
             return [], False
-        turned = angle_of(self.turn.rotation) > max(SAME_ATTITUDE, 6.0 * self._noise)
+        turned = angle_of(self.turn.rotation) > SAME_ATTITUDE or self.turn.path > SHORT_PATH
         return calm if turned else list(self.pending), turned
 
     def _first_rest(self) -> bool:
@@ -97,13 +91,11 @@ class Motion:
     def _update_rest_rate(self, rates: FloatArray) -> None:
         self.rest_rate = np.median(rates, axis=0)
         self.limit = max(MOTION_RATE, LIMIT_FACTOR * float(np.abs(rates - self.rest_rate).max()))
-        self.since_update = 0
 
-    def add_rest(self, rate: FloatArray) -> None:
+    def add_rest(self, slot: Slot) -> None:
         """Add the rate of a slot at rest; update the median every 10 s."""
-        self.recent.append(rate)
-        self.since_update += 1
-        if self.since_update >= SWAYING_SLOTS:
+        self.recent.append(slot.rate)
+        if slot.number % SWAYING_SLOTS < slot.length:
             self._update_rest_rate(np.array(self.recent))
 
     def end(self) -> None:
@@ -111,39 +103,13 @@ class Motion:
         self.pending.clear()
         self.turn = STILL
 
-    @property
-    def _noise(self) -> float:
-        """Standard deviation of the angle of the turn by noise of the slots and of the rate at rest, rad."""
-        if len(self.recent) < 2:
-            return SAME_ATTITUDE
-        spread = float(np.std(np.array(self.recent), axis=0).max()) * self.pending[-1].length_s
-        slots = (self.pending[-1].ended_s - self.begun_s) / self.pending[-1].length_s
-        return spread * math.sqrt(slots + slots**2 / len(self.recent))
-
-    def azimuth_variance(self, before: FloatArray, scale_sd: float) -> float:
+    def azimuth_variance(self, up: FloatArray, scale_sd: float) -> float:
         """Return the variance of the angle by which the unit has turned about the vertical, rad².
 
-        `before` (3, 3) is the attitude at the beginning, `scale_sd` is of scale factor and misalignment.
+        `up` (3,) is the vertical in body axes at the beginning, `scale_sd` is of scale factor and
+        misalignment.
         """
         # The earth rate turns against the body: up to all of it is wrong while it turns by a radian.
         drift = EARTH_RATE * (self.ended_s - self.begun_s) * min(self.turn.path, 1.0)
-        return self._gyro_variance(before[2], scale_sd) + self._noise**2 + drift**2
-
-    def unexplained_variance(
-        self, before: FloatArray, vertical: FloatArray, scale_sd: float, vertical_sd: float
-    ) -> float:
-        """Return the variance of each axis by which the turn is more wrong than its gyros explain, rad².
-
-        Gravity shows it in the horizontal axes; it is as likely in the vertical one.  `vertical` (3,) is the
-        direction up by the accelerometers after the turn, in body axes, with the standard deviation
-        `vertical_sd` of the change of its error, rad.
-        """
-        ahead_off, left_off, _ = before @ (self.turn.rotation @ vertical)
-        explained = sum(self._gyro_variance(axis, scale_sd) for axis in before[:2])
-        unexplained = 0.5 * (ahead_off**2 + left_off**2 - explained) - vertical_sd**2
-        return max(float(unexplained), 0.0)
-
-    def _gyro_variance(self, axis: FloatArray, scale_sd: float) -> float:
-        """Return the variance of the angle about an axis, (3,), by scale errors and between samples, rad²."""
-        by_scale = scale_sd**2 * float(np.sum(self.turn.scale_about(axis) ** 2))
-        return by_scale + self.turn.sampling_variance(axis)
+        by_scale = scale_sd**2 * float(np.sum(self.turn.scale_about(up) ** 2))
+        return by_scale + self.turn.sampling_variance(up) + drift**2

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import BeforeValidator, Field
 
 from imumon.blocks import FloatArray
 from imumon.config import StrictModel
@@ -39,7 +39,11 @@ class KnownWarmUp(StrictModel):
     """
 
     amplitude_ug: Annotated[list[_Micro], Field(min_length=3, max_length=3)]
-    time_constant_s: Annotated[list[_Seconds], Field(min_length=3, max_length=3)]
+    time_constant_s: Annotated[
+        list[_Seconds],
+        BeforeValidator(lambda given: [given] * 3 if isinstance(given, int | float) else given),
+        Field(min_length=3, max_length=3),
+    ]
     amplitude_sd_ug: float | None = Field(default=None, gt=0.0, le=1e5)
     time_constant_sd_s: float = Field(default=0.0, ge=0.0, le=1e5)
 
@@ -53,15 +57,9 @@ class KnownWarmUp(StrictModel):
         """What remains of the warm-up when this is subtracted; that of any unit if no sd is given."""
         if self.amplitude_sd_ug is None:
             return RemainingWarmUp()
-        pairs = list(zip(self.time_constant_s, self.amplitude_ug, strict=True))
-        largest, mean_s = max(abs(size) for _, size in pairs), sum(self.time_constant_s) / len(pairs)
+        largest, mean_s = max(map(abs, self.amplitude_ug)), sum(self.time_constant_s) / 3.0
         sd_ug = math.hypot(self.amplitude_sd_ug, self.time_constant_sd_s / mean_s * largest)
-        return RemainingWarmUp(1e-6 * sd_ug, tuple(sorted({tau_s for tau_s, size in pairs if size})))
-
-    @field_validator("time_constant_s", mode="before")
-    @classmethod
-    def _of_all(cls, given: Any) -> Any:
-        return [given] * 3 if isinstance(given, int | float) else given
+        return RemainingWarmUp(1e-6 * sd_ug, tuple(sorted(set(self.time_constant_s))))
 
 
 class AlignmentParameters(StrictModel):
@@ -107,25 +105,18 @@ class AlignmentParameters(StrictModel):
 def known_warm_up(model: BiasModel | None) -> KnownWarmUp | None:
     """Return the warm-up of a model's accelerometers, or None when it has none.
 
-    The effect adds c exp(-t / T) to a bias, which is a warm-up by -c.  How well it is known follows
-    from the channel's residual, unless an accelerometer has other effects: it may drift by these.
+    The effect adds c exp(-t / T) to a bias, which is a warm-up by -c.  Its standard deviation is the
+    channel's residual, unless an accelerometer has other effects: it may drift by these.
     """
-    amplitude, constant = [0.0] * 3, [1.0] * 3  # s: of no matter where there is no warm-up
-    residual_sds, has_others = [], False
-    for i, axis in enumerate("xyz"):
-        channel = None if model is None else model.channels.get(f"accel_{axis}")
-        if channel is None:
-            continue
-        for effect in channel.effects:
-            if isinstance(effect, WarmUp):
-                amplitude[i], constant[i] = -effect.coefficients[0] / MICRO_G, effect.time_constant_s
-                residual_sds.append(channel.residual_sd)
-            else:
-                has_others = True
-    if not residual_sds:
+    channels = {} if model is None else model.channels
+    accels = {axis: channels[f"accel_{axis}"] for axis in "xyz" if f"accel_{axis}" in channels}
+    effects = [(axis, effect) for axis, channel in accels.items() for effect in channel.effects]
+    warm_ups = {axis: effect for axis, effect in effects if isinstance(effect, WarmUp)}
+    if not warm_ups:
         return None
+    alone, some = len(warm_ups) == len(effects), next(iter(warm_ups.values()))
     return KnownWarmUp(
-        amplitude_ug=amplitude,
-        time_constant_s=constant,
-        amplitude_sd_ug=None if has_others else max(residual_sds) / MICRO_G or None,
+        amplitude_ug=[-warm_ups[a].coefficients[0] / MICRO_G if a in warm_ups else 0.0 for a in "xyz"],
+        time_constant_s=[warm_ups.get(a, some).time_constant_s for a in "xyz"],
+        amplitude_sd_ug=max(accels[a].residual_sd for a in warm_ups) / MICRO_G or None if alone else None,
     )

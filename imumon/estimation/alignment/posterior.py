@@ -10,27 +10,90 @@ Eliminating b leaves η'z - ½ z'Λz as the log density on the circle: a von Mis
 isotropic, and a generalised one (Gatto and Jammalamadaka 2007) where one gyro is worse than the others.  An
 accelerometer with the bias β g tilts the axes, by which the horizontal gyros see β Ω sin L of the vertical
 earth rate.  That turns with the body as well, and is a part of s.
+
+The prior of the errors of gyros and accelerometers is what is declared, or a regression on the gyros' noise
+over the data sheets of docs/appendix/alignment-details.md.  Declare the errors of a better unit: of gyros
+with 0.001 °/√h, too, 0.0014 °/h, 300 ppm and 750 µg are taken.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import i0e, i1e
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.alignment.hypotheses import Information, PositionFit
+from imumon.estimation.alignment.fit import Information, PositionFit
+from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.report import ANY_ANGLE_SD
-from imumon.estimation.alignment.sensor_errors import SensorErrors
-from imumon.geodesy import EARTH_RATE
+from imumon.geodesy import DEG_PER_H, EARTH_RATE
 
+GYRO_BIAS = (2.0 * DEG_PER_H, 1.86, 0.0014 * DEG_PER_H, EARTH_RATE)
+GYRO_SCALE = (3e-4, 1.4, 3e-4, 0.03)
+ACCEL_BIAS = (7.5e-4, 1.4, 7.5e-4, 0.04)
+"""Regressions of the bias of a gyro, rad/s, scale factor and misalignment of a gyro, and the bias of an
+accelerometer, g: factor (N / 0.1 °/√h)^power, clipped to least and most."""
+LOG_SIZES, LOG_SIZE_SD = np.linspace(-4.0, 4.0, 9), 1.5
+"""Logarithms of the sizes of a bias over that of the regression, and their standard deviation."""
+WORSE = np.array(
+    [
+        np.where(axes, factor, 1.0)
+        for factor in np.exp([2.0, 4.0, 6.0, 8.0, 10.0])
+        for axes in product([False, True], repeat=3)
+        if any(axes)
+    ]
+)
+"""Factors by which some gyros or all are worse than that, (35, 3): up to 31 °/h for the best of them."""
+P_WORSE = 0.003
+"""Prior probability of any of these factors (assumed), as rare as a normal value beyond three sigmas.
+Ablation: without it, errors are up to 39 sigma."""
+P_WORSE_THAN_DECLARED = 0.001
+"""Prior probability that a declared bias is exceeded by any of these factors (assumed)."""
 DIRECTIONS = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
 """Starting points of the search for peaks on the circle, rad."""
 QUARTIC = 0.152
 """An exponential of -δ⁴/24 has the integral of a Gaussian of the sharpness √0.152."""
+
+
+class SensorErrors(NamedTuple):
+    """Standard deviations of the errors of gyros and accelerometers.
+
+    `sizes` (s, 3) of the gyros' biases, rad/s, have the log probabilities `log_prior` (s,); `flicker` is the
+    change of a bias from position to position, rad/s; `scale` is a ratio; `accel_bias` is in g.
+    """
+
+    sizes: FloatArray
+    log_prior: FloatArray
+    flicker: float
+    scale: float
+    accel_bias: float
+
+
+def sensor_errors(noise: float, parameters: AlignmentParameters) -> SensorErrors:
+    """Return the declared errors, and the regression on an angular random walk, rad/√s, for the others."""
+
+    def typical(factor: float, power: float, least: float, most: float) -> float:
+        return min(max(factor * math.pow(noise / (math.radians(0.1) / 60.0), power), least), most)
+
+    bias, p_worse = typical(*GYRO_BIAS), P_WORSE
+    alike, share = bias * np.exp(LOG_SIZES), np.exp(-0.5 * (LOG_SIZES / LOG_SIZE_SD) ** 2)
+    if parameters.gyro_bias_sd_deg_per_h is not None:
+        declared = max(parameters.gyro_bias_sd_deg_per_h * DEG_PER_H, 1e-11)  # zero has no logarithm
+        alike, share = np.array([declared]), np.ones(1)
+        bias, p_worse = max(bias, declared), P_WORSE_THAN_DECLARED
+    worse = np.full(len(WORSE), p_worse / len(WORSE))
+    ppm, micro_g = parameters.gyro_scale_sd_ppm, parameters.accel_bias_sd_ug
+    return SensorErrors(
+        sizes=np.concatenate([np.tile(alike[:, None], (1, 3)), bias * WORSE]),
+        log_prior=np.log(np.concatenate([(1.0 - p_worse) * share / share.sum(), worse])),
+        flicker=(parameters.gyro_flicker_deg_per_h or 0.0) * DEG_PER_H,
+        scale=typical(*GYRO_SCALE) if ppm is None else ppm * 1e-6,
+        accel_bias=typical(*ACCEL_BIAS) if micro_g is None else micro_g * 1e-6,
+    )
 
 
 class HeadingPosterior(NamedTuple):

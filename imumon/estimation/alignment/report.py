@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 ANY_ANGLE_SD = math.pi / math.sqrt(3.0)
 """Standard deviation of an angle that is uniform on the circle, rad."""
-HOPELESS_S = 120.0
-"""Time at rest after which a bias that hides the north is reported as such."""
-LEAST_S, LONGEST_S = 20.0, 300.0
-"""Shortest and longest time in one of several positions."""
+NOT_OBSERVABLE_S, HOPELESS_S = 30.0, 120.0
+"""Times at rest after which "not observable", and a bias that hides the north, are reported."""
+LONGEST_S = 300.0
+"""Longest time in one of several positions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,11 +43,10 @@ class PositionHeading:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """State of an alignment at the end of a block: rad, rad/s and s; NaN where nothing is known yet.
+    """State of an alignment at the end of a block: rad and s; NaN where nothing is known yet.
 
-    `phase` is waiting, coarse, aligning, settled, not observable or disturbed.  `estimates` are the joint
-    fit, which is the heading shown, and plain and Hann-weighted mean of the gyros; empty before the first
-    fit.
+    `estimates` are the joint fit, which is the heading shown, and plain and Hann-weighted mean of the gyros;
+    empty before the first fit.
 
     `rest_s` and `elapsed_s` are the time at rest and since the first sample; `settled_s` is the time from the
     first sample until the heading settled, None if it is not settled, and `remaining_s` the predicted time
@@ -55,10 +54,10 @@ class Status:
 
     `positions` counts the positions, the present one included; `position_s` is the time at rest in it, and
     `position_sd` that of the heading by its white noise alone.  `turned` is the angle about the vertical
-    since the previous position, clockwise, also during a turn.
+    since the previous position, clockwise, also during a turn, while `moving`.
     """
 
-    phase: str
+    moving: bool
     estimates: Mapping[str, Estimate]
     settled_s: float | None
     remaining_s: float | None
@@ -81,9 +80,16 @@ class Status:
         return self.shown is not None and math.isfinite(self.shown.heading)
 
     @property
-    def hopeless(self) -> bool:
-        """Whether more time will not bring the wanted sigma, as the gyros' bias limits it."""
-        return self.rest_s >= HOPELESS_S and self.remaining_s is None
+    def phase(self) -> str:
+        """Waiting, coarse, aligning, settled, not observable or disturbed."""
+        table = (
+            (self.elapsed_s == 0.0, "waiting"),
+            (self.moving, "disturbed"),
+            (self.observable and self.settled_s is not None, "settled"),
+            (self.observable, "aligning"),
+            (self.shown is not None and self.rest_s > NOT_OBSERVABLE_S, "not observable"),
+        )
+        return next((phase for condition, phase in table if condition), "coarse")
 
 
 def heading_text(status: Status) -> str:
@@ -98,9 +104,11 @@ def heading_text(status: Status) -> str:
 def to_go_text(status: Status) -> str:
     """Return the predicted time to the wanted sigma, or why there is none."""
     wanted = f"{math.degrees(status.wanted_sd):g}°"
-    if status.phase in ("settled", "disturbed"):
+    if status.phase == "disturbed":
+        return f"disturbed, turned by {math.degrees(status.turned):.0f}°"
+    if status.phase in ("settled", "waiting"):
         return status.phase
-    if status.phase in ("coarse", "waiting"):
+    if status.phase == "coarse":
         return f"coarse, {status.rest_s:.0f} s of rest"
     if status.remaining_s is None:
         return f"{wanted} not in reach with the bias of these sensors"
@@ -125,8 +133,8 @@ def estimator_rows(status: Status) -> list[tuple[str, str, str]]:
     for name, one in status.estimates.items():
         mark = " *" if name == "joint" and status.observable else ""
         heading = f"{math.degrees(one.heading) % 360.0:.4f}" if math.isfinite(one.heading) else "-"
-        sd = f"{math.degrees(one.sd):.4f}"
-        found.append((name.replace("_", " ") + mark, *((heading, sd) if one.known else ("-", "not known"))))
+        cells = (heading, f"{math.degrees(one.sd):.4f}") if one.known else ("-", "not known")
+        found.append((name.replace("_", " ") + mark, *cells))
     return found
 
 
@@ -141,30 +149,20 @@ class Guide:
         self.positions = positions
         self.instruction = ""
         self.done = False
-        self._turn_from = 0
-        """Number of the position in which the last turn was requested."""
 
     def update(self, status: Status) -> list[str]:
         """Return a new instruction, if there is one, (0 or 1)."""
-        ended = status.settled_s is not None or status.hopeless
+        before, at = self.instruction, status.positions
+        hopeless = status.rest_s >= HOPELESS_S and status.remaining_s is None
+        ended = status.settled_s is not None or hopeless
+        too_long = status.position_s >= LONGEST_S
+        enough = too_long or status.position_sd <= status.wanted_sd
         if self.positions == 1:
             self.done = ended
-            return []
-        before, angle, at = self.instruction, 360.0 / self.positions, status.positions
-        turned, last = math.degrees(status.turned), at >= self.positions
-        too_long = status.position_s >= LONGEST_S
-        enough = too_long or (status.position_s >= LEAST_S and status.position_sd <= status.wanted_sd)
-        if status.phase == "disturbed":
-            if self._turn_from >= at and not last:  # shown on the status line only
-                self.instruction = before = (
-                    f"turned by {turned:.0f}° so far; stop at about {angle:.0f}° and let it rest"
-                )
-        elif enough and not last:
-            self.instruction = f"turn the unit now by about {angle:.0f}° about the vertical"
-            self._turn_from = at
-        elif last and (ended or too_long):
+        elif at >= self.positions and (ended or too_long):
             self.instruction, self.done = "done", True
-        elif at:
-            by = f" (turned by {turned:.1f}°)" if at > 1 else ""
-            self.instruction = f"position {at} of {self.positions}: do not touch the unit{by}"
+        elif at < self.positions and enough:
+            self.instruction = f"turn the unit now by about {360.0 / self.positions:.0f}° about the vertical"
+        elif at and not status.moving:
+            self.instruction = f"position {at} of {self.positions}: do not touch the unit"
         return [self.instruction] if self.instruction != before else []

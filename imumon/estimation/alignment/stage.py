@@ -15,14 +15,12 @@ from imumon.columns import Column
 from imumon.estimation.alignment.aligner import Aligner
 from imumon.estimation.alignment.motion import CALM_SLOTS
 from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.record import SLOT_S, Slot, direction_of
-from imumon.estimation.alignment.report import PositionHeading, Status, heading_text, to_go_text
+from imumon.estimation.alignment.position import SLOT_S, Slot, direction_of
+from imumon.estimation.alignment.report import PositionHeading, heading_text, to_go_text
 from imumon.filters.slots import SlotGatherer, Slots, held
 from imumon.geodesy import DEG_PER_H
 from imumon.lane import LaneState, Level
 
-NOT_OBSERVABLE_S = 30.0
-"""Time at rest after which "not observable" is reported."""
 LONGEST_GAP_S = 30.0
 """A longer gap in the data restarts the alignment."""
 LEVELS = {"waiting": Level.WAIT, "disturbed": Level.BAD, "aligning": Level.WAIT, "settled": Level.GOOD}
@@ -56,7 +54,6 @@ class Alignment:
         self._down = {None: 0.0, "FRD": 1.0, "FLU": -1.0}[axes]
         """Sign of the body z axis: 1 down, -1 up, 0 not known yet."""
         self._prefix = "aligned_" if {"roll", "pitch"} & set(sent) else ""
-        self._has_data = False
         self._origin_ns = self._segment = self._run = 0
         """The first time of the segment, its number in the data, and by the count of segments."""
         self._index = -1
@@ -65,9 +62,9 @@ class Alignment:
         """Specific force, m/s², and magnetic field of the last 2 s, (6,); the mean force is up at rest."""
         self._events: list[str] = []
         self._reported: set[str] = set()
-        self._row = dict.fromkeys((column.name for column in self.columns), math.nan)
-        """Columns after the last slot."""
-        self.status = self._make_status()
+        self._row: dict[str, float] = {}
+        """Columns after the last slot; empty before the first sample."""
+        self.status = self._aligner.status(0.0)
         """State after the last block; may be read by another thread."""
 
     @property
@@ -94,8 +91,7 @@ class Alignment:
         Needs ``device_time_ns`` and ``segment``, gyros and accelerometers; uses ``at_rest`` and ``mag_*``.
         """
         n = len(block)
-        if n and not self._has_data:
-            self._has_data = True
+        if not self._row:
             self._prefix = "aligned_" if "roll" in block or "pitch" in block else self._prefix
             self._row = dict.fromkeys((column.name for column in self.columns), math.nan)
         slots = self._slots.process(block["device_time_ns"], block["segment"], _inputs(block))
@@ -108,11 +104,10 @@ class Alignment:
         out = held(slots.row, rows.T, before, n, axis=-1)
         # The columns of one segment do not hold in a new one.
         other = held(slots.row, slots.segment, np.array(self._segment), n) != block["segment"]
-        if other.any():
-            out[:, other] = np.nan
+        out[:, other] = np.nan
         if len(slots):
             self._segment = int(slots.segment[-1])
-            self.status = self._make_status()
+            self.status = self._aligner.status(SLOT_S * (self._index + 1))
         return dict(zip(names, out, strict=True))
 
     def _process_slot(self, slots: Slots, k: int) -> None:
@@ -121,16 +116,16 @@ class Alignment:
             self._restart("the device started anew")
             self._run += 1
             self._origin_ns, self._index = int(slots.start_ns[k]), -1
-        samples, mean = int(slots.count[k, :6].min()), slots.mean[k]
-        if not samples:
+        if not slots.count[k, :6].min():
             return
         index = (int(slots.start_ns[k]) - self._origin_ns) // self._slots.length_ns
-        length_s, end_s = SLOT_S * (index - self._index), SLOT_S * (self._index + 1)
-        if length_s > LONGEST_GAP_S:
-            self._restart(f"samples are missing at {end_s:.1f} s for {length_s - SLOT_S:.1f} s")
+        length, end_s = index - self._index, SLOT_S * (self._index + 1)
+        if SLOT_S * length > LONGEST_GAP_S:
+            self._restart(f"samples are missing at {end_s:.1f} s for {SLOT_S * (length - 1):.1f} s")
         self._index = index
-        self._recent.append(mean[3:9].copy())
-        slot = Slot(index, min(length_s, 2.0), samples, mean[:6].copy())  # longer without samples is no rest
+        mean = slots.mean[k].copy()
+        self._recent.append(mean[3:9])
+        slot = Slot(index, min(length, CALM_SLOTS), mean[:6])  # longer without samples is no rest
         lost = self._aligner.step(slot, bool(slots.smallest[k, -1] > 0.0), slots.turns.at(k))
         if lost is not None:
             self._restart(lost)
@@ -174,42 +169,12 @@ class Alignment:
         x, y, z = (-self._down * up).tolist()
         return math.atan2(y, z), -math.atan2(x, math.hypot(y, z))
 
-    def _make_status(self) -> Status:
-        aligner = self._aligner
-        last = aligner.positions[-1] if aligner.positions else None
-        fit = None if last is None else last.fit
-        return Status(
-            phase=self._phase(),
-            estimates=aligner.estimates,
-            settled_s=aligner.settled_s,
-            remaining_s=aligner.remaining_s,
-            wanted_sd=math.radians(self._parameters.settled_deg),
-            rest_s=aligner.rest_s,
-            elapsed_s=SLOT_S * (self._index + 1),
-            positions=0 if last is None else last.number,
-            position_s=0.0 if last is None else last.record.rest_s,
-            position_sd=math.inf if fit is None else math.sqrt(fit.variance.min()) / aligner.earth_horizontal,
-            turned=aligner.turned,
-        )
-
-    def _phase(self) -> str:
-        aligner = self._aligner
-        table = (
-            (self._index < 0, "waiting"),
-            (aligner.motion.moving, "disturbed"),
-            (aligner.posterior is None, "coarse"),
-            (not aligner.observable and aligner.rest_s > NOT_OBSERVABLE_S, "not observable"),
-            (not aligner.observable, "coarse"),
-            (aligner.settled_s is not None, "settled"),
-        )
-        return next((phase for condition, phase in table if condition), "aligning")
-
     def lanes(self) -> Mapping[str, LaneState]:
         """Return the state of the alignment, and the source of the heading shown."""
         phase, level = self.status.phase, LEVELS.get(self.status.phase, Level.PLAIN)
-        by = "joint fit" if self.status.observable else "none yet"
         if phase == "not observable":
             phase = "not observable with this gyro"
+        by = "joint fit" if self.status.observable else "none yet"
         return {"alignment": LaneState(phase, level), "heading by": LaneState(by)}
 
     def charts(self) -> Sequence[Chart]:
@@ -244,14 +209,13 @@ class Alignment:
         horizontal = self._aligner.earth_horizontal / DEG_PER_H
         limit = math.inf if declared is None else 3.0 * max(declared, 0.01) * DEG_PER_H
         return {
-            "heading not observable with this gyro: its bias is not small beside the earth's horizontal "
-            f"rate of {horizontal:.1f} °/h; a turn by half a circle, and a rest, separate them; or the unit "
-            "creeps about the vertical, an axis is swapped or reversed, or the unit of the gyros or the "
-            "latitude is wrong": status.phase == "not observable",
-            "alignment: the gyros' turn-on bias is not declared (gyro_bias_sd_deg_per_h), and from one "
-            "position it cannot be separated from the earth's rotation: sigma takes it for that of gyros of "
-            f"such noise, and is too small where it is larger ({math.radians(horizontal):.2g} °/h of the "
-            "gyro that points east turn the heading by 1°); a turn by half a circle and a rest remove it": (
+            "heading not observable with this gyro: its bias is not small beside the earth's horizontal rate "
+            f"of {horizontal:.1f} °/h; a turn by half a circle, and a rest, separate them": (
+                status.phase == "not observable"
+            ),
+            "alignment: the gyros' turn-on bias is not declared (gyro_bias_sd_deg_per_h); sigma takes it for "
+            f"that of gyros of such noise: {math.radians(horizontal):.2g} °/h of the gyro that points east "
+            "turn the heading by 1°; a turn by half a circle and a rest remove it": (
                 declared is None and status.positions == 1 and status.phase in ("aligning", "settled")
             ),
             "alignment: the rates contradict the declared bias of the gyros, or the latitude is wrong": (
@@ -262,10 +226,8 @@ class Alignment:
 
 def _inputs(block: SampleBlock) -> FloatArray:
     """Return gyros, accelerometers and magnetometer, NaN where unknown, and whether it rests, (n, 10)."""
-    vectors = [
-        np.full((len(block), 3), np.nan) if one is None else one
-        for one in (block.gyro, block.accel, block.mag)
-    ]
+    unknown = np.full((len(block), 3), np.nan)
+    vectors = [unknown if one is None else one for one in (block.gyro, block.accel, block.mag)]
     rests = np.asarray(block.columns.get("at_rest", np.ones(len(block), np.int64))) != 0  # or unknown
     values = np.column_stack([*vectors, rests])
     values[~np.isfinite(values[:, :6].sum(axis=1)), :6] = np.nan

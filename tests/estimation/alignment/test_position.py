@@ -7,42 +7,39 @@ import math
 import numpy as np
 import pytest
 
-from imumon.blocks import FloatArray
-from imumon.estimation.alignment.record import CAPACITY, SLOT_S, Record, Slot
+from imumon.estimation.alignment.position import CAPACITY, SLOT_S, Position, Slot
 from tests.estimation.alignment.units import aligned, error_deg, samples, scenario
 
 
-def _slot(index: int, samples_: int, values: FloatArray) -> Slot:
-    return Slot(index, SLOT_S, samples_, values)
-
-
 def test_merged_rows_keep_time_and_mean() -> None:
-    record, rng = Record(100), np.random.default_rng(1)
+    record, rng = Position(100, np.eye(3)), np.random.default_rng(1)
     slots = rng.normal(size=(2 * CAPACITY + 6, 6))
     for k, values in enumerate(slots):
-        record.add(_slot(100 + k, 25, values))
+        record.add(Slot(100 + k, 1, values))
     valid, means = record.rows()
     assert record.row_s == 1.0
     assert valid.all()
     np.testing.assert_allclose(means, slots[:-2].reshape(-1, 4, 6).mean(axis=1), atol=1e-12)
-    assert (record.begun_s, record.ended_s) == (25.0, 25.0 + 0.25 * len(slots))
-    assert record.rest_s == 0.25 * len(slots)
+    assert (record.begun_s, record.ended_s) == (25.0, 25.0 + SLOT_S * len(slots))
+    assert record.rest_s == SLOT_S * len(slots)
+    record.forget_half()
+    assert record.begun_s == 25.0 + 1024.0
+    np.testing.assert_allclose(record.rows()[1], means[1024:])
 
 
-def test_a_row_is_the_mean_of_its_samples_and_missing_without_any() -> None:
-    record = Record(0, slots_per_row=2)
-    for index, samples_, value in ((0, 25, 1.0), (3, 20, 3.0), (6, 10, 4.0), (7, 30, 8.0)):
-        record.add(_slot(index, samples_, np.full(6, value)))
+def test_a_slot_fills_the_rows_since_the_slot_before_it() -> None:
+    record = Position(0, np.eye(3))
+    for index, length, value in ((0, 1, 1.0), (3, 3, 3.0), (6, 2, 4.0)):
+        record.add(Slot(index, length, np.full(6, value)))
     valid, means = record.rows()
-    assert valid.tolist() == [True, True, False, True]
-    assert means[valid, 0].tolist() == [1.0, 3.0, 7.0]
+    assert valid.tolist() == [True, True, True, True, False, True, True]
+    assert means[valid, 0].tolist() == [1.0, 3.0, 3.0, 3.0, 4.0, 4.0]
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 2.9, 3.5, 4.0])
 def test_a_device_with_a_sample_a_slot_at_most_leaves_no_row_empty(rate_hz: float) -> None:
     stage, _ = aligned(samples(scenario(120.0, rate_hz=rate_hz)))
-    record = stage._aligner.positions[-1].record
-    assert record is not None
+    record = stage._aligner.positions[-1]
     assert record.rows()[0].all()
     assert record.rest_s == pytest.approx(120.0, abs=3.0)
 
