@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from types import ModuleType
 
@@ -14,12 +13,9 @@ from support import rooms
 from imumon import plugins, wings
 from imumon.cli import OWN, commands
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.run.setup import Setup
-from imumon.run.stages import estimators, temperature_rate
+from imumon.run.stages import estimators
 from imumon.wing import GROUPS, Command, Wing
-
-FIR = TemperatureRateParameters(method="fir_exponential", step_degc=0.05)
 
 
 def test_no_room_of_the_core_imports_a_wing() -> None:
@@ -60,19 +56,12 @@ def test_a_wing_of_another_package_brings_its_command(monkeypatch: pytest.Monkey
         commands.cache_clear()
 
 
-@pytest.mark.parametrize(
-    "asked",
-    [lambda: estimators(None, Setup(published=["fir"])), lambda: temperature_rate(FIR)],
-    ids=["published", "fir"],
-)
-def test_what_only_an_absent_wing_has_is_refused(
-    monkeypatch: pytest.MonkeyPatch, asked: Callable[[], object]
-) -> None:
+def test_what_only_an_absent_wing_has_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(wings, "BUILT_IN", ("imumon.lab",))
     wings.built_in.cache_clear()
     try:
         with pytest.raises(ImumonError, match="no wing that is installed has this method") as caught:
-            asked()
+            estimators(None, Setup(published=["fir"]))
     finally:
         wings.built_in.cache_clear()
     assert caught.value.reason is Reason.BAD_CONFIG

@@ -45,12 +45,7 @@ _OPTIONS = (
         " update, ZUPT): held constant (standard), along the curve of --model (thermal), or along a curve"
         " that is learned in this run (learned).  Default: thermal with --model, else learned.",
     ),
-    click.option(
-        "--random-error",
-        type=click.Choice(["drift", "sr_rsukf"]),
-        help="How the slow random change of the bias is estimated: imumon's own filter (drift, the default),"
-        " or a sigma-point filter from a paper, for comparison (sr_rsukf).",
-    ),
+    click.option("--random-error", type=click.Choice(["drift", "sr_rsukf"]), hidden=True),
     click.option(
         "--published",
         metavar="NAME,...",

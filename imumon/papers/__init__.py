@@ -15,5 +15,4 @@ WING = Wing(
     "papers",
     setup_keys=("published",),
     stages="imumon.papers.hooks:stages",
-    temperature_methods={"fir_exponential": "imumon.papers.hooks:fir_method"},
 )

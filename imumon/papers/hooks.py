@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from imumon.pipeline import Estimator
 from imumon.protocols.thermometer import TemperatureRateParameters
@@ -14,15 +13,8 @@ def stages(
     setup: Setup, temperature: TemperatureRateParameters, _: Sequence[Estimator]
 ) -> Sequence[Estimator]:
     """Return the methods that a setup names, as stages."""
-    if not setup.asks_for_published:
+    if not setup.methods and temperature.method != "fir_exponential":
         return []
     from imumon.papers.stages import published_stages
 
     return published_stages(setup, temperature)
-
-
-def fir_method(given: TemperatureRateParameters) -> Callable[[], Any]:
-    """Return what makes the FIR exponential regression with the parameters of the device file."""
-    from imumon.papers.stages import fir_method
-
-    return fir_method(given)

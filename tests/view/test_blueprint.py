@@ -9,11 +9,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
-from imumon.estimation.gyro_bias.stage import GyroBias
 from imumon.papers.stages import published_stages
 from imumon.protocols.device import load_device
 from imumon.run.paper_names import PUBLISHED, PublishedMethod
-from imumon.run.paper_parameters import RandomErrorParameters
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators
 from imumon.view.blueprint import Contents, blueprint
@@ -177,21 +175,6 @@ def test_columns_without_a_panel_have_a_tab(tmp_path: Path) -> None:
     found = arranged(tmp_path / "a.rrd", [Timebase().samples(extra)], SETUP, live=True)
     assert "/samples/other/humidity" in found["ViewBlueprint:space_origin"]
     assert "Other" in found["ContainerBlueprint:display_name"]
-
-
-@pytest.mark.parametrize("method", ["drift", "sr_rsukf"])
-def test_the_published_filter_is_shown_beside_what_it_must_beat(tmp_path: Path, method: str) -> None:
-    setup = Setup(random_error=RandomErrorParameters.model_validate({"method": method}))
-    plain = block(0, 50)
-    stages = [GyroBias(), *published_stages(setup)]
-    extra = {column.name: np.full(50, 1e-3) for stage in stages for column in stage.columns}
-    found = arranged(tmp_path / "a.rrd", [Timebase().samples(plain.with_columns(extra))], SETUP, live=True)
-    contents = found["ViewContents:query"]
-    assert "/view/gyro_random_error_x/**" in contents
-    assert ("/view/gyro_beside_x/**" in contents) == (method == "sr_rsukf")
-    assert contents.count("/view/gyro_random_error_x/**") == (2 if method == "sr_rsukf" else 1)
-    assert ("SR-RSUKF" in found["ContainerBlueprint:display_name"]) == (method == "sr_rsukf")
-    assert "Other" not in found["ContainerBlueprint:display_name"]
 
 
 @pytest.mark.parametrize("method", PUBLISHED)
