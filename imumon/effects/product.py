@@ -1,4 +1,4 @@
-"""A bias that one driver gives another one's hold on: the product of the two."""
+"""Effects of the specific force on a gyro, and of the product of two drivers on any sensor."""
 
 from __future__ import annotations
 
@@ -10,9 +10,45 @@ from pydantic import Field, FiniteFloat
 
 from imumon.blocks import FloatArray
 from imumon.effects.base import ACCEL, TEMPERATURE, Drive, Effect, Memory, Positive, Scale, Survey
-from imumon.effects.g_sensitivity import LEAST_RANGE
 
+LEAST_RANGE = 2.0
+"""m/s², about twelve degrees of tilt: with less, poses and turn-on offsets look alike."""
 Two = Field(min_length=2, max_length=2)
+
+
+class GSensitivity(Effect):
+    """The specific force along x, y, z in m/s².
+
+    The vertical earth rate, 15.04 °/h times the sine of the latitude at 9.81 m/s², has the form of its
+    diagonal.
+    """
+
+    kind: Literal["g_sensitivity"] = "g_sensitivity"
+    sensors = ("gyro",)
+    suspected_by = ("follow each other",)
+    separated_by: ClassVar[Mapping[str, str]] = {
+        "run_offset": "at least four poses within one run",
+        "step": "each pose taken twice in one run",
+    }
+
+    @property
+    def width(self) -> int:
+        """One for each axis."""
+        return 3
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The specific force."""
+        return (ACCEL,)
+
+    @classmethod
+    def grid(cls, survey: Survey) -> list[Self]:
+        """Return the one there is; none unless the pose changes within a run."""
+        return [cls()] if survey.accel_range >= LEAST_RANGE else []
+
+    def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - it has no memory
+        """Return the specific force."""
+        return drive.of(ACCEL)
 
 
 class Product(Effect):

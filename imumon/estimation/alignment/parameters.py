@@ -10,7 +10,7 @@ from pydantic import Field, field_validator
 
 from imumon.blocks import FloatArray
 from imumon.config import StrictModel
-from imumon.effects.warm_up import WarmUp
+from imumon.effects.since_power_on import WarmUp
 from imumon.estimation.rest.parameters import Retired
 from imumon.geodesy import MICRO_G
 from imumon.models.model import BiasModel

@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import connected_components
 from imumon.blocks import FloatArray, IntArray
 from imumon.lab.calibration.cells import Channel
 from imumon.models.curves.points import Points
-from imumon.models.curves.smoothing import penalised_basis
+from imumon.models.curves.spline import penalised_basis
 
 _STIFFNESS = 1e-6
 """Penalty of the curve that the offsets are estimated beside: enough to make it unique."""

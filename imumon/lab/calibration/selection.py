@@ -10,10 +10,10 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.lab.calibration.cells import Channel
+from imumon.models.curves.network import fit_network, weights_of
 from imumon.models.curves.points import Points, folds
 from imumon.models.curves.polynomial import fit_polynomial
-from imumon.models.curves.smoothing import fit_spline
-from imumon.models.curves.training import fit_network, weights_of
+from imumon.models.curves.spline import fit_spline
 from imumon.models.model import Curve
 
 HIGHEST_ORDER = 9

@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from imumon.effects.stress_relaxation import StressRelaxation
-from imumon.effects.warm_up import WarmUp
+from imumon.effects.since_power_on import StressRelaxation, WarmUp
 from imumon.estimation.alignment.parameters import known_warm_up
 from imumon.estimation.alignment.stage import Alignment
 from imumon.estimation.smoothing.record import value_and_sd
