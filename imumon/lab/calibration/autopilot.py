@@ -12,7 +12,6 @@ ArduPilot that with a fixed reference (a development version before 4.1 took the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -36,18 +35,10 @@ TO_BOARD = {"FRD": (1.0, 1.0, 1.0), "FLU": (1.0, -1.0, -1.0), None: (1.0, 1.0, 1
 """What x, y, z of a model are times in the axes of the board; unstated ones are taken for the board's."""
 
 
-@dataclass(frozen=True, slots=True)
-class Exported:
-    """The parameters as text, and what to know of them."""
-
-    text: str
-    notes: list[str]
-
-
 def parameters(
     model: BiasModel, autopilot: Autopilot, imu: int, ids: tuple[int, int] | None = None
-) -> Exported:
-    """Return a model as the parameters of an autopilot.
+) -> tuple[str, list[str]]:
+    """Return a model as the parameters of an autopilot, and warnings about them.
 
     Raises BAD_DATA when the span is too small, or a channel has more than a curve; BAD_CONFIG when
     identifiers or gyros are missing.
@@ -80,8 +71,8 @@ def parameters(
         cubics[kind] = [coefficients for coefficients, _ in found]
         notes += [note for _, note in found if note]
     if ids is None or autopilot == "ardupilot":
-        return Exported(_ardupilot(cubics, f"INS_TCAL{imu + 1}", low, high), notes)
-    return Exported(_px4(cubics, imu, ids, (low, high, reference)), notes)
+        return _ardupilot(cubics, f"INS_TCAL{imu + 1}", low, high), notes
+    return _px4(cubics, imu, ids, (low, high, reference)), notes
 
 
 def _ardupilot(cubics: dict[str, list[list[float]]], head: str, low: float, high: float) -> str:
@@ -109,7 +100,7 @@ def _px4(
     return "".join(f"1\t1\t{name}\t{value:.9g}\t{kind}\n" for name, value, kind in rows)
 
 
-def check_ids(autopilot: Autopilot, ids: tuple[int, int] | None) -> None:
+def check_ids(autopilot: Autopilot | None, ids: tuple[int, int] | None) -> None:
     """Raise BAD_CONFIG where identifiers are needed and missing, which is known before any work."""
     if autopilot == "px4" and ids is None:
         raise ImumonError(

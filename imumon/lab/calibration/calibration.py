@@ -15,10 +15,9 @@ from imumon.effects.thermal_lag import UNTOLD_S
 from imumon.errors import ImumonError, Reason
 from imumon.geodesy import DEG_PER_H
 from imumon.lab.calibration.cells import Cells, Channel, channel_of, group, levels
-from imumon.lab.calibration.offsets import turn_on_offsets
 from imumon.lab.calibration.record import BLOCK_S, Record, read_session
 from imumon.lab.calibration.refusal import check_columns, check_coverage
-from imumon.lab.calibration.selection import Choice, choose, slow_variance
+from imumon.lab.calibration.selection import Choice, choose, slow_variance, turn_on_offsets
 from imumon.models.curves.points import Points
 from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
 from imumon.recordings.reduced import ACCEL, GYRO

@@ -147,21 +147,11 @@ class Gathered:
         return _Pairs(*(part[known] for part in parts))
 
 
-def refuse_other_axes(axes: Axes | None, source: str) -> None:
-    """Raise BAD_DATA where the magnetometer has other axes than the gyros."""
-    if axes is None or not axes.is_significant or axes.way == 0:
-        return
-    raise ImumonError(
-        Reason.BAD_DATA,
-        f"{source}: the magnetometer has not the gyros' axes: their x, y, z are its {named(WAYS[axes.way])}",
-        "name the columns of mag in this order in the map or device file, and reverse what has a minus (in a "
-        "device file by a negative scale); turns do not tell which of the two it is: north of the magnetic "
-        "equator the field must point down",
-    )
+def doubts(axes: Axes | None, source: str) -> list[str]:
+    """Return warnings about the axes.
 
-
-def doubts(axes: Axes | None) -> list[str]:
-    """Return what is to be said of the axes."""
+    Raises BAD_DATA where the magnetometer has other axes than the gyros.
+    """
     if axes is None:
         return []
     if not axes.follows:
@@ -169,6 +159,15 @@ def doubts(axes: Axes | None) -> list[str]:
             "the field did not go as the gyros turned, in any axes: are unit and axes of the gyros right? "
             "The axes of the magnetometer were not checked"
         ]
+    if axes.is_significant and axes.way:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{source}: the magnetometer has not the gyros' axes: their x, y, z are its "
+            + named(WAYS[axes.way]),
+            "name the columns of mag in this order in the map or device file, and reverse what has a minus "
+            "(in a device file by a negative scale); turns do not tell which of the two it is: north of the "
+            "magnetic equator the field must point down",
+        )
     if not axes.is_significant or axes.angle < SIGMAS * axes.sd:
         return []
     return [
