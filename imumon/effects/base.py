@@ -285,11 +285,6 @@ class Effect(StrictModel):
         """Return it as sure of its start as the coefficients of `start_columns` in each run are alike."""
         return self
 
-    @property
-    def is_curve(self) -> bool:
-        """Whether it is part of the curve over temperature."""
-        return False
-
     def polynomial(self) -> Polynomial | None:
         """Return it as a polynomial of the temperature for a curve to take in; None when it is not one."""
         return None

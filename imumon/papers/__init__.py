@@ -14,5 +14,5 @@ from imumon.wing import Wing
 WING = Wing(
     "papers",
     setup_keys=("published",),
-    stages="imumon.papers.hooks:stages",
+    stages="imumon.papers.stages:published_stages",
 )

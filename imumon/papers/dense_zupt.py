@@ -35,7 +35,6 @@ SLOT_S = 0.25
 ZEROING_S = 60.0
 LEVELLING_S = 1.0
 """s at rest whose mean specific force is the vertical after a motion."""
-METHODS = ("dense_zupt", "dense_tczupt")
 
 
 @dataclass(frozen=True)

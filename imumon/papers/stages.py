@@ -1,4 +1,4 @@
-"""The published methods that a setup asks for, as stages that run beside the defaults."""
+"""The published methods that a setup names, as stages beside the defaults; each is loaded when it runs."""
 
 from __future__ import annotations
 
@@ -8,18 +8,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from imumon.papers import dense_zupt, random_error, self_alignment
-from imumon.papers.fir import FirStage, Params
 from imumon.pipeline import Estimator
 from imumon.protocols.thermometer import TemperatureRateParameters
-from imumon.run.paper_names import PublishedMethod
 from imumon.run.setup import Setup
 
 DEFAULT_STEP_DEGC = 0.05
 """Quantization step of the paper's sensors, where the device file says none."""
 
 
-def published_stages(setup: Setup, temperature: TemperatureRateParameters | None = None) -> list[Estimator]:
+def published_stages(
+    setup: Setup, temperature: TemperatureRateParameters | None = None, _: Sequence[Estimator] = ()
+) -> list[Estimator]:
     """Return the stages of the published methods of a setup; they run last.
 
     The alignment needs a latitude; without one it is left out, as the default is.
@@ -28,30 +27,35 @@ def published_stages(setup: Setup, temperature: TemperatureRateParameters | None
     given = temperature or TemperatureRateParameters()
     retired = given.method == "fir_exponential"
     if "fir" in setup.methods or retired:
+        from imumon.papers.fir import FirStage, Params
+
         step = given.step_degc or DEFAULT_STEP_DEGC
         params = Params(step, given.window_s, given.time_constant_s, given.buffer_size)
         stages.append(FirStage(params, retired))
-    if chosen := _chosen(setup, random_error.METHODS):
-        noise = setup.random_error_with_noise
-        stages.append(random_error.RandomErrorMethods(chosen, noise, setup.bias_model))
-    stages += [_dense_zupt(setup, method) for method in _chosen(setup, dense_zupt.METHODS)]
-    chosen = _chosen(setup, self_alignment.METHODS)
+    if chosen := _chosen(setup, "stf", "sr_ukf", "sr_rsukf"):
+        from imumon.papers.random_error import RandomErrorMethods
+
+        stages.append(RandomErrorMethods(chosen, setup.random_error_with_noise, setup.bias_model))
+    stages += [_dense_zupt(setup, method) for method in _chosen(setup, "dense_zupt", "dense_tczupt")]
+    chosen = _chosen(setup, "fixed_gain_loop", "total_average", "curve_fit")
     if chosen and setup.latitude_deg is not None:
-        stages.append(self_alignment.SelfAlignment(math.radians(setup.latitude_deg), chosen))
+        from imumon.papers.self_alignment import SelfAlignment
+
+        stages.append(SelfAlignment(math.radians(setup.latitude_deg), chosen))
     return stages
 
 
-def _chosen(setup: Setup, names: Sequence[str]) -> list[PublishedMethod]:
+def _chosen(setup: Setup, *names: str) -> list[str]:
     return [name for name in setup.methods if name in names]
 
 
-def _dense_zupt(setup: Setup, method: str) -> dense_zupt.DenseZupt:
+def _dense_zupt(setup: Setup, method: str) -> Estimator:
     """Return ZUPT or TCZUPT with the noise that is known; the bias instability stays the paper's."""
+    from imumon.papers.dense_zupt import SLOT_S, DenseSettings, DenseZupt
+
     given = setup.zupt_with_noise
-    settings = dense_zupt.DenseSettings(
-        dense_zupt.SLOT_S, latitude_deg=setup.latitude_deg, heading_deg=setup.heading_deg
-    )
+    settings = DenseSettings(SLOT_S, latitude_deg=setup.latitude_deg, heading_deg=setup.heading_deg)
     white = given.angle_random_walk_rad_per_sqrt_s
     if white is not None:
         settings = replace(settings, angle_random_walk=np.array(white))
-    return dense_zupt.DenseZupt(method, settings, setup.bias_model, given.assume_at_rest)
+    return DenseZupt(method, settings, setup.bias_model, given.assume_at_rest)
