@@ -61,8 +61,8 @@ class DenseSettings:
     """Of tilt and yaw (rad) and of the velocity (m/s) at the start."""
     zero_velocity_sd: float = 1e-3
     """Of a velocity measurement every `MEASURED_S`, m/s."""
-    yaw_hold_sd: float | None = 1e-4
-    """Of a yaw measurement every `MEASURED_S`, rad.  None: yaw is free, and so is the vertical bias."""
+    yaw_hold_sd: float = 1e-4
+    """Of a yaw measurement every `MEASURED_S`, rad: velocity alone does not show the vertical bias."""
 
     @cached_property
     def earth(self) -> FloatArray:
@@ -92,13 +92,10 @@ class DenseSettings:
 
     @cached_property
     def measured(self) -> tuple[FloatArray, FloatArray]:
-        """H and R of a step: three velocities, and the yaw where it is held."""
-        h = np.zeros((3, STATES))
-        h[:, VELOCITY] = np.eye(3)
-        variances = [self.zero_velocity_sd**2] * 3
-        if self.yaw_hold_sd is not None:
-            h = np.vstack([h, np.arange(STATES) == YAW])
-            variances.append(self.yaw_hold_sd**2)
+        """H and R of a step: three velocities, and the yaw, which is held."""
+        h = np.zeros((4, STATES))
+        h[:3, VELOCITY], h[3, YAW] = np.eye(3), 1.0
+        variances = np.square([*[self.zero_velocity_sd] * 3, self.yaw_hold_sd])
         return h, np.diag(variances) * (MEASURED_S / self.interval_s)
 
 
@@ -192,10 +189,8 @@ def step(
     f = transition(state, force, earth, dt)
     predicted = f @ state.covariance @ f.T + settings.noise
     h, r = settings.measured
-    z = -state.velocity
-    if len(h) > 3:
-        off = state.held @ state.attitude.T
-        z = np.append(z, 0.5 * (off[1, 0] - off[0, 1]))
+    off = state.held @ state.attitude.T
+    z = np.append(-state.velocity, 0.5 * (off[1, 0] - off[0, 1]))
     # The errors are expected to be zero, so that the innovation is the measurement.
     spread = predicted @ h.T
     total = h @ spread + r
