@@ -158,8 +158,6 @@ class Effect(StrictModel):
     """Whether coefficients of both signs are none of it."""
     suspected_by: ClassVar[tuple[str, ...]] = ()
     """What the innovations of a bias filter follow when the model lacks it, see `imumon.estimation.watch`."""
-    separated_by: ClassVar[Mapping[str, str]] = {}
-    """For another effect, what to record to tell the two apart; either of them may say."""
 
     coefficients: list[FiniteFloat] = Field(default_factory=list)
     """One for each column, in the unit of the channel per unit of the column; empty where none is known."""

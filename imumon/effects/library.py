@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Union
 from pydantic import AfterValidator, Field
 
 from imumon.effects.base import DrivenEffect, Effect
-from imumon.effects.kinds import KINDS
+from imumon.effects.kinds import KINDS, SEPARATED_BY
 from imumon.effects.offered import EFFECT, guarded, is_effect
 from imumon.plugins import EFFECTS as OFFERED
 from imumon.plugins import plugins
@@ -50,9 +50,12 @@ def separated_by(one: str, other: str) -> str:
     if one.partition("(")[2] != other.partition("(")[2]:
         free = [name for name in (one, other) if "(" in name]
         return f"a run in which what {' and '.join(free)} depends on goes another way than the rest"
-    kinds = kind_of(one), kind_of(other)
-    advice = kinds[0].separated_by.get(kinds[1].name) or kinds[1].separated_by.get(kinds[0].name)
-    return advice or "another run with a different course of temperature, the ambient held after power-on"
+    pair = kind_of(one).name, kind_of(other).name
+    return (
+        SEPARATED_BY.get(pair)
+        or SEPARATED_BY.get(pair[::-1])
+        or "another run with a different course of temperature, the ambient held after power-on"
+    )
 
 
 def suspected_by(trait: str) -> tuple[str, ...]:

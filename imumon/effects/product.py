@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, FiniteFloat
@@ -26,10 +25,6 @@ class GSensitivity(Effect):
     kind: Literal["g_sensitivity"] = "g_sensitivity"
     sensors = ("gyro",)
     suspected_by = ("follow each other",)
-    separated_by: ClassVar[Mapping[str, str]] = {
-        "run_offset": "at least four poses within one run",
-        "step": "each pose taken twice in one run",
-    }
 
     @property
     def width(self) -> int:
@@ -59,10 +54,6 @@ class Product(Effect):
     """
 
     kind: Literal["product"] = "product"
-    separated_by: ClassVar[Mapping[str, str]] = {
-        "g_sensitivity": "each pose at several temperatures, and upside down",
-        "temperature_curve": "a run at one temperature in which the other driver moves",
-    }
     drivers: Annotated[list[str], Two]
     middle: Annotated[list[FiniteFloat], Two] = [0.0, 0.0]  # noqa: RUF012 - the model copies it
     half_span: Annotated[list[Positive], Two] = [1.0, 1.0]  # noqa: RUF012 - the model copies it

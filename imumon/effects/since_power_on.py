@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import cache
 from itertools import pairwise
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, FiniteFloat
@@ -42,12 +41,6 @@ class WarmUp(Effect):
     scope = "either"
     nonlinear = ("time_constant_s",)
     suspected_by = ("time since start",)
-    separated_by: ClassVar[Mapping[str, str]] = {
-        "drift": "a run longer than four time constants of the warm-up",
-        "temperature_rate": "power-on in equilibrium with the ambient temperature held",
-        "temperature_curve": "a second run that starts at another temperature",
-        "step": "another run: a warm-up comes again at the same time",
-    }
     time_constant_s: Positive
 
     @classmethod
@@ -73,12 +66,6 @@ class StressRelaxation(Effect):
     one_sign = True
     nonlinear = ("time_constant_s", "ratio")
     suspected_by = ("time since start",)
-    separated_by: ClassVar[Mapping[str, str]] = {
-        "warm_up": "a run of ten time constants of the warm-up: a relaxation goes on",
-        "drift": "a run ten times as long: a relaxation slows down",
-        "thermal_lag": "power-on in equilibrium with the ambient temperature held",
-        "step": "another run: a relaxation comes again at the same time",
-    }
     time_constant_s: Positive
     ratio: Annotated[FiniteFloat, Field(gt=1.0)]
     steps: Annotated[int, Field(ge=1, le=MOST_STEPS)] = 1
@@ -133,12 +120,6 @@ class Drift(Effect):
     kind: Literal["drift"] = "drift"
     scope = "either"
     suspected_by = ("time since start", "follow each other")
-    separated_by: ClassVar[Mapping[str, str]] = {
-        "temperature_rate": "a second ramp in the other direction",
-        "temperature_curve": "a second ramp in the other direction",
-        "run_offset": "longer runs, the device not switched off between them",
-        "step": "a longer run: a drift goes on",
-    }
 
     @classmethod
     def grid(cls, survey: Survey) -> list[Self]:  # noqa: ARG003 - any run can show it
@@ -157,7 +138,6 @@ class Step(Effect):
     scope = "event"
     nonlinear = ("time_s",)
     suspected_by = ("follow each other",)
-    separated_by: ClassVar[Mapping[str, str]] = {"run_offset": "a run with the jump in its middle"}
     time_s: FiniteFloat
 
     @classmethod

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, FiniteFloat
@@ -34,14 +33,6 @@ class ThermalLag(Follower):
     nonlinear = ("time_constant_s",)
     free_start = True
     suspected_by = ("temperature rate",)
-    separated_by: ClassVar[Mapping[str, str]] = {
-        "temperature_rate": "a fast ramp into a soak: the lag goes on for its time constant",
-        "hysteresis": "a soak of more than five time constants after a ramp, and two ramp rates:"
-        " a lag decays in the soak, a loop stays",
-        "temperature_curve": "a second ramp at another rate, or downwards",
-        "warm_up": "power-on in equilibrium with the ambient temperature held",
-        "drift": "a second ramp in the other direction",
-    }
     time_constant_s: Positive
     start_sd: NotNegative = START_SD_DEGC
 
@@ -93,12 +84,6 @@ class DeadTime(Follower):
     operator = "delay"
     nonlinear = ("delay_s",)
     suspected_by = ("temperature rate",)
-    separated_by: ClassVar[Mapping[str, str]] = {
-        "temperature_rate": "a fast ramp into a soak: the delay goes on for its time",
-        "thermal_lag": "a fast ramp into a soak: a lag bends at once and slowly, a delay later and at once",
-        "hysteresis": "two ramp rates: a loop does not care, a delay doubles",
-        "temperature_curve": "a second ramp at another rate, or downwards",
-    }
     delay_s: Annotated[FiniteFloat, Field(ge=SPACING_S)]
 
     @classmethod

@@ -14,6 +14,7 @@ from imumon.blocks import FloatArray, IntArray
 from imumon.effects import library
 from imumon.effects.base import Drive, Effect, Scale, Survey
 from imumon.effects.hysteresis import Hysteresis
+from imumon.effects.kinds import SEPARATED_BY
 from imumon.effects.library import EFFECTS
 from imumon.effects.live import Carrier
 from imumon.effects.product import GSensitivity
@@ -205,9 +206,9 @@ def test_the_library_has_every_effect_of_the_folder() -> None:
     assert {*re.findall(r"    kind: Literal\[\"(\w+)\"\]", text)} == set(EFFECTS)
 
 
-def test_all_that_an_effect_says_of_others_is_of_the_library() -> None:
-    for name, effect in EFFECTS.items():
-        assert {*effect.separated_by} <= set(EFFECTS) - {name}
+def test_what_tells_effects_apart_is_of_the_library() -> None:
+    assert {name for pair in SEPARATED_BY for name in pair} <= set(EFFECTS)
+    assert all(pair[::-1] not in SEPARATED_BY for pair in SEPARATED_BY)
 
 
 def test_a_delay_gives_the_temperature_that_was() -> None:
