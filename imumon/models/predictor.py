@@ -72,7 +72,8 @@ class BiasPredictor:
         self.drivers = tuple(name for name in inputs if name not in (ACCEL, VIBRATION))
         """Further columns that effects need."""
         self._others = [name for name in inputs if name != ACCEL]
-        self._last = np.full(len(models) + len(self._others) + 3, np.nan)
+        self._forced = ACCEL in inputs
+        self._last = np.full(len(models) + len(self._others) + 3 * self._forced, np.nan)
         self._segment = -1
 
     def process(
@@ -101,17 +102,17 @@ class BiasPredictor:
             raise ValueError(f"temperature of shape {temperature.shape} for {n} samples of {k} channels")
         if self._vibration is not None and accel is not None and VIBRATION not in others:
             others = {**others, VIBRATION: self._vibration.process(time_ns, segment, accel)}
-        none = np.full(n, np.nan)
-        force = np.full((n, 3), np.nan) if accel is None else accel
-        given = np.column_stack([temperature, *(others.get(name, none) for name in self._others), force])
-        held = self._held(segment, given)
+        columns = [temperature, *(others.get(name, np.full(n, np.nan)) for name in self._others)]
+        if self._forced:
+            columns.append(np.full((n, 3), np.nan) if accel is None else accel)
+        held = self._held(segment, np.column_stack(columns))
         near = np.clip(held[:, :k], self._low, self._high)
         bias, slope = self._curve(near)
         outside = held[:, :k] - near
         bias += np.where(outside == 0.0, 0.0, slope * np.clip(outside, -self._reach, self._reach))
         slope[np.abs(outside) > self._reach] = 0.0
-        drivers = dict(zip(self._others, held[:, k:-3].T, strict=True))
-        if accel is not None:
+        drivers = dict(zip(self._others, held[:, k:].T, strict=False))
+        if self._forced and accel is not None:
             drivers[ACCEL] = held[:, -3:]
         variance = np.zeros((n, k))
         for at, effect, carrier in self._effects:
