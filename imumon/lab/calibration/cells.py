@@ -151,15 +151,15 @@ def channel_of(
     if not good.any() or np.ptp(value[good]) == 0.0:
         return None
     _, first, cell = np.unique(cells.cell[good], return_index=True, return_inverse=True)
-    seconds = np.bincount(cell, cells.seconds[good])
+    seconds = _sum(cell, cells.seconds[good])
     share = cells.seconds[good] / seconds[cell]
-    mean_temperature = np.bincount(cell, share * temperature[good])
+    mean_temperature = _sum(cell, share * temperature[good])
     return Channel(
         name=name,
         temperature_column=column,
         temperature=mean_temperature,
-        value=np.bincount(cell, share * value[good]),
-        white=np.bincount(cell, share**2 * white[good]),
+        value=_sum(cell, share * value[good]),
+        white=_sum(cell, share**2 * white[good]),
         seconds=seconds,
         run=cells.run[good][first],
         level=nearest(mean_temperature, level_centers),
@@ -191,6 +191,10 @@ def levels(cells: Cells) -> FloatArray:
 def nearest(temperature: FloatArray, centers: FloatArray) -> IntArray:
     """Return the number of the level nearest to each temperature."""
     return np.searchsorted(0.5 * (centers[1:] + centers[:-1]), temperature).astype(np.int64)
+
+
+def _sum(cell: IntArray, parts: FloatArray) -> FloatArray:
+    return np.bincount(cell, parts).astype(np.float64)
 
 
 def _usable(record: Record) -> IntArray:
