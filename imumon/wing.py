@@ -50,8 +50,6 @@ class Wing(NamedTuple):
 
     It takes the `Setup`, the parameters of the temperature rate and the stages before.
     """
-    temperature_methods: Mapping[str, str] = {}
-    """By the `method` of a device file, what estimates the temperature rate; takes its parameters."""
     compare_models: str = ""
     """Writes the page of what two models leave of a session; see `imumon.lab.hooks.compare_models`."""
     import_log: str = ""

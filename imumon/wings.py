@@ -31,12 +31,7 @@ def offers(hook: str) -> list[Any]:
     return [resolve_name(place) for wing in wings() if (place := getattr(wing, hook))]
 
 
-def named(hook: str, name: str) -> Any:
-    """Return what a wing brings under a name, in a field of `Wing` that has places by name; None without."""
-    place = next((places[name] for wing in wings() if name in (places := getattr(wing, hook))), None)
-    return None if place is None else resolve_name(place)
-
-
 def firmware_of(protocol: str) -> Any:
     """Return what makes a virtual device of this protocol answer commands; None when nothing does."""
-    return named("firmware", protocol)
+    place = next((wing.firmware[protocol] for wing in wings() if protocol in wing.firmware), None)
+    return None if place is None else resolve_name(place)

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import re
+import sys
+from importlib.metadata import EntryPoint
+from types import ModuleType
 
+import pytest
 from support import rooms
 
+from imumon import plugins, wings
 from imumon.cli import OWN, commands
-from imumon.wing import GROUPS
+from imumon.wing import GROUPS, Command, Wing
 
 
 def test_no_room_of_the_core_imports_a_wing() -> None:
@@ -29,3 +34,20 @@ def test_the_drawing_in_the_docs_is_that_of_the_imports() -> None:
 def test_every_command_stands_under_a_heading_of_the_help() -> None:
     assert {*OWN} <= {*GROUPS}
     assert {command.group for command in commands().values()} == {*GROUPS}
+
+
+def test_a_wing_of_another_package_brings_its_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = ModuleType("another_wing")
+    module.WING = Wing("another", {"other": Command("Devices", "Do something else.", "another_wing")})  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "another_wing", module)
+    entry = EntryPoint("another", "another_wing:WING", plugins.WINGS)
+    monkeypatch.setattr(plugins, "entry_points", lambda group: [entry] if group == plugins.WINGS else [])
+    plugins.plugins.cache_clear()
+    commands.cache_clear()
+    try:
+        assert wings.wings()[-1].name == "another"
+        assert commands(of_plugins=True)["other"].help == "Do something else."
+        assert "other" not in commands()
+    finally:
+        plugins.plugins.cache_clear()
+        commands.cache_clear()

@@ -44,6 +44,7 @@ _OPTIONS = (
         " update, ZUPT): held constant (standard), along the curve of --model (thermal), or along a curve"
         " that is learned in this run (learned).  Default: thermal with --model, else learned.",
     ),
+    click.option("--random-error", type=click.Choice(["drift", "sr_rsukf"]), hidden=True),
     click.option(
         "--published",
         metavar="NAME,...",

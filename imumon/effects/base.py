@@ -158,8 +158,6 @@ class Effect(StrictModel):
     """Whether coefficients of both signs are none of it."""
     suspected_by: ClassVar[tuple[str, ...]] = ()
     """What the innovations of a bias filter follow when the model lacks it, see `imumon.estimation.watch`."""
-    separated_by: ClassVar[Mapping[str, str]] = {}
-    """For another effect, what to record to tell the two apart; either of them may say."""
 
     coefficients: list[FiniteFloat] = Field(default_factory=list)
     """One for each column, in the unit of the channel per unit of the column; empty where none is known."""
@@ -284,11 +282,6 @@ class Effect(StrictModel):
     def with_start(self, start: FloatArray) -> Self:  # noqa: ARG002 - for those with memory
         """Return it as sure of its start as the coefficients of `start_columns` in each run are alike."""
         return self
-
-    @property
-    def is_curve(self) -> bool:
-        """Whether it is part of the curve over temperature."""
-        return False
 
     def polynomial(self) -> Polynomial | None:
         """Return it as a polynomial of the temperature for a curve to take in; None when it is not one."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from itertools import combinations
-from typing import ClassVar, Literal, Self, get_args
+from typing import Literal, Self, get_args
 
 import numpy as np
 
@@ -36,12 +36,6 @@ class Hysteresis(Follower):
     nonlinear = ("half_width",)
     start_share = 3.0**-0.5  # equally likely anywhere between its ends
     suspected_by = ("temperature", "temperature rate")
-    separated_by: ClassVar[Mapping[str, str]] = {
-        "temperature_rate": "two ramp rates: a loop does not care, a rate effect doubles",
-        "temperature_curve": "a turn of the temperature inside the range",
-        "warm_up": "power-on in equilibrium with the ambient temperature held",
-        "drift": "a second ramp in the other direction",
-    }
     half_width: Positive
     shape: Shape = "play"
     slack: NotNegative = SLACK_DEGC

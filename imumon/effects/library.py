@@ -1,44 +1,18 @@
-"""The effects there are: a line for each, the name of its kind and of its file in this folder."""
+"""The effects of imumon and of other packages, by the name of their kind."""
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Annotated, Union
 
 from pydantic import AfterValidator, Field
 
 from imumon.effects.base import DrivenEffect, Effect
+from imumon.effects.kinds import KINDS, SEPARATED_BY
 from imumon.effects.offered import EFFECT, guarded, is_effect
 from imumon.plugins import EFFECTS as OFFERED
 from imumon.plugins import plugins
 
-FILES = (
-    "temperature_curve",
-    "temperature_rate",
-    "thermal_lag",
-    "dead_time",
-    "hysteresis",
-    "warm_up",
-    "stress_relaxation",
-    "drift",
-    "step",
-    "run_offset",
-    "periodic",
-    "g_sensitivity",
-    "product",
-)
-
-
-def _effect(name: str) -> type[Effect]:
-    module = import_module(f"imumon.effects.{name}")
-    return next(
-        found
-        for found in vars(module).values()
-        if isinstance(found, type) and issubclass(found, Effect) and getattr(found, "name", "") == name
-    )
-
-
-EFFECTS: dict[str, type[Effect]] = {name: _effect(name) for name in FILES}
+EFFECTS: dict[str, type[Effect]] = dict(KINDS)
 EFFECTS |= {plugin.name: guarded(plugin) for plugin in plugins(OFFERED, EFFECT, is_effect)}
 _OPERATORS = {kind.operator: kind for kind in EFFECTS.values() if issubclass(kind, DrivenEffect)}
 
@@ -76,9 +50,12 @@ def separated_by(one: str, other: str) -> str:
     if one.partition("(")[2] != other.partition("(")[2]:
         free = [name for name in (one, other) if "(" in name]
         return f"a run in which what {' and '.join(free)} depends on goes another way than the rest"
-    kinds = kind_of(one), kind_of(other)
-    advice = kinds[0].separated_by.get(kinds[1].name) or kinds[1].separated_by.get(kinds[0].name)
-    return advice or "another run with a different course of temperature, the ambient held after power-on"
+    pair = kind_of(one).name, kind_of(other).name
+    return (
+        SEPARATED_BY.get(pair)
+        or SEPARATED_BY.get(pair[::-1])
+        or "another run with a different course of temperature, the ambient held after power-on"
+    )
 
 
 def suspected_by(trait: str) -> tuple[str, ...]:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
-from typing import get_args
+from collections.abc import Callable
+from typing import Any, get_args
 
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.effects.base import ACCEL, Drive, Effect, Memory, Scope, Survey
+from imumon.effects.kinds import KINDS
 from imumon.errors import ImumonError
 from imumon.plugins import Plugin, described
 
@@ -26,8 +25,8 @@ def is_effect(name: str, offered: object) -> bool:
     if not (isinstance(offered, type) and issubclass(offered, Effect)):
         return False
     kind = offered.model_fields.get("kind")
-    taken = Path(__file__).with_name(f"{name}.py").exists()
-    return kind is not None and get_args(kind.annotation) == (name,) and kind.default == name and not taken
+    named = kind is not None and get_args(kind.annotation) == (name,) and kind.default == name
+    return named and name not in KINDS
 
 
 def guarded(plugin: Plugin) -> type[Effect]:
@@ -46,22 +45,20 @@ def guarded(plugin: Plugin) -> type[Effect]:
 
     @functools.wraps(advance)
     def checked(self: Effect, memory: Memory, drive: Drive) -> FloatArray:
-        with _blamed(plugin, "advance"):
-            columns = advance(self, memory, drive)
+        columns = _called(plugin, "advance", advance, self, memory, drive)
         if wrong := _wrong(columns, (len(drive), self.width)):
             raise plugin.error(f"returned from advance {wrong}")
-        return columns
+        return np.asarray(columns)
 
     effect.advance = checked  # type: ignore[method-assign]  # of a class that this one stands for from now on
     _try(plugin, effect)
     return effect
 
 
-@contextmanager
-def _blamed(plugin: Plugin, name: str) -> Iterator[None]:
-    """Turn whatever somebody else's code raises into BAD_CONFIG, naming the plug-in."""
+def _called(plugin: Plugin, name: str, function: Callable[..., Any], *arguments: object) -> Any:
+    """Return what somebody else's code returns; what it raises becomes BAD_CONFIG, naming the plug-in."""
     try:
-        yield
+        return function(*arguments)
     except ImumonError:
         raise
     except Exception as error:
@@ -76,8 +73,7 @@ def _try(plugin: Plugin, effect: type[Effect]) -> None:
         Drive(time_s[rows], 20.0 + 0.02 * time_s[rows], turned[rows])
         for rows in (slice(None), slice(0, 25), slice(25, None))
     )
-    with _blamed(plugin, "grid"):
-        grid = effect.grid(SURVEY)
+    grid = _called(plugin, "grid", effect.grid, SURVEY)
     if not (isinstance(grid, list) and all(isinstance(one, Effect) for one in grid)):
         raise plugin.error(f"returned from grid a {type(grid).__name__}: expected a list of effects")
     for one in (*grid[:1], *grid[1:][-1:]):
@@ -89,8 +85,7 @@ def _try(plugin: Plugin, effect: type[Effect]) -> None:
         added = np.concatenate([fitted.added(memory, part) for part in parts])
         if not np.array_equal(added, fitted.added(Memory(), whole)):
             raise plugin.error("adds another bias where its samples are divided otherwise")
-        with _blamed(plugin, "starts"):
-            fitted.starts(whole)
+        _called(plugin, "starts", fitted.starts, whole)
 
 
 def _wrong(columns: object, shape: tuple[int, int]) -> str:

@@ -1,18 +1,49 @@
-"""A bias that one driver gives another one's hold on: the product of the two."""
+"""Effects of the specific force on a gyro, and of the product of two drivers on any sensor."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, FiniteFloat
 
 from imumon.blocks import FloatArray
 from imumon.effects.base import ACCEL, TEMPERATURE, Drive, Effect, Memory, Positive, Scale, Survey
-from imumon.effects.g_sensitivity import LEAST_RANGE
 
+LEAST_RANGE = 2.0
+"""m/s², about twelve degrees of tilt: with less, poses and turn-on offsets look alike."""
 Two = Field(min_length=2, max_length=2)
+
+
+class GSensitivity(Effect):
+    """The specific force along x, y, z in m/s².
+
+    The vertical earth rate, 15.04 °/h times the sine of the latitude at 9.81 m/s², has the form of its
+    diagonal.
+    """
+
+    kind: Literal["g_sensitivity"] = "g_sensitivity"
+    sensors = ("gyro",)
+    suspected_by = ("follow each other",)
+
+    @property
+    def width(self) -> int:
+        """One for each axis."""
+        return 3
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The specific force."""
+        return (ACCEL,)
+
+    @classmethod
+    def grid(cls, survey: Survey) -> list[Self]:
+        """Return the one there is; none unless the pose changes within a run."""
+        return [cls()] if survey.accel_range >= LEAST_RANGE else []
+
+    def advance(self, memory: Memory, drive: Drive) -> FloatArray:  # noqa: ARG002 - it has no memory
+        """Return the specific force."""
+        return drive.of(ACCEL)
 
 
 class Product(Effect):
@@ -23,10 +54,6 @@ class Product(Effect):
     """
 
     kind: Literal["product"] = "product"
-    separated_by: ClassVar[Mapping[str, str]] = {
-        "g_sensitivity": "each pose at several temperatures, and upside down",
-        "temperature_curve": "a run at one temperature in which the other driver moves",
-    }
     drivers: Annotated[list[str], Two]
     middle: Annotated[list[FiniteFloat], Two] = [0.0, 0.0]  # noqa: RUF012 - the model copies it
     half_span: Annotated[list[Positive], Two] = [1.0, 1.0]  # noqa: RUF012 - the model copies it

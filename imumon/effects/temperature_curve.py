@@ -50,14 +50,9 @@ class TemperatureCurve(ScaledEffect):
         u = (drive.of(self.driver) - self.middle) / self.half_span
         return np.asarray(u[:, np.newaxis] ** np.arange(self.first_power, self.first_power + self.powers))
 
-    @property
-    def is_curve(self) -> bool:
-        """Whether it is one of the temperature that the curve is over."""
-        return self.of_temperature
-
     def polynomial(self) -> Polynomial | None:
         """Return its powers as they are, of the temperature."""
-        if not self.is_curve:
+        if not self.of_temperature:
             return None
         ends = self.middle - self.half_span, self.middle + self.half_span
         return Polynomial([0.0] * self.first_power + self.coefficients, domain=ends)

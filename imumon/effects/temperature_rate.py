@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import ClassVar, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 
@@ -24,9 +23,6 @@ class TemperatureRate(DrivenEffect):
     kind: Literal["temperature_rate"] = "temperature_rate"
     operator = "rate"
     suspected_by = ("temperature rate",)
-    separated_by: ClassVar[Mapping[str, str]] = {
-        "temperature_curve": "a second ramp at another rate, or downwards"
-    }
     smoothing_s: Positive = 15.0
 
     @classmethod

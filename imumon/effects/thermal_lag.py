@@ -1,20 +1,22 @@
-"""The sensor's own temperature follows the thermometer's late."""
+"""The sensor's own temperature follows the thermometer's late: behind a lag, or a fixed time later."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
-from typing import ClassVar, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
+from pydantic import Field, FiniteFloat
 
-from imumon.blocks import FloatArray
+from imumon.blocks import BoolArray, FloatArray
 from imumon.effects.base import RATIO, Drive, Memory, NotNegative, Positive, Survey, logarithmic
 from imumon.effects.follower import SHORTEST_S, Follower
 
 UNTOLD_S = 30.0
 """How far a gyro's temperature may be behind the thermometer's (sd): half of the lag that means of 30 s
 separate from a rate."""
+SPACING_S = 0.25
+"""One temperature is remembered of each such interval; the temperature of a unit is straight in between."""
 START_SD_DEGC = 1.0
 """How far from equilibrium a unit is at power-on, where nothing better is known (standard deviation)."""
 
@@ -31,14 +33,6 @@ class ThermalLag(Follower):
     nonlinear = ("time_constant_s",)
     free_start = True
     suspected_by = ("temperature rate",)
-    separated_by: ClassVar[Mapping[str, str]] = {
-        "temperature_rate": "a fast ramp into a soak: the lag goes on for its time constant",
-        "hysteresis": "a soak of more than five time constants after a ramp, and two ramp rates:"
-        " a lag decays in the soak, a loop stays",
-        "temperature_curve": "a second ramp at another rate, or downwards",
-        "warm_up": "power-on in equilibrium with the ambient temperature held",
-        "drift": "a second ramp in the other direction",
-    }
     time_constant_s: Positive
     start_sd: NotNegative = START_SD_DEGC
 
@@ -78,3 +72,38 @@ class ThermalLag(Follower):
             return self
         rms = float(np.sqrt(np.mean(start**2))) * self.start_sd / abs(self.coefficients[0])
         return self.model_copy(update={"start_sd": max(START_SD_DEGC, rms)})
+
+
+class DeadTime(Follower):
+    """The bias follows the temperature of a while ago: a pure delay, as heat takes through a housing.
+
+    Before power-on the temperature is taken for that of the first sample.
+    """
+
+    kind: Literal["dead_time"] = "dead_time"
+    operator = "delay"
+    nonlinear = ("delay_s",)
+    suspected_by = ("temperature rate",)
+    delay_s: Annotated[FiniteFloat, Field(ge=SPACING_S)]
+
+    @classmethod
+    def grid(cls, survey: Survey) -> list[Self]:
+        """Return delays up to an eighth of the shortest run."""
+        delays = logarithmic(SHORTEST_S, survey.shortest_s / 8)
+        return [cls(delay_s=delay, **form) for form in cls.forms(survey) for delay in delays]
+
+    def follow(self, memory: Memory, drive: Drive) -> FloatArray:
+        """Return the delayed temperature, between those remembered on a straight line."""
+        time, values = drive.time_s, drive.of(self.driver)
+        if not len(time):
+            return values
+        interval = np.floor(np.concatenate([[memory.time_s], time]) / SPACING_S)
+        new = np.column_stack([time, values])[~(interval[1:] <= interval[:-1])]
+        past = np.concatenate([memory.past, new])
+        needed = np.searchsorted(past[:, 0], time[-1] - self.delay_s, side="right") - 1
+        memory.time_s, memory.past = time[-1], past[max(needed, 0) :]
+        return np.asarray(np.interp(time - self.delay_s, past[:, 0], past[:, 1]))
+
+    def settled(self, drive: Drive) -> BoolArray:
+        """Return whether the delay has passed: what was before power-on, nobody knows."""
+        return np.asarray(drive.time_s > self.delay_s)

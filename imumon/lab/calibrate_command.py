@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
 from imumon.cli.common import (
     PATH,
     Number,
+    Whole,
     json_option,
     note,
     print_json,
@@ -20,14 +21,8 @@ from imumon.cli.common import (
     warn,
     with_warnings,
 )
-from imumon.cli.progress import reading_bar
-from imumon.files import check_output
-from imumon.lab.autopilot_options import (
-    AutopilotOptions,
-    autopilot_options,
-    check_parameters,
-    write_parameters,
-)
+from imumon.cli.progress import announce, reading_bar, size_of
+from imumon.files import check_output, write_text
 from imumon.lab.diagnose_command import chosen_drivers, read
 
 if TYPE_CHECKING:
@@ -57,7 +52,16 @@ NO_DRIVER = {"drivers": "none of those recorded is proven"}
 )
 @click.option("--serial", help="Serial number of the unit, for the model file.")
 @truth_option
-@autopilot_options
+@click.option(
+    "--export",
+    "autopilot",
+    type=click.Choice(["ardupilot", "px4"]),
+    help="Also write the model in the parameters of an autopilot, beside --out.",
+)
+@click.option("--imu", type=Whole(0, 3), default=0, help="Number of the autopilot's sensor, from 0.")
+@click.option(
+    "--device-ids", nargs=2, type=int, metavar="GYRO ACCEL", help="PX4's identifiers of the sensors."
+)
 @json_option
 def command(
     sessions: tuple[Path, ...],
@@ -68,8 +72,10 @@ def command(
     drivers: str,
     serial: str | None,
     truth: bool,
+    autopilot: Literal["ardupilot", "px4"] | None,
+    imu: int,
+    device_ids: tuple[int, int] | None,
     as_json: bool,
-    **autopilot: Unpack[AutopilotOptions],
 ) -> None:
     """Find the bias of a unit over temperature from SESSIONs at rest with a changing temperature.
 
@@ -80,12 +86,14 @@ def command(
     The curve with the smallest error there is then fitted to all data.  Sessions that cannot give a good
     model are refused, with the reason.
     """
-    for path in filter(None, (out, plot)):
-        check_output(path)
-    parameters = check_parameters(out, autopilot)
+    from imumon.lab.calibration.autopilot import SUFFIX, check_ids, parameters
     from imumon.lab.calibration.calibration import calibrate, check_place, read_sessions
     from imumon.run.truth import check_truth, errors_of_model
 
+    export = None if autopilot is None else out.with_suffix(SUFFIX[autopilot])
+    for path in filter(None, (out, plot, export)):
+        check_output(path)
+    check_ids(autopilot, device_ids)
     if truth:
         check_truth(sessions)
     chosen, driven = chosen_drivers(drivers), None
@@ -102,11 +110,12 @@ def command(
             runs = [read(path, None, at_rest=False, count=tell.count) for path in sessions]
             driven = model_with_drivers(result.model, runs, chosen, tell)
     model = result.model if driven is None else driven.model
-    if parameters is not None:
-        from imumon.lab.calibration.refuted import check_last
-
-        result.warnings.extend(check_last(records, latitude, heading))
-    written = write_parameters(model, parameters, autopilot)
+    written: dict[str, Path] = {}
+    if autopilot is not None and export is not None:
+        text, notes = parameters(model, autopilot, imu, device_ids)
+        write_text(export, text)
+        warn(notes)
+        written = {"parameters": export}
     model.write(out)
     if plot is not None:
         from imumon.lab.calibration.plot import write_calibration_plot

@@ -37,7 +37,7 @@ def command(session: Path, out: Path, model: Path | None, plot: Path | None, as_
     from datetime import UTC, datetime
 
     from imumon.lab.calibration.magnetometer import fit_magnetometer
-    from imumon.lab.calibration.magnetometer_axes import Gathered, doubts, refuse_other_axes
+    from imumon.lab.calibration.magnetometer_axes import Gathered, doubts
     from imumon.models.model import BiasModel, load_model
     from imumon.recordings.reader import open_recording
     from imumon.version import __version__
@@ -53,7 +53,7 @@ def command(session: Path, out: Path, model: Path | None, plot: Path | None, as_
     with with_warnings(warnings):
         fit = fit_magnetometer(gathered.passing(recording.blocks()), units.get("mag_x", "uT"), str(session))
         axes = gathered.axes(fit.model)
-        refuse_other_axes(axes, str(session))
+        texts = [*fit.doubts, *doubts(axes, str(session))]
     named = {"session": recording.name, "sha256": recording.sha256()}
     found = fit.model.model_copy(update=named)
     if known is None:
@@ -66,10 +66,10 @@ def command(session: Path, out: Path, model: Path | None, plot: Path | None, as_
         )
     known.model_copy(update={"magnetometer": found}).write(out)
     if plot is not None:
-        from imumon.lab.calibration.magnetometer_plot import write_magnetometer_plot
+        from imumon.lab.calibration.plot import write_magnetometer_plot
 
         write_magnetometer_plot(plot, fit, recording.name)
-    warned = [*warnings(), *(f"{session}: {text}" for text in [*fit.doubts, *doubts(axes)])]
+    warned = [*warnings(), *(f"{session}: {text}" for text in texts)]
     warn(warned)
     if as_json:
         result = {"out": out, "residual_before": fit.residual_before, "points": len(fit.field)}

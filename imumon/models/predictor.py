@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imumon.blocks import BoolArray, FloatArray, IntArray
-from imumon.effects.base import ACCEL, Effect
-from imumon.effects.live import NO_DRIVERS, Carrier
+from imumon.blocks import BoolArray, FloatArray, IntArray, SampleBlock
+from imumon.effects.base import ACCEL, TEMPERATURE, Effect
+from imumon.effects.live import Carrier
 from imumon.effects.vibration import VIBRATION, Vibration
 from imumon.errors import ImumonError, Reason
 from imumon.models.model import REACH, BiasModel, ChannelModel
 
+NO_DRIVERS: Mapping[str, FloatArray] = {}
 PIECES = 2048
 """Pieces of the table that stands for a curve live; its error is 1e-9 of the curve's span or less."""
 
@@ -65,14 +66,15 @@ class BiasPredictor:
         self._reach = np.array([channel.reach_degc for channel in models])
         self._per_degc = PIECES / (self._high - self._low)
         self._cubics = np.stack([_cubics(m) for m in models]) if models else np.empty((0, PIECES, 4))
-        self._column = np.arange(len(models))
-        self._last = np.full(len(models), np.nan)
-        self._segment = -1
         self._effects = [(at, effect, Carrier(effect)) for at, m in enumerate(models) for effect in m.effects]
         inputs = dict.fromkeys(name for _, effect, _ in self._effects for name in effect.inputs)
         self._vibration = Vibration() if VIBRATION in inputs else None
         self.drivers = tuple(name for name in inputs if name not in (ACCEL, VIBRATION))
         """Further columns that effects need."""
+        self._others = [name for name in inputs if name != ACCEL]
+        self._forced = ACCEL in inputs
+        self._last = np.full(len(models) + len(self._others) + 3 * self._forced, np.nan)
+        self._segment = -1
 
     def process(
         self,
@@ -95,35 +97,50 @@ class BiasPredictor:
         others : mapping of str to array (n,)
             The columns `drivers`; without one of them the bias of a channel that needs it is NaN.
         """
-        n, k = len(time_ns), len(self._last)
+        n, k = len(time_ns), len(self._low)
         if temperature.shape != (n, k) or len(segment) != n:
             raise ValueError(f"temperature of shape {temperature.shape} for {n} samples of {k} channels")
-        held = self._held(segment, temperature)
-        near = np.clip(held, self._low, self._high)
-        bias, slope = self._curve(near)
-        outside = held - near
-        bias += np.where(outside == 0.0, 0.0, slope * np.clip(outside, -self._reach, self._reach))
-        slope[np.abs(outside) > self._reach] = 0.0
         if self._vibration is not None and accel is not None and VIBRATION not in others:
             others = {**others, VIBRATION: self._vibration.process(time_ns, segment, accel)}
+        columns = [temperature, *(others.get(name, np.full(n, np.nan)) for name in self._others)]
+        if self._forced:
+            columns.append(np.full((n, 3), np.nan) if accel is None else accel)
+        held = self._held(segment, np.column_stack(columns))
+        near = np.clip(held[:, :k], self._low, self._high)
+        bias, slope = self._curve(near)
+        outside = held[:, :k] - near
+        bias += np.where(outside == 0.0, 0.0, slope * np.clip(outside, -self._reach, self._reach))
+        slope[np.abs(outside) > self._reach] = 0.0
+        drivers = dict(zip(self._others, held[:, k:].T, strict=False))
+        if self._forced and accel is not None:
+            drivers[ACCEL] = held[:, -3:]
         variance = np.zeros((n, k))
         for at, effect, carrier in self._effects:
-            reach = self._reach[at]
-            within = np.clip(temperature[:, at], self._low[at] - reach, self._high[at] + reach)
-            added, start_sd = carrier.process(time_ns, segment, within, accel, _within(effect, others))
+            within = _within(effect, drivers)
+            low, high = self._low[at] - self._reach[at], self._high[at] + self._reach[at]
+            within[TEMPERATURE] = np.clip(held[:, at], low, high)
+            added, start_sd = carrier.process(time_ns, segment, within)
             bias[:, at] += added
             variance[:, at] += start_sd**2
         return Prediction(bias, slope, outside == 0.0, np.sqrt(variance))
 
-    def _held(self, segment: IntArray, temperature: FloatArray) -> FloatArray:
-        """Return the last temperature of each channel in the segment, (n, k), and carry it on."""
+    def of_block(self, block: SampleBlock) -> Prediction:
+        """Return the expected bias at the samples of a block; columns that it lacks are missing."""
+        none = np.full(len(block), np.nan)
+        temperature = [block.columns.get(name, none) for name in self.temperature_columns]
+        others = {name: block[name] for name in self.drivers if name in block}
+        stacked = np.column_stack(temperature).astype(np.float64)
+        return self.process(block["device_time_ns"], block["segment"], stacked, block.accel, others)
+
+    def _held(self, segment: IntArray, values: FloatArray) -> FloatArray:
+        """Return the last value of each column in the segment, (n, m), and carry it on."""
         n = len(segment)
         if not n:
-            return temperature
-        known = np.isfinite(temperature)
+            return values
+        known = np.isfinite(values)
         known[segment != np.concatenate([[self._segment], segment[:-1]])] = True  # nothing is held across
         row = np.maximum.accumulate(np.where(known, np.arange(1, n + 1)[:, np.newaxis], 0), axis=0)
-        held = np.concatenate([self._last[np.newaxis], temperature])[row, self._column]
+        held = np.concatenate([self._last[np.newaxis], values])[row, np.arange(values.shape[1])]
         self._last, self._segment = held[-1].copy(), int(segment[-1])
         return held
 
@@ -132,19 +149,17 @@ class BiasPredictor:
         position = (temperature - self._low) * self._per_degc
         piece = np.minimum(np.where(np.isnan(position), 0.0, position).astype(np.int64), PIECES - 1)
         s = position - piece
-        c0, c1, c2, c3 = self._cubics[self._column, piece].transpose(2, 0, 1)
+        c0, c1, c2, c3 = self._cubics[np.arange(len(self._low)), piece].transpose(2, 0, 1)
         return c0 + s * (c1 + s * (c2 + s * c3)), (c1 + s * (2.0 * c2 + 3.0 * s * c3)) * self._per_degc
 
 
-def _within(effect: Effect, others: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+def _within(effect: Effect, drivers: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """Return the drivers of an effect, held where they leave what training showed."""
-    found = {}
-    for name in effect.inputs:
-        if name in others:
-            scale = effect.scale_of(name)
-            far = np.inf if scale is None else scale.half_span * (1.0 + 2.0 * REACH)
-            middle = 0.0 if scale is None else scale.middle
-            found[name] = np.clip(others[name], middle - far, middle + far)
+    found = {name: drivers[name] for name in effect.inputs if name in drivers}
+    for name, values in found.items():
+        if name != ACCEL and (scale := effect.scale_of(name)) is not None:
+            far = scale.half_span * (1.0 + 2.0 * REACH)
+            found[name] = np.clip(values, scale.middle - far, scale.middle + far)
     return found
 
 

@@ -13,6 +13,5 @@ from imumon.wing import Wing
 
 WING = Wing(
     "papers",
-    stages="imumon.papers.hooks:stages",
-    temperature_methods={"fir_exponential": "imumon.papers.hooks:fir_method"},
+    stages="imumon.papers.stages:published_stages",
 )

@@ -35,7 +35,6 @@ SLOT_S = 0.25
 ZEROING_S = 60.0
 LEVELLING_S = 1.0
 """s at rest whose mean specific force is the vertical after a motion."""
-METHODS = ("dense_zupt", "dense_tczupt")
 
 
 @dataclass(frozen=True)
@@ -62,8 +61,8 @@ class DenseSettings:
     """Of tilt and yaw (rad) and of the velocity (m/s) at the start."""
     zero_velocity_sd: float = 1e-3
     """Of a velocity measurement every `MEASURED_S`, m/s."""
-    yaw_hold_sd: float | None = 1e-4
-    """Of a yaw measurement every `MEASURED_S`, rad.  None: yaw is free, and so is the vertical bias."""
+    yaw_hold_sd: float = 1e-4
+    """Of a yaw measurement every `MEASURED_S`, rad: velocity alone does not show the vertical bias."""
 
     @cached_property
     def earth(self) -> FloatArray:
@@ -93,13 +92,10 @@ class DenseSettings:
 
     @cached_property
     def measured(self) -> tuple[FloatArray, FloatArray]:
-        """H and R of a step: three velocities, and the yaw where it is held."""
-        h = np.zeros((3, STATES))
-        h[:, VELOCITY] = np.eye(3)
-        variances = [self.zero_velocity_sd**2] * 3
-        if self.yaw_hold_sd is not None:
-            h = np.vstack([h, np.arange(STATES) == YAW])
-            variances.append(self.yaw_hold_sd**2)
+        """H and R of a step: three velocities, and the yaw, which is held."""
+        h = np.zeros((4, STATES))
+        h[:3, VELOCITY], h[3, YAW] = np.eye(3), 1.0
+        variances = np.square([*[self.zero_velocity_sd] * 3, self.yaw_hold_sd])
         return h, np.diag(variances) * (MEASURED_S / self.interval_s)
 
 
@@ -193,10 +189,8 @@ def step(
     f = transition(state, force, earth, dt)
     predicted = f @ state.covariance @ f.T + settings.noise
     h, r = settings.measured
-    z = -state.velocity
-    if len(h) > 3:
-        off = state.held @ state.attitude.T
-        z = np.append(z, 0.5 * (off[1, 0] - off[0, 1]))
+    off = state.held @ state.attitude.T
+    z = np.append(-state.velocity, 0.5 * (off[1, 0] - off[0, 1]))
     # The errors are expected to be zero, so that the innovation is the measurement.
     spread = predicted @ h.T
     total = h @ spread + r
@@ -238,11 +232,11 @@ class DenseZupt:
         self._method = method
         self._settings = replace(settings or DenseSettings(SLOT_S), interval_s=SLOT_S)
         channels = [f"gyro_{a}" for a in "xyz" if model is not None and f"gyro_{a}" in model.channels]
-        self._predictor = BiasPredictor(model, channels) if model is not None and channels else None
+        self._predictor = BiasPredictor(model, channels) if model is not None else None
         self._axes = ["xyz".index(name[-1]) for name in channels]
         self._assume_rest = assume_rest
         self._gatherer = SlotGatherer(10, round(SLOT_S * 1e9))
-        self._shown = Shown((2, 3))
+        self._shown = Shown([6])
         self._state: State | None = None
         self._resting: list[FloatArray] = []
 
@@ -271,40 +265,36 @@ class DenseZupt:
         if "at_rest" in block:
             values[:, 9] = (block["at_rest"] != 0) & (block["at_rest"] != NO_INT)
         slots = self._gatherer.process(block["device_time_ns"], block["segment"], values)
-        outputs = np.full((len(slots), 2, 3), np.nan)
+        outputs = np.full((len(slots), 6), np.nan)
         for k in range(len(slots)):
             if slots.begins[k]:
                 self._state, self._resting = None, []
             self._take(slots.mean[k], bool(slots.smallest[k, 9] == 1.0))
             if self._state is not None:
-                outputs[k] = self._state.bias, self._state.bias_sd
+                outputs[k] = *self._state.bias, *self._state.bias_sd
         shown = self._shown.spread(slots.row, outputs, self._shown.breaks(block), n)
-        bias = shown[:, 0] + curve
-        return {
-            column.name: part for column, part in zip(self.columns, [*bias.T, *shown[:, 1].T], strict=True)
-        }
+        shown[:, :3] += curve
+        return {column.name: part for column, part in zip(self.columns, shown.T, strict=True)}
 
     def _take(self, mean: FloatArray, rests: bool) -> None:
         """Take in a slot of gyros (3), accelerometers (3), warming (3) and rest."""
         state, settings = self._state, self._settings
         drift = SLOT_S * np.nan_to_num(mean[6:9])
-        if not rests or not np.isfinite(mean[:6]).all():
-            self._resting = []
-            if state is not None:
-                state.bias = state.bias + drift
-                state.covariance[GYRO, GYRO] += settings.noise[GYRO, GYRO]
-                state.velocity[:] = np.nan
-            return
-        if state is not None and np.isfinite(state.velocity).all():
+        measured = rests and bool(np.isfinite(mean[:6]).all())
+        if measured and state is not None and np.isfinite(state.velocity).all():
             # The bias of a step is that at its end.
             step(state, settings, mean[:3] + 0.5 * drift, mean[3:6], drift)
+            return
+        if state is not None:
+            state.bias = state.bias + drift
+            state.covariance[GYRO, GYRO] += settings.noise[GYRO, GYRO]
+            state.velocity[:] = np.nan
+        if not measured:
+            self._resting = []
             return
         # A zeroing or a levelling is under way.  Rates before refer to the bias of now.
         self._resting = [np.concatenate([past[:3] + drift, past[3:]]) for past in self._resting]
         self._resting.append(mean[:6])
-        if state is not None:
-            state.bias = state.bias + drift
-            state.covariance[GYRO, GYRO] += settings.noise[GYRO, GYRO]
         if len(self._resting) * SLOT_S < (ZEROING_S if state is None else LEVELLING_S) - 1e-9:
             return
         means = np.mean(self._resting, axis=0)
@@ -321,26 +311,15 @@ class DenseZupt:
         curve, warming = np.zeros((len(block), 3)), np.zeros((len(block), 3))
         if self._predictor is None:
             return curve, warming
-        names = self._predictor.temperature_columns
-        temperature, rate = (
-            np.full((len(block), len(names)), np.nan),
-            np.full((len(block), len(names)), np.nan),
-        )
-        for j, name in enumerate(names):
-            suffix = name.removeprefix("temperature").removeprefix("_estimate")
-            for column in (f"temperature_estimate{suffix}", f"temperature{suffix}"):
-                if column in block:
-                    temperature[:, j] = block[column]
-                    break
-            if f"temperature_rate{suffix}" in block:
-                rate[:, j] = block[f"temperature_rate{suffix}"]
-        others = {name: block[name] for name in self._predictor.drivers if name in block}
-        times, segment = block["device_time_ns"], block["segment"]
-        predicted = self._predictor.process(times, segment, temperature, others=others)
+        predicted = self._predictor.of_block(block)
         if self._method == "dense_zupt":
             curve[:, self._axes] = predicted.bias
-        else:
-            warming[:, self._axes] = predicted.slope * rate
+            return curve, warming
+        none = np.full(len(block), np.nan)
+        rates = [name.replace("_estimate", "") for name in self._predictor.temperature_columns]
+        rates = [name.replace("temperature", "temperature_rate") for name in rates]
+        rate = np.column_stack([block.columns.get(name, none) for name in rates])
+        warming[:, self._axes] = predicted.slope * rate
         return curve, warming
 
     def notices(self) -> list[str]:

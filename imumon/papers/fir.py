@@ -1,4 +1,4 @@
-"""Finite-impulse-response exponential regression on updates, and its linear variant.
+"""Finite-impulse-response exponential regression on updates.
 
 After Kozlov and Tarygin, "Real-Time Estimation of Temperature Time Derivative in Inertial Measurement Unit by
 Finite-Impulse-Response Exponential Regression on Updates", Sensors 2020, 20(5), 1299.  Equation numbers are
@@ -30,6 +30,8 @@ from imumon.filters.rates import RateEstimate
 from imumon.filters.segments import Breaks
 from imumon.papers.square_root import fit, pull_back, update
 
+ORDER = 3
+"""Coefficients of the model α + βu + γe^(-u) (13)."""
 START_SD = 1e6
 """Standard deviation of each coefficient before the first measurement."""
 START_SPACING_S = 60.0
@@ -56,14 +58,12 @@ class Params:
     time_constant_s: float = 180.0
     """Time constant T0 in s."""
     buffer_size: int = 90
-    """N > 2 `order`; when so many measurements are in the buffer, the oldest goes."""
-    order: int = 3
-    """3: α + βu + γe^(-u) (13); 2: α + βu, the paper's section 4.2, where T0 only scales u."""
+    """N > 2 `ORDER`; when so many measurements are in the buffer, the oldest goes."""
 
     def __post_init__(self) -> None:
         positive = self.step > 0 and self.window_s > 0 and self.time_constant_s > 0
-        if not (positive and self.buffer_size > 2 * self.order):
-            raise ValueError("step, window and time constant must be positive, and the buffer exceed 2 n")
+        if not (positive and self.buffer_size > 2 * ORDER):
+            raise ValueError("step, window and time constant must be positive, and the buffer exceed 6")
 
     @property
     def sigma(self) -> float:
@@ -76,9 +76,9 @@ class State:
     """What the filter carries from sample to sample."""
 
     x: FloatArray
-    """α, β (and γ), °C, (n,)."""
+    """α, β and γ, °C, (3,)."""
     s: FloatArray
-    """Upper triangular, S Sᵀ the covariance, (n, n)."""
+    """Upper triangular, S Sᵀ the covariance, (3, 3)."""
     t0: float
     """Time bias, s."""
     last_reading: float
@@ -90,16 +90,16 @@ class State:
     """Time constants by which t0 moved since the last fit."""
 
 
-def model_row(order: int, u: float) -> FloatArray:
-    """Return h (13) at u = (t - t0)/T0, (n,)."""
-    return np.array([1.0, u, math.exp(-u)][:order])
+def model_row(u: float) -> FloatArray:
+    """Return h (13) at u = (t - t0)/T0, (3,)."""
+    return np.array([1.0, u, math.exp(-u)])
 
 
 def start(params: Params, t: float, reading: float) -> State:
     """Listing 1: 2n virtual measurements of the first reading, one a minute into the past."""
-    n = params.order
-    state = State(np.zeros(n), START_SD * np.eye(n), t - 2 * n * START_SPACING_S, reading, reading)
-    for k in range(2 * n, 0, -1):
+    begin = t - 2 * ORDER * START_SPACING_S
+    state = State(np.zeros(ORDER), START_SD * np.eye(ORDER), begin, reading, reading)
+    for k in range(2 * ORDER, 0, -1):
         measure(state, params, t - k * START_SPACING_S, reading)
     return state
 
@@ -108,7 +108,7 @@ def measure(state: State, params: Params, t: float, z: float) -> None:
     """Store a measurement (4, 15) and take it into the state (9, 11)."""
     state.buffer.append((z, t))
     u = (t - state.t0) / params.time_constant_s
-    state.x, state.s = update(state.x, state.s, z, model_row(params.order, u), params.sigma)
+    state.x, state.s = update(state.x, state.s, z, model_row(u), params.sigma)
 
 
 def expires_s(state: State, params: Params) -> float:
@@ -117,7 +117,7 @@ def expires_s(state: State, params: Params) -> float:
     if len(buffer) == params.buffer_size:
         return -math.inf
     # As in listing 2 the newest and the second oldest must be T_w apart, and 2 n measurements remain.
-    if len(buffer) <= 2 * params.order or buffer[-1][1] - buffer[1][1] < params.window_s:
+    if len(buffer) <= 2 * ORDER or buffer[-1][1] - buffer[1][1] < params.window_s:
         return math.inf
     return buffer[0][1] + params.window_s
 
@@ -128,7 +128,7 @@ def expire(state: State, params: Params, t: float) -> None:
     while t > expires_s(state, params):
         z, time = state.buffer.popleft()
         if sound:
-            h = model_row(params.order, (time - state.t0) / params.time_constant_s)
+            h = model_row((time - state.t0) / params.time_constant_s)
             pulled = pull_back(state.x, state.s, z, h, params.sigma, LEAST_SHARE)
             sound = pulled is not None
             state.x, state.s = pulled or (state.x, state.s)
@@ -147,40 +147,32 @@ def move_bias(x: FloatArray, s: FloatArray, shift: float) -> tuple[FloatArray, F
     C and S are upper triangular with positive diagonals, so C S is the Cholesky factor of C S Sᵀ Cᵀ; to form
     that product first would square the condition number.
     """
-    n = len(x)
-    c = np.array([[1.0, shift, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, math.exp(-shift)]])[:n, :n]
+    c = np.array([[1.0, shift, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, math.exp(-shift)]])
     return c @ x, c @ s
 
 
 def refit(state: State, params: Params) -> None:
     """Fit the measurements of the buffer from scratch."""
     data = np.array(state.buffer)
-    rows = np.array([model_row(params.order, u) for u in (data[:, 1] - state.t0) / params.time_constant_s])
+    rows = np.array([model_row(u) for u in (data[:, 1] - state.t0) / params.time_constant_s])
     state.x, state.s = fit(rows, data[:, 0], params.sigma, START_SD)
     state.shift = 0.0
 
 
-def evaluate(state: State, params: Params, seconds: FloatArray) -> RateEstimate:
-    """Return the four outputs (13, 17) at these times.
+def evaluate(state: State, params: Params, seconds: FloatArray) -> FloatArray:
+    """Return temperature, rate and their standard deviations (13, 17) at these times, (4, n).
 
     Written out, not as a product of matrices: the same sample must give the same bits in any block.
     """
     x, s, constant = state.x, state.s, params.time_constant_s
     u = (seconds - state.t0) / constant
     t1 = s[0, 1] + u * s[1, 1]
-    if params.order == 2:
-        temperature_sd = np.sqrt(s[0, 0] ** 2 + t1**2)
-        rate = np.full(len(u), x[1] / constant)
-        return RateEstimate(x[0] + u * x[1], rate, temperature_sd, np.full(len(u), abs(s[1, 1]) / constant))
     decay = np.exp(-u)
     t2 = s[0, 2] + u * s[1, 2] + decay * s[2, 2]
     r2 = s[1, 2] - decay * s[2, 2]
-    return RateEstimate(
-        x[0] + u * x[1] + decay * x[2],
-        (x[1] - decay * x[2]) / constant,
-        np.sqrt(s[0, 0] ** 2 + t1**2 + t2**2),
-        np.sqrt(s[1, 1] ** 2 + r2**2) / constant,
-    )
+    temperature, rate = x[0] + u * x[1] + decay * x[2], (x[1] - decay * x[2]) / constant
+    temperature_sd, rate_sd = np.sqrt(s[0, 0] ** 2 + t1**2 + t2**2), np.sqrt(s[1, 1] ** 2 + r2**2) / constant
+    return np.array([temperature, rate, temperature_sd, rate_sd])
 
 
 class FirRate:
@@ -228,12 +220,8 @@ class FirRate:
         while at < n:
             part = slice(at, min(at + length, n))
             values = evaluate(state, params, seconds[part])
-            stop = at + self._quiet(state, seconds[part], reading[part], values.temperature)
-            quiet = slice(at, stop)
-            for row, column in zip(
-                out, (values.temperature, values.rate, values.temperature_sd, values.rate_sd), strict=True
-            ):
-                row[quiet] = column[: stop - at]
+            stop = at + self._quiet(state, seconds[part], reading[part], values[0])
+            out[:, at:stop] = values[:, : stop - at]
             if stop > at:
                 state.temperature = float(out[0, stop - 1])
             at, length = stop, 2 * length
@@ -261,8 +249,7 @@ class FirRate:
             state.last_reading = reading
         if t > expires_s(state, params):
             expire(state, params, t)
-        values = evaluate(state, params, np.array([t]))
-        out[:] = values.temperature[0], values.rate[0], values.temperature_sd[0], values.rate_sd[0]
+        out[:] = evaluate(state, params, np.array([t]))[:, 0]
         state.temperature = float(out[0])
 
 
@@ -270,11 +257,12 @@ class FirStage:
     """The paper's filter as a stage, one for each temperature of the block.
 
     Columns are ``fir_temperature_estimate``, ``fir_temperature_rate`` and their standard deviations, with the
-    ending of the channel (``_x`` of ``temperature_x``).
+    ending of the channel (``_x`` of ``temperature_x``).  `retired` is whether the retired key ``method`` of a
+    device file asked for it.
     """
 
-    def __init__(self, params: Params) -> None:
-        self._params = params
+    def __init__(self, params: Params, retired: bool = False) -> None:
+        self._params, self._retired = params, retired
         self._filters: dict[str, FirRate] = {}
 
     @property
@@ -296,8 +284,12 @@ class FirStage:
         return found
 
     def notices(self) -> list[str]:
-        """Return nothing: the default says what is wrong with the declared step."""
-        return []
+        """Return, once, that a retired key asked for it; the default reports a wrong declared step."""
+        found = (
+            ["temperature: method is not used any more, it is as published: [fir]"] if self._retired else []
+        )
+        self._retired = False
+        return found
 
 
 def _columns(channel: str) -> list[Column]:

@@ -7,6 +7,7 @@ with V = e² at the first innovation, then V ← (ρV + e²)/(1 + ρ), ρ = 0.95
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -33,12 +34,40 @@ class ModelL:
     """R, of one measurement."""
 
 
-class LinearSeries(NamedTuple):
-    """x_k|k-1, x_k|k and its standard deviation at each sample, (n,), in the unit of the data."""
+class Series(NamedTuple):
+    """Results of a filter at each sample, (n,)."""
 
     predicted: FloatArray
     estimate: FloatArray
     sd: FloatArray
+    """x_k|k-1, x_k|k and its standard deviation, in the unit of the data."""
+    phi: FloatArray
+    phi_sd: FloatArray
+    """φ of the model and its standard deviation."""
+
+
+class SampleFilter:
+    """A recursive filter of one axis: a compiled run over samples, and the state that it changes in place."""
+
+    _run: Callable[..., None]
+
+    def __init__(self, settings: NamedTuple, state: NamedTuple) -> None:
+        self._settings, self._state = settings, state
+
+    def process(self, reading: FloatArray, steps: FloatArray | None = None) -> Series:
+        """Return the results at samples that follow those of the last call.
+
+        Parameters
+        ----------
+        reading : array, (n,)
+            Data; predicted only where it is NaN.
+        steps : array, (n,), optional
+            Time since the last sample in sampling intervals.  Default 1.
+        """
+        steps = np.ones(len(reading)) if steps is None else steps
+        series = Series(*np.empty((len(Series._fields), len(reading))))
+        type(self)._run(reading, steps, self._settings, self._state, series)
+        return series
 
 
 class Settings(NamedTuple):
@@ -58,57 +87,10 @@ class State(NamedTuple):
     """Of (x_k, x_k-1), (2,)."""
     innovation_variance: FloatArray
     """V, the variance of the innovations as estimated so far, (1,); NaN before the first."""
-    largest_fading: FloatArray
-    """The largest λ so far, (1,)."""
-
-
-class LinearFilter:
-    """Kalman filter on model L.
-
-    Parameters
-    ----------
-    model : ModelL
-        Model, start and R.
-    softening : float or None
-        β of the strong-tracking filter; None for the plain Kalman filter.
-    """
-
-    def __init__(self, model: ModelL, softening: float | None = None) -> None:
-        process = model.delta1**2 + model.delta2**2
-        beta = -1.0 if softening is None else softening
-        self._settings = Settings(model.phi, process, model.noise_variance, beta)
-        mean, covariance = np.array(model.mean, np.float64), np.diag(np.array(model.variance, np.float64))
-        self.state = State(mean, covariance, np.full(1, np.nan), np.ones(1))
-
-    @property
-    def largest_fading(self) -> float:
-        """The largest λ so far."""
-        return float(self.state.largest_fading[0])
-
-    def process(self, reading: FloatArray, steps: FloatArray | None = None) -> LinearSeries:
-        """Return what the filter says at samples that follow those of the last call.
-
-        Parameters
-        ----------
-        reading : array, (n,)
-            Data; predicted only where it is NaN.
-        steps : array, (n,), optional
-            Time since the last sample in sampling intervals.  Default 1.
-        """
-        steps = np.ones(len(reading)) if steps is None else steps
-        series = LinearSeries(*(np.empty(len(reading)) for _ in LinearSeries._fields))
-        _run(reading, steps, self._settings, self.state, series)
-        return series
 
 
 @njit
-def _run(
-    reading: FloatArray,
-    steps: FloatArray,
-    settings: Settings,
-    state: State,
-    series: LinearSeries,
-) -> None:
+def _run(reading: FloatArray, steps: FloatArray, settings: Settings, state: State, series: Series) -> None:
     """Filter samples; the state changes in place, the series is filled."""
     x, p, phi, noise = state.mean, state.covariance, settings.phi, settings.noise_variance
     for k in range(reading.size):
@@ -133,6 +115,7 @@ def _run(
             p[0, 0] *= noise / total
             p[0, 1] = p[1, 0] = before * noise
         series.estimate[k], series.sd[k] = x[0], np.sqrt(p[0, 0])
+        series.phi[k], series.phi_sd[k] = phi, 0.0
 
 
 @njit
@@ -142,6 +125,27 @@ def _fading(innovation: float, had: float, process: float, settings: Settings, s
     square = innovation * innovation
     v[0] = square if np.isnan(v[0]) else (FORGETTING * v[0] + square) / (1.0 + FORGETTING)
     wanted = v[0] - process - settings.softening * settings.noise_variance
-    fading = wanted / had if had > 0.0 and wanted > had else 1.0
-    state.largest_fading[0] = max(state.largest_fading[0], fading)
-    return fading
+    return wanted / had if had > 0.0 and wanted > had else 1.0
+
+
+class LinearFilter(SampleFilter):
+    """Kalman filter on model L.
+
+    Parameters
+    ----------
+    model : ModelL
+        Model, start and R.
+    softening : float or None
+        β of the strong-tracking filter; None for the plain Kalman filter.
+    """
+
+    _run = _run
+
+    def __init__(self, model: ModelL, softening: float | None = None) -> None:
+        process = model.delta1**2 + model.delta2**2
+        beta = -1.0 if softening is None else softening
+        mean, covariance = np.array(model.mean, np.float64), np.diag(np.array(model.variance, np.float64))
+        super().__init__(
+            Settings(model.phi, process, model.noise_variance, beta),
+            State(mean, covariance, np.full(1, np.nan)),
+        )

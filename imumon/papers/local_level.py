@@ -19,12 +19,9 @@ from imumon.filters.slots import SlotGatherer
 from imumon.papers.rest_means import SLOT_S, RestMean, RestMeans
 
 LEAST_MEANS = 30
-RATIOS = np.concatenate([[0.0], 10.0 ** np.arange(-11.0, 1.01, 0.05)])
-"""Walks that are tried, to the white noise's density, 1/s²."""
-EXPECTED = slice(61, None)
-"""From 1e-8 /s² on: below, a walk cannot be told from none within a day."""
-CHI_SQUARE_95 = 3.84
-"""A deviance may exceed the least by this within 95 %."""
+RATIOS = 10.0 ** np.arange(-11.0, 1.01, 0.05)[60:]
+"""Walks that are tried, over the white noise's density, 1/s²: from 1e-8 on, as within a day a smaller walk
+cannot be distinguished from none."""
 FLOOR = 1e-24
 """(rad/s)² s: white noise below 1e-12 rad/s/√Hz is none; keeps a constant reading from dividing by zero."""
 TO_INSTABILITY = math.sqrt(math.pi / math.log(10.0))
@@ -49,21 +46,6 @@ class LocalLevel:
         return self.walk * interval_s
 
 
-@dataclass(frozen=True, slots=True)
-class LocalLevelFit:
-    """Fit of a local level."""
-
-    best: LocalLevel
-    """Most likely; its walk may be 0."""
-    expected: LocalLevel
-    """Mean over the logarithm of the walk, weighted by the likelihood: never without a walk, for without
-    process noise the covariance of the filters degenerates."""
-    walk_range: tuple[float, float]
-    """95 % limits of the walk; the lower one is 0 when the data do not show one, as in a minute."""
-    means: int
-    """Seconds at rest that were used."""
-
-
 def means_of(time_ns: IntArray, reading: FloatArray) -> list[RestMean]:
     """Return the means of a recording at rest, reading (n,) in rad/s, NaN where it is not."""
     gatherer = SlotGatherer(1, round(SLOT_S * 1e9))
@@ -71,10 +53,11 @@ def means_of(time_ns: IntArray, reading: FloatArray) -> list[RestMean]:
     return [row[0] for row in RestMeans().process(slots)]
 
 
-def fit_local_level(means: Sequence[RestMean]) -> LocalLevelFit:
+def fit_local_level(means: Sequence[RestMean]) -> LocalLevel:
     """Fit white noise and random walk by likelihood.
 
-    Raises BAD_DATA when there are too few means.
+    The mean over the logarithm of the walk, weighted by the likelihood: never without a walk, for without
+    process noise the covariance of the filters degenerates.  Raises BAD_DATA when there are too few means.
     """
     count = sum(1 for mean in means if mean.covered_s > 0.0)
     if count < LEAST_MEANS:
@@ -84,19 +67,10 @@ def fit_local_level(means: Sequence[RestMean]) -> LocalLevelFit:
             f"noise can be fitted from {LEAST_MEANS} s on; hours are better",
         )
     deviance, white = deviances(means, RATIOS)
-    best = int(np.argmin(deviance))
-    walks = RATIOS * white[best]
-    inside = walks[deviance <= deviance[best] + CHI_SQUARE_95]
-    weights = np.exp(-0.5 * (deviance[EXPECTED] - deviance[EXPECTED].min()))
+    weights = np.exp(-0.5 * (deviance - deviance.min()))
     weights /= weights.sum()
-    mean_white = float(weights @ white[EXPECTED])
-    mean_ratio = math.exp(float(weights @ np.log(RATIOS[EXPECTED])))
-    return LocalLevelFit(
-        LocalLevel(float(white[best]), float(walks[best])),
-        LocalLevel(mean_white, mean_ratio * mean_white),
-        (float(inside[0]), float(inside[-1])),
-        count,
-    )
+    mean_white = float(weights @ white)
+    return LocalLevel(mean_white, math.exp(float(weights @ np.log(RATIOS))) * mean_white)
 
 
 def deviances(means: Sequence[RestMean], ratios: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -39,29 +39,26 @@ LONGEST_GAP_S = 2.0
 """After a longer gap the alignment begins anew."""
 LOOP, AVERAGE, CURVE = "fixed_gain_loop", "total_average", "curve_fit"
 METHODS = (LOOP, AVERAGE, CURVE)
+COLUMNS = (
+    Column(f"{LOOP}_heading", "rad", description="heading by the control rates of now"),
+    Column(f"{LOOP}_control_rate_east", "rad/s", description="control rate east of the fixed-gain loop"),
+    Column(f"{LOOP}_control_rate_north", "rad/s", description="control rate north of the fixed-gain loop"),
+    Column(f"{AVERAGE}_heading", "rad", description="heading by the total average of the control rates"),
+    Column(
+        f"{CURVE}_heading", "rad", description="heading by the line through the integral of the control rates"
+    ),
+)
 
 
-@dataclass(frozen=True, slots=True)
-class Params:
-    """What a user may set."""
+COARSE_S = 30.0
+"""s of averaging that the loop starts from."""
+CORNER, DAMPING = 4.0 * math.pi, 0.7
+"""ω_n in rad/s (2 Hz) and ζ of the loop, as in the paper's figures."""
 
-    latitude: float
-    """rad."""
-    coarse_s: float = 30.0
-    """s of averaging that the loop starts from."""
-    corner_hz: float = 2.0
-    damping: float = 0.7
-    """ω_n / 2π and ζ of the loop."""
 
-    @property
-    def corner(self) -> float:
-        """ω_n, rad/s."""
-        return 2.0 * math.pi * self.corner_hz
-
-    @property
-    def earth_rate(self) -> FloatArray:
-        """Ω east, north, up, rad/s, (3,)."""
-        return EARTH_RATE * np.array([0.0, math.cos(self.latitude), math.sin(self.latitude)])
+def earth_rate(latitude: float) -> FloatArray:
+    """Return Ω east, north, up at a latitude in rad, rad/s, (3,)."""
+    return EARTH_RATE * np.array([0.0, math.cos(latitude), math.sin(latitude)])
 
 
 @dataclass
@@ -82,13 +79,11 @@ class Gains(NamedTuple):
     kb: float
 
 
-def gains(corner: float, damping: float, interval_s: float) -> Gains:
-    """Return the gains that place the poles of the sampled loop at exp(s h); corner ω_n in rad/s."""
-    decay = math.exp(-2.0 * damping * corner * interval_s)
-    inside = 1.0 - damping * damping
-    angle = corner * interval_s * math.sqrt(abs(inside))
-    swing = math.cos(angle) if inside >= 0.0 else math.cosh(angle)
-    trace = 2.0 * math.exp(-damping * corner * interval_s) * swing
+def gains(interval_s: float) -> Gains:
+    """Return the gains that place the poles of the sampled loop at exp(s h)."""
+    decay = math.exp(-2.0 * DAMPING * CORNER * interval_s)
+    angle = CORNER * interval_s * math.sqrt(1.0 - DAMPING * DAMPING)
+    trace = 2.0 * math.exp(-DAMPING * CORNER * interval_s) * math.cos(angle)
     return Gains(interval_s, decay, (1.0 + decay - trace) / (interval_s**2 * STANDARD_GRAVITY))
 
 
@@ -159,73 +154,55 @@ class State:
     control: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
     integral: Integral = field(default_factory=Integral)
 
-    def take(self, params: Params, rate: FloatArray, force: FloatArray, interval_s: float) -> None:
+    def take(self, earth: FloatArray, rate: FloatArray, force: FloatArray, interval_s: float) -> None:
         """Take in a slot."""
         if self.loop is None:
             self.seconds += interval_s
             self.rate = self.rate + interval_s * rate
             self.force = self.force + interval_s * force
-            if self.seconds >= params.coarse_s:
+            if self.seconds >= COARSE_S:
                 self.loop = Loop(coarse(self.rate, self.force))
             return
-        gain = gains(params.corner, params.damping, interval_s)
-        self.control = step(self.loop, gain, params.earth_rate, rate, force)
+        self.control = step(self.loop, gains(interval_s), earth, rate, force)
         self.integral.add(self.control, interval_s)
 
-    def heading(self, params: Params, mean: FloatArray) -> float:
-        """Return the heading (18) in rad, 0 to 2π, from mean control rates, (2,)."""
-        if self.loop is None:
-            return math.nan
+    def results(self, earth: FloatArray) -> FloatArray:
+        """Return the values of `COLUMNS`, NaN where there is none."""
+        if self.loop is None or not self.integral.seconds:
+            return np.full(len(COLUMNS), np.nan)
         c = self.loop.attitude
         frame = heading_of(c[2], c[1])
-        beta_north = params.earth_rate[1] + mean[1]
-        return (frame - math.atan2(mean[0], beta_north)) % (2.0 * math.pi)
+        means = np.array([self.control, self.integral.average, self.integral.slope])
+        off = np.arctan2(means[:, 0], earth[1] + means[:, 1])
+        heading = (frame - off) % (2.0 * math.pi)  # (18)
+        return np.array([heading[0], *self.control, *heading[1:]])
 
 
 class SelfAlignment:
     """The published alignment as a stage; it begins anew after motion, a gap or a restart of the device.
 
-    Columns are ``fixed_gain_loop_heading`` (of the control rates as they are),
-    ``fixed_gain_loop_control_rate_{east,north}``, ``total_average_heading`` and ``curve_fit_heading``.
-
     Parameters
     ----------
+    latitude : float
+        rad.
     methods : sequence of str
         Of `METHODS`: whose columns are given.
     """
 
-    def __init__(self, params: Params, methods: Sequence[str] = METHODS) -> None:
-        self._params = params
-        self._methods = [method for method in METHODS if method in methods]
+    def __init__(self, latitude: float, methods: Sequence[str] = METHODS) -> None:
+        self._earth = earth_rate(latitude)
+        self.columns = [column for column in COLUMNS if column.name.startswith(tuple(methods))]
         self._gatherer = SlotGatherer(7, round(SLOT_S * 1e9))
         self._state = State()
         self._middle_ns = 0
-        self._shown = Shown([len(self.columns)])
-
-    @property
-    def columns(self) -> Sequence[Column]:
-        """The columns that `process` adds."""
-        found = []
-        if LOOP in self._methods:
-            found.append(Column(f"{LOOP}_heading", "rad", description="heading by the control rates of now"))
-            for way in ("east", "north"):
-                text = f"control rate {way} of the fixed-gain loop"
-                found.append(Column(f"{LOOP}_control_rate_{way}", "rad/s", description=text))
-        if AVERAGE in self._methods:
-            text = "heading by the total average of the control rates"
-            found.append(Column(f"{AVERAGE}_heading", "rad", description=text))
-        if CURVE in self._methods:
-            text = "heading by the line through the integral of the control rates"
-            found.append(Column(f"{CURVE}_heading", "rad", description=text))
-        return found
+        self._shown = Shown([len(COLUMNS)])
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block, NaN where there is no heading.
 
         Needs ``device_time_ns``, ``segment``, gyros and accelerometers; uses ``at_rest``.
         """
-        n = len(block)
-        gyro, accel = block.gyro, block.accel
+        n, gyro, accel = len(block), block.gyro, block.accel
         values = np.full((n, 7), np.nan)
         if gyro is not None and accel is not None:
             values[:, :3], values[:, 3:6] = gyro, accel
@@ -234,7 +211,7 @@ class SelfAlignment:
             known = block["at_rest"]
             values[:, 6] = (known != 0) | (known == NO_INT)
         slots = self._gatherer.process(block["device_time_ns"], block["segment"], values)
-        outputs = np.empty((len(slots), len(self.columns)))
+        outputs = np.empty((len(slots), len(COLUMNS)))
         for k in range(len(slots)):
             elapsed = (int(slots.middle_ns[k]) - self._middle_ns) * 1e-9
             self._middle_ns = int(slots.middle_ns[k])
@@ -245,25 +222,12 @@ class SelfAlignment:
             if np.isfinite(mean).all() and slots.smallest[k, 6] == 1.0:
                 # Whole slots: their middles differ by a sample as the samples fall.
                 interval = SLOT_S * max(round(elapsed / SLOT_S), 1)
-                self._state.take(self._params, mean[:3], mean[3:6], interval)
-            outputs[k] = self._say()
-        result = self._shown.spread(slots.row, outputs, self._shown.breaks(block), n)
-        return {column.name: result[:, j] for j, column in enumerate(self.columns)}
-
-    def _say(self) -> FloatArray:
-        """Return the values of the columns."""
-        state, params = self._state, self._params
-        if state.loop is None or not state.integral.seconds:
-            return np.full(len(self.columns), np.nan)
-        found: list[float] = []
-        if LOOP in self._methods:
-            found += [state.heading(params, state.control), *state.control]
-        if AVERAGE in self._methods:
-            found.append(state.heading(params, state.integral.average))
-        if CURVE in self._methods:
-            found.append(state.heading(params, state.integral.slope))
-        return np.array(found)
+                self._state.take(self._earth, mean[:3], mean[3:6], interval)
+            outputs[k] = self._state.results(self._earth)
+        shown = self._shown.spread(slots.row, outputs, self._shown.breaks(block), n)
+        found = {column.name: values for column, values in zip(COLUMNS, shown.T, strict=True)}
+        return {column.name: found[column.name] for column in self.columns}
 
     def notices(self) -> list[str]:
-        """Return nothing: the paper judges nothing."""
+        """Return nothing: the paper reports no faults."""
         return []

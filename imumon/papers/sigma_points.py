@@ -23,6 +23,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit
+from imumon.papers.linear import SampleFilter, Series
 
 STATES = ("x", "x_before", "phi", "delta1", "delta2")
 N = len(STATES)
@@ -50,18 +51,6 @@ class ModelNL:
     """R, of one measurement."""
 
 
-class FilterSeries(NamedTuple):
-    """What a filter says at each sample, arrays of shape (n,)."""
-
-    predicted: FloatArray
-    estimate: FloatArray
-    sd: FloatArray
-    """x_k|k-1, x_k|k and its standard deviation, in the unit of the data."""
-    phi: FloatArray
-    phi_sd: FloatArray
-    """φ and its standard deviation."""
-
-
 class Settings(NamedTuple):
     """R, the diagonal of μ (5,), and the limit of φ."""
 
@@ -77,71 +66,11 @@ class State(NamedTuple):
     factor: FloatArray
     """X and the lower triangular S of its covariance S Sᵀ, (5,)."""
     shrunk: IntArray
-    clamped: IntArray
-    """Steps with a smaller μ, and steps at which φ was held back, (1,)."""
-
-
-class SigmaPointFilter:
-    """SR-RSUKF of one axis; with μ = 0 it is the SR-UKF.
-
-    The limit of a lasting risk on a random walk is 2 μ_x (R + q) = 1, where the variance escapes; what would
-    cross `STEP_CEILING` in a step is shrunk and counted.
-
-    Parameters
-    ----------
-    model : ModelNL
-        Mean and covariance to start from, and R.
-    risk : sequence of 5 float
-        Diagonal of μ in 1/unit²; zero for φ, δ¹ and δ², which nothing measures.
-    phi_limit : float
-        φ is held within ±phi_limit; infinity lets it go, as the paper does.
-    """
-
-    def __init__(
-        self, model: ModelNL, risk: Sequence[float] = (0.0,) * N, phi_limit: float = math.inf
-    ) -> None:
-        self.settings = Settings(model.noise_variance, np.array(risk, np.float64), phi_limit)
-        self.state = State(
-            np.array(model.mean, np.float64),
-            np.diag(np.sqrt(np.array(model.variance, np.float64))),
-            np.zeros(1, np.int64),
-            np.zeros(1, np.int64),
-        )
-
-    @property
-    def shrunk_steps(self) -> int:
-        """Steps at which μ had to be smaller."""
-        return int(self.state.shrunk[0])
-
-    @property
-    def clamped_steps(self) -> int:
-        """Steps at which φ wanted to leave its limits."""
-        return int(self.state.clamped[0])
-
-    def process(self, reading: FloatArray, steps: FloatArray | None = None) -> FilterSeries:
-        """Return what the filter says at samples that follow those of the last call.
-
-        Parameters
-        ----------
-        reading : array, (n,)
-            Data; predicted only where it is NaN.
-        steps : array, (n,), optional
-            Time since the last sample in sampling intervals.  Default 1.
-        """
-        steps = np.ones(len(reading)) if steps is None else steps
-        series = FilterSeries(*(np.empty(len(reading)) for _ in FilterSeries._fields))
-        _run(reading, steps, self.settings, self.state, series)
-        return series
+    """Steps with a smaller μ, (1,)."""
 
 
 @njit
-def _run(
-    reading: FloatArray,
-    steps: FloatArray,
-    settings: Settings,
-    state: State,
-    series: FilterSeries,
-) -> None:
+def _run(reading: FloatArray, steps: FloatArray, settings: Settings, state: State, series: Series) -> None:
     """Filter samples; the state changes in place, the series is filled."""
     mean, factor = state.mean, state.factor
     deviations = np.empty((N, POINTS))
@@ -156,9 +85,7 @@ def _run(
         series.predicted[k] = mean[X]
         if use:
             measure(mean, factor, reading[k], settings.noise_variance)
-            if abs(mean[PHI]) > settings.phi_limit:
-                mean[PHI] = math.copysign(settings.phi_limit, mean[PHI])
-                state.clamped[0] += 1
+            mean[PHI] = min(max(mean[PHI], -settings.phi_limit), settings.phi_limit)
         series.estimate[k], series.sd[k] = mean[X], factor[X, X]
         series.phi[k] = mean[PHI]
         series.phi_sd[k] = math.sqrt(factor[PHI, X] ** 2 + factor[PHI, BEFORE] ** 2 + factor[PHI, PHI] ** 2)
@@ -279,3 +206,30 @@ def measure(mean: FloatArray, factor: FloatArray, reading: float, noise_variance
     for i in range(N):
         mean[i] += factor[i, X] * spread / total * residual
         factor[i, X] *= shrink
+
+
+class SigmaPointFilter(SampleFilter):
+    """SR-RSUKF of one axis; with μ = 0 it is the SR-UKF.
+
+    The limit of a lasting risk on a random walk is 2 μ_x (R + q) = 1, where the variance escapes; what would
+    cross `STEP_CEILING` in a step is shrunk.
+
+    Parameters
+    ----------
+    model : ModelNL
+        Mean and covariance to start from, and R.
+    risk : sequence of 5 float
+        Diagonal of μ in 1/unit²; zero for φ, δ¹ and δ², which nothing measures.
+    phi_limit : float
+        φ is held within ±phi_limit; infinity lets it go, as the paper does.
+    """
+
+    _run = _run
+
+    def __init__(
+        self, model: ModelNL, risk: Sequence[float] = (0.0,) * N, phi_limit: float = math.inf
+    ) -> None:
+        self.settings = Settings(model.noise_variance, np.array(risk, np.float64), phi_limit)
+        factor = np.diag(np.sqrt(np.array(model.variance, np.float64)))
+        self.state = State(np.array(model.mean, np.float64), factor, np.zeros(1, np.int64))
+        super().__init__(self.settings, self.state)

@@ -15,11 +15,11 @@ class TemperatureRateParameters(StrictModel):
     Parameters
     ----------
     method : "level_bank" or "fir_exponential"
-        The default, which needs no tuning; or the published filter.
+        Not used any more: the latter is as ``published: [fir]`` of a pipeline file.
     step_degc : float, optional
-        Quantization step δτ in °C.  The default method finds it; the published one must be told.
+        Quantization step δτ in °C, else it is estimated.
     window_s, time_constant_s, buffer_size
-        T_w and T0 in s and N of the published filter; the default method does not use them.
+        T_w and T0 in s and N of the published filter; the estimator does not use them.
     lowest_degc, highest_degc : float
         Readings outside are taken as missing.
     """
@@ -34,8 +34,6 @@ class TemperatureRateParameters(StrictModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.method == "fir_exponential" and self.step_degc is None:
-            raise ValueError("method fir_exponential needs step_degc")
         if self.lowest_degc >= self.highest_degc:
             raise ValueError(f"lowest_degc {self.lowest_degc} is not below highest_degc {self.highest_degc}")
         return self

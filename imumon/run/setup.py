@@ -111,9 +111,11 @@ class Setup(StrictModel):
         return own.model_copy(update=known)
 
     @property
-    def asks_for_published(self) -> bool:
-        """Whether a method of the papers runs beside the defaults."""
-        return bool(self.published) or self.random_error.method != "drift"
+    def methods(self) -> list[PublishedMethod]:
+        """Methods of the papers that run beside the defaults: `published`, and that of a retired key."""
+        method = self.random_error.method
+        more: list[PublishedMethod] = [] if method in ("drift", *self.published) else ["sr_rsukf"]
+        return [*self.published, *more]
 
     @property
     def alignment_with_warm_up(self) -> AlignmentParameters:

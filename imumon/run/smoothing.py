@@ -16,7 +16,7 @@ from imumon.pipeline import Estimator, SampleSink
 from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.source import Source, run_over
 from imumon.run.setup import Setup, ZuptMode
-from imumon.run.stages import pipeline_of, temperature_rate
+from imumon.run.stages import pipeline_of
 
 NEEDED = (TemperatureRate, RestAndBias, AttitudeEstimate)
 
@@ -34,7 +34,7 @@ def smoothed(source: Source, setup: Setup) -> SmoothedEstimates:
         pass
     record = recorder.finish()
     given = source.device.temperature if source.device is not None else TemperatureRateParameters()
-    against_time = backward(record, temperature_rate(given), _bias(record, setup))
+    against_time = backward(record, TemperatureRate(parameters=given), _bias(record, setup))
     return SmoothedEstimates(record, against_time, _heading(record, pipeline.estimators, setup))
 
 

@@ -18,7 +18,7 @@ from imumon.protocols.thermometer import TemperatureRateParameters
 from imumon.recordings.source import Source
 from imumon.run.setup import Setup
 from imumon.stage import STAGE, is_callable, made_by
-from imumon.wings import named, offers
+from imumon.wings import offers
 
 
 def pipeline_of(
@@ -49,7 +49,7 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
     model = setup.bias_model
     axes = device.axes if device is not None else None
     stages: list[Estimator] = [
-        temperature_rate(temperature),
+        TemperatureRate(parameters=temperature),
         RestAndBias(
             setup.zupt_with_noise, model, setup.mode, setup.latitude_deg, setup.heading_deg, setup.rest
         ),
@@ -66,11 +66,3 @@ def estimators(device: DeviceFile | None, setup: Setup | None = None) -> list[Es
     for more in offers("stages"):
         stages += more(setup, temperature, stages)
     return [*stages, *map(made_by, plugins(STAGES, STAGE, is_callable))]
-
-
-def temperature_rate(given: TemperatureRateParameters) -> TemperatureRate:
-    """Return the stage of the temperature rate with the method that the device file says."""
-    method = named("temperature_methods", given.method)
-    if method is None:
-        return TemperatureRate(parameters=given)
-    return TemperatureRate(parameters=given, new_method=method(given))

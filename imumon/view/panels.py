@@ -56,6 +56,28 @@ def _thermal(suffixes: dict[str, Color], readings: str) -> Iterator[Panel]:
         yield Bands(name + "".join(suffixes), title, lines, unit, THERMAL, beside=beside, card=card)
 
 
+def _published(
+    method: str, quantity: str, title: str, unit: str, default: str, line: str = "", color: Color = VIOLET
+) -> Panel:
+    """Return the panel of a quantity by a published method, with the entity of the default beside.
+
+    A `line` is named, and its value has no sigma; otherwise the method's name stands there, in a 2σ band.
+    """
+    column, text = f"{method}_{quantity}", f"{title} ({method}) beside the default"
+    drawn = Line(column, line, color) if line else _with_sd(column, method, color)
+    text = text if line else f"{text}, 2σ"
+    return Bands(column, text, (drawn,), unit, METHODS, beside=f"/view/{default}/**")
+
+
+def _published_temperature(suffix: str, default: str) -> Iterator[Panel]:
+    """Yield the panels of the FIR filter for the channel with this ending."""
+    for name, title, unit in (
+        ("temperature_estimate", "Temperature", "°C"),
+        ("temperature_rate", "Temperature rate", "°C/h"),
+    ):
+        yield _published("fir", name + suffix, title + suffix.replace("_", " "), unit, name + default)
+
+
 PANELS: tuple[Panel, ...] = (
     Attitude("attitude", ("q_w", "q_x", "q_y", "q_z")),
     Attitude("attitude_from_angles", ("roll", "pitch", "yaw")),
@@ -207,6 +229,64 @@ PANELS: tuple[Panel, ...] = (
         (Line("roll_drift", "roll", RED), Line("pitch_drift", "pitch", GREEN)),
         "µg",
         ALIGNMENT,
+    ),
+    *_published_temperature("", ""),
+    *(panel for axis in "xyz" for panel in _published_temperature(f"_{axis}", "_x_y_z")),
+    *(
+        _published(
+            method,
+            f"random_error_{axis}",
+            f"Random error {axis}",
+            "°/h",
+            f"gyro_random_error_{axis}",
+            color=color,
+        )
+        for method in ("stf", "sr_ukf", "sr_rsukf")
+        for axis, color in AXIS_COLORS.items()
+    ),
+    *(
+        Bands(
+            f"{method}_phi",
+            f"φ ({method}), 2σ",
+            _axes_with_sd(f"{method}_phi"),
+            "",
+            METHODS,
+            y_range=(-1.0, 1.0),
+        )
+        for method in ("sr_ukf", "sr_rsukf")
+    ),
+    *(
+        _published(method, f"gyro_bias_{axis}", f"Gyro bias {axis}", "°/h", "gyro_bias", color=color)
+        for method in ("dense_zupt", "dense_tczupt")
+        for axis, color in AXIS_COLORS.items()
+    ),
+    *(
+        _published(method, "heading", "Heading", "°", "heading", line, color)
+        for method, line, color in (
+            ("fixed_gain_loop", "now", GREY),
+            ("total_average", "average", RED),
+            ("curve_fit", "curve-fit", ORANGE),
+        )
+    ),
+    Bands(
+        "fixed_gain_loop_control_rate",
+        "Horizontal control rates (fixed_gain_loop)",
+        (
+            Line("fixed_gain_loop_control_rate_east", "east", RED),
+            Line("fixed_gain_loop_control_rate_north", "north", BLUE),
+        ),
+        "°/h",
+        METHODS,
+    ),
+    *(
+        Bands(
+            f"gyro_rest_{axis}",
+            f"Gyro {axis}: exponential mean at rest, and the beginning held",
+            (Line(f"gyro_rest_mean_{axis}", "mean", VIOLET), Line(f"gyro_rest_hold_{axis}", "hold", GREY)),
+            "°/h",
+            METHODS,
+        )
+        for axis in "xyz"
     ),
     Strip("pressure", "Pressure", (Line("pressure", "static", VIOLET),), place=PRESSURE, card="pressure"),
     Strip(

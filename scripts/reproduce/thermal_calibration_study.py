@@ -17,11 +17,10 @@ from imumon.lab.calibration.calibration import calibrate, knots_of
 from imumon.lab.calibration.cells import Channel, channel_of, group, levels
 from imumon.lab.calibration.record import Record, read_session, record_of
 from imumon.lab.calibration.selection import choose, held_out, slow_variance
-from imumon.models.curves.network import NetworkCurve
+from imumon.models.curves.network import NetworkCurve, Scaled, fit_network, mean_square, starts, train
 from imumon.models.curves.points import Points
 from imumon.models.curves.polynomial import fit_polynomial
-from imumon.models.curves.smoothing import fit_spline
-from imumon.models.curves.training import Scaled, fit_network, mean_square, starts, train
+from imumon.models.curves.spline import fit_spline
 from imumon.models.model import Curve
 from imumon.recordings.importing import import_table
 from imumon.recordings.reduced import GYRO
@@ -144,7 +143,10 @@ def published(points: Points, neurons: int, seed: int) -> Trained:
     random = np.random.default_rng(seed)
     parts = split(len(points), random)
     scaled = Scaled.of(points)
-    training, validation = (scaled.only(part) for part in parts[:2])
+    training, validation = (
+        replace(scaled, u=scaled.u[part], y=scaled.y[part], w=scaled.w[part] / scaled.w[part].mean())
+        for part in parts[:2]
+    )
     weights = [train(start, training, validation) for start in starts(neurons, RESTARTS, random)]
     error = np.sqrt([mean_square(one, validation) for one in weights])
     curve = scaled.curve(weights[np.argmin(error)])

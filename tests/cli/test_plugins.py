@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from imumon import Column
-from imumon.effects.drift import Drift
+from imumon.effects.since_power_on import Drift
 
 DEVICES = Path(__file__).with_name("devices")
 

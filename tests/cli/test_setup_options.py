@@ -9,7 +9,9 @@ import click
 import pytest
 
 from imumon.cli.setup_options import SetupOptions, make_setup
+from imumon.papers.random_error import RandomErrorMethods
 from imumon.run.setup import Setup
+from imumon.run.stages import estimators
 
 
 def given(**options: Unpack[SetupOptions]) -> Setup:
@@ -27,6 +29,13 @@ def test_published_methods_are_named_by_commas_and_go_before_the_file() -> None:
 def test_an_unknown_name_or_one_that_comes_twice_is_refused_with_those_there_are(names: str) -> None:
     with pytest.raises(click.BadParameter, match="dense_tczupt"):
         given(published=names)
+
+
+def test_the_retired_method_of_the_random_error_is_a_published_one() -> None:
+    setup = given(random_error="sr_rsukf")
+    assert setup.methods == ["stf", "sr_rsukf"]
+    stages = [stage for stage in estimators(None, setup) if isinstance(stage, RandomErrorMethods)]
+    assert any("method is not used any more" in text for text in stages[0].notices())
 
 
 def test_a_session_keeps_what_was_chosen(tmp_path: Path) -> None:

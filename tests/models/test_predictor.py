@@ -7,6 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from imumon.blocks import FloatArray, IntArray
+from imumon.effects.thermal_lag import ThermalLag
 from imumon.errors import ImumonError
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
@@ -72,6 +73,21 @@ def test_a_missing_temperature_is_held_until_the_device_restarts() -> None:
     expected = three_curves().channels["gyro_x"].value([20.0, 20.0, np.nan, 25.0])
     np.testing.assert_allclose(result.bias[:, 0], expected, rtol=1e-12)
     assert result.inside[:, 0].tolist() == [True, True, False, True]
+
+
+def test_an_effect_has_the_temperature_that_is_held_and_before_the_first_there_is_no_bias() -> None:
+    lag = ThermalLag(time_constant_s=100.0, middle=0.0, half_span=1.0, coefficients=[1.0])
+    model = three_curves()
+    lagging = model.channels["gyro_x"].model_copy(update={"effects": [lag]})
+    model = model.model_copy(update={"channels": {"gyro_x": lagging}})
+    temperature = np.array([[np.nan], [np.nan], [20.0], [25.0], [np.nan], [np.nan]])
+    result = BiasPredictor(model, ["gyro_x"]).process(
+        np.arange(6) * 10_000_000_000, np.zeros(6, np.int64), temperature
+    )
+    added = result.bias[:, 0] - three_curves().channels["gyro_x"].value([np.nan, np.nan, 20.0, *[25.0] * 3])
+    assert np.isnan(added[:2]).all()
+    assert abs(added[2]) < 1e-9
+    assert added[3] > added[4] > added[5] > 0.0
 
 
 def test_a_channel_that_the_model_lacks_is_refused() -> None:

@@ -58,13 +58,6 @@ def test_the_sigma_reaches_the_information_limit() -> None:
     assert run.bias_sd[at, 2] == pytest.approx(limit, rel=0.02)
 
 
-def test_velocity_alone_does_not_show_the_vertical_gyro() -> None:
-    settings = replace(SETTINGS, bias_sd=15.0 * DPH, yaw_hold_sd=None)
-    left = response(settings, 2, 300.0)
-    assert left[-1] > 14.0
-    assert abs(response(replace(settings, yaw_hold_sd=1e-4), 2, 300.0)[-1]) < 0.1
-
-
 def both(seed: int, attitude: FloatArray) -> tuple[DenseRun, DenseRun, FloatArray]:
     """Return the filter on calibrated data and the filter with increments on raw data, at equal K and p0."""
     n = 30000

@@ -25,12 +25,6 @@ def test_check_values(softening: float | None, x: list[float]) -> None:
     np.testing.assert_allclose(result.estimate[CHECK_ROWS], x, rtol=0, atol=5.1e-11)
 
 
-def test_the_largest_fading_factor_of_the_check_signal() -> None:
-    filtered = LinearFilter(CHECK, 1.0)
-    filtered.process(check_signal())
-    assert filtered.largest_fading == pytest.approx(3.3480452125, abs=5.1e-11)
-
-
 def batch(
     z: FloatArray, phi: float, process: float, noise: float, start: float
 ) -> tuple[FloatArray, FloatArray]:

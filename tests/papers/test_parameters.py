@@ -12,11 +12,10 @@ from imumon.run.paper_parameters import RandomErrorParameters
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("risk: 0.96", "risk"),
         ("method: ukf", "method"),
         ("noise: {gyro_x: {angle_random_walk: 1e-4}}", "leave the axis out"),
         ("noise: {gyro_w: {angle_random_walk: 1e-4, rate_random_walk: 1e-6}}", "gyro_w"),
-        ("phi_limit: 1.0", "phi_limit"),
+        ("learn_s: 1.0", "learn_s"),
         ("q: 1", "unknown key"),
     ],
 )

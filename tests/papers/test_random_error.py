@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imumon.blocks import SampleBlock
-from imumon.papers.random_error import METHODS, InsteadOfDefault, RandomErrorMethods
+from imumon.papers.random_error import METHODS, RandomErrorMethods
 from imumon.pipeline import Estimator
 from imumon.run.paper_parameters import GyroNoise, RandomErrorParameters
 from tests.papers.records import DEG_PER_HOUR, WHITE, flicker, samples
@@ -103,29 +103,20 @@ def test_known_noise_starts_the_filters_after_a_second() -> None:
     assert np.isnan(added["sr_rsukf_random_error_y"]).all()
 
 
-def test_motion_that_nobody_noticed_drives_phi_to_its_limit_and_that_is_said() -> None:
+def test_motion_that_nobody_noticed_drives_phi_to_its_limit() -> None:
     """It takes 30 rad/s: with a fitted δ¹ the gain of φ is small."""
     block = record(150)
     k = np.arange(len(block))
     shaken = block["gyro_x"] + np.where(k > 5000, 30.0 * np.sin(k / 50), 0.0)
-    stage = RandomErrorMethods(["sr_rsukf"])
-    added = stage.process(block.with_columns({"gyro_x": shaken}))
+    added = RandomErrorMethods(["sr_rsukf"]).process(block.with_columns({"gyro_x": shaken}))
     assert np.nanmax(np.abs(added["sr_rsukf_phi_x"])) == 0.9
     assert np.isfinite(added["sr_rsukf_random_error_x"][5000:]).all()
-    risk, phi = stage.notices()
-    assert risk.startswith("random error of gyro x: SR-RSUKF: the risk was over its limit")
-    assert phi.startswith("random error of gyro x: φ of model NL went to ±0.9")
+
+
+def test_keys_of_before_are_read_and_named_once() -> None:
+    given = RandomErrorParameters.model_validate({"risk": 0.3, "method": "sr_rsukf"})
+    stage = RandomErrorMethods(["sr_rsukf"], given)
+    risk, method = stage.notices()
+    assert risk == "random_error: risk is not used any more"
+    assert method.endswith("it is as published: [sr_rsukf]")
     assert stage.notices() == []
-
-
-def test_instead_of_the_default_it_has_the_names_of_the_default() -> None:
-    block = record(100)
-    default = {
-        f"gyro_random_error{part}_{a}": np.full(len(block), 1.0) for part in ("", "_sd") for a in "xyz"
-    }
-    found = InsteadOfDefault(RandomErrorMethods(["sr_rsukf"], QUICK)).process(block.with_columns(default))
-    own = RandomErrorMethods(["sr_rsukf"], QUICK).process(block)
-    np.testing.assert_array_equal(found["gyro_random_error_x"], own["sr_rsukf_random_error_x"])
-    np.testing.assert_array_equal(found["gyro_phi_sd_z"], own["sr_rsukf_phi_sd_z"])
-    np.testing.assert_array_equal(found["gyro_drift_sd_y"], 1.0)
-    assert not [name for name in found if name.startswith("sr_rsukf")]

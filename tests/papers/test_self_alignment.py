@@ -11,37 +11,40 @@ from scipy.spatial.transform import Rotation
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.filters.turns import rotation_by
 from imumon.geodesy import EARTH_RATE, MICRO_G, STANDARD_GRAVITY, body_to_ned
+from imumon.papers import self_alignment
 from imumon.papers.self_alignment import (
+    CORNER,
+    DAMPING,
     Integral,
     Loop,
-    Params,
     SelfAlignment,
     coarse,
+    earth_rate,
     gains,
     step,
 )
 
 LATITUDE = math.radians(36.0)
-PARAMS = Params(LATITUDE)
+EARTH = earth_rate(LATITUDE)
 LEVEL = EARTH_RATE * math.cos(LATITUDE)
 
 
-def warming(params: Params, seconds: float, rate_hz: float, tau: float = 300.0) -> FloatArray:
+def warming(seconds: float, rate_hz: float, tau: float = 300.0) -> FloatArray:
     """Return the control rates of a unit along east, north and up whose accelerometers warm up by 30 µg."""
     loop, h = Loop(np.eye(3)), 1.0 / rate_hz
-    gain = gains(params.corner, params.damping, h)
+    gain = gains(h)
     found = []
     for k in range(1, round(seconds * rate_hz) + 1):
         error = 30 * MICRO_G * (1.0 - math.exp(-k * h / tau))
         force = np.array([error, error, STANDARD_GRAVITY])
-        found.append(step(loop, gain, params.earth_rate, params.earth_rate, force))
+        found.append(step(loop, gain, EARTH, EARTH, force))
     return np.array(found)
 
 
 @pytest.mark.parametrize("rate_hz", [8.0, 100.0])
 def test_the_warm_up_makes_the_published_heading_errors(rate_hz: float) -> None:
     """Equation 22: 1.53 and 1.39 mrad at 30 and 60 s for 30 µg, 300 s, 2 Hz, 36°."""
-    control = warming(PARAMS, 60.0, rate_hz)
+    control = warming(60.0, rate_hz)
     for second, expected in ((30, 1.53), (60, 1.39)):
         assert 1e3 * abs(control[round(second * rate_hz) - 1, 0]) / LEVEL == pytest.approx(expected, rel=0.01)
 
@@ -49,7 +52,7 @@ def test_the_warm_up_makes_the_published_heading_errors(rate_hz: float) -> None:
 def test_total_average_and_curve_fit_keep_what_the_paper_says_they_keep() -> None:
     """Equation 28: the mean of A e^(-t/T)/(...) over the time, and for the line its least-squares slope."""
     rate_hz, tau = 8.0, 300.0
-    control = warming(PARAMS, 120.0, rate_hz, tau)
+    control = warming(120.0, rate_hz, tau)
     integral = Integral()
     for one in control:
         integral.add(one, 1.0 / rate_hz)
@@ -64,15 +67,12 @@ def test_total_average_and_curve_fit_keep_what_the_paper_says_they_keep() -> Non
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 10.0, 200.0, 2000.0])
-@pytest.mark.parametrize("damping", [0.3, 0.7, 1.0, 1.5])
-def test_the_poles_of_the_sampled_loop_are_those_of_the_continuous_one(
-    rate_hz: float, damping: float
-) -> None:
-    h, g, corner = 1.0 / rate_hz, STANDARD_GRAVITY, PARAMS.corner
-    _, decay, kb = gains(corner, damping, h)
+def test_the_poles_of_the_sampled_loop_are_those_of_the_continuous_one(rate_hz: float) -> None:
+    h, g = 1.0 / rate_hz, STANDARD_GRAVITY
+    _, decay, kb = gains(h)
     # v' = decay v + h g tilt, tilt' = tilt - h k_b v'
     sampled = np.array([[decay, h * g], [-h * kb * decay, 1.0 - h * h * kb * g]])
-    poles = np.roots([1.0, 2.0 * damping * corner, corner**2])
+    poles = np.roots([1.0, 2.0 * DAMPING * CORNER, CORNER**2])
     np.testing.assert_allclose(
         np.sort_complex(np.linalg.eigvals(sampled)), np.sort_complex(np.exp(poles * h)), atol=1e-6
     )
@@ -101,7 +101,7 @@ def at_rest(heading: float, seconds: float, rate_hz: int, up: FloatArray, seed: 
 @pytest.mark.parametrize("up", [[0.0, 0.0, -1.0], [0.02, -0.05, 1.0], [1.0, 0.03, 0.0]])
 def test_the_heading_of_a_unit_at_rest(heading_deg: float, up: list[float]) -> None:
     block = at_rest(math.radians(heading_deg), 120.0, 100, np.array(up) / np.linalg.norm(up), 1)
-    added = SelfAlignment(PARAMS).process(block)
+    added = SelfAlignment(LATITUDE).process(block)
     assert np.isnan(added["total_average_heading"][:2999]).all()
     # The gyros leave 1e-6/√9000 rad/s, 0.01° (the line 1.1 times that); the accelerometers as much: √(2 Hz)
     # of 0.5 µg/√Hz over 90 s.  Three sigma of both.
@@ -118,8 +118,8 @@ def test_coarse_alignment_knows_up_and_north() -> None:
     np.testing.assert_allclose(coarse(rate, 9.8 * up), enu, atol=1e-12)
 
 
-def test_motion_a_gap_and_a_restart_begin_anew() -> None:
-    params = Params(LATITUDE, coarse_s=10.0)
+def test_motion_a_gap_and_a_restart_begin_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(self_alignment, "COARSE_S", 10.0)
     block = at_rest(1.0, 80.0, 50, np.array([0.0, 0.0, -1.0]), 2)
     rest = np.ones(len(block), np.int64)
     rest[1000:1010] = 0
@@ -128,7 +128,7 @@ def test_motion_a_gap_and_a_restart_begin_anew() -> None:
     x = block["gyro_x"].copy()
     x[1900:2050] = np.nan
     block = block.with_columns({"at_rest": rest, "segment": segment, "gyro_x": x})
-    whole = SelfAlignment(params).process(block)
+    whole = SelfAlignment(LATITUDE).process(block)
     heading = whole["total_average_heading"]
     assert np.isfinite(heading[600:1000]).all()
     assert np.isnan(heading[1007:1500]).all()
@@ -138,6 +138,6 @@ def test_motion_a_gap_and_a_restart_begin_anew() -> None:
 
 
 def test_only_what_is_asked_for_has_columns() -> None:
-    stage = SelfAlignment(PARAMS, ["curve_fit"])
+    stage = SelfAlignment(LATITUDE, ["curve_fit"])
     assert [column.name for column in stage.columns] == ["curve_fit_heading"]
     assert list(stage.process(at_rest(1.0, 1.0, 50, np.array([0.0, 0.0, 1.0]), 0))) == ["curve_fit_heading"]

@@ -125,7 +125,7 @@ def test_a_lasting_risk_breaks_the_filter_just_above_the_limit_and_not_below() -
         filtered = SigmaPointFilter(model)
         filtered.settings.risk[0] = factor / (2 * (0.1 + 0.01))
         filtered.process(z)
-        assert (filtered.shrunk_steps > 0) is breaks
+        assert (filtered.state.shrunk[0] > 0) == breaks
 
 
 @pytest.mark.parametrize("mu", [1.0, 10.0, 100.0])
@@ -136,7 +136,7 @@ def test_risk_on_what_is_not_measured_escapes_within_its_time(mu: float) -> None
         filtered = SigmaPointFilter(CHECK)
         filtered.settings.risk[3] = mu
         filtered.process(np.zeros(steps))
-        assert (filtered.shrunk_steps > 0) is breaks
+        assert (filtered.state.shrunk[0] > 0) == breaks
 
 
 def test_a_risk_too_large_for_a_step_is_shrunk_and_counted() -> None:
@@ -144,7 +144,7 @@ def test_a_risk_too_large_for_a_step_is_shrunk_and_counted() -> None:
     model = ModelNL((0.0, 0.0, 0.0, 0.01, 0.0), (1e-3, 1e-3, 0.1, 0.0, 0.0), 0.1)
     filtered = SigmaPointFilter(model, on_x(0.9 / 0.2))
     result = filtered.process(z)
-    assert filtered.shrunk_steps > 0
+    assert filtered.state.shrunk[0] > 0
     assert np.isfinite(result.estimate).all()
     assert np.isfinite(result.sd).all()
 
@@ -195,7 +195,7 @@ def test_a_long_record_of_noise_steps_gaps_and_motion_leave_no_nan(share: float)
         for values in (result.predicted, result.estimate, result.sd, result.phi, result.phi_sd):
             assert np.isfinite(values).all()
         assert (np.abs(result.phi) <= limit).all()
-        assert (filtered.clamped_steps > 0) is (limit < 1.0)
+        assert (np.abs(result.phi).max() == limit) == (limit < 1.0)
 
 
 def test_motion_drives_phi_out_unless_it_is_frozen() -> None:

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from imumon.blocks import SampleBlock, join
 from imumon.errors import ImumonError
-from imumon.estimation.temperature_rate.stage import TemperatureRate
-from imumon.papers.fir import FirRate
+from imumon.papers.fir import FirStage
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import device_text, parse_device
 from imumon.run.paper_names import PUBLISHED
@@ -61,16 +60,13 @@ def test_a_device_without_temperature_gets_no_columns_of_temperature() -> None:
     assert not [column for column in pipeline.columns if column.name.startswith("temperature")]
 
 
-def test_the_device_file_chooses_the_method() -> None:
+def test_the_retired_method_of_a_device_file_is_a_published_one() -> None:
     text = device_text("ax1")[0]
-    published = text + "temperature: {method: fir_exponential, step_degc: 0.5}\n"
-    device = parse_device(published, "mine.yaml")
-    stage = estimators(device)[0]
-    assert isinstance(stage, TemperatureRate)
-    stage.process(warming(6000, 0))
-    assert isinstance(stage._channels["temperature_x"].method, FirRate)
-    with pytest.raises(ImumonError, match=r"mine.yaml:\d+: temperature: method fir_expo"):
-        parse_device(text + "temperature: {method: fir_exponential}\n", "mine.yaml")
+    device = parse_device(text + "temperature: {method: fir_exponential, step_degc: 0.5}\n", "mine.yaml")
+    (stage,) = [stage for stage in estimators(device) if isinstance(stage, FirStage)]
+    assert "fir_temperature_rate_x" in stage.process(warming(6000, 0))
+    assert len(stage.notices()) == 1
+    assert stage.notices() == []
     with pytest.raises(ImumonError, match=r"mine.yaml:\d+: temperature.windows: unknown key"):
         parse_device(text + "temperature: {windows: 3}\n", "mine.yaml")
 

@@ -9,7 +9,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
+from imumon.papers.stages import published_stages
 from imumon.protocols.device import load_device
+from imumon.run.paper_names import PUBLISHED, PublishedMethod
 from imumon.run.setup import Setup
 from imumon.run.stages import estimators
 from imumon.view.blueprint import Contents, blueprint
@@ -173,6 +175,18 @@ def test_columns_without_a_panel_have_a_tab(tmp_path: Path) -> None:
     found = arranged(tmp_path / "a.rrd", [Timebase().samples(extra)], SETUP, live=True)
     assert "/samples/other/humidity" in found["ViewBlueprint:space_origin"]
     assert "Other" in found["ContainerBlueprint:display_name"]
+
+
+@pytest.mark.parametrize("method", PUBLISHED)
+def test_every_published_method_is_drawn_in_a_tab_of_its_own(tmp_path: Path, method: PublishedMethod) -> None:
+    plain = block(0, 50)
+    stages = published_stages(Setup(latitude_deg=45.0, published=[method]))
+    for stage in stages:
+        stage.process(plain)
+    extra = {column.name: np.full(50, 1e-3) for stage in stages for column in stage.columns}
+    found = arranged(tmp_path / "a.rrd", [Timebase().samples(plain.with_columns(extra))], SETUP, live=True)
+    assert "Published" in found["ContainerBlueprint:display_name"]
+    assert "Other" not in found["ContainerBlueprint:display_name"]
 
 
 def test_all_that_the_estimators_say_has_a_panel(tmp_path: Path) -> None:

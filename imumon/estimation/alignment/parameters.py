@@ -10,7 +10,8 @@ from pydantic import BeforeValidator, Field
 
 from imumon.blocks import FloatArray
 from imumon.config import StrictModel
-from imumon.effects.warm_up import WarmUp
+from imumon.effects.since_power_on import WarmUp
+from imumon.estimation.rest.parameters import Retired
 from imumon.geodesy import MICRO_G
 from imumon.models.model import BiasModel
 
@@ -67,9 +68,6 @@ class AlignmentParameters(StrictModel):
 
     Parameters
     ----------
-    coarse_s, corner_hz, damping : float
-        Of the fixed-gain loop as it is printed (`imumon.papers`): s of averaging before it, and its poles,
-        s² + 2 damping w s + w².  The joint fit does not use them.
     settled_deg : float
         The heading is settled when its sigma is at most this.
     observable_deg : float
@@ -88,11 +86,10 @@ class AlignmentParameters(StrictModel):
         a regression on the noise of the gyros, and 750 at least.
     known_warm_up : KnownWarmUp, optional
         Counted from the first sample of the device.
+    coarse_s, corner_hz, damping
+        Not used any more: the published loop has the values of its paper.
     """
 
-    coarse_s: float = Field(default=30.0, ge=10.0, le=600.0)
-    corner_hz: float = Field(default=2.0, ge=0.05, le=50.0)
-    damping: float = Field(default=0.7, ge=0.2, le=2.0)
     settled_deg: float = Field(default=0.05, gt=0.0, le=90.0)
     observable_deg: float = Field(default=5.0, gt=0.0, le=60.0)
     gyro_bias_sd_deg_per_h: float | None = Field(default=None, ge=0.0, le=1e5)
@@ -100,6 +97,9 @@ class AlignmentParameters(StrictModel):
     gyro_scale_sd_ppm: float | None = Field(default=None, ge=0.0, le=1e5)
     accel_bias_sd_ug: float | None = Field(default=None, ge=0.0, le=1e5)
     known_warm_up: KnownWarmUp | None = None
+    coarse_s: Retired = None
+    corner_hz: Retired = None
+    damping: Retired = None
 
 
 def known_warm_up(model: BiasModel | None) -> KnownWarmUp | None:

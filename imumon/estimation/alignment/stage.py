@@ -17,6 +17,7 @@ from imumon.estimation.alignment.motion import CALM_SLOTS
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.position import SLOT_S, Slot, direction_of
 from imumon.estimation.alignment.report import PositionHeading, heading_text, to_go_text
+from imumon.estimation.rest.parameters import retired
 from imumon.filters.slots import SlotGatherer, Slots, held
 from imumon.geodesy import DEG_PER_H
 from imumon.lane import LaneState, Level
@@ -46,6 +47,7 @@ class Alignment:
         sent: Collection[str] = (),
     ) -> None:
         self._parameters = parameters or AlignmentParameters()
+        self._retired = retired(self._parameters)
         self._latitude_deg = latitude_deg
         self._aligner = Aligner(self._parameters, latitude_deg)
         self._earlier: list[PositionHeading] = []
@@ -198,7 +200,8 @@ class Alignment:
     def notices(self) -> list[str]:
         """Return, once each, motions and restarts, and conditions that limit the heading."""
         texts = self._events + self._aligner.events
-        self._events, self._aligner.events = [], []
+        texts += [f"alignment: {name} is not used any more" for name in self._retired]
+        self._events, self._aligner.events, self._retired = [], [], []
         new = [text for text, true in self._conditions().items() if true and text not in self._reported]
         self._reported.update(new)
         return texts + new

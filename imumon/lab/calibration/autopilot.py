@@ -12,7 +12,6 @@ ArduPilot that with a fixed reference (a development version before 4.1 took the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -36,18 +35,10 @@ TO_BOARD = {"FRD": (1.0, 1.0, 1.0), "FLU": (1.0, -1.0, -1.0), None: (1.0, 1.0, 1
 """What x, y, z of a model are times in the axes of the board; unstated ones are taken for the board's."""
 
 
-@dataclass(frozen=True, slots=True)
-class Exported:
-    """The parameters as text, and what to know of them."""
-
-    text: str
-    notes: list[str]
-
-
 def parameters(
     model: BiasModel, autopilot: Autopilot, imu: int, ids: tuple[int, int] | None = None
-) -> Exported:
-    """Return a model as the parameters of an autopilot.
+) -> tuple[str, list[str]]:
+    """Return a model as the parameters of an autopilot, and warnings about them.
 
     Raises BAD_DATA when the span is too small, or a channel has more than a curve; BAD_CONFIG when
     identifiers or gyros are missing.
@@ -72,32 +63,44 @@ def parameters(
             f"the channels are known from {low:.1f} to {high:.1f} °C only",
             f"an autopilot's calibration needs {LEAST_SPAN_DEGC:g} °C at least: calibrate over more",
         )
-    degc = np.linspace(low, high, POINTS)
-    reference = ARDUPILOT_REFERENCE_DEGC if autopilot == "ardupilot" else 0.5 * (low + high)
     notes = _notes(model, autopilot, low, high)
-    rows: dict[str, float | int] = {}
-    if autopilot == "ardupilot":
-        head = f"INS_TCAL{imu + 1}"
-        rows = {f"{head}_ENABLE": 1, f"{head}_TMIN": low, f"{head}_TMAX": high}
-    for number, kind in enumerate(kinds):
-        long, short = KINDS[kind]
-        if autopilot == "px4" and ids is not None:
-            head = f"TC_{short}{imu}"
-            rows |= {f"TC_{short}_ENABLE": 1, f"{head}_ID": ids[number]}
-            rows |= {f"{head}_TMIN": low, f"{head}_TMAX": high, f"{head}_TREF": reference}
-        for at, axis in enumerate("xyz"):
-            cubic, error = _cubic(model, f"{kind}_{axis}", degc, reference)
-            notes += _misses(model, f"{kind}_{axis}", error)
-            for power, coefficient in enumerate(cubic):
-                if autopilot == "px4":
-                    constant = power == 0 and kind == "accel"
-                    rows[f"{head}_X{power}_{at}"] = 0.0 if constant else coefficient
-                elif power > 0:
-                    rows[f"{head}_{long}{power}_{axis.upper()}"] = coefficient * ARDUPILOT_SCALE
-    return Exported(_text(rows, autopilot), notes)
+    cubics: dict[str, list[list[float]]] = {}
+    reference = ARDUPILOT_REFERENCE_DEGC if autopilot == "ardupilot" else 0.5 * (low + high)
+    for kind in kinds:
+        found = [_cubic(model, f"{kind}_{axis}", np.linspace(low, high, POINTS), reference) for axis in "xyz"]
+        cubics[kind] = [coefficients for coefficients, _ in found]
+        notes += [note for _, note in found if note]
+    if ids is None or autopilot == "ardupilot":
+        return _ardupilot(cubics, f"INS_TCAL{imu + 1}", low, high), notes
+    return _px4(cubics, imu, ids, (low, high, reference)), notes
 
 
-def check_ids(autopilot: Autopilot, ids: tuple[int, int] | None) -> None:
+def _ardupilot(cubics: dict[str, list[list[float]]], head: str, low: float, high: float) -> str:
+    """Return NAME,VALUE."""
+    rows = {"ENABLE": 1, "TMIN": low, "TMAX": high}
+    for kind, axes in cubics.items():
+        for axis, cubic in zip("XYZ", axes, strict=True):
+            rows |= {f"{KINDS[kind][0]}{k}_{axis}": cubic[k] * ARDUPILOT_SCALE for k in (1, 2, 3)}
+    return "".join(f"{head}_{name},{value:.9g}\n" for name, value in rows.items())
+
+
+def _px4(
+    cubics: dict[str, list[list[float]]], imu: int, ids: tuple[int, int], degc: tuple[float, float, float]
+) -> str:
+    """Return the columns of QGroundControl; `degc` is TMIN, TMAX and TREF."""
+    rows: list[tuple[str, float, int]] = []
+    for (kind, axes), identifier in zip(cubics.items(), ids, strict=False):
+        short = KINDS[kind][1]
+        head = f"TC_{short}{imu}"
+        rows += [(f"TC_{short}_ENABLE", 1, INT), (f"{head}_ID", identifier, INT)]
+        rows += [(f"{head}_{name}", t, FLOAT) for name, t in zip(("TMIN", "TMAX", "TREF"), degc, strict=True)]
+        for at, (constant, *others) in enumerate(axes):
+            coefficients = (0.0 if kind == "accel" else constant, *others)
+            rows += [(f"{head}_X{power}_{at}", value, FLOAT) for power, value in enumerate(coefficients)]
+    return "".join(f"1\t1\t{name}\t{value:.9g}\t{kind}\n" for name, value, kind in rows)
+
+
+def check_ids(autopilot: Autopilot | None, ids: tuple[int, int] | None) -> None:
     """Raise BAD_CONFIG where identifiers are needed and missing, which is known before any work."""
     if autopilot == "px4" and ids is None:
         raise ImumonError(
@@ -107,8 +110,8 @@ def check_ids(autopilot: Autopilot, ids: tuple[int, int] | None) -> None:
         )
 
 
-def _cubic(model: BiasModel, name: str, degc: FloatArray, reference: float) -> tuple[list[float], float]:
-    """Return the cubic of a channel in the axes of the board, from the constant up, and its rms error."""
+def _cubic(model: BiasModel, name: str, degc: FloatArray, reference: float) -> tuple[list[float], str]:
+    """Return the cubic of a channel in the axes of the board, from the constant up, and what it misses."""
     channel = model.channels[name]
     if channel.effects:
         names = ", ".join(dict.fromkeys(effect.name for effect in channel.effects))
@@ -122,27 +125,11 @@ def _cubic(model: BiasModel, name: str, degc: FloatArray, reference: float) -> t
     error = float(np.sqrt(np.mean((cubic(degc - reference) - value) ** 2)))
     found = np.zeros(4)
     found[: len(cubic.convert().coef)] = cubic.convert().coef
-    return found.tolist(), error
-
-
-def _text(rows: dict[str, float | int], autopilot: Autopilot) -> str:
-    """Return the file: of ArduPilot NAME,VALUE, of PX4 QGroundControl's columns."""
-    if autopilot == "ardupilot":
-        return "".join(f"{name},{value:.9g}\n" for name, value in rows.items())
-    return "".join(
-        f"1\t1\t{name}\t{value:.9g}\t{INT if isinstance(value, int) else FLOAT}\n"
-        for name, value in rows.items()
-    )
-
-
-def _misses(model: BiasModel, name: str, error: float) -> list[str]:
-    channel = model.channels[name]
-    if error <= channel.residual_sd:
-        return []
-    return [
+    missed = "" if error <= channel.residual_sd else (
         f"{name}: the cubic misses the curve by {error:.3g} {channel.unit} rms, more than the curve errs"
         f" ({channel.residual_sd:.3g}): calibrate over the temperatures of its work only"
-    ]
+    )  # fmt: skip
+    return found.tolist(), missed
 
 
 def _notes(model: BiasModel, autopilot: Autopilot, low: float, high: float) -> list[str]:

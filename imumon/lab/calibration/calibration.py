@@ -10,15 +10,14 @@ from typing import Literal
 
 import numpy as np
 
-from imumon.blocks import FloatArray, IntArray
+from imumon.blocks import FloatArray
 from imumon.effects.thermal_lag import UNTOLD_S
 from imumon.errors import ImumonError, Reason
 from imumon.geodesy import DEG_PER_H
 from imumon.lab.calibration.cells import Cells, Channel, channel_of, group, levels
-from imumon.lab.calibration.offsets import turn_on_offsets
 from imumon.lab.calibration.record import BLOCK_S, Record, read_session
 from imumon.lab.calibration.refusal import check_columns, check_coverage
-from imumon.lab.calibration.selection import Choice, choose, slow_variance
+from imumon.lab.calibration.selection import Choice, choose, slow_variance, turn_on_offsets
 from imumon.models.curves.points import Points
 from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
 from imumon.recordings.reduced import ACCEL, GYRO
@@ -105,8 +104,7 @@ def calibrate(
             "leave --latitude and --heading away",
         )
     findings, channels, warnings = _all_channels(records, cells, tell)
-    warnings += _remarks(records, cells)
-    warnings += _by_pose(cells, findings)
+    warnings += _remarks(records, cells, findings)
     known = cells.temperature
     return Calibration(
         model=BiasModel(
@@ -159,7 +157,9 @@ def _all_channels(
         offset = turn_on_offsets(channel, points, knots)
         apart = np.isnan(offset[channel.run])
         if apart.any():
-            warnings.append(_apart_text(name, np.flatnonzero(np.isnan(offset))))
+            runs = ", ".join(str(run + 1) for run in np.flatnonzero(np.isnan(offset)))
+            what = "left out" if name in ACCEL else "taken as they are, without a turn-on offset"
+            warnings.append(f"{name}: runs {runs} have no temperature in common with the others: {what}")
         keep = ~apart if name in ACCEL else np.ones(len(points), np.bool_)
         shifted = points.shifted(np.nan_to_num(offset)[channel.run]).only(keep)
         channel = channel.only(keep)
@@ -221,30 +221,8 @@ def _trained_on(records: Sequence[Record], cells: Cells, findings: dict[str, Fin
     ]
 
 
-def _apart_text(name: str, runs: IntArray) -> str:
-    numbers = ", ".join(str(run + 1) for run in runs)
-    what = "left out" if name in ACCEL else "taken as they are, without a turn-on offset"
-    return f"{name}: runs {numbers} have no temperature in common with the others: {what}"
-
-
-def _remarks(records: Sequence[Record], cells: Cells) -> list[str]:
-    remarks = []
+def _remarks(records: Sequence[Record], cells: Cells, findings: dict[str, Finding]) -> list[str]:
     devices = sorted({record.device for record in records if record.device is not None})
-    if len(devices) > 1:
-        remarks.append(f"the sessions are of different devices: {', '.join(devices)}")
-    if len({record.sha256 for record in records}) < len(records):
-        remarks.append("a session is there twice: it counts twice, and its repeatability means nothing")
-    if _one_way(cells):
-        remarks.append(
-            "the temperature goes one way only: what lag, hysteresis or warm-up do is then part of the curve"
-        )
-    return remarks
-
-
-def _by_pose(cells: Cells, findings: dict[str, Finding]) -> list[str]:
-    """Say which gyros' bias is another in each pose, by more than the curve errs in one."""
-    if not cells.turned:
-        return []
     far = {
         name: f"{spread / DEG_PER_H:.3g}"
         for name in GYRO
@@ -252,13 +230,19 @@ def _by_pose(cells: Cells, findings: dict[str, Finding]) -> list[str]:
         and (spread := findings[name].repeatability) is not None
         and spread > findings[name].choice.residual_sd
     }
-    if not far:
-        return []
-    return [
+    remarks = {
+        f"the sessions are of different devices: {', '.join(devices)}": len(devices) > 1,
+        "a session is there twice: it counts twice, and its repeatability means nothing": (
+            len({record.sha256 for record in records}) < len(records)
+        ),
+        "the temperature goes one way only: what lag, hysteresis or warm-up do is then part of the curve": (
+            _one_way(cells)
+        ),
         f"{', '.join(far)}: the bias differs by {', '.join(far.values())} °/h between the poses, by g or by "
         "the earth rate, which no curve over temperature has: the residual is that of one pose; imumon "
-        "diagnose tells by what"
-    ]
+        "diagnose tells by what": cells.turned and bool(far),
+    }
+    return [text for text, applies in remarks.items() if applies]
 
 
 def _one_way(cells: Cells) -> bool:

@@ -54,11 +54,12 @@ class Channel:
         return Points(self.temperature, self.value, weight / weight.mean(), self.level)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Run:
     """A stretch in one pose without a restart: (record, index within it), time at rest, temperature range.
 
-    `up` is the direction of its specific force in body axes, NaN without accelerometers.
+    `up`, (3,), is the direction of its specific force in body axes, NaN without accelerometers; `earth_rate`,
+    (3,) in rad/s there, is None without place, heading or accelerometers.
     """
 
     record: int
@@ -66,8 +67,8 @@ class Run:
     rest_s: float
     blocks: int
     temperature_range: tuple[float, float]
-    up: tuple[float, float, float]
-    earth_rate: tuple[float, float, float] | None
+    up: FloatArray
+    earth_rate: FloatArray | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,9 +108,8 @@ def group(records: Sequence[Record], latitude_deg: float | None, heading_deg: fl
     runs: list[Run] = []
     blocks: list[tuple[int, IntArray]] = []
     none, empty = np.empty(0, np.int64), np.empty(0)
-    parts: list[tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray]] = []
-    parts.append((none, none, empty, empty, empty))
-    cells = 0
+    parts: list[tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray]]
+    parts, cells = [(none, none, empty, empty, empty)], 0
     for number, (record, chosen_rows, all_t) in enumerate(zip(records, chosen, temperatures, strict=True)):
         for index, rows in enumerate(_runs(record, chosen_rows)):
             seconds, t = _seconds(record, rows), all_t[rows]
@@ -123,7 +123,9 @@ def group(records: Sequence[Record], latitude_deg: float | None, heading_deg: fl
             blocks.append((number, rows))
             ends = (float(t.min()), float(t.max()))
             up = _up(record, rows)
-            earth = _earth_rate(up, latitude_deg, heading_deg)
+            earth = None
+            if latitude_deg is not None and heading_deg is not None and np.isfinite(up).all():
+                earth = earth_rate_in_body(up, np.deg2rad(heading_deg), np.deg2rad(latitude_deg))
             runs.append(Run(number, index, float(seconds.sum()), len(rows), ends, up, earth))
     return Cells(tuple(runs), tuple(blocks), *(np.concatenate(column) for column in zip(*parts, strict=True)))
 
@@ -139,7 +141,7 @@ def channel_of(
     for run, (number, rows) in zip(cells.runs, cells.block, strict=True):
         record = records[number]
         earth = run.earth_rate if name in GYRO else None
-        shift = earth["xyz".index(name[-1])] if earth is not None else 0.0
+        shift = 0.0 if earth is None else float(earth["xyz".index(name[-1])])
         values.append(record.of(name)[rows] - shift)
         whites.append(record.means.mean_variance(name)[rows])
         temperatures.append(record.of(column)[rows])
@@ -238,19 +240,8 @@ def _cells(time_s: FloatArray, seconds: FloatArray, temperature: FloatArray, wid
     return cell
 
 
-def _up(record: Record, rows: IntArray) -> tuple[float, float, float]:
-    """Return the direction of the mean specific force in body axes; NaN without accelerometers."""
+def _up(record: Record, rows: IntArray) -> FloatArray:
+    """Return the direction of the mean specific force in body axes, (3,); NaN without accelerometers."""
     parts = [part[np.isfinite(part)] for part in (record.of(name)[rows] for name in ACCEL)]
     accel = np.array([part.mean() if len(part) else np.nan for part in parts])
-    x, y, z = (accel / np.linalg.norm(accel)).tolist()
-    return x, y, z
-
-
-def _earth_rate(
-    up: tuple[float, float, float], latitude_deg: float | None, heading_deg: float | None
-) -> tuple[float, float, float] | None:
-    """Return the earth rate in body axes, rad/s; None without place, heading or accelerometers."""
-    if latitude_deg is None or heading_deg is None or not np.isfinite(up).all():
-        return None
-    x, y, z = earth_rate_in_body(np.array(up), np.deg2rad(heading_deg), np.deg2rad(latitude_deg)).tolist()
-    return x, y, z
+    return np.asarray(accel / np.linalg.norm(accel))

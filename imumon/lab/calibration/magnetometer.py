@@ -1,7 +1,7 @@
 """Hard and soft iron from readings in many directions: the ellipsoid that they lie on.
 
 A closed form begins (least squares of a quadric whose trace is fixed, in units in which the readings are of
-size one); Gauss and Newton then make the squares of what is left of the strength the least::
+size one); least squares then fit the strength of the field::
 
     r_k = |A (m_k - b)| - F,    A symmetric, det A = 1
 
@@ -37,7 +37,6 @@ EARTH_UT = (22.0, 67.0)
 """Strength of the earth's field, from Paraguay to Siberia (IGRF-13); in a house half or twice that."""
 BY_CHANCE = 3.0
 """Times its mean: a square of nine normal differences is larger once in 1e4 times."""
-STEPS = 20
 TRIANGLE = np.triu_indices(3)
 
 
@@ -93,26 +92,22 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
             f"{source}: {coverage:.0%} of the directions were measured, {LEAST_COVERAGE:.0%} are needed",
             f"draw figure-eights while turning the unit over; next: {_next(seen, directions, accel[which])}",
         )
-    solved = _gauss_newton(readings, *_closed_form(readings))
-    if solved is None:
-        tilts = np.isfinite(accel).all(1)
-        up = _unit(accel[tilts])
-        share, cells = covered(up)
+    model = _fitted(readings, unit, coverage)
+    if model is None or model.fit_sd > WORST_SD * model.field or model.residual_sd > MOST_LEFT * model.field:
+        what = "lie on no ellipsoid"
+        if model is not None:
+            what = (
+                f"leave {model.residual_sd / model.field:.1%} of the field beside an ellipsoid, and hard and "
+            )
+            what += f"soft iron are known to {model.fit_sd / model.field:.1%}"
+        # The directions of the field are not known then: those of gravity show what is missing.
+        up = _unit(accel[np.isfinite(accel).all(1)])
+        share, seen = covered(up)
         raise ImumonError(
             Reason.BAD_DATA,
-            f"{source}: the readings lie on no ellipsoid; gravity was in {share:.0%} of the directions",
+            f"{source}: the readings {what}; gravity was in {share:.0%} of the directions",
             "away from iron and cables, draw figure-eights while turning the unit over; next: "
-            + _next(cells, up, up),
-        )
-    parameters, jacobian, residual = solved
-    model = _model(parameters, jacobian, residual, unit, coverage)
-    if model.fit_sd > WORST_SD * model.field or model.residual_sd > MOST_LEFT * model.field:
-        raise ImumonError(
-            Reason.BAD_DATA,
-            f"{source}: hard and soft iron are known to {model.fit_sd / model.field:.1%} of the field, "
-            f"{model.residual_sd / model.field:.1%} is left over; {coverage:.0%} of the directions"
-            " were measured",
-            f"away from iron and cables, turn on; next: {_next(seen, directions, accel[which])}",
+            + _next(seen, up, up),
         )
     strength = np.linalg.norm(readings, axis=1)
     return MagnetometerFit(model, readings, model.corrected(readings), float(strength.std()))
@@ -178,35 +173,9 @@ def _closed_form(readings: FloatArray) -> tuple[FloatArray, FloatArray]:
     return middle + size * centre, matrix / size
 
 
-def _gauss_newton(
-    readings: FloatArray, centre: FloatArray, matrix: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Return centre and upper triangle of the matrix that makes readings unit vectors, (9,), the Jacobian of
-    what is left, (n, 9), and that, (n,); None when the readings do not determine them."""
-    parameters = np.concatenate([centre, matrix[TRIANGLE]])
-    for _ in range(STEPS):
-        residual, jacobian = _left(readings, parameters)
-        step, _, rank, _ = np.linalg.lstsq(jacobian, -residual, rcond=None)
-        parameters = parameters + step
-        if rank < 9 or not np.isfinite(parameters).all():
-            return None
-        if np.abs(jacobian @ step).max() < 1e-9:
-            residual, jacobian = _left(readings, parameters)
-            return parameters, jacobian, residual
-    return None
-
-
-def _left(readings: FloatArray, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return |A (m - b)| - 1, (n,), and its derivatives, (n, 9)."""
-    matrix = _symmetric(parameters[3:])
-    away = readings - parameters[:3]
-    field = away @ matrix
-    strength = np.linalg.norm(field, axis=1)
-    direction = field / strength[:, np.newaxis]
-    outer = direction[:, :, np.newaxis] * away[:, np.newaxis, :]
-    outer = outer + np.swapaxes(outer, 1, 2)
-    outer[:, range(3), range(3)] *= 0.5
-    return strength - 1.0, np.column_stack([-direction @ matrix, outer[:, *TRIANGLE]])
+def _left(parameters: FloatArray, readings: FloatArray) -> FloatArray:
+    """Return |A (m - b)| - 1, (n,)."""
+    return np.asarray(np.linalg.norm((readings - parameters[:3]) @ _symmetric(parameters[3:]), axis=1) - 1.0)
 
 
 def _symmetric(triangle: FloatArray) -> FloatArray:
@@ -215,15 +184,21 @@ def _symmetric(triangle: FloatArray) -> FloatArray:
     return np.asarray(matrix + np.triu(matrix, 1).T)
 
 
-def _model(
-    parameters: FloatArray, jacobian: FloatArray, residual: FloatArray, unit: str, coverage: float
-) -> MagnetometerModel:
-    """Return the model, in the unit of the readings, with standard deviations."""
-    n = len(residual)
-    variance = float(residual @ residual) / (n - len(parameters))
-    scatter = variance * slower_than_white(residual)
-    covariance = np.linalg.inv(jacobian.T @ jacobian) * scatter + _changed(jacobian, residual, scatter)
+def _fitted(readings: FloatArray, unit: str, coverage: float) -> MagnetometerModel | None:
+    """Return the model, in the unit of the readings, with standard deviations; None where there is none."""
+    from scipy.optimize import least_squares
+
+    centre, matrix = _closed_form(readings)
+    start = np.concatenate([centre, matrix[TRIANGLE]])
+    solved = least_squares(_left, start, args=(readings,), x_scale="jac", method="lm")
+    parameters, jacobian, residual = (np.asarray(part) for part in (solved.x, solved.jac, solved.fun))
     matrix = _symmetric(parameters[3:])
+    if not solved.success or np.linalg.eigvalsh(matrix).min() <= 0.0:
+        return None
+    variance = float(residual @ residual) / (len(residual) - len(parameters))
+    scatter = variance * slower_than_white(residual)
+    normal = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True, rcond=1e-15)
+    covariance = normal * scatter + _changed(jacobian, residual, scatter)
     field = float(np.linalg.det(matrix)) ** (-1.0 / 3.0)
     # A = F W with F = det(W)^(-1/3): the derivative of A for each element of W.
     inverse = np.linalg.inv(matrix)

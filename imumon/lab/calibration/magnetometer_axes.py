@@ -6,7 +6,7 @@ P the matrix that takes the magnetometer's axes to the gyros', and q what iron o
     P field_0 - q = C (P field_1 - q)
 
 Of the 24 rotations that turn axes into axes the one is taken that leaves least; P and -P leave the same, as
-no turn shows whether a magnetometer has the field or its reverse.  From there Gauss and Newton find the
+no turn shows whether a magnetometer has the field or its reverse.  From there least squares find the
 rotation, with what else may be between the two: a constant bias of the gyros and a time by which the
 magnetometer is late.
 """
@@ -18,11 +18,13 @@ from dataclasses import dataclass
 from itertools import permutations, product
 
 import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.filters.slots import SlotGatherer, Slots
-from imumon.filters.turns import PAUSE_S, rotation_by
+from imumon.filters.turns import PAUSE_S
 from imumon.models.magnetometer import MagnetometerModel
 
 
@@ -57,7 +59,6 @@ PARTS = 8
 """Of a record: long enough to differ by themselves, and enough for a standard deviation to a quarter."""
 SIGMAS = 4.0
 """By eight parts: beyond it is one in 200 (Student, seven degrees of freedom)."""
-STEPS = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,12 +105,6 @@ class _Pairs:
     rotation: FloatArray
     by_bias: FloatArray
 
-    def less(self, bias: FloatArray) -> _Pairs:
-        """Return the same by gyros without a constant bias, rad/s, (3,): as of `Turn.less`."""
-        turned = np.array([rotation_by(-angle) for angle in self.by_bias @ bias]) @ self.rotation
-        rates = self.rate_before - bias, self.rate_after - bias
-        return _Pairs(self.before, self.after, *rates, turned, self.by_bias)
-
 
 class Gathered:
     """What the gyros and the magnetometer of a recording say, slot by slot."""
@@ -152,21 +147,11 @@ class Gathered:
         return _Pairs(*(part[known] for part in parts))
 
 
-def refuse_other_axes(axes: Axes | None, source: str) -> None:
-    """Raise BAD_DATA where the magnetometer has other axes than the gyros."""
-    if axes is None or not axes.is_significant or axes.way == 0:
-        return
-    raise ImumonError(
-        Reason.BAD_DATA,
-        f"{source}: the magnetometer has not the gyros' axes: their x, y, z are its {named(WAYS[axes.way])}",
-        "name the columns of mag in this order in the map or device file, and reverse what has a minus (in a "
-        "device file by a negative scale); turns do not tell which of the two it is: north of the magnetic "
-        "equator the field must point down",
-    )
+def doubts(axes: Axes | None, source: str) -> list[str]:
+    """Return warnings about the axes.
 
-
-def doubts(axes: Axes | None) -> list[str]:
-    """Return what is to be said of the axes."""
+    Raises BAD_DATA where the magnetometer has other axes than the gyros.
+    """
     if axes is None:
         return []
     if not axes.follows:
@@ -174,6 +159,15 @@ def doubts(axes: Axes | None) -> list[str]:
             "the field did not go as the gyros turned, in any axes: are unit and axes of the gyros right? "
             "The axes of the magnetometer were not checked"
         ]
+    if axes.is_significant and axes.way:
+        raise ImumonError(
+            Reason.BAD_DATA,
+            f"{source}: the magnetometer has not the gyros' axes: their x, y, z are its "
+            + named(WAYS[axes.way]),
+            "name the columns of mag in this order in the map or device file, and reverse what has a minus "
+            "(in a device file by a negative scale); turns do not tell which of the two it is: north of the "
+            "magnetic equator the field must point down",
+        )
     if not axes.is_significant or axes.angle < SIGMAS * axes.sd:
         return []
     return [
@@ -185,20 +179,14 @@ def doubts(axes: Axes | None) -> list[str]:
 
 def _fitted(pairs: _Pairs, noise: float) -> Axes:
     """Return the axes by pairs of fields, whose scatter over their strength is `noise`."""
-    left_by_way = left_by_ways(pairs.before, pairs.after, pairs.rotation)
-    rotation, late_s = WAYS[int(left_by_way.argmin())], 0.0
-    for _ in range(STEPS):
-        left, jacobian = _left(pairs, rotation, late_s)
-        step = np.linalg.lstsq(jacobian, -left, rcond=None)[0]
-        rotation = rotation_by(np.asarray(step[:3], np.float64)) @ rotation
-        pairs, late_s = pairs.less(np.asarray(step[3:6], np.float64)), late_s + float(step[6])
-        if np.abs(step[:3]).max() < 1e-9:
-            break
-    left, jacobian = _left(pairs, rotation, late_s)
-    variance = float(left @ left) / (len(left) - jacobian.shape[1])
+    way = WAYS[int(left_by_ways(pairs.before, pairs.after, pairs.rotation).argmin())]
+    solved = least_squares(lambda x: _left(pairs, way, x), np.zeros(7), x_scale="jac", method="lm")
+    left = np.asarray(solved.fun)
+    variance = float(left @ left) / (len(left) - 7)
     went = float(((pairs.after - pairs.before) ** 2).sum()) / len(left)
     follows = variance < MOST_LEFT * went or variance < (BEYOND * noise) ** 2
-    sd = np.sqrt(np.linalg.eigvalsh(_covariance(left, jacobian)[:3, :3])[-1])
+    sd = np.sqrt(np.linalg.eigvalsh(_covariance(left, np.asarray(solved.jac))[:3, :3])[-1])
+    rotation = Rotation.from_rotvec(solved.x[:3]).as_matrix() @ way
     return Axes(rotation, float(np.hypot(sd, GYRO_SCALE)), follows)
 
 
@@ -235,29 +223,19 @@ def _covariance(left: FloatArray, jacobian: FloatArray) -> FloatArray:
     return np.asarray(inverse @ (pulls.T @ pulls) @ inverse * PARTS / (PARTS - 1))
 
 
-def _left(pairs: _Pairs, rotation: FloatArray, late_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return what is left of the fields, (3n,), and its derivatives by the angles of the rotation, rad, the
-    bias of the gyros, rad/s, and the lateness of the magnetometer, s, (3n, 7).
+def _left(pairs: _Pairs, way: FloatArray, x: FloatArray) -> FloatArray:
+    """Return what is left of the fields, (3n,).
 
-    A field that is late by tau is off by tau times its rate, -rate x field.
+    `x` is the rotation vector from `way`, rad, the bias of the gyros, rad/s, and the lateness of the
+    magnetometer, s.  A field that is late by tau is off by tau times its rate, -rate x field.
     """
-    before, after = pairs.before @ rotation.T, pairs.after @ rotation.T
-    slope = -np.cross(pairs.rate_before, before), -np.cross(pairs.rate_after, after)
-    turned = np.einsum("nij,nj->ni", pairs.rotation, after + late_s * slope[1])
-    left = before + late_s * slope[0] - turned
-    # C less a bias is the rotation by -by_bias bias, and C behind.
-    by_bias = _crossed(turned) @ pairs.by_bias
-    by_angle = -_crossed(before) + pairs.rotation @ _crossed(after)
-    by_late = slope[0] - np.einsum("nij,nj->ni", pairs.rotation, slope[1])
-    jacobian = np.concatenate([by_angle, -by_bias, by_late[:, :, np.newaxis]], axis=2)
-    return left.reshape(-1), jacobian.reshape(-1, 7)
-
-
-def _crossed(vectors: FloatArray) -> FloatArray:
-    """Return the matrices, (n, 3, 3), that take a vector to the product of these with it."""
-    x, y, z = vectors.T
-    none = np.zeros_like(x)
-    return np.stack([none, -z, y, z, none, -x, -y, x, none], axis=1).reshape(-1, 3, 3)
+    bias, late_s = x[3:6], x[6]
+    axes = Rotation.from_rotvec(x[:3]).as_matrix() @ way
+    before, after = pairs.before @ axes.T, pairs.after @ axes.T
+    before = before - late_s * np.cross(pairs.rate_before - bias, before)
+    after = after - late_s * np.cross(pairs.rate_after - bias, after)
+    turned = np.einsum("nij,nj->ni", pairs.rotation, after)
+    return np.asarray(before - Rotation.from_rotvec(-pairs.by_bias @ bias).apply(turned)).reshape(-1)
 
 
 def named(way: FloatArray) -> str:

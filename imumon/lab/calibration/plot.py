@@ -1,4 +1,4 @@
-"""The picture of a calibration: the curve of each channel, what it was fitted to, and what it leaves over."""
+"""The pictures of a calibration: each channel's curve with its points, and a magnetometer's three planes."""
 
 from __future__ import annotations
 
@@ -14,13 +14,17 @@ from imumon.recordings.reduced import ACCEL
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from imumon.lab.calibration.magnetometer import MagnetometerFit
 
 SHOWN = {"rad/s": ("°/h", 206264.80624709636), "m/s^2": ("mg", 1e3 / 9.80665)}
 """What a person reads, and how many of it one of the model's units is."""
-
-
 COLUMNS = 3
 """Channels beside each other: those of one sensor."""
+PLANES = ((0, 1), (1, 2), (2, 0))
+MOST_POINTS = 1500
+"""More make the file large, and hide each other."""
 
 
 def write_calibration_plot(path: Path, result: Calibration, title: str) -> None:
@@ -31,13 +35,9 @@ def write_calibration_plot(path: Path, result: Calibration, title: str) -> None:
 
     Raises OSError when the file cannot be written; one that was there before is untouched.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # takes 0.3 s, and few want a picture
-    from matplotlib.figure import Figure
-
     names = list(result.findings)
     columns, rows = min(COLUMNS, len(names)), -(-len(names) // COLUMNS)
-    figure = Figure(figsize=(4.8 * columns, 6.4 * rows), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = _figure(4.8 * columns, 6.4 * rows)
     grid = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=(2, 1) * rows)
     for number, name in enumerate(names):
         row, column = divmod(number, columns)
@@ -73,3 +73,39 @@ def _draw(above: Axes, below: Axes, name: str, result: Calibration) -> None:
     for axes in (above, below):
         axes.grid(color="0.9", lw=0.5)
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=8, frameon=False, borderpad=0.1)
+
+
+def write_magnetometer_plot(path: Path, fit: MagnetometerFit, title: str) -> None:
+    """Draw readings, field, and the circle that the field should lie in, to a PNG.
+
+    Raises OSError when the file cannot be written; one that was there before is untouched.
+    """
+    model, turn = fit.model, np.linspace(0.0, 2.0 * np.pi, 200)
+    every = 1 + len(fit.field) // MOST_POINTS
+    readings, field = fit.readings[::every], fit.field[::every]
+    figure = _figure(13.0, 4.8)
+    for number, (i, j) in enumerate(PLANES):
+        axes = figure.add_subplot(1, 3, number + 1)
+        axes.plot(readings[:, i], readings[:, j], ".", ms=2, color="0.65", label="as sent")
+        axes.plot(field[:, i], field[:, j], ".", ms=2, color="#3b78d8", label="corrected")
+        axes.plot(model.field * np.cos(turn), model.field * np.sin(turn), color="0.2", lw=0.9)
+        axes.plot(model.hard_iron[i], model.hard_iron[j], "+", ms=11, color="#d03c3c", label="hard iron")
+        axes.set(xlabel=f"{'xyz'[i]} [{model.unit}]", ylabel=f"{'xyz'[j]} [{model.unit}]", aspect="equal")
+        axes.grid(color="0.9", lw=0.5)
+    figure.axes[0].legend(loc="upper right", fontsize=9, framealpha=0.9)
+    figure.suptitle(
+        f"{for_plot(title)}: strength {model.field:.4g} {model.unit}, "
+        f"scatter {fit.residual_before:.2g} as sent, {model.residual_sd:.2g} corrected; "
+        f"{model.coverage:.0%} of the directions",
+        fontsize=11,
+    )
+    write_png(path, figure, 110)
+
+
+def _figure(width: float, height: float) -> Figure:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # takes 0.3 s, and few want a picture
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure

@@ -75,14 +75,8 @@ def read_session(path: Path, count: Count = no_count) -> tuple[Record, list[str]
     Raises BAD_DATA when there is no session, or it cannot be read.
     """
     recording = open_recording(path, _stages, count=count)
-    record = record_of(
-        recording.blocks(),
-        recording.name,
-        recording.sha256(),
-        recording.device,
-        recording.axes,
-        serial=recording.serial,
-    )
+    known = recording.name, recording.sha256(), recording.device, recording.axes, recording.serial
+    record = record_of(recording.blocks(), *known)
     if not len(record.means):
         raise ImumonError(Reason.BAD_DATA, f"{path}: there is no sample in this session")
     return record, [f"{path}: {text}" for text in recording.warnings()]

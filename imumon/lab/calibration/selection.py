@@ -1,4 +1,4 @@
-"""Which curve: the one that errs least at temperature levels that it has not seen."""
+"""Which curve: the one that errs least at temperature levels left out of its fit; and the turn-on offsets."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
-from imumon.blocks import FloatArray
+from imumon.blocks import FloatArray, IntArray
 from imumon.lab.calibration.cells import Channel
+from imumon.models.curves.network import fit_network, weights_of
 from imumon.models.curves.points import Points, folds
 from imumon.models.curves.polynomial import fit_polynomial
-from imumon.models.curves.smoothing import fit_spline
-from imumon.models.curves.training import fit_network, weights_of
+from imumon.models.curves.spline import fit_spline, penalised_basis
 from imumon.models.model import Curve
 
 HIGHEST_ORDER = 9
@@ -22,6 +23,9 @@ FOLDS = 5
 """Every fifth of the inner levels is left out at a time."""
 AS_GOOD = 1.05
 """A simpler curve is preferred whose error is at most this much above the least."""
+
+_STIFFNESS = 1e-6
+"""Penalty of the curve that the offsets are estimated beside: enough to make it unique."""
 
 Fit = Callable[[Points], Curve]
 
@@ -99,3 +103,37 @@ def _beyond_white(points: Points, residual: FloatArray, white: FloatArray) -> fl
     weight, square = points.weight[known], residual[known] ** 2
     whole = float(np.average(square, weights=weight))
     return float(np.sqrt(max(whole - float(np.average(white[known], weights=weight)), 0.1 * whole)))
+
+
+def turn_on_offsets(channel: Channel, points: Points, knots: FloatArray) -> FloatArray:
+    """Return the offset of each run, (runs,) in the channel's unit; NaN where it cannot be told.
+
+    A run is compared only where others were at the same temperatures: with no level in common, an offset and
+    a bend of the curve are the same.  The mean over the runs that can be compared is 0.
+    """
+    runs = int(channel.run.max()) + 1
+    together = _comparable(channel.run, channel.level, runs)
+    offset = np.full(runs, np.nan)
+    offset[together] = 0.0
+    if len(together) < 2:
+        return offset
+    used = np.isin(channel.run, together)
+    basis, penalty = penalised_basis(points.only(used), knots)
+    which = (channel.run[used][:, np.newaxis] == together[1:]).astype(np.float64)
+    root = np.sqrt(points.weight[used])[:, np.newaxis]
+    design = np.hstack([basis, which]) * root
+    normal = design.T @ design
+    m = basis.shape[1]
+    normal[:m, :m] += _STIFFNESS * penalty
+    solved = np.linalg.solve(normal, design.T @ (points.value[used] * root[:, 0]))
+    own = np.concatenate([[0.0], solved[m:]])
+    offset[together] = own - own.mean()
+    return offset
+
+
+def _comparable(run: IntArray, level: IntArray, runs: int) -> IntArray:
+    """Return the runs that levels in common join, directly or through others, to the one with most data."""
+    visited = np.zeros((runs, int(level.max()) + 1), np.int64)
+    visited[run, level] = 1
+    _, group = connected_components(visited @ visited.T, directed=False)
+    return np.flatnonzero(group == group[np.argmax(np.bincount(run, minlength=runs))])

@@ -1,4 +1,4 @@
-"""A piecewise cubic by its values and slopes at the knots."""
+"""A piecewise cubic, fitted as a smoothing spline: no more shape than the levels show."""
 
 from __future__ import annotations
 
@@ -9,13 +9,17 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, FiniteFloat, model_validator
 
-from imumon.blocks import FloatArray
+from imumon.blocks import FloatArray, IntArray
 from imumon.config import StrictModel
+from imumon.models.curves.points import Points, folds
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
 
 MOST_KNOTS = 1000
+DEGREE = 3
+_STRENGTHS = 10.0 ** np.arange(-9.0, 4.1, 0.5)
+"""λ that are tried."""
 
 
 class SplineCurve(StrictModel):
@@ -56,3 +60,56 @@ class SplineCurve(StrictModel):
         from scipy.interpolate import CubicHermiteSpline  # takes 0.4 s, and few models have a spline
 
         return CubicHermiteSpline(self.knots_degc, self.values, self.slopes)
+
+
+def fit_spline(points: Points, knots: FloatArray) -> SplineCurve:
+    """Fit a cubic spline by penalised least squares: sum of w r² + λ ∫ b''² dT.
+
+    λ is that of the least error at levels left out, so the noise within a level, which is not white, has no
+    say in it.  With fewer than three levels, λ is large: nothing but a straight line.
+
+    Parameters
+    ----------
+    knots : array (m,)
+        Breaks, °C, increasing, at least the two ends of the range.
+    """
+    from scipy.interpolate import BSpline
+
+    basis, penalty = penalised_basis(points, knots)
+    root = np.sqrt(points.weight / points.weight.mean())
+    weighted, target = basis * root[:, np.newaxis], points.value * root
+    strength = _best_strength(weighted, target, penalty, points.level)
+    coefficients = np.linalg.solve(weighted.T @ weighted + strength * penalty, weighted.T @ target)
+    fitted = BSpline(np.pad(knots, DEGREE, mode="edge"), coefficients, DEGREE)
+    return SplineCurve(
+        knots_degc=knots.tolist(), values=fitted(knots).tolist(), slopes=fitted(knots, nu=1).tolist()
+    )
+
+
+def penalised_basis(points: Points, knots: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the B-splines at the points, (n, p), and ∫ b''² dT as a matrix of like size."""
+    from scipy.interpolate import BSpline
+
+    extended = np.pad(knots, DEGREE, mode="edge")
+    basis = BSpline.design_matrix(points.temperature, extended, DEGREE, extrapolate=True).toarray()
+    # b'' is linear between knots: two Gauss points a piece are exact.
+    middle, half = 0.5 * (knots[1:] + knots[:-1]), 0.5 * np.diff(knots)
+    every = BSpline(extended, np.eye(len(extended) - DEGREE - 1), DEGREE)
+    second = [every(middle + side * half / np.sqrt(3.0), nu=2) for side in (-1.0, 1.0)]
+    penalty = np.asarray(sum((part * half[:, np.newaxis]).T @ part for part in second))
+    scale = np.sum(basis**2 * (points.weight / points.weight.mean())[:, np.newaxis]) / np.trace(penalty)
+    return basis, penalty * scale
+
+
+def _best_strength(basis: FloatArray, target: FloatArray, penalty: FloatArray, level: IntArray) -> float:
+    """Return the λ with the least error at the levels left out."""
+    normal, moment = basis.T @ basis, basis.T @ target
+    errors = np.zeros(len(_STRENGTHS))
+    for out in folds(level, len(level)):
+        own = basis[out]
+        without = normal - own.T @ own + _STRENGTHS[:, np.newaxis, np.newaxis] * penalty
+        fitted = np.linalg.solve(
+            without, np.broadcast_to(moment - own.T @ target[out], without.shape[:2])[..., None]
+        )
+        errors += np.sum((own @ fitted[..., 0].T - target[out][:, np.newaxis]) ** 2, axis=0)
+    return float(_STRENGTHS[np.argmin(errors)] if errors.any() else _STRENGTHS[-1])

@@ -10,8 +10,7 @@ from numpy.polynomial import polynomial
 from imumon.blocks import FloatArray
 from imumon.effects.base import Drive, Effect, Memory
 from imumon.effects.hysteresis import Hysteresis
-from imumon.effects.run_offset import RunOffset
-from imumon.effects.warm_up import WarmUp
+from imumon.effects.since_power_on import RunOffset, WarmUp
 from imumon.geodesy import DEG_PER_H, MICRO_G
 from imumon.simulation.unit.noise import GaussMarkov, RandomWalk, White, generator
 from imumon.simulation.unit.parameters import Curves, Effects, Polynomial, Term, UnitParameters

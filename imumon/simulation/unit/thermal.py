@@ -8,8 +8,8 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.effects.base import Drive, Memory
+from imumon.effects.since_power_on import WarmUp
 from imumon.effects.thermal_lag import ThermalLag
-from imumon.effects.warm_up import WarmUp
 from imumon.simulation.unit.noise import White, generator
 from imumon.simulation.unit.parameters import SelfHeating, Thermometer
 from imumon.simulation.unit.scenario import Chamber, Scenario

@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from imumon.effects.stress_relaxation import StressRelaxation
-from imumon.effects.warm_up import WarmUp
+from imumon.effects.since_power_on import StressRelaxation, WarmUp
 from imumon.estimation.alignment.parameters import known_warm_up
 from imumon.estimation.alignment.stage import Alignment
 from imumon.estimation.smoothing.record import value_and_sd
@@ -48,11 +47,12 @@ def test_a_device_that_sends_angles_keeps_their_names() -> None:
     assert not {"roll", "pitch"} & names
 
 
-def test_a_pipeline_file_sets_the_loop_and_says_it_again() -> None:
-    text = "format: imumon-pipeline/1\nlatitude_deg: 36\nalignment: {corner_hz: 1.0, damping: 0.9}\n"
+def test_a_pipeline_file_sets_the_alignment_and_keys_of_before_are_read() -> None:
+    text = "format: imumon-pipeline/1\nlatitude_deg: 36\nalignment: {corner_hz: 1.0, settled_deg: 0.1}\n"
     setup = parse_setup(text, "pipeline.yaml")
-    assert setup.alignment.corner_hz == 1.0
-    assert parse_setup(setup.text() or "", "session.yaml") == setup
+    assert setup.alignment.settled_deg == 0.1
+    again = parse_setup(setup.text() or "", "session.yaml")
+    assert again.alignment.model_dump() == setup.alignment.model_dump()
 
 
 def test_the_warm_up_of_a_model_is_that_of_its_accelerometers() -> None:

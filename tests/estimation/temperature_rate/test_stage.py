@@ -10,10 +10,8 @@ from imumon.config import parse_yaml
 from imumon.errors import ImumonError
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.estimation.temperature_rate.thermometer import UNKNOWN_STEP_DEGC
-from imumon.papers.fir import FirRate, Params
 from imumon.pipeline import Estimator
 from imumon.protocols.thermometer import TemperatureRateParameters
-from imumon.run.stages import temperature_rate
 from tests.estimation.temperature_rate.records import block, clock, quantized, self_heating
 
 FIRST_SLOT = 10
@@ -89,22 +87,9 @@ def test_readings_out_of_range_are_passed_over() -> None:
     np.testing.assert_array_equal(ranged["temperature_rate"], expected["temperature_rate"])
 
 
-def test_the_published_filter_can_be_chosen_in_yaml() -> None:
-    text = "method: fir_exponential\nstep_degc: 0.05\nwindow_s: 180\ntime_constant_s: 120\nbuffer_size: 90\n"
-    parameters = parse_yaml(text, TemperatureRateParameters, "device.yaml")
-    temperature, _ = self_heating(0.1)
-    reading = quantized(temperature, 0.0)
-    time_ns, segment = clock(len(reading))
-    added = temperature_rate(parameters).process(block(temperature=reading))
-    expected = FirRate(Params(0.05, 180.0, 120.0, 90)).process(time_ns, segment, reading)
-    np.testing.assert_array_equal(added["temperature_rate"], expected.rate)
-    np.testing.assert_array_equal(added["temperature_estimate_sd"], expected.temperature_sd)
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("method: fir_exponential", "needs step_degc"),
         ("method: kalman", "method"),
         ("step_degc: -1", "step_degc"),
         ("buffer_size: 6", "buffer_size"),

@@ -74,4 +74,4 @@ def record(temperature: FloatArray, name: str = "soak", **given: object) -> Reco
 def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """Train the networks in a moment, where it does not matter how good they are."""
     for steps in ("FIRST", "LAST"):
-        monkeypatch.setattr(f"imumon.models.curves.training.{steps}", 5)
+        monkeypatch.setattr(f"imumon.models.curves.network.{steps}", 5)

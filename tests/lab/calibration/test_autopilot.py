@@ -55,8 +55,8 @@ def of_px4(text: str) -> dict[str, tuple[float, int]]:
 
 def test_ardupilot_corrects_from_one_temperature_to_another_as_the_model_does() -> None:
     unit = model()
-    made = parameters(unit, "ardupilot", 1)
-    found = of_ardupilot(made.text)
+    text, notes = parameters(unit, "ardupilot", 1)
+    found = of_ardupilot(text)
     assert found["INS_TCAL2_ENABLE"] == 1.0
     assert (found["INS_TCAL2_TMIN"], found["INS_TCAL2_TMAX"]) == (-10.0, 60.0)
     for kind, name in (("gyro", "GYR"), ("accel", "ACC")):
@@ -69,33 +69,33 @@ def test_ardupilot_corrects_from_one_temperature_to_another_as_the_model_does() 
                 channel = unit.channels[f"{kind}_{axis}"]
                 expected = channel.value(now) - channel.value(calibrated)
                 assert taken == pytest.approx(float(expected), abs=0.02 * channel.residual_sd)
-    assert any("outside -10.0 to 60.0 °C" in note for note in made.notes)
+    assert any("outside -10.0 to 60.0 °C" in note for note in notes)
 
 
 def test_a_unit_of_other_axes_is_turned_into_those_of_the_board() -> None:
     """Both autopilots are forward-right-down: y and z of a forward-left-up unit point the other way."""
     frd, flu = (model().model_copy(update={"axes": axes}) for axes in ("FRD", "FLU"))
     for kind, name in (("gyro", "GYR"), ("accel", "ACC")):
-        board, unit = (of_ardupilot(parameters(one, "ardupilot", 0).text) for one in (frd, flu))
+        board, unit = (of_ardupilot(parameters(one, "ardupilot", 0)[0]) for one in (frd, flu))
         for axis, sign in zip("XYZ", (1.0, -1.0, -1.0), strict=True):
             for power in (1, 2, 3):
                 key = f"INS_TCAL1_{name}{power}_{axis}"
                 assert unit[key] == sign * board[key] != 0.0, (kind, key)
-    board4, unit4 = (of_px4(parameters(one, "px4", 0, (1, 2)).text) for one in (frd, flu))
+    board4, unit4 = (of_px4(parameters(one, "px4", 0, (1, 2))[0]) for one in (frd, flu))
     for number, sign in enumerate((1.0, -1.0, -1.0)):
         assert unit4[f"TC_G0_X0_{number}"][0] == sign * board4[f"TC_G0_X0_{number}"][0] != 0.0
 
 
 def test_axes_that_nobody_stated_are_said() -> None:
-    unstated = parameters(model(), "ardupilot", 0).notes
+    unstated = parameters(model(), "ardupilot", 0)[1]
     assert any("does not say its axes" in note for note in unstated)
-    stated = parameters(model().model_copy(update={"axes": "FRD"}), "ardupilot", 0).notes
+    stated = parameters(model().model_copy(update={"axes": "FRD"}), "ardupilot", 0)[1]
     assert not any("axes" in note for note in stated)
 
 
 def test_px4_has_the_constant_of_gyros_and_none_of_accelerometers() -> None:
     unit = model()
-    found = of_px4(parameters(unit, "px4", 0, (2490378, 2621450)).text)
+    found = of_px4(parameters(unit, "px4", 0, (2490378, 2621450))[0])
     assert found["TC_G0_ID"] == (2490378.0, 6)
     assert found["TC_A0_ID"] == (2621450.0, 6)
     assert found["TC_G0_TREF"] == (25.0, 9)
@@ -124,7 +124,7 @@ def test_what_an_autopilot_could_not_use_is_refused(unit: BiasModel, autopilot: 
 
 
 def test_a_cubic_that_misses_the_curve_is_said() -> None:
-    notes = parameters(model(degree=9), "ardupilot", 0).notes
+    notes = parameters(model(degree=9), "ardupilot", 0)[1]
     assert sum("the cubic misses the curve by" in note for note in notes) == 6
 
 

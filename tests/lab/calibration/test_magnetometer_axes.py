@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.errors import ImumonError
 from imumon.lab.calibration.magnetometer import fit_magnetometer
-from imumon.lab.calibration.magnetometer_axes import WAYS, Axes, Gathered, doubts, refuse_other_axes
+from imumon.lab.calibration.magnetometer_axes import WAYS, Axes, Gathered, doubts
 from imumon.models.magnetometer import MagnetometerModel
 
 FIELD = np.array([2.0, 20.0, -43.0])
@@ -63,15 +63,14 @@ def test_axes_as_declared_are_found_as_such(rate_hz: float, speed: float, late: 
         assert axes.is_significant
         assert axes.angle < 3.0 * axes.sd
         assert axes.sd < np.radians(1.5)
-        assert doubts(axes) == []
-        refuse_other_axes(axes, "test")
+        assert doubts(axes, "test") == []
 
 
 @pytest.mark.parametrize("way", [MPU_9250, LEFT_HANDED, WAYS[7], -WAYS[15]])
 def test_other_axes_are_refused_and_named(way: FloatArray) -> None:
     _, axes = found(turns(3, way))
     with pytest.raises(ImumonError, match="has not the gyros' axes: their x, y, z are its") as caught:
-        refuse_other_axes(axes, "a recording")
+        doubts(axes, "a recording")
     if way is MPU_9250:
         assert "+y, +x, -z or -y, -x, +z" in str(caught.value)
     if way is LEFT_HANDED:
@@ -83,8 +82,7 @@ def test_a_magnetometer_that_is_mounted_askew_is_said_with_its_angle() -> None:
     _, axes = found(turns(4, askew))
     assert axes is not None
     np.testing.assert_allclose(axes.angle, np.radians(5.0), atol=0.01)
-    refuse_other_axes(axes, "test")
-    assert "° against the gyros" in doubts(axes)[0]
+    assert "° against the gyros" in doubts(axes, "test")[0]
 
 
 def test_gyros_that_do_not_turn_as_the_field_are_said() -> None:
@@ -93,16 +91,14 @@ def test_gyros_that_do_not_turn_as_the_field_are_said() -> None:
     _, axes = found(block.with_columns(slow))
     assert axes is not None
     assert not axes.follows
-    assert "unit and axes of the gyros" in doubts(axes)[0]
-    refuse_other_axes(axes, "test")
+    assert "unit and axes of the gyros" in doubts(axes, "test")[0]
 
 
 def test_without_gyros_nothing_is_said() -> None:
     block = turns(6, np.eye(3))
     alone = SampleBlock({name: v for name, v in block.columns.items() if not name.startswith("gyro")})
     assert found(alone)[1] is None
-    assert doubts(None) == []
-    refuse_other_axes(None, "test")
+    assert doubts(None, "test") == []
 
 
 def test_a_current_that_is_switched_on_meanwhile_is_in_the_sigma() -> None:

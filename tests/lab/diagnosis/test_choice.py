@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from imumon.effects.drift import Drift
-from imumon.effects.warm_up import WarmUp
+from imumon.effects.since_power_on import Drift, WarmUp
 from imumon.lab.diagnosis.candidates import Candidate, Part
 from imumon.lab.diagnosis.choice import Scored, Selection, Table, least_gain, select
 

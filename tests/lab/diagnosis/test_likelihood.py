@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from imumon.effects.base import Drive
-from imumon.effects.drift import Drift
-from imumon.effects.stress_relaxation import StressRelaxation
+from imumon.effects.since_power_on import Drift, StressRelaxation
 from imumon.lab.diagnosis.blocks import make_blocks
 from imumon.lab.diagnosis.candidates import Candidate, Part, Pool
 from imumon.lab.diagnosis.choice import PROVEN

@@ -7,8 +7,7 @@ import pytest
 from scipy.interpolate import BSpline, CubicSpline
 
 from imumon.models.curves.points import Points
-from imumon.models.curves.smoothing import fit_spline, penalised_basis
-from imumon.models.curves.spline import SplineCurve
+from imumon.models.curves.spline import SplineCurve, fit_spline, penalised_basis
 
 KNOTS = np.array([-20.0, -11.0, -3.0, 4.0, 20.0, 31.0, 48.0])
 
