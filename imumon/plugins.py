@@ -18,6 +18,8 @@ DEVICES = "imumon.devices"
 """Folders of device files."""
 EFFECTS = "imumon.effects"
 """Effects (`imumon.effects.base.Effect`), under the name that they have."""
+WINGS = "imumon.wings"
+"""Wings (`imumon.wing.Wing`), under their names."""
 WITHOUT = "IMUMON_WITHOUT_PLUGINS"
 """Environment variable of ``imumon --without-plugins``: no plug-in is loaded, in child processes neither."""
 FRAMES = 8

@@ -1,4 +1,4 @@
-"""The wings of imumon, listed here."""
+"""The wings: those of imumon, listed here, and those of other packages, by their entry points."""
 
 from __future__ import annotations
 
@@ -18,12 +18,29 @@ BUILT_IN = (
     "imumon.fleet",
 )
 """Packages that have `WING`; their stages run in this order."""
+NEEDED = "wing (imumon.wing.Wing)"
+"""What a plug-in offers in the group `imumon.plugins.WINGS`, in words."""
 
 
 @cache
-def wings() -> tuple[Wing, ...]:
-    """Return the wings, each of which is imported for its object alone."""
+def built_in() -> tuple[Wing, ...]:
+    """Return the wings of imumon."""
     return tuple(import_module(package).WING for package in BUILT_IN)
+
+
+def wings() -> tuple[Wing, ...]:
+    """Return all wings, those of imumon first.
+
+    Raises BAD_CONFIG when one of another package does not load.
+    """
+    from imumon.plugins import WINGS, plugins  # not for --help: it loads importlib.metadata
+
+    return *built_in(), *(plugin.offered for plugin in plugins(WINGS, NEEDED, is_wing))
+
+
+def is_wing(name: str, offered: Any) -> bool:
+    """Return whether a plug-in is a wing of this name."""
+    return isinstance(offered, Wing) and offered.name == name
 
 
 def offers(hook: str) -> list[Any]:

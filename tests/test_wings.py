@@ -1,4 +1,4 @@
-"""The core knows no wing; what a wing brings is found."""
+"""The core knows no wing; what a wing brings is found, also that of another package."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from click.shell_completion import shell_complete
 from imumon.cli.common import INTERRUPTED, note, say
 from imumon.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_USAGE, ImumonError
 from imumon.wing import GROUPS, Command
-from imumon.wings import wings
+from imumon.wings import built_in, wings
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
@@ -70,14 +70,17 @@ OWN = {
 
 
 @cache
-def commands() -> dict[str, Command]:
-    """Return the commands by their names, in the order of the help; of each group first those of the core."""
+def commands(of_plugins: bool = False) -> dict[str, Command]:
+    """Return the commands by their names, in the order of the help; of each group first those of the core.
+
+    Raises BAD_CONFIG when a wing of another package does not load; those are looked for only where asked.
+    """
     found = {
         name: Command(group, text, f"imumon.cli.{place}")
         for group, lines in OWN.items()
         for name, (place, text) in lines.items()
     }
-    for wing in wings():
+    for wing in wings() if of_plugins else built_in():
         found |= {name: command for name, command in wing.commands.items() if name not in found}
     return dict(sorted(found.items(), key=lambda item: GROUPS.index(item[1].group)))
 
@@ -85,11 +88,13 @@ def commands() -> dict[str, Command]:
 class _LazyGroup(click.Group):
     """Knows the names of its commands without importing them: the help must not wait for numpy."""
 
-    def list_commands(self, _: click.Context) -> list[str]:
-        return list(commands())
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(_listed(ctx))
 
-    def get_command(self, _: click.Context, cmd_name: str) -> click.Command | None:
-        found = commands().get(cmd_name)
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if ctx.params.get("without_plugins"):
+            ctx.with_resource(_without_plugins())  # before the command is imported, which may query the wings
+        found = commands().get(cmd_name) or commands(of_plugins=True).get(cmd_name)
         if found is None:
             return None
         command = resolve_name(found.module if ":" in found.module else f"{found.module}:command")
@@ -99,12 +104,20 @@ class _LazyGroup(click.Group):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         return super().parse_args(ctx, args or ["--help"])
 
-    def format_commands(self, _: click.Context, formatter: click.HelpFormatter) -> None:
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         for group in GROUPS:
-            lines = [(name, one.help) for name, one in commands().items() if one.group == group]
+            lines = [(name, one.help) for name, one in _listed(ctx).items() if one.group == group]
             if lines:
                 with formatter.section(group):
                     formatter.write_dl(lines)
+
+
+def _listed(ctx: click.Context) -> dict[str, Command]:
+    """Return what the help lists; a wing that does not load is left out, `imumon plugins` says why."""
+    try:
+        return commands(of_plugins=not ctx.params.get("without_plugins"))
+    except ImumonError:
+        return commands()
 
 
 @click.group(
@@ -115,15 +128,12 @@ class _LazyGroup(click.Group):
 )
 @click.version_option(package_name="imumon")
 @click.option("--without-plugins", is_flag=True, help="Load nothing that other packages add.")
-@click.pass_context
-def cli(ctx: click.Context, without_plugins: bool) -> None:
+def cli(without_plugins: bool) -> None:
     """Watch, record and understand an IMU or AHRS on the bench.
 
     Start with `imumon demo`, or with `imumon doctor`, `imumon detect PORT` and `imumon monitor PORT --device
     NAME`; `imumon COMMAND --help` has all about one command.
     """
-    if without_plugins:
-        ctx.with_resource(_without_plugins())
 
 
 @contextmanager

@@ -20,13 +20,14 @@ from typing import NamedTuple
 
 from imumon.effects.offered import EFFECT, guarded, is_effect
 from imumon.errors import ImumonError
-from imumon.plugins import DEVICES, EFFECTS, STAGES, entries, load, package_of
+from imumon.plugins import DEVICES, EFFECTS, STAGES, WINGS, entries, load, package_of
 from imumon.protocols.device import FOLDER, is_folder, load_device
 from imumon.stage import STAGE, is_callable, made_by
 from imumon.transport.errors import open_error
 from imumon.transport.ports import PortInfo, latency_timer_path, list_ports
 from imumon.transport.settings import PortSettings
 from imumon.transport.terminal import latency_text
+from imumon.wings import NEEDED, is_wing
 from imumon.view.viewer import has_display, quiet_environment, viewer_binary
 
 DISTRIBUTION = "imumon"
@@ -199,7 +200,7 @@ class Installed:
 
 def installed() -> list[Installed]:
     """Return the plug-ins of all groups, each loaded for a try."""
-    return [_tried(entry) for group in (STAGES, DEVICES, EFFECTS) for entry in entries(group)]
+    return [_tried(entry) for group in (STAGES, DEVICES, EFFECTS, WINGS) for entry in entries(group)]
 
 
 def _tried(entry: EntryPoint) -> Installed:
@@ -217,4 +218,6 @@ def _brought(entry: EntryPoint) -> list[str]:
     if entry.group == DEVICES:
         files = sorted(Path(load(entry, FOLDER, is_folder).offered).glob("*.yaml"))
         return [load_device(str(file)).name for file in files]
-    return [*guarded(load(entry, EFFECT, is_effect)).sensors]
+    if entry.group == EFFECTS:
+        return [*guarded(load(entry, EFFECT, is_effect)).sensors]
+    return [*load(entry, NEEDED, is_wing).offered.commands]
