@@ -23,6 +23,7 @@ class SetupOptions(TypedDict, total=False):
     pipeline: Path | None
     model: Path | None
     zupt: str | None
+    random_error: str | None
     published: str | None
     latitude: float | None
     heading: float | None
@@ -83,11 +84,13 @@ def make_setup(given: SetupOptions, recorded: str | None = None, source: str = "
         setup = load_setup(path)
     elif recorded is not None:
         setup = parse_setup(recorded, source)
-    model = published = None
+    model = random_error = published = None
     if (path := given.get("model")) is not None:
         from imumon.models.model import load_model
 
         model = load_model(path)
+    if (method := given.get("random_error")) is not None:
+        random_error = setup.random_error.model_copy(update={"method": method})
     if (names := given.get("published")) is not None:
         published = [name for name in map(str.strip, names.split(",")) if name]
         if wrong := [name for name in published if name not in PUBLISHED or published.count(name) > 1]:
@@ -96,6 +99,7 @@ def make_setup(given: SetupOptions, recorded: str | None = None, source: str = "
     return setup.with_options(
         model=model,
         zupt_mode=given.get("zupt"),
+        random_error=random_error,
         published=published,
         latitude_deg=given.get("latitude"),
         heading_deg=given.get("heading"),

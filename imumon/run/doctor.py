@@ -27,8 +27,8 @@ from imumon.transport.errors import open_error
 from imumon.transport.ports import PortInfo, latency_timer_path, list_ports
 from imumon.transport.settings import PortSettings
 from imumon.transport.terminal import latency_text
-from imumon.wings import NEEDED, is_wing
 from imumon.view.viewer import has_display, quiet_environment, viewer_binary
+from imumon.wings import NEEDED, is_wing
 
 DISTRIBUTION = "imumon"
 VULKAN_DRIVERS = tuple(Path(place, "vulkan/icd.d") for place in ("/usr/share", "/usr/local/share", "/etc"))

@@ -26,6 +26,8 @@ ALIGNMENT = "Alignment"
 """Tab of the heading by the earth rate; its charts stand there, too."""
 LINK = "Link"
 """Tab of the port: rates, load, losses."""
+METHODS = "Published"
+"""Tab of the published methods that `--published` chooses, each beside the default."""
 LEAST_DEGC = 0.04
 """The axis of a reading spans so much at least: four steps of the last digit of the card."""
 
@@ -251,7 +253,6 @@ PANELS: tuple[Panel, ...] = (
             _axes_with_sd(f"{method}_phi"),
             "",
             METHODS,
-            y_range=(-1.0, 1.0),
         )
         for method in ("sr_ukf", "sr_rsukf")
     ),
