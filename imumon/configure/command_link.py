@@ -164,10 +164,10 @@ def _rates_received(url: str, device: DeviceFile, evidence: list[Evidence]) -> l
 
 
 def _mute(link: CommandLink, device: DeviceFile, rates: list[int]) -> ImumonError:
-    port = f"{link.port.settings} sends" if link.streaming else f"{link.port.settings.url}: no data"
+    port = f"{link.port.settings} sends, but" if link.streaming else f"{link.port.settings.url}: no data, and"
     return ImumonError(
         Reason.SILENT,
-        f"{port}, and no {device.name} device answers (queried at {', '.join(map(str, rates))} baud)",
+        f"{port} no {device.name} device answers (queried at {', '.join(map(str, rates))} baud)",
         "is the line to the device (TX of the adapter) connected, does it take commands on this port?"
         if link.streaming
         else "check power, wiring (RX and TX swapped?) and the rate (--at)",
