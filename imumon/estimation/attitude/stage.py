@@ -73,7 +73,7 @@ class AttitudeEstimate:
         """Sign of the body z axis: 1 down, -1 up, 0 not known yet."""
         self._magnetometer = magnetometer
         self._heading = math.radians(heading_deg or 0.0)
-        self._slots = SlotGatherer(7, int(SLOT_S * 1e9), rates=0)
+        self._slots = SlotGatherer(7, int(SLOT_S * 1e9), turns=True)
         """Of rate and specific force, three each, and whether the unit is at rest."""
         self._accelerometers, self._gyros = Accelerometers(given.accel_bias_m_per_s2), Gyros(given.gyro_scale)
         # Where the latitude is known its vertical part is not in the bias, and turns the heading.  Elsewhere
@@ -176,7 +176,7 @@ class AttitudeEstimate:
         """Estimate how far the attitude is off at the end of a slot, from its last row."""
         if np.isnan(end["quat6d"][0]):
             return
-        turns = slots.turns
+        turn = slots.turns[k]
         body, leveled, carried = matrices(np.array([end["quat6d"], end["acc_quat"], end["gyr_quat"]]))
         force = carried @ slots.mean[k, 3:6]
         slot = Slot(
@@ -185,8 +185,8 @@ class AttitudeEstimate:
             up_body=body[2],
             force=force,
             low_force=float(end["low_force"]) or math.nan,
-            sensitivity=carried @ turns.rotation[k].T @ turns.by_scale[k].reshape(3, 9),
-            missed=float(turns.missed[k]),
+            sensitivity=carried @ turn.rotation.T @ turn.by_scale.reshape(3, 9),
+            missed=turn.missed,
         )
         tilt = self._tilt_sigma.step(slot)
         heading_variance = self._heading_sigma.step(slot, end, tilt)
