@@ -68,17 +68,15 @@ class Slots:
 
 RecordArray = npt.NDArray[np.void]
 SLOT = np.dtype(
-    [
-        (name, np.int64)
-        for name in "row segment begins start_ns end_ns samples begun origin_ns stop_ns".split()
-    ]
+    [(name, np.int64) for name in ("row", "segment", "begins", "start_ns", "end_ns", "samples")]
+    + [(name, np.int64) for name in ("begun", "origin_ns", "stop_ns")]
 )
 """A slot as compiled code has it: fields of `Slots`; then whether a slot is being filled, the first time of
 its segment, and the time at which it ends."""
 COLUMN = np.dtype(
     [(name, np.int64) for name in ("count", "step_count", "changes")]
-    + [(name, np.float64) for name in "mean variance smallest largest first last step_squares".split()]
-    + [(name, np.float64) for name in ("total", "squares", "previous")]
+    + [(name, np.float64) for name in ("mean", "variance", "smallest", "largest", "first", "last")]
+    + [(name, np.float64) for name in ("step_squares", "total", "squares", "previous")]
 )
 """A column of it: fields of `Slots`, sums of the differences from `first` and of their squares, and the value
 of the row before."""
