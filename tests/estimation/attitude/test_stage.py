@@ -418,7 +418,7 @@ def test_retired_parameters_are_read_ignored_and_named_once() -> None:
     assert "axes" not in given.model_dump_json()
     stage = AttitudeEstimate(given)
     assert stage.notices() == [
-        f"attitude: {name}_error_probability is not used any more" for name in ("accel", "axes")
+        f"attitude: {name} is not used any more" for name in ("accel_error_probability", "axes_doubt")
     ]
     assert stage.notices() == []
 
