@@ -63,6 +63,10 @@ def _never(*_: Any) -> bool:
     return False
 
 
+def _nothing(*_: Any) -> float:
+    return 0.0
+
+
 def _count(_: Thermometer, slot: Slot) -> float:
     return float(slot.count)
 
@@ -77,6 +81,7 @@ VARIANTS: dict[str, Change] = {
     "no code is a surprise": [(measurement, "SURPRISE", 1e-300)],
     "a code never replaces a wide prediction": [(measurement, "WIDE", 1e9)],
     "a code that does not enter does not confine the output": [(method, "evaluate", _entering_only)],
+    "the scatter of readings is no evidence": [(measurement, "_scatter", _nothing)],
     "σ of a model exact": [(measurement, "SPACING", 0.0)],
     "all readings independent": [(Thermometer, "independent", _count)],
     "no repeats known by a leap": [(Thermometer, "leaps", _never)],

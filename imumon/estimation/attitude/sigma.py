@@ -5,32 +5,9 @@ VQF turns the specific force into axes that only the gyros carry, low-passes it 
 as a change of u, whether accelerations or gyros cause it.  J, (3, 9), is the integral of C (x) rate over a
 slot, with C from body to gyro-carried axes: column 3 i + j is the rotation vector that a unit element (i, j)
 of the gyros' matrix of scale and misalignment adds, so 0, 4 and 8 are the turns about the gyros' own axes.
-With tilt²(J) = |J|² - (u J)²::
 
-    d  = |u(t) - u(t - 6 s)|²                             change of u, the sum of two axes
-    m  = mean of d/4 over 18 s of motion                  u is off at both moments
-    s² = (g0 s0² + sum of d) / (g0 + sum of tilt²(J))     the gyros' scale errors
-    l  = (s² sum of tilt²(J) + tilt²(J_ii) of gyros not confirmed) / 2, J of the last 3 s: not followed yet
-    a² = a0² + 2 mean z², z = |low-passed force| - g      the accelerometers' error
-
-    variance = max(m, d/2, l) + a²/g² in motion, |u - f/|f||² / 2 + a²/g² at rest
-
-d/2 is there because u was right where a motion begins, so all of its change is error.
-
-A relative heading turns wrong by scale errors of what was turned about the vertical, u J, by gyros that are
-not confirmed, and by the bias, which each rest measures anew::
-
-    h = s² |Σ u J|² + (Σ u J_ii)² of gyros not confirmed + Σ over motions (bias sigma · seconds)² + missed
-
-A calibrated magnetometer ties it down: VQF follows the field with τ = 9 s and forgets older parts of h.  H
-and V are the horizontal and the vertical field, B its calibrated strength, c the error of the calibration, i
-the iron that came after it, p the angle by which the field has turned the heading against the gyros::
-
-    variance = (c² + i² + V² tilt) / H² + h
-    i² = (i0 B)² + 2 · largest (along² + across²) of the last half minute
-    along = strength - B;  across² = (H p)² - H² h - (c² + (i0 B)² + V² tilt), if positive
-
-The 2 is a margin for the component of the iron that a pose does not show.
+A calibrated magnetometer ties the heading down: VQF follows the field with τ = 9 s.  H and V are the
+horizontal and the vertical field, and B its calibrated strength.
 """
 
 from __future__ import annotations
@@ -62,6 +39,11 @@ CONFIRMING_TURN = 0.05
 wide, with 0.03 a gyro that is reversed may be confirmed."""
 LARGEST_CHANGE = 0.05
 """Share of that tilt by which u may change.  Ablation."""
+IRON = 0.025
+"""i0, share of the field.  A prior, as `ACCEL_SD`: a single pose shows one of three components."""
+IRON_MEMORY_S = 30.0
+"""Time in which iron that has shown is forgotten, s: it may have been a magnet in the room, and the next pose
+shows it again.  Ablation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,13 +65,19 @@ class Slot:
     """Variance of the angle by samples that are missing, rad²."""
 
 
+def tilt_squared(sensitivity: FloatArray, up: FloatArray) -> FloatArray:
+    """Return tilt²(J) = |J|² - (u J)², rad², (9,): the tilt by a unit element of scale and misalignment."""
+    return np.asarray((sensitivity * sensitivity).sum(0) - (up @ sensitivity) ** 2)
+
+
 @dataclass(slots=True)
 class Accelerometers:
-    """Size of the accelerometers' error, by the magnitude of gravity in each pose."""
+    """Size of the accelerometers' error: a² = a0² + 2 mean z², z the mean of |low-passed force| - g of each
+    face of the body that was up; a declared a is taken as it is."""
 
     declared: float | None
     face_s: FloatArray = field(default_factory=lambda: np.zeros(6))
-    """Time for which each face of the body was up, s."""
+    """Time for which each face was up, s."""
     face_sum: FloatArray = field(default_factory=lambda: np.zeros(6))
     """Integral of |low-passed force| - g over it, m/s."""
 
@@ -115,7 +103,7 @@ class Gyros:
 
     declared: float | None
     change: float = 0.0
-    """Sum of d over all lags, rad²."""
+    """Sum of d = |u(t) - u(t - 6 s)|², the change of u, over all lags, rad²."""
     turned: float = 0.0
     """Sum of tilt²(J), rad²."""
     own_change: FloatArray = field(default_factory=lambda: np.zeros(3))
@@ -138,18 +126,20 @@ class Gyros:
     @property
     def confirmed(self) -> BoolArray:
         """Which gyros have turned the vertical as they should, (3,)."""
-        return np.asarray(
-            (self.own_turned > CONFIRMING_TURN) & (self.own_change < LARGEST_CHANGE * self.own_turned)
-        )
+        return np.asarray(self._turned_enough & (self.own_change < LARGEST_CHANGE * self.own_turned))
 
     @property
     def contradicted(self) -> bool:
         """Whether a gyro has turned enough and the vertical does not confirm it."""
-        return bool(((self.own_turned > CONFIRMING_TURN) & ~self.confirmed).any())
+        return bool((self._turned_enough & ~self.confirmed).any())
+
+    @property
+    def _turned_enough(self) -> BoolArray:
+        return np.asarray(self.own_turned > CONFIRMING_TURN)
 
     @property
     def variance(self) -> float:
-        """s²; no more than is declared, since accelerations change u, too."""
+        """s² = (g0 s0² + Σ d) / (g0 + Σ tilt²(J)); no more than is declared: accelerations change u, too."""
         prior = (SCALE_SD if self.declared is None else self.declared) ** 2
         learned = (SCALE_TURN * prior + self.change) / (SCALE_TURN + self.turned)
         return learned if self.declared is None else min(learned, prior)
@@ -174,57 +164,51 @@ class TiltSigma:
     sensitivities: deque[FloatArray] = field(default_factory=lambda: deque(maxlen=round(LAG_S / SLOT_S)))
     """u and J of the last lag."""
     mean: float = 0.0
-    """m, rad²."""
+    """m, the mean of d/4 over 18 s of motion, rad²: d is of two axes, and u is off at both moments."""
     late: FloatArray = field(default_factory=lambda: np.zeros((3, 9)))
     """J that is forgotten within τ, rad."""
     rested: bool = False
     """Whether the unit has been at rest since the attitude began."""
 
     def step(self, slot: Slot) -> float:
-        """Take a slot; return the variance at its end, rad²; NaN while nothing is known."""
+        """Take a slot; return the variance at its end, rad²; NaN while nothing is known.
+
+        At rest it is |u - f/|f||² / 2 + a²/g², with the mean specific force f.
+        """
         self.ups.append(slot.up)
         self.sensitivities.append(np.zeros((3, 9)) if slot.rest else slot.sensitivity)
         change = float(((slot.up - self.ups[0]) ** 2).sum())
         if math.isfinite(slot.low_force):
             self.accelerometers.learn(slot.up_body, slot.low_force)
         self.gyros.learn(change, np.array(self.sensitivities), slot.up)
-        variance = self._at_rest(slot) if slot.rest else self._in_motion(slot, change)
+        if slot.rest:
+            self.rested = True
+            self.late[:] = 0.0
+            variance = 0.5 * float(((slot.up - slot.force / np.linalg.norm(slot.force)) ** 2).sum())
+        else:
+            variance = self._in_motion(slot, change)
         return variance + self.accelerometers.variance / STANDARD_GRAVITY**2
 
-    def _at_rest(self, slot: Slot) -> float:
-        """Return |u - f/|f||² / 2, rad²."""
-        self.rested = True
-        self.late[:] = 0.0
-        return 0.5 * float(((slot.up - slot.force / np.linalg.norm(slot.force)) ** 2).sum())
-
     def _in_motion(self, slot: Slot, change: float) -> float:
-        """Return max(m, d/2, l), rad²."""
+        """Return max(m, d/2, l), rad²; d/2 as u was right where a motion begins: all its change is error."""
         self.mean += SLOT_S / (3.0 * LAG_S) * (0.25 * change - self.mean)
         self.late = math.exp(-SLOT_S / TAU_ACC_S) * self.late + slot.sensitivity
         if not self.rested and SLOT_S * len(self.sensitivities) < LAG_S:
             return math.nan  # begun in motion: there is no earlier vertical to compare with
-        return max(self.mean, 0.5 * change, self._delay(slot.up))
+        return max(self.mean, 0.5 * change, self._not_followed(slot.up))
 
-    def _delay(self, up: FloatArray) -> float:
-        """Return l, rad²."""
+    def _not_followed(self, up: FloatArray) -> float:
+        """Return l, rad², by turns of the last τ, which u has not followed yet."""
         return 0.5 * self.gyros.error_variance(tilt_squared(self.late, up))
-
-
-def tilt_squared(sensitivity: FloatArray, up: FloatArray) -> FloatArray:
-    """Return tilt²(J), rad², (9,): the squared tilt by a unit element of scale and misalignment."""
-    return np.asarray((sensitivity * sensitivity).sum(0) - (up @ sensitivity) ** 2)
-
-
-IRON = 0.025
-"""i0, share of the field.  A prior, as `ACCEL_SD`: a single pose shows one of three components."""
-IRON_MEMORY_S = 30.0
-"""Time in which iron that has shown is forgotten, s: it may have been a magnet in the room, and the next pose
-shows it again.  Ablation."""
 
 
 @dataclass(slots=True)
 class HeadingSigma:
-    """State of the estimate of the heading's standard deviation, since the attitude began."""
+    """State of the estimate of the heading's standard deviation, since the attitude began.
+
+    The change of a relative heading has the variance h: s² |Σ u J|², (Σ u J_ii)² of gyros not confirmed, the
+    bias of each motion, which the next rest measures anew, Σ (bias sigma · seconds)², and missed samples.
+    """
 
     gyros: Gyros
     magnetometer: MagnetometerModel | None
@@ -238,11 +222,11 @@ class HeadingSigma:
     moving_s: float = 0.0
     """Duration of this motion, s."""
     field_correction: float = 0.0
-    """p, forgotten with τ, rad."""
+    """p, the angle by which the field has turned the heading against the gyros, forgotten with τ, rad."""
     delta: float = math.nan
     """That of the last slot, rad."""
     iron: float = 0.0
-    """Largest along² + across², in the square of the field's unit."""
+    """Largest along² + across² lately, in the square of the field's unit."""
 
     def step(self, slot: Slot, end: Rows, tilt_variance: float) -> float:
         """Process a slot; return the variance of the heading, or of its change where it is relative, rad².
@@ -270,7 +254,12 @@ class HeadingSigma:
         return self._magnetic(slot.up_body, end, tilt_variance, relative) if end["north"] else relative
 
     def _magnetic(self, up_body: FloatArray, end: Rows, tilt_variance: float, relative: float) -> float:
-        """Return the variance of a heading by the field, NaN where the magnetometer is not calibrated."""
+        """Return (c² + i² + V² tilt) / H² + h, NaN where the magnetometer is not calibrated.
+
+        c is the error of the calibration, and i the iron that came after it: i² = (i0 B)² + 2 · largest
+        (along² + across²) of the last half minute.  The 2 is a margin for the component that a pose does not
+        show; along = strength - B; across² = (H p)² - H² h - (c² + (i0 B)² + V² tilt), if positive.
+        """
         if not math.isnan(self.delta):  # at first the field shows where north is: that is no change
             self.field_correction += math.remainder(end["delta"] - self.delta, 2.0 * math.pi)
         self.delta, magnetometer = float(end["delta"]), self.magnetometer

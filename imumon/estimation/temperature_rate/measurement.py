@@ -107,8 +107,7 @@ def _gaussian(
 def _many_codes(codes: Codes) -> Correction:
     """Correct by the mean: with white noise, E[mean] = x - β/π sin 2πx in steps, β = exp(-2π²σ²).
 
-    Widrow and Kollar, Quantization Noise (2008), ch. 4.  By the same series rounded readings have the
-    variance s² + d²/12 and its first harmonic.  A scatter above it is χ² of n against a model.
+    Widrow and Kollar, Quantization Noise (2008), ch. 4.
     """
     slot, step, n, white, sigma, mean, variance = codes
     ripple = np.exp(-2.0 * np.pi**2 * white)
@@ -118,13 +117,20 @@ def _many_codes(codes: Codes) -> Correction:
         place = offset + np.minimum(ripple, 0.4) / math.pi * np.sin(2.0 * math.pi * place)
     noise = np.maximum(sigma**2, slot.variance) / n + (ripple * step / math.pi) ** 2 / 8.0
     found = _gaussian(mean, variance, slot.low + step * place, noise, step / n)
+    return found._replace(log_likelihood=found.log_likelihood + _scatter(codes, place, ripple))
+
+
+def _scatter(codes: Codes, place: FloatArray, ripple: FloatArray) -> FloatArray:
+    """Return the log likelihood of readings that scatter more than noise and rounding: χ² of n.
+
+    Rounded readings have the variance s² + d²/12 and its first harmonic in the place, both in steps.
+    """
     cosine, sine = ripple * np.cos(2.0 * math.pi * place), ripple * np.sin(2.0 * math.pi * place)
-    harmonic = -cosine * (1.0 / math.pi**2 + 4.0 * white) - (sine / math.pi) ** 2
-    rounded = sigma**2 + step**2 * np.maximum(1.0 / 12.0 + harmonic, 0.0)
-    excess = np.maximum(slot.variance / rounded, 1.0)
-    # In the mean over slots it is zero: half the time it is -χ²/2, -1/4.
-    scatter = 0.25 - 0.5 * n * (excess - 1.0 - np.log(excess))
-    return found._replace(log_likelihood=found.log_likelihood + scatter)
+    harmonic = -cosine * (1.0 / math.pi**2 + 4.0 * codes.white) - (sine / math.pi) ** 2
+    rounded = codes.sigma**2 + codes.step**2 * np.maximum(1.0 / 12.0 + harmonic, 0.0)
+    excess = np.maximum(codes.slot.variance / rounded, 1.0)
+    # In the mean it is zero: half the time it is -χ²/2, -1/4.
+    return np.asarray(0.25 - 0.5 * codes.n * (excess - 1.0 - np.log(excess)))
 
 
 def _two_codes(codes: Codes) -> Correction:
