@@ -206,8 +206,9 @@ def _rotate(turn: Any, alpha: Vector, dt: float) -> None:
             turn.rotation[k, i] = middle + half
             turn.coning[k] += middle * between[i]
             turn.by_bias[k, i] += middle * dt
-            for j in range(3):
-                turn.by_scale[k, i, j] += middle * alpha[j]
+            turn.by_scale[k, i, 0] += middle * a
+            turn.by_scale[k, i, 1] += middle * b
+            turn.by_scale[k, i, 2] += middle * c
     turn.before[0], turn.before[1], turn.before[2] = p, q, r
     turn.alpha[0], turn.alpha[1], turn.alpha[2] = a, b, c
     turn.seconds += dt

@@ -49,7 +49,7 @@ def _as_in_motion(tilt: sigma.TiltSigma, slot: sigma.Slot) -> float:
 
 
 VARIANTS: dict[str, Change] = {
-    "lag 3 s, which confirms no gyro": [(sigma, "LAG_S", 3.0)],
+    "lag 3 s, which never confirms gyros": [(sigma, "LAG_S", 3.0)],
     "lag 12 s": [(sigma, "LAG_S", 12.0)],
     "scale not learned": [(sigma.Gyros, "variance", property(_prior))],
     "learned scale at most s0": [(sigma.Gyros, "variance", property(_bounded))],
@@ -58,7 +58,7 @@ VARIANTS: dict[str, Change] = {
     "g0 0.5 rad²": [(sigma, "SCALE_TURN", 0.5)],
     "g0 8 rad²": [(sigma, "SCALE_TURN", 8.0)],
     "no delay": [(sigma.TiltSigma, "_not_followed", _nothing)],
-    "all gyros confirmed": [(sigma, "CONFIRMING_TURN", -1.0), (sigma, "LARGEST_CHANGE", 1e9)],
+    "gyros are always confirmed": [(sigma.Gyros, "confirmed", True)],
     "confirmed at 1 rad²": [(sigma, "CONFIRMING_TURN", 1.0)],
     "largest change 1 %": [(sigma, "LARGEST_CHANGE", 0.01)],
     "largest change 10 %": [(sigma, "LARGEST_CHANGE", 0.1)],

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from imumon.blocks import BoolArray, FloatArray
+from imumon.blocks import FloatArray
 from imumon.estimation.attitude.fusion import TAU_ACC_S, TAU_MAG_S, Rows
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.models.magnetometer import MagnetometerModel
@@ -34,9 +34,9 @@ SCALE_SD = 0.02
 """s0 of gyros that are not declared: between 1 % of a calibrated unit and 3 % of an MPU-6050."""
 SCALE_TURN = 2.0
 """g0, rad²: s0 counts like so much turn.  Ablation."""
-CONFIRMING_TURN = 0.05
-"""rad² of tilt by turns about its own axis that confirm a gyro: 13°.  With 0.1 sigma is up to 2.8 times as
-wide, with 0.03 a gyro that is reversed may be confirmed."""
+CONFIRMING_TURN = 0.1
+"""rad² of tilt by turns about the gyros' own axes that confirm them: 18°.  With 0.05 a robot arm whose gyros
+x and y are exchanged is off by up to 10 sigma.  Ablation."""
 LARGEST_CHANGE = 0.05
 """Share of that tilt by which u may change.  Ablation."""
 IRON = 0.025
@@ -63,10 +63,12 @@ class Slot:
     """J, rad, (3, 9)."""
     missed: float
     """Variance of the angle by samples that are missing, rad²."""
+    bias_sd: float
+    """Standard deviation of the gyro bias about the vertical, rad/s; NaN while it is not known."""
 
 
 def tilt_squared(sensitivity: FloatArray, up: FloatArray) -> FloatArray:
-    """Return tilt²(J) = |J|² - (u J)², rad², (9,): the tilt by a unit element of scale and misalignment."""
+    """Return tilt²(J) = |J|² - (u J)², rad², of each column of J."""
     return np.asarray((sensitivity * sensitivity).sum(0) - (up @ sensitivity) ** 2)
 
 
@@ -99,43 +101,35 @@ class Accelerometers:
 
 @dataclass(slots=True)
 class Gyros:
-    """Size of the gyros' scale errors, and which axes the vertical has confirmed, by how u follows turns."""
+    """Size of the gyros' scale errors, and whether u has followed their turns: else axes may be mixed up."""
 
     declared: float | None
     change: float = 0.0
     """Sum of d = |u(t) - u(t - 6 s)|², the change of u, over all lags, rad²."""
     turned: float = 0.0
     """Sum of tilt²(J), rad²."""
-    own_change: FloatArray = field(default_factory=lambda: np.zeros(3))
-    own_turned: FloatArray = field(default_factory=lambda: np.zeros(3))
-    """The same of each gyro about its own axis."""
+    followed: float = 0.0
+    """Sum of tilt² by turns about the gyros' own axes that u has had the time to follow, rad²."""
 
     def learn(self, change: float, sensitivities: FloatArray, up: FloatArray) -> None:
         """Take d, rad², and J, (n, 3, 9), of the slots of the last lag."""
         share = SLOT_S / LAG_S  # successive lags overlap
-        # Only turns that the low-pass has followed confirm a gyro.
-        followed = sensitivities[: -round(TAU_ACC_S / SLOT_S)].sum(0)
+        own = sensitivities[: -round(TAU_ACC_S / SLOT_S)].sum(0)[:, ::4]
         # A turn counts as a quarter of a circle at most: by half a circle each way the vertical is the same.
-        circle = np.maximum((followed[:, ::4] ** 2).sum(0) / (0.5 * math.pi) ** 2, 1.0)
-        own = tilt_squared(followed, up)[::4] / circle
+        circle = np.maximum((own**2).sum(0) / (0.5 * math.pi) ** 2, 1.0)
         self.change += share * change
         self.turned += share * float(tilt_squared(sensitivities.sum(0), up).sum())
-        self.own_turned += share * own
-        self.own_change += share * change * own / max(float(own.sum()), 1e-12)
+        self.followed += share * float((tilt_squared(own, up) / circle).sum())
 
     @property
-    def confirmed(self) -> BoolArray:
-        """Which gyros have turned the vertical as they should, (3,)."""
-        return np.asarray(self._turned_enough & (self.own_change < LARGEST_CHANGE * self.own_turned))
+    def confirmed(self) -> bool:
+        """Whether the gyros have turned the vertical as they should."""
+        return self.followed > CONFIRMING_TURN and self.change < LARGEST_CHANGE * self.followed
 
     @property
     def contradicted(self) -> bool:
-        """Whether a gyro has turned enough and the vertical does not confirm it."""
-        return bool((self._turned_enough & ~self.confirmed).any())
-
-    @property
-    def _turned_enough(self) -> BoolArray:
-        return np.asarray(self.own_turned > CONFIRMING_TURN)
+        """Whether they have turned it enough and not as they should."""
+        return self.followed > CONFIRMING_TURN and not self.confirmed
 
     @property
     def variance(self) -> float:
@@ -145,13 +139,13 @@ class Gyros:
         return learned if self.declared is None else min(learned, prior)
 
     @property
-    def turn_variance(self) -> FloatArray:
-        """Variance of a turn of each gyro over its square, (3,): s², and 1 where it is not confirmed."""
-        return np.asarray(self.variance + ~self.confirmed)
+    def turn_variance(self) -> float:
+        """Variance of a turn over its square: s², and 1 more until the gyros are confirmed."""
+        return self.variance + (not self.confirmed)
 
     def error_variance(self, squares: FloatArray) -> float:
-        """Return s² times the sum of squared turns, rad², (9,), and those of gyros not confirmed in full."""
-        return self.variance * float(squares.sum()) + float(squares[::4] @ ~self.confirmed)
+        """Return s² times the sum of squared turns, rad², (9,), and until confirmed all of the own ones."""
+        return self.variance * float(squares.sum()) + (not self.confirmed) * float(squares[::4].sum())
 
 
 @dataclass(slots=True)
@@ -206,8 +200,9 @@ class TiltSigma:
 class HeadingSigma:
     """State of the estimate of the heading's standard deviation, since the attitude began.
 
-    The change of a relative heading has the variance h: s² |Σ u J|², (Σ u J_ii)² of gyros not confirmed, the
-    bias of each motion, which the next rest measures anew, Σ (bias sigma · seconds)², and missed samples.
+    The change of a relative heading has the variance h: s² |Σ u J|², (Σ u J_ii)² until the gyros are
+    confirmed, the bias of each motion, which the next rest measures anew, Σ (bias sigma · seconds)², and
+    missed samples.
     """
 
     gyros: Gyros
@@ -233,10 +228,9 @@ class HeadingSigma:
 
         `end` is the last sample of the slot, a `fusion.ROW` with the field in the unit of the calibration.
         """
-        about_vertical = float(np.linalg.norm(slot.up_body * end["bias_sd"]))
-        if math.isnan(about_vertical):
+        if math.isnan(slot.bias_sd):
             self.about_up[:] = self.earlier = self.moving_s = 0.0
-        bias_sd = math.hypot(about_vertical, self.earth_rate)
+        bias_sd = math.hypot(slot.bias_sd, self.earth_rate)
         if slot.rest:
             self.earlier += (bias_sd * self.moving_s) ** 2
             self.moving_s = 0.0

@@ -68,8 +68,8 @@ class AttitudeEstimate:
         """Sign of the body z axis: 1 down, -1 up, 0 not known yet."""
         self._magnetometer = magnetometer
         self._heading = math.radians(heading_deg or 0.0)
-        self._slots = SlotGatherer(7, int(SLOT_S * 1e9), turns=True)
-        """Of rate and specific force, three each, and whether the unit is at rest."""
+        self._slots = SlotGatherer(10, int(SLOT_S * 1e9), turns=True)
+        """Of rate, specific force and sigma of the gyro bias, three each, and whether the unit is at rest."""
         self._accelerometers, self._gyros = Accelerometers(given.accel_bias_m_per_s2), Gyros(given.gyro_scale)
         # Where the latitude is known its vertical part is not in the bias, and turns the heading.  Elsewhere
         # it is in the bias, whose standard deviation has what is no bias after a turn.
@@ -114,7 +114,10 @@ class AttitudeEstimate:
         rate = rate if corrected is None else np.where(known[:, np.newaxis], corrected, rate)
         rest = known & (block["at_rest"] == 1 if "at_rest" in block else False)
         begins, interval_s = self._intervals(time_ns, block["segment"])
-        slots = self._slots.process(time_ns, block["segment"], np.column_stack([rate, accel, rest]))
+        bias_sd = block.vector("gyro_bias_sd")
+        bias_sd = np.full_like(rate, math.nan) if bias_sd is None else bias_sd
+        values = np.column_stack([rate, accel, bias_sd, rest])
+        slots = self._slots.process(time_ns, block["segment"], values)
         rows, has_mag = self._rows(block, np.where(rest, 0.0, interval_s)[:, np.newaxis] * rate)
         accel = np.where(_finite(accel)[:, np.newaxis], accel, 0.0)
         changes = np.flatnonzero(begins | np.diff(known, prepend=False))
@@ -145,8 +148,6 @@ class AttitudeEstimate:
         rows = np.repeat(self._last, len(block))
         rows["angle"] = angle
         rows["path"] = np.cumsum(np.vstack([self._last["path"], angle]), axis=0)[1:]
-        bias_sd = block.vector("gyro_bias_sd")
-        rows["bias_sd"] = math.nan if bias_sd is None else bias_sd
         mag = block.mag if self._parameters.use_magnetometer else None
         field = np.full_like(angle, math.nan) if mag is None else mag
         if self._magnetometer is not None:
@@ -166,13 +167,14 @@ class AttitudeEstimate:
         body, leveled, carried = matrices(np.array([end["quat6d"], end["acc_quat"], end["gyr_quat"]]))
         force = carried @ slots.mean[k, 3:6]
         slot = Slot(
-            rest=bool(slots.smallest[k, 6] == 1.0 and force @ force > 0.0),
+            rest=bool(slots.smallest[k, 9] == 1.0 and force @ force > 0.0),
             up=leveled[2],
             up_body=body[2],
             force=force,
             low_force=float(end["low_force"]) or math.nan,
             sensitivity=carried @ turn.rotation.T @ turn.by_scale.reshape(3, 9),
             missed=turn.missed,
+            bias_sd=float(np.linalg.norm(body[2] * slots.last[k, 6:9])),
         )
         rows["tilt"] = tilt = self._tilt_sigma.step(slot)
         rows["heading"] = self._heading_sigma.step(slot, end, tilt)
@@ -186,7 +188,7 @@ class AttitudeEstimate:
         up = matrices(q)[:, 2]
         # What was turned wrong since the latest slot, and half an interval: a rate may be the mean of the
         # interval before or that of the moment.
-        since = ((rows["path"] - rows["slot_path"]) ** 2 * rows["gyros"]).sum(1)
+        since = ((rows["path"] - rows["slot_path"]) ** 2).sum(1) * rows["gyros"]
         since += (rows["angle"] ** 2).sum(1) / 12.0
         tilt = rows["tilt"] + since
         heading_variance = rows["heading"] + since + tilt_into_heading(up, tilt)

@@ -182,13 +182,18 @@ def predict(thermometer: Thermometer, filters: Filters, time_s: float) -> Filter
     by_jerk = np.array([[dt**2 / 2.0], [dt], [1.0]])  # Q is the integral of (t²/2, t, 1) times its transpose
     q = dt * by_jerk * by_jerk.T / np.array([[5.0, 4.0, 3.0], [4.0, 3.0, 2.0], [3.0, 2.0, 1.0]])
     x, p, mu, _ = mix(filters, dt)
-    x = np.tensordot(f, x, 1) * decay
-    p = np.tensordot(f, np.tensordot(f, p, 1).swapaxes(0, 1), 1) * decay * decay[:, np.newaxis]
+    x = _times(f, x) * decay
+    p = _times(f, _times(f, p).swapaxes(0, 1)) * (decay * decay[:, np.newaxis])
     variance, walk = slow_error(thermometer)
     p[:ERROR, :ERROR] += q[:, :, np.newaxis, np.newaxis] * JERK_PSDS
     p[ERROR, ERROR] += variance * (1.0 - decay[ERROR] ** 2)
     p[TEMPERATURE, TEMPERATURE] += walk * dt
     return Filters(x, p, mu, max(time_s, filters.time_s))
+
+
+def _times(f: FloatArray, array: FloatArray) -> FloatArray:
+    """Return F times an array of states, (4, ...)."""
+    return np.asarray((f @ array.reshape(STATES, -1)).reshape(array.shape))
 
 
 def correct(filters: Filters, correction: Correction) -> Filters:
