@@ -126,7 +126,8 @@ FIELDS = "rotation", "by_bias", "by_scale", "coning", "fast", "missed", "seconds
 
 def turn_of(record: Any) -> Turn:
     """Return the turn of one record of compiled code, as a copy."""
-    turn = Turn(*(np.array(record[name]) if record[name].ndim else float(record[name]) for name in FIELDS))
+    values: list[Any] = [record[name].copy() for name in FIELDS]
+    turn = Turn(*values)
     turn.path = angle_of(turn.rotation)
     return turn
 
