@@ -90,14 +90,15 @@ def extrapolate(age: FloatArray, known: BoolArray, reading: FloatArray, shown: O
     Before the first slot of a segment ends, and behind a gap until the next slot ends, there is the reading,
     with its standard deviation (NaN while it is unknown), and any rate.
     """
-    known = known & ~(age > shown.late_s)
+    late = known & (age > shown.late_s) & np.isfinite(shown.rate)
+    known = known & ~late
     fading = np.exp(-age / LAG_S, where=known, out=np.zeros_like(age)) * shown.rate_offset
     # A slot is known when the next begins; readings farther apart leave the temperature to the rate.
     waited = np.maximum(age - 2.0 * SLOT_S, 0.0)
     unknown = 0.0 * reading
     return RateEstimate(
         temperature=np.where(known, shown.temperature + age * shown.rate, reading),
-        rate=np.where(known, shown.rate + fading, unknown),
+        rate=np.where(known, shown.rate + fading, unknown + np.where(late, shown.rate, 0.0)),
         temperature_sd=np.where(
             known, np.hypot(shown.temperature_sd, waited * shown.rate_sd), unknown + shown.reading_sd
         ),
