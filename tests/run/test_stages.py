@@ -68,7 +68,7 @@ def test_the_device_file_chooses_the_method() -> None:
     stage = estimators(device)[0]
     assert isinstance(stage, TemperatureRate)
     stage.process(warming(6000, 0))
-    assert isinstance(stage._channels["temperature_x"].method, FirRate)
+    assert isinstance(stage._methods["temperature_x"], FirRate)
     with pytest.raises(ImumonError, match=r"mine.yaml:\d+: temperature: method fir_expo"):
         parse_device(text + "temperature: {method: fir_exponential}\n", "mine.yaml")
     with pytest.raises(ImumonError, match=r"mine.yaml:\d+: temperature.windows: unknown key"):
