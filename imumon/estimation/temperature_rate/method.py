@@ -66,7 +66,7 @@ class Gate:
         lasts = self.rejected + 1 >= GATE_SLOTS
         table = (
             (no_value, Outcome.PREDICT),  # noise of more than a step has stopped, or there is a spike
-            (stuck, Outcome.PREDICT),  # the same reading since a leap, as 85 °C of a restart
+            (stuck, Outcome.PREDICT),  # an outlier that has not moved, as 85 °C of a restart
             (expected is None, Outcome.RESTART),
             (near, Outcome.USE),  # a temperature may be there by now
             (power_on, Outcome.RESTART),  # the reading had never changed: it was a value at power-on
