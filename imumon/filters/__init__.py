@@ -1,1 +1,1 @@
-"""What several rooms share: slots of samples, turns by gyros, multiple models, rounding, regressions."""
+"""What several rooms share: slots of samples, turns by gyros, segments, rounding."""

@@ -8,6 +8,7 @@ sample of a segment.  A slot ends with the first sample behind it, so its result
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
@@ -16,8 +17,7 @@ import numpy.typing as npt
 
 from imumon.blocks import NO_INT, BoolArray, FloatArray, IntArray
 from imumon.compiled import inner, njit
-from imumon.filters import turns as turning
-from imumon.filters.turns import Turns, add_rate, apply_phi, begin_segment, begin_turn, turns_of
+from imumon.filters.turns import TURN, Turn, add_rate, begin_segment, begin_turn, turn_of
 
 Number = TypeVar("Number", np.float64, np.int64)
 
@@ -53,8 +53,8 @@ class Slots:
     """Sum of their squared differences, (m, k)."""
     changes: IntArray
     """How many of them differ at all, (m, k)."""
-    turns: Turns
-    """How the unit turned; empty if the gatherer has no columns of rates."""
+    turns: Sequence[Turn]
+    """How the unit turned, (m,); empty if the gatherer has no rates of turn."""
 
     def __len__(self) -> int:
         """Return the number of slots."""
@@ -67,55 +67,46 @@ class Slots:
 
 
 RecordArray = npt.NDArray[np.void]
-
-
-def _fields(names: str, kind: type) -> list[tuple[str, type]]:
-    return [(name, kind) for name in names.split()]
-
-
-SLOT = np.dtype(_fields("row segment begins start_ns end_ns samples begun origin_ns stop_ns", np.int64))
+SLOT = np.dtype(
+    [(name, np.int64) for name in ("row", "segment", "begins", "start_ns", "end_ns", "samples")]
+    + [(name, np.int64) for name in ("begun", "origin_ns", "stop_ns")]
+)
 """A slot as compiled code has it: fields of `Slots`; then whether a slot is being filled, the first time of
 its segment, and the time at which it ends."""
 COLUMN = np.dtype(
-    _fields("count step_count changes", np.int64)
-    + _fields("mean variance smallest largest first last step_squares", np.float64)
-    + _fields("total squares previous", np.float64)
+    [(name, np.int64) for name in ("count", "step_count", "changes")]
+    + [(name, np.float64) for name in ("mean", "variance", "smallest", "largest", "first", "last")]
+    + [(name, np.float64) for name in ("step_squares", "total", "squares", "previous")]
 )
 """A column of it: fields of `Slots`, sums of the differences from `first` and of their squares, and the value
 of the row before."""
-SLOT_FIELDS, COLUMN_FIELDS = (
-    [field.name for field in fields(Slots) if field.name in (dtype.names or ())] for dtype in (SLOT, COLUMN)
-)
-NO_RATES = -1
 
 
 class SlotGatherer:
     """Gathers rows into slots; the same slots whatever the division into blocks.
-
-    Raises ValueError when the length is not positive.
 
     Parameters
     ----------
     columns : int
         Columns of the values.
     length_ns : int
-        Length of a slot.
-    rates : int, optional
-        First of three columns that are the rates of turn about the body axes, rad/s, which are integrated.
+        Length of a slot, at least 1.
+    turns : bool
+        Whether the first three columns are the rates of turn about the body axes, rad/s, to be integrated.
     """
 
-    def __init__(self, columns: int, length_ns: int, rates: int | None = None) -> None:
+    def __init__(self, columns: int, length_ns: int, turns: bool = False) -> None:
         if length_ns <= 0:
             raise ValueError(f"slots of {length_ns} ns")
         self.length_ns = length_ns
         self._columns = columns
-        self._rates = NO_RATES if rates is None else rates
+        self._turns = turns
         self._begin()
 
     def _begin(self) -> None:
         self._slot: RecordArray = np.zeros(1, SLOT)
         self._slot_columns: RecordArray = np.zeros(self._columns, COLUMN)
-        self._turn: RecordArray = np.zeros(1, turning.RECORD)
+        self._turn: RecordArray = np.zeros(1, TURN)
 
     def process(self, time_ns: IntArray, segment: IntArray, values: FloatArray) -> Slots:
         """Return the slots that end within these rows.
@@ -129,18 +120,17 @@ class SlotGatherer:
             Any unit; NaN where there is none.
         """
         n = len(time_ns)
-        if values.shape != (n, self._columns):
-            raise ValueError(f"values of shape {values.shape} for {n} rows of {self._columns} columns")
         slots, columns = np.empty(n, SLOT), np.empty((n, self._columns), COLUMN)
-        turns = np.empty(n if self._rates >= 0 else 0, turning.RECORD)
+        turns = np.empty(n if self._turns else 0, TURN)
         values = np.ascontiguousarray(values, np.float64)
         m = _gather(
-            time_ns, segment, values, self.length_ns, self._rates, self._slot, self._slot_columns,
+            time_ns, segment, values, self.length_ns, self._turns, self._slot, self._slot_columns,
             self._turn, slots, columns, turns,
         )  # fmt: skip
-        results: dict[str, Any] = {name: slots[name][:m] for name in SLOT_FIELDS}
-        results |= {name: columns[name][:m] for name in COLUMN_FIELDS}
-        return Slots(**(results | {"begins": results["begins"] == 1, "turns": turns_of(turns[:m])}))
+        found: dict[str, Any] = {"turns": [turn_of(one) for one in turns[:m]]}
+        for name in (field.name for field in fields(Slots) if field.name not in found):
+            found[name] = (slots if name in (SLOT.names or ()) else columns)[name][:m]
+        return Slots(**(found | {"begins": found["begins"] == 1}))
 
     def finish(self) -> Slots:
         """Return the slot that is open at the end of the rows, if there is one; then begin as new."""
@@ -151,23 +141,13 @@ class SlotGatherer:
 
 
 def held(
-    row: IntArray, values: npt.NDArray[Number], before: npt.NDArray[Number], n: int, axis: int = 0
+    row: IntArray, values: npt.NDArray[Number], before: npt.NDArray[Number], n: int
 ) -> npt.NDArray[Number]:
     """Return for each of n rows the value of the latest slot, (n, ...).
 
-    Parameters
-    ----------
-    row : array of int64, (m,)
-        Where each value begins to hold (`Slots.row`).
-    values : array, (m, ...)
-    before : array, (...)
-        What held before the first of them.
-    axis : int
-        Where m stands in the shape of the values, and n in that of the result.
+    `values` (m, ...) hold from the rows (m,) on (`Slots.row`), `before` (...) held before the first of them.
     """
-    rows = np.diff(np.concatenate([[0], row, [n]]))
-    every = np.concatenate([np.expand_dims(before, axis), values], axis=axis)
-    return np.repeat(every, rows, axis=axis)
+    return np.repeat(np.concatenate([before[np.newaxis], values]), np.diff([0, *row, n]), axis=0)
 
 
 # Records are passed as whole arrays: arrays in a tuple would cost more than all the sums, at each call.
@@ -227,7 +207,7 @@ def _add_row(columns: Any, values: FloatArray, i: int) -> None:
 
 @njit
 def _gather(
-    time_ns: IntArray, segment: IntArray, values: FloatArray, length_ns: int, rates: int, opened: Any,
+    time_ns: IntArray, segment: IntArray, values: FloatArray, length_ns: int, with_turns: bool, opened: Any,
     columns: Any, turn: Any, ended: Any, ended_columns: Any, turns: Any,
 ) -> int:  # fmt: skip
     """Add the rows and write the slots that end; return how many."""
@@ -241,8 +221,7 @@ def _gather(
         if slot.begun and (anew or now >= slot.stop_ns):
             _end_slot(slot, columns, i, ended_columns[m])
             ended[m] = slot
-            if rates >= 0:
-                apply_phi(turn[0])
+            if with_turns:
                 turns[m] = turn[0]
                 begin_turn(turn[0])
             m += 1
@@ -260,6 +239,6 @@ def _gather(
         slot.end_ns = now
         slot.samples += 1
         _add_row(columns, values, i)
-        if rates >= 0:
-            add_rate(turn[0], now, (values[i, rates], values[i, rates + 1], values[i, rates + 2]))
+        if with_turns:
+            add_rate(turn[0], now, (values[i, 0], values[i, 1], values[i, 2]))
     return m

@@ -16,7 +16,7 @@ What is faster than half the sample rate is lost, unless the device has integrat
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -33,8 +33,6 @@ PAUSE_S, PAUSE_INTERVALS = 0.25, 3.0
 """A longer pause, in s and in usual intervals, hides how the unit turned in it."""
 LATE = 1.5
 """Intervals after which a sample is missing."""
-SMALL = 1e-2
-"""rad: of rotation vectors up to this the term of third order is below 1e-5 of the next angle."""
 
 
 @dataclass(slots=True, eq=False)
@@ -96,25 +94,6 @@ STILL = Turn()
 """No turn, in no time."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Turns:
-    """The turns of m slots, each since the last sample before: fields of `Turn`, (m, ...)."""
-
-    rotation: FloatArray
-    by_bias: FloatArray
-    by_scale: FloatArray
-    coning: FloatArray
-    fast: FloatArray
-    missed: FloatArray
-    seconds: FloatArray
-
-    def at(self, k: int) -> Turn:
-        """Return one."""
-        turn = Turn(*(getattr(self, one.name)[k] for one in fields(self)))
-        turn.path = angle_of(turn.rotation)
-        return turn
-
-
 Vector = tuple[float, float, float]
 
 
@@ -133,30 +112,24 @@ def angle_of(rotation: FloatArray) -> float:
     return math.atan2(twice_sine, a + e + i - 1.0)
 
 
-def _fields(names: str, shape: tuple[int, ...]) -> list[tuple[str, type, tuple[int, ...]]]:
-    return [(name, np.float64, shape) for name in names.split()]
-
-
-RECORD = np.dtype(
-    [
-        *_fields("rotation by_bias", (3, 3)),
-        *_fields("by_scale", (3, 3, 3)),
-        *_fields("rate alpha before phi angles between coning", (3,)),
-        *_fields("span interval fast missed seconds", ()),
-        *((name, np.int64) for name in ("present", "time_ns")),
-    ]
+TURN = np.dtype(
+    [(name, np.float64, (3, 3)) for name in ("rotation", "by_bias")]
+    + [("by_scale", np.float64, (3, 3, 3))]
+    + [(name, np.float64, (3,)) for name in ("coning", "rate", "alpha", "before")]
+    + [(name, np.float64) for name in ("fast", "missed", "seconds", "interval")]
+    + [("present", np.int64), ("time_ns", np.int64)]
 )
-"""A turn as compiled code has it: the fields of `Turns`, and the samples that are not in its rotation yet.
-
-Their rotation vector is `phi`, the sum of their angles `angles`, the coning terms among them `between`, their
-time `span` in s.  `rate` in rad/s, `alpha` in rad and `time_ns` are of the last sample, `before` is the alpha
-before it; `present` counts samples since the last pause, and `interval` is their usual distance in s.
-"""
+"""A turn as compiled code has it: fields of `Turn`; `rate` in rad/s, `alpha` in rad and `time_ns` of the last
+sample, the alpha `before` it, the usual `interval` in s, and how many samples are `present` since a pause."""
+FIELDS = "rotation", "by_bias", "by_scale", "coning", "fast", "missed", "seconds"
 
 
-def turns_of(records: Any) -> Turns:
-    """Return the turns of records of compiled code, as copies."""
-    return Turns(*(np.array(records[one.name]) for one in fields(Turns)))
+def turn_of(record: Any) -> Turn:
+    """Return the turn of one record of compiled code, as a copy."""
+    values: list[Any] = [record[name].copy() for name in FIELDS]
+    turn = Turn(*values)
+    turn.path = angle_of(turn.rotation)
+    return turn
 
 
 @inner
@@ -164,7 +137,6 @@ def begin_segment(turn: Any) -> None:
     """Begin with the next sample: nothing is known of how the unit turned before it."""
     turn.present = 0
     turn.interval = 0.0
-    _clear_phi(turn)
 
 
 @inner
@@ -194,9 +166,10 @@ def add_rate(turn: Any, time_ns: int, rate: Vector) -> None:
         if dt > LATE * usual:
             _miss_samples(turn, dt, usual, rate)
         if turn.present > 0:
-            _add_angle(turn, (x * dt, y * dt, z * dt), dt)
+            _rotate(turn, (x * dt, y * dt, z * dt), dt)
     turn.present += 1
-    _set(turn.rate, rate)
+    for i in range(3):
+        turn.rate[i] = rate[i]
 
 
 @inner
@@ -213,62 +186,33 @@ def _miss_samples(turn: Any, dt: float, usual: float, rate: Vector) -> None:
 
 
 @inner
-def _add_angle(turn: Any, alpha: Vector, dt: float) -> None:
-    """Add the angles of a sample, rad, to phi (Bortz 1971, to second order)."""
+def _rotate(turn: Any, alpha: Vector, dt: float) -> None:
+    """Turn on by the angle of a sample, rad: C exp([phi x]), phi with the coning since the sample before."""
     a, b, c = alpha
     p, q, r = _vector(turn.alpha) if turn.present > 1 else (0.0, 0.0, 0.0)
     if turn.present > 2:
         k, m, n = _vector(turn.before)
         turn.fast += FAST * _square((a - 2.0 * p + k, b - 2.0 * q + m, c - 2.0 * r + n))
-    _set(turn.before, (p, q, r))
-    _set(turn.alpha, alpha)
-    u, v, w = _cross((p, q, r), alpha)
-    x, y, z = _vector(turn.phi)
-    e, f, g = _cross((x, y, z), alpha)
-    phi = (
-        x + a + MIDDLE * u + 0.5 * e,
-        y + b + MIDDLE * v + 0.5 * f,
-        z + c + MIDDLE * w + 0.5 * g,
-    )
-    _set(turn.phi, phi)
-    _add(turn.angles, alpha)
-    _add(turn.between, (MIDDLE * u, MIDDLE * v, MIDDLE * w))
-    turn.span += dt
-    if abs(phi[0]) + abs(phi[1]) + abs(phi[2]) > SMALL:
-        apply_phi(turn)
-
-
-@inner
-def apply_phi(turn: Any) -> None:
-    """Advance the rotation by phi, C exp([phi x]), and clear phi."""
-    phi = _vector(turn.phi)
+    x, y, z = _cross((p, q, r), alpha)
+    between = (MIDDLE * x, MIDDLE * y, MIDDLE * z)
+    phi = (a + between[0], b + between[1], c + between[2])
     first, second = _rodrigues(_square(phi))
     for k in range(3):
         row = _vector(turn.rotation[k])
         once = _cross(row, phi)
-        x, y, z = _cross(once, phi)
-        half = (
-            0.5 * (first * once[0] + second * x),
-            0.5 * (first * once[1] + second * y),
-            0.5 * (first * once[2] + second * z),
-        )
-        _add(turn.rotation[k], half)
+        twice = _cross(once, phi)
         for i in range(3):
-            middle = turn.rotation[k, i]
-            turn.coning[k] += middle * turn.between[i]
-            turn.by_bias[k, i] += middle * turn.span
-            for j in range(3):
-                turn.by_scale[k, i, j] += middle * turn.angles[j]
-        _add(turn.rotation[k], half)
-    turn.seconds += turn.span
-    _clear_phi(turn)
-
-
-@inner
-def _clear_phi(turn: Any) -> None:
-    for i in range(3):
-        turn.phi[i] = turn.angles[i] = turn.between[i] = 0.0
-    turn.span = 0.0
+            half = 0.5 * (first * once[i] + second * twice[i])
+            middle = row[i] + half  # for the sums: C in the middle of the interval
+            turn.rotation[k, i] = middle + half
+            turn.coning[k] += middle * between[i]
+            turn.by_bias[k, i] += middle * dt
+            turn.by_scale[k, i, 0] += middle * a
+            turn.by_scale[k, i, 1] += middle * b
+            turn.by_scale[k, i, 2] += middle * c
+    turn.before[0], turn.before[1], turn.before[2] = p, q, r
+    turn.alpha[0], turn.alpha[1], turn.alpha[2] = a, b, c
+    turn.seconds += dt
 
 
 @inner
@@ -282,18 +226,6 @@ def _rodrigues(square: float) -> tuple[float, float]:
 @inner
 def _vector(a: Any) -> Vector:
     return a[0], a[1], a[2]
-
-
-@inner
-def _set(a: Any, b: Vector) -> None:
-    a[0], a[1], a[2] = b
-
-
-@inner
-def _add(a: Any, b: Vector) -> None:
-    a[0] += b[0]
-    a[1] += b[1]
-    a[2] += b[2]
 
 
 @inner

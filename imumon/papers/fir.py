@@ -26,7 +26,7 @@ import numpy as np
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
 from imumon.columns import TEMPERATURES, Column
-from imumon.filters.rates import RateEstimate
+from imumon.estimation.temperature_rate.output import RateEstimate
 from imumon.filters.segments import Breaks
 from imumon.papers.square_root import fit, pull_back, update
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from imumon.config import StrictModel
 
@@ -20,8 +20,8 @@ class TemperatureRateParameters(StrictModel):
         Quantization step δτ in °C, else it is estimated.
     window_s, time_constant_s, buffer_size
         T_w and T0 in s and N of the published filter; the estimator does not use them.
-    lowest_degc, highest_degc : float
-        Readings outside are taken as missing.
+    lowest_degc, highest_degc
+        Not used any more: readings that cannot be are left out before the estimators.
     """
 
     method: Literal["level_bank", "fir_exponential"] = "level_bank"
@@ -29,11 +29,10 @@ class TemperatureRateParameters(StrictModel):
     window_s: float = Field(default=300.0, gt=0.0, le=86400.0)
     time_constant_s: float = Field(default=180.0, gt=0.0, le=86400.0)
     buffer_size: int = Field(default=1000, ge=7, le=1_000_000)
-    lowest_degc: float = Field(default=-100.0, ge=-273.15)
-    highest_degc: float = Field(default=250.0, le=2000.0)
+    lowest_degc: float | None = Field(default=None, exclude=True)
+    highest_degc: float | None = Field(default=None, exclude=True)
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        if self.lowest_degc >= self.highest_degc:
-            raise ValueError(f"lowest_degc {self.lowest_degc} is not below highest_degc {self.highest_degc}")
-        return self
+    @property
+    def retired(self) -> list[str]:
+        """Keys that were given and are not used any more."""
+        return sorted(self.model_fields_set & {"lowest_degc", "highest_degc"})

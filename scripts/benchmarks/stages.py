@@ -23,7 +23,7 @@ from imumon.estimation.alignment.stage import Alignment
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.stage import GyroBias, RestDetector
 from imumon.estimation.temperature_rate.method import MultipleModelRate
-from imumon.filters.rates import RateMethod
+from imumon.estimation.temperature_rate.output import RateMethod
 from imumon.geodesy import EARTH_RATE
 from imumon.papers.dense_zupt import DenseSettings
 from imumon.papers.fir import FirRate, Params

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ MAGNETIC = ("by hand", "by hand, magnet on the body", "by hand, magnet put on", 
 RATE_HZ, FLOOR_DEG = 50.0, 0.01
 TITLE = "Attitude, °: the angles are those of VQF in all rows, so the first columns are of the median sigma."
 _learned: Callable[[sigma.Gyros], float] = sigma.Gyros.variance.fget  # type: ignore[attr-defined]  # mypy takes the property for its value
+_step = sigma.TiltSigma.step
 
 
 def _prior(_: sigma.Gyros) -> float:
@@ -43,12 +44,12 @@ def _nothing(*_: Any) -> float:
 
 
 def _as_in_motion(tilt: sigma.TiltSigma, slot: sigma.Slot) -> float:
-    tilt.rested = True
-    return tilt._in_motion(slot, float(((slot.up - tilt.ups[0]) ** 2).sum()))
+    tilt.rested |= slot.rest
+    return _step(tilt, replace(slot, rest=False))
 
 
 VARIANTS: dict[str, Change] = {
-    "lag 3 s, which confirms no gyro": [(sigma, "LAG_S", 3.0)],
+    "lag 3 s, which never confirms gyros": [(sigma, "LAG_S", 3.0)],
     "lag 12 s": [(sigma, "LAG_S", 12.0)],
     "scale not learned": [(sigma.Gyros, "variance", property(_prior))],
     "learned scale at most s0": [(sigma.Gyros, "variance", property(_bounded))],
@@ -56,15 +57,15 @@ VARIANTS: dict[str, Change] = {
     "s0 4 %": [(sigma, "SCALE_SD", 0.04)],
     "g0 0.5 rad²": [(sigma, "SCALE_TURN", 0.5)],
     "g0 8 rad²": [(sigma, "SCALE_TURN", 8.0)],
-    "no delay": [(sigma.TiltSigma, "_delay", _nothing)],
-    "all gyros confirmed": [(sigma, "CONFIRMING_TURN", -1.0), (sigma, "LARGEST_CHANGE", 1e9)],
+    "no delay": [(sigma.TiltSigma, "_not_followed", _nothing)],
+    "gyros are always confirmed": [(sigma.Gyros, "confirmed", True)],
     "confirmed at 1 rad²": [(sigma, "CONFIRMING_TURN", 1.0)],
     "largest change 1 %": [(sigma, "LARGEST_CHANGE", 0.01)],
     "largest change 10 %": [(sigma, "LARGEST_CHANGE", 0.1)],
     "a0 5 mg": [(sigma, "ACCEL_SD", 0.05)],
     "a0 15 mg": [(sigma, "ACCEL_SD", 0.15)],
     "force less gravity not used": [(sigma.Accelerometers, "learn", _nothing)],
-    "rest not used": [(sigma.TiltSigma, "_at_rest", _as_in_motion)],
+    "rest not used": [(sigma.TiltSigma, "step", _as_in_motion)],
     "i0 1 %": [(sigma, "IRON", 0.01)],
     "i0 4 %": [(sigma, "IRON", 0.04)],
     "iron forgotten in 0.1 s": [(sigma, "IRON_MEMORY_S", 0.1)],

@@ -119,7 +119,6 @@ VARIANTS: dict[str, Change] = {
 
 def outcomes(seeds: range, data: Path) -> Iterator[Outcome]:
     """Yield the scenes, then the measured record where its folder exists."""
-    filter_module.dynamics.cache_clear()  # it is made of constants that a variant may change
     yield from simulated(seeds)
     path = data / "chamber-cycle" / "cooling-heating.csv"
     if path.exists():

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from imumon.blocks import FloatArray, SampleBlock
+from imumon.estimation.temperature_rate.output import RateMethod
 from imumon.estimation.temperature_rate.stage import TemperatureRate
-from imumon.filters.rates import RateMethod
 
 Generator = np.random.Generator
 Noise = Callable[[int, float, Generator], FloatArray]

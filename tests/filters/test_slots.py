@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from imumon.blocks import NO_INT, FloatArray, IntArray
 from imumon.filters.slots import SlotGatherer, Slots, held
-from imumon.filters.turns import Turns
+from imumon.filters.turns import Turn
 
 LENGTH_NS = 1_000_000_000
-TURNS = [field.name for field in fields(Turns)]
+TURNS = [field.name for field in fields(Turn)]
 
 
 def _joined(parts: list[tuple[int, Slots]]) -> dict[str, FloatArray]:
@@ -25,7 +25,7 @@ def _joined(parts: list[tuple[int, Slots]]) -> dict[str, FloatArray]:
         for name in own:
             columns[name].append(getattr(slots, name) + (start if name == "row" else 0))
         for name in TURNS:
-            columns[name].append(getattr(slots.turns, name))
+            columns[name].extend(np.array([getattr(turn, name)]) for turn in slots.turns)
     return {name: np.concatenate(values) for name, values in columns.items()}
 
 
@@ -92,8 +92,8 @@ def test_a_new_segment_and_a_time_that_runs_back_begin_anew() -> None:
 def test_any_division_into_blocks_gives_the_same_slots(seed: int, cuts: list[int]) -> None:
     time, segment, values = _records(seed, 200)
     values = 1e-3 * (values - 1e6)
-    whole = _joined([(0, SlotGatherer(3, LENGTH_NS, rates=0).process(time, segment, values))])
-    gatherer, parts, at = SlotGatherer(3, LENGTH_NS, rates=0), [], 0
+    whole = _joined([(0, SlotGatherer(3, LENGTH_NS, turns=True).process(time, segment, values))])
+    gatherer, parts, at = SlotGatherer(3, LENGTH_NS, turns=True), [], 0
     for size in [*cuts, 200]:
         part = slice(at, min(at + size, 200))
         parts.append((at, gatherer.process(time[part], segment[part], values[part])))

@@ -21,10 +21,9 @@ FINE = 64
 def turned(rate: FloatArray, hz: float, kept: slice | IntArray = slice(None)) -> Turn:
     """Return how samples of the rates, rad/s, (n, 3), have turned the unit since the first."""
     time_ns = np.round(np.arange(len(rate)) * 1e9 / hz).astype(np.int64)[kept]
-    gatherer = SlotGatherer(3, SLOT_NS, rates=0)
+    gatherer = SlotGatherer(3, SLOT_NS, turns=True)
     slots = gatherer.process(time_ns, np.zeros(len(time_ns), np.int64), rate[kept])
-    turns = [slots.turns.at(k) for k in range(len(slots))] + [gatherer.finish().turns.at(0)]
-    return reduce(Turn.then, turns)
+    return reduce(Turn.then, [*slots.turns, *gatherer.finish().turns])
 
 
 def off(turn: Turn, truth: Rotation) -> FloatArray:

@@ -52,7 +52,7 @@ class Alignment:
         self._aligner = Aligner(self._parameters, latitude_deg)
         self._earlier: list[PositionHeading] = []
         """Headings in the positions before the last restart."""
-        self._slots = SlotGatherer(10, round(SLOT_S * 1e9), rates=0)
+        self._slots = SlotGatherer(10, round(SLOT_S * 1e9), turns=True)
         self._down = {None: 0.0, "FRD": 1.0, "FLU": -1.0}[axes]
         """Sign of the body z axis: 1 down, -1 up, 0 not known yet."""
         self._prefix = "aligned_" if {"roll", "pitch"} & set(sent) else ""
@@ -103,7 +103,7 @@ class Alignment:
             self._process_slot(slots, k)
             self._row = self._make_row()
             rows[k] = list(self._row.values())
-        out = held(slots.row, rows.T, before, n, axis=-1)
+        out = held(slots.row, rows, before, n).T
         # The columns of one segment do not hold in a new one.
         other = held(slots.row, slots.segment, np.array(self._segment), n) != block["segment"]
         out[:, other] = np.nan
@@ -128,7 +128,7 @@ class Alignment:
         mean = slots.mean[k].copy()
         self._recent.append(mean[3:9])
         slot = Slot(index, min(length, CALM_SLOTS), mean[:6])  # longer without samples is no rest
-        lost = self._aligner.step(slot, bool(slots.smallest[k, -1] > 0.0), slots.turns.at(k))
+        lost = self._aligner.step(slot, bool(slots.smallest[k, -1] > 0.0), slots.turns[k])
         if lost is not None:
             self._restart(lost)
 

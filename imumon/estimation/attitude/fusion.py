@@ -24,16 +24,15 @@ count, and at 50 Hz the attitude begins after 0.3 s."""
 TAU_ACC_S, TAU_MAG_S = 3.0, 9.0
 """VQF's defaults, s: so slowly the vertical follows the accelerometers, and the heading the magnetometer."""
 ROW = np.dtype(
-    [(name, np.float64, (3,)) for name in ("angle", "path", "bias_sd", "field")]
+    [(name, np.float64, (3,)) for name in ("angle", "path", "field", "slot_path")]
     + [(name, np.float64, (4,)) for name in ("quat6d", "acc_quat", "gyr_quat")]
-    + [(name, np.float64) for name in ("low_force", "delta")]
+    + [(name, np.float64) for name in ("low_force", "delta", "tilt", "heading", "gyros")]
     + [(name, np.int64) for name in ("north", "follows")]
 )
-"""A sample and what the filter makes of it; NaN before it has begun.
+"""A sample and what is made of it; NaN before the filter has begun.
 
 angle : turn since the sample before, rad, zero at rest
 path : running sum of the angles, rad
-bias_sd : standard deviation of the gyro bias, rad/s
 field : latest magnetic field, any unit; NaN before the first
 quat6d, acc_quat, gyr_quat : VQF's quaternions w, x, y, z, from body to level axes without north; from
     gyro-carried to level; from body to gyro-carried
@@ -42,8 +41,14 @@ delta : counterclockwise angle from quat6d to the attitude, rad: VQF's by the fi
     heading
 north, follows : whether the field has shown north, and whether the heading follows it: VQF rejects a
     disturbed field for some time
+tilt, heading, gyros, slot_path : at the end of the latest slot the variances of both, rad²,
+    `sigma.Gyros.turn_variance`, and the path
 """
 Rows = npt.NDArray[np.void]
+BEFORE_FIRST: Rows = np.zeros(1, ROW)
+"""What holds before the first sample."""
+for _name in ("field", "tilt", "heading"):
+    BEFORE_FIRST[_name] = math.nan
 
 
 def _restored(rates: Sequence[float], params: dict[str, Any], state: dict[str, Any]) -> VQF:

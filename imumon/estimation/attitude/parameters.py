@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from pydantic import AliasChoices, Field
+from pydantic import Field
 
 from imumon.config import StrictModel
 from imumon.estimation.rest.parameters import Retired
-
-
-def _retired(sensor: str) -> Any:
-    aliases = AliasChoices(f"{sensor}_error_probability", f"{sensor}_doubt")
-    return Field(default=None, exclude=True, validation_alias=aliases)
 
 
 class AttitudeParameters(StrictModel):
@@ -28,13 +21,14 @@ class AttitudeParameters(StrictModel):
     gyro_scale : float, optional
         Standard deviation of each element of the gyros' matrix of scale and misalignment: 1 % of a calibrated
         unit.  When it is not given, 2 % are taken.
-    accel_error_probability, axes_error_probability, magnet_error_probability
-        Not used any more; their older names end in ``_doubt``.
     """
 
     use_magnetometer: bool = True
     accel_bias_m_per_s2: float | None = Field(default=None, ge=0.0, le=10.0)
     gyro_scale: float | None = Field(default=None, ge=0.0, le=0.5)
-    accel_error_probability: Retired = _retired("accel")
-    axes_error_probability: Retired = _retired("axes")
-    magnet_error_probability: Retired = _retired("magnet")
+    accel_error_probability: Retired = None
+    axes_error_probability: Retired = None
+    magnet_error_probability: Retired = None
+    accel_doubt: Retired = None
+    axes_doubt: Retired = None
+    magnet_doubt: Retired = None

@@ -5,32 +5,9 @@ VQF turns the specific force into axes that only the gyros carry, low-passes it 
 as a change of u, whether accelerations or gyros cause it.  J, (3, 9), is the integral of C (x) rate over a
 slot, with C from body to gyro-carried axes: column 3 i + j is the rotation vector that a unit element (i, j)
 of the gyros' matrix of scale and misalignment adds, so 0, 4 and 8 are the turns about the gyros' own axes.
-With tilt²(J) = |J|² - (u J)²::
 
-    d  = |u(t) - u(t - 6 s)|²                             change of u, the sum of two axes
-    m  = mean of d/4 over 18 s of motion                  u is off at both moments
-    s² = (g0 s0² + sum of d) / (g0 + sum of tilt²(J))     the gyros' scale errors
-    l  = (s² sum of tilt²(J) + tilt²(J_ii) of gyros not confirmed) / 2, J of the last 3 s: not followed yet
-    a² = a0² + 2 mean z², z = |low-passed force| - g      the accelerometers' error
-
-    variance = max(m, d/2, l) + a²/g² in motion, |u - f/|f||² / 2 + a²/g² at rest
-
-d/2 is there because u was right where a motion begins, so all of its change is error.
-
-A relative heading turns wrong by scale errors of what was turned about the vertical, u J, by gyros that are
-not confirmed, and by the bias, which each rest measures anew::
-
-    h = s² |Σ u J|² + (Σ u J_ii)² of gyros not confirmed + Σ over motions (bias sigma · seconds)² + missed
-
-A calibrated magnetometer ties it down: VQF follows the field with τ = 9 s and forgets older parts of h.  H
-and V are the horizontal and the vertical field, B its calibrated strength, c the error of the calibration, i
-the iron that came after it, p the angle by which the field has turned the heading against the gyros::
-
-    variance = (c² + i² + V² tilt) / H² + h
-    i² = (i0 B)² + 2 · largest (along² + across²) of the last half minute
-    along = strength - B;  across² = (H p)² - H² h - (c² + (i0 B)² + V² tilt), if positive
-
-The 2 is a margin for the component of the iron that a pose does not show.
+A calibrated magnetometer ties the heading down: VQF follows the field with τ = 9 s.  H and V are the
+horizontal and the vertical field, and B its calibrated strength.
 """
 
 from __future__ import annotations
@@ -41,7 +18,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from imumon.blocks import BoolArray, FloatArray
+from imumon.blocks import FloatArray
 from imumon.estimation.attitude.fusion import TAU_ACC_S, TAU_MAG_S, Rows
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.models.magnetometer import MagnetometerModel
@@ -57,11 +34,16 @@ SCALE_SD = 0.02
 """s0 of gyros that are not declared: between 1 % of a calibrated unit and 3 % of an MPU-6050."""
 SCALE_TURN = 2.0
 """g0, rad²: s0 counts like so much turn.  Ablation."""
-CONFIRMING_TURN = 0.05
-"""rad² of tilt by turns about its own axis that confirm a gyro: 13°.  With 0.1 sigma is up to 2.8 times as
-wide, with 0.03 a gyro that is reversed may be confirmed."""
+CONFIRMING_TURN = 0.1
+"""rad² of tilt by turns about the gyros' own axes that confirm them: 18°.  With 0.05 a robot arm whose gyros
+x and y are exchanged is off by up to 10 sigma.  Ablation."""
 LARGEST_CHANGE = 0.05
 """Share of that tilt by which u may change.  Ablation."""
+IRON = 0.025
+"""i0, share of the field.  A prior, as `ACCEL_SD`: a single pose shows one of three components."""
+IRON_MEMORY_S = 30.0
+"""Time in which iron that has shown is forgotten, s: it may have been a magnet in the room, and the next pose
+shows it again.  Ablation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,15 +63,23 @@ class Slot:
     """J, rad, (3, 9)."""
     missed: float
     """Variance of the angle by samples that are missing, rad²."""
+    bias_sd: float
+    """Standard deviation of the gyro bias about the vertical, rad/s; NaN while it is not known."""
+
+
+def tilt_squared(sensitivity: FloatArray, up: FloatArray) -> FloatArray:
+    """Return tilt²(J) = |J|² - (u J)², rad², of each column of J."""
+    return np.asarray((sensitivity * sensitivity).sum(0) - (up @ sensitivity) ** 2)
 
 
 @dataclass(slots=True)
 class Accelerometers:
-    """Size of the accelerometers' error, by the magnitude of gravity in each pose."""
+    """Size of the accelerometers' error: a² = a0² + 2 mean z², z the mean of |low-passed force| - g of each
+    face of the body that was up; a declared a is taken as it is."""
 
     declared: float | None
     face_s: FloatArray = field(default_factory=lambda: np.zeros(6))
-    """Time for which each face of the body was up, s."""
+    """Time for which each face was up, s."""
     face_sum: FloatArray = field(default_factory=lambda: np.zeros(6))
     """Integral of |low-passed force| - g over it, m/s."""
 
@@ -111,57 +101,51 @@ class Accelerometers:
 
 @dataclass(slots=True)
 class Gyros:
-    """Size of the gyros' scale errors, and which axes the vertical has confirmed, by how u follows turns."""
+    """Size of the gyros' scale errors, and whether u has followed their turns: else axes may be mixed up."""
 
     declared: float | None
     change: float = 0.0
-    """Sum of d over all lags, rad²."""
+    """Sum of d = |u(t) - u(t - 6 s)|², the change of u, over all lags, rad²."""
     turned: float = 0.0
     """Sum of tilt²(J), rad²."""
-    own_change: FloatArray = field(default_factory=lambda: np.zeros(3))
-    own_turned: FloatArray = field(default_factory=lambda: np.zeros(3))
-    """The same of each gyro about its own axis."""
+    followed: float = 0.0
+    """Sum of tilt² by turns about the gyros' own axes that u has had the time to follow, rad²."""
 
     def learn(self, change: float, sensitivities: FloatArray, up: FloatArray) -> None:
         """Take d, rad², and J, (n, 3, 9), of the slots of the last lag."""
         share = SLOT_S / LAG_S  # successive lags overlap
-        # Only turns that the low-pass has followed confirm a gyro.
-        followed = sensitivities[: -round(TAU_ACC_S / SLOT_S)].sum(0)
+        own = sensitivities[: -round(TAU_ACC_S / SLOT_S)].sum(0)[:, ::4]
         # A turn counts as a quarter of a circle at most: by half a circle each way the vertical is the same.
-        circle = np.maximum((followed[:, ::4] ** 2).sum(0) / (0.5 * math.pi) ** 2, 1.0)
-        own = tilt_squared(followed, up)[::4] / circle
+        circle = np.maximum((own**2).sum(0) / (0.5 * math.pi) ** 2, 1.0)
         self.change += share * change
         self.turned += share * float(tilt_squared(sensitivities.sum(0), up).sum())
-        self.own_turned += share * own
-        self.own_change += share * change * own / max(float(own.sum()), 1e-12)
+        self.followed += share * float((tilt_squared(own, up) / circle).sum())
 
     @property
-    def confirmed(self) -> BoolArray:
-        """Which gyros have turned the vertical as they should, (3,)."""
-        return np.asarray(
-            (self.own_turned > CONFIRMING_TURN) & (self.own_change < LARGEST_CHANGE * self.own_turned)
-        )
+    def confirmed(self) -> bool:
+        """Whether the gyros have turned the vertical as they should."""
+        return self.followed > CONFIRMING_TURN and self.change < LARGEST_CHANGE * self.followed
 
     @property
     def contradicted(self) -> bool:
-        """Whether a gyro has turned enough and the vertical does not confirm it."""
-        return bool(((self.own_turned > CONFIRMING_TURN) & ~self.confirmed).any())
+        """Whether they have turned it enough and not as they should."""
+        return self.followed > CONFIRMING_TURN and not self.confirmed
 
     @property
     def variance(self) -> float:
-        """s²; no more than is declared, since accelerations change u, too."""
+        """s² = (g0 s0² + Σ d) / (g0 + Σ tilt²(J)); no more than is declared: accelerations change u, too."""
         prior = (SCALE_SD if self.declared is None else self.declared) ** 2
         learned = (SCALE_TURN * prior + self.change) / (SCALE_TURN + self.turned)
         return learned if self.declared is None else min(learned, prior)
 
     @property
-    def turn_variance(self) -> FloatArray:
-        """Variance of a turn of each gyro over its square, (3,): s², and 1 where it is not confirmed."""
-        return np.asarray(self.variance + ~self.confirmed)
+    def turn_variance(self) -> float:
+        """Variance of a turn over its square: s², and 1 more until the gyros are confirmed."""
+        return self.variance + (not self.confirmed)
 
     def error_variance(self, squares: FloatArray) -> float:
-        """Return s² times the sum of squared turns, rad², (9,), and those of gyros not confirmed in full."""
-        return self.variance * float(squares.sum()) + float(squares[::4] @ ~self.confirmed)
+        """Return s² times the sum of squared turns, rad², (9,), and until confirmed all of the own ones."""
+        return self.variance * float(squares.sum()) + (not self.confirmed) * float(squares[::4].sum())
 
 
 @dataclass(slots=True)
@@ -174,57 +158,52 @@ class TiltSigma:
     sensitivities: deque[FloatArray] = field(default_factory=lambda: deque(maxlen=round(LAG_S / SLOT_S)))
     """u and J of the last lag."""
     mean: float = 0.0
-    """m, rad²."""
+    """m, the mean of d/4 over 18 s of motion, rad²: d is of two axes, and u is off at both moments."""
     late: FloatArray = field(default_factory=lambda: np.zeros((3, 9)))
     """J that is forgotten within τ, rad."""
     rested: bool = False
     """Whether the unit has been at rest since the attitude began."""
 
     def step(self, slot: Slot) -> float:
-        """Take a slot; return the variance at its end, rad²; NaN while nothing is known."""
+        """Take a slot; return the variance at its end, rad²; NaN while nothing is known.
+
+        At rest it is |u - f/|f||² / 2 + a²/g², with the mean specific force f.
+        """
         self.ups.append(slot.up)
         self.sensitivities.append(np.zeros((3, 9)) if slot.rest else slot.sensitivity)
         change = float(((slot.up - self.ups[0]) ** 2).sum())
         if math.isfinite(slot.low_force):
             self.accelerometers.learn(slot.up_body, slot.low_force)
         self.gyros.learn(change, np.array(self.sensitivities), slot.up)
-        variance = self._at_rest(slot) if slot.rest else self._in_motion(slot, change)
+        if slot.rest:
+            self.rested = True
+            self.late[:] = 0.0
+            variance = 0.5 * float(((slot.up - slot.force / np.linalg.norm(slot.force)) ** 2).sum())
+        else:
+            variance = self._in_motion(slot, change)
         return variance + self.accelerometers.variance / STANDARD_GRAVITY**2
 
-    def _at_rest(self, slot: Slot) -> float:
-        """Return |u - f/|f||² / 2, rad²."""
-        self.rested = True
-        self.late[:] = 0.0
-        return 0.5 * float(((slot.up - slot.force / np.linalg.norm(slot.force)) ** 2).sum())
-
     def _in_motion(self, slot: Slot, change: float) -> float:
-        """Return max(m, d/2, l), rad²."""
+        """Return max(m, d/2, l), rad²; d/2 as u was right where a motion begins: all its change is error."""
         self.mean += SLOT_S / (3.0 * LAG_S) * (0.25 * change - self.mean)
         self.late = math.exp(-SLOT_S / TAU_ACC_S) * self.late + slot.sensitivity
         if not self.rested and SLOT_S * len(self.sensitivities) < LAG_S:
             return math.nan  # begun in motion: there is no earlier vertical to compare with
-        return max(self.mean, 0.5 * change, self._delay(slot.up))
+        return max(self.mean, 0.5 * change, self._not_followed(slot.up))
 
-    def _delay(self, up: FloatArray) -> float:
-        """Return l, rad²."""
+    def _not_followed(self, up: FloatArray) -> float:
+        """Return l, rad², by turns of the last τ, which u has not followed yet."""
         return 0.5 * self.gyros.error_variance(tilt_squared(self.late, up))
-
-
-def tilt_squared(sensitivity: FloatArray, up: FloatArray) -> FloatArray:
-    """Return tilt²(J), rad², (9,): the squared tilt by a unit element of scale and misalignment."""
-    return np.asarray((sensitivity * sensitivity).sum(0) - (up @ sensitivity) ** 2)
-
-
-IRON = 0.025
-"""i0, share of the field.  A prior, as `ACCEL_SD`: a single pose shows one of three components."""
-IRON_MEMORY_S = 30.0
-"""Time in which iron that has shown is forgotten, s: it may have been a magnet in the room, and the next pose
-shows it again.  Ablation."""
 
 
 @dataclass(slots=True)
 class HeadingSigma:
-    """State of the estimate of the heading's standard deviation, since the attitude began."""
+    """State of the estimate of the heading's standard deviation, since the attitude began.
+
+    The change of a relative heading has the variance h: s² |Σ u J|², (Σ u J_ii)² until the gyros are
+    confirmed, the bias of each motion, which the next rest measures anew, Σ (bias sigma · seconds)², and
+    missed samples.
+    """
 
     gyros: Gyros
     magnetometer: MagnetometerModel | None
@@ -238,21 +217,20 @@ class HeadingSigma:
     moving_s: float = 0.0
     """Duration of this motion, s."""
     field_correction: float = 0.0
-    """p, forgotten with τ, rad."""
+    """p, the angle by which the field has turned the heading against the gyros, forgotten with τ, rad."""
     delta: float = math.nan
     """That of the last slot, rad."""
     iron: float = 0.0
-    """Largest along² + across², in the square of the field's unit."""
+    """Largest along² + across² lately, in the square of the field's unit."""
 
     def step(self, slot: Slot, end: Rows, tilt_variance: float) -> float:
         """Process a slot; return the variance of the heading, or of its change where it is relative, rad².
 
         `end` is the last sample of the slot, a `fusion.ROW` with the field in the unit of the calibration.
         """
-        about_vertical = float(np.linalg.norm(slot.up_body * end["bias_sd"]))
-        if math.isnan(about_vertical):
+        if math.isnan(slot.bias_sd):
             self.about_up[:] = self.earlier = self.moving_s = 0.0
-        bias_sd = math.hypot(about_vertical, self.earth_rate)
+        bias_sd = math.hypot(slot.bias_sd, self.earth_rate)
         if slot.rest:
             self.earlier += (bias_sd * self.moving_s) ** 2
             self.moving_s = 0.0
@@ -270,7 +248,12 @@ class HeadingSigma:
         return self._magnetic(slot.up_body, end, tilt_variance, relative) if end["north"] else relative
 
     def _magnetic(self, up_body: FloatArray, end: Rows, tilt_variance: float, relative: float) -> float:
-        """Return the variance of a heading by the field, NaN where the magnetometer is not calibrated."""
+        """Return (c² + i² + V² tilt) / H² + h, NaN where the magnetometer is not calibrated.
+
+        c is the error of the calibration, and i the iron that came after it: i² = (i0 B)² + 2 · largest
+        (along² + across²) of the last half minute.  The 2 is a margin for the component that a pose does not
+        show; along = strength - B; across² = (H p)² - H² h - (c² + (i0 B)² + V² tilt), if positive.
+        """
         if not math.isnan(self.delta):  # at first the field shows where north is: that is no change
             self.field_correction += math.remainder(end["delta"] - self.delta, 2.0 * math.pi)
         self.delta, magnetometer = float(end["delta"]), self.magnetometer

@@ -11,7 +11,7 @@ import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, SampleBlock, missing
 from imumon.columns import Column
-from imumon.estimation.attitude.fusion import ROW, Fusion, Rows, heading, matrices
+from imumon.estimation.attitude.fusion import BEFORE_FIRST, Fusion, Rows, heading, matrices
 from imumon.estimation.attitude.parameters import AttitudeParameters
 from imumon.estimation.attitude.sigma import SLOT_S, Accelerometers, Gyros, HeadingSigma, Slot, TiltSigma
 from imumon.estimation.rest.parameters import retired
@@ -22,28 +22,23 @@ from imumon.models.magnetometer import MagnetometerModel
 
 GAP_NS = 250_000_000
 """A longer pause hides turns: in it a hand turns by a radian."""
+HEADING = "of the body x axis, clockwise from magnetic north; relative: from where it begins"
 COLUMNS = (
     *(
-        Column(f"attitude_estimate_{name}", unit, description=text)
-        for name, unit, text in (
-            *((part, "1", f"attitude, body to east-north-up, {part}") for part in "wxyz"),
-            ("roll", "rad", "estimated roll"),
-            ("pitch", "rad", "estimated pitch"),
-            ("tilt_sd", "rad", "standard deviation of roll and pitch"),
-            (
-                "heading",
-                "rad",
-                "of the body x axis, clockwise from magnetic north; relative: from where it begins",
-            ),
-            ("heading_sd", "rad", "its standard deviation; of its change since then where it is relative"),
-        )
+        Column(f"attitude_estimate_{part}", "1", description=f"attitude, body to east-north-up, {part}")
+        for part in "wxyz"
+    ),
+    Column("attitude_estimate_roll", "rad", description="estimated roll"),
+    Column("attitude_estimate_pitch", "rad", description="estimated pitch"),
+    Column("attitude_estimate_tilt_sd", "rad", description="standard deviation of roll and pitch"),
+    Column("attitude_estimate_heading", "rad", description=HEADING),
+    Column(
+        "attitude_estimate_heading_sd",
+        "rad",
+        description="its standard deviation; of its change since then where it is relative",
     ),
     Column("attitude_estimate_north", "1", "int64", "1: heading from magnetic north, 0: relative heading"),
 )
-SLOT_END = np.dtype(
-    [("tilt", np.float64), ("heading", np.float64), ("path", np.float64, (3,)), ("gyros", np.float64, (3,))]
-)
-"""End of the latest slot: variances, rad²; path as of `ROW`; `Gyros.turn_variance`."""
 
 
 class AttitudeEstimate:
@@ -73,15 +68,14 @@ class AttitudeEstimate:
         """Sign of the body z axis: 1 down, -1 up, 0 not known yet."""
         self._magnetometer = magnetometer
         self._heading = math.radians(heading_deg or 0.0)
-        self._slots = SlotGatherer(7, int(SLOT_S * 1e9), rates=0)
-        """Of rate and specific force, three each, and whether the unit is at rest."""
+        self._slots = SlotGatherer(10, int(SLOT_S * 1e9), turns=True)
+        """Of rate, specific force and sigma of the gyro bias, three each, and whether the unit is at rest."""
         self._accelerometers, self._gyros = Accelerometers(given.accel_bias_m_per_s2), Gyros(given.gyro_scale)
         # Where the latitude is known its vertical part is not in the bias, and turns the heading.  Elsewhere
         # it is in the bias, whose standard deviation has what is no bias after a turn.
         self._earth_rate = EARTH_RATE * abs(math.sin(math.radians(latitude_deg or 0.0)))
         self._begin()
-        self._last = np.zeros(1, ROW)
-        self._last["field"] = math.nan
+        self._last = BEFORE_FIRST
         self._last_time: tuple[int, int] | None = None
         self._restarts = 0
         """How often an attitude has ended, for another to begin."""
@@ -93,7 +87,6 @@ class AttitudeEstimate:
         self._fusion = Fusion(self._heading)
         self._tilt_sigma = TiltSigma(self._accelerometers, self._gyros)
         self._heading_sigma = HeadingSigma(self._gyros, self._magnetometer, self._earth_rate)
-        self._slot_end = np.full(1, math.nan, SLOT_END)
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; NaN where there is no attitude, none without gyros or gravity.
@@ -109,14 +102,38 @@ class AttitudeEstimate:
         usable = np.flatnonzero((block["device_time_ns"] != NO_INT) & _finite(gyro))
         if len(usable):
             block = SampleBlock({name: values[usable] for name, values in block.columns.items()})
-            begins, interval_s = self._intervals(block["device_time_ns"], block["segment"])
-            changes = np.flatnonzero(begins | np.diff(_corrected(block)[1], prepend=False))
-            for start, stop in pairwise(sorted({0, len(block), *changes.tolist()})):
-                part = block.rows(start, stop)
-                values = self._estimate(part, interval_s[start:stop], bool(begins[start]))
-                for name, each in zip(found, values, strict=True):
-                    found[name][usable[start:stop]] = each
+            for values, each in zip(found.values(), self._output(self._estimate(block)), strict=True):
+                values[usable] = each
         return found
+
+    def _estimate(self, block: SampleBlock) -> Rows:
+        """Return the rows of samples with a time and a rate."""
+        time_ns, rate = block["device_time_ns"], np.asarray(block.gyro)
+        corrected, accel = block.vector("gyro_corrected"), np.asarray(block.accel)
+        known = np.zeros(len(block), bool) if corrected is None else _finite(corrected)
+        rate = rate if corrected is None else np.where(known[:, np.newaxis], corrected, rate)
+        rest = known & (block["at_rest"] == 1 if "at_rest" in block else False)
+        begins, interval_s = self._intervals(time_ns, block["segment"])
+        bias_sd = block.vector("gyro_bias_sd")
+        bias_sd = np.full_like(rate, math.nan) if bias_sd is None else bias_sd
+        values = np.column_stack([rate, accel, bias_sd, rest])
+        slots = self._slots.process(time_ns, block["segment"], values)
+        rows, has_mag = self._rows(block, np.where(rest, 0.0, interval_s)[:, np.newaxis] * rate)
+        accel = np.where(_finite(accel)[:, np.newaxis], accel, 0.0)
+        changes = np.flatnonzero(begins | np.diff(known, prepend=False))
+        k = 0
+        for start, stop in pairwise(sorted({0, len(block), *changes.tolist()})):
+            part = slice(start, stop)
+            if begins[start]:
+                self._restarts += self._fusion.begun
+                self._begin()
+                rows["tilt"][start:] = rows["heading"][start:] = math.nan
+            self._fusion.process(rows[part], time_ns[part], accel[part], has_mag[part], bool(known[start]))
+            while k < len(slots) and slots.row[k] < stop:
+                self._end_slot(rows[slots.row[k] :], slots, k)
+                k += 1
+        self._last = rows[-1:].copy()
+        return rows
 
     def _intervals(self, time_ns: IntArray, segment: IntArray) -> tuple[BoolArray, FloatArray]:
         """Return whether an attitude begins (restart, gap), and the time since the row before, s; (n,)."""
@@ -126,85 +143,55 @@ class AttitudeEstimate:
         restarted = np.diff(segment, prepend=last_segment) != 0
         return restarted | (interval > GAP_NS) | (interval < 0), np.asarray(interval * 1e-9)
 
-    def _estimate(self, block: SampleBlock, interval_s: FloatArray, begins: bool) -> list[ColumnArray]:
-        """Return the columns of rows of one attitude, which may begin with the first of them."""
-        rate, bias_known = _corrected(block)
-        accel = np.asarray(block.accel)
-        rest = bias_known & np.asarray(block.columns.get("at_rest", np.zeros(len(block), np.int64)) == 1)
-        slots = self._slots.process(
-            block["device_time_ns"], block["segment"], np.column_stack([rate, accel, rest])
-        )
-        angle = np.where(rest[:, np.newaxis], 0.0, rate * interval_s[:, np.newaxis])
-        rows, has_mag = self._rows(block, angle)
-        # A slot that ends with the first row is of the attitude before it.
-        earlier = int(np.count_nonzero(slots.row == 0))
-        if earlier:
-            self._end_slot(rows[0], slots, 0)
-        if begins:
-            self._restarts += self._fusion.begun
-            self._begin()
-        accel = np.where(_finite(accel)[:, np.newaxis], accel, 0.0)
-        self._fusion.process(rows[1:], block["device_time_ns"], accel, has_mag, bool(bias_known[0]))
-        ends = [self._slot_end]
-        for k in range(earlier, len(slots)):
-            self._end_slot(rows[slots.row[k]], slots, k)
-            ends.append(self._slot_end)
-        self._last = rows[-1:].copy()
-        lengths = np.diff([0, *slots.row[earlier:], len(block)])
-        return self._output(rows[1:], np.repeat(np.concatenate(ends), lengths))
-
     def _rows(self, block: SampleBlock, angle: FloatArray) -> tuple[Rows, BoolArray]:
-        """Return the samples behind the last one of before, (n + 1,), and whether each has a field, (n,)."""
-        rows = np.zeros(len(block) + 1, ROW)
-        rows[0], sent = self._last[0], rows[1:]
-        sent["angle"] = sent["path"] = angle
-        rows["path"] = np.cumsum(rows["path"], axis=0)  # a running sum, the same whatever the blocks
-        bias_sd = block.vector("gyro_bias_sd")
-        sent["bias_sd"] = math.nan if bias_sd is None else bias_sd
+        """Return the samples before the filter has seen them, (n,), and whether each has a field, (n,)."""
+        rows = np.repeat(self._last, len(block))
+        rows["angle"] = angle
+        rows["path"] = np.cumsum(np.vstack([self._last["path"], angle]), axis=0)[1:]
         mag = block.mag if self._parameters.use_magnetometer else None
         field = np.full_like(angle, math.nan) if mag is None else mag
         if self._magnetometer is not None:
             field = self._magnetometer.corrected(field)
         has_mag = _finite(field)
-        latest = np.maximum.accumulate(np.where(has_mag, np.arange(1, len(rows)), 0))
-        sent["field"] = np.concatenate([rows["field"][:1], field])[latest]
+        latest = np.maximum.accumulate(np.where(has_mag, np.arange(1, len(rows) + 1), 0))
+        rows["field"] = np.vstack([self._last["field"], field])[latest]
         for name in ("quat6d", "acc_quat", "gyr_quat", "low_force"):
-            sent[name] = math.nan
+            rows[name] = math.nan
         return rows, has_mag
 
-    def _end_slot(self, end: Rows, slots: Slots, k: int) -> None:
-        """Estimate how far the attitude is off at the end of a slot, from its last row."""
+    def _end_slot(self, rows: Rows, slots: Slots, k: int) -> None:
+        """Estimate how far the attitude is off at the end of a slot; it holds for the rows behind it."""
+        end, turn = rows[0], slots.turns[k]
         if np.isnan(end["quat6d"][0]):
             return
-        turns = slots.turns
         body, leveled, carried = matrices(np.array([end["quat6d"], end["acc_quat"], end["gyr_quat"]]))
         force = carried @ slots.mean[k, 3:6]
         slot = Slot(
-            rest=bool(slots.smallest[k, 6] == 1.0 and force @ force > 0.0),
+            rest=bool(slots.smallest[k, 9] == 1.0 and force @ force > 0.0),
             up=leveled[2],
             up_body=body[2],
             force=force,
             low_force=float(end["low_force"]) or math.nan,
-            sensitivity=carried @ turns.rotation[k].T @ turns.by_scale[k].reshape(3, 9),
-            missed=float(turns.missed[k]),
+            sensitivity=carried @ turn.rotation.T @ turn.by_scale.reshape(3, 9),
+            missed=turn.missed,
+            bias_sd=float(np.linalg.norm(body[2] * slots.last[k, 6:9])),
         )
-        tilt = self._tilt_sigma.step(slot)
-        heading_variance = self._heading_sigma.step(slot, end, tilt)
-        values = (tilt, heading_variance, end["path"], self._gyros.turn_variance)
-        self._slot_end = np.array([values], SLOT_END)
+        rows["tilt"] = tilt = self._tilt_sigma.step(slot)
+        rows["heading"] = self._heading_sigma.step(slot, end, tilt)
+        rows["slot_path"], rows["gyros"] = end["path"], self._gyros.turn_variance
 
-    def _output(self, rows: Rows, latest: Rows) -> list[ColumnArray]:
-        """Return the columns of rows from the filter and the end of the latest slot before each, (n,)."""
+    def _output(self, rows: Rows) -> list[ColumnArray]:
+        """Return the columns of rows, (n,) each."""
         c, s = np.cos(0.5 * rows["delta"]), np.sin(0.5 * rows["delta"])
         w, x, y, z = rows["quat6d"].T
         q = np.column_stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
         up = matrices(q)[:, 2]
         # What was turned wrong since the latest slot, and half an interval: a rate may be the mean of the
         # interval before or that of the moment.
-        since = ((rows["path"] - latest["path"]) ** 2 * latest["gyros"]).sum(1)
+        since = ((rows["path"] - rows["slot_path"]) ** 2).sum(1) * rows["gyros"]
         since += (rows["angle"] ** 2).sum(1) / 12.0
-        tilt = latest["tilt"] + since
-        heading_variance = latest["heading"] + since + tilt_into_heading(up, tilt)
+        tilt = rows["tilt"] + since
+        heading_variance = rows["heading"] + since + tilt_into_heading(up, tilt)
         # More than a radian is no small angle, and its standard deviation means nothing.
         tilt_sd, heading_sd = (
             np.sqrt(np.where(each < 1.0, each, math.nan)) for each in (tilt, heading_variance)
@@ -215,7 +202,7 @@ class AttitudeEstimate:
         along, across, third = -self._down * up.T
         roll, pitch = np.arctan2(across, third), -np.arcsin(np.clip(along, -1.0, 1.0))
         north = np.where(np.isnan(q[:, 0]), NO_INT, rows["north"])
-        return [*(part.copy() for part in q.T), roll, pitch, tilt_sd, heading(q), heading_sd, north]
+        return [*q.T, roll, pitch, tilt_sd, heading(q), heading_sd, north]
 
     def lanes(self) -> Mapping[str, LaneState]:
         """Return what the heading of the estimated attitude refers to."""
@@ -266,13 +253,6 @@ def tilt_into_heading(up: FloatArray, tilt_variance: FloatArray) -> FloatArray:
     slope2 = rise2 / np.maximum(1.0 - rise2, LEAST_HORIZONTAL**2)
     is_open = np.abs(level - LEAST_HORIZONTAL) < 3.0 * np.sqrt(tilt_variance)
     return np.where(is_open, np.inf, slope2 * tilt_variance)
-
-
-def _corrected(block: SampleBlock) -> tuple[FloatArray, BoolArray]:
-    """Return the rates, without the bias where it is known, rad/s, (n, 3), and where it is known, (n,)."""
-    gyro, corrected = np.asarray(block.gyro), block.vector("gyro_corrected")
-    known = np.zeros(len(block), bool) if corrected is None else _finite(corrected)
-    return (gyro if corrected is None else np.where(known[:, np.newaxis], corrected, gyro)), known
 
 
 def _finite(vectors: FloatArray) -> BoolArray:

@@ -111,7 +111,7 @@ class RestAndBias:
         thermal = ThermalVariance(None if model is None else trust_in(model))
         self._estimator = Estimator(settings, thermal, Attitude(latitude, heading))
         self._timing = Timing()
-        self._slots = SlotGatherer(GATHERED, round(SLOT_S * 1e9), rates=GYRO.start)
+        self._slots = SlotGatherer(GATHERED, round(SLOT_S * 1e9), turns=True)
         self._bias = self._estimator.output(0.0)
         self._bias_s = -math.inf
         """Last output of the estimator, and its time."""

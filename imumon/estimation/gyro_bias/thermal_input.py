@@ -12,7 +12,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.effects.thermal_lag import UNTOLD_S
-from imumon.filters.rates import UNSEEN_RATE
+from imumon.estimation.temperature_rate.thermometer import UNSEEN_RATE
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
 

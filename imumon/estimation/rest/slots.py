@@ -102,7 +102,7 @@ class Timing:
         for k, mean in enumerate(ended.mean):
             yield Slot(
                 *self._times(ended, k), count[k], mean[:AXES], variance[k], steps[k], mean[MODELLED],
-                mean[DEGC], mean[POWER_ON_SD], mean[HEADING], ended.turns.at(k),
+                mean[DEGC], mean[POWER_ON_SD], mean[HEADING], ended.turns[k],
                 bool(ended.smallest[k, REST_GIVEN] == 1.0),
             )  # fmt: skip
 

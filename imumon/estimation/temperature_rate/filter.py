@@ -4,26 +4,31 @@ The state of each filter is x = (T, r, a, e): temperature, its rate, its acceler
 the reading.  What a thermometer rounds to its steps is T + e + white noise.
 
 Arrays have the state first, then the noise models and the jerk PSDs: x (4, k, m), P (4, 4, k, m), and mode
-probabilities mu (k, m).  The jerk PSD of a temperature may change, so the filters of a noise model are mixed
-(IMM).  A thermometer does not change its nature, so noise models are only weighed (MMAE).  The steps are
-those of Bar-Shalom et al. (2001), section 11.6.
+probabilities mu (k, m).  The jerk PSD of a temperature may change, so the filters of a noise model are an
+IMM (interacting multiple models): their estimates are mixed.  A thermometer does not change its nature, so
+noise models are an MMAE (static multiple models): they are only weighed.  Steps and names are those of
+Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), section 11.6.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.thermometer import SLOT_S, Slot, Thermometer
-from imumon.filters.multiple_models import mix, mixture, mode_probabilities, mode_transition
-from imumon.filters.rates import FASTEST_RATE, START_ACCELERATION
+from imumon.estimation.temperature_rate.thermometer import (
+    FASTEST_RATE,
+    SLOT_S,
+    UNSEEN_RATE,
+    Slot,
+    Thermometer,
+)
 
 STATES = 4
 TEMPERATURE, RATE, ACCELERATION, ERROR = range(STATES)
+START_ACCELERATION = UNSEEN_RATE / 300.0
+"""Standard deviation of the acceleration at the start, °C/s²: an unobserved rate comes about within 5 min."""
 LONG_S = 900.0
 """At the start a temperature has no more acceleration than its jerk makes in this time, s, and what a walk of
 the reading gains in it is not known of the temperature.  Ablation."""
@@ -76,8 +81,6 @@ MEAN_MODELS = (
     *(mean_model(share, slow_s) for share in (0.3, 1.0) for slow_s in (5.0, 40.0)),
     *(mean_model(share, 3.0, walk) for share, walk in ((0.3, 0.01), (1.0, 0.01), (1.0, 0.05))),
 )
-
-
 NOISE: FloatArray = np.array([*CODE_MODELS, *MEAN_MODELS], np.float64).T[:, :, np.newaxis]
 """The four fields of every `NoiseModel`, (4, k, 1)."""
 CODE, MEAN = slice(0, len(CODE_MODELS)), slice(len(CODE_MODELS), None)
@@ -89,38 +92,8 @@ CHANGE_PER_S = 2e-3
 """Probability per second that the jerk PSD changes to a neighbour's."""
 
 
-@lru_cache(maxsize=64)
-def dynamics(dt: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return F, F ⊗ F, the decay of e, Q and the transitions of dt seconds: acceleration with white jerk.
-
-    F is (4, 4) and has 1 in place of φ = exp(-dt/τ) of e, which depends on the noise model: the decay,
-    (4, k, 1), is φ for e, and 1 for the other states.  F ⊗ F, (16, 16), is for vec(F P Fᵀ) = (F ⊗ F) vec P.
-    Q of T, r and a is (3, 3, 1, m), the transition matrix of the jerk PSDs (m, m).
-    """
-    f: FloatArray = np.eye(STATES)
-    f[TEMPERATURE, RATE] = f[RATE, ACCELERATION] = dt
-    f[TEMPERATURE, ACCELERATION] = 0.5 * dt**2
-    decay = np.ones((STATES, NOISE.shape[1], 1))
-    decay[ERROR] = np.exp(-dt / NOISE[2])
-    by_jerk = np.array([[dt**2 / 2.0], [dt], [1.0]])  # Q is the integral of (t²/2, t, 1) times its transpose
-    q = dt * by_jerk * by_jerk.T / np.array([[5.0, 4.0, 3.0], [4.0, 3.0, 2.0], [3.0, 2.0, 1.0]])
-    transition = mode_transition(len(JERK_PSDS), min(dt * CHANGE_PER_S, 0.4))
-    return f, np.asarray(np.kron(f, f), np.float64), decay, q[:, :, None, None] * JERK_PSDS, transition
-
-
-class Predicted(NamedTuple):
-    """The reading y = H x, H = [1, 0, 0, 1], before its white noise and steps, of every filter, (k, m)."""
-
-    mean: FloatArray
-    variance: FloatArray
-    gain: FloatArray
-    """P Hᵀ / (H P Hᵀ), (4, k, m): how the state follows y."""
-    square_rate: FloatArray
-    """Mean square of the rate, r² + P_rr, (°C/s)²."""
-
-
 class Correction(NamedTuple):
-    """Evidence of a slot on y, (k, m)."""
+    """Evidence of a slot on the reading y = H x, (k, m)."""
 
     mean_change: FloatArray
     """Change of the mean of y, °C."""
@@ -129,27 +102,28 @@ class Correction(NamedTuple):
     log_likelihood: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class Filters:
-    """The filters of one thermometer: x, P, mu, and the time that x refers to, s."""
+class Filters(NamedTuple):
+    """The filters of one thermometer, and the time that x refers to, s.
+
+    The reading before its white noise and steps is y = H x with H = [1, 0, 0, 1].
+    """
 
     x: FloatArray
     p: FloatArray
     mu: FloatArray
     time_s: float
 
-    @cached_property
-    def reading(self) -> Predicted:
-        """The reading y = H x, H = [1, 0, 0, 1], before its white noise and steps."""
+    @property
+    def reading(self) -> tuple[FloatArray, FloatArray]:
+        """Mean and variance of y of every filter, °C and °C², (k, m)."""
         x, p = self.x, self.p
-        cross = p[:, TEMPERATURE] + p[:, ERROR]
-        variance = cross[TEMPERATURE] + cross[ERROR]
-        return Predicted(x[TEMPERATURE] + x[ERROR], variance, cross / variance, x[RATE] ** 2 + p[RATE, RATE])
+        variance = p[TEMPERATURE, TEMPERATURE] + 2.0 * p[TEMPERATURE, ERROR] + p[ERROR, ERROR]
+        return x[TEMPERATURE] + x[ERROR], variance
 
     @property
     def expected(self) -> tuple[float, float]:
         """Mean and variance of y over all filters, °C and °C²."""
-        return mixture(self.mu, self.reading.mean, self.reading.variance)
+        return mixture(self.mu, *self.reading)
 
 
 def start(thermometer: Thermometer, slot: Slot) -> Filters:
@@ -175,27 +149,66 @@ def slow_error(thermometer: Thermometer) -> tuple[FloatArray, FloatArray]:
     return slow * scale, walk_per_s * walk_scale
 
 
+def mix(filters: Filters, dt: float) -> Filters:
+    """Return the mixed initial condition of each jerk PSD, and the predicted mode probabilities c̄.
+
+    With the transition matrix M and the mixing probabilities ω_ij = M_ij μ_i / c̄_j, mode j begins with
+    x_0j = Σ_i ω_ij x_i and the covariance Σ_i ω_ij (P_i + d_i d_iᵀ), d_i = x_i - x_0j.  Sums are of
+    differences from the mean over all modes, so that a large mean costs no digits.
+    """
+    x, p, mu, _ = filters
+    m, change = len(JERK_PSDS), min(dt * CHANGE_PER_S, 0.4)
+    transition = change / 2.0 * (np.eye(m, k=1) + np.eye(m, k=-1))
+    transition[np.diag_indices(m)] += 1.0 - transition.sum(axis=1)
+    predicted = mu @ transition
+    centre = (mu * x).sum(-1, keepdims=True) / mu.sum(-1, keepdims=True)
+    off = x - centre
+    mixed = (mu * off) @ transition / predicted
+    second = (mu * (p + off[:, np.newaxis] * off)) @ transition / predicted
+    return filters._replace(x=mixed + centre, p=second - mixed[:, np.newaxis] * mixed, mu=predicted)
+
+
 def predict(thermometer: Thermometer, filters: Filters, time_s: float) -> Filters:
-    """Mix the filters of each noise model (IMM) and advance all to a time: x = F x, P = F P Fᵀ + Q."""
-    dt = round(max(time_s - filters.time_s, 0.0), 3)
-    f, f_kron_f, decay, q, transition = dynamics(dt)
-    x, p, mu = mix(filters.x, filters.p, filters.mu, transition)
-    shape = x.shape
-    x = (f @ x.reshape(STATES, -1)).reshape(shape) * decay
-    p = (f_kron_f @ p.reshape(STATES**2, -1)).reshape(STATES, *shape)
-    p *= decay[:, np.newaxis] * decay
+    """Mix the filters of each noise model and advance all to a time: x = F x, P = F P Fᵀ + Q.
+
+    T, r and a move with white jerk; e decays by φ = exp(-dt/τ).
+    """
+    dt = max(time_s - filters.time_s, 0.0)
+    f: FloatArray = np.eye(STATES)  # with 1 in place of φ, which depends on the noise model
+    f[TEMPERATURE, RATE] = f[RATE, ACCELERATION] = dt
+    f[TEMPERATURE, ACCELERATION] = 0.5 * dt**2
+    decay = np.ones((STATES, NOISE.shape[1], 1))
+    decay[ERROR] = np.exp(-dt / NOISE[2])
+    by_jerk = np.array([[dt**2 / 2.0], [dt], [1.0]])  # Q is the integral of (t²/2, t, 1) times its transpose
+    q = dt * by_jerk * by_jerk.T / np.array([[5.0, 4.0, 3.0], [4.0, 3.0, 2.0], [3.0, 2.0, 1.0]])
+    x, p, mu, _ = mix(filters, dt)
+    x = _times(f, x) * decay
+    p = _times(f, _times(f, p).swapaxes(0, 1)) * (decay * decay[:, np.newaxis])
     variance, walk = slow_error(thermometer)
-    p[:ERROR, :ERROR] += q
+    p[:ERROR, :ERROR] += q[:, :, np.newaxis, np.newaxis] * JERK_PSDS
     p[ERROR, ERROR] += variance * (1.0 - decay[ERROR] ** 2)
     p[TEMPERATURE, TEMPERATURE] += walk * dt
     return Filters(x, p, mu, max(time_s, filters.time_s))
 
 
+def _times(f: FloatArray, array: FloatArray) -> FloatArray:
+    """Return F times an array of states, (4, ...)."""
+    return np.asarray((f @ array.reshape(STATES, -1)).reshape(array.shape))
+
+
 def correct(filters: Filters, correction: Correction) -> Filters:
     """Correct all filters by the evidence of a slot on y, and their probabilities by its likelihood."""
-    mean_change, variance_change, log_likelihood = correction
-    gain = filters.reading.gain
-    x = filters.x + gain * mean_change
-    p = filters.p + gain[:, np.newaxis] * (gain * variance_change)
-    mu = mode_probabilities(filters.mu, log_likelihood, LEAST_PROBABILITY)
-    return Filters(x, p, mu, filters.time_s)
+    x, p, mu, time_s = filters
+    gain = (p[:, TEMPERATURE] + p[:, ERROR]) / filters.reading[1]  # P Hᵀ / (H P Hᵀ): how the state follows y
+    x = x + gain * correction.mean_change
+    p = p + gain[:, np.newaxis] * (gain * correction.variance_change)
+    mu = mu * np.exp(correction.log_likelihood - correction.log_likelihood.max())
+    return Filters(x, p, np.maximum(mu / mu.sum(), LEAST_PROBABILITY), time_s)
+
+
+def mixture(mu: FloatArray, mean: FloatArray, variance: FloatArray) -> tuple[float, float]:
+    """Return mean and variance of one quantity over all filters; arrays are (k, m)."""
+    centre = float(mean.flat[int(mu.argmax())])  # a large mean costs no digits
+    off = mean - centre
+    shift = float((mu * off).sum())
+    return centre + shift, float((mu * (variance + (off - shift) ** 2)).sum())

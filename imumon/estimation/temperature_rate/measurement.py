@@ -32,7 +32,7 @@ import numpy as np
 from scipy.special import log_ndtr, ndtr, ndtri
 
 from imumon.blocks import FloatArray
-from imumon.estimation.temperature_rate.filter import CODE, MEAN, NOISE, Correction, Predicted
+from imumon.estimation.temperature_rate.filter import CODE, MEAN, NOISE, RATE, Correction, Filters
 from imumon.estimation.temperature_rate.thermometer import Slot, Thermometer
 
 ROOT_2_PI = math.sqrt(2.0 * math.pi)
@@ -49,41 +49,44 @@ RENEWAL = 0.1
 
 
 class Codes(NamedTuple):
-    """A slot as the code models take it."""
+    """A slot as the code models take it; arrays are (code models, m)."""
 
     slot: Slot
     step: float
     """d, °C."""
     n: float
     """Independent readings, 1 at least."""
+    white: FloatArray
+    """σ²/d²."""
     sigma: FloatArray
-    """s, °C, (code models, m)."""
+    """s, °C."""
     mean: FloatArray
     variance: FloatArray
-    """Of y as these models predict it, °C and °C², (code models, m)."""
+    """Of y as these models predict it, °C and °C²."""
 
 
-def evaluate(thermometer: Thermometer, slot: Slot, y: Predicted) -> tuple[Correction, Correction | None]:
+def evaluate(thermometer: Thermometer, slot: Slot, filters: Filters) -> tuple[Correction, Correction | None]:
     """Return the evidence of a slot with readings for all filters, by the table above.
 
     The second is for the output only, of a code that does not enter the states; None where there is none.
     """
     white, step, n = NOISE[0], thermometer.step, thermometer.independent(slot)
-    motion = y.square_rate[CODE] * slot.spacing_s**2 / 12.0
-    sigma = np.sqrt(white[CODE] * step**2 + motion)
-    codes = Codes(slot, step, n, sigma, y.mean[CODE], y.variance[CODE])
+    mean, variance = filters.reading
+    square_rate = filters.x[RATE, CODE] ** 2 + filters.p[RATE, RATE, CODE]
+    sigma = np.sqrt(white[CODE] * step**2 + square_rate * slot.spacing_s**2 / 12.0)
+    codes = Codes(slot, step, n, white[CODE], sigma, mean[CODE], variance[CODE])
     span = (slot.highest - slot.lowest) / step
     output_only = None
     if span > 1.5 and slot.high > slot.low:
-        of_codes = _many_codes(codes, white[CODE])
+        of_codes = _many_codes(codes)
     elif 0.5 <= span <= 1.5:
         of_codes = _two_codes(codes)
     else:
         of_codes, confined = _one_code(codes, NOISE[2, CODE])
-        output_only = Correction(*(np.concatenate([part, np.zeros_like(y.mean[MEAN])]) for part in confined))
+        output_only = Correction(*(np.concatenate([part, np.zeros_like(mean[MEAN])]) for part in confined))
     # The mean of a slot is on a lattice of d/n.
     noise = white[MEAN] * thermometer.variance + (step / n) ** 2 / (2.0 * math.pi)
-    of_means = _gaussian(y.mean[MEAN], y.variance[MEAN], slot.mean, noise, step / n)
+    of_means = _gaussian(mean[MEAN], variance[MEAN], slot.mean, noise, step / n)
     return Correction(*map(np.concatenate, zip(of_codes, of_means, strict=True))), output_only
 
 
@@ -101,12 +104,12 @@ def _gaussian(
     return Correction(variance * innovation / total, -(variance**2) / total, log)
 
 
-def _many_codes(codes: Codes, white: FloatArray) -> Correction:
+def _many_codes(codes: Codes) -> Correction:
     """Correct by the mean: with white noise, E[mean] = x - β/π sin 2πx in steps, β = exp(-2π²σ²).
 
     Widrow and Kollar, Quantization Noise (2008), ch. 4.
     """
-    slot, step, n, sigma, mean, variance = codes
+    slot, step, n, white, sigma, mean, variance = codes
     ripple = np.exp(-2.0 * np.pi**2 * white)
     offset = (slot.mean - slot.low) / step
     place = np.full_like(ripple, offset)
@@ -114,16 +117,16 @@ def _many_codes(codes: Codes, white: FloatArray) -> Correction:
         place = offset + np.minimum(ripple, 0.4) / math.pi * np.sin(2.0 * math.pi * place)
     noise = np.maximum(sigma**2, slot.variance) / n + (ripple * step / math.pi) ** 2 / 8.0
     found = _gaussian(mean, variance, slot.low + step * place, noise, step / n)
-    return found._replace(log_likelihood=found.log_likelihood + _scatter(codes, white, place, ripple))
+    return found._replace(log_likelihood=found.log_likelihood + _scatter(codes, place, ripple))
 
 
-def _scatter(codes: Codes, white: FloatArray, place: FloatArray, ripple: FloatArray) -> FloatArray:
+def _scatter(codes: Codes, place: FloatArray, ripple: FloatArray) -> FloatArray:
     """Return the log likelihood of readings that scatter more than noise and rounding: χ² of n.
 
     Rounded readings have the variance s² + d²/12 and its first harmonic in the place, both in steps.
     """
     cosine, sine = ripple * np.cos(2.0 * math.pi * place), ripple * np.sin(2.0 * math.pi * place)
-    harmonic = -cosine * (1.0 / math.pi**2 + 4.0 * white) - (sine / math.pi) ** 2
+    harmonic = -cosine * (1.0 / math.pi**2 + 4.0 * codes.white) - (sine / math.pi) ** 2
     rounded = codes.sigma**2 + codes.step**2 * np.maximum(1.0 / 12.0 + harmonic, 0.0)
     excess = np.maximum(codes.slot.variance / rounded, 1.0)
     # In the mean it is zero: half the time it is -χ²/2, -1/4.
@@ -132,7 +135,7 @@ def _scatter(codes: Codes, white: FloatArray, place: FloatArray, ripple: FloatAr
 
 def _two_codes(codes: Codes) -> Correction:
     """Correct by the share of readings above the edge between the two codes."""
-    slot, step, n, sigma, mean, variance = codes
+    slot, step, n, _, sigma, mean, variance = codes
     share = (slot.mean - slot.lowest) / (slot.highest - slot.lowest)
     share = min(max(share, 0.5 / slot.count), 1.0 - 0.5 / slot.count)
     quantile = float(ndtri(share))
@@ -152,7 +155,7 @@ def _one_code(codes: Codes, slow_s: FloatArray) -> tuple[Correction, Correction]
 
     Returns what enters the states, and what does not.
     """
-    slot, step, n, sigma, mean, variance = codes
+    slot, step, n, _, sigma, mean, variance = codes
     extreme = float(ndtri(2.0 ** (-1.0 / n)))
     softness = sigma / math.sqrt(1.0 + 2.0 * math.log(n))
     half = np.maximum(0.5 * step - extreme * sigma, 0.1 * step)

@@ -14,9 +14,14 @@ import numpy as np
 from imumon.blocks import NO_INT, FloatArray, IntArray
 from imumon.estimation.temperature_rate.filter import Filters, correct, predict, start
 from imumon.estimation.temperature_rate.measurement import evaluate
-from imumon.estimation.temperature_rate.output import Output, extrapolate, output
-from imumon.estimation.temperature_rate.thermometer import SLOT_S, UNKNOWN_STEP_DEGC, Slot, Thermometer
-from imumon.filters.rates import FASTEST_RATE, RateEstimate
+from imumon.estimation.temperature_rate.output import Output, RateEstimate, extrapolate, output
+from imumon.estimation.temperature_rate.thermometer import (
+    FASTEST_RATE,
+    SLOT_S,
+    UNKNOWN_STEP_DEGC,
+    Slot,
+    Thermometer,
+)
 from imumon.filters.slots import SlotGatherer, Slots, held
 
 GATE_SIGMA, GATE_STEPS, GATE_SLOTS = 8.0, 5.0, 3
@@ -24,6 +29,9 @@ GATE_SIGMA, GATE_STEPS, GATE_SLOTS = 8.0, 5.0, 3
 prediction; after so many slots it may be the truth.  Assumed: wide, as the filters weigh what is nearer."""
 SPIKE = 8.0
 """A slot has a spike that spans more than so many °C and more than so many steps.  Assumed."""
+GAP_S = 600.0
+"""After so long without a reading, or of a sensor that is dead or sticks, there is no estimate, s.  Assumed:
+in that time a board goes through half a warm-up."""
 
 
 class Outcome(Enum):
@@ -43,29 +51,22 @@ class Gate:
     rejected: int = 0
     """Outliers in a row."""
     outlier_degc: float = math.nan
-    """The one reading of all of them, °C; NaN if they differ."""
-
-    @property
-    def sticks(self) -> bool:
-        """Whether the thermometer has stuck at one reading since a leap."""
-        return self.rejected >= GATE_SLOTS and math.isfinite(self.outlier_degc)
+    """Last reading of the last of them, °C."""
 
     def decide(self, slot: Slot, thermometer: Thermometer, expected: tuple[float, float] | None) -> Outcome:
         """Return the outcome of a slot that has readings: that of the first row that holds.
 
         `expected` are mean and variance of the predicted reading, °C and °C²; None without an estimate.
         """
-        dead = thermometer.is_dead(slot)
-        spike = slot.high - slot.low > SPIKE * max(1.0, thermometer.step)
+        no_value = thermometer.is_dead(slot) or slot.high - slot.low > SPIKE * max(1.0, thermometer.step)
         stuck = slot.low == slot.high == self.outlier_degc
         near = expected is not None and self._is_near(slot, thermometer, *expected)
         power_on = math.isnan(thermometer.last_change)
         repeats = not thermometer.repeat_s and thermometer.leaps(slot)
         lasts = self.rejected + 1 >= GATE_SLOTS
         table = (
-            (dead, Outcome.PREDICT),  # noise of more than a step has stopped
-            (spike, Outcome.PREDICT),
-            (stuck, Outcome.PREDICT),  # the same reading since a leap, as 85 °C of a restart
+            (no_value, Outcome.PREDICT),  # noise of more than a step has stopped, or there is a spike
+            (stuck, Outcome.PREDICT),  # an outlier that has not moved, as 85 °C of a restart
             (expected is None, Outcome.RESTART),
             (near, Outcome.USE),  # a temperature may be there by now
             (power_on, Outcome.RESTART),  # the reading had never changed: it was a value at power-on
@@ -76,9 +77,8 @@ class Gate:
         outcome = next(outcome for holds, outcome in table if holds)
         if outcome is not Outcome.PREDICT:
             self.used_s, self.rejected, self.outlier_degc = slot.time_s, 0, math.nan
-        elif not (dead or spike):
-            self.outlier_degc = slot.last if stuck or not self.rejected else math.nan
-            self.rejected += 1
+        elif not no_value:
+            self.rejected, self.outlier_degc = self.rejected + 1, slot.last
         return outcome
 
     def _is_near(self, slot: Slot, thermometer: Thermometer, mean: float, variance: float) -> bool:
@@ -87,11 +87,6 @@ class Gate:
         moved = FASTEST_RATE * (slot.time_s - self.used_s + SLOT_S)
         reach = max(GATE_STEPS * thermometer.step, moved, GATE_SIGMA * math.sqrt(noise))
         return max(slot.high - mean, mean - slot.low) < reach
-
-
-GAP_S = 600.0
-"""After so long without a reading, or of a sensor that is dead or sticks, there is no estimate, s.  Assumed:
-in that time a board goes through half a warm-up."""
 
 
 class MultipleModelRate:
@@ -130,10 +125,9 @@ class MultipleModelRate:
         self.thermometer.begin()
         self._gate, self._output = Gate(), Output()
         self._filters: Filters | None = None
-        self._fault = False
-        """Whether the readings before were taken for a fault."""
         self._origin_ns, self._end_s = origin_ns, 0.0
         self._last, self._last_s = math.nan, -math.inf
+        """Latest reading that was no fault, °C, and the end of its slot, s."""
 
     def _update(self, slots: Slots, i: int) -> Output:
         """Process a slot; return the output from its end on."""
@@ -152,22 +146,22 @@ class MultipleModelRate:
     def _measure(self, slot: Slot) -> Filters | None:
         """Correct the filters by new readings of a slot; return those to show, None without an estimate."""
         thermometer, filters = self.thermometer, self._filters
-        new = thermometer.unrepeated(slot)
-        if new is None:
-            return filters
-        if self._fault:
-            new = new.alone()
-        outcome = self._gate.decide(new, thermometer, filters.expected if filters else None)
-        self._fault = outcome is Outcome.PREDICT
-        if self._gate.sticks:
-            self.stuck_degc = self._gate.outlier_degc
+        new, outcome = thermometer.unrepeated(slot), None
+        if new is not None:
+            outcome = self._gate.decide(new, thermometer, filters.expected if filters else None)
         if outcome is Outcome.PREDICT:
+            if self._gate.rejected >= GATE_SLOTS:
+                self.stuck_degc = self._gate.outlier_degc
+            return filters
+        if slot.count:
+            self._last, self._last_s = slot.last, slot.end_s
+        if new is None:
             return filters
         thermometer.learn(new, anew=outcome is Outcome.RESTART)
         if outcome is Outcome.RESTART or filters is None:
             self._filters, self._output = start(thermometer, new), Output()
             return self._filters
-        entering, confining = evaluate(thermometer, new, filters.reading)
+        entering, confining = evaluate(thermometer, new, filters)
         self._filters = correct(filters, entering)
         return correct(self._filters, confining) if confining else self._filters
 
@@ -176,9 +170,12 @@ class MultipleModelRate:
         first = float(slots.first[i, 0])
         before = self._last if start_s - self._last_s < self.thermometer.neighbour_s else first
         gap_s = (end_s - self._end_s) / int(slots.samples[i])
-        slot = Slot(
+        self._end_s = end_s
+        return Slot(
             time_s=0.5 * (start_s + end_s),
             end_s=end_s,
+            gap_s=gap_s,
+            spacing_s=max(SLOT_S, gap_s),
             count=int(slots.count[i, 0]),
             mean=float(slots.mean[i, 0]),
             variance=float(slots.variance[i, 0]),
@@ -189,10 +186,4 @@ class MultipleModelRate:
             last=float(slots.last[i, 0]),
             changes=max(int(slots.changes[i, 0]), int(before != first)),
             step_squares=float(slots.step_squares[i, 0]),
-            gap_s=gap_s,
-            spacing_s=max(SLOT_S, gap_s),
         )
-        if slot.count:
-            self._last, self._last_s = slot.last, end_s
-        self._end_s = end_s
-        return slot

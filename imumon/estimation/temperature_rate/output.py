@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from imumon.blocks import BoolArray, FloatArray
-from imumon.estimation.temperature_rate.filter import LONG_S, RATE, TEMPERATURE, Filters, slow_error
-from imumon.estimation.temperature_rate.thermometer import REVERSALS, SLOT_S, Thermometer
-from imumon.filters.multiple_models import mixture
-from imumon.filters.rates import FASTEST_RATE, UNSEEN_RATE, RateEstimate
+from imumon.blocks import BoolArray, FloatArray, IntArray
+from imumon.estimation.temperature_rate.filter import LONG_S, RATE, TEMPERATURE, Filters, mixture, slow_error
+from imumon.estimation.temperature_rate.thermometer import FASTEST_RATE, REVERSALS, SLOT_S, Thermometer
 
 LINEARITY, HYSTERESIS = 0.05, 0.5
 """Standard deviation of the place of an edge, steps: of a good converter; of one that may have hysteresis, as
@@ -24,9 +23,24 @@ Ablation."""
 LAG_S = 3.0
 """Time constant with which the rate in the output follows the estimate, s, so that it does not jump.
 Ablation."""
-FROZEN_S, FROZEN_RATE = 3600.0, 1.0 / 3600.0
-"""A code unchanged for this long, s, may be frozen; from then on the sigma of the rate grows by 1 °C/h in
-each further hour, °C/s.  Assumed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RateEstimate:
+    """Temperature and its rate with their standard deviations, one value per sample."""
+
+    temperature: FloatArray
+    rate: FloatArray
+    temperature_sd: FloatArray
+    rate_sd: FloatArray
+    """°C, °C/s, °C and °C/s, (n,); NaN where there is no estimate."""
+
+
+class RateMethod(Protocol):
+    """A method that estimates the rate sample by sample, from readings up to that sample."""
+
+    def process(self, time_ns: IntArray, segment: IntArray, reading: FloatArray) -> RateEstimate:
+        """Return the estimates of samples that follow those of the last call."""
 
 
 class Output(NamedTuple):
@@ -57,8 +71,6 @@ def output(thermometer: Thermometer, filters: Filters, before: Output, end_s: fl
     variance += edge_sd**2 + (rate * thermometer.repeat_s) ** 2 / 3.0
     # A ramp that has just begun is hidden by the temperature's sigma and the step.
     rate_variance += (variance + thermometer.step**2 / 12.0) / RAMP_S**2
-    frozen = max(end_s - thermometer.changed_s - FROZEN_S, 0.0) / FROZEN_S
-    rate_variance += min(frozen * FROZEN_RATE, UNSEEN_RATE) ** 2
     offset = before.rate + math.exp(-(end_s - before.time_s) / LAG_S) * before.rate_offset - rate
     return Output(
         time_s=end_s,
@@ -84,10 +96,11 @@ def extrapolate(age: FloatArray, known: BoolArray, reading: FloatArray, shown: O
     # A slot is known when the next begins; readings farther apart leave the temperature to the rate.
     waited = np.maximum(age - 2.0 * SLOT_S, 0.0)
     unknown = 0.0 * reading
-    temperature_sd = np.hypot(shown.temperature_sd, waited * shown.rate_sd)
     return RateEstimate(
         temperature=np.where(known, shown.temperature + age * shown.rate, reading),
         rate=np.where(known, shown.rate + fading, unknown + np.where(late, shown.rate, 0.0)),
-        temperature_sd=np.where(known, temperature_sd, unknown + shown.reading_sd),
+        temperature_sd=np.where(
+            known, np.hypot(shown.temperature_sd, waited * shown.rate_sd), unknown + shown.reading_sd
+        ),
         rate_sd=np.where(known, np.hypot(shown.rate_sd, fading), unknown + FASTEST_RATE),
     )

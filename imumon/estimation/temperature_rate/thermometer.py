@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from imumon.filters.rates import FASTEST_RATE
-
+FASTEST_RATE = 20.0 / 60.0
+"""Fastest that a thermometer beside an IMU moves, °C/s: 20 °C/min, twice a fast chamber."""
+UNSEEN_RATE = 200.0 / 3600.0
+"""Standard deviation of an unobserved rate, °C/s: of a board that warms by 20 °C with 6 min, at its start."""
 SLOT_S = 1.0
 """Samples are summarised over slots of this length, s."""
 UNKNOWN_STEP_DEGC = 1.0
@@ -28,6 +30,10 @@ class Slot:
     time_s: float
     """Middle of the slot, which its mean refers to."""
     end_s: float
+    gap_s: float
+    """Time between two samples."""
+    spacing_s: float
+    """Time from one such slot to the next."""
     count: int
     """Readings; without any, all below is NaN or zero."""
     mean: float
@@ -35,17 +41,13 @@ class Slot:
     low: float
     high: float
     before: float
-    """The last reading before the slot; the first in it if that is long ago."""
+    """The last reading before the slot that was no fault; the first in it if that is long ago."""
     first: float
     last: float
     changes: int
     """How many readings differ from the one before, in the slot and into it."""
     step_squares: float
     """Sum of the squares of these differences."""
-    gap_s: float
-    """Time between two samples."""
-    spacing_s: float
-    """Time from one such slot to the next."""
 
     @property
     def lowest(self) -> float:
@@ -56,12 +58,6 @@ class Slot:
     def highest(self) -> float:
         """Highest reading, the last one before the slot included."""
         return max(self.high, self.before)
-
-    def alone(self) -> Slot:
-        """Return the slot without the reading before it."""
-        jump = self.first - self.before
-        changes, squares = self.changes - (jump != 0.0), self.step_squares - jump**2
-        return replace(self, before=self.first, changes=max(changes, 0), step_squares=max(squares, 0.0))
 
 
 @dataclass(slots=True)
@@ -150,34 +146,27 @@ class Thermometer:
 
         A reading repeated for longer than a slot counts once: when it changes, or when that is overdue.
         """
-        if not slot.count:
-            return None
-        if self.repeat_s < 0.9 * SLOT_S:
-            return slot
+        if not slot.count or self.repeat_s < 0.9 * SLOT_S:
+            return slot if slot.count else None
         if not slot.changes and slot.end_s - self.fresh_s < self.repeat_s + SLOT_S:
             return None
-        spacing_s, last = max(SLOT_S, self.repeat_s), slot.last
-        return replace(
-            slot, count=1, variance=0.0, mean=last, low=last, high=last, first=last, spacing_s=spacing_s
-        )
+        last = slot.last
+        once = replace(slot, count=1, mean=last, variance=0.0, low=last, high=last, first=last)
+        return replace(once, spacing_s=max(SLOT_S, self.repeat_s))
 
     def learn(self, slot: Slot, anew: bool) -> None:
         """Learn from a slot, no reading of which is a repeat; `anew`: the filters begin anew with it."""
-        if anew and self.leaps(slot):
-            self._learn_repeats(slot)
-        slot = slot.alone() if anew else slot
         self.slots += 1
         self.means = (slot.mean,) if anew else (*self.means[-2:], slot.mean)
         self.fresh_s, self.spacing_s = slot.end_s, slot.spacing_s
-        if slot.changes:
-            self.learn_step(abs(slot.first - slot.before))
-            self.learn_step(slot.highest - slot.lowest)
         if len(self.means) == 3:
             bend = (self.means[0] - 2.0 * self.means[1] + self.means[2]) ** 2 / 6.0
             self.rho = averaged(self.rho, bend, self.slots - 2)
-        if slot.changes and len(self.means) > 1:
-            self._learn_scatter(slot)
         if slot.changes:
+            self.learn_step(abs(slot.first - slot.before))
+            self.learn_step(slot.highest - slot.lowest)
+            if not anew:
+                self._learn_scatter(slot)
             self._learn_repeats(slot)
         if slot.changes or not math.isfinite(self.changed_s):
             self.changed_s = slot.time_s
@@ -202,17 +191,16 @@ class Thermometer:
         self.squared_if_independent = averaged(self.squared_if_independent, 2.0 * slot.count * variance, n)
 
     def _learn_repeats(self, slot: Slot) -> None:
-        change, single, silent_s = slot.last - slot.before, slot.changes <= 1, self._silent_s(slot)
+        change, silent_s = slot.last - slot.before, self._silent_s(slot)
         one_way = (slot.highest - slot.lowest) / self.step
         back = change * self.last_change < 0.0 and silent_s < MOST_REPEAT_S
         self.reversals += slot.changes > one_way + 0.5 or back
         self.leapt |= self.leaps(slot)
-        gap_s = silent_s if single else SLOT_S / slot.changes
+        gap_s = silent_s if slot.changes <= 1 else SLOT_S / slot.changes
         if math.isfinite(gap_s):
             longest = 1.01 * max(self.interval_s, slot.gap_s)
             self.interval_s = min(gap_s, longest) if self.interval_s else gap_s
-        shown = self.leapt or self.reversals >= REVERSALS
-        repeats = shown and self.interval_s > 1.5 * slot.gap_s
+        repeats = (self.leapt or self.reversals >= REVERSALS) and self.interval_s > 1.5 * slot.gap_s
         self.repeat_s = min(self.interval_s, MOST_REPEAT_S) if repeats else 0.0
         self.last_change = change
 

@@ -8,13 +8,14 @@ from typing import Self
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.filters.least_squares import least_squares
 from imumon.geodesy import MICRO_G, STANDARD_GRAVITY
 
 APART_DEG = 20.0
 """Poses that differ by less are one."""
 ITERATIONS = 3
 """Gauss-Newton steps: the length depends on the errors to first order, the direction does as well."""
+INDEPENDENT = 10.0
+"""Means that count as one, for noise that is slow and for what a model lacks."""
 LEAST_POSES, POSES_OF_MISALIGNMENT = 6, 9
 """Poses from which bias and scale, and the misalignment as well, follow from the length of gravity."""
 
@@ -72,7 +73,7 @@ class Length:
             columns = np.einsum("ij,ijk->ik", true / size, errors)
             excess = size[:, 0] - STANDARD_GRAVITY
             values = excess if len(found) == 1 else excess + columns @ found
-            found, sd = least_squares(columns, values)
+            found, sd = _least_squares(columns, values)
             true = force - errors @ found
         bias_slope, scale_slope, bias, scale = np.split(found[-12:], 4)
         return poses, cls(
@@ -105,6 +106,27 @@ def _listed(values: FloatArray) -> str:
 
 def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2)))
+
+
+def _least_squares(columns: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the coefficients of ordinary least squares, the smallest where columns are collinear, and their
+    standard deviations, (k,); infinite where the columns do not determine one.
+
+    Parameters
+    ----------
+    columns, values : array of shape (n, k) and (n,)
+    """
+    norm = np.linalg.norm(columns, axis=0)
+    norm = np.where(norm > 0, norm, 1.0)
+    left, singular, right = np.linalg.svd(columns / norm, full_matrices=False)
+    kept = singular > 1e-6 * singular[0]
+    coefficients = right[kept].T @ ((left[:, kept].T @ values) / singular[kept])
+    residual = values - columns / norm @ coefficients
+    variance = ((right[kept] / singular[kept, np.newaxis]) ** 2).sum(axis=0)
+    variance[(right[~kept] ** 2).sum(axis=0) > 1e-3] = np.inf
+    freedom = max(len(values) - int(kept.sum()), 1)
+    sd = np.sqrt(variance * float(residual @ residual) / freedom * INDEPENDENT)
+    return coefficients / norm, sd / norm
 
 
 def _errors(up: FloatArray, warmth: FloatArray, *, skewed: bool) -> FloatArray:

@@ -110,7 +110,7 @@ class Gathered:
     """What the gyros and the magnetometer of a recording say, slot by slot."""
 
     def __init__(self) -> None:
-        self._gatherer = SlotGatherer(6, SLOT_NS, rates=0)
+        self._gatherer = SlotGatherer(6, SLOT_NS, turns=True)
         self._slots: list[Slots] = []
 
     def passing(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
@@ -134,9 +134,9 @@ class Gathered:
         last = np.concatenate([slots.last for slots in self._slots])
         end_ns = np.concatenate([slots.end_ns for slots in self._slots])
         begins = np.concatenate([slots.begins for slots in self._slots])
-        turns = [slots.turns for slots in self._slots]
+        turns = [turn for slots in self._slots for turn in slots.turns]
         rotation, by_bias, seconds, coning, fast, missed = (
-            np.concatenate([getattr(part, name) for part in turns])
+            np.array([getattr(turn, name) for turn in turns])
             for name in ("rotation", "by_bias", "seconds", "coning", "fast", "missed")
         )
         paused = np.abs(1e-9 * np.diff(end_ns) - seconds[1:]) >= PAUSE_S

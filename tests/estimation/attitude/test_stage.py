@@ -374,11 +374,11 @@ def test_a_reversed_gyro_is_not_confirmed_before_the_filter_has_followed_its_tur
 def test_gyros_that_were_shown_to_be_bad_widen_the_heading_up_to_what_is_declared(
     declared: float | None, expected: float
 ) -> None:
-    learned = Gyros(declared, change=0.2, turned=18.0, own_change=np.zeros(3), own_turned=np.ones(3))
+    learned = Gyros(declared, change=0.2, turned=18.0, followed=10.0)
     sensitivity = np.zeros((3, 9))
     sensitivity[2, 8] = 1.0  # a radian about the vertical, by the third gyro
     up = np.array([0.0, 0.0, 1.0])
-    slot = Slot(False, up, up, STANDARD_GRAVITY * up, STANDARD_GRAVITY, sensitivity, 0.0)
+    slot = Slot(False, up, up, STANDARD_GRAVITY * up, STANDARD_GRAVITY, sensitivity, 0.0, 0.0)
     variance = HeadingSigma(learned, None, 0.0).step(slot, np.zeros(1, ROW)[0], 0.0)
     assert np.sqrt(variance) == pytest.approx(expected, rel=0.01)
 
@@ -418,7 +418,7 @@ def test_retired_parameters_are_read_ignored_and_named_once() -> None:
     assert "axes" not in given.model_dump_json()
     stage = AttitudeEstimate(given)
     assert stage.notices() == [
-        f"attitude: {name}_error_probability is not used any more" for name in ("accel", "axes")
+        f"attitude: {name} is not used any more" for name in ("accel_error_probability", "axes_doubt")
     ]
     assert stage.notices() == []
 
