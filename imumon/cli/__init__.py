@@ -68,6 +68,9 @@ OWN = {
 }
 """Commands of the core by group: where each is in `imumon.cli`, and the line that the help shows."""
 
+START = ("demo", "doctor", "detect PORT", "monitor PORT --device NAME", "replay sessions/NAME")
+"""What a beginner needs, as `imumon` without arguments shows it."""
+
 
 @cache
 def commands(of_plugins: bool = False) -> dict[str, Command]:
@@ -102,7 +105,10 @@ class _LazyGroup(click.Group):
         return command
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        return super().parse_args(ctx, args or ["--help"])
+        if not args and not ctx.resilient_parsing:
+            click.echo(_short_help(ctx))
+            ctx.exit()
+        return super().parse_args(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         for group in GROUPS:
@@ -110,6 +116,24 @@ class _LazyGroup(click.Group):
             if lines:
                 with formatter.section(group):
                     formatter.write_dl(lines)
+
+
+def _short_help(ctx: click.Context) -> str:
+    """Return what a beginner needs to see first: five commands, the names of all, and where more is."""
+    formatter = ctx.make_formatter()
+    formatter.write_text(str(cli.help))
+    with formatter.section("Start here"):
+        first = [(f"imumon {usage}", commands()[usage.split()[0]].help) for usage in START]
+        formatter.write_dl(first, col_max=40)
+    with formatter.section("All commands"):
+        names = [
+            (group, ", ".join(name for name, one in _listed(ctx).items() if one.group == group))
+            for group in GROUPS
+        ]
+        formatter.write_dl([(group, text) for group, text in names if text])
+    formatter.write_paragraph()
+    formatter.write_text("imumon --help has a line on each command, imumon COMMAND --help all about one.")
+    return formatter.getvalue().rstrip("\n")
 
 
 def _listed(ctx: click.Context) -> dict[str, Command]:
@@ -129,11 +153,7 @@ def _listed(ctx: click.Context) -> dict[str, Command]:
 @click.version_option(package_name="imumon")
 @click.option("--without-plugins", is_flag=True, help="Load nothing that other packages add.")
 def cli(without_plugins: bool) -> None:
-    """Watch, record and understand an IMU or AHRS on the bench.
-
-    Start with `imumon demo`, or with `imumon doctor`, `imumon detect PORT` and `imumon monitor PORT --device
-    NAME`; `imumon COMMAND --help` has all about one command.
-    """
+    """Watch, record and understand an IMU or AHRS on the bench."""
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imumon.cli.common import INTERRUPTED, note, say
+from imumon.errors import ImumonError, Reason
 from imumon.heap import prepare_heap
 from imumon.recordings import lines
 
@@ -93,9 +94,18 @@ class PortRun:
         self._device, self._setup = parse_device(text, source), setup
         self._settings = self._device.port_settings(port, baud)
         self.lines, self.ending = Lines(), Ending(seconds)
-        folder = out or default_path(self._device.name, time.time_ns())
-        take = self.lines.put
-        self.run = LiveRun(self._device, text, self._settings, setup, folder, take, serial=serial)
+
+        def new_run() -> LiveRun:
+            folder = out or default_path(self._device.name, time.time_ns())
+            take = self.lines.put
+            return LiveRun(self._device, text, self._settings, setup, folder, take, serial=serial)
+
+        try:
+            self.run = new_run()
+        except ImumonError as error:
+            if out is not None or error.reason is not Reason.EXISTS:
+                raise
+            self.run = new_run()  # another monitor has taken the name at the same moment
         self.run.open()
         self.ending.begin()
 

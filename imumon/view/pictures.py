@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import threading
 import time
 from functools import cache
 from typing import Any
@@ -19,7 +20,7 @@ from imumon.view.rows import at_instants
 
 CHARTS = "/charts"
 PICTURE_SHARE = 0.03
-"""Live, drawing charts takes so much of the time at the most: samples wait for it."""
+"""Live, drawing charts takes so much of the time at the most."""
 SIZE, DOTS_PER_INCH = (7.0, 5.6), 150
 """Inches, of all charts at all times: the viewer warns of a picture whose size changes.  Sharp in half of a
 tab on a full HD screen, readable in a quarter."""
@@ -51,11 +52,12 @@ def chart_view(key: str, title: str) -> Any:
 
 
 class Painter:
-    """Logs the latest of each chart as a picture: live one after the other, of a recording at its end."""
+    """Logs the latest of each chart as a picture: live in a thread, as one takes 0.1 s; else at the end."""
 
     def __init__(self, rec: rr.RecordingStream, *, live: bool) -> None:
         self._rec, self._live = rec, live
         self._waiting: dict[str, Drawing] = {}
+        self._thread: threading.Thread | None = None
         self._next_s = -math.inf
         self.titles: dict[str, tuple[str, str, str]] = {}
         """Tab, key and title of every chart, by its key."""
@@ -67,22 +69,29 @@ class Painter:
         self.titles[chart.key] = chart.place, chart.key, chart.title
 
     def draw_next(self) -> None:
-        """Draw the one that waits longest, live and when it is time."""
+        """Begin to draw the one that waits longest, live and when it is time."""
         if self._live and self._waiting and time.monotonic() >= self._next_s:
-            began = time.thread_time()
-            self._draw(self._waiting.pop(next(iter(self._waiting))))
-            self._next_s = time.monotonic() + (time.thread_time() - began) / PICTURE_SHARE
+            self._next_s = math.inf
+            drawing = self._waiting.pop(next(iter(self._waiting)))
+            self._thread = threading.Thread(target=self._draw, args=[drawing], name="painter", daemon=True)
+            self._thread.start()
 
     def finish(self) -> None:
         """Draw all that wait."""
+        if self._thread is not None:
+            self._thread.join()
         while self._waiting:
             self._draw(self._waiting.popitem()[1])
 
     def _draw(self, drawing: Drawing) -> None:
         """Log the picture of a chart, a PNG; a recording has it whatever moment is looked at."""
-        image = rr.EncodedImage.columns(blob=[picture(drawing.chart)], media_type=["image/png"])
-        indexes = at_instants(drawing.at).indexes if self._live else []
-        self._rec.send_columns(f"{CHARTS}/{drawing.chart.key}", indexes=indexes, columns=image)
+        began = time.thread_time()
+        try:
+            image = rr.EncodedImage.columns(blob=[picture(drawing.chart)], media_type=["image/png"])
+            indexes = at_instants(drawing.at).indexes if self._live else []
+            self._rec.send_columns(f"{CHARTS}/{drawing.chart.key}", indexes=indexes, columns=image)
+        finally:
+            self._next_s = time.monotonic() + (time.thread_time() - began) / PICTURE_SHARE
 
 
 def picture(chart: Chart) -> bytes:

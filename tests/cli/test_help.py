@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import click
 import pytest
 
-from imumon.cli import cli, commands
+from imumon.cli import START, cli, commands
 from imumon.files import bundled
 from tests.cli.command import imumon
 
@@ -42,13 +42,16 @@ def test_the_help_of_a_command_begins_with_an_example_and_is_narrow(path: tuple[
     assert not any(part in text for part in ("x<", "<x", "x>=", "RANGE", "{scenarios", "{sessions"))
 
 
-def test_without_a_command_there_is_the_help_that_says_how_to_start() -> None:
+def test_without_a_command_a_beginner_sees_five_and_the_names_of_all() -> None:
     done = imumon()
     assert done.returncode == 0
-    assert done.stdout == imumon("--help").stdout
-    assert [line for line in done.stdout.splitlines() if len(line) > WIDTH] == []
-    assert "Start with `imumon demo`" in done.stdout
-    assert set(commands()) <= set(done.stdout.split())
+    lines = done.stdout.splitlines()
+    assert [line for line in lines if len(line) > WIDTH] == []
+    at = lines.index("Start here:")
+    assert [line.split()[1] for line in lines[at + 1 : at + 6]] == [usage.split()[0] for usage in START]
+    assert lines[at + 6] == ""
+    assert set(commands()) <= set(done.stdout.replace(",", " ").split())
+    assert "imumon COMMAND --help" in lines[-1]
 
 
 @pytest.mark.parametrize("name", ["simulate", "virtual"])

@@ -99,3 +99,10 @@ def test_long_work_is_announced_with_its_time_and_short_work_is_not(
         progress.announce("reading", 13500, 6750.0, expected_s, quiet=True)
     assert lines == [f"reading 13,500 samples of 6,750 s: about {text}" for text in ("20 s", "3 min", "2 h")]
     assert progress.size_of([session])[0] == 2000
+
+
+def test_simulate_announces_only_what_takes_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("imumon.cli.progress.WORTH_SAYING_S", 0.0)
+    options = ["crs05-ramp", "--duration", 1, "--out"]
+    assert "simulating 100 samples of 1 s: about 1 s" in imumon("simulate", *options, tmp_path / "a").stderr
+    assert "about" not in imumon("simulate", *options, tmp_path / "b", "--json").stderr
