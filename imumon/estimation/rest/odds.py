@@ -24,7 +24,7 @@ OBLIQUE = 0.3
 EXCLUDED_SIGMAS = 6.0
 """An oblique turn by more than so many sigmas of the tilt is excluded where the unit has tilted by less than
 half as many: a chamber on a cycle, measured, is rest for 95 % of its time without, and for 98 % with it."""
-LEVEL_RATIO = 3.0
+LEVEL_RATIO = 1.0
 """The level part of a change over the vertical one from which on that decides for the whole."""
 COMPASS_ERROR = 0.15
 """Error of a change of heading over that change: hard and soft iron.  Assumed."""
@@ -51,6 +51,7 @@ def probability_of_turn(
     u = max(size, TURNS[0]) / USUAL_CHANGE  # below the slowest turn the odds stay
     changed = 2.0 * math.log(TURNS[1] / TURNS[0]) / (math.pi * (u + 1.0 / u) * (1.0 + changes))
     no_turn = (changed if size <= largest else 0.0) + others
+
     return 1.0 / (1.0 + no_turn * math.exp(max(min(log_ratio, MOST_LOG_RATIO), -MOST_LOG_RATIO)))
 
 
@@ -60,7 +61,7 @@ def nominal_odds(change: FloatArray, variance: FloatArray) -> float:
     size2 = float(change @ change) + tiny
     along = (float(change**2 @ variance) + tiny * float(variance.max())) / size2
     density = 2.0 * math.exp(-0.5 * size2 / along) / math.sqrt(2.0 * math.pi * along)
-    return density * math.sqrt(size2) * math.log(float(TURNS[1] / TURNS[0]))
+    return density * math.sqrt(size2) * math.log(float(TURNS[1] / TURNS[0])) * (1.0 + float(TURNS[0]) ** 2 / size2)
 
 
 def gravity_log_ratio(
@@ -99,9 +100,7 @@ def gravity_log_ratio(
         return MOST_LOG_RATIO
     left = tilt - turn
     oblique = float(left @ left) / (tilt_variance + variance * elapsed**2) - tilt2 / tilt_variance
-    # About the vertical: what the level axes show is noise of the bias, or a change of it.
-    vertical = 0.5 * level2 / variance + math.log(variance * USUAL_CHANGE / (USUAL_CHANGE**2 + level2) ** 1.5)
-    return math.log(2.0) - float(np.logaddexp(-0.5 * oblique, -max(vertical, 0.0)))
+    return math.log(2.0) - float(np.logaddexp(-0.5 * oblique, 0.0))
 
 
 def _turned(measurements: Sequence[Measurement], bias: FloatArray) -> FloatArray:
