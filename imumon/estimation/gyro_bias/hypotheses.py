@@ -38,8 +38,8 @@ from imumon.estimation.rest.slots import Measurement
 
 FIT_SIGMAS = 4.5
 """Sigmas of an axis within which a mean fits; with 4, drifts of a warm-up contradicted the bias."""
-UNLIKELY_TURN = 0.1
-"""Probability of a turn up to which the nominal bias follows the present one."""
+DOUBT, UNLIKELY_TURN = 0.25, 0.05
+"""Probability of a turn from which on the nominal bias stays, and up to which it then follows again."""
 TURN_LOG_RATIO = 2.0
 """Log likelihood ratio of a turn over a changed bias, from which on time does not exclude a turn."""
 LAG_S = 16.0
@@ -80,6 +80,8 @@ class Hypotheses:
     """How long the present rate has lasted, s."""
     p_turn: float = 0.0
     """Probability that what lies between both is a turn."""
+    doubted: bool = False
+    """Whether the nominal bias stays, as it may be a turn."""
 
     @property
     def moved(self) -> bool:
@@ -119,7 +121,7 @@ class Hypotheses:
     def _learn(self, now: Measurement) -> None:
         """Update the present bias."""
         self.undo = None
-        if _fits(self.present, now):
+        if _fits(self.newer, now):
             self.undo, self.present = self.present, self.present.after(now)
             self.steady_s += now.covered_s
             self.alike = min(self.alike + 1, len(self.recent))
@@ -129,19 +131,21 @@ class Hypotheses:
         else:
             any_bias = self.nominal.with_noise_of(self.present)
             self.present, self.changes = any_bias.after(now, jumped=True), self.changes + 1
-        self.steady_s, self.alike = now.covered_s, 1
+        self.newer, self.steady_s, self.alike = self.present, now.covered_s, 1
 
     def _follow(self, now: Measurement) -> bool:
         """Let the nominal bias follow if a turn is unlikely; return whether it has changed."""
-        if self.p_turn > UNLIKELY_TURN:
+        self.doubted = self.p_turn > (UNLIKELY_TURN if self.doubted else DOUBT)
+        if self.doubted:
             self.nominal = self.nominal.with_noise_of(self.present)
-            return False
-        if self.changes and self.steady_s > LAG_S:
+        elif self.changes and self.steady_s > LAG_S:
             self.nominal = self.newer = self.present
             self.changes, self.first_rate = 0, None
             return True
-        if not self.changes and now.end_s - self.newer.time_s >= LAG_S:
-            self.nominal, self.newer = self.newer, self.present
+        if now.end_s - self.newer.time_s >= LAG_S:
+            if not (self.doubted or self.changes):
+                self.nominal = self.newer
+            self.newer = self.present
         return False
 
     def _probability_of_turn(
@@ -180,7 +184,7 @@ class Hypotheses:
         if self.changes == 1 and self.steady_s < ONSET_S:
             self.present, self.changes = self.nominal, 0
         if not self.changes:
-            self.p_turn = 0.0
+            self.p_turn, self.doubted = 0.0, False
         self.recent, self.alike = [], 0
 
     def map(self, function: Callable[[Bank], Bank]) -> None:

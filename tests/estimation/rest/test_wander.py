@@ -60,7 +60,7 @@ def test_a_turn_that_begins_slowly_on_a_coarse_gyro_is_seen_as_soon_as_noise_all
         gyro[:, 2] += 0.5 * DEG * np.clip((t - 150.0) / 120.0, 0.0, 1.0)
         rest, _ = found(t, 0.06 * DEG * np.round(gyro / (0.06 * DEG)), accel)
         rested.append(rest[t > 150.0].sum() / 25.0)
-    assert np.mean(rested) < 24.0
+    assert np.mean(rested) < 26.0
 
 
 @pytest.mark.parametrize("follows", [True, False])
