@@ -61,7 +61,7 @@ class Settings:
         if self.flicker is None or self.walk is None:
             return unknown_modes(self.slopes)
         b, k = ((one / np.sqrt(white))[:, np.newaxis] for one in (self.flicker, self.walk))
-        return modes_of(b, k, self.slopes, np.ones((1, 1)))
+        return modes_of(b, k, self.slopes)
 
 
 @dataclass(slots=True, eq=False)
