@@ -266,7 +266,7 @@ class Estimator:
 
         Of the last two measurements the larger one: a single one may fit by chance.
         """
-        if hypotheses.moved and not hypotheses.changes:
+        if hypotheses.moved and not hypotheses.doubted:
             return np.zeros(3)
         if self.began_turning:
             return hypotheses.recent[-1].rate

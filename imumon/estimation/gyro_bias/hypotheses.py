@@ -111,7 +111,7 @@ class Hypotheses:
             self.map(lambda bank: bank.wider(added))
         if self.moved and np.linalg.norm(now.force - self.first_force) > NEW_POSE:
             self.first_rate = None  # it was in a hand, and not on a turntable
-        if self.moved and not self.changes:
+        if self.moved and not self.doubted:
             self.nominal = self.newer = self.present
         self.recent = [*self.recent[1 - RECENT :], now]
         self._learn(now)
@@ -182,9 +182,9 @@ class Hypotheses:
             self.present = self.undo
         self.undo = None
         if self.changes == 1 and self.steady_s < ONSET_S:
-            self.present, self.changes = self.nominal, 0
-        if not self.changes:
-            self.p_turn, self.doubted = 0.0, False
+            self.present, self.changes, self.doubted = self.nominal, 0, False
+        if not self.doubted:
+            self.p_turn = 0.0
         self.recent, self.alike = [], 0
 
     def map(self, function: Callable[[Bank], Bank]) -> None:

@@ -60,7 +60,8 @@ def nominal_odds(change: FloatArray, variance: FloatArray) -> float:
     size2 = float(change @ change) + tiny
     along = (float(change**2 @ variance) + tiny * float(variance.max())) / size2
     density = 2.0 * math.exp(-0.5 * size2 / along) / math.sqrt(2.0 * math.pi * along)
-    return density * math.sqrt(size2) * math.log(float(TURNS[1] / TURNS[0])) * (1.0 + float(TURNS[0]) ** 2 / size2)
+    slow = 1.0 + float(TURNS[0]) ** 2 / size2  # slower turns are unlikely
+    return slow * density * math.sqrt(size2) * math.log(float(TURNS[1] / TURNS[0]))
 
 
 def gravity_log_ratio(
