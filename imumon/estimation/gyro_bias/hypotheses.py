@@ -4,14 +4,14 @@ Two sets of filters stand for two hypotheses: the *nominal* bias was known befor
 the *present* one has learned that rate.  What lies between both may be a turn; of that the probability is
 P(turn), by `imumon.estimation.rest.odds`.  The first row that holds:
 
-=========================  =====================================================
-the mean fits the present  the present bias learns
-it fits the nominal        the present bias is the nominal one, and learns
-else                       the present bias is any other
-=========================  =====================================================
+=================================  =====================================================
+the mean fits the present bias     it learns
+it fits the nominal bias           the present bias is the nominal one, and learns
+else                               the present bias is any other
+=================================  =====================================================
 
-While a turn is unlikely, the nominal bias follows 16 to 32 s behind, and had not learned the beginning of a
-slow turn.  Else it stays, so that the sigma contains the turn until it is excluded.
+While a turn is unlikely, the nominal bias follows 16 to 32 s behind, so it has not learned the beginning of a
+slow turn.  Else it stays, and the sigma contains the turn until it is excluded.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ TURN_LOG_RATIO = 2.0
 LAG_S = 16.0
 """By so much at least, and twice as much at most, the nominal bias follows the present one."""
 ONSET_S = 4.0
-"""A change that motion follows sooner was its onset; one as old may be the end of a turn in the first rest."""
+"""A change that motion follows sooner was its onset; an older one may end a turn in the first rest."""
 PATIENCE_S = 60.0
 """Where rest is given, rest at another rate for so long is rest with another bias."""
 NEW_POSE = 0.3
@@ -81,7 +81,7 @@ class Hypotheses:
     p_turn: float = 0.0
     """Probability that what lies between both is a turn."""
     doubted: bool = False
-    """Whether the nominal bias stays, as it may be a turn."""
+    """Whether the nominal bias stays, as the present rate may be a turn."""
 
     @property
     def moved(self) -> bool:

@@ -23,7 +23,7 @@ OBLIQUE = 0.3
 """Share of a rate across the vertical from which on gravity is compared: no turntable leans so much (17°)."""
 EXCLUDED_SIGMAS = 4.0
 """An oblique turn by more than so many sigmas of the tilt is excluded where the unit has tilted by less than
-half as many: a chamber on a cycle, measured, is rest for 95 % of its time without, and for 98 % with it."""
+half as many, where the change is more about level axes than about the vertical."""
 COMPASS_ERROR = 0.15
 """Error of a change of heading over that change: hard and soft iron.  Assumed."""
 COMPASS_NOISE = 0.01
@@ -75,7 +75,7 @@ def gravity_log_ratio(
     """Return the log ratio by how gravity moved over some measurements of one rest.
 
     A turn is about the vertical, or oblique.  An oblique one tilts the unit by the angle turned, a change of
-    the bias does not.  In one about the vertical the level axes show the noise of the bias alone.
+    the bias does not.
 
     The rate differs by `change` from the bias, rad/s, (3,), which has a `variance` of an axis, (rad/s)².
     `noise` is the variance of the force of a measurement, (m/s²)², and `drift` that of accelerometers, m/s³.
