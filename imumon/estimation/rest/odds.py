@@ -24,6 +24,8 @@ OBLIQUE = 0.3
 EXCLUDED_SIGMAS = 4.0
 """An oblique turn by more than so many sigmas of the tilt is excluded where the unit has tilted by less than
 half as many, where the change is more about level axes than about the vertical."""
+MOSTLY_LEVEL = 1.5
+"""Square of the level part of such a change over that of the vertical one, at least: flicker moves all axes."""
 COMPASS_ERROR = 0.15
 """Error of a change of heading over that change: hard and soft iron.  Assumed."""
 COMPASS_NOISE = 0.01
@@ -96,7 +98,7 @@ def gravity_log_ratio(
     tilt_variance = ((math.sqrt(2.0 * noise) + drift * elapsed) / gravity) ** 2
     turn2, tilt2 = float(turn @ turn), float(tilt @ tilt)
     excluded = turn2 > EXCLUDED_SIGMAS**2 * tilt_variance > 4.0 * tilt2
-    if excluded and level2 > vertical2:
+    if excluded and level2 > MOSTLY_LEVEL * vertical2:
         return MOST_LOG_RATIO
     left = tilt - turn
     oblique = float(left @ left) / (tilt_variance + variance * elapsed**2) - tilt2 / tilt_variance
