@@ -25,7 +25,7 @@ EXCLUDED_SIGMAS = 4.0
 """An oblique turn by more than so many sigmas of the tilt is excluded where the unit has tilted by less than
 half as many, where the change is more about level axes than about the vertical."""
 MOSTLY_LEVEL = 1.5
-"""Square of the level part of such a change over that of the vertical one, at least: flicker moves all axes."""
+"""Least square of the level part of such a change over that of the vertical one: flicker moves all axes."""
 COMPASS_ERROR = 0.15
 """Error of a change of heading over that change: hard and soft iron.  Assumed."""
 COMPASS_NOISE = 0.01
