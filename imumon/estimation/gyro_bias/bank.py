@@ -88,14 +88,8 @@ class Bank:
 
     @property
     def mode_probabilities(self) -> FloatArray:
-        """Probability of each mode, (3, F).
-
-        The flicker level of the unit is the parent of its axes' levels: exact messages on a tree.
-        """
-        levels, w = self.modes.levels, np.exp(self.log_weight)
-        message = w.reshape(3, len(levels), -1).sum(2) @ levels
-        others = (message.prod(0) / message) @ levels.T
-        w *= np.repeat(others, self.modes.count // len(levels), axis=1)
+        """Probability of each mode, (3, F)."""
+        w = np.exp(self.log_weight)
         return np.asarray(w / w.sum(1, keepdims=True))
 
     @cached_property

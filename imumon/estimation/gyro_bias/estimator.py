@@ -19,7 +19,7 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias import bank
-from imumon.estimation.gyro_bias.hypotheses import CHANGED_BIAS, Hypotheses, begun
+from imumon.estimation.gyro_bias.hypotheses import Hypotheses, begun
 from imumon.estimation.gyro_bias.modes import SENSITIVITY_SD, SLOPE, WALK, Modes, modes_of, unknown_modes
 from imumon.estimation.gyro_bias.motion import Motion
 from imumon.estimation.gyro_bias.place import Attitude
@@ -61,7 +61,7 @@ class Settings:
         if self.flicker is None or self.walk is None:
             return unknown_modes(self.slopes)
         b, k = ((one / np.sqrt(white))[:, np.newaxis] for one in (self.flicker, self.walk))
-        return modes_of(b, k, self.slopes, np.ones((1, 1)))
+        return modes_of(b, k, self.slopes)
 
 
 @dataclass(slots=True, eq=False)
@@ -156,7 +156,7 @@ class Estimator:
         self.degc = np.where(np.isfinite(degc), degc, self.degc)
         self.added = self.added + self.thermal.step(degc, np.full(3, np.nan)) + self.thermal.lagged(lag_degc)
         if self.hypotheses is not None:
-            prediction = self.hypotheses.nominal.bank.prediction
+            prediction = self.hypotheses.shown.prediction
             slope2 = prediction.mean[:, SLOPE] ** 2 + prediction.covariance[:, SLOPE, SLOPE]
             self.added = self.added + slope2 * lag_degc**2
         if long:
@@ -195,7 +195,7 @@ class Estimator:
     def _follow(self, slot: Slot) -> None:
         """Add a slot to the turn since the attitude was taken."""
         assert self.hypotheses is not None
-        self.attitude.follow(slot.turn, self.hypotheses.nominal.bank.prediction.mean[:, WALK] + slot.modelled)
+        self.attitude.follow(slot.turn, self.hypotheses.shown.prediction.mean[:, WALK] + slot.modelled)
         self.attitude.lost |= slot.gap_s > 0.0
 
     def _begin(self) -> None:
@@ -221,7 +221,7 @@ class Estimator:
     def _decide(self, hypotheses: Hypotheses) -> FloatArray | None:
         """Decide on a complete measurement; return its normalised innovations, (3,)."""
         slots, self.pending = self.pending, []
-        nominal = hypotheses.nominal.bank.prediction
+        nominal = hypotheses.shown.prediction
         if hypotheses.moved:
             self.added = self.added + self.attitude.come_to_rest(slots[0].mean[ACCEL], nominal)
         now = self._measurement(slots)
@@ -232,18 +232,18 @@ class Estimator:
         innovation = (now.rate - mean) / np.sqrt(variance + self.added + prediction.white / now.covered_s)
         accel_noise = float(self._noise()[ACCEL].max()) if self.quiet.present[ACCEL].all() else math.inf
         parts = [self._measurement([slot]) for slot in slots]
-        self.jumped |= hypotheses.decide(now, parts, self.added, accel_noise) == CHANGED_BIAS
+        self.jumped |= hypotheses.decide(now, parts, self.added, accel_noise)
         self.added, self.updated = np.zeros(3), True
         _, ambiguity = hypotheses.prediction(now.end_s, self.degc, self.force)
         self.ambiguities = np.stack([self.ambiguities[1], ambiguity])
         # A turn in the first rest is found by the compass, until another rate contradicts it.
-        if hypotheses.first_rate is not None and hypotheses.changed is None and not self.settings.rest_given:
+        if hypotheses.first_rate is not None and not hypotheses.changes and not self.settings.rest_given:
             self.began_turning |= compass_log_ratio(hypotheses.recent, np.zeros(3)) < -BEGAN_LOG_RATIO
-        if self.began_turning and hypotheses.changed is not None:
+        if self.began_turning and hypotheses.changes:
             self.quiet.restart()
             self._interrupt()
         elif self.attitude.turn.seconds and not hypotheses.turning:
-            nominal = hypotheses.nominal.bank.prediction
+            nominal = hypotheses.shown.prediction
             self.added = self.added + self.attitude.come_to_rest(slots[-1].mean[ACCEL], nominal)
         return np.asarray(innovation)
 
@@ -266,7 +266,7 @@ class Estimator:
 
         Of the last two measurements the larger one: a single one may fit by chance.
         """
-        if hypotheses.moved and hypotheses.changed is None:
+        if hypotheses.moved and not hypotheses.doubted:
             return np.zeros(3)
         if self.began_turning:
             return hypotheses.recent[-1].rate

@@ -45,8 +45,6 @@ SLOPE_DEGC = 30.0
 SENSITIVITY_SD = math.radians(0.05) / STANDARD_GRAVITY
 """Standard deviation of an entry of the matrix of sensitivity, rad/s per m/s², of an uncompensated gyro; with
 a second, smaller level a gyro between both was off by 9 sigma."""
-SAME_LEVEL = 0.6
-"""Probability that an axis has the flicker level of its unit; most of the rest is for the next levels."""
 FASTEST_S = 0.02
 """Down to here the flicker of single samples goes on."""
 BEYOND_SLOWEST = 0.015
@@ -64,9 +62,6 @@ class Modes:
     """Q: of w per second, of each gi when it is in equilibrium, of s per °C, (3, F, 8)."""
     fast: FloatArray
     """Flicker of a sample that the filter does not follow, (3, F)."""
-    levels: FloatArray
-    """Probability of the noise level of an axis, the row, given that of the unit, the column; levels are the
-    slowest index of F, slopes the fastest."""
 
     @property
     def count(self) -> int:
@@ -81,25 +76,22 @@ def unknown_modes(slopes: tuple[float, ...]) -> Modes:
     b = np.tile([*flicker, 0.05 * flicker[0]], (3, 1))
     k = np.zeros_like(b)
     k[:, -1] = math.sqrt(3.0) / WALK_CORNER_S
-    level = np.arange(b.shape[1])
-    apart = np.abs(level[:, np.newaxis] - level)
-    other = (1.0 - SAME_LEVEL) / 3.0
-    levels = np.where(apart == 0, SAME_LEVEL, np.where(apart == 1, other, other / len(level)))
-    return modes_of(b, k, slopes, levels / levels.sum(axis=0))
+    return modes_of(b, k, slopes)
 
 
-def modes_of(b: FloatArray, k: FloatArray, slopes: tuple[float, ...], levels: FloatArray) -> Modes:
+def modes_of(b: FloatArray, k: FloatArray, slopes: tuple[float, ...]) -> Modes:
     """Return each noise level with each slope; B and K over σ, 1 and 1/√s, (3, levels)."""
+    levels = b.shape[1]
     b, k = (np.repeat(one, len(slopes), axis=1) for one in (b, k))
     variance = b**2 * math.log(TAUS_S[2] / TAUS_S[1]) / math.pi
     process = np.zeros((*b.shape, STATES))
     process[..., WALK] = k**2 + BEYOND_SLOWEST**2 * variance
     process[..., FLICKER] = variance[..., np.newaxis]
-    process[..., SLOPE] = np.tile(slopes, len(levels)) ** 2 / SLOPE_DEGC
+    process[..., SLOPE] = np.tile(slopes, levels) ** 2 / SLOPE_DEGC
     # What is faster than the fastest process, and that process at the end of a second less its mean over it:
     # 1 + 0.736 - 2 x 0.632 of its variance.
     fast = b**2 / math.pi * math.log(TAUS_S[0] / FASTEST_S) + 0.47 * variance
-    return Modes(process, fast, levels)
+    return Modes(process, fast)
 
 
 def propagated(

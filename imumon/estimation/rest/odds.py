@@ -21,16 +21,18 @@ TURNS = np.radians([0.01, 300.0])
 """Turns are as likely on a logarithmic scale between these, rad/s."""
 OBLIQUE = 0.3
 """Share of a rate across the vertical from which on gravity is compared: no turntable leans so much (17°)."""
-EXCLUDED_SIGMAS = 6.0
+EXCLUDED_SIGMAS = 4.0
 """An oblique turn by more than so many sigmas of the tilt is excluded where the unit has tilted by less than
-half as many: a chamber on a cycle, measured, is rest for 95 % of its time without, and for 98 % with it."""
-LEVEL_RATIO = 3.0
-"""The level part of a change over the vertical one from which on that decides for the whole."""
+half as many, where the change is more about level axes than about the vertical."""
+MOSTLY_LEVEL = 1.5
+"""Least square of the level part of such a change over that of the vertical one: flicker moves all axes."""
 COMPASS_ERROR = 0.15
 """Error of a change of heading over that change: hard and soft iron.  Assumed."""
 COMPASS_NOISE = 0.01
 """rad, least standard deviation of a heading: a device gives its yaw in steps, and filters it."""
 MOST_LOG_RATIO = 50.0
+IMPOSSIBLE = 1e-9
+"""Odds of a bias that has changed by more than it can, over a turn: other sensors may exclude the turn."""
 LEAST_MEASUREMENTS = 3
 """Least number of measurements by which gravity is compared."""
 BEGAN_TURNING = 0.05
@@ -50,7 +52,7 @@ def probability_of_turn(
     size = math.sqrt(float(change @ change))
     u = max(size, TURNS[0]) / USUAL_CHANGE  # below the slowest turn the odds stay
     changed = 2.0 * math.log(TURNS[1] / TURNS[0]) / (math.pi * (u + 1.0 / u) * (1.0 + changes))
-    no_turn = (changed if size <= largest else 0.0) + others
+    no_turn = (changed if size <= largest else IMPOSSIBLE) + others
     return 1.0 / (1.0 + no_turn * math.exp(max(min(log_ratio, MOST_LOG_RATIO), -MOST_LOG_RATIO)))
 
 
@@ -60,7 +62,8 @@ def nominal_odds(change: FloatArray, variance: FloatArray) -> float:
     size2 = float(change @ change) + tiny
     along = (float(change**2 @ variance) + tiny * float(variance.max())) / size2
     density = 2.0 * math.exp(-0.5 * size2 / along) / math.sqrt(2.0 * math.pi * along)
-    return density * math.sqrt(size2) * math.log(float(TURNS[1] / TURNS[0]))
+    slow = 1.0 + float(TURNS[0]) ** 2 / size2  # slower turns are unlikely
+    return slow * density * math.sqrt(size2) * math.log(float(TURNS[1] / TURNS[0]))
 
 
 def gravity_log_ratio(
@@ -74,7 +77,7 @@ def gravity_log_ratio(
     """Return the log ratio by how gravity moved over some measurements of one rest.
 
     A turn is about the vertical, or oblique.  An oblique one tilts the unit by the angle turned, a change of
-    the bias does not.  In one about the vertical the level axes show the noise of the bias alone.
+    the bias does not.
 
     The rate differs by `change` from the bias, rad/s, (3,), which has a `variance` of an axis, (rad/s)².
     `noise` is the variance of the force of a measurement, (m/s²)², and `drift` that of accelerometers, m/s³.
@@ -95,13 +98,11 @@ def gravity_log_ratio(
     tilt_variance = ((math.sqrt(2.0 * noise) + drift * elapsed) / gravity) ** 2
     turn2, tilt2 = float(turn @ turn), float(tilt @ tilt)
     excluded = turn2 > EXCLUDED_SIGMAS**2 * tilt_variance > 4.0 * tilt2
-    if excluded and level2 > LEVEL_RATIO**2 * vertical2:
+    if excluded and level2 > MOSTLY_LEVEL * vertical2:
         return MOST_LOG_RATIO
     left = tilt - turn
     oblique = float(left @ left) / (tilt_variance + variance * elapsed**2) - tilt2 / tilt_variance
-    # About the vertical: what the level axes show is noise of the bias, or a change of it.
-    vertical = 0.5 * level2 / variance + math.log(variance * USUAL_CHANGE / (USUAL_CHANGE**2 + level2) ** 1.5)
-    return math.log(2.0) - float(np.logaddexp(-0.5 * oblique, -max(vertical, 0.0)))
+    return math.log(2.0) - float(np.logaddexp(-0.5 * oblique, 0.0))
 
 
 def _turned(measurements: Sequence[Measurement], bias: FloatArray) -> FloatArray:

@@ -102,32 +102,28 @@ def _of_axes(block: SampleBlock, name: str, rows: IntArray) -> FloatArray:
 def interpret(peaks: FloatArray, modelled: bool) -> tuple[str, str]:
     """Return a short reason and a line for the log, with a bias model in use or not.
 
-    Drivers of the bias that explain the innovations are named before the mere fact that these follow each
-    other, and that before their size: an effect does all three.
-
-    Parameters
-    ----------
-    peaks : array (3, t)
-        Of `State`.
+    The strongest driver of the bias that explains the innovations is named, before the mere fact that these
+    follow each other, and that before their size: an effect does all three.  `peaks` are of `State`, (3, t).
     """
     least = EXPLAINING_SHARE * float(peaks.max())
-    explains = [pattern for pattern in Pattern if peaks[:, pattern == PATTERNS].max() >= least]
-    named = [pattern for pattern in explains if pattern in DRIVERS] or explains[:1]
-    does = f"follow {' or '.join(named)}" if named[0] in DRIVERS else str(named[0])
-    highest = peaks[:, np.isin(PATTERNS, named)].max(1)
+    strength = {pattern: float(peaks[:, pattern == PATTERNS].max()) for pattern in Pattern}
+    explains = [pattern for pattern in Pattern if strength[pattern] >= least]
+    drivers = [pattern for pattern in explains if pattern in DRIVERS]
+    named = max(drivers, key=strength.__getitem__) if drivers else explains[0]
+    does = f"follow {named}" if drivers else str(named)
+    highest = peaks[:, named == PATTERNS].max(1)
     axes = ", ".join(axis for axis, peak in zip("xyz", highest, strict=True) if peak >= least)
     start = f"MODEL SUSPECT: on {axes} the innovations of the bias filter {does}"
     return f"innovations {does}", f"{start}; {_advice(named, modelled)}"
 
 
-def _advice(named: list[Pattern], modelled: bool) -> str:
+def _advice(named: Pattern, modelled: bool) -> str:
     """Return what may be the cause, and which command tests it."""
-    if named == [Pattern.VARIANCE]:
+    if named is Pattern.VARIANCE:
         return "the noise declared is too small, or something shakes the unit: imumon allan SESSION"
-    if not modelled and set(named) <= {Pattern.TEMPERATURE, Pattern.RATE}:
+    if not modelled and named in (Pattern.TEMPERATURE, Pattern.RATE):
         return "there is no model of the bias: imumon calibrate SESSION --out MODEL.yaml"
-    effects = ", ".join(dict.fromkeys(effect for pattern in named for effect in suspected_by(pattern)))
     lacks = "the model lacks" if modelled else "there may be"
     # A session that ran with a model has it.
     diagnose = f"imumon diagnose --train SESSION{' --model SESSION' * modelled} --out DIR"
-    return f"{lacks} an effect such as {effects}: {diagnose}"
+    return f"{lacks} an effect such as {', '.join(suspected_by(named))}: {diagnose}"

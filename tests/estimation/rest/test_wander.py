@@ -60,12 +60,12 @@ def test_a_turn_that_begins_slowly_on_a_coarse_gyro_is_seen_as_soon_as_noise_all
         gyro[:, 2] += 0.5 * DEG * np.clip((t - 150.0) / 120.0, 0.0, 1.0)
         rest, _ = found(t, 0.06 * DEG * np.round(gyro / (0.06 * DEG)), accel)
         rested.append(rest[t > 150.0].sum() / 25.0)
-    assert np.mean(rested) < 24.0
+    assert np.mean(rested) < 26.0
 
 
 @pytest.mark.parametrize("follows", [True, False])
 def test_a_tilt_that_begins_slowly_is_seen_where_gravity_follows_it(follows: bool) -> None:
-    """Gyros and gravity take 7 s; the specific force alone may drift, and the gyros may creep."""
+    """Gyros and gravity take 7 s; that the gyros creep and nothing tilts takes 17 s."""
     for seed in range(20, 23):
         t, gyro, accel = noise(180.0, 25.0, gyro_sd=4e-6, accel_sd=2.5e-3, seed=seed)
         gyro += flicker(gyro, 25.0, 0.1 / 3600.0 * DEG, seed, TAUS_S)
@@ -73,7 +73,7 @@ def test_a_tilt_that_begins_slowly_is_seen_where_gravity_follows_it(follows: boo
         gyro[:, 0] += rate
         rest, _ = found(t, gyro, rolled(accel, np.cumsum(rate) / 25.0) if follows else accel)
         assert rest[t < 150.0].mean() > 0.9
-        assert not rest[t > 158.0].any() if follows else rest[t > 155.0].all()
+        assert not rest[t > 158.0].any() if follows else rest[t > 167.0].all()
 
 
 def test_a_knock_does_not_end_a_turn_but_the_old_mean_does() -> None:
