@@ -15,7 +15,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from imumon.effects.library import EFFECTS
-from imumon.lab.diagnosis.axes import Base, Recorded, likeliest, search_sensor
+from imumon.lab.diagnosis.axes import likeliest, search_sensor
 from imumon.lab.diagnosis.blocks import (
     BLOCK_S,
     LEAST_BLOCKS,
@@ -24,6 +24,7 @@ from imumon.lab.diagnosis.blocks import (
     make_blocks,
     survey,
 )
+from imumon.lab.diagnosis.channel import Recorded
 from imumon.lab.diagnosis.choice import PROVEN, least_gain
 from imumon.lab.diagnosis.extended import refitted
 from imumon.lab.diagnosis.fit import MATERIAL, fit
@@ -100,8 +101,8 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     if len(blocks) < LEAST_BLOCKS:
         return []
     degree = CUBIC_DEGREE if survey([blocks], used[0], 0).thermal else 0
-    base = Base(temperatures, degree, model=model)
-    searched = search_sensor(Recorded([left], [blocks]), channels, base, LASTING, stages=1)
+    data = Recorded([left], [blocks], temperatures, degree, model=model)
+    searched = search_sensor(data, channels, LASTING, stages=1)
     found = likeliest(searched, live=True)
     of_poses = [one[0].channel.declared.own == "pose" for one in searched]
     if found[0].channel.declared.own == "pose" and not all(of_poses):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, Self
@@ -14,16 +14,35 @@ from imumon.effects.base import Effect
 from imumon.lab.diagnosis.blocks import RunBlocks, WhiteFloor
 from imumon.lab.diagnosis.candidates import Candidate, Part, Pool
 from imumon.lab.diagnosis.quality import Fault
+from imumon.lab.diagnosis.runs import Run
+from imumon.models.model import BiasModel
 
 Own = Literal["", "run", "pose"]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Recorded:
+    """What is diagnosed: training runs, their blocks and those of the test, and what is declared of them.
+
+    Short runs are searched in `shorter` blocks: of few blocks the one with a jump in it decides.
+    `temperatures` has that of each channel, `degree` is that of the declared polynomial, and `own` says
+    whether each run, or each pose of each run, has a constant of its own.  With a `model` that is known, its
+    curve is off the runs already.
+    """
+
+    runs: Sequence[Run]
+    blocks: Sequence[RunBlocks]
+    temperatures: Mapping[str, str]
+    degree: int
+    test: Sequence[RunBlocks] = ()
+    shorter: Sequence[RunBlocks] = ()
+    own: Own = ""
+    model: BiasModel | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class Declared:
-    """The declared model: a polynomial of u = (T - middle) / half span.
-
-    `own` says whether each run, or each pose of each run, has a constant of its own.
-    """
+    """The declared model: a polynomial of u = (T - middle) / half span, and constants of runs or poses."""
 
     degree: int
     middle_degc: float
@@ -46,12 +65,14 @@ class Declared:
         """Return the columns over all training runs, with a constant for each further run or pose where it
         has one of its own."""
         columns = self.columns(np.concatenate([run.temperature[temperature] for run in runs]))
+        if not self.own:
+            return columns
         which: list[IntArray] = []
         for run in runs:
             first = int(which[-1].max()) + 1 if which else 0
             which.append(first + self.levels(run))
-        own = np.concatenate(which)[:, np.newaxis] == np.unique(np.concatenate(which))[1:]
-        return np.column_stack([columns, own.astype(np.float64)]) if self.own else columns
+        level = np.concatenate(which)
+        return np.column_stack([columns, level[:, np.newaxis] == np.unique(level)[1:]]).astype(np.float64)
 
     def levels(self, run: RunBlocks) -> IntArray:
         """Return which of the constants of a run each block has, (n,), from 0."""
@@ -60,7 +81,7 @@ class Declared:
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """A channel over the runs that it is searched and fitted in, and those that prove what was found."""
+    """A channel over the runs that it is fitted to, and those that prove what was found."""
 
     name: str
     unit: str
@@ -89,10 +110,7 @@ class Channel:
 
     @property
     def coarse(self) -> bool:
-        """Whether faults of the data may make what matters of a smooth bias.
-
-        A course that errs by a floor at the most has 0.7 of rms: beside the white one that is too small.
-        """
+        """Whether faults of the data may make what matters of a smooth bias: an error of a floor."""
         return self.blind >= self.floor.sd
 
     @property
@@ -125,7 +143,9 @@ class Channel:
 
     def residual_rms(self, found: Sequence[Candidate]) -> float:
         """Return the rms of what ordinary least squares leave beside what was found."""
-        return residual_rms(self.design(found), self.values)
+        columns = self.design(found)
+        left = self.values - columns @ least_squares(columns, self.values)
+        return float(np.sqrt(np.mean(left**2)))
 
     @property
     def refitted(self) -> bool:
@@ -144,9 +164,3 @@ def least_squares(columns: FloatArray, values: FloatArray) -> FloatArray:
     norm = np.linalg.norm(columns, axis=0)
     norm = np.where(norm > 0, norm, 1.0)
     return np.asarray(np.linalg.lstsq(columns / norm, values, rcond=1e-10)[0] / norm)
-
-
-def residual_rms(columns: FloatArray, values: FloatArray) -> float:
-    """Return the rms of the residual of ordinary least squares."""
-    left = values - columns @ least_squares(columns, values)
-    return float(np.sqrt(np.mean(left**2)))

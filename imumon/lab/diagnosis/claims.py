@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from imumon.lab.diagnosis.alternatives import questions, ranking, runs_left
 from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.candidates import Candidate
 from imumon.lab.diagnosis.channel import Channel
@@ -19,6 +18,8 @@ from imumon.lab.diagnosis.fit import (
     EXPLAINED,
     MATERIAL,
     Fit,
+    FittedPart,
+    PartSigma,
     TestScore,
     begun,
     explained_share,
@@ -29,7 +30,7 @@ from imumon.lab.diagnosis.fit import (
     sigmas,
 )
 from imumon.lab.diagnosis.search import MOST_NAMES, Search
-from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim, SlowNoise
+from imumon.lab.diagnosis.verdict import ChannelVerdict, Claim
 
 PROVEN_FLOORS = 8.0
 """What the test alone proves takes so many white floors out of its error, as a root of squares: false ones of
@@ -65,38 +66,41 @@ def decide(found: Search, channel: Channel) -> ChannelVerdict:
         # The declared model then predicts as it did, and is what the model file has.
         test_after.rms = test_before.rms
     left = max(after.train_rms, test_after.left) if kept.new else after.train_rms
-    unexplained = found.many_events or left >= CLEAN * floor
     covariance, spread = sigmas(found.channel, found.likelihood, [one.candidate for one in kept.findings])
     claims, parts = [], iter(after.parts[len(channel.kept) :])
     for finding, sigma in zip(kept.findings, spread, strict=True):
         own = list(islice(parts, len(finding.candidate.parts)))
         if not finding.known:
-            alone = _fit(channel, [finding])
-            share = explained_share(baseline.train_rms, alone.train_rms, channel.floor.sd)
-            size = float(np.sqrt(max(baseline.train_rms**2 - alone.train_rms**2, 0.0)))
-            claims.append(Claim(finding, own, share, size, score_test(channel, alone).rms, sigma))
+            claims.append(_claim(channel, finding, own, sigma, baseline))
     refit = ["curve"] if channel.declared.degree else []
     refit += [one.name for one in kept.findings if one.known]
     return ChannelVerdict(
+        found=found,
         channel=channel,
         before=baseline,
         after=after,
         test_before=test_before,
         test_after=test_after,
+        findings=kept.findings,
         claims=claims,
-        unexplained=unexplained,
+        unexplained=found.many_events or left >= CLEAN * floor,
         explained=explained_share(baseline.train_rms, after.train_rms, floor) if kept.new else 0.0,
         remark=kept.remark,
         left_out=kept.left_out,
         predicts=predicts,
-        slow=SlowNoise.of(found),
-        questions=questions(channel, found, kept.findings, unexplained),
         refit=refit if channel.known is not None and predicts else [],
-        turns=_turns(channel, found, baseline),
-        ranking=ranking(channel, found),
-        runs=runs_left(channel, baseline, after, kept.tests),
         declared_covariance=covariance,
     )
+
+
+def _claim(
+    channel: Channel, finding: Finding, parts: list[FittedPart], sigma: list[PartSigma], baseline: Fit
+) -> Claim:
+    """Return a finding with what it does alone."""
+    alone = _fit(channel, [finding])
+    share = explained_share(baseline.train_rms, alone.train_rms, channel.floor.sd)
+    size = float(np.sqrt(max(baseline.train_rms**2 - alone.train_rms**2, 0.0)))
+    return Claim(finding, parts, share, size, score_test(channel, alone).rms, sigma)
 
 
 def _claimed(channel: Channel, found: Search, baseline: Fit) -> _Model:
@@ -235,18 +239,3 @@ def _woven(channel: Channel, run: RunBlocks) -> bool:
 
 def _fit(channel: Channel, findings: Sequence[Finding]) -> Fit:
     return fit(channel, [finding.candidate for finding in findings])
-
-
-def _turns(channel: Channel, found: Search, baseline: Fit) -> list[dict[str, Any]]:
-    """Return what was done in each stage of the search, and what is left after it, in training and test."""
-    rows = [("what was assumed", baseline, float("nan"))]
-    rows += [(stage.done, fit(channel, stage.model), stage.gain) for stage in found.stages]
-    return [
-        {
-            "done": done,
-            "gain_bic": gain,
-            "train_rms": model.train_rms,
-            "test_rms": score_test(channel, model).rms,
-        }
-        for done, model, gain in rows
-    ]

@@ -6,22 +6,12 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from imumon.effects.base import LEAST_SPAN_DEGC, Survey
 from imumon.effects.library import effects_for
 from imumon.errors import ImumonError, Reason
-from imumon.lab.calibration.gravity import Length
-from imumon.lab.diagnosis.axes import (
-    Base,
-    Recorded,
-    likeliest,
-    scored_channels,
-    search_block_s,
-    search_sensor,
-)
-from imumon.lab.diagnosis.blocks import LEAST_BLOCKS, RunBlocks, common_block_s, specific_force, survey
-from imumon.lab.diagnosis.channel import Declared
+from imumon.lab.diagnosis.axes import likeliest, scored_channels, search_block_s, search_sensor
+from imumon.lab.diagnosis.blocks import LEAST_BLOCKS, RunBlocks, common_block_s, survey
+from imumon.lab.diagnosis.channel import Own, Recorded
 from imumon.lab.diagnosis.claims import decide
 from imumon.lab.diagnosis.known import check_range, curves_of, order_of, temperature_of, without_model
 from imumon.lab.diagnosis.runs import SENSORS, STRETCHES, Run, channels_of, divided, in_order
@@ -46,8 +36,7 @@ HIGHEST_DEGREE = 8
 class Diagnosis:
     """Verdicts on all channels, and caveats of the data.
 
-    `model` is the present one, or None.  `held_out`: whether the test is part of the
-    one run that there is.  `length` is what follows from |f| = g in several poses.
+    `model` is the present one, or None.  `held_out`: whether the test is part of the one run that there is.
     """
 
     declared: str
@@ -59,7 +48,6 @@ class Diagnosis:
     caveats: list[str] = field(default_factory=list)
     model: BiasModel | None = None
     held_out: bool = False
-    length: Length | None = None
 
 
 def parse_declared(text: str) -> tuple[int, bool]:
@@ -97,26 +85,24 @@ def diagnose(
     Raises BAD_DATA when the data cannot show anything, saying why; BAD_CONFIG for a wrong declared model,
     or a known one that holds at no temperature of the training.
     """
-    data, base, remarks = _prepared(train, test, parse_declared(declared), sensors, model, drivers)
+    data, remarks = _prepared(train, test, parse_declared(declared), sensors, model, drivers)
     verdicts: list[ChannelVerdict] = []
     for sensor in sensors:
-        group = channels_of([sensor], base.temperatures)
+        group = channels_of([sensor], data.temperatures)
         if group:
-            found = likeliest(search_sensor(data, group, base, effects_for(group[0]), progress=progress))
-            verdicts += map(decide, found, scored_channels(data, found, base))
+            found = likeliest(search_sensor(data, group, effects_for(group[0]), progress=progress))
+            verdicts += map(decide, found, scored_channels(data, found))
             remarks += _on_poses(data, found)
-    length, described = _length(data, base)
     return Diagnosis(
         declared=declared,
         block_s=data.blocks[0].block_s,
         verdicts=verdicts,
         train=data.blocks,
         test=data.test,
-        survey=survey(data.blocks, verdicts[0].channel.temperature, base.degree),
-        caveats=remarks + described,
+        survey=survey(data.blocks, verdicts[0].channel.temperature, data.degree),
+        caveats=remarks,
         model=model,
         held_out=any(run.share < 1.0 for run in data.runs),
-        length=length,
     )
 
 
@@ -127,8 +113,8 @@ def _prepared(
     sensors: Sequence[str],
     model: BiasModel | None,
     drivers: Sequence[str] | None,
-) -> tuple[Recorded, Base, list[str]]:
-    """Return what is searched, the base beside which that is, and remarks on both."""
+) -> tuple[Recorded, list[str]]:
+    """Return what is searched, and remarks on it."""
     degree, offsets = declared
     remarks = [*dict.fromkeys(text for run in (*train, *test) for text in run.warnings)]
     channels, more = usable_channels(train, test, sensors)
@@ -159,9 +145,9 @@ def _prepared(
     if test and not tested:
         remarks.append("no run of the test can be used: there is no independent proof")
     remarks += _limits(blocks, tested, shown)
-    base = Base(temperatures, degree, "run" if offsets else "", model)
+    own: Own = "run" if offsets else ""
     shorter, _ = usable_blocks(train, channels, used, others, search_block_s(blocks))
-    return Recorded(train, blocks, tested, shorter), base, remarks
+    return Recorded(train, blocks, temperatures, degree, tested, shorter, own, model), remarks
 
 
 def _modelled(channels: Sequence[str], model: BiasModel) -> list[str]:
@@ -224,18 +210,3 @@ def _on_poses(data: Recorded, found: Sequence[Search]) -> list[str]:
         return [f"several poses: {what} cannot be distinguished from that"]
     what = "what is named g_sensitivity holds the vertical earth rate as well"
     return [f"several poses: {what}, up to 15.04 °/h per g on the diagonal"]
-
-
-def _length(data: Recorded, base: Base) -> tuple[Length | None, list[str]]:
-    """Return what |f| = g determines of the accelerometers in several poses, and that in words."""
-    forces = [force for run in data.blocks if (force := specific_force(run)) is not None]
-    if len(channels_of(["accel"], base.temperatures)) < 3 or len(forces) < len(data.blocks):
-        return None, []
-    temperature = base.temperatures["accel_x"]
-    declared = Declared.over(data.blocks, temperature, base.degree, "pose")
-    powers = [declared.columns(run.temperature[temperature])[:, 1:] for run in data.blocks]
-    found = Length.from_poses(np.concatenate(forces), np.concatenate(powers))
-    if found is None:
-        return None, []
-    poses, length = found
-    return length, [length.described(poses)]

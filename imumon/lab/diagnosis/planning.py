@@ -21,12 +21,13 @@ from imumon.effects.base import ACCEL
 from imumon.effects.library import EFFECTS, AnyEffect, effects_for
 from imumon.files import write_text
 from imumon.geodesy import DEG_PER_H, MICRO_G
-from imumon.lab.diagnosis.alternatives import NOTHING
-from imumon.lab.diagnosis.axes import Base, Recorded, likeliest, search_block_s, search_sensor
+from imumon.lab.diagnosis.axes import likeliest, search_block_s, search_sensor
 from imumon.lab.diagnosis.blocks import BLOCK_S, make_blocks, survey
+from imumon.lab.diagnosis.channel import Recorded
 from imumon.lab.diagnosis.choice import CLOSE, CLOSE_SHARE, PROVEN
 from imumon.lab.diagnosis.likelihood import TAUS_S
 from imumon.lab.diagnosis.profiles import Profile, profiles
+from imumon.lab.diagnosis.report import NOTHING
 from imumon.lab.diagnosis.runs import Run, collect
 from imumon.lab.diagnosis.search import Progress, Search
 from imumon.models.model import UNITS
@@ -45,15 +46,8 @@ EVERY_SHAPE = 16
 """So many profiles are tried whatever they tell: by then each shape has been."""
 LONG_S = 1e5
 """Correlation time of a process that stands for a random walk of an accelerometer."""
-
-
-class _Slow(StrictModel, extra="ignore"):
-    flicker_rms: float = 0.0
-    random_walk_per_sqrt_s: float = 0.0
-
-
-class _Rms(StrictModel, extra="ignore"):
-    train_rms: float
+SCALES = {"gyro": (np.pi / 180.0, DEG_PER_H), "accel": (1e3 * MICRO_G, MICRO_G)}
+"""SI units in those of a bias and of an effect in a unit file."""
 
 
 class Answer(StrictModel, extra="ignore"):
@@ -73,8 +67,8 @@ class Answer(StrictModel, extra="ignore"):
 
 class _Channel(StrictModel, extra="ignore"):
     noise_floor_rms: float
-    slow_noise: _Slow
-    before: _Rms
+    slow_noise: dict[str, float]
+    before: dict[str, float | None]
     questions: list[list[Answer]]
 
 
@@ -140,18 +134,20 @@ def load_report(path: Path) -> Report:
 
 def open_questions(report: Report) -> list[Question]:
     """Return the questions of a report, each once for the channels of a sensor that share it."""
-    found: dict[tuple[str, ...], list[tuple[float, str, list[Answer]]]] = {}
-    for name, channel in report.channels.items():
-        # A unit is simulated, which has gyros and accelerometers.
-        for answers in channel.questions if name in UNITS else ():
-            key = (name[:-2], *sorted(answer.name for answer in answers))
-            size = channel.before.train_rms / channel.noise_floor_rms
-            found.setdefault(key, []).append((size, name, answers))
-    opened = []
-    for group in found.values():
-        _, name, answers = max(group, key=lambda one: one[0])
-        opened.append(Question(name, tuple(one for _, one, _ in group if one != name), tuple(answers)))
-    return opened
+    # A unit is simulated, which has gyros and accelerometers.
+    asked = [
+        (channel.before["train_rms"] or 0.0, channel.noise_floor_rms, name, answers)
+        for name, channel in report.channels.items()
+        for answers in (channel.questions if name in UNITS else ())
+    ]
+    groups: dict[tuple[str, ...], list[tuple[str, list[Answer]]]] = {}
+    for _, _, name, answers in sorted(asked, key=lambda one: -one[0] / one[1]):
+        key = (name[:-2], *sorted(answer.name for answer in answers))
+        groups.setdefault(key, []).append((name, answers))
+    return [
+        Question(name, tuple(other for other, _ in others), tuple(answers))
+        for (name, answers), *others in groups.values()
+    ]
 
 
 def plan(report: Report, question: Question, most_s: float, progress: Progress | None = None) -> Plan:
@@ -181,13 +177,12 @@ def plan(report: Report, question: Question, most_s: float, progress: Progress |
     if best is None:
         return Plan(question, why_not="no profile is so short")
     found, profile = best
-    return Plan(
-        question,
-        why_not=f"no experiment that was tried decides it; the best,"
-        f" {profile.duration_s / 3600:.1f} h {profile.title},"
-        f" gives {found.value:.0f} of the {found.needed:.0f} in BIC that are needed for {found.truth} against"
-        f" {found.rival}",
+    why_not = (
+        "no experiment that was tried decides it;"
+        f" the best, {profile.duration_s / 3600:.1f} h {profile.title}, gives {found.value:.0f} of the"
+        f" {found.needed:.0f} in BIC that are needed for {found.truth} against {found.rival}"
     )
+    return Plan(question, why_not=why_not)
 
 
 def _impossible(question: Question, others: set[str]) -> str:
@@ -235,17 +230,17 @@ def scenario(report: Report, channel: str, profile: Profile, answer: Answer) -> 
     """Return a scenario of an experiment on a unit whose one channel has an answer's curve and effects."""
     low, high = report.temperature_range_degc
     sensor, axis = channel.split("_")
+    of_bias, of_effect = SCALES[sensor]
     # What an accelerometer has in its constant is gravity.
     constant = answer.declared[0] if sensor == "gyro" else 0.0
-    curve = np.array([constant, *answer.declared[1:]]) / _UNITS[sensor]["bias"]
     line = {
         "kind": "polynomial",
-        "coefficients": curve.tolist(),
+        "coefficients": (np.array([constant, *answer.declared[1:]]) / of_bias).tolist(),
         "at_degc": 0.5 * (low + high),
         "width_degc": max(0.5 * (high - low), 1e-3),
     }
     effects = [
-        effect.with_coefficients(np.array(effect.coefficients) / _UNITS[sensor]["effect"]).model_dump()
+        effect.with_coefficients(np.array(effect.coefficients) / of_effect).model_dump()
         for effect in answer.effects
     ]
     unit = {
@@ -265,18 +260,12 @@ def scenario(report: Report, channel: str, profile: Profile, answer: Answer) -> 
     )
 
 
-_UNITS = {
-    "gyro": {"bias": np.pi / 180.0, "effect": DEG_PER_H},
-    "accel": {"bias": 1e3 * MICRO_G, "effect": MICRO_G},
-}
-"""SI units in those of a unit file."""
-
-
 def _noise(report: Report, name: str) -> dict[str, Any]:
     """Return white noise, flicker and walk of a channel, for all three axes, as a unit file has them."""
     channel, slow = report.channels[name], report.channels[name].slow_noise
     density = channel.noise_floor_rms * float(np.sqrt(report.block_s))
-    each, walk = slow.flicker_rms / float(np.sqrt(len(TAUS_S))), slow.random_walk_per_sqrt_s
+    each = slow.get("flicker_rms", 0.0) / float(np.sqrt(len(TAUS_S)))
+    walk = slow.get("random_walk_per_sqrt_s", 0.0)
     if name.startswith("gyro"):
         return {
             "arw_deg_per_sqrt_h": np.degrees(density) * 60.0,
@@ -290,18 +279,17 @@ def _noise(report: Report, name: str) -> dict[str, Any]:
 
 def simulated_run(plan: Scenario, seed: int) -> Run:
     """Return what a diagnosis reads of a simulated session."""
-    unit = SimulatedUnit(plan, seed)
-    sent, truth = unit.run(plan.samples)
+    sent, truth = SimulatedUnit(plan, seed).run(plan.samples)
     return collect([SampleBlock({**sent.columns, "at_rest": truth["at_rest"]})], plan.title)[0]
 
 
 def _searched(run: Run, channel: str, degree: int, effects: Sequence[str]) -> Search:
     """Return the search of the diagnosis in one channel of a run."""
     blocks = [make_blocks(run, [channel], ["temperature"])]
+    degree = degree if survey(blocks, "temperature", degree).thermal else 0
     shorter = [make_blocks(run, [channel], ["temperature"], block_s=search_block_s(blocks))]
-    base = Base({channel: "temperature"}, degree if survey(blocks, "temperature", degree).thermal else 0)
-    (found,) = likeliest(search_sensor(Recorded([run], shorter), [channel], base, effects))
-    return found
+    data = Recorded([run], shorter, {channel: "temperature"}, degree)
+    return likeliest(search_sensor(data, [channel], effects))[0]
 
 
 def write_plan(report: Report, number: int, made: Plan, folder: Path) -> list[Path]:
@@ -311,10 +299,9 @@ def write_plan(report: Report, number: int, made: Plan, folder: Path) -> list[Pa
     """
     if made.profile is None:
         return []
-    chamber, end_s = made.profile.chamber, made.profile.duration_s
-    times, degrees = (values.tolist() for values in chamber_knots(chamber))
-    if times[-1] < end_s:
-        times, degrees = [*times, end_s], [*degrees, degrees[-1]]
+    times, degrees = (values.tolist() for values in chamber_knots(made.profile.chamber))
+    if times[-1] < made.profile.duration_s:
+        times, degrees = [*times, made.profile.duration_s], [*degrees, degrees[-1]]
     rows = [f"{t:.0f},{degc:.2f}\n" for t, degc in zip(times, degrees, strict=True)]
     files = {f"{number}-chamber.csv": "".join(["time_s,temperature_degc\n", *rows])}
     for answer in made.question.answers:

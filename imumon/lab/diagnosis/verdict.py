@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple, Self
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.effects.library import separated_by
 from imumon.lab.diagnosis.channel import Channel
-from imumon.lab.diagnosis.choice import PROVEN, Finding
+from imumon.lab.diagnosis.choice import Finding
 from imumon.lab.diagnosis.fit import MATERIAL, Fit, FittedPart, PartSigma, TestScore, goes_on
-from imumon.lab.diagnosis.likelihood import WALK_S
 from imumon.lab.diagnosis.search import Search
 
 State = Literal["named", "unexplained", "nothing missing", "too few digits", "not proven", "faulty"]
@@ -60,54 +59,25 @@ class Claim:
     explained: float
     size: float
     test_alone: float
-    sigmas: list[PartSigma] = field(default_factory=list)
-
-
-@dataclass(frozen=True, slots=True)
-class SlowNoise:
-    """The noise that is likeliest beside what was found, as `report.json` has it.
-
-    Parameters
-    ----------
-    flicker, random_walk : float
-        r and q of the likelihood, variances over that of the white noise.
-    flicker_rms, random_walk_per_sqrt_s : float
-        The same in the unit of the channel, over the correlation times of the likelihood.
-    heavy_tails : float
-        Gain in BIC of innovations with heavy tails.
-    """
-
-    flicker: float
-    random_walk: float
-    flicker_rms: float
-    random_walk_per_sqrt_s: float
-    heavy_tails: float
-
-    @classmethod
-    def of(cls, found: Search) -> Self:
-        """Return the noise of what was found."""
-        flicker, walk = noise = found.fitted(found.model)[1]
-        of = found.channel.values, found.channel.design(found.model), noise
-        sd, tails = found.likelihood.scale(*of), found.likelihood.tails(*of)
-        return cls(flicker, walk, float(np.sqrt(flicker) * sd), float(np.sqrt(walk / WALK_S) * sd), tails)
-
-    @property
-    def jumps(self) -> bool:
-        """Whether it jumps or comes in bursts, as no Gaussian noise does."""
-        return self.heavy_tails > PROVEN
+    sigmas: list[PartSigma]
 
 
 @dataclass(slots=True)
 class ChannelVerdict:
     """What is claimed of a channel, and how well it does."""
 
+    found: Search
     channel: Channel
+    """In the blocks that are scored, where the search may have been in shorter ones."""
     before: Fit
     after: Fit
     """Declared and extended model."""
     test_before: TestScore
     test_after: TestScore
+    findings: Sequence[Finding]
+    """What is in the extended model."""
     claims: list[Claim]
+    """Those of the findings that the present model has not."""
     unexplained: bool
     """More than 1.8 floors are left in training or, beside what is claimed, in the test."""
     explained: float
@@ -117,14 +87,8 @@ class ChannelVerdict:
     predicts: bool
     """Whether the extended model goes into the model file; else the declared one does: nothing of what is
     claimed carries over, or the levels of the test make the prediction worse with it."""
-    slow: SlowNoise
-    questions: list[list[dict[str, Any]]]
     refit: list[str]
     """What was fitted anew of the present model, its curve first; empty when that stays as it is."""
-    turns: list[dict[str, Any]]
-    """Of `report.json`: what was done in each stage of the search, and what was left."""
-    ranking: list[dict[str, Any]]
-    runs: list[dict[str, Any]]
     declared_covariance: FloatArray
     """Of the coefficients of the declared model, (degree + 1, degree + 1)."""
 
@@ -195,57 +159,40 @@ class ChannelVerdict:
         text = self.in_short if self.faulty else f"{self.in_short}: {'; '.join(_details(self))}"
         return "; ".join([*(fault.text for fault in self.channel.faults), text])
 
-    def curve(self) -> list[tuple[float, float, float]]:
-        """Return temperature, bias and its sigma at both ends and the middle of what training covered."""
-        declared = self.channel.declared
-        at = declared.middle_degc + declared.half_span_degc * np.array([-1.0, 0.0, 1.0])
-        columns = declared.columns(at, len(self.after.declared))
-        values = columns @ self.after.declared
-        spread = np.sqrt(np.einsum("ij,jk,ik->i", columns, self.declared_covariance, columns))
-        return list(zip(at.tolist(), values.tolist(), spread.tolist(), strict=True))
-
 
 def _details(verdict: ChannelVerdict) -> Iterator[str]:
     """Yield the numbers of a verdict, then its reasons."""
-    yield _left_in_training(verdict)
-    if verdict.unexplained:
-        yield "what is left is structure or slow noise that no known effect explains"
+    yield _numbers(verdict)
     if verdict.remark:
         yield verdict.remark
     for item in verdict.left_out:
         yield f"{item['name']} was found but made the test worse"
-    pairs = [(one.finding.alike[0], other) for one in verdict.claims for other in one.finding.alike[1:]]
+    pairs = [(one.finding.name, other) for one in verdict.claims for other in one.finding.others]
     if pairs:
         yield f"to separate: {'; '.join(dict.fromkeys(separated_by(*pair) for pair in pairs))}"
-    if verdict.claims and verdict.before.train_rms < MATERIAL * verdict.channel.floor.sd:
-        yield "present, too small to matter"
-    if verdict.row.state == "not proven" and verdict.channel.test:
-        yield "slow noise may do that, or something is missing"
     if verdict.hidden:
         share = verdict.channel.blind / verdict.channel.floor.sd
         yield f"steps as coarse may make up to {share:.1f} of a smooth bias"
 
 
-def _left_in_training(verdict: ChannelVerdict) -> str:
-    floor = verdict.channel.floor.sd
-    before, after = (one.train_rms / floor for one in (verdict.before, verdict.after))
-    if not verdict.claims and not verdict.refit:
-        return f"the declared model leaves {before:.2f} white floors in training{_left_in_test(verdict)}"
-    anew = "" if verdict.claims else f"{', '.join(verdict.refit)} fitted anew, "
-    return f"{anew}{before:.1f} white floors become {after:.2f} in training{_left_in_test(verdict)}"
-
-
-def _left_in_test(verdict: ChannelVerdict) -> str:
-    """Return what is left of the test; only that says whether it is all."""
-    before, after, floor = verdict.test_before, verdict.test_after, verdict.channel.floor.sd
+def _numbers(verdict: ChannelVerdict) -> str:
+    """Return what is left, in white floors, of training and of the test: only that says whether it is all."""
+    floor, score = verdict.channel.floor.sd, verdict.test_after
+    before, after = verdict.before.train_rms / floor, verdict.after.train_rms / floor
+    changed = bool(verdict.claims or verdict.refit)
+    text = f"the declared model leaves {before:.2f} white floors in training"
+    if changed:
+        anew = "" if verdict.claims else f"{', '.join(verdict.refit)} fitted anew, "
+        text = f"{anew}{before:.1f} white floors become {after:.2f} in training"
     if not verdict.channel.test:
-        return "; without a test that is no proof"
-    if not np.isfinite(after.rms):
-        return "; no proof: the test has too little inside what training covered"
-    covered = "" if after.coverage == 1.0 else f", over the {after.coverage:.0%} of it that training covered"
-    if not verdict.claims and not verdict.refit:
-        return f", {before.rms / floor:.2f} in the test{covered}"
+        return f"{text}; without a test that is no proof"
+    if not np.isfinite(score.rms):
+        return f"{text}; no proof: the test has too little inside what training covered"
+    covered = "" if score.coverage == 1.0 else f", over the {score.coverage:.0%} of it that training covered"
+    before = verdict.test_before.rms / floor
+    if not changed:
+        return f"{text}, {before:.2f} in the test{covered}"
     predicted = verdict.predicts and verdict.after.carries
-    predicted |= goes_on(verdict.channel, verdict.after) and after.rms < before.rms
-    value, how = (after.rms, "predicted") if predicted else (after.estimated_rms, "estimated in the test")
-    return f", {before.rms / floor:.1f} become {value / floor:.2f} in the test{covered} ({how})"
+    predicted |= goes_on(verdict.channel, verdict.after) and score.rms < verdict.test_before.rms
+    value, how = (score.rms, "predicted") if predicted else (score.estimated_rms, "estimated in the test")
+    return f"{text}, {before:.1f} become {value / floor:.2f} in the test{covered} ({how})"

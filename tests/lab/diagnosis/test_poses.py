@@ -75,12 +75,9 @@ def test_a_perfect_accelerometer_in_several_poses_misses_nothing() -> None:
     diagnosis = found("accel", nothing)
     assert names(diagnosis) == [[], [], []]
     assert all(verdict.summary.startswith("nothing is missing") for verdict in diagnosis.verdicts)
-    assert diagnosis.length is not None
-    assert np.all(np.abs(diagnosis.length.bias) < 4 * diagnosis.length.bias_sd)
-    assert diagnosis.length.after < 60 * MICRO_G
 
 
-def test_bias_and_scale_follow_from_the_length_of_gravity_and_an_effect_is_named_beside_them() -> None:
+def test_an_effect_is_named_beside_bias_and_scale_of_an_accelerometer() -> None:
     bias, scale = np.array([5e-3, -3e-3, 8e-3]) * STANDARD_GRAVITY, np.array([2e-3, -1e-3, 3e-3])
 
     def errors(_: FloatArray, temperature: FloatArray, force: FloatArray) -> FloatArray:
@@ -89,10 +86,6 @@ def test_bias_and_scale_follow_from_the_length_of_gravity_and_an_effect_is_named
 
     diagnosis = found("accel", errors)
     assert names(diagnosis) == [["thermal_lag"], ["thermal_lag"], []]
-    length = diagnosis.length
-    assert length is not None
-    assert np.all(np.abs(length.scale - scale) < 5 * length.scale_sd)
-    assert np.all(np.abs(length.bias - bias) < 5 * length.bias_sd + 100 * MICRO_G)  # the lag is no part of it
 
 
 def test_a_scale_that_depends_on_temperature_is_a_product() -> None:
