@@ -18,11 +18,11 @@ from imumon.lab.diagnosis.runs import SENSORS, STRETCHES, Run, channels_of, divi
 from imumon.lab.diagnosis.search import Progress, Search
 from imumon.lab.diagnosis.usable import (
     check_training,
-    sound,
     temperature_of_axis,
     usable_blocks,
     usable_channels,
     usable_drivers,
+    without_standstill,
 )
 from imumon.lab.diagnosis.verdict import ChannelVerdict
 from imumon.models.curves.polynomial import CUBIC
@@ -171,7 +171,7 @@ def _divided(
     train: Sequence[Run], test: Sequence[Run], channels: Sequence[str]
 ) -> tuple[list[Run], list[Run], list[str]]:
     """Return sound runs of training and test, and remarks; parts of an only run are held out as a test."""
-    checked = [[sound(run, channels) for run in runs] for runs in (train, test)]
+    checked = [[without_standstill(run, channels) for run in runs] for runs in (train, test)]
     train, test = ([run for run, _ in pairs] for pairs in checked)
     remarks = [text for pairs in checked for _, texts in pairs for text in texts]
     test, more = in_order(train, test)

@@ -1,9 +1,9 @@
-"""Faults of single samples: digits, frequent values, repeats, standstill; means of blocks would hide them."""
+"""Faults of single samples: digits, frequent values, standstill; means of blocks would hide them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,41 +14,33 @@ KEPT = 100_000
 """Samples of a channel that are kept, evenly spaced over the recording, to bound the memory."""
 FREQUENT, TIMES_MORE = 0.01, 10.0
 """A value with this share of all samples, and so many times more than its neighbours, is not by chance."""
-REPEATED = 0.3
-"""Share of samples equal to the one before that is reported: by chance 0.14, for steps of half the noise."""
 
 
-@dataclass(frozen=True, slots=True)
-class Samples:
+class Samples(NamedTuple):
     """Statistics of the samples of a channel in a recording.
 
     Parameters
     ----------
     step : float
         Step of the grid on which the values lie; 0 when there is none.
-    noise : float
-        Standard deviation of a sample about its neighbour, of those that differ; NaN when none does.
-    repeated : float
-        Share of the samples that equal the one before.
+    scatter : float
+        Standard deviation of a sample about its neighbour.
     ratio : float
         Noise before rounding, in steps; infinite where steps are far finer.
-    atom, atom_share, kind
-        The value that is far more frequent than its neighbours (NaN without one), its share of all samples,
-        and what that is: inside the other values a dead-band, at their end saturated, apart dropouts.
+    atom, atom_share : float
+        The value that is far more frequent than its neighbours (NaN without one), and its share of samples.
     """
 
     step: float
-    noise: float
-    repeated: float
+    scatter: float
     ratio: float = np.inf
     atom: float = np.nan
     atom_share: float = 0.0
-    kind: str = ""
 
     @property
     def is_coarse(self) -> bool:
-        """Whether the steps are larger than the scatter of the samples, those that repeat included."""
-        return self.step > self.noise * float(np.sqrt(1.0 - self.repeated))
+        """Whether the steps are larger than the scatter of the samples."""
+        return self.step > self.scatter
 
 
 class Watcher:
@@ -91,28 +83,28 @@ class Watcher:
             pairs, same, squares = self._steps[name].tolist()
             if known.sum() > 2 and pairs:
                 noise = float(np.sqrt(squares / (pairs - same) / 2.0)) if pairs > same else np.nan
-                found[name] = _samples(values[known], fresh[known] == 1.0, noise, same / pairs)
+                scatter = float(np.sqrt(squares / pairs / 2.0))
+                found[name] = _samples(values[known], fresh[known] == 1.0, noise, scatter)
         return found
 
 
-def _samples(values: FloatArray, fresh: BoolArray, noise: float, repeated: float) -> Samples:
-    """Return the statistics; what a stuck sensor repeats counts once, so that no value of it is frequent."""
+def _samples(values: FloatArray, fresh: BoolArray, noise: float, scatter: float) -> Samples:
+    """Return the statistics; what a stuck sensor repeats counts once, so that no value of it is frequent.
+
+    `noise` is the scatter of the samples that differ from the one before.
+    """
     distinct, where = np.unique(values, return_inverse=True)
     count = np.bincount(where, weights=fresh)
     step = grid_step(distinct, len(values))
     rounded = digits(values) if step > 0.0 else None
-    found = Samples(step, noise, repeated, np.inf if rounded is None else rounded.ratio)
+    found = Samples(step, scatter, np.inf if rounded is None else rounded.ratio)
     at = int(np.argmax(count))
-    beside = max(count[max(at - 1, 0) : at].tolist() + count[at + 1 : at + 2].tolist(), default=0)
+    beside = max([*count[max(at - 1, 0) : at], *count[at + 1 : at + 2], 1.0])
     share = float(count[at] / max(count.sum(), 1.0))
     coarse = step > 0.0 and not step < noise
-    if coarse or len(distinct) < 3 or share < FREQUENT or count[at] < TIMES_MORE * max(beside, 1):
+    if coarse or len(distinct) < 3 or share < FREQUENT or count[at] < TIMES_MORE * beside:
         return found
-    kind = "dead-band"
-    if at in (0, len(distinct) - 1):
-        gap = abs(distinct[at] - distinct[1 if at == 0 else -2])
-        kind = "dropouts" if gap > noise else "saturated"
-    return replace(found, atom=float(distinct[at]), atom_share=share, kind=kind)
+    return found._replace(atom=float(distinct[at]), atom_share=share)
 
 
 def standing(mean: FloatArray, variance: FloatArray, least: float) -> BoolArray:
@@ -126,8 +118,7 @@ def standing(mean: FloatArray, variance: FloatArray, least: float) -> BoolArray:
     return still
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
+class Fault(NamedTuple):
     """What is wrong with the data of a channel.
 
     `blind` is the most that the fault alone makes of a smooth bias: a smaller effect cannot be found.  It is
@@ -135,30 +126,30 @@ class Fault:
     """
 
     text: str
-    blind: float = 0.0
+    blind: float
 
 
 def sample_faults(recordings: Sequence[Samples], unit: str, floor: float) -> list[Fault]:
-    """Return the worst fault of each kind in the samples of a channel.
+    """Return the worst fault of each kind: digits too coarse for their noise to average what lies between
+    them, and a value that is too frequent.
 
     `unit` is that of the channel; `floor` is the white noise of a mean of a block.
     """
-    kinds = zip(*(_faults(one, unit, floor) for one in recordings), strict=True)
-    each = [[fault for fault in kind if fault is not None] for kind in kinds]
-    return [max(kind, key=lambda fault: fault.blind) for kind in each if kind]
-
-
-def _faults(found: Samples, unit: str, floor: float) -> list[Fault | None]:
-    """Return whether digits are too coarse for their noise to average what lies between them, whether a value
-    is too frequent, and whether new values are rarer than samples; None where not."""
-    coarse = frequent = repeats = None
-    if found.step > 0.0 and not mean_error(found.step, found.ratio) < 0.5 * floor:
-        text = f"quantized: steps of {found.step:.3g} {unit}, about {1 / found.ratio:.2g} times the noise"
-        coarse = Fault(text, largest_error(found.step, found.ratio))
-    if found.atom_share > 0.0:
-        value = f"{found.atom_share:.1%} of the samples are {found.atom + 0.0:.4g} {unit}"
-        frequent = Fault(f"{found.kind}: {value}", np.inf)
-    elif REPEATED <= found.repeated < 1.0 and (not found.step > 0.0 or found.step < 0.5 * found.noise):
-        every = 1.0 / (1.0 - found.repeated)
-        repeats = Fault(f"another rate: a new value with every {every:.1f}th sample only")
-    return [coarse, frequent, repeats]
+    coarse = [
+        Fault(
+            f"quantized: steps of {one.step:.3g} {unit}, about {1 / one.ratio:.2g} times the noise",
+            largest_error(one.step, one.ratio),
+        )
+        for one in recordings
+        if one.step > 0.0 and not mean_error(one.step, one.ratio) < 0.5 * floor
+    ]
+    frequent = [
+        Fault(
+            "frequent value, as of a dead-band, saturation or dropouts:"
+            f" {one.atom_share:.1%} of the samples are {one.atom + 0.0:.4g} {unit}",
+            np.inf,
+        )
+        for one in recordings
+        if one.atom_share > 0.0
+    ]
+    return [max(kind, key=lambda fault: fault.blind) for kind in (coarse, frequent) if kind]

@@ -39,7 +39,7 @@ def usable_channels(
     """
     found, remarks = [], []
     for name in channels_of(sensors, {name for run in train for name in run.variance}):
-        lacking = [run.name for run in train if not _has(run, name)]
+        lacking = [run.name for run in train if _share_there(run, name) <= LEAST_THERE]
         if len(lacking) == len(train):
             continue
         if lacking:
@@ -60,8 +60,9 @@ def usable_channels(
     return found, remarks
 
 
-def _has(run: Run, channel: str) -> bool:
-    return channel in run.mean and bool(np.isfinite(run.mean[channel]).mean() > LEAST_THERE)
+def _share_there(run: Run, name: str) -> float:
+    """Return the share of its time in which a run has a column."""
+    return float(np.isfinite(run.mean[name]).mean()) if name in run.mean else 0.0
 
 
 def _varies(mean: FloatArray, variance: FloatArray) -> bool:
@@ -80,7 +81,7 @@ def temperature_of_axis(channel: str, runs: Sequence[Run]) -> str:
     return common_temperature(f"temperature_{channel[-1]}", runs, lacking, but=channel)
 
 
-def sound(run: Run, channels: Sequence[str]) -> tuple[Run, list[str]]:
+def without_standstill(run: Run, channels: Sequence[str]) -> tuple[Run, list[str]]:
     """Return a run without the slots in which a channel stands still; remarks.
 
     Noise never gives the same value for as long as a block, but a stuck sensor does, one at its limit, and
@@ -94,18 +95,13 @@ def sound(run: Run, channels: Sequence[str]) -> tuple[Run, list[str]]:
         if not still.any():
             continue
         share = float(still.sum() / np.isfinite(mean[name]).sum())
-        samples = run.samples.get(name)
         # What stands still most of the time is not stuck.
-        if share > 0.5 or (samples is not None and samples.is_coarse):
+        if share > 0.5 or (name in run.samples and run.samples[name].is_coarse):
             remarks.append(f"{run.name}: {name} does not change in {share:.0%} of its time: too few digits")
             continue
-        limits = np.nanmin(mean[name]), np.nanmax(mean[name])
-        what = "saturated" if np.isin(mean[name][still], limits).all() else "stuck"
-        remarks.append(
-            f"{run.name}: {name} is {what} for {still.sum() * run.slot_s:.0f} s; they are left out"
-        )
-        mean[name] = np.where(still, np.nan, mean[name])
-        variance[name] = np.where(still, np.nan, variance[name])
+        still_s = still.sum() * run.slot_s
+        remarks.append(f"{run.name}: {name} is stuck or saturated for {still_s:.0f} s; they are left out")
+        mean[name], variance[name] = (np.where(still, np.nan, of[name]) for of in (mean, variance))
     return replace(run, mean=mean, variance=variance), remarks
 
 
@@ -166,13 +162,11 @@ def check_training(blocks: Sequence[RunBlocks], remarks: Sequence[str], block_s:
     """Raise BAD_DATA when the unit was at rest for too short a time in training, with the remarks on that."""
     total = sum(map(len, blocks))
     if total < LEAST_BLOCKS:
-        short = (
-            f"too short: the training data has {total} means of {block_s:.0f} s at rest;"
-            f" {LEAST_BLOCKS} are needed, {LEAST_BLOCKS * block_s / 60:.0f} min"
-        )
+        short = f"too short: the training data has {total} means of {block_s:.0f} s at rest"
+        needed = f"{LEAST_BLOCKS} are needed, {LEAST_BLOCKS * block_s / 60:.0f} min"
         raise ImumonError(
             Reason.BAD_DATA,
-            "; ".join([short, *remarks]),
+            "; ".join([short, needed, *remarks]),
             "record the unit at rest for an hour or more while its temperature changes;"
             " if it was at rest and is not detected to be, add --at-rest",
         )
