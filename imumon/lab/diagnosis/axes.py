@@ -17,9 +17,8 @@ from imumon.clock.channel import CLOCK
 from imumon.geodesy import EARTH_RATE
 from imumon.lab.diagnosis.blocks import RunBlocks, at_poses, survey, white_floor
 from imumon.lab.diagnosis.candidates import Pool
-from imumon.lab.diagnosis.channel import Channel, Declared, Own, Recorded, least_squares
+from imumon.lab.diagnosis.channel import Channel, Declared, Own, Recorded, effects_of, least_squares
 from imumon.lab.diagnosis.choice import PROVEN
-from imumon.lab.diagnosis.known import effects_of
 from imumon.lab.diagnosis.runs import unit_of
 from imumon.lab.diagnosis.search import STAGES, Progress, Search, search
 from imumon.lab.diagnosis.usable import faults

@@ -213,7 +213,8 @@ def _tried(channel: Channel, found: Search, also: Sequence[Candidate]) -> Iterat
         for name, leader in table.items():
             if leader.fit > 0.0 and leader.candidate.carries:
                 yield leader.candidate, leader.gain
-                rest = [one for one in found.of_family(name) if one.carries]
+                plain = [one for one in found.tried if len(one.parts) == 1 and not one.free_start]
+                rest = [one for one in plain if one.family == name and one.carries]
                 yield min(rest, key=lambda one: channel.residual_rms([*also, one])), leader.gain
 
 

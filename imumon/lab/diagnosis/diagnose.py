@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from imumon.effects.base import LEAST_SPAN_DEGC, Survey
@@ -11,9 +11,16 @@ from imumon.effects.library import effects_for
 from imumon.errors import ImumonError, Reason
 from imumon.lab.diagnosis.axes import likeliest, scored_channels, search_block_s, search_sensor
 from imumon.lab.diagnosis.blocks import LEAST_BLOCKS, RunBlocks, common_block_s, survey
-from imumon.lab.diagnosis.channel import Own, Recorded
+from imumon.lab.diagnosis.channel import (
+    Own,
+    Recorded,
+    check_range,
+    curves_of,
+    order_of,
+    temperature_of,
+    without_model,
+)
 from imumon.lab.diagnosis.claims import decide
-from imumon.lab.diagnosis.known import check_range, curves_of, order_of, temperature_of, without_model
 from imumon.lab.diagnosis.runs import SENSORS, STRETCHES, Run, channels_of, divided, in_order
 from imumon.lab.diagnosis.search import Progress, Search
 from imumon.lab.diagnosis.usable import (
@@ -85,7 +92,8 @@ def diagnose(
     Raises BAD_DATA when the data cannot show anything, saying why; BAD_CONFIG for a wrong declared model,
     or a known one that holds at no temperature of the training.
     """
-    data, remarks = _prepared(train, test, parse_declared(declared), sensors, model, drivers)
+    remarks = [*dict.fromkeys(text for run in (*train, *test) for text in run.warnings)]
+    data = _prepared(train, test, parse_declared(declared), sensors, model, drivers, remarks)
     verdicts: list[ChannelVerdict] = []
     for sensor in sensors:
         group = channels_of([sensor], data.temperatures)
@@ -113,13 +121,12 @@ def _prepared(
     sensors: Sequence[str],
     model: BiasModel | None,
     drivers: Sequence[str] | None,
-) -> tuple[Recorded, list[str]]:
-    """Return what is searched, and remarks on it."""
+    remarks: list[str],
+) -> Recorded:
+    """Return what is searched; on what is not, and on limits, it adds to the remarks."""
     degree, offsets = declared
-    remarks = [*dict.fromkeys(text for run in (*train, *test) for text in run.warnings)]
-    channels, more = usable_channels(train, test, sensors)
-    train, test, divided_up = _divided(train, test, channels)
-    remarks += more + divided_up
+    channels = usable_channels(train, test, sensors, remarks)
+    train, test = _divided(train, test, channels, remarks)
     if model is None:
         temperatures = {name: temperature_of_axis(name, train) for name in channels}
     else:
@@ -129,25 +136,37 @@ def _prepared(
         train, test = ([without_model(run, curves, channels) for run in runs] for runs in (train, test))
         degree = max(order_of(model.channels[name]) for name in channels)
         if drivers is not None:
-            drivers = [*drivers, *_needed(model, channels, [*drivers, *temperatures.values()])]
+            needed = BiasPredictor(model, channels).drivers
+            drivers = list(dict.fromkeys([*drivers, *(set(needed) - set(temperatures.values()))]))
     used = list(dict.fromkeys(temperatures.values()))
-    others, more = usable_drivers(train, test, [*used, *channels], drivers)
+    others = usable_drivers(train, test, [*used, *channels], drivers, remarks)
     block_s = common_block_s([*train, *test])
-    blocks, unused = usable_blocks(train, channels, used, others, block_s)
+
+    def in_blocks(runs: Sequence[Run], length_s: float, remarks: list[str]) -> list[RunBlocks]:
+        return usable_blocks(runs, channels, used, others, length_s, remarks)
+
+    unused: list[str] = []
+    blocks = in_blocks(train, block_s, unused)
     check_training(blocks, unused, block_s)
-    tested, untested = usable_blocks(test, channels, used, others, block_s)
-    remarks += more + unused + untested
-    shown = survey(blocks, used[0], degree)
+    remarks += unused
+    tested, shown = in_blocks(test, block_s, remarks), survey(blocks, used[0], degree)
     if not shown.thermal:
         degree = 0
+        remarks.append(
+            f"the temperature moves by {shown.span_degc:.1f} °C only ({LEAST_SPAN_DEGC:.0f} °C are needed):"
+            " no curve over temperature is fitted, and no effect of temperature can be found"
+        )
     elif model is not None:  # else no curve is fitted, and that of the model stays as it is
         check_range(model, temperatures, blocks)
-    if test and not tested:
-        remarks.append("no run of the test can be used: there is no independent proof")
-    remarks += _limits(blocks, tested, shown)
+    if not tested:
+        remarks.append("no run can be used as a test: there is no independent proof")
+    if len(blocks) < 2:
+        remarks.append(
+            "one training run: what depends on time and what depends on temperature may look alike"
+        )
+    shorter = in_blocks(train, search_block_s(blocks), [])
     own: Own = "run" if offsets else ""
-    shorter, _ = usable_blocks(train, channels, used, others, search_block_s(blocks))
-    return Recorded(train, blocks, temperatures, degree, tested, shorter, own, model), remarks
+    return Recorded(train, blocks, temperatures, degree, tested, shorter, own, model)
 
 
 def _modelled(channels: Sequence[str], model: BiasModel) -> list[str]:
@@ -162,42 +181,21 @@ def _modelled(channels: Sequence[str], model: BiasModel) -> list[str]:
     return found
 
 
-def _needed(model: BiasModel, channels: Sequence[str], there: Sequence[str]) -> list[str]:
-    """Return the drivers that the model's channels need beside those that are there."""
-    return [name for name in BiasPredictor(model, channels).drivers if name not in there]
-
-
 def _divided(
-    train: Sequence[Run], test: Sequence[Run], channels: Sequence[str]
-) -> tuple[list[Run], list[Run], list[str]]:
-    """Return sound runs of training and test, and remarks; parts of an only run are held out as a test."""
-    checked = [[without_standstill(run, channels) for run in runs] for runs in (train, test)]
-    train, test = ([run for run, _ in pairs] for pairs in checked)
-    remarks = [text for pairs in checked for _, texts in pairs for text in texts]
-    test, more = in_order(train, test)
-    remarks += more
+    train: Sequence[Run], test: Sequence[Run], channels: Sequence[str], remarks: list[str]
+) -> tuple[list[Run], list[Run]]:
+    """Return sound runs of training and test; parts of an only run are held out as a test."""
+    train, test = ([without_standstill(run, channels, remarks) for run in runs] for runs in (train, test))
+    test = in_order(train, test, remarks)
     if test or len(train) > 1 or train[0].duration_s < 2 * LEAST_BLOCKS * common_block_s(train):
-        return train, test, remarks
+        return train, test
     remarks.append(
         f"no test data: every other {train[0].duration_s / STRETCHES / 60:.0f} min of the one run are"
         " held out as a test.  That is weaker than another power-on: what is particular to this run, and"
         " any noise that is slower, is in both"
     )
     first, other = divided(train[0], channels)
-    return [first], [other], remarks
-
-
-def _limits(train: Sequence[RunBlocks], test: Sequence[RunBlocks], shown: Survey) -> Iterator[str]:
-    """Yield what this data cannot show."""
-    if not shown.thermal:
-        yield (
-            f"the temperature moves by {shown.span_degc:.1f} °C only ({LEAST_SPAN_DEGC:.0f} °C are needed):"
-            " no curve over temperature is fitted, and no effect of temperature can be found"
-        )
-    if not test:
-        yield "no test data: nothing proves what is claimed but the data that it was fitted to"
-    if len(train) < 2:
-        yield "one training run: what depends on time and what depends on temperature may look alike"
+    return [first], [other]
 
 
 def _on_poses(data: Recorded, found: Sequence[Search]) -> list[str]:
@@ -205,8 +203,7 @@ def _on_poses(data: Recorded, found: Sequence[Search]) -> list[str]:
     channel = found[0].channel
     if not channel.name.startswith("gyro") or not any(run.pose.any() for run in data.blocks):
         return []
+    what = "what is named g_sensitivity holds the vertical earth rate as well, up to 15.04 °/h per g"
     if channel.declared.own == "pose":
-        what = "the gyros have another constant in each, as the earth rate makes it; a sensitivity to g"
-        return [f"several poses: {what} cannot be distinguished from that"]
-    what = "what is named g_sensitivity holds the vertical earth rate as well"
-    return [f"several poses: {what}, up to 15.04 °/h per g on the diagonal"]
+        what = "a sensitivity of the gyros to g cannot be distinguished from the earth rate"
+    return [f"several poses: {what}"]

@@ -49,7 +49,7 @@ class Likelihood:
         self.price = float(np.log(self.n))
         """What a parameter costs in BIC."""
         self._runs = runs
-        self._sd = {noise: self._behind(np.empty((self.n, 0)), noise)[1] for noise in GRID}
+        self._sd = {noise: self.white(np.empty((self.n, 0)), noise)[1] for noise in GRID}
         """Standard deviation of each innovation, for each noise, (n,)."""
         self._whitened: dict[tuple[int, Noise], dict[Term, FloatArray]] = {}
 
@@ -61,7 +61,7 @@ class Likelihood:
         """Return the predictive log-likelihood of later values, given the early ones and their noise."""
         found = []
         for noise in GRID:
-            white, sd = self.white(values[:, np.newaxis], noise)[:, 0], self._sd[noise]
+            (white,), sd = self.white(values[:, np.newaxis], noise)[0].T, self._sd[noise]
             variance = float(np.mean(white[early] ** 2))
             fit = -0.5 * early.sum() * np.log(variance) - np.log(sd[early]).sum()
             later = -0.5 * np.sum(white[~early] ** 2) / variance
@@ -70,13 +70,8 @@ class Likelihood:
 
     def at(self, values: FloatArray, base: FloatArray, noise: Noise) -> float:
         """Return the log-likelihood of values (n,) with a noise."""
-        left = self._left(values, base, noise)[0]
+        left, _ = self.left(values, base, noise)
         return float(self._of(left @ left, noise))
-
-    def scale(self, values: FloatArray, base: FloatArray, noise: Noise) -> float:
-        """Return s, the standard deviation of the white noise of a full block that is most likely."""
-        left = self._left(values, base, noise)[0]
-        return float(np.sqrt(left @ left / self.n))
 
     def scan(
         self,
@@ -95,7 +90,7 @@ class Likelihood:
         groups = _by_size([[place[term] for term in group] for group in terms], pool.spectra(used))
         best = np.full(len(terms), -np.inf)
         for point in grid:
-            residual, basis = self._left(values, base, point)
+            residual, basis = self.left(values, base, point)
             explained = _explained(residual, basis, self._terms(pool, used, point), groups, len(terms))
             best = np.maximum(best, self._of(residual @ residual - explained, point))
         return best
@@ -104,36 +99,23 @@ class Likelihood:
         """Return the whitened columns of terms, a row each; each is whitened once for each noise."""
         known = self._whitened.setdefault((id(pool), noise), {})
         new = [term for term in terms if term not in known]
-        known.update(zip(new, self.white(pool.matrix(new), noise).T, strict=True))
+        known.update(zip(new, self.white(pool.matrix(new), noise)[0].T, strict=True))
         return np.array([known[term] for term in terms])
-
-    def tails(self, values: FloatArray, base: FloatArray, noise: Noise) -> float:
-        """Return the gain in BIC of innovations with heavy tails over normal ones, by their kurtosis.
-
-        Flicker and random walk are Gaussian: what jumps or comes in bursts is neither, however slow it is.
-        Score test of Jarque and Bera (1980, doi:10.1016/0165-1765(80)90024-5): n (kurtosis - 3)² / 24.
-        """
-        left = self._left(values, base, noise)[0]
-        excess = float(np.mean(left**4) / np.mean(left**2) ** 2) - 3.0
-        return self.n * max(excess, 0.0) ** 2 / 24.0 - self.price
 
     def _of(self, squares: npt.ArrayLike, noise: Noise) -> FloatArray:
         """Return log-likelihoods from sums of squares of whitened residuals, s² profiled."""
         determinant = np.log(self._sd[noise]).sum()
         return np.asarray(-0.5 * self.n * np.log(np.maximum(squares, 1e-300) / self.n) - determinant)
 
-    def _left(self, values: FloatArray, base: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
+    def left(self, values: FloatArray, base: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
         """Return what the base leaves of the values, whitened, and an orthonormal basis of the base."""
-        both = self.white(np.column_stack([base, values]), noise)
+        both, _ = self.white(np.column_stack([base, values]), noise)
         basis = _orthonormal(both[:, :-1])
         return both[:, -1] - basis @ (basis.T @ both[:, -1]), basis
 
-    def white(self, columns: FloatArray, noise: Noise) -> FloatArray:
-        """Return columns (n, k) whitened: behind the inverse Cholesky factor of the covariance over s²."""
-        return self._behind(columns, noise)[0]
-
-    def _behind(self, columns: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
-        """Return columns whitened, and the standard deviations of their innovations, (n,)."""
+    def white(self, columns: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
+        """Return columns (n, k) whitened: behind the inverse Cholesky factor of the covariance over s², and
+        the standard deviations of their innovations, (n,)."""
         flicker, walk = noise
         markov_sd = np.full(len(TAUS_S), np.sqrt(flicker / len(TAUS_S)))
         parts = np.split(columns, np.cumsum([len(run) for run in self._runs])[:-1])

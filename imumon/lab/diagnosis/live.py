@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,9 +14,18 @@ from imumon.columns import Column
 from imumon.errors import ImumonError
 from imumon.geodesy import DEG_PER_H
 from imumon.lab.diagnosis.better import Better, Challenger, better_models, residual, within_range
-from imumon.lab.diagnosis.blocks import BLOCK_S, common_block_s
-from imumon.lab.diagnosis.known import temperature_of
-from imumon.lab.diagnosis.runs import DRIVERS, LONGEST_GAP_S, SECOND_NS, Run, add_vibration, further_columns
+from imumon.lab.diagnosis.blocks import common_block_s, make_blocks
+from imumon.lab.diagnosis.channel import temperature_of
+from imumon.lab.diagnosis.extended import trained_on
+from imumon.lab.diagnosis.runs import (
+    DRIVERS,
+    LONGEST_GAP_S,
+    SECOND_NS,
+    Origin,
+    Run,
+    add_vibration,
+    further_columns,
+)
 from imumon.lane import LaneState, Level
 from imumon.models.model import BiasModel, TrainedOn
 from imumon.models.predictor import BiasPredictor
@@ -177,19 +187,8 @@ class LiveDiagnosis:
 
     def evidence(self, session: str, sha256: str) -> TrainedOn:
         """Return what a learned model states of this session."""
-        run = self._run()
-        at_rest = run.at_rest
-        known = [run.mean[name] for name in self._temperatures if name in run.mean]
-        temperature = np.concatenate([values[at_rest & np.isfinite(values)] for values in known])
-        gyro = self._gyros[0]
-        rest_s = float(run.count[gyro][at_rest].sum()) / run.samples_per_slot(gyro) * run.slot_s
-        return TrainedOn(
-            session=session,
-            sha256=sha256,
-            rest_s=rest_s,
-            blocks=int(rest_s // BLOCK_S),
-            temperature_range_degc=[float(temperature.min()), float(temperature.max())],
-        )
+        run = replace(self._run(), origin=Origin(session, 0, sha256))
+        return trained_on(make_blocks(run, self._gyros, self._temperatures))
 
     def _report(self, text: str, what: str = "") -> None:
         """Add a text to the log, unless it, or what it is about, is in there already."""

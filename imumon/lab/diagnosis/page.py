@@ -15,9 +15,9 @@ from imumon.files import write_text
 from imumon.harmless import for_html
 from imumon.lab.diagnosis.better import residual
 from imumon.lab.diagnosis.blocks import BLOCK_S, RunBlocks
+from imumon.lab.diagnosis.channel import temperature_of
 from imumon.lab.diagnosis.diagnose import Diagnosis
 from imumon.lab.diagnosis.figures import AFTER, BEFORE, HOUR_S, errors_plot, figures, shown, svg
-from imumon.lab.diagnosis.known import temperature_of
 from imumon.lab.diagnosis.report import report
 from imumon.lab.diagnosis.runs import Run, unit_of
 from imumon.lab.diagnosis.search import Progress

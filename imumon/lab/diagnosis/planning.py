@@ -7,9 +7,8 @@ The evidence is the difference of the gains, in BIC, between the effect that the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import yaml
@@ -66,8 +65,7 @@ POSES = (Turn(kind="turn", at_s=0.0, duration_s=10.0, roll_deg=90.0),) * 3 + (
 # Courses of temperature, and poses, that an experiment may be
 
 
-@dataclass(frozen=True, slots=True)
-class Profile:
+class Profile(NamedTuple):
     """One experiment."""
 
     title: str
@@ -84,7 +82,15 @@ def profiles(
     The unit was trained from `low` to `high`, °C, and reached the rate `fastest`, °C/min; `slowest_s` is the
     longest time constant of the effects in question (0 without one); with `poses` it has to be turned.
     """
-    found = [_held(0.5 * (low + high), held_s) for held_s in HELD_S]
+    at = 0.5 * (low + high)
+    found = [
+        Profile(
+            f"switched on in equilibrium at {at:.0f} °C and held",
+            Chamber(start_degc=at, steps=[Step(hold_s=held_s)]),
+            held_s,
+        )
+        for held_s in HELD_S
+    ]
     if high - low >= LEAST_SPAN_DEGC and fastest > 0.0:
         soaks = {*SOAKS_S, min(max(SETTLED * slowest_s, SOAKS_S[0]), 2.0 * SOAKS_S[1])}
         found += [
@@ -96,11 +102,6 @@ def profiles(
     if poses:
         found = [_in_poses(one) for one in found]
     return sorted((one for one in found if one.duration_s <= most_s), key=lambda one: one.duration_s)
-
-
-def _held(at: float, held_s: float) -> Profile:
-    title = f"switched on in equilibrium at {at:.0f} °C and held"
-    return Profile(title, Chamber(start_degc=at, steps=[Step(hold_s=held_s)]), held_s)
 
 
 def _thermal(low: float, high: float, rate: float, soak_s: float, count: int) -> list[Profile]:
@@ -120,14 +121,12 @@ def _thermal(low: float, high: float, rate: float, soak_s: float, count: int) ->
         (f"in stairs of a quarter of the span with {soak}", stairs),
         ("turned round inside the span", inner),
     ]
-    return [_profile(title, low, steps, count) for title, steps in shapes]
-
-
-def _profile(title: str, start: float, steps: Sequence[Step], count: int) -> Profile:
-    chamber = Chamber(start_degc=start, steps=[*steps] * count)
-    duration_s = max(float(chamber_knots(chamber)[0][-1]), SHORTEST_S)
-    times = f", {count} times" if count > 1 else ""
-    return Profile(f"from {start:.0f} °C {title}{times}", chamber, duration_s)
+    times, found = f", {count} times" if count > 1 else "", []
+    for title, steps in shapes:
+        chamber = Chamber(start_degc=low, steps=[*steps] * count)
+        duration_s = max(float(chamber_knots(chamber)[0][-1]), SHORTEST_S)
+        found.append(Profile(f"from {low:.0f} °C {title}{times}", chamber, duration_s))
+    return found
 
 
 def _in_poses(profile: Profile) -> Profile:
@@ -172,8 +171,7 @@ class Report(StrictModel, extra="ignore"):
     channels: dict[str, _Channel]
 
 
-@dataclass(frozen=True, slots=True)
-class Question:
+class Question(NamedTuple):
     """A question, and the channel of those that have it in which the residual is the largest."""
 
     channel: str
@@ -186,8 +184,7 @@ class Question:
         return " or ".join(answer.name for answer in self.answers)
 
 
-@dataclass(frozen=True, slots=True)
-class Evidence:
+class Evidence(NamedTuple):
     """What a profile shows of the pair of answers that it tells apart worst, `truth` and its `rival`.
 
     `value` is the mean difference of their gains in BIC over simulated units, `least` the smallest, `needed`
@@ -206,8 +203,7 @@ class Evidence:
         return self.value / self.needed
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
+class Plan(NamedTuple):
     """The next experiment for a question; `profile` and `expected` are None where nothing that was tried
     tells, and `why_not` says why."""
 
@@ -250,23 +246,23 @@ def plan(report: Report, question: Question, most_s: float, progress: Progress |
     low, high = report.temperature_range_degc
     slowest_s = max((time for answer in question.answers for time in answer.times_s), default=0.0)
     possible = profiles(low, high, report.fastest_degc_per_min, slowest_s, most_s, ACCEL in inputs)
-    best: tuple[Evidence, Profile] | None = None
-    for at, profile in enumerate(possible):
-        if best is not None and at >= EVERY_SHAPE and best[0].ratio * most_s < best[1].duration_s:
+    if not possible:
+        return Plan(question, why_not="no profile is so short")
+    tried: list[tuple[Evidence, Profile]] = []
+    for profile in possible:
+        best = max(tried, key=lambda one: one[0].ratio, default=None)
+        if best is not None and len(tried) >= EVERY_SHAPE and best[0].ratio * most_s < best[1].duration_s:
             break  # evidence grows no faster than time
         if progress is not None:
             progress(f"{question.name}: {profile.duration_s / 3600:.1f} h, {profile.title}")
         found = evidence(report, question, profile, range(TRIALS), few)
-        if best is None or found.ratio > best[0].ratio:
-            best = found, profile
+        tried.append((found, profile))
         if found.ratio >= MARGIN:
             # What was chosen for its evidence has had luck as well: other units have to show it again.
             proof = evidence(report, question, profile, range(TRIALS, TRIALS + PROOFS), every)
             if proof.least >= proof.needed:
                 return Plan(question, profile, proof)
-    if best is None:
-        return Plan(question, why_not="no profile is so short")
-    found, profile = best
+    found, profile = max(tried, key=lambda one: one[0].ratio)
     why_not = (
         "no experiment that was tried decides it;"
         f" the best, {profile.duration_s / 3600:.1f} h {profile.title}, gives {found.value:.0f} of the"

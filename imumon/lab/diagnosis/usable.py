@@ -1,4 +1,7 @@
-"""The channels, drivers and runs that a diagnosis can use, with a remark on each that is left out."""
+"""The channels, drivers and runs that a diagnosis can use.
+
+On what is left out each function adds to `remarks`.
+"""
 
 from __future__ import annotations
 
@@ -29,15 +32,15 @@ RESOLUTION = 1e-12
 
 
 def usable_channels(
-    train: Sequence[Run], test: Sequence[Run], sensors: Sequence[str]
-) -> tuple[list[str], list[str]]:
-    """Return the channels that vary and that every training run has at a tenth of its time or more; remarks.
+    train: Sequence[Run], test: Sequence[Run], sensors: Sequence[str], remarks: list[str]
+) -> list[str]:
+    """Return the channels that vary and that every training run has at a tenth of its time or more.
 
     The clock of the device beside others only where all runs have it.
 
     Raises BAD_DATA when there is none.
     """
-    found, remarks = [], []
+    found = []
     for name in channels_of(sensors, {name for run in train for name in run.variance}):
         lacking = [run.name for run in train if _share_there(run, name) <= LEAST_THERE]
         if len(lacking) == len(train):
@@ -57,7 +60,7 @@ def usable_channels(
         )
     if len(found) > 1 and not all(CLOCK in run.mean for run in (*train, *test)):
         found = [name for name in found if name != CLOCK]
-    return found, remarks
+    return found
 
 
 def _share_there(run: Run, name: str) -> float:
@@ -81,13 +84,13 @@ def temperature_of_axis(channel: str, runs: Sequence[Run]) -> str:
     return common_temperature(f"temperature_{channel[-1]}", runs, lacking, but=channel)
 
 
-def without_standstill(run: Run, channels: Sequence[str]) -> tuple[Run, list[str]]:
-    """Return a run without the slots in which a channel stands still; remarks.
+def without_standstill(run: Run, channels: Sequence[str], remarks: list[str]) -> Run:
+    """Return a run without the slots in which a channel stands still.
 
     Noise never gives the same value for as long as a block, but a stuck sensor does, one at its limit, and
     one whose digits are coarser than its noise.  The last stays.
     """
-    mean, variance, remarks = dict(run.mean), dict(run.variance), []
+    mean, variance = dict(run.mean), dict(run.variance)
     for name in channels:
         if name not in mean:
             continue
@@ -102,7 +105,7 @@ def without_standstill(run: Run, channels: Sequence[str]) -> tuple[Run, list[str
         still_s = still.sum() * run.slot_s
         remarks.append(f"{run.name}: {name} is stuck or saturated for {still_s:.0f} s; they are left out")
         mean[name], variance[name] = (np.where(still, np.nan, of[name]) for of in (mean, variance))
-    return replace(run, mean=mean, variance=variance), remarks
+    return replace(run, mean=mean, variance=variance)
 
 
 def faults(runs: Sequence[Run], channel: str, floor: float) -> list[Fault]:
@@ -127,35 +130,33 @@ def usable_blocks(
     temperatures: Sequence[str],
     drivers: Sequence[str],
     block_s: float,
-) -> tuple[list[RunBlocks], list[str]]:
-    """Return the runs at rest as blocks; remarks on those that cannot be used, and on gaps."""
-    found, remarks = [], []
+    remarks: list[str],
+) -> list[RunBlocks]:
+    """Return the runs at rest as blocks."""
+    found = []
     for run in runs:
         lacking = [name for name in (*channels, *temperatures) if name not in run.mean]
         if lacking:
             remarks.append(f"{run.name}: not used, it lacks {', '.join(lacking)}")
             continue
-        rest_share = _rest_share(run, channels[0])
-        if rest_share < 0.5:
-            minutes = run.duration_s / 60
-            remarks.append(
-                f"{run.name}: not used, the unit moves: at rest for {rest_share:.0%} of its {minutes:.0f} min"
-            )
+        at_rest = _rest_share(run, channels[0])
+        if at_rest < 0.5:
+            of = f"at rest for {at_rest:.0%} of its {run.duration_s / 60:.0f} min"
+            remarks.append(f"{run.name}: not used, the unit moves: {of}")
             continue
         blocks = make_blocks(run, channels, temperatures, drivers, block_s)
         if len(blocks) * block_s < SHORTEST_RUN_S:
-            remarks.append(
-                f"{run.name}: not used, {len(blocks)} blocks of {block_s:.0f} s at rest are too few"
-            )
+            few = f"{len(blocks)} blocks of {block_s:.0f} s at rest are too few"
+            remarks.append(f"{run.name}: not used, {few}")
             continue
         found.append(blocks)
         known = np.isfinite(run.mean[channels[0]])
         there = float(known[np.argmax(known) :].mean())  # what goes on from another run begins late
         if there < run.share * (1.0 - MANY_GAPS):
             remarks.append(f"{run.name}: samples in {there:.0%} of its time only; gaps are left out")
-        if rest_share < 1.0 - MANY_GAPS:
-            remarks.append(f"{run.name}: at rest for {rest_share:.0%} of its time; the rest is left out")
-    return found, remarks
+        if at_rest < 1.0 - MANY_GAPS:
+            remarks.append(f"{run.name}: at rest for {at_rest:.0%} of its time; the rest is left out")
+    return found
 
 
 def check_training(blocks: Sequence[RunBlocks], remarks: Sequence[str], block_s: float) -> None:
@@ -173,9 +174,13 @@ def check_training(blocks: Sequence[RunBlocks], remarks: Sequence[str], block_s:
 
 
 def usable_drivers(
-    train: Sequence[Run], test: Sequence[Run], beside: Sequence[str], wanted: Sequence[str] | None
-) -> tuple[list[str], list[str]]:
-    """Return the drivers that vary in training and are in every run, of those wanted (None: of all); remarks.
+    train: Sequence[Run],
+    test: Sequence[Run],
+    beside: Sequence[str],
+    wanted: Sequence[str] | None,
+    remarks: list[str],
+) -> list[str]:
+    """Return the drivers that vary in training and are in every run, of those wanted (None: of all).
 
     `beside` are the temperatures that the curves are over.
 
@@ -189,18 +194,14 @@ def usable_drivers(
             f"--drivers: {', '.join(lacking)} is not in the training data",
             f"there are {', '.join(possible) or 'none'}; a map names others with other: {{NAME: ...}}",
         )
-    found, remarks = [], []
+    found = []
     for name in possible if wanted is None else wanted:
         values = np.concatenate([run.mean[name] for run in train if name in run.mean])
         if not np.nanmax(values) > np.nanmin(values):
             continue
-        runs = [run.name for run in (*train, *test) if not _covers(run, name)]
+        runs = [run.name for run in (*train, *test) if _share_there(run, name) < 0.5 * run.slot_s / BLOCK_S]
         if runs:
             remarks.append(f"{name} is hardly recorded in {', '.join(runs)}: no effect of it is looked for")
         else:
             found.append(name)
-    return found, remarks
-
-
-def _covers(run: Run, name: str) -> bool:
-    return name in run.mean and np.isfinite(run.mean[name]).sum() >= 0.5 * run.duration_s / BLOCK_S
+    return found

@@ -62,7 +62,8 @@ def test_what_stood_still_is_not_counted_again_as_a_value_that_comes_too_often(v
     def frozen(values: FloatArray, _: FloatArray) -> FloatArray:
         return np.where(np.abs(np.arange(N) - 21_000) <= 1000, value, values)
 
-    left, remarks = without_standstill(watched(frozen), ["gyro_x"])
+    remarks: list[str] = []
+    left = without_standstill(watched(frozen), ["gyro_x"], remarks)
     assert remarks == ["a run: gyro_x is stuck or saturated for 40 s; they are left out"]
     assert faults([left], "gyro_x", 0.02) == []
 
