@@ -79,7 +79,7 @@ def _channels(data: Recorded, group: Sequence[str], own: Own, blocks: Sequence[R
     tested = data.test
     if own == "pose":
         blocks, tested = at_poses(blocks), at_poses(tested)
-    pools = {name: Pool(blocks, name) for name in {data.temperatures[axis] for axis in group}}
+    pools = {name: Pool(blocks, name) for name in dict.fromkeys(data.temperatures[axis] for axis in group)}
     found = []
     for name in group:
         temperature, floor = data.temperatures[name], white_floor(data.runs, name, blocks)

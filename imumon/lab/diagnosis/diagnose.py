@@ -20,7 +20,6 @@ from imumon.lab.diagnosis.channel import (
     temperature_of,
     without_model,
 )
-from imumon.lab.diagnosis.claims import decide
 from imumon.lab.diagnosis.runs import SENSORS, STRETCHES, Run, channels_of, divided, in_order
 from imumon.lab.diagnosis.search import Progress, Search
 from imumon.lab.diagnosis.usable import (
@@ -31,7 +30,7 @@ from imumon.lab.diagnosis.usable import (
     usable_drivers,
     without_standstill,
 )
-from imumon.lab.diagnosis.verdict import ChannelVerdict
+from imumon.lab.diagnosis.verdict import ChannelVerdict, decide
 from imumon.models.curves.polynomial import CUBIC
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
@@ -137,7 +136,8 @@ def _prepared(
         degree = max(order_of(model.channels[name]) for name in channels)
         if drivers is not None:
             needed = BiasPredictor(model, channels).drivers
-            drivers = list(dict.fromkeys([*drivers, *(set(needed) - set(temperatures.values()))]))
+            more = [name for name in needed if name not in (*drivers, *temperatures.values())]
+            drivers = [*drivers, *more]
     used = list(dict.fromkeys(temperatures.values()))
     others = usable_drivers(train, test, [*used, *channels], drivers, remarks)
     block_s = common_block_s([*train, *test])

@@ -140,10 +140,7 @@ class LiveDiagnosis:
         change = f"{found.before / DEG_PER_H:.3g} become {found.after / DEG_PER_H:.3g} °/h"
         if found.lost:
             self._challenger = None
-            self._report(
-                "the better model is dropped: what came later is less likely with it and the noise"
-                f" that it had (means of {change})"
-            )
+            self._report(f"the better model is dropped: what came later is less likely with it ({change})")
         elif found.won:
             self.offered = self._challenger
             self._report(

@@ -16,7 +16,7 @@ from imumon.effects.library import separated_by
 from imumon.files import plain, write_text
 from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.candidates import Candidate
-from imumon.lab.diagnosis.choice import PROVEN, Scored
+from imumon.lab.diagnosis.choice import Scored
 from imumon.lab.diagnosis.diagnose import Diagnosis
 from imumon.lab.diagnosis.extended import with_model
 from imumon.lab.diagnosis.fit import FittedPart, fit, root_mean_square, score_test
@@ -89,7 +89,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
         "unit": verdict.channel.unit,
         "noise_floor_rms": floor.sd,
         "noise_floor_from": floor.source,
-        "slow_noise": slow_noise(verdict),
+        "slow_noise": _slow_noise(verdict),
         "before": {"train_rms": verdict.before.train_rms, "test_rms": verdict.test_before.rms},
         "after": {
             "train_rms": verdict.after.train_rms,
@@ -127,7 +127,7 @@ def _channel(verdict: ChannelVerdict) -> dict[str, Any]:
     }
 
 
-def slow_noise(verdict: ChannelVerdict) -> dict[str, float]:
+def _slow_noise(verdict: ChannelVerdict) -> dict[str, float]:
     """Return the noise that is likeliest beside what was found: r and q of the likelihood, the same in the
     unit of the channel, and the gain in BIC of innovations with heavy tails over normal ones.
 
@@ -317,12 +317,10 @@ def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[tuple[str, str, str]]
         again = " ".join(dict.fromkeys(run.name.partition(",")[0] for run in diagnosis.train))
         command = f"imumon diagnose --train {again} --test NEW --out {folder}"
         yield "Record another session from power-on and test on that.", why, command
-    if names := which(lambda one: one.unexplained and slow_noise(one)["heavy_tails"] > PROVEN):
-        what = f"Record beside {names} what else may drive it (supply, load, pressure, another thermometer)."
-        yield what, "What is left jumps or comes in bursts, as no noise does.", ""
     if names := which(lambda one: one.unexplained):
-        why = "What is left moves as slow noise does: that shows whether the unit has it."
-        yield f"Record {names} {ISOTHERMAL}", why, ""
+        beside = "what else may drive it (supply, load, pressure, another thermometer)"
+        why = "What is left jumps or comes in bursts, as no noise does, or it is slow noise of the unit."
+        yield f"Record {names} beside {beside}, {ISOTHERMAL}", why, ""
     sets = (one.finding.alike for verdict in verdicts for one in verdict.claims)
     if alike := next(filter(None, sets), []):
         why = f"{alike[0]} and {alike[1]} fit these recordings alike, and predict others differently."

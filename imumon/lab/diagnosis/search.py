@@ -201,7 +201,8 @@ class Search:
         """Add a table: the best of each family beside what was found so far, at first in pairs as well."""
         scored = sorted(self.scored(self.tried, self.model), key=attrgetter("gain"))
         best = {one.family: one for one in scored}
-        self.tables.append(best | (self._beside_partner(scored, best) if pairs and not self.findings else {}))
+        beside = self._beside_partner(scored, best) if pairs and not self.findings else {}
+        self.tables.append(best | beside)
 
     def _beside_partner(self, scored: Sequence[Scored], best: Table) -> dict[str, Scored]:
         """Return what effects gain beside the partner in the best pair, where both are needed.
@@ -222,7 +223,7 @@ class Search:
             return {}
         partner = min(two, key=lambda one: (one.candidate.scope not in ("run", "event"), one.gain)).family
         beside = [
-            replace(one, gain=gain - max(0.0, other.gain), partner=partner)
+            one._replace(gain=gain - max(0.0, other.gain), partner=partner)
             for gain, pair in found
             for one, other in (pair, pair[::-1])
             if other.family == partner
