@@ -49,7 +49,7 @@ def search_sensor(
     found = []
     for own in owns:
         channels = _channels(data, group, own, blocks)
-        shown = survey(channels[0].train, channels[0].temperature, data.degree)
+        shown = survey(channels[0].pool.runs, channels[0].temperature, data.degree)
         found.append(search(channels, shown, effects, stages, progress))
         if any(channel.refitted for channel in channels):
             given = [channel.as_given() for channel in channels]

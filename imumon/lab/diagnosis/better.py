@@ -26,7 +26,7 @@ from imumon.lab.diagnosis.blocks import (
     survey,
 )
 from imumon.lab.diagnosis.channel import CUBIC_DEGREE, Recorded, curves_of, temperature_of, without_model
-from imumon.lab.diagnosis.choice import PROVEN, least_gain
+from imumon.lab.diagnosis.choice import least_gain
 from imumon.lab.diagnosis.extended import refitted
 from imumon.lab.diagnosis.fit import MATERIAL, fit
 from imumon.lab.diagnosis.likelihood import Likelihood
@@ -148,23 +148,14 @@ def _better(found: Search, gain: float, model: BiasModel) -> Better:
 class Comparison(NamedTuple):
     """Two models on what came later.
 
-    `ratio` is the logarithm of the likelihood ratio, the better model's over the present one's; `before` and
-    `after` are the rms that the present and the better model leave, over the channels that differ.
+    `ratio` is the logarithm of the likelihood ratio, the better model's over the present one's: above PROVEN
+    the better one has won, 1 in 3000 by chance, and below -PROVEN it has lost.  `before` and `after` are the
+    rms that the present and the better model leave, over the channels that differ.
     """
 
     ratio: float
     before: float
     after: float
-
-    @property
-    def won(self) -> bool:
-        """Whether the better model has proven itself: 1 in 3000 by chance."""
-        return self.ratio > PROVEN
-
-    @property
-    def lost(self) -> bool:
-        """Whether it has done worse by as much."""
-        return self.ratio < -PROVEN
 
 
 class Challenger:

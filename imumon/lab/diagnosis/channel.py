@@ -122,11 +122,6 @@ class Channel:
         return self.blind >= self.floor.sd
 
     @property
-    def train(self) -> Sequence[RunBlocks]:
-        """Training runs."""
-        return self.pool.runs
-
-    @property
     def temperature(self) -> str:
         """Which temperature drives it."""
         return self.pool.temperature
@@ -134,7 +129,7 @@ class Channel:
     @cached_property
     def values(self) -> FloatArray:
         """Block means over all training runs less the effects that stay as they are, (n,)."""
-        means = np.concatenate([run.mean[self.name] for run in self.train])
+        means = np.concatenate([run.mean[self.name] for run in self.pool.runs])
         for effect in self.kept:
             columns = self.pool.design([Candidate(effect.label, (Part(effect),))])
             means = means - columns @ np.asarray(effect.coefficients)
@@ -143,7 +138,7 @@ class Channel:
     @cached_property
     def base(self) -> FloatArray:
         """Columns of the declared model over all training runs, (n, p)."""
-        return self.declared.training(self.train, self.temperature)
+        return self.declared.training(self.pool.runs, self.temperature)
 
     def design(self, found: Sequence[Candidate]) -> FloatArray:
         """Return the columns of the declared model and of what was found, (n, k)."""

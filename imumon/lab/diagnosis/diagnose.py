@@ -20,11 +20,18 @@ from imumon.lab.diagnosis.channel import (
     temperature_of,
     without_model,
 )
-from imumon.lab.diagnosis.runs import SENSORS, STRETCHES, Run, channels_of, divided, in_order
+from imumon.lab.diagnosis.runs import (
+    SENSORS,
+    STRETCHES,
+    Run,
+    channels_of,
+    common_temperature,
+    divided,
+    in_order,
+)
 from imumon.lab.diagnosis.search import Progress, Search
 from imumon.lab.diagnosis.usable import (
     check_training,
-    temperature_of_axis,
     usable_blocks,
     usable_channels,
     usable_drivers,
@@ -127,7 +134,11 @@ def _prepared(
     channels = usable_channels(train, test, sensors, remarks)
     train, test = _divided(train, test, channels, remarks)
     if model is None:
-        temperatures = {name: temperature_of_axis(name, train) for name in channels}
+        # That of its axis, where there is one.
+        lacking = "there is no temperature in the training data, so there is no bias over it to diagnose"
+        temperatures = {
+            name: common_temperature(f"temperature_{name[-1]}", train, lacking, but=name) for name in channels
+        }
     else:
         channels = _modelled(channels, model)
         temperatures = {name: temperature_of(name, model, train) for name in channels}

@@ -90,7 +90,7 @@ def fit(channel: Channel, found: Sequence[Candidate]) -> Fit:
     parts = [FittedPart(one, (), np.array([one.coefficients]), none) for one in channel.kept]
     lifted = 0.0
     for candidate, where, starts in _layout(channel, found):
-        own, runs = coefficients[where], len(channel.train) if candidate.free_start else 0
+        own, runs = coefficients[where], len(channel.pool.runs) if candidate.free_start else 0
         begun_at = coefficients[starts].reshape(len(candidate.parts), runs, -1 if runs else 0)
         for part, rows, start in zip(candidate.parts, _by_part(candidate, own), begun_at, strict=True):
             effect = part.effect.with_coefficients(rows.mean(axis=0))
@@ -153,7 +153,7 @@ def score_test(channel: Channel, model: Fit, like: Fit | None = None) -> TestSco
     Blocks count after the state at power-on is forgotten, of the model `like` where one is given: the same
     for the models that are compared.
     """
-    trained = np.concatenate([run.temperature[channel.temperature] for run in channel.train])
+    trained = np.concatenate([run.temperature[channel.temperature] for run in channel.pool.runs])
     left, estimated, counted, inside = [], [], [], 0
     for run in channel.test:
         t = run.temperature[channel.temperature]
@@ -197,7 +197,7 @@ def goes_on(channel: Channel, model: Fit) -> bool:
 
 def begun(channel: Channel, run: RunBlocks) -> int | None:
     """Return the training run that a run goes on from; None where it begins with a power-on of its own."""
-    names = [other.name for other in channel.train]
+    names = [other.name for other in channel.pool.runs]
     return names.index(run.begun_in) if run.begun_in in names else None
 
 

@@ -16,6 +16,7 @@ from imumon.geodesy import DEG_PER_H
 from imumon.lab.diagnosis.better import Better, Challenger, better_models, residual, within_range
 from imumon.lab.diagnosis.blocks import common_block_s, make_blocks
 from imumon.lab.diagnosis.channel import temperature_of
+from imumon.lab.diagnosis.choice import PROVEN
 from imumon.lab.diagnosis.extended import trained_on
 from imumon.lab.diagnosis.runs import (
     DRIVERS,
@@ -138,10 +139,10 @@ class LiveDiagnosis:
         if found is None:
             return
         change = f"{found.before / DEG_PER_H:.3g} become {found.after / DEG_PER_H:.3g} °/h"
-        if found.lost:
+        if found.ratio < -PROVEN:
             self._challenger = None
             self._report(f"the better model is dropped: what came later is less likely with it ({change})")
-        elif found.won:
+        elif found.ratio > PROVEN:
             self.offered = self._challenger
             self._report(
                 f"a better model has won on what came later: {change} (likelihood ratio e^{found.ratio:.0f});"
@@ -260,11 +261,6 @@ class BoundedRun:
         self._sums = np.zeros((MOST_SLOTS, 4, len(names)))
         """Samples, their sum, squares about the means of seconds, and degrees of freedom of these."""
         self._width, self._last, self._begun_ns = 1, -1, 0
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes that it takes, however long the run is."""
-        return self._sums.nbytes
 
     def elapsed_s(self, part: KeptSlots) -> FloatArray:
         """Return the time from the first sample to the end of each second, (n,)."""

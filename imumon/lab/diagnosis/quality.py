@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray, SampleBlock
-from imumon.filters.rounding import digits, grid_step, largest_error, mean_error
+from imumon.filters.rounding import digits, grid_step
 
 KEPT = 100_000
 """Samples of a channel that are kept, evenly spaced over the recording, to bound the memory."""
@@ -127,29 +127,3 @@ class Fault(NamedTuple):
 
     text: str
     blind: float
-
-
-def sample_faults(recordings: Sequence[Samples], unit: str, floor: float) -> list[Fault]:
-    """Return the worst fault of each kind: digits too coarse for their noise to average what lies between
-    them, and a value that is too frequent.
-
-    `unit` is that of the channel; `floor` is the white noise of a mean of a block.
-    """
-    coarse = [
-        Fault(
-            f"quantized: steps of {one.step:.3g} {unit}, about {1 / one.ratio:.2g} times the noise",
-            largest_error(one.step, one.ratio),
-        )
-        for one in recordings
-        if one.step > 0.0 and not mean_error(one.step, one.ratio) < 0.5 * floor
-    ]
-    frequent = [
-        Fault(
-            "frequent value, as of a dead-band, saturation or dropouts:"
-            f" {one.atom_share:.1%} of the samples are {one.atom + 0.0:.4g} {unit}",
-            np.inf,
-        )
-        for one in recordings
-        if one.atom_share > 0.0
-    ]
-    return [max(kind, key=lambda fault: fault.blind) for kind in (coarse, frequent) if kind]

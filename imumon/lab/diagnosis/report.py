@@ -10,7 +10,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from imumon.blocks import FloatArray
 from imumon.effects.base import ACCEL
 from imumon.effects.library import separated_by
 from imumon.files import plain, write_text
@@ -153,7 +152,10 @@ def _effect(claim: Claim) -> dict[str, Any]:
     return {
         "name": finding.name,
         "parameters": _parameters(claim.parts),
-        "sigma": [{**one.searched, "coefficients": _rows(one.coefficients)} for one in claim.sigmas],
+        "sigma": [
+            {**one.searched, "coefficients": (own[0] if len(own := one.coefficients) == 1 else own).tolist()}
+            for one in claim.sigmas
+        ],
         "carried_over": any(part.carries for part in claim.parts),
         "evidence": {
             "proven_by": "test" if finding.by_test else "training",
@@ -166,11 +168,6 @@ def _effect(claim: Claim) -> dict[str, Any]:
         },
         "test_rms_alone": claim.test_alone,
     }
-
-
-def _rows(coefficients: FloatArray) -> Any:
-    """Return rows (runs, k), or the only one."""
-    return (coefficients[0] if len(coefficients) == 1 else coefficients).tolist()
 
 
 def _parameters(parts: Sequence[FittedPart]) -> dict[str, Any]:
@@ -206,12 +203,12 @@ def _ranking(verdict: ChannelVerdict) -> list[dict[str, Any]]:
 def _runs_left(verdict: ChannelVerdict) -> Iterator[dict[str, Any]]:
     """Yield what each run of training and test is left with; NaN where nothing counts."""
     channel, (before, after) = verdict.channel, (verdict.test_before, verdict.test_after)
-    ends = np.cumsum([len(run) for run in channel.train])[:-1]
+    ends = np.cumsum([len(run) for run in channel.pool.runs])[:-1]
     training = (np.split(one.train, ends) for one in (verdict.before, verdict.after))
     test = (
         [part[use] for part, use in zip(one.residual, after.counted, strict=True)] for one in (before, after)
     )
-    for is_test, runs, left in ((False, channel.train, training), (True, channel.test, test)):
+    for is_test, runs, left in ((False, channel.pool.runs, training), (True, channel.test, test)):
         for run, first, last in zip(runs, *left, strict=True):
             yield {
                 "name": run.name,

@@ -76,7 +76,7 @@ def search(
     The search begins with the effects of the present model that are fitted anew.  At most `stages` effects
     are added to a channel.
     """
-    likelihood, tried = Likelihood(channels[0].train), candidates(survey, names)
+    likelihood, tried = Likelihood(channels[0].pool.runs), candidates(survey, names)
     searches = [Search(channel, survey, likelihood, tried) for channel in channels]
     usual = len({one.family for one in tried if not one.choice})
     least = least_gain(usual, len(channels)) if len(channels) > 1 else PROVEN

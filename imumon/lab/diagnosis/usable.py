@@ -13,6 +13,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.clock.channel import CLOCK
 from imumon.errors import ImumonError, Reason
+from imumon.filters.rounding import largest_error, mean_error
 from imumon.lab.diagnosis.blocks import (
     BLOCK_S,
     LEAST_BLOCKS,
@@ -20,8 +21,8 @@ from imumon.lab.diagnosis.blocks import (
     RunBlocks,
     make_blocks,
 )
-from imumon.lab.diagnosis.quality import Fault, sample_faults, standing
-from imumon.lab.diagnosis.runs import CHANNELS, SHORTEST_RUN_S, Run, channels_of, common_temperature, unit_of
+from imumon.lab.diagnosis.quality import Fault, standing
+from imumon.lab.diagnosis.runs import CHANNELS, SHORTEST_RUN_S, Run, channels_of, unit_of
 
 LEAST_THERE = 0.1
 """Share of its time in which a channel that is used has samples."""
@@ -75,15 +76,6 @@ def _varies(mean: FloatArray, variance: FloatArray) -> bool:
     return bool(np.ptp(known) > resolution or (scatter > resolution**2).any())
 
 
-def temperature_of_axis(channel: str, runs: Sequence[Run]) -> str:
-    """Return the temperature that a channel's bias is over: that of its axis where there is one.
-
-    Raises BAD_DATA when there is no temperature.
-    """
-    lacking = "there is no temperature in the training data, so there is no bias over temperature to diagnose"
-    return common_temperature(f"temperature_{channel[-1]}", runs, lacking, but=channel)
-
-
 def without_standstill(run: Run, channels: Sequence[str], remarks: list[str]) -> Run:
     """Return a run without the slots in which a channel stands still.
 
@@ -109,9 +101,30 @@ def without_standstill(run: Run, channels: Sequence[str], remarks: list[str]) ->
 
 
 def faults(runs: Sequence[Run], channel: str, floor: float) -> list[Fault]:
-    """Return what is wrong with the samples of a channel; `floor` is the white noise of a block."""
-    samples = [run.samples[channel] for run in runs if channel in run.samples]
-    return sample_faults(samples, unit_of(channel), floor)
+    """Return the worst fault of each kind in the samples of a channel: digits too coarse for their noise to
+    average what lies between them, and a value that is too frequent.
+
+    `floor` is the white noise of a mean of a block.
+    """
+    recordings, unit = [run.samples[channel] for run in runs if channel in run.samples], unit_of(channel)
+    coarse = [
+        Fault(
+            f"quantized: steps of {one.step:.3g} {unit}, about {1 / one.ratio:.2g} times the noise",
+            largest_error(one.step, one.ratio),
+        )
+        for one in recordings
+        if one.step > 0.0 and not mean_error(one.step, one.ratio) < 0.5 * floor
+    ]
+    frequent = [
+        Fault(
+            "frequent value, as of a dead-band, saturation or dropouts:"
+            f" {one.atom_share:.1%} of the samples are {one.atom + 0.0:.4g} {unit}",
+            np.inf,
+        )
+        for one in recordings
+        if one.atom_share > 0.0
+    ]
+    return [max(kind, key=lambda fault: fault.blind) for kind in (coarse, frequent) if kind]
 
 
 def resting(run: Run) -> bool:

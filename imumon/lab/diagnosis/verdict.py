@@ -412,7 +412,7 @@ def chosen_by_test(hits: Sequence[tuple[float, Finding]]) -> Finding | None:
 def _woven(channel: Channel, run: RunBlocks) -> bool:
     """Return whether a test lies between parts of the training: any smooth course joins their ends."""
     at = begun(channel, run)
-    return at is not None and bool(run.time_s[0] < channel.train[at].time_s[-1])
+    return at is not None and bool(run.time_s[0] < channel.pool.runs[at].time_s[-1])
 
 
 def _fit(channel: Channel, findings: Sequence[Finding]) -> Fit:
