@@ -147,12 +147,6 @@ class Answer(StrictModel, extra="ignore"):
     declared: list[float]
     effects: list[AnyEffect]
 
-    @property
-    def times_s(self) -> list[float]:
-        """Time constants and delays of its effects."""
-        found = [getattr(one, key) for one in self.effects for key in one.nonlinear if key.endswith("_s")]
-        return [float(value) for value in found]
-
 
 class _Channel(StrictModel, extra="ignore"):
     noise_floor_rms: float
@@ -238,13 +232,15 @@ def open_questions(report: Report) -> list[Question]:
 
 def plan(report: Report, question: Question, most_s: float, progress: Progress | None = None) -> Plan:
     """Return the shortest experiment that answers a question, with the evidence to expect of it."""
-    inputs = {name for answer in question.answers for effect in answer.effects for name in effect.inputs}
+    effects = [effect for answer in question.answers for effect in answer.effects]
+    inputs = {name for effect in effects for name in effect.inputs}
     if why_not := _impossible(question, inputs - {ACCEL}):
         return Plan(question, why_not=why_not)
-    in_question = {effect.name for answer in question.answers for effect in answer.effects}
+    in_question = {effect.name for effect in effects}
     few, every = [name for name in EFFECTS if name in in_question], effects_for(question.channel)
     low, high = report.temperature_range_degc
-    slowest_s = max((time for answer in question.answers for time in answer.times_s), default=0.0)
+    times = [getattr(effect, key) for effect in effects for key in effect.nonlinear if key.endswith("_s")]
+    slowest_s = max(map(float, times), default=0.0)
     possible = profiles(low, high, report.fastest_degc_per_min, slowest_s, most_s, ACCEL in inputs)
     if not possible:
         return Plan(question, why_not="no profile is so short")
