@@ -140,15 +140,14 @@ def _prepared(
             name: common_temperature(f"temperature_{name[-1]}", train, lacking, but=name) for name in channels
         }
     else:
-        channels = _modelled(channels, model)
-        temperatures = {name: temperature_of(name, model, train) for name in channels}
-        curves = curves_of(model)
+        temperatures = _temperatures_of(model, channels, train)
+        curves, channels = curves_of(model), list(temperatures)
         train, test = ([without_model(run, curves, channels) for run in runs] for runs in (train, test))
         degree = max(order_of(model.channels[name]) for name in channels)
         if drivers is not None:
+            there = (*drivers, *temperatures.values())
             needed = BiasPredictor(model, channels).drivers
-            more = [name for name in needed if name not in (*drivers, *temperatures.values())]
-            drivers = [*drivers, *more]
+            drivers = [*drivers, *(name for name in needed if name not in there)]
     used = list(dict.fromkeys(temperatures.values()))
     others = usable_drivers(train, test, [*used, *channels], drivers, remarks)
     block_s = common_block_s([*train, *test])
@@ -180,9 +179,9 @@ def _prepared(
     return Recorded(train, blocks, temperatures, degree, tested, shorter, own, model)
 
 
-def _modelled(channels: Sequence[str], model: BiasModel) -> list[str]:
-    """Return the channels that the model has; raises BAD_CONFIG when there is none."""
-    found = [name for name in channels if name in model.channels]
+def _temperatures_of(model: BiasModel, channels: Sequence[str], runs: Sequence[Run]) -> dict[str, str]:
+    """Return the temperature of each channel that the model has; raises BAD_CONFIG when it has none."""
+    found = {name: temperature_of(name, model, runs) for name in channels if name in model.channels}
     if not found:
         raise ImumonError(
             Reason.BAD_CONFIG,
