@@ -6,7 +6,6 @@ from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -39,7 +38,8 @@ LONGEST_PAUSE_S = 60.0
 """A recording that begins later than this after another, by the device's clock, begins at power-on."""
 
 
-class Origin(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Origin:
     """Where a run comes from: session or table, its number in it, fingerprint of its bytes, and unit."""
 
     session: str
