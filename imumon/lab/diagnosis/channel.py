@@ -75,12 +75,9 @@ class Declared:
         columns = self.columns(np.concatenate([run.temperature[temperature] for run in runs]))
         if not self.own:
             return columns
-        which: list[IntArray] = []
-        for run in runs:
-            first = int(which[-1].max()) + 1 if which else 0
-            which.append(first + self.levels(run))
-        level = np.concatenate(which)
-        return np.column_stack([columns, level[:, np.newaxis] == np.unique(level)[1:]]).astype(np.float64)
+        which = [np.column_stack([np.full(len(run), at), self.levels(run)]) for at, run in enumerate(runs)]
+        level = np.unique(np.concatenate(which), axis=0, return_inverse=True)[1].reshape(-1, 1)
+        return np.column_stack([columns, level == np.arange(1, level.max() + 1)]).astype(np.float64)
 
     def levels(self, run: RunBlocks) -> IntArray:
         """Return which of the constants of a run each block has, (n,), from 0."""

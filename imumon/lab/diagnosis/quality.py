@@ -48,10 +48,8 @@ class Watcher:
 
     def __init__(self, channels: Sequence[str]) -> None:
         self._kept: dict[str, list[FloatArray]] = {name: [] for name in channels}
-        """Samples, and whether each differs from the one before, (n, 2)."""
+        """Samples, and the step to each from the one before, (n, 2)."""
         self._stride, self._phase, self._count = 1, 0, 0
-        self._steps = {name: np.zeros(3) for name in channels}
-        """Number of steps from sample to sample, of those that are zero, and sum of squares."""
 
     def through(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
         """Yield the blocks unchanged."""
@@ -65,10 +63,8 @@ class Watcher:
         self._count += len(block) // self._stride + 1
         for name in self._kept.keys() & block.columns.keys():
             values = block[name]
-            steps = np.diff(values[np.isfinite(values)])
-            self._steps[name] += np.array([len(steps), np.sum(steps == 0.0), np.sum(steps**2)])
-            fresh = np.diff(values, prepend=np.nan) != 0.0
-            self._kept[name].append(np.column_stack([values, fresh])[chosen].astype(np.float64))
+            steps = np.diff(values, prepend=np.nan)
+            self._kept[name].append(np.column_stack([values, steps])[chosen].astype(np.float64))
         if self._count > KEPT:
             joined = {name: np.concatenate(kept) for name, kept in self._kept.items() if kept}
             self._kept = {name: [values[::2]] for name, values in joined.items()}
@@ -76,23 +72,20 @@ class Watcher:
 
     def samples(self) -> dict[str, Samples]:
         """Return the statistics of each channel that has values."""
-        found = {}
-        for name, kept in self._kept.items():
-            values, fresh = np.concatenate([*kept, np.empty((0, 2))]).T
-            known = np.isfinite(values)
-            pairs, same, squares = self._steps[name].tolist()
-            if known.sum() > 2 and pairs:
-                noise = float(np.sqrt(squares / (pairs - same) / 2.0)) if pairs > same else np.nan
-                scatter = float(np.sqrt(squares / pairs / 2.0))
-                found[name] = _samples(values[known], fresh[known] == 1.0, noise, scatter)
-        return found
+        joined = {name: np.concatenate([*kept, np.empty((0, 2))]).T for name, kept in self._kept.items()}
+        return {
+            name: _samples(values[np.isfinite(values)], steps[np.isfinite(values)])
+            for name, (values, steps) in joined.items()
+            if np.isfinite(values).sum() > 2 and np.isfinite(steps).any()
+        }
 
 
-def _samples(values: FloatArray, fresh: BoolArray, noise: float, scatter: float) -> Samples:
-    """Return the statistics; what a stuck sensor repeats counts once, so that no value of it is frequent.
-
-    `noise` is the scatter of the samples that differ from the one before.
-    """
+def _samples(values: FloatArray, steps: FloatArray) -> Samples:
+    """Return the statistics; what a stuck sensor repeats counts once, so that no value of it is frequent."""
+    fresh, known = steps != 0.0, np.isfinite(steps)
+    scatter = float(np.sqrt(np.mean(steps[known] ** 2) / 2.0))
+    moved = steps[known & fresh]
+    noise = float(np.sqrt(np.mean(moved**2) / 2.0)) if len(moved) else np.nan
     distinct, where = np.unique(values, return_inverse=True)
     count = np.bincount(where, weights=fresh)
     step = grid_step(distinct, len(values))

@@ -278,18 +278,7 @@ def conclusion(diagnosis: Diagnosis) -> str:
     groups: dict[str, list[str]] = {}
     for verdict in diagnosis.verdicts:
         groups.setdefault(verdict.in_short, []).append(verdict.name)
-    return ". ".join(f"{_together(names)}: {text}" for text, names in groups.items())
-
-
-def _together(names: Sequence[str]) -> str:
-    """Return names in short: gyro_x, y, z."""
-    sensors: dict[str, list[str]] = {}
-    for name in names:
-        sensor, _, axis = name.rpartition("_")
-        sensors.setdefault(sensor if len(axis) == 1 else name, []).append(axis)
-    return " and ".join(
-        f"{sensor}_{', '.join(axes)}" if sensor not in names else sensor for sensor, axes in sensors.items()
-    )
+    return ". ".join(f"{', '.join(names)}: {text}" for text, names in groups.items())
 
 
 def next_step(diagnosis: Diagnosis, folder: Path | None) -> NextStep:
@@ -303,7 +292,7 @@ def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[tuple[str, str, str]]
     verdicts = diagnosis.verdicts
 
     def which(holds: Callable[[ChannelVerdict], bool]) -> str:
-        return _together([one.name for one in verdicts if holds(one)])
+        return ", ".join(one.name for one in verdicts if holds(one))
 
     if names := which(_of_few_digits):
         what = f"Record {names} again with a range and digits that its noise and bias fit in."
@@ -325,7 +314,7 @@ def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[tuple[str, str, str]]
         yield f"Record {separated_by(alike[0], alike[1])}.", why, command
     if useful := [one for one in with_model(diagnosis) if one.claims and one.predicts]:
         least = min(one.test_after.rms / one.test_before.rms for one in useful)
-        what = f"Use the model with what is named of {_together([one.name for one in useful])}."
+        what = f"Use the model with what is named of {', '.join(one.name for one in useful)}."
         command = f"imumon monitor PORT --device NAME --model {folder / 'model.yaml'}"
         yield what, f"Errors in the test fall by up to {1.0 - least:.0%}.", command
     if names := which(lambda one: one.row.state == "not proven"):
