@@ -215,13 +215,13 @@ def load_report(path: Path) -> Report:
 def open_questions(report: Report) -> list[Question]:
     """Return the questions of a report, each once for the channels of a sensor that share it."""
     # A unit is simulated, which has gyros and accelerometers.
-    asked = [
+    opened = [
         (channel.before["train_rms"] or 0.0, channel.noise_floor_rms, name, answers)
         for name, channel in report.channels.items()
         for answers in (channel.questions if name in UNITS else ())
     ]
     groups: dict[tuple[str, ...], list[tuple[str, list[Answer]]]] = {}
-    for _, _, name, answers in sorted(asked, key=lambda one: -one[0] / one[1]):
+    for _, _, name, answers in sorted(opened, key=lambda one: -one[0] / one[1]):
         key = (name[:-2], *sorted(answer.name for answer in answers))
         groups.setdefault(key, []).append((name, answers))
     return [
