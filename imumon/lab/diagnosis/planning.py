@@ -148,10 +148,14 @@ class Answer(StrictModel, extra="ignore"):
     effects: list[AnyEffect]
 
 
+class _Rms(StrictModel, extra="ignore"):
+    train_rms: float
+
+
 class _Channel(StrictModel, extra="ignore"):
     noise_floor_rms: float
     slow_noise: dict[str, float]
-    before: dict[str, float | None]
+    before: _Rms
     questions: list[list[Answer]]
 
 
@@ -216,12 +220,12 @@ def open_questions(report: Report) -> list[Question]:
     """Return the questions of a report, each once for the channels of a sensor that share it."""
     # A unit is simulated, which has gyros and accelerometers.
     opened = [
-        (channel.before["train_rms"] or 0.0, channel.noise_floor_rms, name, answers)
+        (channel.before.train_rms / channel.noise_floor_rms, name, answers)
         for name, channel in report.channels.items()
         for answers in (channel.questions if name in UNITS else ())
     ]
     groups: dict[tuple[str, ...], list[tuple[str, list[Answer]]]] = {}
-    for _, _, name, answers in sorted(opened, key=lambda one: -one[0] / one[1]):
+    for _, name, answers in sorted(opened, key=lambda one: -one[0]):
         key = (name[:-2], *sorted(answer.name for answer in answers))
         groups.setdefault(key, []).append((name, answers))
     return [
