@@ -14,7 +14,6 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.effects.library import separated_by
-from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.candidates import Candidate
 from imumon.lab.diagnosis.channel import Channel
 from imumon.lab.diagnosis.choice import Finding
@@ -297,7 +296,7 @@ def _claimed(channel: Channel, found: Search, baseline: Fit, left_out: list[dict
     small = found.many_events or _fit(channel, lasting).train_rms < MATERIAL * channel.floor.sd
     nothing = model([one for one in found.findings if one.known])
     kept = model(_not_worse(channel, lasting if small else found.findings, left_out))
-    if kept.new and (why := _refuted(channel, baseline, kept, floor)):
+    if kept.new and (why := _refuted(channel, baseline, kept)):
         best = max(kept.new, key=lambda finding: finding.gain)
         kept = nothing._replace(remark=f"the best of the known effects is {best.name}, but {why}")
     elif found.many_events:
@@ -338,13 +337,13 @@ def _not_worse(
     return kept
 
 
-def _refuted(channel: Channel, baseline: Fit, model: _Model, floor: float) -> str:
+def _refuted(channel: Channel, baseline: Fit, model: _Model) -> str:
     """Return what of training, or of the test, refutes a model; empty where nothing does.
 
     What is estimated in the test counts only where nothing is left: a level and a jump take away some of
     whatever is slow.
     """
-    test_before, test_after = model.tests
+    floor, (test_before, test_after) = channel.limit, model.tests
     if channel.test and not np.isfinite(test_after.rms):
         return "no block of the test can be scored with it"
     what, before, left = "the training", baseline.train_rms, model.after.train_rms
@@ -363,11 +362,16 @@ def _proven_by_test(channel: Channel, found: Search, nothing: _Model) -> Finding
     Noise that wanders as fast as it does within minutes may go anywhere within the hour, so that no
     likelihood tells a loop that was gone through once from a wander.  But no wander goes the same way again.
     Only effects count that make the training likelier, by more than their coefficients cost, and only a test
-    that is not woven into the training.  The test chooses here, so effects of other names that explain it as
-    well are not told apart.
+    that is not woven into the training, where any smooth course joins the ends.  The test chooses here, so
+    effects of other names that explain it as well are not told apart.
     """
     before = nothing.after
-    if not channel.test or any(_woven(channel, run) for run in channel.test):
+    woven = [
+        run.time_s[0] < channel.pool.runs[at].time_s[-1]
+        for run in channel.test
+        if (at := begun(channel, run)) is not None
+    ]
+    if not channel.test or any(woven):
         return None
     also = [finding.candidate for finding in nothing.findings]
     hits: list[tuple[float, Finding]] = []
@@ -407,12 +411,6 @@ def chosen_by_test(hits: Sequence[tuple[float, Finding]]) -> Finding | None:
     best.rivals = {name: finding.gain for name, finding in by_name.items()}
     best.others = {one.name: one.candidate for one in others[: MOST_NAMES - 1]}
     return best
-
-
-def _woven(channel: Channel, run: RunBlocks) -> bool:
-    """Return whether a test lies between parts of the training: any smooth course joins their ends."""
-    at = begun(channel, run)
-    return at is not None and bool(run.time_s[0] < channel.pool.runs[at].time_s[-1])
 
 
 def _fit(channel: Channel, findings: Sequence[Finding]) -> Fit:
