@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -131,7 +131,13 @@ def compare(runs: Sequence[Run], models: tuple[BiasModel, BiasModel]) -> list[Co
 
     Raises BAD_DATA when there is none, or the unit was never at rest for 30 s.
     """
-    found = list(_compared(runs, models))
+    found = []
+    for run in runs:
+        names = [name for name in models[0].channels if name in models[1].channels and name in run.mean]
+        left = [residual(run, model, names) for model in models] if names else []
+        if left and len(left[0]) > 1:
+            at = {name: temperature_of(name, models[0], [run]) for name in names}
+            found += [Compared(run.name, name, at[name], (left[0], left[1])) for name in names]
     if not found:
         raise ImumonError(
             Reason.BAD_DATA,
@@ -139,15 +145,6 @@ def compare(runs: Sequence[Run], models: tuple[BiasModel, BiasModel]) -> list[Co
             "give a session at rest of the unit that the models are of",
         )
     return found
-
-
-def _compared(runs: Sequence[Run], models: tuple[BiasModel, BiasModel]) -> Iterator[Compared]:
-    for run in runs:
-        names = [name for name in models[0].channels if name in models[1].channels and name in run.mean]
-        left = [residual(run, model, names) for model in models] if names else []
-        if left and len(left[0]) > 1:
-            for name in names:
-                yield Compared(run.name, name, temperature_of(name, models[0], [run]), (left[0], left[1]))
 
 
 def write_comparison(compared: Sequence[Compared], names: tuple[str, str], session: str, path: Path) -> None:

@@ -153,13 +153,13 @@ def further_columns(block: SampleBlock, made: Container[str]) -> list[str]:
 
 def _slot_s(blocks: Sequence[SampleBlock], channels: Sequence[str]) -> float:
     """Return the length of a slot in which a log has a sample: a second, or more for a slower one."""
-    measured = [[np.isfinite(block[name]) for name in channels if name in block] for block in blocks]
-    steps = [
-        np.diff(block["device_time_ns"][np.any(known, axis=0)])
-        for block, known in zip(blocks, measured, strict=True)
-        if known
-    ]
-    forward = np.concatenate([*(step[step > 0] for step in steps), np.empty(0)])
+    steps = [np.empty(0)]
+    for block in blocks:
+        known = [np.isfinite(block[name]) for name in channels if name in block]
+        if known:
+            steps.append(np.diff(block["device_time_ns"][np.any(known, axis=0)]))
+    forward = np.concatenate(steps)
+    forward = forward[forward > 0]
     period_s = float(np.median(forward)) / SECOND_NS if len(forward) else 0.0
     # A clock that is off by a percent still puts a sample into each slot.
     return float(max(1, np.ceil(period_s / 1.01)))
