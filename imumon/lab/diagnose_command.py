@@ -105,11 +105,10 @@ def command(
     The recordings are of a unit at rest, each from power-on.  Two or more for training, with rising and
     falling temperature, give the clearest answer.
     """
-    from imumon.lab.diagnosis.conclusion import conclusion, next_step
     from imumon.lab.diagnosis.diagnose import diagnose, parse_declared
     from imumon.lab.diagnosis.extended import extended_model, with_model
     from imumon.lab.diagnosis.page import write_page
-    from imumon.lab.diagnosis.report import report, write_report
+    from imumon.lab.diagnosis.report import conclusion, next_step, report, write_report
     from imumon.models.curves.polynomial import CUBIC
 
     if declared is not None and model_path is not None:

@@ -77,7 +77,7 @@ def command(
 def _of_one(sessions: list[Session], wanted: dict[str, str | None], folder: Path) -> list[Session]:
     """Return the sessions of one unit, the oldest first: of one device and serial number, where known.
 
-    `asked` is the device and the serial number that were given.
+    `wanted` is the device and the serial number that were given.
     """
     for key, value in wanted.items():
         found = [session for session in sessions if value in (None, getattr(session.metadata, key))]

@@ -14,7 +14,7 @@ from closing_the_loop_measured import chamber_run, split
 from closing_the_loop_statistics import Result, is_outside, jobs, right, run_case
 from study import Options, Study, Table, spread
 
-from imumon.lab.diagnosis import axes, candidates, claims, likelihood, search
+from imumon.lab.diagnosis import axes, candidates, likelihood, search, verdict
 from imumon.lab.diagnosis.candidates import Candidate
 from imumon.lab.diagnosis.choice import PROVEN
 from imumon.lab.diagnosis.diagnose import diagnose
@@ -64,9 +64,9 @@ MECHANISMS: Mapping[str, Change] = {
     "refinement of parameters": [(search, "REFINEMENTS", 0)],
     "flicker in the noise": _noise((0.0,), likelihood.WALK),
     "walk in the noise": _noise(likelihood.FLICKER, (0.0,)),
-    "refuted by the test": [(claims, "_not_worse", lambda _channel, findings: (list(findings), []))],
-    "proven by the test": [(claims, "_proven_by_test", lambda *_given: None)],
-    "eight floors of what the test proves": [(claims, "PROVEN_FLOORS", 0.0)],
+    "refuted by the test": [(verdict, "_not_worse", lambda _channel, findings, _left_out: list(findings))],
+    "proven by the test": [(verdict, "_proven_by_test", lambda *_given: None)],
+    "eight floors of what the test proves": [(verdict, "PROVEN_FLOORS", 0.0)],
     "free state at power-on": _untried(lambda one: one.free_start),
     "coefficients of each run": _untried(lambda one: one.scope == "either" and not one.carries),
     "sums of loops and lags": _untried(

@@ -18,7 +18,7 @@ from imumon.lab.diagnosis.report import report
 from imumon.lab.diagnosis.runs import SECOND_NS, Run, read_runs
 from imumon.lab.diagnosis.verdict import ChannelVerdict
 
-SHARES = (0.5, 0.6, 0.65, 0.7)
+SHARES = (0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.9)
 HEADS = (
     "train on", "axis", "floor", "train before", "after", "test before", "after", "covered", "verdict",
 )  # fmt: skip

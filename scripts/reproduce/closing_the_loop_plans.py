@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from closing_the_loop_cases import Setting, make_case
 from study import Cells, Options, Study, Table, spread
 
-from imumon.lab.diagnosis.alternatives import NOTHING
 from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.planning import MARGIN, Plan, Report, open_questions, plan, scenario, simulated_run
-from imumon.lab.diagnosis.report import report
+from imumon.lab.diagnosis.report import NOTHING, report
 
 KINDS = (
     "thermal_lag",

@@ -42,7 +42,7 @@ def steps() -> list[Axes]:
     figure = Figure(figsize=(11.0, 3.3), dpi=80)
     residual, effect, test = figure.subplots(1, 3, sharey=True)
     at = 0
-    for run in verdict.channel.train:
+    for run in verdict.channel.pool.runs:
         minutes, rows = run.time_s / MINUTE_S, slice(at, at + len(run))
         before, after = (fit.train[rows] / DEG_PER_H for fit in (verdict.before, verdict.after))
         residual.plot(minutes, before, ".", ms=4, label=run.name)
@@ -73,7 +73,7 @@ def chamber_cycle() -> list[Axes]:
     figure = Figure(figsize=(11.0, 3.3), dpi=80)
     drawn = list(figure.subplots(1, 3))
     for one, verdict in zip(drawn, found.verdicts, strict=True):
-        (run,) = verdict.channel.train
+        (run,) = verdict.channel.pool.runs
         effects = ", ".join(claim.finding.name for claim in verdict.claims) or "nothing named"
         for fit, style, name in ((verdict.before, "C3.", "cubic"), (verdict.after, "C2.", f"with {effects}")):
             one.plot(run.time_s / MINUTE_S, np.degrees(fit.train), style, ms=4, label=name)

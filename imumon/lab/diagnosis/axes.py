@@ -7,8 +7,8 @@ with or without a constant in each pose.  The base counts that is likeliest with
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,13 +17,11 @@ from imumon.clock.channel import CLOCK
 from imumon.geodesy import EARTH_RATE
 from imumon.lab.diagnosis.blocks import RunBlocks, at_poses, survey, white_floor
 from imumon.lab.diagnosis.candidates import Pool
-from imumon.lab.diagnosis.channel import Channel, Declared, Own, least_squares
+from imumon.lab.diagnosis.channel import Channel, Declared, Own, Recorded, effects_of, least_squares
 from imumon.lab.diagnosis.choice import PROVEN
-from imumon.lab.diagnosis.known import effects_of
-from imumon.lab.diagnosis.runs import Run, unit_of
+from imumon.lab.diagnosis.runs import unit_of
 from imumon.lab.diagnosis.search import STAGES, Progress, Search, search
 from imumon.lab.diagnosis.usable import faults
-from imumon.models.model import BiasModel
 
 SHORTER, LEAST_SEARCH_BLOCKS = (1, 2, 3), 200
 """Runs of fewer blocks are searched in halves or thirds of them."""
@@ -31,33 +29,9 @@ EARTH_SPREAD = 2.1 * EARTH_RATE
 """rad/s: most that the constants of a gyro in two poses differ by the earth rate, and by 5 % of its scale."""
 
 
-@dataclass(frozen=True, slots=True)
-class Base:
-    """The declared model: the temperature of each channel, the degree, and what has a constant of its own.
-
-    With a `model` that is known, its curve is off the runs already.
-    """
-
-    temperatures: Mapping[str, str]
-    degree: int
-    own: Own = ""
-    model: BiasModel | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Recorded:
-    """Training runs, their blocks, those of the test, and shorter blocks to search short runs in."""
-
-    runs: Sequence[Run]
-    blocks: Sequence[RunBlocks]
-    test: Sequence[RunBlocks] = ()
-    shorter: Sequence[RunBlocks] = ()
-
-
 def search_sensor(
-    recorded: Recorded,
+    data: Recorded,
     group: Sequence[str],
-    base: Base,
     effects: Sequence[str],
     stages: int = STAGES,
     progress: Progress | None = None,
@@ -67,59 +41,58 @@ def search_sensor(
     In each pose, and each day, other sensors than gyros have another part of gravity, field or weather, which
     is not known: they have a constant in each.  So may gyros have, by the earth rate.
     """
-    recorded = replace(recorded, blocks=recorded.shorter or recorded.blocks)
-    owns: list[Own] = [base.own] if group[0].startswith(("gyro", CLOCK)) else []
-    turned = any(run.pose.max() > run.pose.min() for run in recorded.blocks)
+    owns: list[Own] = [data.own] if group[0].startswith(("gyro", CLOCK)) else []
+    blocks = data.shorter or data.blocks
+    turned = any(run.pose.max() > run.pose.min() for run in blocks)
     if not owns or (group[0].startswith("gyro") and turned):
         owns.append("pose")
     found = []
     for own in owns:
-        starts = [_channels(recorded, group, replace(base, own=own))]
-        if any(channel.refitted for channel in starts[0]):
-            starts.append([channel.as_given() for channel in starts[0]])
-        first = starts[0][0]
-        shown = survey(first.train, first.temperature, base.degree)
-        found += [search(channels, shown, effects, stages, progress) for channels in starts]
+        channels = _channels(data, group, own, blocks)
+        shown = survey(channels[0].pool.runs, channels[0].temperature, data.degree)
+        found.append(search(channels, shown, effects, stages, progress))
+        if any(channel.refitted for channel in channels):
+            given = [channel.as_given() for channel in channels]
+            found.append(search(given, shown, effects, stages, progress))
     return found
 
 
-def scored_channels(recorded: Recorded, found: Sequence[Search], base: Base) -> list[Channel]:
+def scored_channels(data: Recorded, found: Sequence[Search]) -> list[Channel]:
     """Return the axes that were searched, over the base of the search, in the blocks that are scored."""
-    group, own = [one.channel.name for one in found], found[0].channel.declared.own
-    scored = []
-    for channel, one in zip(_channels(recorded, group, replace(base, own=own)), found, strict=True):
-        declared = replace(channel.declared, degree=one.channel.declared.degree)
-        scored.append(replace(channel, declared=declared, kept=one.channel.kept))
-    return scored
+    searched = [one.channel for one in found]
+    group, own = [channel.name for channel in searched], searched[0].declared.own
+    return [
+        replace(channel, declared=replace(channel.declared, degree=like.declared.degree), kept=like.kept)
+        for channel, like in zip(_channels(data, group, own, data.blocks), searched, strict=True)
+    ]
 
 
 def search_block_s(blocks: Sequence[RunBlocks]) -> float:
-    """Return the length of the blocks to search in: of few blocks the one with a jump in it decides."""
+    """Return the length of the blocks to search in."""
     longest = max(map(len, blocks))
     part = next((part for part in SHORTER if part * longest >= LEAST_SEARCH_BLOCKS), SHORTER[-1])
     return blocks[0].block_s / part
 
 
-def _channels(recorded: Recorded, group: Sequence[str], base: Base) -> list[Channel]:
-    """Return the axes of a sensor over one base."""
-    blocks, tested, temperatures = recorded.blocks, recorded.test, base.temperatures
-    if base.own == "pose":
+def _channels(data: Recorded, group: Sequence[str], own: Own, blocks: Sequence[RunBlocks]) -> list[Channel]:
+    """Return the axes of a sensor over one base, in these blocks."""
+    tested = data.test
+    if own == "pose":
         blocks, tested = at_poses(blocks), at_poses(tested)
-    pools = {name: Pool(blocks, name) for name in dict.fromkeys(temperatures[axis] for axis in group)}
+    pools = {name: Pool(blocks, name) for name in dict.fromkeys(data.temperatures[axis] for axis in group)}
     found = []
     for name in group:
-        temperature = temperatures[name]
-        floor = white_floor(recorded.runs, name, blocks)
+        temperature, floor = data.temperatures[name], white_floor(data.runs, name, blocks)
         found.append(
             Channel(
                 name,
                 unit_of(name),
                 floor,
-                Declared.over(blocks, temperature, base.degree, base.own),
+                Declared.over(blocks, temperature, data.degree, own),
                 pools[temperature],
                 tested,
-                faults(recorded.runs, name, floor.sd),
-                known=None if base.model is None else effects_of(base.model.channels[name]),
+                faults(data.runs, name, floor.sd),
+                known=None if data.model is None else effects_of(data.model.channels[name]),
             )
         )
     return found

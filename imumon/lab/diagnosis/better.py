@@ -9,13 +9,14 @@ et al. 2011, doi:10.1214/10-STS347).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
 
 from imumon.effects.library import EFFECTS
-from imumon.lab.diagnosis.axes import Base, Recorded, likeliest, search_sensor
+from imumon.lab.diagnosis.axes import likeliest, search_sensor
 from imumon.lab.diagnosis.blocks import (
     BLOCK_S,
     LEAST_BLOCKS,
@@ -24,10 +25,10 @@ from imumon.lab.diagnosis.blocks import (
     make_blocks,
     survey,
 )
-from imumon.lab.diagnosis.choice import PROVEN, least_gain
+from imumon.lab.diagnosis.channel import CUBIC_DEGREE, Recorded, curves_of, temperature_of, without_model
+from imumon.lab.diagnosis.choice import least_gain
 from imumon.lab.diagnosis.extended import refitted
 from imumon.lab.diagnosis.fit import MATERIAL, fit
-from imumon.lab.diagnosis.known import CUBIC_DEGREE, curves_of, temperature_of, without_model
 from imumon.lab.diagnosis.likelihood import Likelihood
 from imumon.lab.diagnosis.runs import Run
 from imumon.lab.diagnosis.search import Search
@@ -40,8 +41,7 @@ LEAST_COMPARED = 10
 """Means that have to be there before and after the better model was found."""
 
 
-@dataclass(frozen=True, slots=True)
-class Better:
+class Better(NamedTuple):
     """A better model of a channel.
 
     `names` are the effects of which the present model lacks one, the best first; these data do not separate
@@ -72,8 +72,9 @@ def residual(
     return make_blocks(without_model(run, model, channels), channels, list(temperatures), drivers, block_s)
 
 
-def within_range(model: BiasModel, run: Run, channels: Sequence[str]) -> Run:
-    """Return a run at rest only where its temperatures are inside the range that a model was fitted on.
+def within_range(model: BiasModel, run: Run, channels: Sequence[str], until_s: float | None = None) -> Run:
+    """Return a run at rest only where its temperatures are inside the range that a model was fitted on, or
+    those that the run itself had until then.
 
     Outside that range the curve continues as a straight line, and what is left there is no effect.
     """
@@ -81,7 +82,11 @@ def within_range(model: BiasModel, run: Run, channels: Sequence[str]) -> Run:
     for name in channels:
         values = run.mean[temperature_of(name, model, [run])]
         known = np.isfinite(values)
-        inside &= model.channels[name].inside(np.interp(run.time_s, run.time_s[known], values[known]))
+        if until_s is None:
+            inside &= model.channels[name].inside(np.interp(run.time_s, run.time_s[known], values[known]))
+        else:
+            early = values[(run.time_s < until_s) & known]
+            inside &= (values >= early.min()) & (values <= early.max())
     return replace(run, rest=np.where(inside, run.rest, 0.0))
 
 
@@ -95,19 +100,19 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     temperatures = {name: temperature_of(name, model, [run]) for name in channels}
     used = list(dict.fromkeys(temperatures.values()))
     left = without_model(run, curves_of(model), channels)
-    drivers, _ = usable_drivers([run], [], used, None)
+    drivers = usable_drivers([run], [], used, None, [])
     blocks = make_blocks(left, channels, used, drivers, common_block_s([run]))
     if len(blocks) < LEAST_BLOCKS:
         return []
     degree = CUBIC_DEGREE if survey([blocks], used[0], 0).thermal else 0
-    base = Base(temperatures, degree, model=model)
-    searched = search_sensor(Recorded([left], [blocks]), channels, base, LASTING, stages=1)
+    data = Recorded([left], [blocks], temperatures, degree, model=model)
+    searched = search_sensor(data, channels, LASTING, stages=1)
     found = likeliest(searched, live=True)
     of_poses = [one[0].channel.declared.own == "pose" for one in searched]
     if found[0].channel.declared.own == "pose" and not all(of_poses):
         return []  # it may be the earth rate: `imumon diagnose` has more sessions to decide
     lacking = [one for one in found if any(not finding.known for finding in one.findings)]
-    gain = sum(one.gain_over_given() for one in lacking)
+    gain = sum(map(_gain_over_given, lacking))
     if not gain > least_gain(len(LASTING) * (2 if degree else 1), len(channels)):
         return []
     every = [_better(one, gain, model) for one in lacking]
@@ -117,6 +122,13 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
         for better, one in zip(every, lacking, strict=True)
         if better.before >= MATERIAL * one.channel.floor.sd
     ]
+
+
+def _gain_over_given(found: Search) -> float:
+    """Return what a model gains over the present one as it is."""
+    given = found.channel.as_given()
+    price = given.base.shape[1] * found.likelihood.price
+    return found.criterion() - float(2.0 * found.likelihood.best(given.values, given.base)[0] - price)
 
 
 def _better(found: Search, gain: float, model: BiasModel) -> Better:
@@ -133,27 +145,17 @@ def _better(found: Search, gain: float, model: BiasModel) -> Better:
     return Better(channel.name, names, gain, given.train_rms, fitted.train_rms, better)
 
 
-@dataclass(frozen=True, slots=True)
-class Comparison:
+class Comparison(NamedTuple):
     """Two models on what came later.
 
-    `ratio` is the logarithm of the likelihood ratio, the better model's over the present one's; `before` and
-    `after` are the rms that the present and the better model leave, over the channels that differ.
+    `ratio` is the logarithm of the likelihood ratio, the better model's over the present one's: above PROVEN
+    the better one has won, 1 in 3000 by chance, and below -PROVEN it has lost.  `before` and `after` are the
+    rms that the present and the better model leave, over the channels that differ.
     """
 
     ratio: float
     before: float
     after: float
-
-    @property
-    def won(self) -> bool:
-        """Whether the better model has proven itself: 1 in 3000 by chance."""
-        return self.ratio > PROVEN
-
-    @property
-    def lost(self) -> bool:
-        """Whether it has done worse by as much."""
-        return self.ratio < -PROVEN
 
 
 class Challenger:
@@ -170,12 +172,7 @@ class Challenger:
 
         Temperatures outside those of the earlier part, from which the better model is, do not count.
         """
-        inside = np.ones(len(run.time_s), bool)
-        for name in self._names:
-            t = run.mean[temperature_of(name, self.model, [run])]
-            known = t[(run.time_s < self.since_s) & np.isfinite(t)]
-            inside &= (t >= known.min()) & (t <= known.max())
-        run = replace(run, rest=np.where(inside, run.rest, 0.0))
+        run = within_range(self.model, run, self._names, self.since_s)
         block_s, ratio, squares = common_block_s([run]), 0.0, []
         for model, sign in ((self._present, -1.0), (self.model, 1.0)):
             blocks = residual(run, model, self._names, block_s=block_s)

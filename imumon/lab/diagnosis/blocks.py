@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,7 +41,6 @@ class RunBlocks:
     """One run as block means at rest."""
 
     name: str
-    """Where it comes from."""
     block_s: float
     """Nominal length of a block."""
     time_s: FloatArray
@@ -59,7 +59,7 @@ class RunBlocks:
     slots: int
     duration_s: float
     pose: IntArray
-    """Number of the pose of each block, from 0; the same number is the same pose, (n,)."""
+    """Number of the pose of each block, from 0, (n,)."""
     origin: Origin | None = None
     begun_in: str = ""
 
@@ -86,11 +86,8 @@ def make_blocks(
     valid = run.at_rest
     for name in channels:
         valid = valid & np.isfinite(run.mean[name])
-    bridged = {
-        name: filled
-        for name in (*ACCEL, *drivers, *temperatures)
-        if (filled := _bridged(run, name)) is not None
-    }
+    wanted = [name for name in (*ACCEL, *drivers, *temperatures) if name in run.mean]
+    bridged = {name: _bridged(run, name) for name in wanted if np.isfinite(run.mean[name]).sum() > 1}
     accel = np.column_stack([bridged[name] for name in ACCEL]) if bridged.keys() >= set(ACCEL) else None
     others = {name: bridged[name] for name in drivers if name in bridged}
     drives = {
@@ -197,15 +194,13 @@ def _block_means(columns: FloatArray, weight: FloatArray, width: int) -> tuple[F
     return means, count / width
 
 
-def _bridged(run: Run, name: str) -> FloatArray | None:
-    """Return a column with missing values interpolated, (n,); None where there are fewer than two."""
-    values = run.mean.get(name, np.full(len(run.time_s), np.nan))
-    known = np.isfinite(values)
-    return np.interp(run.time_s, run.time_s[known], values[known]) if known.sum() > 1 else None
+def _bridged(run: Run, name: str) -> FloatArray:
+    """Return a column with missing values interpolated, (n,)."""
+    known = np.isfinite(run.mean[name])
+    return np.interp(run.time_s, run.time_s[known], run.mean[name][known])
 
 
-@dataclass(frozen=True, slots=True)
-class WhiteFloor:
+class WhiteFloor(NamedTuple):
     """Standard deviation of the white noise of a block, and what it was taken from."""
 
     sd: float
@@ -221,27 +216,24 @@ def white_floor(runs: Sequence[Run], channel: str, blocks: Sequence[RunBlocks]) 
     at both ends of a block.
     """
     slots, gaps = blocks[0].slots, np.concatenate([run.white for run in blocks]).mean()
-    values = [_slots_of_blocks(run, channel, slots) for run in runs]
+    values = []
+    for run in runs:
+        rows = np.where(run.at_rest, run.mean[channel], np.nan)
+        values.append(rows[: len(rows) // slots * slots].reshape(-1, slots))
     if channel == CLOCK:  # no step leads from one run to the next
         rates = [part for each in values for part in (each.mean(axis=1), [np.nan])]
-        sd, source = block_noise(np.concatenate(rates)), "delays at the ends of blocks"
-    else:
-        step = max(1, slots // PARTS)
-        number = slots // step
-        parts = np.concatenate(values)[:, : number * step].reshape(-1, number, step).mean(axis=2)
-        differences = np.diff(parts[np.isfinite(parts).all(axis=1)], axis=1)
-        spread = differences - differences.mean(axis=1, keepdims=True)
-        # The mean of k differences is (last - first) / k, which holds 2 / k² of the variance.
-        squares = float(np.mean(spread**2)) if len(spread) else 0.0
-        variance = squares / (2.0 * (1.0 - 1.0 / (number - 1) ** 2)) * step / slots
-        sd, source = float(np.sqrt(variance)), f"means of {step * runs[0].slot_s:.0f} s inside blocks"
-    return WhiteFloor(sd * float(np.sqrt(gaps)), source)
-
-
-def _slots_of_blocks(run: Run, channel: str, width: int) -> FloatArray:
-    """Return the slots of each whole block, (blocks, slots), NaN where the unit is not at rest."""
-    values = np.where(run.at_rest, run.mean[channel], np.nan)
-    return values[: len(values) // width * width].reshape(-1, width)
+        sd = block_noise(np.concatenate(rates)) * float(np.sqrt(gaps))
+        return WhiteFloor(sd, "delays at the ends of blocks")
+    step = max(1, slots // PARTS)
+    number = slots // step
+    parts = np.concatenate(values)[:, : number * step].reshape(-1, number, step).mean(axis=2)
+    differences = np.diff(parts[np.isfinite(parts).all(axis=1)], axis=1)
+    spread = differences - differences.mean(axis=1, keepdims=True)
+    # The mean of k differences is (last - first) / k, which holds 2 / k² of the variance.
+    squares = float(np.mean(spread**2)) if len(spread) else 0.0
+    variance = squares / (2.0 * (1.0 - 1.0 / (number - 1) ** 2)) * step / slots
+    sd = float(np.sqrt(variance)) * float(np.sqrt(gaps))
+    return WhiteFloor(sd, f"means of {step * runs[0].slot_s:.0f} s inside blocks")
 
 
 def survey(runs: Sequence[RunBlocks], temperature: str, degree: int) -> Survey:

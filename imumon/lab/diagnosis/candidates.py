@@ -93,7 +93,12 @@ def candidates(survey: Survey, families: Iterable[str] = tuple(EFFECTS)) -> list
         else:
             single = [(Part(effect),) for effect in grid]
             found += [Candidate(part[0].effect.label, part) for part in single]
-            found += _driven(family, survey)
+            price = 2.0 * float(np.log(survey.choices))
+            found += [
+                Candidate(effect.label, (Part(effect),), choice=price)
+                for driver in survey.others
+                for effect in family.driven(survey, driver)
+            ]
             found += [Candidate(name, _late_curve(one, survey)) for one in family.of_curve(survey)]
             if family.free_start:
                 found += [Candidate(name, part, free_start=True) for part in single]
@@ -102,16 +107,6 @@ def candidates(survey: Survey, families: Iterable[str] = tuple(EFFECTS)) -> list
             groups = family.sums(grid) if may_sum(survey, 2) else []
             found += [Candidate(name, tuple(map(Part, group))) for group in groups]
     return found
-
-
-def _driven(family: type[Effect], survey: Survey) -> list[Candidate]:
-    """Return what may be of another driver than the temperature."""
-    price = 2.0 * float(np.log(survey.choices))
-    return [
-        Candidate(effect.label, (Part(effect),), choice=price)
-        for driver in survey.others
-        for effect in family.driven(survey, driver)
-    ]
 
 
 def _late_curve(late: Effect, survey: Survey) -> tuple[Part, ...]:
@@ -138,19 +133,13 @@ class Pool:
 
     def terms(self, candidate: Candidate) -> tuple[list[Term], list[Term]]:
         """Return the terms that define a candidate, and those of its free start."""
-        defining = [
-            (column, scope)
-            for part in candidate.parts
-            for scope in part.runs or (SHARED,)
-            for column in self._index(part.effect, "columns")
-        ]
-        start = [
-            (column, run)
-            for part in candidate.parts
-            if candidate.free_start
-            for run in range(len(self.runs))
-            for column in self._index(part.effect, "start_columns")
-        ]
+        defining, start = list[Term](), list[Term]()
+        for part in candidate.parts:
+            columns = self._index(part.effect, "columns")
+            defining += [(column, scope) for scope in part.runs or (SHARED,) for column in columns]
+            if candidate.free_start:
+                columns = self._index(part.effect, "start_columns")
+                start += [(column, run) for run in range(len(self.runs)) for column in columns]
         return defining, start
 
     def spectra(self, terms: Sequence[Term]) -> IntArray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,8 +24,7 @@ CLOSE_SHARE = 0.15
 physics, and with a large effect the shape decides."""
 
 
-@dataclass(frozen=True, slots=True)
-class Scored:
+class Scored(NamedTuple):
     """A candidate with its gain over the model so far.
 
     `fit` is the gain without the price of the nonlinear parameters and of the choice.  `partner` names the
@@ -46,8 +46,7 @@ Table = Mapping[str, Scored]
 """The best candidate of each family."""
 
 
-@dataclass(frozen=True, slots=True)
-class Selection:
+class Selection(NamedTuple):
     """Effects of which channels lack one, the one that is chosen first; these data do not tell them apart.
     `gain` is what it gains on all of these channels."""
 
@@ -116,17 +115,19 @@ def select(tables: Mapping[str, Table], least: float, there: Mapping[str, Sequen
     close = [name for name in proven if _near(total[name], max(total.values()))]
 
     def order(name: str) -> tuple[bool, bool, float]:
-        event = tables[on[name][0]][name].candidate.scope == "event"
-        known = any(name in there.get(channel, ()) for channel in on[name])
-        return not event, known, total[name]
+        carries = tables[on[name][0]][name].candidate.scope != "event"
+        return carries, any(name in there.get(channel, ()) for channel in on[name]), total[name]
 
     chosen = max(close, key=order)
     channels = on[chosen]
-    together = {name: sum(_gain_in(tables[channel], name) for channel in channels) for name in names}
+    together = {
+        name: sum(tables[channel][name].gain if name in tables[channel] else -np.inf for channel in channels)
+        for name in names
+    }
     apart = {chosen, *(tables[channel][chosen].partner for channel in channels)}
-    alike = [name for name in names if name not in apart and _near(together[name], total[chosen])]
-    alike = [name for name in alike if together[name] > least]
-    return Selection([chosen, *sorted(alike, key=lambda name: -together[name])], channels, total[chosen])
+    alike = [name for name in names if together[name] > least and _near(together[name], total[chosen])]
+    others = sorted((name for name in alike if name not in apart), key=lambda name: -together[name])
+    return Selection([chosen, *others], channels, total[chosen])
 
 
 def _shows(table: Table, name: str, least: float) -> bool:
@@ -144,8 +145,3 @@ def _shows(table: Table, name: str, least: float) -> bool:
 def _near(gain: float, best: float) -> bool:
     """Return whether a gain is too near to the best for a proof."""
     return best - gain < max(CLOSE, CLOSE_SHARE * best)
-
-
-def _gain_in(table: Table, name: str) -> float:
-    """Return what a family gains, minus infinity where it is not in the table."""
-    return table[name].gain if name in table else -np.inf

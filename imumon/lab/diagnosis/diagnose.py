@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,29 +12,36 @@ from imumon.effects.base import LEAST_SPAN_DEGC, Survey
 from imumon.effects.library import effects_for
 from imumon.errors import ImumonError, Reason
 from imumon.lab.calibration.gravity import Length
-from imumon.lab.diagnosis.axes import (
-    Base,
-    Recorded,
-    likeliest,
-    scored_channels,
-    search_block_s,
-    search_sensor,
-)
+from imumon.lab.diagnosis.axes import likeliest, scored_channels, search_block_s, search_sensor
 from imumon.lab.diagnosis.blocks import LEAST_BLOCKS, RunBlocks, common_block_s, specific_force, survey
-from imumon.lab.diagnosis.channel import Declared
-from imumon.lab.diagnosis.claims import decide
-from imumon.lab.diagnosis.known import check_range, curves_of, order_of, temperature_of, without_model
-from imumon.lab.diagnosis.runs import SENSORS, STRETCHES, Run, channels_of, divided, in_order
+from imumon.lab.diagnosis.channel import (
+    Declared,
+    Own,
+    Recorded,
+    check_range,
+    curves_of,
+    order_of,
+    temperature_of,
+    without_model,
+)
+from imumon.lab.diagnosis.runs import (
+    SENSORS,
+    STRETCHES,
+    Run,
+    channels_of,
+    common_temperature,
+    divided,
+    in_order,
+)
 from imumon.lab.diagnosis.search import Progress, Search
 from imumon.lab.diagnosis.usable import (
     check_training,
-    sound,
-    temperature_of_axis,
     usable_blocks,
     usable_channels,
     usable_drivers,
+    without_standstill,
 )
-from imumon.lab.diagnosis.verdict import ChannelVerdict
+from imumon.lab.diagnosis.verdict import ChannelVerdict, decide
 from imumon.models.curves.polynomial import CUBIC
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
@@ -46,8 +53,8 @@ HIGHEST_DEGREE = 8
 class Diagnosis:
     """Verdicts on all channels, and caveats of the data.
 
-    `model` is the present one, or None.  `held_out`: whether the test is part of the
-    one run that there is.  `length` is what follows from |f| = g in several poses.
+    `model` is the present one, or None.  `held_out`: whether the test is part of the one run that there is.
+    `length` is what follows from |f| = g in several poses.
     """
 
     declared: str
@@ -97,27 +104,44 @@ def diagnose(
     Raises BAD_DATA when the data cannot show anything, saying why; BAD_CONFIG for a wrong declared model,
     or a known one that holds at no temperature of the training.
     """
-    data, base, remarks = _prepared(train, test, parse_declared(declared), sensors, model, drivers)
+    remarks = [*dict.fromkeys(text for run in (*train, *test) for text in run.warnings)]
+    data = _prepared(train, test, parse_declared(declared), sensors, model, drivers, remarks)
     verdicts: list[ChannelVerdict] = []
     for sensor in sensors:
-        group = channels_of([sensor], base.temperatures)
+        group = channels_of([sensor], data.temperatures)
         if group:
-            found = likeliest(search_sensor(data, group, base, effects_for(group[0]), progress=progress))
-            verdicts += map(decide, found, scored_channels(data, found, base))
+            found = likeliest(search_sensor(data, group, effects_for(group[0]), progress=progress))
+            verdicts += map(decide, found, scored_channels(data, found))
             remarks += _on_poses(data, found)
-    length, described = _length(data, base)
+    length = _length(data, remarks)
     return Diagnosis(
         declared=declared,
         block_s=data.blocks[0].block_s,
         verdicts=verdicts,
         train=data.blocks,
         test=data.test,
-        survey=survey(data.blocks, verdicts[0].channel.temperature, base.degree),
-        caveats=remarks + described,
+        survey=survey(data.blocks, verdicts[0].channel.temperature, data.degree),
+        caveats=remarks,
         model=model,
         held_out=any(run.share < 1.0 for run in data.runs),
         length=length,
     )
+
+
+def _length(data: Recorded, remarks: list[str]) -> Length | None:
+    """Return what |f| = g determines of the accelerometers in several poses, and add that in words."""
+    forces = [force for run in data.blocks if (force := specific_force(run)) is not None]
+    if len(channels_of(["accel"], data.temperatures)) < 3 or len(forces) < len(data.blocks):
+        return None
+    temperature = data.temperatures["accel_x"]
+    declared = Declared.over(data.blocks, temperature, data.degree, "pose")
+    powers = [declared.columns(run.temperature[temperature])[:, 1:] for run in data.blocks]
+    found = Length.from_poses(np.concatenate(forces), np.concatenate(powers))
+    if found is None:
+        return None
+    poses, length = found
+    remarks.append(length.described(poses))
+    return length
 
 
 def _prepared(
@@ -127,46 +151,61 @@ def _prepared(
     sensors: Sequence[str],
     model: BiasModel | None,
     drivers: Sequence[str] | None,
-) -> tuple[Recorded, Base, list[str]]:
-    """Return what is searched, the base beside which that is, and remarks on both."""
+    remarks: list[str],
+) -> Recorded:
+    """Return what is searched; on what is not, and on limits, it adds to the remarks."""
     degree, offsets = declared
-    remarks = [*dict.fromkeys(text for run in (*train, *test) for text in run.warnings)]
-    channels, more = usable_channels(train, test, sensors)
-    train, test, divided_up = _divided(train, test, channels)
-    remarks += more + divided_up
+    channels = usable_channels(train, test, sensors, remarks)
+    train, test = _divided(train, test, channels, remarks)
     if model is None:
-        temperatures = {name: temperature_of_axis(name, train) for name in channels}
+        # That of its axis, where there is one.
+        lacking = "there is no temperature in the training data, so there is no bias over it to diagnose"
+        temperatures = {
+            name: common_temperature(f"temperature_{name[-1]}", train, lacking, but=name) for name in channels
+        }
     else:
-        channels = _modelled(channels, model)
-        temperatures = {name: temperature_of(name, model, train) for name in channels}
-        curves = curves_of(model)
+        temperatures = _temperatures_of(model, channels, train)
+        curves, channels = curves_of(model), list(temperatures)
         train, test = ([without_model(run, curves, channels) for run in runs] for runs in (train, test))
         degree = max(order_of(model.channels[name]) for name in channels)
         if drivers is not None:
-            drivers = [*drivers, *_needed(model, channels, [*drivers, *temperatures.values()])]
+            there = (*drivers, *temperatures.values())
+            needed = BiasPredictor(model, channels).drivers
+            drivers = [*drivers, *(name for name in needed if name not in there)]
     used = list(dict.fromkeys(temperatures.values()))
-    others, more = usable_drivers(train, test, [*used, *channels], drivers)
+    others = usable_drivers(train, test, [*used, *channels], drivers, remarks)
     block_s = common_block_s([*train, *test])
-    blocks, unused = usable_blocks(train, channels, used, others, block_s)
+
+    def in_blocks(runs: Sequence[Run], length_s: float, remarks: list[str]) -> list[RunBlocks]:
+        return usable_blocks(runs, channels, used, others, length_s, remarks)
+
+    unused: list[str] = []
+    blocks = in_blocks(train, block_s, unused)
     check_training(blocks, unused, block_s)
-    tested, untested = usable_blocks(test, channels, used, others, block_s)
-    remarks += more + unused + untested
-    shown = survey(blocks, used[0], degree)
+    remarks += unused
+    tested, shown = in_blocks(test, block_s, remarks), survey(blocks, used[0], degree)
     if not shown.thermal:
         degree = 0
+        remarks.append(
+            f"the temperature moves by {shown.span_degc:.1f} °C only ({LEAST_SPAN_DEGC:.0f} °C are needed):"
+            " no curve over temperature is fitted, and no effect of temperature can be found"
+        )
     elif model is not None:  # else no curve is fitted, and that of the model stays as it is
         check_range(model, temperatures, blocks)
-    if test and not tested:
-        remarks.append("no run of the test can be used: there is no independent proof")
-    remarks += _limits(blocks, tested, shown)
-    base = Base(temperatures, degree, "run" if offsets else "", model)
-    shorter, _ = usable_blocks(train, channels, used, others, search_block_s(blocks))
-    return Recorded(train, blocks, tested, shorter), base, remarks
+    if not tested:
+        remarks.append("no run can be used as a test: there is no independent proof")
+    if len(blocks) < 2:
+        remarks.append(
+            "one training run: what depends on time and what depends on temperature may look alike"
+        )
+    shorter = in_blocks(train, search_block_s(blocks), [])
+    own: Own = "run" if offsets else ""
+    return Recorded(train, blocks, temperatures, degree, tested, shorter, own, model)
 
 
-def _modelled(channels: Sequence[str], model: BiasModel) -> list[str]:
-    """Return the channels that the model has; raises BAD_CONFIG when there is none."""
-    found = [name for name in channels if name in model.channels]
+def _temperatures_of(model: BiasModel, channels: Sequence[str], runs: Sequence[Run]) -> dict[str, str]:
+    """Return the temperature of each channel that the model has; raises BAD_CONFIG when it has none."""
+    found = {name: temperature_of(name, model, runs) for name in channels if name in model.channels}
     if not found:
         raise ImumonError(
             Reason.BAD_CONFIG,
@@ -176,42 +215,21 @@ def _modelled(channels: Sequence[str], model: BiasModel) -> list[str]:
     return found
 
 
-def _needed(model: BiasModel, channels: Sequence[str], there: Sequence[str]) -> list[str]:
-    """Return the drivers that the model's channels need beside those that are there."""
-    return [name for name in BiasPredictor(model, channels).drivers if name not in there]
-
-
 def _divided(
-    train: Sequence[Run], test: Sequence[Run], channels: Sequence[str]
-) -> tuple[list[Run], list[Run], list[str]]:
-    """Return sound runs of training and test, and remarks; parts of an only run are held out as a test."""
-    checked = [[sound(run, channels) for run in runs] for runs in (train, test)]
-    train, test = ([run for run, _ in pairs] for pairs in checked)
-    remarks = [text for pairs in checked for _, texts in pairs for text in texts]
-    test, more = in_order(train, test)
-    remarks += more
+    train: Sequence[Run], test: Sequence[Run], channels: Sequence[str], remarks: list[str]
+) -> tuple[list[Run], list[Run]]:
+    """Return sound runs of training and test; parts of an only run are held out as a test."""
+    train, test = ([without_standstill(run, channels, remarks) for run in runs] for runs in (train, test))
+    test = in_order(train, test, remarks)
     if test or len(train) > 1 or train[0].duration_s < 2 * LEAST_BLOCKS * common_block_s(train):
-        return train, test, remarks
+        return train, test
     remarks.append(
         f"no test data: every other {train[0].duration_s / STRETCHES / 60:.0f} min of the one run are"
         " held out as a test.  That is weaker than another power-on: what is particular to this run, and"
         " any noise that is slower, is in both"
     )
     first, other = divided(train[0], channels)
-    return [first], [other], remarks
-
-
-def _limits(train: Sequence[RunBlocks], test: Sequence[RunBlocks], shown: Survey) -> Iterator[str]:
-    """Yield what this data cannot show."""
-    if not shown.thermal:
-        yield (
-            f"the temperature moves by {shown.span_degc:.1f} °C only ({LEAST_SPAN_DEGC:.0f} °C are needed):"
-            " no curve over temperature is fitted, and no effect of temperature can be found"
-        )
-    if not test:
-        yield "no test data: nothing proves what is claimed but the data that it was fitted to"
-    if len(train) < 2:
-        yield "one training run: what depends on time and what depends on temperature may look alike"
+    return [first], [other]
 
 
 def _on_poses(data: Recorded, found: Sequence[Search]) -> list[str]:
@@ -219,23 +237,7 @@ def _on_poses(data: Recorded, found: Sequence[Search]) -> list[str]:
     channel = found[0].channel
     if not channel.name.startswith("gyro") or not any(run.pose.any() for run in data.blocks):
         return []
+    what = "what is named g_sensitivity holds the vertical earth rate as well, up to 15.04 °/h per g"
     if channel.declared.own == "pose":
-        what = "the gyros have another constant in each, as the earth rate makes it; a sensitivity to g"
-        return [f"several poses: {what} cannot be distinguished from that"]
-    what = "what is named g_sensitivity holds the vertical earth rate as well"
-    return [f"several poses: {what}, up to 15.04 °/h per g on the diagonal"]
-
-
-def _length(data: Recorded, base: Base) -> tuple[Length | None, list[str]]:
-    """Return what |f| = g determines of the accelerometers in several poses, and that in words."""
-    forces = [force for run in data.blocks if (force := specific_force(run)) is not None]
-    if len(channels_of(["accel"], base.temperatures)) < 3 or len(forces) < len(data.blocks):
-        return None, []
-    temperature = base.temperatures["accel_x"]
-    declared = Declared.over(data.blocks, temperature, base.degree, "pose")
-    powers = [declared.columns(run.temperature[temperature])[:, 1:] for run in data.blocks]
-    found = Length.from_poses(np.concatenate(forces), np.concatenate(powers))
-    if found is None:
-        return None, []
-    poses, length = found
-    return length, [length.described(poses)]
+        what = "a sensitivity of the gyros to g cannot be distinguished from the earth rate"
+    return [f"several poses: {what}"]

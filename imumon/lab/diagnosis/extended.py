@@ -46,7 +46,7 @@ def extended_model(diagnosis: Diagnosis) -> BiasModel:
         made_by=f"imumon {__version__}",
         created=f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
         block_s=diagnosis.block_s,
-        trained_on=[_trained_on(run) for run in diagnosis.train if run.origin is not None],
+        trained_on=[trained_on(run) for run in diagnosis.train if run.origin is not None],
         channels={
             verdict.name: _channel(verdict, known.channels[verdict.name] if known is not None else None)
             for verdict in with_model(diagnosis)
@@ -94,55 +94,40 @@ def refitted(
     To what is no polynomial itself it is added as an effect.  The curve holds where it was fitted, which is
     the domain of the polynomial.
     """
-    curve = known.curve
-    added = [part for effect in known.effects if (part := effect.polynomial()) is not None]
-    own = [part for effect in effects if (part := effect.polynomial()) is not None]
-    low, high = more.domain.tolist()
-    known_low, known_high = known.temperature_range_degc
-    update: dict[str, Any] = {"residual_sd": residual_sd, "held_out_rms": {}}
-    if more.degree() > 0 or own:
-        margin = 0.5 * (WIDENED - 1.0) * (high - low)
-        update["temperature_range_degc"] = [max(low - margin, known_low), min(high + margin, known_high)]
-    if isinstance(curve, PolynomialCurve):
-        ends = curve.center_degc - curve.half_width_degc, curve.center_degc + curve.half_width_degc
-        added.append(Chebyshev(curve.coefficients, domain=ends).convert(kind=Polynomial))
-        update["curve"], update["effects"] = _curve(_sum(more, added), effects)
-        return known.model_copy(update=update)
-    others = [effect for effect in effects if effect.polynomial() is None]
-    constant, *powers = _sum(more, [*added, *own]).coef.tolist()
-    if any(powers):
-        shape = TemperatureCurve(
-            middle=0.5 * (low + high), half_span=0.5 * (high - low), first_power=1, powers=len(powers)
-        )
-        others.append(shape.with_coefficients(powers))
-    return known.model_copy(update={**update, "curve": curve.minus(-constant), "effects": others})
-
-
-def _sum(first: Polynomial, others: Sequence[Polynomial]) -> Polynomial:
-    """Return the sum, on the domain of the first."""
-    for other in others:
-        first = first + other.convert(domain=first.domain, window=first.window)
-    return first
-
-
-def _curve(declared: Polynomial, effects: list[Effect]) -> tuple[PolynomialCurve, list[Effect]]:
-    """Return the curve with those effects that are a polynomial of it, and the other effects."""
-    parts, others = list[Polynomial](), list[Effect]()
+    curve, others, own = known.curve, list[Effect](), list[Polynomial]()
     for effect in effects:
         part = effect.polynomial()
         if part is None or part.degree() > HIGHEST_ORDER:
             others.append(effect)
         else:
-            parts.append(part)
-    low, high = declared.domain.tolist()
-    series = _sum(declared, parts).convert(domain=declared.domain, kind=Chebyshev)
-    curve = PolynomialCurve(
-        center_degc=0.5 * (low + high), half_width_degc=0.5 * (high - low), coefficients=series.coef.tolist()
-    )
-    return curve, others
+            own.append(part)
+    parts = [part for effect in known.effects if (part := effect.polynomial()) is not None]
+    low, high = more.domain.tolist()
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    update: dict[str, Any] = {"residual_sd": residual_sd, "held_out_rms": {}, "effects": others}
+    if more.degree() > 0 or own:
+        margin, (known_low, known_high) = (WIDENED - 1.0) * half, known.temperature_range_degc
+        update["temperature_range_degc"] = [max(low - margin, known_low), min(high + margin, known_high)]
+    if isinstance(curve, PolynomialCurve):
+        ends = curve.center_degc - curve.half_width_degc, curve.center_degc + curve.half_width_degc
+        parts.append(Chebyshev(curve.coefficients, domain=ends).convert(kind=Polynomial))
+    total = more
+    for part in (*parts, *own):
+        total = total + part.convert(domain=more.domain, window=more.window)
+    if isinstance(curve, PolynomialCurve):
+        series = total.convert(domain=more.domain, kind=Chebyshev).coef.tolist()
+        curve = PolynomialCurve(center_degc=middle, half_width_degc=half, coefficients=series)
+    else:
+        constant, *powers = total.coef.tolist()
+        curve = curve.minus(-constant)
+        if any(powers):
+            shape = TemperatureCurve(middle=middle, half_span=half, first_power=1, powers=len(powers))
+            others.append(shape.with_coefficients(powers))
+    return known.model_copy(update={**update, "curve": curve})
 
 
-def _trained_on(run: RunBlocks) -> TrainedOn:
+def trained_on(run: RunBlocks) -> TrainedOn:
+    """Return what a model states of a run that it was fitted to."""
     assert run.origin is not None
     temperature = np.concatenate(list(run.temperature.values()))
     return TrainedOn(

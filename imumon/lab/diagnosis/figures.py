@@ -63,15 +63,12 @@ def svg(draw: Callable[[Axes], None], size: tuple[float, float] = SIZE) -> str:
     return content[content.index("<svg") :]
 
 
-def _split(runs: Sequence[RunBlocks], values: FloatArray) -> list[FloatArray]:
-    return np.split(values, np.cumsum([len(run) for run in runs])[:-1])
-
-
 def _training(
     axes: Axes, runs: Sequence[RunBlocks], verdict: ChannelVerdict, over: Sequence[FloatArray], label: str
 ) -> None:
     scale, unit = shown(verdict.channel.unit)
-    before, after = _split(runs, verdict.before.train), _split(runs, verdict.after.train)
+    ends = np.cumsum([len(run) for run in runs])[:-1]
+    before, after = (np.split(model.train, ends) for model in (verdict.before, verdict.after))
     for at, run in enumerate(runs):
         colour = COLOURS[at % len(COLOURS)]
         axes.plot(over[at], before[at] * scale, ".", ms=3, color=colour, label=for_plot(run.name))
@@ -92,11 +89,8 @@ def _errors(axes: Axes, diagnosis: Diagnosis, verdict: ChannelVerdict) -> None:
         what, runs = "training", diagnosis.train
         before, after = [verdict.before.train], [verdict.after.train]
         counted = np.ones(len(after[0]), bool)
-    hours, offset = [], 0.0
-    for run in runs:
-        hours.append(run.time_s / HOUR_S + offset)
-        offset = float(hours[-1][-1])
-    time = np.concatenate(hours)
+    ends = np.cumsum([0.0, *(run.time_s[-1] for run in runs)])
+    time = np.concatenate([run.time_s + end for run, end in zip(runs, ends[:-1], strict=True)]) / HOUR_S
     axes.plot(time, np.concatenate(before) * scale, ".", ms=4, color=BEFORE, label="before")
     if verdict.claims:
         axes.plot(time, np.concatenate(after) * scale, ".", ms=4, color=AFTER, label="after")

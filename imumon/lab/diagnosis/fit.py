@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,9 +22,8 @@ MATERIAL = 1.3
 """Of a model that leaves less than so many floors, what is missing is too small to matter."""
 EXPLAINED = 0.6
 """Share of the excess over the white floor that has to be explained before anything is named, in training
-and in the test.  Of wanders, walks, telegraph noise, bursts and a hidden supply, 384 channels, no effect of
-the last stage of a search predicted more than 0.54 of the test.  Now that effects of all stages may be proven
-by the test, 6 of 99 such channels reach 0.62 to 0.81; on a chamber record true ones have 0.67 to 0.99."""
+and in the test.  Of wanders, walks, telegraph noise, bursts and a hidden supply, 6 of 99 channels reach 0.62
+to 0.81, the others less; on a chamber record true effects have 0.67 to 0.99."""
 CARRY_SPREAD = 0.35
 """Own coefficients carry over when none is further from their mean than this share of it."""
 LEAST_TEST_BLOCKS = 10
@@ -36,24 +36,16 @@ CHANGE = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedPart:
-    """An effect of a fitted model.
-
-    Parameters
-    ----------
-    effect : Effect
-        With the coefficients that carry over.
-    runs : tuple of int
-        The runs that have coefficients of their own; empty where they are shared.
-    own : array of shape (runs, k)
-        Coefficients; one row where they are shared.
-    start : array of shape (runs, m)
-        Of `Effect.start_columns`; empty when the start is not free.
-    """
+    """An effect of a fitted model."""
 
     effect: Effect
+    """With the coefficients that carry over."""
     runs: tuple[int, ...]
+    """The runs that have coefficients of their own; empty where they are shared."""
     own: FloatArray
+    """Coefficients, (runs, k); one row where they are shared."""
     start: FloatArray
+    """Of `Effect.start_columns`, (runs, m); empty when the start is not free."""
 
     @property
     def carries(self) -> bool:
@@ -98,8 +90,11 @@ def fit(channel: Channel, found: Sequence[Candidate]) -> Fit:
     parts = [FittedPart(one, (), np.array([one.coefficients]), none) for one in channel.kept]
     lifted = 0.0
     for candidate, where, starts in _layout(channel, found):
-        own = coefficients[where]
-        parts += _parts(candidate, own, coefficients[starts], len(channel.train))
+        own, runs = coefficients[where], len(channel.pool.runs) if candidate.free_start else 0
+        begun_at = coefficients[starts].reshape(len(candidate.parts), runs, -1 if runs else 0)
+        for part, rows, start in zip(candidate.parts, _by_part(candidate, own), begun_at, strict=True):
+            effect = part.effect.with_coefficients(rows.mean(axis=0))
+            parts.append(FittedPart(effect, part.runs, rows, start))
         if not parts[-1].carries:
             lifted += float((design[:, where] @ own).mean())
     model[0] += lifted
@@ -124,14 +119,6 @@ def _by_part(candidate: Candidate, values: FloatArray) -> list[FloatArray]:
     return [row.reshape(-1, part.effect.width) for part, row in zip(candidate.parts, rows, strict=True)]
 
 
-def _parts(candidate: Candidate, own: FloatArray, start: FloatArray, runs: int) -> Iterator[FittedPart]:
-    """Yield the parts of a candidate with their coefficients, which are in the order of its terms."""
-    count = len(candidate.parts)
-    starts = start.reshape(count, runs, -1) if start.size else np.empty((count, 0, 0))
-    for part, rows, begun_at in zip(candidate.parts, _by_part(candidate, own), starts, strict=True):
-        yield FittedPart(part.effect.with_coefficients(rows.mean(axis=0)), part.runs, rows, begun_at)
-
-
 # The test
 
 
@@ -151,9 +138,8 @@ class TestScore:
     """Share of those that count: after the state at power-on is forgotten."""
     residual: list[FloatArray]
     estimated: list[FloatArray]
-    """Of each run, at every block."""
     counted: list[BoolArray]
-    """Blocks that count."""
+    """What is left, predicted and estimated, and which blocks count, of each run."""
 
     @property
     def left(self) -> float:
@@ -167,12 +153,12 @@ def score_test(channel: Channel, model: Fit, like: Fit | None = None) -> TestSco
     Blocks count after the state at power-on is forgotten, of the model `like` where one is given: the same
     for the models that are compared.
     """
-    trained = np.concatenate([run.temperature[channel.temperature] for run in channel.train])
-    left, estimated, counted, covered = [], [], [], []
+    trained = np.concatenate([run.temperature[channel.temperature] for run in channel.pool.runs])
+    left, estimated, counted, inside = [], [], [], 0
     for run in channel.test:
         t = run.temperature[channel.temperature]
         inside_range = (t >= trained.min()) & (t <= trained.max())
-        covered.append(inside_range)
+        inside += int(inside_range.sum())
         use = inside_range & _settled(channel, run, like or model)
         residual = run.mean[channel.name] - _predicted(channel, run, model)
         if channel.declared.own:
@@ -180,12 +166,12 @@ def score_test(channel: Channel, model: Fit, like: Fit | None = None) -> TestSco
         left.append(residual)
         estimated.append(residual - _estimated(channel, run, model, residual, use))
         counted.append(use)
-    inside = sum(int(part.sum()) for part in covered)
+    scored, blocks = sum(int(part.sum()) for part in counted), sum(map(len, counted))
     return TestScore(
         rms=_rms_of(left, counted),
         estimated_rms=_rms_of(estimated, counted),
-        coverage=inside / max(sum(map(len, covered)), 1) if covered else float("nan"),
-        scored=sum(int(part.sum()) for part in counted) / max(inside, 1) if covered else float("nan"),
+        coverage=inside / blocks if blocks else float("nan"),
+        scored=scored / max(inside, 1) if blocks else float("nan"),
         residual=left,
         estimated=estimated,
         counted=counted,
@@ -211,7 +197,7 @@ def goes_on(channel: Channel, model: Fit) -> bool:
 
 def begun(channel: Channel, run: RunBlocks) -> int | None:
     """Return the training run that a run goes on from; None where it begins with a power-on of its own."""
-    names = [other.name for other in channel.train]
+    names = [other.name for other in channel.pool.runs]
     return names.index(run.begun_in) if run.begun_in in names else None
 
 
@@ -298,8 +284,7 @@ def explains(before: float, after: float, floor: float) -> bool:
 # How well the parameters are known
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PartSigma:
+class PartSigma(NamedTuple):
     """Standard deviations of a part of a model."""
 
     coefficients: FloatArray
@@ -320,7 +305,7 @@ def sigmas(
     """
     design = channel.design(model)
     slopes, names = _slopes(channel, model, least_squares(design, channel.values))
-    whiten = likelihood.white(np.eye(len(design)), likelihood.best(channel.values, design)[1])
+    whiten, _ = likelihood.white(np.eye(len(design)), likelihood.best(channel.values, design)[1])
     both, left = whiten @ np.column_stack([design, slopes]), whiten @ channel.values
     searching = np.linalg.pinv(both, rcond=1e-10)
     freedom = max(len(left) - both.shape[1], 1)
@@ -330,16 +315,14 @@ def sigmas(
     least = np.linalg.pinv(design, rcond=1e-10)
     linear = sd * (np.linalg.solve(whiten.T, least.T).T - (least @ slopes) @ logarithms)
     share, spread = sd * np.linalg.norm(logarithms, axis=1), np.linalg.norm(linear, axis=1)
-    searched: dict[int, dict[str, float]] = {}
-    for (part, name), one in zip(names, share.tolist(), strict=True):
-        searched.setdefault(id(part), {})[name] = one * getattr(part.effect, name)
-    parts = [
-        [
-            PartSigma(rows, searched.get(id(part), {}))
-            for part, rows in zip(one.parts, _by_part(one, spread[where]), strict=True)
-        ]
-        for one, where, _ in _layout(channel, model)
-    ]
+    parts = []
+    for one, where, _ in _layout(channel, model):
+        of_parts = [PartSigma(rows, {}) for rows in _by_part(one, spread[where])]
+        for (part, name), relative in zip(names, share.tolist(), strict=True):
+            for sigma, own in zip(of_parts, one.parts, strict=True):
+                if own is part:
+                    sigma.searched[name] = relative * getattr(part.effect, name)
+        parts.append(of_parts)
     declared = linear[: channel.declared.degree + 1]
     return declared @ declared.T, parts
 

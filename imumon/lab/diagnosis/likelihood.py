@@ -1,7 +1,10 @@
 """The likelihood of every candidate at once: generalised least squares for a grid of noise parameters.
 
-The covariance of a run is s² [W + r F + q R], as `whitening` has it: W of the white noise of each
-block, F the mean of exp(-|lag|/tau) over `TAUS_S`, which is close to flicker, R = min(ti, tj) over 2 h.
+The covariance of a run is s² [W + r F + q R]: W of the white noise of each block, F the mean of
+exp(-|lag|/tau) over `TAUS_S`, which is close to flicker, R = min(ti, tj) over 2 h.  As a state space, x is
+the walk and the Gauss-Markov processes, the bias their sum::
+
+    x(t + dt) = F x(t) + w,   F = diag(1, exp(-dt/tau_i)),   Q = diag(K² dt, sd_i² (1 - exp(-2 dt/tau_i)))
 """
 
 from __future__ import annotations
@@ -12,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from imumon.blocks import BoolArray, FloatArray, IntArray
+from imumon.compiled import njit
 from imumon.lab.diagnosis.blocks import RunBlocks
 from imumon.lab.diagnosis.candidates import Pool, Term
-from imumon.lab.diagnosis.whitening import whiten
 
 Noise = tuple[float, float]
 """Flicker r and random walk q, variances over that of the white noise of a full block."""
@@ -46,7 +49,7 @@ class Likelihood:
         self.price = float(np.log(self.n))
         """What a parameter costs in BIC."""
         self._runs = runs
-        self._sd = {noise: self._behind(np.empty((self.n, 0)), noise)[1] for noise in GRID}
+        self._sd = {noise: self.white(np.empty((self.n, 0)), noise)[1] for noise in GRID}
         """Standard deviation of each innovation, for each noise, (n,)."""
         self._whitened: dict[tuple[int, Noise], dict[Term, FloatArray]] = {}
 
@@ -58,7 +61,7 @@ class Likelihood:
         """Return the predictive log-likelihood of later values, given the early ones and their noise."""
         found = []
         for noise in GRID:
-            white, sd = self.white(values[:, np.newaxis], noise)[:, 0], self._sd[noise]
+            (white,), sd = self.white(values[:, np.newaxis], noise)[0].T, self._sd[noise]
             variance = float(np.mean(white[early] ** 2))
             fit = -0.5 * early.sum() * np.log(variance) - np.log(sd[early]).sum()
             later = -0.5 * np.sum(white[~early] ** 2) / variance
@@ -67,13 +70,8 @@ class Likelihood:
 
     def at(self, values: FloatArray, base: FloatArray, noise: Noise) -> float:
         """Return the log-likelihood of values (n,) with a noise."""
-        left = self._left(values, base, noise)[0]
+        left, _ = self.left(values, base, noise)
         return float(self._of(left @ left, noise))
-
-    def scale(self, values: FloatArray, base: FloatArray, noise: Noise) -> float:
-        """Return s, the standard deviation of the white noise of a full block that is most likely."""
-        left = self._left(values, base, noise)[0]
-        return float(np.sqrt(left @ left / self.n))
 
     def scan(
         self,
@@ -92,7 +90,7 @@ class Likelihood:
         groups = _by_size([[place[term] for term in group] for group in terms], pool.spectra(used))
         best = np.full(len(terms), -np.inf)
         for point in grid:
-            residual, basis = self._left(values, base, point)
+            residual, basis = self.left(values, base, point)
             explained = _explained(residual, basis, self._terms(pool, used, point), groups, len(terms))
             best = np.maximum(best, self._of(residual @ residual - explained, point))
         return best
@@ -101,36 +99,23 @@ class Likelihood:
         """Return the whitened columns of terms, a row each; each is whitened once for each noise."""
         known = self._whitened.setdefault((id(pool), noise), {})
         new = [term for term in terms if term not in known]
-        known.update(zip(new, self.white(pool.matrix(new), noise).T, strict=True))
+        known.update(zip(new, self.white(pool.matrix(new), noise)[0].T, strict=True))
         return np.array([known[term] for term in terms])
-
-    def tails(self, values: FloatArray, base: FloatArray, noise: Noise) -> float:
-        """Return the gain in BIC of innovations with heavy tails over normal ones, by their kurtosis.
-
-        Flicker and random walk are Gaussian: what jumps or comes in bursts is neither, however slow it is.
-        Score test of Jarque and Bera (1980, doi:10.1016/0165-1765(80)90024-5): n (kurtosis - 3)² / 24.
-        """
-        left = self._left(values, base, noise)[0]
-        excess = float(np.mean(left**4) / np.mean(left**2) ** 2) - 3.0
-        return self.n * max(excess, 0.0) ** 2 / 24.0 - self.price
 
     def _of(self, squares: npt.ArrayLike, noise: Noise) -> FloatArray:
         """Return log-likelihoods from sums of squares of whitened residuals, s² profiled."""
         determinant = np.log(self._sd[noise]).sum()
         return np.asarray(-0.5 * self.n * np.log(np.maximum(squares, 1e-300) / self.n) - determinant)
 
-    def _left(self, values: FloatArray, base: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
+    def left(self, values: FloatArray, base: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
         """Return what the base leaves of the values, whitened, and an orthonormal basis of the base."""
-        both = self.white(np.column_stack([base, values]), noise)
+        both, _ = self.white(np.column_stack([base, values]), noise)
         basis = _orthonormal(both[:, :-1])
         return both[:, -1] - basis @ (basis.T @ both[:, -1]), basis
 
-    def white(self, columns: FloatArray, noise: Noise) -> FloatArray:
-        """Return columns (n, k) whitened: behind the inverse Cholesky factor of the covariance over s²."""
-        return self._behind(columns, noise)[0]
-
-    def _behind(self, columns: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
-        """Return columns whitened, and the standard deviations of their innovations, (n,)."""
+    def white(self, columns: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
+        """Return columns (n, k) whitened: behind the inverse Cholesky factor of the covariance over s², and
+        the standard deviations of their innovations, (n,)."""
         flicker, walk = noise
         markov_sd = np.full(len(TAUS_S), np.sqrt(flicker / len(TAUS_S)))
         parts = np.split(columns, np.cumsum([len(run) for run in self._runs])[:-1])
@@ -200,3 +185,73 @@ def _orthonormal(columns: FloatArray) -> FloatArray:
     norm = np.linalg.norm(columns, axis=0)
     left, values, _ = np.linalg.svd(columns / np.where(norm > 0, norm, 1.0), full_matrices=False)
     return np.asarray(left[:, values > 1e-10 * values[0]]) if len(values) else left
+
+
+def whiten(
+    columns: FloatArray,
+    time_s: FloatArray,
+    white: FloatArray,
+    taus_s: FloatArray,
+    markov_sd: FloatArray,
+    walk: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Return columns (n, k) of means behind the inverse Cholesky factor of their covariance, and the factor's
+    diagonal (n,): innovations of a Kalman filter over their standard deviations, in linear time.
+
+    Parameters
+    ----------
+    time_s, white : array of shape (n,)
+        Time of each mean since power-on, and variance of its white noise.
+    taus_s, markov_sd : array of shape (m,)
+        Correlation times and standard deviations of the processes, which begin stationary.
+    walk : float
+        K, in the unit of the bias per sqrt(s); the walk begins at zero.
+    """
+    dt = np.diff(time_s, prepend=0.0)[:, np.newaxis]
+    decay = np.column_stack([np.ones(len(dt)), np.exp(-dt / taus_s)])
+    growth = np.column_stack([walk**2 * dt, markov_sd**2 * -np.expm1(-2.0 * dt / taus_s)])
+    growth[0, 1:] = markov_sd**2
+    variance = np.asarray(white, np.float64)
+    whitened, sd = _innovations(decay, growth, variance, np.ascontiguousarray(columns))
+    return np.asarray(whitened), np.asarray(sd)
+
+
+@njit(fastmath=True)
+def _innovations(
+    decay: FloatArray, growth: FloatArray, white: FloatArray, columns: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Predict, and correct by the innovation, all columns at once: compiled, for a search has thousands.
+
+    The one measurement is the sum of the states.  Columns come innermost: they lie side by side in memory.
+    """
+    n, m = columns.shape
+    states = decay.shape[1]
+    out, sd = np.empty((n, m)), np.empty(n)
+    x, innovation = np.zeros((states, m)), np.empty(m)
+    covariance, spread = np.zeros((states, states)), np.empty(states)
+    for k in range(n):
+        variance = white[k]
+        for i in range(states):
+            spread[i] = 0.0
+            for j in range(states):
+                covariance[i, j] *= decay[k, i] * decay[k, j]
+            covariance[i, i] += growth[k, i]
+            for j in range(states):
+                spread[i] += covariance[i, j]
+            variance += spread[i]
+        sd[k] = np.sqrt(variance)
+        for c in range(m):
+            innovation[c] = columns[k, c]
+        for i in range(states):
+            for c in range(m):
+                x[i, c] *= decay[k, i]
+                innovation[c] -= x[i, c]
+        for c in range(m):
+            out[k, c] = innovation[c] / sd[k]
+        for i in range(states):
+            gain = spread[i] / variance
+            for c in range(m):
+                x[i, c] += gain * innovation[c]
+            for j in range(states):
+                covariance[i, j] -= gain * spread[j]
+    return out, sd

@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, SampleBlock
+from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.charts import AXIS_COLORS, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.errors import ImumonError
 from imumon.geodesy import DEG_PER_H
 from imumon.lab.diagnosis.better import Better, Challenger, better_models, residual, within_range
-from imumon.lab.diagnosis.blocks import BLOCK_S, common_block_s
-from imumon.lab.diagnosis.bounded import BoundedRun
-from imumon.lab.diagnosis.known import temperature_of
-from imumon.lab.diagnosis.runs import DRIVERS, LONGEST_GAP_S, SECOND_NS, Run, further_columns
+from imumon.lab.diagnosis.blocks import common_block_s, make_blocks
+from imumon.lab.diagnosis.channel import temperature_of
+from imumon.lab.diagnosis.choice import PROVEN
+from imumon.lab.diagnosis.extended import trained_on
+from imumon.lab.diagnosis.runs import (
+    DRIVERS,
+    LONGEST_GAP_S,
+    SECOND_NS,
+    Origin,
+    Run,
+    add_vibration,
+    further_columns,
+)
 from imumon.lane import LaneState, Level
 from imumon.models.model import BiasModel, TrainedOn
 from imumon.models.predictor import BiasPredictor
@@ -30,6 +40,8 @@ REPLACED_AFTER = 2.0
 """Times the age at which a challenger was found: by then the last model that was found takes its place."""
 HELD_NS = 10 * SECOND_NS
 """Samples wait so long until they are reduced to seconds: short blocks then cost no more than long ones."""
+MOST_SLOTS = 7200
+"""Of a run in memory: two hours of seconds; a column takes 32 bytes of each."""
 INK = (150, 155, 165)
 """Colour of the effect in a chart: it reads on both themes, and is no axis' colour."""
 
@@ -127,13 +139,10 @@ class LiveDiagnosis:
         if found is None:
             return
         change = f"{found.before / DEG_PER_H:.3g} become {found.after / DEG_PER_H:.3g} °/h"
-        if found.lost:
+        if found.ratio < -PROVEN:
             self._challenger = None
-            self._report(
-                "the better model is dropped: what came later is less likely with it and the noise"
-                f" that it had (means of {change})"
-            )
-        elif found.won:
+            self._report(f"the better model is dropped: what came later is less likely with it ({change})")
+        elif found.ratio > PROVEN:
             self.offered = self._challenger
             self._report(
                 f"a better model has won on what came later: {change} (likelihood ratio e^{found.ratio:.0f});"
@@ -176,19 +185,8 @@ class LiveDiagnosis:
 
     def evidence(self, session: str, sha256: str) -> TrainedOn:
         """Return what a learned model states of this session."""
-        run = self._run()
-        at_rest = run.at_rest
-        known = [run.mean[name] for name in self._temperatures if name in run.mean]
-        temperature = np.concatenate([values[at_rest & np.isfinite(values)] for values in known])
-        gyro = self._gyros[0]
-        rest_s = float(run.count[gyro][at_rest].sum()) / run.samples_per_slot(gyro) * run.slot_s
-        return TrainedOn(
-            session=session,
-            sha256=sha256,
-            rest_s=rest_s,
-            blocks=int(rest_s // BLOCK_S),
-            temperature_range_degc=[float(temperature.min()), float(temperature.max())],
-        )
+        run = replace(self._run(), origin=Origin(session, 0, sha256))
+        return trained_on(make_blocks(run, self._gyros, self._temperatures))
 
     def _report(self, text: str, what: str = "") -> None:
         """Add a text to the log, unless it, or what it is about, is in there already."""
@@ -249,3 +247,64 @@ def _charts(run: Run, present: BiasModel, better: BiasModel, one: Better) -> lis
         )
         for key, (x, label) in over.items()
     ]
+
+
+class BoundedRun:
+    """Sums over slots of 1, 2, 4, ... s: where they would be too many, neighbours are added in pairs.
+
+    Gyros count at rest only, so that the rest of a slot counts in which the unit moved for a while.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = list(names)
+        self._gyros = [at for at, name in enumerate(names) if name in GYRO]
+        self._sums = np.zeros((MOST_SLOTS, 4, len(names)))
+        """Samples, their sum, squares about the means of seconds, and degrees of freedom of these."""
+        self._width, self._last, self._begun_ns = 1, -1, 0
+
+    def elapsed_s(self, part: KeptSlots) -> FloatArray:
+        """Return the time from the first sample to the end of each second, (n,)."""
+        begun_ns = self._begun_ns if self._last >= 0 else int(part.start_ns[0])
+        return np.asarray((part.end_ns - begun_ns) / SECOND_NS)
+
+    def take(self, part: KeptSlots) -> None:
+        """Add seconds; the last column of the part is the share at rest, which is not one of the run's."""
+        if self._last < 0:
+            self._begun_ns = int(part.start_ns[0])
+        second = (part.start_ns - self._begun_ns) // SECOND_NS
+        self._last = int(second[-1])
+        while self._last // self._width >= MOST_SLOTS:
+            half = MOST_SLOTS // 2
+            self._sums[:half] = self._sums[::2] + self._sums[1::2]
+            self._sums[half:] = 0.0
+            self._width *= 2
+        count = part.count[:, :-1].astype(np.float64)
+        count[:, self._gyros] *= (part.mean[:, -1] == 1.0)[:, np.newaxis]
+        mean, variance = (np.where(count > 0, part_of[:, :-1], 0.0) for part_of in (part.mean, part.variance))
+        more = np.stack([count, mean * count, variance * count, np.maximum(count - 1.0, 0.0)], axis=1)
+        np.add.at(self._sums, second // self._width, more)
+
+    def run(self) -> Run:
+        """Return the run so far, in slots that have ended; at rest where a gyro was."""
+        n = max(1, (self._last + 1) // self._width)
+        count, total, scatter, free = self._sums[:n].swapaxes(0, 1)
+        there = [at for at in range(len(self._names)) if at in self._gyros or count[:, at].any()]
+
+        def ratio(sums: FloatArray, by: FloatArray) -> dict[str, FloatArray]:
+            values = np.where(by > 0, sums / np.maximum(by, 1.0), np.nan)
+            return {self._names[at]: values[:, at] for at in there}
+
+        mean, variance = ratio(total, count), ratio(scatter, free)
+        add_vibration(mean, variance)
+        if self._width > 1:
+            # The scatter of samples within seconds does not show that of means of many seconds.
+            variance = {name: np.full(n, np.nan) for name in variance}
+        return Run(
+            name="this session",
+            time_s=np.asarray((np.arange(n) + 0.5) * self._width),
+            count={self._names[at]: count[:, at].copy() for at in there},
+            mean=mean,
+            variance=variance,
+            rest=np.asarray((count[:, self._gyros] > 0).all(axis=1), np.float64),
+            slot_s=float(self._width),
+        )

@@ -7,9 +7,8 @@ The evidence is the difference of the gains, in BIC, between the effect that the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import yaml
@@ -17,21 +16,22 @@ from pydantic import Field
 
 from imumon.blocks import SampleBlock
 from imumon.config import StrictModel, load_yaml
-from imumon.effects.base import ACCEL
+from imumon.effects.base import ACCEL, LEAST_SPAN_DEGC
 from imumon.effects.library import EFFECTS, AnyEffect, effects_for
 from imumon.files import write_text
 from imumon.geodesy import DEG_PER_H, MICRO_G
-from imumon.lab.diagnosis.alternatives import NOTHING
-from imumon.lab.diagnosis.axes import Base, Recorded, likeliest, search_block_s, search_sensor
+from imumon.lab.diagnosis.axes import likeliest, search_block_s, search_sensor
 from imumon.lab.diagnosis.blocks import BLOCK_S, make_blocks, survey
+from imumon.lab.diagnosis.channel import Recorded
 from imumon.lab.diagnosis.choice import CLOSE, CLOSE_SHARE, PROVEN
 from imumon.lab.diagnosis.likelihood import TAUS_S
-from imumon.lab.diagnosis.profiles import Profile, profiles
+from imumon.lab.diagnosis.report import NOTHING
 from imumon.lab.diagnosis.runs import Run, collect
 from imumon.lab.diagnosis.search import Progress, Search
 from imumon.models.model import UNITS
 from imumon.simulation.unit import Scenario, SimulatedUnit
-from imumon.simulation.unit.scenario import Unit
+from imumon.simulation.unit.events import Turn
+from imumon.simulation.unit.scenario import Chamber, Step, Unit
 from imumon.simulation.unit.thermal import chamber_knots
 
 RATE_HZ = 4.0
@@ -45,15 +45,98 @@ EVERY_SHAPE = 16
 """So many profiles are tried whatever they tell: by then each shape has been."""
 LONG_S = 1e5
 """Correlation time of a process that stands for a random walk of an accelerometer."""
+SCALES = {"gyro": (np.pi / 180.0, DEG_PER_H), "accel": (1e3 * MICRO_G, MICRO_G)}
+"""SI units in those of a bias and of an effect in a unit file."""
+SHORTEST_S = 1800.0
+SETTLED = 5.0
+"""Time constants after which a lag has decayed, or a warm-up."""
+SOAKS_S = (300.0, 1800.0)
+REPEATS = (1, 2, 4, 8)
+HELD_S = (3600.0, 7200.0, 14400.0, 28800.0)
+SLOWER = 4.0
+"""Two rates of temperature that a lag tells apart well."""
+POSES = (Turn(kind="turn", at_s=0.0, duration_s=10.0, roll_deg=90.0),) * 3 + (
+    Turn(kind="turn", at_s=0.0, duration_s=10.0, roll_deg=90.0, pitch_deg=90.0),
+    Turn(kind="turn", at_s=0.0, duration_s=10.0, pitch_deg=-180.0),
+)
+"""From level to each side, upside down, and to both ends."""
 
 
-class _Slow(StrictModel, extra="ignore"):
-    flicker_rms: float = 0.0
-    random_walk_per_sqrt_s: float = 0.0
+# Courses of temperature, and poses, that an experiment may be
 
 
-class _Rms(StrictModel, extra="ignore"):
-    train_rms: float
+class Profile(NamedTuple):
+    """One experiment."""
+
+    title: str
+    chamber: Chamber
+    duration_s: float
+    turns: tuple[Turn, ...] = ()
+
+
+def profiles(
+    low: float, high: float, fastest: float, slowest_s: float, most_s: float, poses: bool
+) -> list[Profile]:
+    """Return the experiments that last at most `most_s`, the shortest first.
+
+    The unit was trained from `low` to `high`, °C, and reached the rate `fastest`, °C/min; `slowest_s` is the
+    longest time constant of the effects in question (0 without one); with `poses` it has to be turned.
+    """
+    at = 0.5 * (low + high)
+    found = [
+        Profile(
+            f"switched on in equilibrium at {at:.0f} °C and held",
+            Chamber(start_degc=at, steps=[Step(hold_s=held_s)]),
+            held_s,
+        )
+        for held_s in HELD_S
+    ]
+    if high - low >= LEAST_SPAN_DEGC and fastest > 0.0:
+        soaks = {*SOAKS_S, min(max(SETTLED * slowest_s, SOAKS_S[0]), 2.0 * SOAKS_S[1])}
+        found += [
+            one
+            for soak_s in sorted(soaks)
+            for count in REPEATS
+            for one in _thermal(low, high, fastest, soak_s, count)
+        ]
+    if poses:
+        found = [_in_poses(one) for one in found]
+    return sorted((one for one in found if one.duration_s <= most_s), key=lambda one: one.duration_s)
+
+
+def _thermal(low: float, high: float, rate: float, soak_s: float, count: int) -> list[Profile]:
+    def to(target: float, how_fast: float = rate, soak: float = soak_s) -> Step:
+        return Step(to_degc=target, rate_degc_per_min=how_fast, hold_s=soak)
+
+    quarter = 0.25 * (high - low)
+    stairs = [to(low + at * quarter) for at in (1, 2, 3, 4, 3, 2, 1, 0)]
+    inner = [to(low + at * quarter, soak=0.0) for at in (4, 2, 4, 0, 2, 0)]
+    soak = f"soaks of {soak_s / 60:.0f} min"
+    shapes: list[tuple[str, Sequence[Step]]] = [
+        (f"warmed and cooled at {rate:.2g} °C/min with {soak}", [to(high), to(low)]),
+        (
+            f"warmed and cooled at {rate:.2g} and {rate / SLOWER:.2g} °C/min with {soak}",
+            [to(high), to(low), to(high, rate / SLOWER), to(low, rate / SLOWER)],
+        ),
+        (f"in stairs of a quarter of the span with {soak}", stairs),
+        ("turned round inside the span", inner),
+    ]
+    times, found = f", {count} times" if count > 1 else "", []
+    for title, steps in shapes:
+        chamber = Chamber(start_degc=low, steps=[*steps] * count)
+        duration_s = max(float(chamber_knots(chamber)[0][-1]), SHORTEST_S)
+        found.append(Profile(f"from {low:.0f} °C {title}{times}", chamber, duration_s))
+    return found
+
+
+def _in_poses(profile: Profile) -> Profile:
+    """Return an experiment in which the unit is turned at equal intervals, into six poses."""
+    every = profile.duration_s / (len(POSES) + 1)
+    turns = tuple(turn.model_copy(update={"at_s": (at + 1) * every}) for at, turn in enumerate(POSES))
+    return Profile(f"{profile.title}, in six poses", profile.chamber, profile.duration_s, turns)
+
+
+# Questions, and what answers them
 
 
 class Answer(StrictModel, extra="ignore"):
@@ -64,16 +147,14 @@ class Answer(StrictModel, extra="ignore"):
     declared: list[float]
     effects: list[AnyEffect]
 
-    @property
-    def times_s(self) -> list[float]:
-        """Time constants and delays of its effects."""
-        found = [getattr(one, key) for one in self.effects for key in one.nonlinear if key.endswith("_s")]
-        return [float(value) for value in found]
+
+class _Rms(StrictModel, extra="ignore"):
+    train_rms: float
 
 
 class _Channel(StrictModel, extra="ignore"):
     noise_floor_rms: float
-    slow_noise: _Slow
+    slow_noise: dict[str, float]
     before: _Rms
     questions: list[list[Answer]]
 
@@ -88,8 +169,7 @@ class Report(StrictModel, extra="ignore"):
     channels: dict[str, _Channel]
 
 
-@dataclass(frozen=True, slots=True)
-class Question:
+class Question(NamedTuple):
     """A question, and the channel of those that have it in which the residual is the largest."""
 
     channel: str
@@ -102,8 +182,7 @@ class Question:
         return " or ".join(answer.name for answer in self.answers)
 
 
-@dataclass(frozen=True, slots=True)
-class Evidence:
+class Evidence(NamedTuple):
     """What a profile shows of the pair of answers that it tells apart worst, `truth` and its `rival`.
 
     `value` is the mean difference of their gains in BIC over simulated units, `least` the smallest, `needed`
@@ -122,8 +201,7 @@ class Evidence:
         return self.value / self.needed
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
+class Plan(NamedTuple):
     """The next experiment for a question; `profile` and `expected` are None where nothing that was tried
     tells, and `why_not` says why."""
 
@@ -140,54 +218,57 @@ def load_report(path: Path) -> Report:
 
 def open_questions(report: Report) -> list[Question]:
     """Return the questions of a report, each once for the channels of a sensor that share it."""
-    found: dict[tuple[str, ...], list[tuple[float, str, list[Answer]]]] = {}
-    for name, channel in report.channels.items():
-        # A unit is simulated, which has gyros and accelerometers.
-        for answers in channel.questions if name in UNITS else ():
-            key = (name[:-2], *sorted(answer.name for answer in answers))
-            size = channel.before.train_rms / channel.noise_floor_rms
-            found.setdefault(key, []).append((size, name, answers))
-    opened = []
-    for group in found.values():
-        _, name, answers = max(group, key=lambda one: one[0])
-        opened.append(Question(name, tuple(one for _, one, _ in group if one != name), tuple(answers)))
-    return opened
+    # A unit is simulated, which has gyros and accelerometers.
+    opened = [
+        (channel.before.train_rms / channel.noise_floor_rms, name, answers)
+        for name, channel in report.channels.items()
+        for answers in (channel.questions if name in UNITS else ())
+    ]
+    groups: dict[tuple[str, ...], list[tuple[str, list[Answer]]]] = {}
+    for _, name, answers in sorted(opened, key=lambda one: -one[0]):
+        key = (name[:-2], *sorted(answer.name for answer in answers))
+        groups.setdefault(key, []).append((name, answers))
+    return [
+        Question(name, tuple(other for other, _ in others), tuple(answers))
+        for (name, answers), *others in groups.values()
+    ]
 
 
 def plan(report: Report, question: Question, most_s: float, progress: Progress | None = None) -> Plan:
     """Return the shortest experiment that answers a question, with the evidence to expect of it."""
-    inputs = {name for answer in question.answers for effect in answer.effects for name in effect.inputs}
+    effects = [effect for answer in question.answers for effect in answer.effects]
+    inputs = {name for effect in effects for name in effect.inputs}
     if why_not := _impossible(question, inputs - {ACCEL}):
         return Plan(question, why_not=why_not)
-    in_question = {effect.name for answer in question.answers for effect in answer.effects}
+    in_question = {effect.name for effect in effects}
     few, every = [name for name in EFFECTS if name in in_question], effects_for(question.channel)
     low, high = report.temperature_range_degc
-    slowest_s = max((time for answer in question.answers for time in answer.times_s), default=0.0)
+    times = [getattr(effect, key) for effect in effects for key in effect.nonlinear if key.endswith("_s")]
+    slowest_s = max(map(float, times), default=0.0)
     possible = profiles(low, high, report.fastest_degc_per_min, slowest_s, most_s, ACCEL in inputs)
-    best: tuple[Evidence, Profile] | None = None
-    for at, profile in enumerate(possible):
-        if best is not None and at >= EVERY_SHAPE and best[0].ratio * most_s < best[1].duration_s:
+    if not possible:
+        return Plan(question, why_not="no profile is so short")
+    tried: list[tuple[Evidence, Profile]] = []
+    for profile in possible:
+        best = max(tried, key=lambda one: one[0].ratio, default=None)
+        if best is not None and len(tried) >= EVERY_SHAPE and best[0].ratio * most_s < best[1].duration_s:
             break  # evidence grows no faster than time
         if progress is not None:
             progress(f"{question.name}: {profile.duration_s / 3600:.1f} h, {profile.title}")
         found = evidence(report, question, profile, range(TRIALS), few)
-        if best is None or found.ratio > best[0].ratio:
-            best = found, profile
+        tried.append((found, profile))
         if found.ratio >= MARGIN:
             # What was chosen for its evidence has had luck as well: other units have to show it again.
             proof = evidence(report, question, profile, range(TRIALS, TRIALS + PROOFS), every)
             if proof.least >= proof.needed:
                 return Plan(question, profile, proof)
-    if best is None:
-        return Plan(question, why_not="no profile is so short")
-    found, profile = best
-    return Plan(
-        question,
-        why_not=f"no experiment that was tried decides it; the best,"
-        f" {profile.duration_s / 3600:.1f} h {profile.title},"
-        f" gives {found.value:.0f} of the {found.needed:.0f} in BIC that are needed for {found.truth} against"
-        f" {found.rival}",
+    found, profile = max(tried, key=lambda one: one[0].ratio)
+    why_not = (
+        "no experiment that was tried decides it;"
+        f" the best, {profile.duration_s / 3600:.1f} h {profile.title}, gives {found.value:.0f} of the"
+        f" {found.needed:.0f} in BIC that are needed for {found.truth} against {found.rival}"
     )
+    return Plan(question, why_not=why_not)
 
 
 def _impossible(question: Question, others: set[str]) -> str:
@@ -235,17 +316,17 @@ def scenario(report: Report, channel: str, profile: Profile, answer: Answer) -> 
     """Return a scenario of an experiment on a unit whose one channel has an answer's curve and effects."""
     low, high = report.temperature_range_degc
     sensor, axis = channel.split("_")
+    of_bias, of_effect = SCALES[sensor]
     # What an accelerometer has in its constant is gravity.
     constant = answer.declared[0] if sensor == "gyro" else 0.0
-    curve = np.array([constant, *answer.declared[1:]]) / _UNITS[sensor]["bias"]
     line = {
         "kind": "polynomial",
-        "coefficients": curve.tolist(),
+        "coefficients": (np.array([constant, *answer.declared[1:]]) / of_bias).tolist(),
         "at_degc": 0.5 * (low + high),
         "width_degc": max(0.5 * (high - low), 1e-3),
     }
     effects = [
-        effect.with_coefficients(np.array(effect.coefficients) / _UNITS[sensor]["effect"]).model_dump()
+        effect.with_coefficients(np.array(effect.coefficients) / of_effect).model_dump()
         for effect in answer.effects
     ]
     unit = {
@@ -265,18 +346,12 @@ def scenario(report: Report, channel: str, profile: Profile, answer: Answer) -> 
     )
 
 
-_UNITS = {
-    "gyro": {"bias": np.pi / 180.0, "effect": DEG_PER_H},
-    "accel": {"bias": 1e3 * MICRO_G, "effect": MICRO_G},
-}
-"""SI units in those of a unit file."""
-
-
 def _noise(report: Report, name: str) -> dict[str, Any]:
     """Return white noise, flicker and walk of a channel, for all three axes, as a unit file has them."""
     channel, slow = report.channels[name], report.channels[name].slow_noise
     density = channel.noise_floor_rms * float(np.sqrt(report.block_s))
-    each, walk = slow.flicker_rms / float(np.sqrt(len(TAUS_S))), slow.random_walk_per_sqrt_s
+    each = slow.get("flicker_rms", 0.0) / float(np.sqrt(len(TAUS_S)))
+    walk = slow.get("random_walk_per_sqrt_s", 0.0)
     if name.startswith("gyro"):
         return {
             "arw_deg_per_sqrt_h": np.degrees(density) * 60.0,
@@ -290,18 +365,17 @@ def _noise(report: Report, name: str) -> dict[str, Any]:
 
 def simulated_run(plan: Scenario, seed: int) -> Run:
     """Return what a diagnosis reads of a simulated session."""
-    unit = SimulatedUnit(plan, seed)
-    sent, truth = unit.run(plan.samples)
+    sent, truth = SimulatedUnit(plan, seed).run(plan.samples)
     return collect([SampleBlock({**sent.columns, "at_rest": truth["at_rest"]})], plan.title)[0]
 
 
 def _searched(run: Run, channel: str, degree: int, effects: Sequence[str]) -> Search:
     """Return the search of the diagnosis in one channel of a run."""
     blocks = [make_blocks(run, [channel], ["temperature"])]
+    degree = degree if survey(blocks, "temperature", degree).thermal else 0
     shorter = [make_blocks(run, [channel], ["temperature"], block_s=search_block_s(blocks))]
-    base = Base({channel: "temperature"}, degree if survey(blocks, "temperature", degree).thermal else 0)
-    (found,) = likeliest(search_sensor(Recorded([run], shorter), [channel], base, effects))
-    return found
+    data = Recorded([run], shorter, {channel: "temperature"}, degree)
+    return likeliest(search_sensor(data, [channel], effects))[0]
 
 
 def write_plan(report: Report, number: int, made: Plan, folder: Path) -> list[Path]:
@@ -311,10 +385,9 @@ def write_plan(report: Report, number: int, made: Plan, folder: Path) -> list[Pa
     """
     if made.profile is None:
         return []
-    chamber, end_s = made.profile.chamber, made.profile.duration_s
-    times, degrees = (values.tolist() for values in chamber_knots(chamber))
-    if times[-1] < end_s:
-        times, degrees = [*times, end_s], [*degrees, degrees[-1]]
+    times, degrees = (values.tolist() for values in chamber_knots(made.profile.chamber))
+    if times[-1] < made.profile.duration_s:
+        times, degrees = [*times, made.profile.duration_s], [*degrees, degrees[-1]]
     rows = [f"{t:.0f},{degc:.2f}\n" for t, degc in zip(times, degrees, strict=True)]
     files = {f"{number}-chamber.csv": "".join(["time_s,temperature_degc\n", *rows])}
     for answer in made.question.answers:

@@ -1,54 +1,46 @@
-"""Faults of single samples: digits, frequent values, repeats, standstill; means of blocks would hide them."""
+"""Faults of single samples: digits, frequent values, standstill; means of blocks would hide them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from imumon.blocks import BoolArray, FloatArray, SampleBlock
-from imumon.filters.rounding import digits, grid_step, largest_error, mean_error
+from imumon.filters.rounding import digits, grid_step
 
 KEPT = 100_000
 """Samples of a channel that are kept, evenly spaced over the recording, to bound the memory."""
 FREQUENT, TIMES_MORE = 0.01, 10.0
 """A value with this share of all samples, and so many times more than its neighbours, is not by chance."""
-REPEATED = 0.3
-"""Share of samples equal to the one before that is reported: by chance 0.14, for steps of half the noise."""
 
 
-@dataclass(frozen=True, slots=True)
-class Samples:
+class Samples(NamedTuple):
     """Statistics of the samples of a channel in a recording.
 
     Parameters
     ----------
     step : float
         Step of the grid on which the values lie; 0 when there is none.
-    noise : float
-        Standard deviation of a sample about its neighbour, of those that differ; NaN when none does.
-    repeated : float
-        Share of the samples that equal the one before.
+    scatter : float
+        Standard deviation of a sample about its neighbour.
     ratio : float
         Noise before rounding, in steps; infinite where steps are far finer.
-    atom, atom_share, kind
-        The value that is far more frequent than its neighbours (NaN without one), its share of all samples,
-        and what that is: inside the other values a dead-band, at their end saturated, apart dropouts.
+    atom, atom_share : float
+        The value that is far more frequent than its neighbours (NaN without one), and its share of samples.
     """
 
     step: float
-    noise: float
-    repeated: float
+    scatter: float
     ratio: float = np.inf
     atom: float = np.nan
     atom_share: float = 0.0
-    kind: str = ""
 
     @property
     def is_coarse(self) -> bool:
-        """Whether the steps are larger than the scatter of the samples, those that repeat included."""
-        return self.step > self.noise * float(np.sqrt(1.0 - self.repeated))
+        """Whether the steps are larger than the scatter of the samples."""
+        return self.step > self.scatter
 
 
 class Watcher:
@@ -56,10 +48,8 @@ class Watcher:
 
     def __init__(self, channels: Sequence[str]) -> None:
         self._kept: dict[str, list[FloatArray]] = {name: [] for name in channels}
-        """Samples, and whether each differs from the one before, (n, 2)."""
+        """Samples, and the step to each from the one before, (n, 2)."""
         self._stride, self._phase, self._count = 1, 0, 0
-        self._steps = {name: np.zeros(3) for name in channels}
-        """Number of steps from sample to sample, of those that are zero, and sum of squares."""
 
     def through(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
         """Yield the blocks unchanged."""
@@ -73,10 +63,8 @@ class Watcher:
         self._count += len(block) // self._stride + 1
         for name in self._kept.keys() & block.columns.keys():
             values = block[name]
-            steps = np.diff(values[np.isfinite(values)])
-            self._steps[name] += np.array([len(steps), np.sum(steps == 0.0), np.sum(steps**2)])
-            fresh = np.diff(values, prepend=np.nan) != 0.0
-            self._kept[name].append(np.column_stack([values, fresh])[chosen].astype(np.float64))
+            steps = np.diff(values, prepend=np.nan)
+            self._kept[name].append(np.column_stack([values, steps])[chosen].astype(np.float64))
         if self._count > KEPT:
             joined = {name: np.concatenate(kept) for name, kept in self._kept.items() if kept}
             self._kept = {name: [values[::2]] for name, values in joined.items()}
@@ -84,35 +72,32 @@ class Watcher:
 
     def samples(self) -> dict[str, Samples]:
         """Return the statistics of each channel that has values."""
-        found = {}
-        for name, kept in self._kept.items():
-            values, fresh = np.concatenate([*kept, np.empty((0, 2))]).T
-            known = np.isfinite(values)
-            pairs, same, squares = self._steps[name].tolist()
-            if known.sum() > 2 and pairs:
-                noise = float(np.sqrt(squares / (pairs - same) / 2.0)) if pairs > same else np.nan
-                found[name] = _samples(values[known], fresh[known] == 1.0, noise, same / pairs)
-        return found
+        joined = {name: np.concatenate([*kept, np.empty((0, 2))]).T for name, kept in self._kept.items()}
+        return {
+            name: _samples(values[np.isfinite(values)], steps[np.isfinite(values)])
+            for name, (values, steps) in joined.items()
+            if np.isfinite(values).sum() > 2 and np.isfinite(steps).any()
+        }
 
 
-def _samples(values: FloatArray, fresh: BoolArray, noise: float, repeated: float) -> Samples:
+def _samples(values: FloatArray, steps: FloatArray) -> Samples:
     """Return the statistics; what a stuck sensor repeats counts once, so that no value of it is frequent."""
+    fresh, known = steps != 0.0, np.isfinite(steps)
+    scatter = float(np.sqrt(np.mean(steps[known] ** 2) / 2.0))
+    moved = steps[known & fresh]
+    noise = float(np.sqrt(np.mean(moved**2) / 2.0)) if len(moved) else np.nan
     distinct, where = np.unique(values, return_inverse=True)
     count = np.bincount(where, weights=fresh)
     step = grid_step(distinct, len(values))
     rounded = digits(values) if step > 0.0 else None
-    found = Samples(step, noise, repeated, np.inf if rounded is None else rounded.ratio)
+    found = Samples(step, scatter, np.inf if rounded is None else rounded.ratio)
     at = int(np.argmax(count))
-    beside = max(count[max(at - 1, 0) : at].tolist() + count[at + 1 : at + 2].tolist(), default=0)
+    beside = max([*count[max(at - 1, 0) : at], *count[at + 1 : at + 2], 1.0])
     share = float(count[at] / max(count.sum(), 1.0))
     coarse = step > 0.0 and not step < noise
-    if coarse or len(distinct) < 3 or share < FREQUENT or count[at] < TIMES_MORE * max(beside, 1):
+    if coarse or len(distinct) < 3 or share < FREQUENT or count[at] < TIMES_MORE * beside:
         return found
-    kind = "dead-band"
-    if at in (0, len(distinct) - 1):
-        gap = abs(distinct[at] - distinct[1 if at == 0 else -2])
-        kind = "dropouts" if gap > noise else "saturated"
-    return replace(found, atom=float(distinct[at]), atom_share=share, kind=kind)
+    return found._replace(atom=float(distinct[at]), atom_share=share)
 
 
 def standing(mean: FloatArray, variance: FloatArray, least: float) -> BoolArray:
@@ -126,8 +111,7 @@ def standing(mean: FloatArray, variance: FloatArray, least: float) -> BoolArray:
     return still
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
+class Fault(NamedTuple):
     """What is wrong with the data of a channel.
 
     `blind` is the most that the fault alone makes of a smooth bias: a smaller effect cannot be found.  It is
@@ -135,30 +119,4 @@ class Fault:
     """
 
     text: str
-    blind: float = 0.0
-
-
-def sample_faults(recordings: Sequence[Samples], unit: str, floor: float) -> list[Fault]:
-    """Return the worst fault of each kind in the samples of a channel.
-
-    `unit` is that of the channel; `floor` is the white noise of a mean of a block.
-    """
-    kinds = zip(*(_faults(one, unit, floor) for one in recordings), strict=True)
-    each = [[fault for fault in kind if fault is not None] for kind in kinds]
-    return [max(kind, key=lambda fault: fault.blind) for kind in each if kind]
-
-
-def _faults(found: Samples, unit: str, floor: float) -> list[Fault | None]:
-    """Return whether digits are too coarse for their noise to average what lies between them, whether a value
-    is too frequent, and whether new values are rarer than samples; None where not."""
-    coarse = frequent = repeats = None
-    if found.step > 0.0 and not mean_error(found.step, found.ratio) < 0.5 * floor:
-        text = f"quantized: steps of {found.step:.3g} {unit}, about {1 / found.ratio:.2g} times the noise"
-        coarse = Fault(text, largest_error(found.step, found.ratio))
-    if found.atom_share > 0.0:
-        value = f"{found.atom_share:.1%} of the samples are {found.atom + 0.0:.4g} {unit}"
-        frequent = Fault(f"{found.kind}: {value}", np.inf)
-    elif REPEATED <= found.repeated < 1.0 and (not found.step > 0.0 or found.step < 0.5 * found.noise):
-        every = 1.0 / (1.0 - found.repeated)
-        repeats = Fault(f"another rate: a new value with every {every:.1f}th sample only")
-    return [coarse, frequent, repeats]
+    blind: float

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -55,15 +55,13 @@ class Run:
     """One run from power-on in means of slots, of a second in most cases; a slot without samples is NaN."""
 
     name: str
-    """Where it comes from."""
     time_s: FloatArray
     """Middle of each slot since the first sample, (n,)."""
     count: dict[str, FloatArray]
-    """Samples in each slot, (n,) each."""
     mean: dict[str, FloatArray]
-    """Mean of channels in SI units and of temperatures in °C, (n,) each."""
     variance: dict[str, FloatArray]
-    """Variance of the samples within each slot, (n,) each; NaN with fewer than two."""
+    """Samples in each slot, their mean (SI units, temperatures in °C) and variance (NaN with fewer than two),
+    (n,) each."""
     rest: FloatArray
     """Share of the samples at which the unit was at rest, (n,)."""
     origin: Origin | None = None
@@ -115,10 +113,20 @@ def read_runs(
     Raises BAD_DATA when there is nothing to read, no run of five minutes, or a table that needs a map.
     """
     recording = open_recording(path, stages, map_path, count)
+    blocks, first = recording.blocks(), list[SampleBlock]()
+    while sum(map(len, first)) < FIRST_ROWS and (more := next(blocks, None)) is not None:
+        first.append(more)
+    wanted = channels_of(sensors, first[0].columns) if first else []
+    further: list[str] = []
     # A table that imumon wrote may have columns beside the known ones that are made of the gyros themselves.
-    own = recording.source.session is None and map_path is None
-    made = {column.name for stage in stages(None) for column in stage.columns}
-    every, samples = _reduced(recording.blocks(), recording.name, sensors, None if own else made)
+    if first and (recording.source.session is not None or map_path is not None):
+        further = further_columns(first[0], {one.name for stage in stages(None) for one in stage.columns})
+    further += [channel for channel in wanted if channel not in (*READ, *further)]
+    watcher = Watcher(wanted)
+    samples: Iterable[SampleBlock] = watcher.through(chain(first, blocks))
+    if CLOCK in sensors and CLOCK not in wanted:
+        samples, further = with_delay(samples), [*further, CLOCK]
+    every = collect(samples, recording.name, further, _slot_s(first, wanted))
     runs = [run for run in every if run.duration_s >= SHORTEST_RUN_S]
     if not runs:
         longest = max((run.duration_s for run in every), default=0.0)
@@ -128,30 +136,12 @@ def read_runs(
             "record the unit at rest for an hour or more while its temperature changes",
         )
     warnings = tuple(f"{path}: {text}" for text in recording.warnings())
-    sha256 = recording.sha256()
+    sha256, statistics = recording.sha256(), watcher.samples()
     for at, run in enumerate(runs):
         run.rest = np.ones_like(run.rest) if at_rest else run.rest
         run.origin = Origin(recording.name, at, sha256, recording.device, recording.serial)
-        run.warnings, run.samples = warnings, samples
+        run.warnings, run.samples = warnings, statistics
     return runs
-
-
-def _reduced(
-    blocks: Iterator[SampleBlock], name: str, sensors: Sequence[str], made: Container[str] | None
-) -> tuple[list[Run], dict[str, Samples]]:
-    """Return runs of the known columns and of those that no stage has made (None: not of others), and the
-    statistics of the single samples."""
-    first: list[SampleBlock] = []
-    while sum(map(len, first)) < FIRST_ROWS and (more := next(blocks, None)) is not None:
-        first.append(more)
-    further = [] if made is None or not first else further_columns(first[0], made)
-    wanted = channels_of(sensors, first[0].columns) if first else []
-    further += [channel for channel in wanted if channel not in (*READ, *further)]
-    watcher = Watcher(wanted)
-    samples: Iterable[SampleBlock] = watcher.through(chain(first, blocks))
-    if CLOCK in sensors and CLOCK not in wanted:
-        samples, further = with_delay(samples), [*further, CLOCK]
-    return collect(samples, name, further, _slot_s(first, wanted)), watcher.samples()
 
 
 def further_columns(block: SampleBlock, made: Container[str]) -> list[str]:
@@ -165,13 +155,13 @@ def further_columns(block: SampleBlock, made: Container[str]) -> list[str]:
 
 def _slot_s(blocks: Sequence[SampleBlock], channels: Sequence[str]) -> float:
     """Return the length of a slot in which a log has a sample: a second, or more for a slower one."""
-    measured = [[np.isfinite(block[name]) for name in channels if name in block] for block in blocks]
-    steps = [
-        np.diff(block["device_time_ns"][np.any(known, axis=0)])
-        for block, known in zip(blocks, measured, strict=True)
-        if known
-    ]
-    forward = np.concatenate([*(step[step > 0] for step in steps), np.empty(0)])
+    steps = [np.empty(0)]
+    for block in blocks:
+        known = [np.isfinite(block[name]) for name in channels if name in block]
+        if known:
+            steps.append(np.diff(block["device_time_ns"][np.any(known, axis=0)]))
+    forward = np.concatenate(steps)
+    forward = forward[forward > 0]
     period_s = float(np.median(forward)) / SECOND_NS if len(forward) else 0.0
     # A clock that is off by a percent still puts a sample into each slot.
     return float(max(1, np.ceil(period_s / 1.01)))
@@ -280,13 +270,13 @@ def divided(run: Run, channels: Sequence[str]) -> tuple[Run, Run]:
     return first, replace(first, mean=only(tested), name=f"{run.name}, held out", begun_in=run.name)
 
 
-def in_order(train: Sequence[Run], test: Sequence[Run]) -> tuple[list[Run], list[str]]:
-    """Return the test runs that the training does not have, by their bytes; remarks.
+def in_order(train: Sequence[Run], test: Sequence[Run], remarks: list[str]) -> list[Run]:
+    """Return the test runs that the training does not have, by their bytes.
 
     Those that continue another run have its time and temperatures.
     """
     known = [(one.sha256, one.index, run.start_ns) for run in train if (one := run.origin) is not None]
-    found, remarks = list[Run](), []
+    found = list[Run]()
     for run in test:
         one = run.origin
         if one is not None and (one.sha256, one.index, run.start_ns) in known:
@@ -299,7 +289,7 @@ def in_order(train: Sequence[Run], test: Sequence[Run]) -> tuple[list[Run], list
                 " lag and loop go on as well"
             )
         found.append(run if before is None else _continued(before, run))
-    return found, remarks
+    return found
 
 
 def _continues(before: Run, after: Run) -> bool:
@@ -317,20 +307,19 @@ def _continued(before: Run, after: Run) -> Run:
     slots = round((after.start_ns - before.start_ns) / SECOND_NS / after.slot_s)
     first = max(slots, len(before.time_s))
 
-    def shifted(values: FloatArray, missing: float, earlier: FloatArray | None = None) -> FloatArray:
-        whole = np.concatenate([np.full(first, missing), values])
-        if earlier is not None:
-            whole[: len(earlier)] = earlier
-        return whole
+    def later(columns: Mapping[str, FloatArray], missing: float = np.nan) -> dict[str, FloatArray]:
+        return {name: np.append(np.full(first, missing), values) for name, values in columns.items()}
 
-    known = {name: values for name, values in before.mean.items() if name not in CHANNELS}
+    mean = later(after.mean)
+    for name in mean.keys() & before.mean.keys() - {*CHANNELS}:
+        mean[name][: len(before.time_s)] = before.mean[name]
     return replace(
         after,
         time_s=(np.arange(first + len(after.time_s), dtype=np.float64) + 0.5) * after.slot_s,
-        count={name: shifted(values, 0.0) for name, values in after.count.items()},
-        mean={name: shifted(values, np.nan, known.get(name)) for name, values in after.mean.items()},
-        variance={name: shifted(values, np.nan) for name, values in after.variance.items()},
-        rest=shifted(after.rest, 0.0),
+        count=later(after.count, 0.0),
+        mean=mean,
+        variance=later(after.variance),
+        rest=np.append(np.zeros(first), after.rest),
         start_ns=before.start_ns,
         begun_in=before.begun_in or before.name,
     )

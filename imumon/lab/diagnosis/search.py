@@ -76,7 +76,7 @@ def search(
     The search begins with the effects of the present model that are fitted anew.  At most `stages` effects
     are added to a channel.
     """
-    likelihood, tried = Likelihood(channels[0].train), candidates(survey, names)
+    likelihood, tried = Likelihood(channels[0].pool.runs), candidates(survey, names)
     searches = [Search(channel, survey, likelihood, tried) for channel in channels]
     usual = len({one.family for one in tried if not one.choice})
     least = least_gain(usual, len(channels)) if len(channels) > 1 else PROVEN
@@ -139,12 +139,6 @@ class Search:
         """The candidates of the findings, beside the declared curve."""
         return [finding.candidate for finding in self.findings]
 
-    def of_family(self, name: str) -> list[Candidate]:
-        """Return what was tried of a family, of one part each and with no free start."""
-        return [
-            one for one in self.tried if one.family == name and len(one.parts) == 1 and not one.free_start
-        ]
-
     # A model: the declared curve with candidates
 
     def fitted(self, model: Sequence[Candidate]) -> tuple[float, Noise]:
@@ -161,12 +155,6 @@ class Search:
         number = self.channel.design(model).shape[1] + sum(one.nonlinear for one in model)
         price = number * self.likelihood.price + sum(one.choice for one in model)
         return float(2.0 * self.fitted(model)[0] - price)
-
-    def gain_over_given(self) -> float:
-        """Return what the model gains over the present one as it is."""
-        given = self.channel.as_given()
-        price = given.base.shape[1] * self.likelihood.price
-        return self.criterion() - float(2.0 * self.likelihood.best(given.values, given.base)[0] - price)
 
     def scored(self, tried: Sequence[Candidate], model: Sequence[Candidate]) -> list[Scored]:
         """Return candidates with their gains over a model.
@@ -213,7 +201,8 @@ class Search:
         """Add a table: the best of each family beside what was found so far, at first in pairs as well."""
         scored = sorted(self.scored(self.tried, self.model), key=attrgetter("gain"))
         best = {one.family: one for one in scored}
-        self.tables.append(best | (self._beside_partner(scored, best) if pairs and not self.findings else {}))
+        beside = self._beside_partner(scored, best) if pairs and not self.findings else {}
+        self.tables.append(best | beside)
 
     def _beside_partner(self, scored: Sequence[Scored], best: Table) -> dict[str, Scored]:
         """Return what effects gain beside the partner in the best pair, where both are needed.
@@ -234,7 +223,7 @@ class Search:
             return {}
         partner = min(two, key=lambda one: (one.candidate.scope not in ("run", "event"), one.gain)).family
         beside = [
-            replace(one, gain=gain - max(0.0, other.gain), partner=partner)
+            one._replace(gain=gain - max(0.0, other.gain), partner=partner)
             for gain, pair in found
             for one, other in (pair, pair[::-1])
             if other.family == partner
@@ -253,9 +242,9 @@ class Search:
         jumped = {run for one in model if one.family == name for run in one.parts[0].runs}
         again = is_event and not jumped.isdisjoint(best.candidate.parts[0].runs)
         size = self._taken_away(best.candidate, model)
-        least = max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind)
         share = JUMP_SHARE if again else SECOND_SHARE
-        if size < max(least, share * self._largest_beside(best.candidate)):
+        least = [share * self._size_beside(one, best.candidate) for one in self.findings]
+        if size < max(LEAST_SIZE * self.channel.floor.sd, self.channel.blind, *least):
             self.finished = is_event
             return False
         self.many_events |= again
@@ -278,18 +267,14 @@ class Search:
         without, with_it = (self.channel.residual_rms(one) for one in (model, [*model, candidate]))
         return float(np.sqrt(max(without**2 - with_it**2, 0.0)))
 
-    def _largest_beside(self, candidate: Candidate) -> float:
-        """Return the largest rms that one of the findings takes away beside the others and a candidate.
+    def _size_beside(self, finding: Finding, candidate: Candidate) -> float:
+        """Return the rms that a finding takes away beside the others and a candidate.
 
         One of the same family counts with what it took away alone, for two of a kind share it.
         """
-        sizes = [
-            one.size
-            if one.name == candidate.family and candidate.scope != "event"
-            else self._taken_away(one.candidate, [*self._beside(one), candidate])
-            for one in self.findings
-        ]
-        return max(sizes, default=0.0)
+        if finding.name == candidate.family and candidate.scope != "event":
+            return finding.size
+        return self._taken_away(finding.candidate, [*self._beside(finding), candidate])
 
     def eliminate(self) -> None:
         """Drop what others make needless, and refine what is left, each beside the others.
@@ -304,9 +289,9 @@ class Search:
                 if finding.known and not self.tables:
                     (part,) = finding.candidate.parts
                     self.channel = replace(self.channel, kept=(*self.channel.kept, part.effect))
-        if len(self.findings) == 1 and not self.findings[0].known:
-            return
         before = [finding.name for finding in self.findings]
+        if len(before) == 1 and not self.findings[0].known:
+            return
         self._refine(exchange=True)
         if changed := [finding.name for finding in self.findings if finding.name not in before]:
             self.stages.append(Stage(f"{' and '.join(changed)} fits better beside the rest", self.model))

@@ -1,4 +1,7 @@
-"""The channels, drivers and runs that a diagnosis can use, with a remark on each that is left out."""
+"""The channels, drivers and runs that a diagnosis can use.
+
+On what is left out each function adds to `remarks`.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.clock.channel import CLOCK
 from imumon.errors import ImumonError, Reason
+from imumon.filters.rounding import largest_error, mean_error
 from imumon.lab.diagnosis.blocks import (
     BLOCK_S,
     LEAST_BLOCKS,
@@ -17,8 +21,8 @@ from imumon.lab.diagnosis.blocks import (
     RunBlocks,
     make_blocks,
 )
-from imumon.lab.diagnosis.quality import Fault, sample_faults, standing
-from imumon.lab.diagnosis.runs import CHANNELS, SHORTEST_RUN_S, Run, channels_of, common_temperature, unit_of
+from imumon.lab.diagnosis.quality import Fault, standing
+from imumon.lab.diagnosis.runs import CHANNELS, SHORTEST_RUN_S, Run, channels_of, unit_of
 
 LEAST_THERE = 0.1
 """Share of its time in which a channel that is used has samples."""
@@ -29,17 +33,17 @@ RESOLUTION = 1e-12
 
 
 def usable_channels(
-    train: Sequence[Run], test: Sequence[Run], sensors: Sequence[str]
-) -> tuple[list[str], list[str]]:
-    """Return the channels that vary and that every training run has at a tenth of its time or more; remarks.
+    train: Sequence[Run], test: Sequence[Run], sensors: Sequence[str], remarks: list[str]
+) -> list[str]:
+    """Return the channels that vary and that every training run has at a tenth of its time or more.
 
     The clock of the device beside others only where all runs have it.
 
     Raises BAD_DATA when there is none.
     """
-    found, remarks = [], []
+    found = []
     for name in channels_of(sensors, {name for run in train for name in run.variance}):
-        lacking = [run.name for run in train if not _has(run, name)]
+        lacking = [run.name for run in train if _share_there(run, name) <= LEAST_THERE]
         if len(lacking) == len(train):
             continue
         if lacking:
@@ -57,11 +61,12 @@ def usable_channels(
         )
     if len(found) > 1 and not all(CLOCK in run.mean for run in (*train, *test)):
         found = [name for name in found if name != CLOCK]
-    return found, remarks
+    return found
 
 
-def _has(run: Run, channel: str) -> bool:
-    return channel in run.mean and bool(np.isfinite(run.mean[channel]).mean() > LEAST_THERE)
+def _share_there(run: Run, name: str) -> float:
+    """Return the share of its time in which a run has a column."""
+    return float(np.isfinite(run.mean[name]).mean()) if name in run.mean else 0.0
 
 
 def _varies(mean: FloatArray, variance: FloatArray) -> bool:
@@ -71,22 +76,13 @@ def _varies(mean: FloatArray, variance: FloatArray) -> bool:
     return bool(np.ptp(known) > resolution or (scatter > resolution**2).any())
 
 
-def temperature_of_axis(channel: str, runs: Sequence[Run]) -> str:
-    """Return the temperature that a channel's bias is over: that of its axis where there is one.
-
-    Raises BAD_DATA when there is no temperature.
-    """
-    lacking = "there is no temperature in the training data, so there is no bias over temperature to diagnose"
-    return common_temperature(f"temperature_{channel[-1]}", runs, lacking, but=channel)
-
-
-def sound(run: Run, channels: Sequence[str]) -> tuple[Run, list[str]]:
-    """Return a run without the slots in which a channel stands still; remarks.
+def without_standstill(run: Run, channels: Sequence[str], remarks: list[str]) -> Run:
+    """Return a run without the slots in which a channel stands still.
 
     Noise never gives the same value for as long as a block, but a stuck sensor does, one at its limit, and
     one whose digits are coarser than its noise.  The last stays.
     """
-    mean, variance, remarks = dict(run.mean), dict(run.variance), []
+    mean, variance = dict(run.mean), dict(run.variance)
     for name in channels:
         if name not in mean:
             continue
@@ -94,25 +90,41 @@ def sound(run: Run, channels: Sequence[str]) -> tuple[Run, list[str]]:
         if not still.any():
             continue
         share = float(still.sum() / np.isfinite(mean[name]).sum())
-        samples = run.samples.get(name)
         # What stands still most of the time is not stuck.
-        if share > 0.5 or (samples is not None and samples.is_coarse):
+        if share > 0.5 or (name in run.samples and run.samples[name].is_coarse):
             remarks.append(f"{run.name}: {name} does not change in {share:.0%} of its time: too few digits")
             continue
-        limits = np.nanmin(mean[name]), np.nanmax(mean[name])
-        what = "saturated" if np.isin(mean[name][still], limits).all() else "stuck"
-        remarks.append(
-            f"{run.name}: {name} is {what} for {still.sum() * run.slot_s:.0f} s; they are left out"
-        )
-        mean[name] = np.where(still, np.nan, mean[name])
-        variance[name] = np.where(still, np.nan, variance[name])
-    return replace(run, mean=mean, variance=variance), remarks
+        still_s = still.sum() * run.slot_s
+        remarks.append(f"{run.name}: {name} is stuck or saturated for {still_s:.0f} s; they are left out")
+        mean[name], variance[name] = (np.where(still, np.nan, of[name]) for of in (mean, variance))
+    return replace(run, mean=mean, variance=variance)
 
 
 def faults(runs: Sequence[Run], channel: str, floor: float) -> list[Fault]:
-    """Return what is wrong with the samples of a channel; `floor` is the white noise of a block."""
-    samples = [run.samples[channel] for run in runs if channel in run.samples]
-    return sample_faults(samples, unit_of(channel), floor)
+    """Return the worst fault of each kind in the samples of a channel: digits too coarse for their noise to
+    average what lies between them, and a value that is too frequent.
+
+    `floor` is the white noise of a mean of a block.
+    """
+    recordings, unit = [run.samples[channel] for run in runs if channel in run.samples], unit_of(channel)
+    coarse = [
+        Fault(
+            f"quantized: steps of {one.step:.3g} {unit}, about {1 / one.ratio:.2g} times the noise",
+            largest_error(one.step, one.ratio),
+        )
+        for one in recordings
+        if one.step > 0.0 and not mean_error(one.step, one.ratio) < 0.5 * floor
+    ]
+    frequent = [
+        Fault(
+            "frequent value, as of a dead-band, saturation or dropouts:"
+            f" {one.atom_share:.1%} of the samples are {one.atom + 0.0:.4g} {unit}",
+            np.inf,
+        )
+        for one in recordings
+        if one.atom_share > 0.0
+    ]
+    return [max(kind, key=lambda fault: fault.blind) for kind in (coarse, frequent) if kind]
 
 
 def resting(run: Run) -> bool:
@@ -131,57 +143,57 @@ def usable_blocks(
     temperatures: Sequence[str],
     drivers: Sequence[str],
     block_s: float,
-) -> tuple[list[RunBlocks], list[str]]:
-    """Return the runs at rest as blocks; remarks on those that cannot be used, and on gaps."""
-    found, remarks = [], []
+    remarks: list[str],
+) -> list[RunBlocks]:
+    """Return the runs at rest as blocks."""
+    found = []
     for run in runs:
         lacking = [name for name in (*channels, *temperatures) if name not in run.mean]
         if lacking:
             remarks.append(f"{run.name}: not used, it lacks {', '.join(lacking)}")
             continue
-        rest_share = _rest_share(run, channels[0])
-        if rest_share < 0.5:
-            minutes = run.duration_s / 60
-            remarks.append(
-                f"{run.name}: not used, the unit moves: at rest for {rest_share:.0%} of its {minutes:.0f} min"
-            )
+        at_rest = _rest_share(run, channels[0])
+        if at_rest < 0.5:
+            of = f"at rest for {at_rest:.0%} of its {run.duration_s / 60:.0f} min"
+            remarks.append(f"{run.name}: not used, the unit moves: {of}")
             continue
         blocks = make_blocks(run, channels, temperatures, drivers, block_s)
         if len(blocks) * block_s < SHORTEST_RUN_S:
-            remarks.append(
-                f"{run.name}: not used, {len(blocks)} blocks of {block_s:.0f} s at rest are too few"
-            )
+            few = f"{len(blocks)} blocks of {block_s:.0f} s at rest are too few"
+            remarks.append(f"{run.name}: not used, {few}")
             continue
         found.append(blocks)
         known = np.isfinite(run.mean[channels[0]])
         there = float(known[np.argmax(known) :].mean())  # what goes on from another run begins late
         if there < run.share * (1.0 - MANY_GAPS):
             remarks.append(f"{run.name}: samples in {there:.0%} of its time only; gaps are left out")
-        if rest_share < 1.0 - MANY_GAPS:
-            remarks.append(f"{run.name}: at rest for {rest_share:.0%} of its time; the rest is left out")
-    return found, remarks
+        if at_rest < 1.0 - MANY_GAPS:
+            remarks.append(f"{run.name}: at rest for {at_rest:.0%} of its time; the rest is left out")
+    return found
 
 
 def check_training(blocks: Sequence[RunBlocks], remarks: Sequence[str], block_s: float) -> None:
     """Raise BAD_DATA when the unit was at rest for too short a time in training, with the remarks on that."""
     total = sum(map(len, blocks))
     if total < LEAST_BLOCKS:
-        short = (
-            f"too short: the training data has {total} means of {block_s:.0f} s at rest;"
-            f" {LEAST_BLOCKS} are needed, {LEAST_BLOCKS * block_s / 60:.0f} min"
-        )
+        short = f"too short: the training data has {total} means of {block_s:.0f} s at rest"
+        needed = f"{LEAST_BLOCKS} are needed, {LEAST_BLOCKS * block_s / 60:.0f} min"
         raise ImumonError(
             Reason.BAD_DATA,
-            "; ".join([short, *remarks]),
+            "; ".join([short, needed, *remarks]),
             "record the unit at rest for an hour or more while its temperature changes;"
             " if it was at rest and is not detected to be, add --at-rest",
         )
 
 
 def usable_drivers(
-    train: Sequence[Run], test: Sequence[Run], beside: Sequence[str], wanted: Sequence[str] | None
-) -> tuple[list[str], list[str]]:
-    """Return the drivers that vary in training and are in every run, of those wanted (None: of all); remarks.
+    train: Sequence[Run],
+    test: Sequence[Run],
+    beside: Sequence[str],
+    wanted: Sequence[str] | None,
+    remarks: list[str],
+) -> list[str]:
+    """Return the drivers that vary in training and are in every run, of those wanted (None: of all).
 
     `beside` are the temperatures that the curves are over.
 
@@ -195,18 +207,14 @@ def usable_drivers(
             f"--drivers: {', '.join(lacking)} is not in the training data",
             f"there are {', '.join(possible) or 'none'}; a map names others with other: {{NAME: ...}}",
         )
-    found, remarks = [], []
+    found = []
     for name in possible if wanted is None else wanted:
         values = np.concatenate([run.mean[name] for run in train if name in run.mean])
         if not np.nanmax(values) > np.nanmin(values):
             continue
-        runs = [run.name for run in (*train, *test) if not _covers(run, name)]
+        runs = [run.name for run in (*train, *test) if _share_there(run, name) < 0.5 * run.slot_s / BLOCK_S]
         if runs:
             remarks.append(f"{name} is hardly recorded in {', '.join(runs)}: no effect of it is looked for")
         else:
             found.append(name)
-    return found, remarks
-
-
-def _covers(run: Run, name: str) -> bool:
-    return name in run.mean and np.isfinite(run.mean[name]).sum() >= 0.5 * run.duration_s / BLOCK_S
+    return found

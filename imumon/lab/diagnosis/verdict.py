@@ -1,20 +1,39 @@
-"""The verdict on a channel: one table of named predicates, evaluated top down, and its words."""
+"""The verdict on a channel: one table of named predicates, evaluated top down, and its words.
+
+Claimed is what training proves and the test does not refute, or what the test alone proves.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple, Self
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.effects.library import separated_by
+from imumon.lab.diagnosis.candidates import Candidate
 from imumon.lab.diagnosis.channel import Channel
-from imumon.lab.diagnosis.choice import PROVEN, Finding
-from imumon.lab.diagnosis.fit import MATERIAL, Fit, FittedPart, PartSigma, TestScore, goes_on
-from imumon.lab.diagnosis.likelihood import WALK_S
-from imumon.lab.diagnosis.search import Search
+from imumon.lab.diagnosis.choice import Finding
+from imumon.lab.diagnosis.fit import (
+    CLEAN,
+    EXPLAINED,
+    MATERIAL,
+    Fit,
+    FittedPart,
+    PartSigma,
+    TestScore,
+    begun,
+    explained_share,
+    explains,
+    fit,
+    goes_on,
+    score_test,
+    sigmas,
+)
+from imumon.lab.diagnosis.search import MOST_NAMES, Search
 
 State = Literal["named", "unexplained", "nothing missing", "too few digits", "not proven", "faulty"]
 
@@ -45,6 +64,9 @@ BESIDE_CLAIMS = {
     "hidden": "; too few digits to tell whether there is more",
 }
 """What is added to the sentence of what is claimed, where a predicate holds."""
+PROVEN_FLOORS = 8.0
+"""What the test alone proves takes so many white floors out of its error, as a root of squares: false ones of
+effects that are not in the library, took out at most 5.4, true ones of a chamber record at least 90."""
 
 
 @dataclass(slots=True)
@@ -60,54 +82,25 @@ class Claim:
     explained: float
     size: float
     test_alone: float
-    sigmas: list[PartSigma] = field(default_factory=list)
-
-
-@dataclass(frozen=True, slots=True)
-class SlowNoise:
-    """The noise that is likeliest beside what was found, as `report.json` has it.
-
-    Parameters
-    ----------
-    flicker, random_walk : float
-        r and q of the likelihood, variances over that of the white noise.
-    flicker_rms, random_walk_per_sqrt_s : float
-        The same in the unit of the channel, over the correlation times of the likelihood.
-    heavy_tails : float
-        Gain in BIC of innovations with heavy tails.
-    """
-
-    flicker: float
-    random_walk: float
-    flicker_rms: float
-    random_walk_per_sqrt_s: float
-    heavy_tails: float
-
-    @classmethod
-    def of(cls, found: Search) -> Self:
-        """Return the noise of what was found."""
-        flicker, walk = noise = found.fitted(found.model)[1]
-        of = found.channel.values, found.channel.design(found.model), noise
-        sd, tails = found.likelihood.scale(*of), found.likelihood.tails(*of)
-        return cls(flicker, walk, float(np.sqrt(flicker) * sd), float(np.sqrt(walk / WALK_S) * sd), tails)
-
-    @property
-    def jumps(self) -> bool:
-        """Whether it jumps or comes in bursts, as no Gaussian noise does."""
-        return self.heavy_tails > PROVEN
+    sigmas: list[PartSigma]
 
 
 @dataclass(slots=True)
 class ChannelVerdict:
     """What is claimed of a channel, and how well it does."""
 
+    found: Search
     channel: Channel
+    """In the blocks that are scored, where the search may have been in shorter ones."""
     before: Fit
     after: Fit
     """Declared and extended model."""
     test_before: TestScore
     test_after: TestScore
+    findings: Sequence[Finding]
+    """What is in the extended model."""
     claims: list[Claim]
+    """Those of the findings that the present model has not."""
     unexplained: bool
     """More than 1.8 floors are left in training or, beside what is claimed, in the test."""
     explained: float
@@ -117,14 +110,8 @@ class ChannelVerdict:
     predicts: bool
     """Whether the extended model goes into the model file; else the declared one does: nothing of what is
     claimed carries over, or the levels of the test make the prediction worse with it."""
-    slow: SlowNoise
-    questions: list[list[dict[str, Any]]]
     refit: list[str]
     """What was fitted anew of the present model, its curve first; empty when that stays as it is."""
-    turns: list[dict[str, Any]]
-    """Of `report.json`: what was done in each stage of the search, and what was left."""
-    ranking: list[dict[str, Any]]
-    runs: list[dict[str, Any]]
     declared_covariance: FloatArray
     """Of the coefficients of the declared model, (degree + 1, degree + 1)."""
 
@@ -195,57 +182,236 @@ class ChannelVerdict:
         text = self.in_short if self.faulty else f"{self.in_short}: {'; '.join(_details(self))}"
         return "; ".join([*(fault.text for fault in self.channel.faults), text])
 
-    def curve(self) -> list[tuple[float, float, float]]:
-        """Return temperature, bias and its sigma at both ends and the middle of what training covered."""
-        declared = self.channel.declared
-        at = declared.middle_degc + declared.half_span_degc * np.array([-1.0, 0.0, 1.0])
-        columns = declared.columns(at, len(self.after.declared))
-        values = columns @ self.after.declared
-        spread = np.sqrt(np.einsum("ij,jk,ik->i", columns, self.declared_covariance, columns))
-        return list(zip(at.tolist(), values.tolist(), spread.tolist(), strict=True))
-
 
 def _details(verdict: ChannelVerdict) -> Iterator[str]:
     """Yield the numbers of a verdict, then its reasons."""
-    yield _left_in_training(verdict)
-    if verdict.unexplained:
-        yield "what is left is structure or slow noise that no known effect explains"
+    yield _numbers(verdict)
     if verdict.remark:
         yield verdict.remark
     for item in verdict.left_out:
         yield f"{item['name']} was found but made the test worse"
-    pairs = [(one.finding.alike[0], other) for one in verdict.claims for other in one.finding.alike[1:]]
+    pairs = [(one.finding.name, other) for one in verdict.claims for other in one.finding.others]
     if pairs:
         yield f"to separate: {'; '.join(dict.fromkeys(separated_by(*pair) for pair in pairs))}"
-    if verdict.claims and verdict.before.train_rms < MATERIAL * verdict.channel.floor.sd:
-        yield "present, too small to matter"
-    if verdict.row.state == "not proven" and verdict.channel.test:
-        yield "slow noise may do that, or something is missing"
     if verdict.hidden:
         share = verdict.channel.blind / verdict.channel.floor.sd
         yield f"steps as coarse may make up to {share:.1f} of a smooth bias"
 
 
-def _left_in_training(verdict: ChannelVerdict) -> str:
-    floor = verdict.channel.floor.sd
-    before, after = (one.train_rms / floor for one in (verdict.before, verdict.after))
-    if not verdict.claims and not verdict.refit:
-        return f"the declared model leaves {before:.2f} white floors in training{_left_in_test(verdict)}"
-    anew = "" if verdict.claims else f"{', '.join(verdict.refit)} fitted anew, "
-    return f"{anew}{before:.1f} white floors become {after:.2f} in training{_left_in_test(verdict)}"
-
-
-def _left_in_test(verdict: ChannelVerdict) -> str:
-    """Return what is left of the test; only that says whether it is all."""
-    before, after, floor = verdict.test_before, verdict.test_after, verdict.channel.floor.sd
+def _numbers(verdict: ChannelVerdict) -> str:
+    """Return what is left, in white floors, of training and of the test: only that says whether it is all."""
+    floor, score = verdict.channel.floor.sd, verdict.test_after
+    before, after = verdict.before.train_rms / floor, verdict.after.train_rms / floor
+    changed = bool(verdict.claims or verdict.refit)
+    text = f"the declared model leaves {before:.2f} white floors in training"
+    if changed:
+        anew = "" if verdict.claims else f"{', '.join(verdict.refit)} fitted anew, "
+        text = f"{anew}{before:.1f} white floors become {after:.2f} in training"
     if not verdict.channel.test:
-        return "; without a test that is no proof"
-    if not np.isfinite(after.rms):
-        return "; no proof: the test has too little inside what training covered"
-    covered = "" if after.coverage == 1.0 else f", over the {after.coverage:.0%} of it that training covered"
-    if not verdict.claims and not verdict.refit:
-        return f", {before.rms / floor:.2f} in the test{covered}"
+        return f"{text}; without a test that is no proof"
+    if not np.isfinite(score.rms):
+        return f"{text}; no proof: the test has too little inside what training covered"
+    covered = "" if score.coverage == 1.0 else f", over the {score.coverage:.0%} of it that training covered"
+    before = verdict.test_before.rms / floor
+    if not changed:
+        return f"{text}, {before:.2f} in the test{covered}"
     predicted = verdict.predicts and verdict.after.carries
-    predicted |= goes_on(verdict.channel, verdict.after) and after.rms < before.rms
-    value, how = (after.rms, "predicted") if predicted else (after.estimated_rms, "estimated in the test")
-    return f", {before.rms / floor:.1f} become {value / floor:.2f} in the test{covered} ({how})"
+    predicted |= goes_on(verdict.channel, verdict.after) and score.rms < verdict.test_before.rms
+    value, how = (score.rms, "predicted") if predicted else (score.estimated_rms, "estimated in the test")
+    return f"{text}, {before:.1f} become {value / floor:.2f} in the test{covered} ({how})"
+
+
+# What is claimed
+
+
+class _Model(NamedTuple):
+    """Findings, the model with them, and what the baseline and this one leave of the test."""
+
+    findings: list[Finding]
+    after: Fit
+    tests: tuple[TestScore, TestScore]
+    remark: str = ""
+    """Why nothing else is claimed."""
+
+    @property
+    def new(self) -> list[Finding]:
+        """The findings that are not of the present model."""
+        return [one for one in self.findings if not one.known]
+
+
+def decide(found: Search, channel: Channel) -> ChannelVerdict:
+    """Return the verdict on a channel, in the blocks that are scored, by what the search found in it."""
+    floor = channel.limit  # what digits make of a smooth bias is no structure
+    baseline, left_out = fit(channel.as_given(), []), list[dict[str, Any]]()
+    kept = _claimed(channel, found, baseline, left_out)
+    after, (test_before, test_after) = kept.after, kept.tests
+    # Jumps of the test itself may make the prediction worse, whatever else was found.
+    predicts = (not after.parts or after.carries) and not test_after.rms > test_before.rms
+    if not predicts and not (goes_on(channel, after) and test_after.rms < test_before.rms):
+        # The declared model then predicts as it did, and is what the model file has.
+        test_after.rms = test_before.rms
+    left = max(after.train_rms, test_after.left) if kept.new else after.train_rms
+    covariance, spread = sigmas(found.channel, found.likelihood, [one.candidate for one in kept.findings])
+    claims, parts = [], iter(after.parts[len(channel.kept) :])
+    for finding, sigma in zip(kept.findings, spread, strict=True):
+        own = list(islice(parts, len(finding.candidate.parts)))
+        if not finding.known:
+            alone = _fit(channel, [finding])
+            share = explained_share(baseline.train_rms, alone.train_rms, channel.floor.sd)
+            size = float(np.sqrt(max(baseline.train_rms**2 - alone.train_rms**2, 0.0)))
+            claims.append(Claim(finding, own, share, size, score_test(channel, alone).rms, sigma))
+    refit = ["curve"] if channel.declared.degree else []
+    refit += [one.name for one in kept.findings if one.known]
+    return ChannelVerdict(
+        found=found,
+        channel=channel,
+        before=baseline,
+        after=after,
+        test_before=test_before,
+        test_after=test_after,
+        findings=kept.findings,
+        claims=claims,
+        unexplained=found.many_events or left >= CLEAN * floor,
+        explained=explained_share(baseline.train_rms, after.train_rms, floor) if kept.new else 0.0,
+        remark=kept.remark,
+        left_out=left_out,
+        predicts=predicts,
+        refit=refit if channel.known is not None and predicts else [],
+        declared_covariance=covariance,
+    )
+
+
+def _claimed(channel: Channel, found: Search, baseline: Fit, left_out: list[dict[str, Any]]) -> _Model:
+    """Return what of the findings stays: what training or the test proves, and the test does not refute."""
+    floor = channel.limit
+
+    def model(findings: list[Finding]) -> _Model:
+        after = _fit(channel, findings)
+        return _Model(
+            findings, after, (score_test(channel, baseline, like=after), score_test(channel, after))
+        )
+
+    # A jump that is too small to matter beside the rest is not told from the steps of a walk.
+    lasting = [one for one in found.findings if one.candidate.scope != "event"]
+    small = found.many_events or _fit(channel, lasting).train_rms < MATERIAL * channel.floor.sd
+    nothing = model([one for one in found.findings if one.known])
+    kept = model(_not_worse(channel, lasting if small else found.findings, left_out))
+    if kept.new and (why := _refuted(channel, baseline, kept)):
+        best = max(kept.new, key=lambda finding: finding.gain)
+        kept = nothing._replace(remark=f"the best of the known effects is {best.name}, but {why}")
+    elif found.many_events:
+        kept = kept._replace(remark="there is more than one jump in a run")
+    left = kept.tests[1].left if kept.new else np.inf
+    wanting = not kept.new or (kept.after.carries and left >= CLEAN * floor)
+    if wanting and nothing.after.train_rms >= CLEAN * floor:
+        one = _proven_by_test(channel, found, nothing)
+        by_test = None if one is None else model([*nothing.findings, one])
+        # What training proves goes first unless it leaves twice as much of the test.
+        if by_test is not None and 2.0 * by_test.tests[1].rms < left:
+            return by_test
+    return kept
+
+
+def _not_worse(
+    channel: Channel, findings: Sequence[Finding], left_out: list[dict[str, Any]]
+) -> list[Finding]:
+    """Return the findings without those that the test refutes, being worse with them: they are left out.
+
+    What does not carry over is estimated in the test with both, and predicts nothing that could be refuted.
+    """
+    kept = list(findings)
+    while kept and channel.test:
+        everything = _fit(channel, kept)
+        carried = {part.effect.label for part in everything.parts if part.carries}
+        with_it, trials = score_test(channel, everything).estimated_rms, []
+        for finding in kept:
+            rest = _fit(channel, [one for one in kept if one is not finding])
+            without = score_test(channel, rest, like=everything).estimated_rms
+            if without < with_it and finding.name in carried:
+                trials.append((without, finding))
+        if not trials:
+            break
+        without, worst = min(trials, key=lambda trial: trial[0])
+        left_out.append({"name": worst.name, "test_rms_with": with_it, "test_rms_without": without})
+        kept.remove(worst)
+    return kept
+
+
+def _refuted(channel: Channel, baseline: Fit, model: _Model) -> str:
+    """Return what of training, or of the test, refutes a model; empty where nothing does.
+
+    What is estimated in the test counts only where nothing is left: a level and a jump take away some of
+    whatever is slow.
+    """
+    floor, (test_before, test_after) = channel.limit, model.tests
+    if channel.test and not np.isfinite(test_after.rms):
+        return "no block of the test can be scored with it"
+    what, before, left = "the training", baseline.train_rms, model.after.train_rms
+    if explains(before, left, floor):
+        if not test_after.left >= CLEAN * floor or explains(test_before.rms, test_after.rms, floor):
+            return ""
+        what, before, left = "the test", test_before.rms, test_after.rms
+    share = max(0.0, explained_share(before, left, floor))
+    floors = f"{before / floor:.1f} white floors become {left / floor:.1f}"
+    return f"it explains only {share:.0%} of {what}: {floors}"
+
+
+def _proven_by_test(channel: Channel, found: Search, nothing: _Model) -> Finding | None:
+    """Return the effect that predicts the test best, if it explains it, where training proves nothing.
+
+    Noise that wanders as fast as it does within minutes may go anywhere within the hour, so that no
+    likelihood tells a loop that was gone through once from a wander.  But no wander goes the same way again.
+    Only effects count that make the training likelier, by more than their coefficients cost, and only a test
+    that is not woven into the training, where any smooth course joins the ends.  The test chooses here, so
+    effects of other names that explain it as well are not told apart.
+    """
+    before = nothing.after
+    woven = [
+        run.time_s[0] < channel.pool.runs[at].time_s[-1]
+        for run in channel.test
+        if (at := begun(channel, run)) is not None
+    ]
+    if not channel.test or any(woven):
+        return None
+    also = [finding.candidate for finding in nothing.findings]
+    hits: list[tuple[float, Finding]] = []
+    for candidate, gain in _tried(channel, found, also):
+        after = fit(channel, [*also, candidate])
+        without, left = score_test(channel, before, like=after).rms, score_test(channel, after).rms
+        large = without**2 - left**2 >= (PROVEN_FLOORS * channel.floor.sd) ** 2
+        if large and explained_share(without, left, channel.floor.sd) >= EXPLAINED:
+            hits.append((left, Finding(candidate, gain, gain, {candidate.family: gain}, by_test=True)))
+    return chosen_by_test(hits)
+
+
+def _tried(channel: Channel, found: Search, also: Sequence[Candidate]) -> Iterator[tuple[Candidate, float]]:
+    """Yield the candidates that the test may prove, and the gain of their family.
+
+    The likelihood looks at what is fast; of a slow course least squares see more.  So the best of each family
+    is yielded by either.
+    """
+    for table in found.tables:
+        for name, leader in table.items():
+            if leader.fit > 0.0 and leader.candidate.carries:
+                yield leader.candidate, leader.gain
+                plain = [one for one in found.tried if len(one.parts) == 1 and not one.free_start]
+                rest = [one for one in plain if one.family == name and one.carries]
+                yield min(rest, key=lambda one: channel.residual_rms([*also, one])), leader.gain
+
+
+def chosen_by_test(hits: Sequence[tuple[float, Finding]]) -> Finding | None:
+    """Return, of effects with what they leave of the test, the one that leaves least; effects of other names
+    are not told apart from it."""
+    if not hits:
+        return None
+    by_name: dict[str, Finding] = {}
+    for _, finding in sorted(hits, key=lambda hit: hit[0]):
+        by_name.setdefault(finding.name, finding)
+    best, *others = by_name.values()
+    best.rivals = {name: finding.gain for name, finding in by_name.items()}
+    best.others = {one.name: one.candidate for one in others[: MOST_NAMES - 1]}
+    return best
+
+
+def _fit(channel: Channel, findings: Sequence[Finding]) -> Fit:
+    return fit(channel, [finding.candidate for finding in findings])

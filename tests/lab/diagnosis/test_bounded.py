@@ -9,7 +9,7 @@ import pytest
 
 from imumon.blocks import FloatArray
 from imumon.effects.vibration import VIBRATION
-from imumon.lab.diagnosis.bounded import MOST_SLOTS, BoundedRun
+from imumon.lab.diagnosis.live import MOST_SLOTS, BoundedRun
 from imumon.lab.diagnosis.runs import SECOND_NS
 from imumon.recordings.reduced import ACCEL, KeptSlots
 
@@ -64,7 +64,7 @@ def test_a_week_is_kept_in_as_much_memory_as_two_hours() -> None:
             after_an_hour = tracemalloc.get_traced_memory()[0]
     grown = tracemalloc.get_traced_memory()[0] - after_an_hour
     tracemalloc.stop()
-    assert aged.nbytes == 32 * MOST_SLOTS * len(names)
+    assert aged._sums.nbytes == 32 * MOST_SLOTS * len(names)
     assert grown < 1000 * piece // SAMPLES  # not even what the last hour alone would take
     run = aged.run()
     assert MOST_SLOTS // 2 <= len(run.time_s) <= MOST_SLOTS
@@ -104,4 +104,4 @@ def test_a_clock_that_leaps_by_years_costs_no_memory() -> None:
     aged.take(seconds(0, np.ones((10, 1)), np.ones(10)))
     aged.take(seconds(10**9, np.ones((10, 1)), np.ones(10)))
     assert len(aged.run().time_s) <= MOST_SLOTS
-    assert aged.nbytes == 32 * MOST_SLOTS
+    assert aged._sums.nbytes == 32 * MOST_SLOTS

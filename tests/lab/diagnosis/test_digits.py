@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from imumon.blocks import FloatArray, SampleBlock
-from imumon.lab.diagnosis.conclusion import conclusion, next_step
 from imumon.lab.diagnosis.diagnose import Diagnosis, diagnose
 from imumon.lab.diagnosis.quality import Watcher
-from imumon.lab.diagnosis.report import report
+from imumon.lab.diagnosis.report import conclusion, next_step, report
 from imumon.lab.diagnosis.runs import Run
-from imumon.lab.diagnosis.usable import faults
 from tests.lab.diagnosis.units import DPH, WHITE_DPH, Bias, cubic, ramps
 
 RATE = 4
@@ -93,10 +89,3 @@ def test_a_bias_that_stays_within_a_step_is_not_known_to_be_complete() -> None:
     assert verdict.test_after is not None
     verdict.claims, verdict.unexplained, verdict.test_after.rms = [], False, 0.1 * verdict.channel.floor.sd
     assert verdict.row.state == "too few digits"
-
-
-def test_what_never_changes_has_no_rate() -> None:
-    run = rounded(1, True, 1.5, nothing, 12.0, 20.0)
-    (samples,) = run.samples.values()
-    still = replace(run, samples={"gyro_x": replace(samples, step=0.0, repeated=1.0)})
-    assert not [one for one in faults([still], "gyro_x", 1e-6) if "another rate" in one.text]

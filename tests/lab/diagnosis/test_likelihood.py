@@ -8,9 +8,8 @@ from imumon.effects.base import Drive
 from imumon.effects.since_power_on import Drift, StressRelaxation
 from imumon.lab.diagnosis.blocks import make_blocks
 from imumon.lab.diagnosis.candidates import Candidate, Part, Pool
-from imumon.lab.diagnosis.choice import PROVEN
 from imumon.lab.diagnosis.likelihood import GRID, TAUS_S, Likelihood, no_larger
-from tests.lab.diagnosis.units import DPH, WHITE_DPH, Bias, ramps, run, telegraph
+from tests.lab.diagnosis.units import DPH, WHITE_DPH, ramps, run
 
 SECONDS = 7200
 
@@ -42,18 +41,6 @@ def test_what_is_a_walk_without_a_drift_is_flicker_with_it() -> None:
     assert noise in no_larger(walk)
     assert noise[0] > walk[0]
     assert noise[1] < walk[1]
-
-
-def test_what_jumps_has_innovations_with_heavy_tails() -> None:
-    def tails(bias: Bias) -> float:
-        blocks = make_blocks(run(5, *ramps(SECONDS, up=True), bias), ["gyro_x"], ["temperature"])
-        curve = (blocks.temperature["temperature"] - 25.0)[:, np.newaxis] ** np.arange(4)
-        likelihood, values = Likelihood([blocks]), blocks.mean["gyro_x"] / DPH
-        return likelihood.tails(values, curve, likelihood.best(values, curve)[1])
-
-    walk = WHITE_DPH * np.cumsum(np.random.default_rng(2).standard_normal(SECONDS)) / 20.0
-    assert tails(telegraph) > PROVEN
-    assert tails(lambda _, __: walk) < PROVEN
 
 
 def test_a_spectrum_with_both_signs_explains_nothing() -> None:

@@ -33,7 +33,9 @@ def test_a_channel_with_one_value_is_left_out_and_said() -> None:
         one.mean["gyro_y"], one.variance["gyro_y"] = np.zeros(SECONDS), np.zeros(SECONDS)
         one.count["gyro_y"] = one.count["gyro_x"]
     remark = "gyro_y is left out: it has one value throughout, 0 rad/s"
-    assert usable_channels(train, test, SENSORS) == (["gyro_x"], [remark])
+    remarks: list[str] = []
+    assert usable_channels(train, test, SENSORS, remarks) == ["gyro_x"]
+    assert remarks == [remark]
 
 
 def test_a_channel_of_one_value_whose_means_differ_in_the_last_bit_is_left_out_and_said() -> None:
@@ -53,14 +55,17 @@ def test_a_channel_that_a_training_run_lacks_is_left_out_and_said() -> None:
     both = {**train[0].mean, "gyro_z": train[0].mean["gyro_x"]}
     train[0] = replace(train[0], mean=both, variance={**train[0].variance, "gyro_z": np.ones(SECONDS)})
     remark = f"gyro_z is left out: {train[1].name} hardly has it"
-    assert usable_channels(train, test, SENSORS) == (["gyro_x"], [remark])
+    remarks: list[str] = []
+    assert usable_channels(train, test, SENSORS, remarks) == ["gyro_x"]
+    assert remarks == [remark]
 
 
 def test_runs_that_move_or_lack_a_temperature_are_named_and_the_others_used() -> None:
     train, test = three(still, SECONDS)
     block_s = common_block_s(train)
     bare = replace(train[0], name="bare", mean={"gyro_x": train[0].mean["gyro_x"]})
-    found, remarks = usable_blocks([moving(train[0]), train[1], bare], *NAMES, block_s)
+    remarks: list[str] = []
+    found = usable_blocks([moving(train[0]), train[1], bare], *NAMES, block_s, remarks)
     assert [run.name for run in found] == [train[1].name]
     assert remarks == [
         f"{train[0].name}: not used, the unit moves: at rest for 0% of its {SECONDS / 60:.0f} min",
@@ -68,8 +73,8 @@ def test_runs_that_move_or_lack_a_temperature_are_named_and_the_others_used() ->
     ]
     check_training(found, remarks, block_s)
     with pytest.raises(ImumonError, match="the unit moves"):
-        check_training(*usable_blocks([moving(train[0])], *NAMES, block_s), block_s)
+        check_training(usable_blocks([moving(train[0])], *NAMES, block_s, remarks), remarks, block_s)
     caveats = diagnose(train, [moving(test[0])]).caveats
-    assert "no run of the test can be used: there is no independent proof" in caveats
+    assert "no run can be used as a test: there is no independent proof" in caveats
     assert resting(train[1])
     assert not resting(moving(train[1]))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imumon.allan.covariance import FLOOR_PER_INSTABILITY
-from imumon.lab.diagnosis.whitening import whiten
+from imumon.lab.diagnosis.likelihood import whiten
 from tests.bias_noise import covariance, flicker
 
 TAUS = np.array([1.0, 10.0, 100.0, 1e3, 1e4])
