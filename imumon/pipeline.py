@@ -7,6 +7,7 @@ cut into pieces: a replay of a recording gives the same numbers, bit for bit.
 from __future__ import annotations
 
 import hashlib
+import pickle
 import zlib
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -93,8 +94,6 @@ class PipelineCounters(Counters):
 
 class Pipeline:
     """Decoder, clock and estimators in order.
-
-    A pickle of it is a snapshot: what is loaded from that goes on, bit for bit.
 
     Parameters
     ----------
@@ -198,6 +197,29 @@ class Pipeline:
                 dated_by=self._device_clock.dated_by if is_main else "",
             )
         return counters
+
+    def snapshot(self) -> bytes:
+        """Return decoder, clocks and stages as they are now; `restore` goes on from there, bit for bit.
+
+        The bytes belong to this version of imumon and of its packages.
+        """
+        return pickle.dumps(self)
+
+    @staticmethod
+    def restore(snapshot: bytes) -> Pipeline:
+        """Return a pipeline that goes on where `snapshot` was taken.
+
+        Only for bytes of one's own: like everything that pickle reads, they can run code.
+
+        Raises ValueError when they are damaged, no snapshot of a pipeline, or of another version of imumon.
+        """
+        try:
+            pipeline = pickle.loads(snapshot)
+        except Exception as error:  # damaged bytes make pickle raise whatever there is
+            raise ValueError(f"no snapshot of a pipeline of this version of imumon: {error}") from error
+        if not isinstance(pipeline, Pipeline):
+            raise ValueError(f"a {type(pipeline).__name__} is no snapshot of a pipeline")
+        return pipeline
 
     def feed(self, data: bytes, arrival_ns: int = UNDATED) -> None:
         """Decode bytes that arrived at `arrival_ns` (Unix time, ns)."""

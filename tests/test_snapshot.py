@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
-
 import pytest
 
 from imumon.pipeline import Digest, Pipeline
@@ -25,7 +23,7 @@ def test_every_stage_goes_on_where_it_stopped() -> None:
         expected.update(whole.take())
         parts.push(block)
         found.update(parts.take())
-        parts = pickle.loads(pickle.dumps(parts))
+        parts = Pipeline.restore(parts.snapshot())
     assert found.hexdigest() == expected.hexdigest()
     assert [chart.key for chart in parts.charts()] == [chart.key for chart in whole.charts()]
 
@@ -39,7 +37,7 @@ def test_every_decoder_goes_on_in_the_middle_of_a_packet(name: str) -> None:
         whole.feed(packet, number * INTERVAL_NS)
         parts.feed(packet[: len(packet) // 2], number * INTERVAL_NS)
         if number % 20 == 10:
-            parts = pickle.loads(pickle.dumps(parts))
+            parts = Pipeline.restore(parts.snapshot())
         parts.feed(packet[len(packet) // 2 :], number * INTERVAL_NS)
     for pipeline, digest in ((whole, expected), (parts, found)):
         pipeline.finish()
@@ -47,3 +45,9 @@ def test_every_decoder_goes_on_in_the_middle_of_a_packet(name: str) -> None:
     assert whole.counters.samples > 0
     assert parts.counters == whole.counters
     assert found.hexdigest() == expected.hexdigest()
+
+
+@pytest.mark.parametrize("given", [b"junk", b"N.", Pipeline(None).snapshot()[:-100]])
+def test_what_is_no_snapshot_is_refused_in_words(given: bytes) -> None:
+    with pytest.raises(ValueError, match="no snapshot of a pipeline"):
+        Pipeline.restore(given)
