@@ -16,8 +16,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import psutil
 from rerun.experimental import ViewerClient
+from study import Cells, Table
 
-from benchmarks.measure import Bar, Result, Table
+from benchmarks.measure import Bar, Result
 from imumon.protocols.device import load_device
 from imumon.simulation.virtual_device import VirtualDevice
 from imumon.view.viewer import VIEWER_PORT, Answer, probe, proxy_url, start_viewer
@@ -41,29 +42,25 @@ class Cost:
 
 def live() -> Result:
     """Record a virtual AHRS with the native view, on a viewer without a screen."""
-    table = Table(
-        "Live run with the native view",
-        ["rate", "monitor", "view process", "both", "viewer", "age p50", "age p99", "load of the machine"],
-    )
+    rows: list[Cells] = []
     bars: list[Bar] = []
     for rate in RATES_HZ:
         cost = _measured(rate)
         both, (middle, oldest) = cost.monitor + cost.view, np.quantile(cost.ages_s, (0.5, 0.99))
-        table.rows.append(
-            [
-                f"{rate:g} Hz", f"{cost.monitor:.1%}", f"{cost.view:.1%}", f"{both:.1%} of a core",
-                f"{cost.viewer:.1%}", f"{1e3 * middle:.0f} ms", f"{1e3 * oldest:.0f} ms", f"{cost.load:.1f}",
-            ]
-        )  # fmt: skip
+        shares = [cost.monitor, cost.view, both, cost.viewer]
+        rows.append([f"{rate:g} Hz", *shares, 1e3 * middle, 1e3 * oldest, cost.load])
         if rate == max(RATES_HZ):
             bars.append(Bar(f"live at {rate:g} Hz, share of a core", MOST_OF_A_CORE, both, at_most=True))
             bars.append(Bar(f"live at {rate:g} Hz, age p99, s", OLDEST_S, float(oldest), at_most=True))
-    table.notes += [
+    note = (
         f"{MEASURED_S:g} s, after {SETTLING_S:g} s; the virtual device and the viewer, drawing by software, "
-        f"have the {os.cpu_count()} cores, too, and do not count",
-        "age: of the newest sample that the viewer has since its arrival, read about 50 times a second",
-    ]
-    return [table], bars
+        f"have the {os.cpu_count()} cores, too, and do not count.\n\n"
+        "age: of the newest sample that the viewer has since its arrival, ms, read about 50 times a second"
+    )
+    shares_of = ["monitor", "view process", "both, of a core", "viewer"]
+    heads = ["rate", *shares_of, "age p50", "age p99", "load of the machine"]
+    formats = ("", ".1%", ".1%", ".1%", ".1%", ".0f", ".0f", ".1f")
+    return [Table("## Live run with the native view", heads, rows, note, formats)], bars
 
 
 def _measured(rate_hz: float) -> Cost:

@@ -133,6 +133,12 @@ def picture_name(scene: str, tab: str) -> str:
     return f"{scene}-{tab.replace(' ', '-').lower()}.png"
 
 
+def keep_small(picture: Path, name: str) -> None:
+    """Put a picture into the docs, with few colours."""
+    small = Image.open(picture).convert("RGB").quantize(COLORS)
+    small.save(PICTURES / f"{name}.png", optimize=True)
+
+
 def main() -> int:
     """Photograph scenes; return 1 when a picture is wrong."""
     found, faults = scenes(DATA), list[str]()
@@ -152,9 +158,7 @@ def main() -> int:
             print(f"{name}: {found[name].shows}")
         for shown, (name, tab) in SHOWN.items():
             if (taken := folder / picture_name(name, tab)).exists():
-                Image.open(taken).convert("RGB").quantize(COLORS).save(
-                    PICTURES / f"{shown}.png", optimize=True
-                )
+                keep_small(taken, shown)
     for fault in faults:
         print(f"FAULT {fault}")
     return 1 if faults else 0
