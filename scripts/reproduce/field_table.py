@@ -10,9 +10,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from alignment_site import AT_S, outcome
-from alignment_site_scenes import SCENES as SITES
-from bias_race_study import DEFAULTS, Run, vqf
+from bias_race_study import DEFAULTS, vqf
 from broad import bias_errors
 from field_surprises import SURPRISES, met
 from handled_units import CASES, MOVING, RATE_HZ, estimated, places, simulate
@@ -49,7 +47,6 @@ from thermometers import (
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.geodesy import DEG_PER_H
-from imumon.simulation.unit.scenario import load_scenario
 
 HOLD_S, RAMP_S = 300.0, 300.0
 SMOOTH_S = 600.0
@@ -141,19 +138,8 @@ def thermometer_peers(
     return {"Savitzky-Golay": rms(np.concatenate(found))}
 
 
-def north_rows(seeds: range, _: Path) -> Iterator[Row]:
-    """Sites that sway, are walked upon and settle: the heading after 20, 60 and 600 s."""
-    for scene in SITES:
-        found = np.array([outcome(scene, seed)[0] for seed in seeds])
-        for k, second in enumerate(AT_S):
-            error, sd, plain, hann = found[:, k].T
-            peers = {"plain mean": rms(plain), "Hann mean": rms(hann)}
-            yield Row("north", f"{scene.name}, {second} s", "°", rms(error), error / sd, peers)
-
-
 def bias_rows(seeds: range, _: Path) -> Iterator[Row]:
     """A unit in a hand, on a rover, in a car: the bias at rest and in motion."""
-    scenario = load_scenario("warm-up").model_copy(update={"rate_hz": RATE_HZ})
     for name, case in CASES.items():
         ratios, mistakes = [], []
         peers: dict[str, list[FloatArray]] = {peer: [] for peer in DEFAULTS}
@@ -163,10 +149,8 @@ def bias_rows(seeds: range, _: Path) -> Iterator[Row]:
             rows, motion = places(record.rest)
             ratios.append((error / sd)[rows].ravel())
             mistakes.append(error[motion].ravel())
-            time_s = estimates.samples["device_time_ns"] * 1e-9
-            run = Run(scenario, estimates.samples, record.bias, record.earth, time_s, record.rest)
             for peer, method in DEFAULTS.items():
-                peers[peer].append((method(run) - record.bias - record.earth)[motion].ravel())
+                peers[peer].append((method(estimates) - record.bias - record.earth)[motion].ravel())
         others = {peer: rms(np.concatenate(parts)) / DEG_PER_H for peer, parts in peers.items()}
         found = np.concatenate(ratios)
         yield Row("bias", name, "°/h", rms(np.concatenate(mistakes)) / DEG_PER_H, found, others)
@@ -174,16 +158,13 @@ def bias_rows(seeds: range, _: Path) -> Iterator[Row]:
 
 def moving_rows(seeds: range, _: Path) -> Iterator[Row]:
     """Vehicles, a boat, somebody who walks and a drone that never rest: the bias once a second."""
-    scenario = load_scenario("warm-up").model_copy(update={"rate_hz": RATE_HZ})
     later = slice(round(FIRST_WINDOW_S * RATE_HZ), None, round(RATE_HZ))
     for name, case in MOVING.items():
         found = []
         for seed in seeds:
             record = simulate(case, seed)
             error, sd, estimates = estimated(case, record)
-            time_s = estimates.samples["device_time_ns"] * 1e-9
-            run = Run(scenario, estimates.samples, record.bias, record.earth, time_s, record.rest)
-            other = vqf()(run) - record.bias - record.earth
+            other = vqf()(estimates) - record.bias - record.earth
             found.append([of[later].ravel() / DEG_PER_H for of in (error, sd, other)])
         error, sd, other = (np.concatenate(parts) for parts in zip(*found, strict=True))
         peers = {"VQF, the same axes": rms(other[np.isfinite(error)]), "VQF, all axes": rms(other)}
@@ -228,6 +209,6 @@ def study(rows: Callable[[range, Path], Iterator[Row]]) -> Study:
     return Study(tables, seeds=3, first=1000)
 
 
-REST, THERMOMETER, NORTH = study(rest_rows), study(thermometer_rows), study(north_rows)
+REST, THERMOMETER = study(rest_rows), study(thermometer_rows)
 BIAS, MOVING_BIAS = study(bias_rows), study(moving_rows)
 SURPRISE, MEASURED = study(surprise_rows), study(measured_rows)

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from samples import gauss_markov, sent
+from samples import Record, gauss_markov, sent
 from scipy.spatial.transform import Rotation
 from study import matrix
 
@@ -109,16 +109,6 @@ DRIVES = {
     "drone": Drive(2.0, 0.3, 0.01, (0.12, 0.05, 0.6), (6.0, 10.0, 24.0)),
 }
 LATITUDE_DEG = 40.93
-
-
-@dataclass(frozen=True, eq=False)
-class Record:
-    """What a unit sent, its bias and the earth rate in its axes, (n, 3), and whether it was at rest."""
-
-    samples: SampleBlock
-    bias: FloatArray
-    earth: FloatArray
-    rest: BoolArray
 
 
 def waves(rng: np.random.Generator, t: FloatArray, low_hz: float, high_hz: float, size: float) -> FloatArray:

@@ -12,11 +12,11 @@ from attitude_scenes import simulate as turned_unit
 from attitude_table import heading_error, tilt_error
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from samples import sent, without
+from samples import crs05_model, sent, without
 from smoothing_table import RATE_HZ as SMOOTHED_HZ
 from smoothing_table import smoothed
 from study import DOCS, Cells, Options, Study, Table
-from tczupt_study import DPH, LATITUDE_DEG, ZEROING, true_model
+from tczupt_study import LATITUDE_DEG, ZEROING
 from tczupt_study import simulate as ramp_test
 from thermometers import PER_HOUR
 
@@ -24,6 +24,7 @@ from imumon.blocks import FloatArray
 from imumon.estimation.attitude.stage import AttitudeEstimate
 from imumon.estimation.gyro_bias.stage import GyroBias, RestAndBias
 from imumon.estimation.temperature_rate.method import MultipleModelRate
+from imumon.geodesy import DEG_PER_H
 from imumon.papers.fir import FirRate, Params
 
 FOLDER = DOCS / "figures"
@@ -105,11 +106,11 @@ def bias_in_motion() -> list[Axes]:
     part = slice(ZEROING, None, 50)
     for name, stage in {
         "held (standard)": GyroBias(latitude_deg=LATITUDE_DEG, heading_deg=0.0),
-        "thermal": GyroBias(None, true_model(), "thermal", LATITUDE_DEG, 0.0),
+        "thermal": GyroBias(None, crs05_model(), "thermal", LATITUDE_DEG, 0.0),
     }.items():
         added = stage.process(block)
-        error = ((added["gyro_bias_y"] - record.bias[:, 1]) / DPH)[part]
-        sd = (added["gyro_bias_sd_y"] / DPH)[part]
+        error = ((added["gyro_bias_y"] - record.bias[:, 1]) / DEG_PER_H)[part]
+        sd = (added["gyro_bias_sd_y"] / DEG_PER_H)[part]
         ax.plot(record.seconds[part], error, linewidth=1.0, label=name)
         ax.fill_between(record.seconds[part], error - 2.0 * sd, error + 2.0 * sd, alpha=0.2)
     ax.set_ylabel("°/h")
@@ -118,7 +119,7 @@ def bias_in_motion() -> list[Axes]:
 
 def smoothed_bias() -> list[Axes]:
     """Draw the error of the bias of a unit that is handled, with rests of 10 s, live and smoothed."""
-    record, columns, true, _ = smoothed("warm-up", 900, 100)
+    record, _, columns = smoothed("warm-up", 900, 100)
     (ax,) = axes("Turned by hand, at rest for 10 s every two minutes: bias of y less the truth", 1)
     t = record.stop / SMOOTHED_HZ
     part = slice(None, None, 8)
@@ -126,7 +127,7 @@ def smoothed_bias() -> list[Axes]:
         "live": record.columns["gyro_bias_y"],
         "smoothed": columns["gyro_bias_smoothed_y"],
     }.items():
-        ax.plot(t[part], ((bias - true[:, 1]) / DPH)[part], linewidth=1.0, label=name)
+        ax.plot(t[part], ((bias - columns["true"][:, 1]) / DEG_PER_H)[part], linewidth=1.0, label=name)
     ax.set(ylabel="°/h", xlim=(60.0, 420.0), ylim=(-100.0, 250.0))
     return [ax]
 

@@ -1,4 +1,4 @@
-"""The runner of the studies: options, tables in Markdown, pages, and comparison with a page.
+"""The runner of the studies: options, tables in Markdown, and pages.
 
 A study is a module with `STUDY`.  It defines which scenes, methods and errors make a table; all else is here.
 """
@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
-from difflib import unified_diff
 from importlib import import_module
 from itertools import zip_longest
 from pathlib import Path
@@ -48,7 +47,6 @@ STUDIES: Mapping[str, Mapping[str, str]] = {
     "field": {
         "rest": "field_table:REST",
         "thermometer": "field_table:THERMOMETER",
-        "north": "field_table:NORTH",
         "bias": "field_table:BIAS",
         "moving": "field_table:MOVING_BIAS",
         "surprises": "field_table:SURPRISE",
@@ -174,22 +172,6 @@ def worst_first(rows: Iterable[tuple[float, Cells]]) -> list[Cells]:
     return [cells for _, cells in sorted(rows, key=lambda row: -row[0])]
 
 
-def rows_of(text: str) -> Iterator[tuple[str, str]]:
-    """Yield the lines of all tables of a page, each with the heads of its table."""
-    heads = ""
-    for line in text.splitlines():
-        heads = (heads or line) if line.startswith("|") else ""
-        if heads:
-            yield heads, line
-
-
-def differences(new: str, old: str) -> Iterator[str]:
-    """Yield the rows that differ between two versions of tables with the same heads, as `diff` does."""
-    known = {heads for heads, _ in rows_of(new)}
-    before, after = ([line for heads, line in rows_of(text) if heads in known] for text in (old, new))
-    return unified_diff(before, after, "old", "new", n=0, lineterm="")
-
-
 def write_between(page: Path, name: str, text: str) -> None:
     """Put text between the markers of this name in a page."""
     begin, end = f"<!-- {name} -->\n", f"<!-- end {name} -->"
@@ -214,7 +196,6 @@ def parser_of(
     parser.add_argument("--data", type=Path, default=data, help="folder of the measured recordings")
     parser.add_argument("--jobs", type=int, default=2, help="processes, where a study has some (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="the first of everything, in seconds")
-    parser.add_argument("--beside", type=Path, help="print the rows that differ from those of this page")
     if study.page:
         parser.add_argument("--write", action="store_true", help=f"write the tables into docs/{study.page}")
     return parser
@@ -249,8 +230,6 @@ def main(command: str, arguments: Sequence[str]) -> None:
     seeds = range(given.first, given.first + count)
     options = Options(seeds, given.only, given.data, given.quick, jobs)
     text = printed(study.tables(options))
-    if given.beside:
-        print("\n".join(differences(text, given.beside.read_text(encoding="utf-8"))))
     if study.page and given.write:
         write_between(DOCS / study.page, name or command, text)
 

@@ -194,7 +194,7 @@ def slope_methods(soak: Soak, axis: int) -> dict[str, Function]:
 def slopes(soak: Soak) -> Table:
     """Errors of db/dT by each method."""
     methods = [slope_methods(soak, axis) for axis in range(3)]
-    rows = []
+    rows: list[Cells] = []
     for name in methods[0]:
         errors = [rms(methods[axis][name](INSIDE) - soak.slope[:, axis]) / DEG_PER_H for axis in range(3)]
         rows.append([name, *errors])
@@ -215,7 +215,7 @@ def slopes(soak: Soak) -> Table:
 
 
 def outside(soak: Soak) -> Table:
-    """Return errors outside levels 2 to 14 of 15, over axes and ends: by the tangent, and by the value held."""
+    """Return errors outside levels 2 to 14 of 15, over axes and ends: by tangent, and value held."""
     errors: dict[str, list[FloatArray]] = {"tangent": [], "held": []}
     for axis, channel in enumerate(soak.channels):
         low, high = soak.centers[1] - DWELLING_DEGC, soak.centers[-2] + DWELLING_DEGC
@@ -227,7 +227,9 @@ def outside(soak: Soak) -> Table:
             value, slope = float(curve.value(end)), float(curve.slope(end))
             errors["tangent"].append(value + slope * sign * DISTANCES_DEGC - truth)
             errors["held"].append(value - truth)
-    rows = [[name, *(np.sqrt(np.mean(np.square(of), axis=0)) / DEG_PER_H)] for name, of in errors.items()]
+    rows: list[Cells] = []
+    for name, off in errors.items():
+        rows.append([name, *(np.sqrt(np.mean(np.square(off), axis=0)) / DEG_PER_H)])
     title = (
         "## Outside the calibrated range\n\n"
         "Spline fitted to levels 2 to 14; rms error over axes and both ends, °/h."

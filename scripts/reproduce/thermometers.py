@@ -91,10 +91,9 @@ def flicker(sd: float) -> Noise:
 
 def averaged(sd: float, length: int) -> Noise:
     """Return a moving mean of so many samples of white noise, of this standard deviation in the end."""
+    kernel = np.full(length, 1 / length)
     return lambda n, _, rng: np.asarray(
-        sd
-        * np.sqrt(length)
-        * np.convolve(rng.standard_normal(n + length - 1), np.full(length, 1 / length), "valid")
+        sd * np.sqrt(length) * np.convolve(rng.standard_normal(n + length - 1), kernel, "valid")
     )
 
 
@@ -105,9 +104,7 @@ def telegraph(size: float, time_s: float) -> Noise:
     )
 
 
-def both(
-    *parts: Noise,
-) -> Noise:
+def both(*parts: Noise) -> Noise:
     """Return the sum of noises."""
     return lambda n, rate_hz, rng: np.asarray(sum(part(n, rate_hz, rng) for part in parts))
 
@@ -181,9 +178,7 @@ def drifting(t: FloatArray, start: float) -> tuple[FloatArray, FloatArray]:
     return start + 5.0 / PER_HOUR * t, np.full(len(t), 5.0 / PER_HOUR)
 
 
-def ramp(
-    hold_s: float, rate: float = 2.0 / 60.0
-) -> Callable[[FloatArray, float], tuple[FloatArray, FloatArray]]:
+def ramp(hold_s: float, rate: float = 2.0 / 60.0) -> Profile:
     """Return a temperature that holds and then goes at a rate in °C/s."""
 
     def profile(t: FloatArray, start: float) -> tuple[FloatArray, FloatArray]:

@@ -15,10 +15,7 @@ PACKAGE = ROOT / "imumon"
 PAGE = ROOT / "docs" / "architecture.md"
 BEGIN, END = "<!-- rooms -->\n", "<!-- end rooms -->"
 ROOMS = {
-    "lab": (
-        10_008,
-        "bias models from recordings, what they lack, plans, learning, hard and soft iron",
-    ),
+    "lab": (10_008, "bias models from recordings, what they lack, plans, learning, hard and soft iron"),
     "estimation": (
         13_428,
         "temperature rate, rest, gyro bias, alignment, attitude, smoothing, each with a sigma",

@@ -1,4 +1,7 @@
-"""Pages of the reference that are made from the code: commands, settings, exit codes, library."""
+"""Pages of the reference that are made from the code: commands, settings, exit codes, library.
+
+As a program it writes the table of names at the end of docs/library.md anew.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import inspect
 import re
 import types
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import click
@@ -17,6 +21,8 @@ import imumon
 
 WIDTH = 80
 """Columns of a help text."""
+NAMES = Path(__file__).resolve().parents[2] / "docs" / "library.md"
+"""Page that ends with the table of names."""
 
 
 def pages() -> dict[str, str]:
@@ -215,6 +221,20 @@ def library() -> str:
     return "\n".join(parts)
 
 
+def page_of_names() -> str:
+    """Return the page of the library with its table of names as it should be."""
+    head = "|---|---|\n"
+    rows = []
+    for name in imumon.__all__:
+        offered = getattr(imumon, name)
+        parameters = ", ".join(inspect.signature(offered).parameters) if inspect.isfunction(offered) else None
+        if not isinstance(offered, str):
+            called = name if parameters is None else f"{name}({parameters})"
+            about = _cell((inspect.getdoc(offered) or "").partition("\n\n")[0])
+            rows.append(f"| `imumon.{called}` | {about} |\n")
+    return NAMES.read_text(encoding="utf-8").rpartition(head)[0] + head + "".join(rows)
+
+
 def _members(offered: type) -> Iterator[tuple[str, Any]]:
     """Yield the public methods and properties that a class defines itself, with a docstring."""
     for name, value in vars(offered).items():
@@ -237,3 +257,7 @@ def _described(name: str, offered: Any) -> str:
 
 def _fenced(text: str) -> str:
     return f"```text\n{text.rstrip()}\n```\n"
+
+
+if __name__ == "__main__":
+    NAMES.write_text(page_of_names(), encoding="utf-8")
