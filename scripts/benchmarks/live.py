@@ -9,7 +9,6 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -17,6 +16,7 @@ import numpy as np
 import psutil
 from rerun.experimental import ViewerClient
 from study import Cells, Table
+from support.scenes import at_baud
 
 from benchmarks.measure import Bar, Result
 from imumon.protocols.device import load_device
@@ -29,26 +29,15 @@ STARTING_S, SETTLING_S, MEASURED_S = 30.0, 8.0, 20.0
 MOST_OF_A_CORE, OLDEST_S = 0.25, 0.150
 
 
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """Shares of a core, by process, and the ages of the newest sample that the viewer has, s."""
-
-    monitor: float
-    view: float
-    viewer: float
-    ages_s: np.ndarray[tuple[int], np.dtype[np.float64]]
-    load: float
-
-
 def live() -> Result:
     """Record a virtual AHRS with the native view, on a viewer without a screen."""
     rows: list[Cells] = []
     bars: list[Bar] = []
     for rate in RATES_HZ:
-        cost = _measured(rate)
-        both, (middle, oldest) = cost.monitor + cost.view, np.quantile(cost.ages_s, (0.5, 0.99))
-        shares = [cost.monitor, cost.view, both, cost.viewer]
-        rows.append([f"{rate:g} Hz", *shares, 1e3 * middle, 1e3 * oldest, cost.load])
+        monitor, view, viewer, ages_s = _measured(rate)
+        both, (middle, oldest) = monitor + view, np.quantile(ages_s, (0.5, 0.99))
+        load = os.getloadavg()[0]
+        rows.append([f"{rate:g} Hz", monitor, view, both, viewer, 1e3 * middle, 1e3 * oldest, load])
         if rate == max(RATES_HZ):
             bars.append(Bar(f"live at {rate:g} Hz, share of a core", MOST_OF_A_CORE, both, at_most=True))
             bars.append(Bar(f"live at {rate:g} Hz, age p99, s", OLDEST_S, float(oldest), at_most=True))
@@ -57,22 +46,20 @@ def live() -> Result:
         f"have the {os.cpu_count()} cores, too, and do not count.\n\n"
         "age: of the newest sample that the viewer has since its arrival, ms, read about 50 times a second"
     )
-    shares_of = ["monitor", "view process", "both, of a core", "viewer"]
-    heads = ["rate", *shares_of, "age p50", "age p99", "load of the machine"]
+    heads = ["rate", "monitor", "view process", "both, of a core", "viewer"]
+    heads += ["age p50", "age p99", "load of the machine"]
     formats = ("", ".1%", ".1%", ".1%", ".1%", ".0f", ".0f", ".1f")
     return [Table("## Live run with the native view", heads, rows, note, formats)], bars
 
 
-def _measured(rate_hz: float) -> Cost:
-    description = load_device(DEVICE)
-    fast = description.model_copy(
-        update={"serial": description.serial.model_copy(update={"baudrates": [BAUDRATE]})}
-    )
+def _measured(rate_hz: float) -> tuple[float, float, float, list[float]]:
+    """Return shares of a core of monitor, view process and viewer, and ages of the newest sample, s."""
+    fast = at_baud(load_device(DEVICE), BAUDRATE)
     with (
         TemporaryDirectory(prefix="imumon-") as folder,
         _viewer() as (viewer, drawing),
         VirtualDevice(fast, Path(folder) / "ahrs", rate_hz) as ahrs,
-        monitored(ahrs.port.path, Path(folder), "native") as monitor,
+        _monitor(ahrs.port.path, Path(folder)) as monitor,
     ):
         _wait_for(viewer, monitor)
         time.sleep(SETTLING_S)
@@ -81,11 +68,10 @@ def _measured(rate_hz: float) -> Cost:
         before, began = [_cpu_s(one) for one in processes], time.monotonic()
         ages = []
         while (spent := time.monotonic() - began) < MEASURED_S:
-            newest = _newest_ns(viewer)
-            ages.append((time.time_ns() - newest) * 1e-9)
+            ages.append((time.time_ns() - _newest_ns(viewer)) * 1e-9)
             time.sleep(0.02)
         shares = [(_cpu_s(one) - at) / spent for one, at in zip(processes, before, strict=True)]
-    return Cost(shares[1], sum(shares[2:]), shares[0], np.array(ages), os.getloadavg()[0])
+    return shares[1], sum(shares[2:]), shares[0], ages
 
 
 @contextmanager
@@ -108,10 +94,19 @@ def _viewer() -> Iterator[tuple[ViewerClient, psutil.Process]]:
 
 
 @contextmanager
-def monitored(port: str, folder: Path, view: str) -> Iterator[subprocess.Popen[bytes]]:
-    """Monitor a port; its log goes to the file ``log`` of a folder, the recording to ``session``."""
+def _monitor(port: str, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Monitor a port; its log and the recording go to a folder."""
     program = [sys.executable, "-c", "from imumon.cli import main; main()", "monitor", port]
-    options = ["--device", DEVICE, "--baud", str(BAUDRATE), "--view", view, "--out", str(folder / "session")]
+    options = [
+        "--device",
+        DEVICE,
+        "--baud",
+        str(BAUDRATE),
+        "--view",
+        "native",
+        "--out",
+        str(folder / "session"),
+    ]
     with (folder / "log").open("wb") as log:
         process = subprocess.Popen([*program, *options], stdout=subprocess.DEVNULL, stderr=log)
     try:

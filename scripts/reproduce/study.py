@@ -65,20 +65,8 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Options:
-    """What the command line gives a study.
-
-    Parameters
-    ----------
-    seeds : range
-    only : str
-        Scenes whose name holds this text.
-    data : Path
-        Folder of the measured recordings.
-    quick : bool
-        The first of everything, in seconds.
-    jobs : int
-        Processes.
-    """
+    """What the command line gives a study: scenes whose name holds `only`, recordings in the folder `data`,
+    with `quick` the first of everything, and so many processes."""
 
     seeds: range
     only: str

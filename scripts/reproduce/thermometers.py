@@ -199,6 +199,14 @@ def thermostat(swing: float, period_s: float, lag_s: float = 0.0) -> Profile:
     return profile
 
 
+def play(kind: Kind, profile: Profile, seconds: float, seed: int) -> tuple[FloatArray, ...]:
+    """Return times, temperature, its rate, and the reading, (n,) each."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(int(seconds * kind.rate_hz)) / kind.rate_hz
+    temperature, rate = profile(t, 25.0 + rng.uniform(-0.5, 0.5))
+    return t, temperature, rate, kind.read(temperature, rng)
+
+
 def errors(
     kind: Kind,
     profile: Profile,
@@ -207,10 +215,7 @@ def errors(
     new_method: Callable[[], RateMethod] | None = None,
 ) -> dict[str, FloatArray]:
     """Return once a second: time, errors of temperature and rate (°C, °C/h), and both in units of sigma."""
-    rng = np.random.default_rng(seed)
-    t = np.arange(int(seconds * kind.rate_hz)) / kind.rate_hz
-    temperature, rate = profile(t, 25.0 + rng.uniform(-0.5, 0.5))
-    reading = kind.read(temperature, rng)
+    t, temperature, rate, reading = play(kind, profile, seconds, seed)
     stage = TemperatureRate(new_method=new_method)
     time_ns = np.round(t * 1e9).astype(np.int64)
     length = max(round(BLOCK_S * kind.rate_hz), 1)
