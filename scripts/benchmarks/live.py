@@ -17,11 +17,12 @@ import psutil
 from rerun.experimental import ViewerClient
 from study import Cells, Table
 from support.scenes import at_baud
+from support.screenshots import studio
 
 from benchmarks.measure import Bar, Result
 from imumon.protocols.device import load_device
 from imumon.simulation.virtual_device import VirtualDevice
-from imumon.view.viewer import VIEWER_PORT, Answer, probe, proxy_url, start_viewer
+from imumon.view.viewer import VIEWER_PORT
 
 DEVICE, BAUDRATE = "ax1", 921_600
 RATES_HZ = (100.0, 1000.0)
@@ -57,13 +58,15 @@ def _measured(rate_hz: float) -> tuple[float, float, float, list[float]]:
     fast = at_baud(load_device(DEVICE), BAUDRATE)
     with (
         TemporaryDirectory(prefix="imumon-") as folder,
-        _viewer() as (viewer, drawing),
+        studio(port=VIEWER_PORT) as place,
         VirtualDevice(fast, Path(folder) / "ahrs", rate_hz) as ahrs,
         _monitor(ahrs.port.path, Path(folder)) as monitor,
     ):
+        viewer = place.viewer
         _wait_for(viewer, monitor)
         time.sleep(SETTLING_S)
         measuring = psutil.Process(monitor.pid)
+        drawing = next(one for one in psutil.Process().children() if one.name().startswith("rerun"))
         processes = [drawing, measuring, *measuring.children(recursive=True)]
         before, began = [_cpu_s(one) for one in processes], time.monotonic()
         ages = []
@@ -72,25 +75,6 @@ def _measured(rate_hz: float) -> tuple[float, float, float, list[float]]:
             time.sleep(0.02)
         shares = [(_cpu_s(one) - at) / spent for one, at in zip(processes, before, strict=True)]
     return shares[1], sum(shares[2:]), shares[0], ages
-
-
-@contextmanager
-def _viewer() -> Iterator[tuple[ViewerClient, psutil.Process]]:
-    """Start a viewer where the monitor looks for one; yield what asks it, and its process."""
-    if probe(VIEWER_PORT) is not Answer.CLOSED:
-        sys.exit(f"port {VIEWER_PORT} is in use: close the viewer that is open")
-    process = start_viewer(VIEWER_PORT, "--headless")
-    try:
-        deadline = time.monotonic() + STARTING_S
-        while probe(VIEWER_PORT) is not Answer.RERUN:
-            if process.poll() is not None or time.monotonic() > deadline:
-                sys.exit("no viewer starts here: apt install mesa-vulkan-drivers")
-            time.sleep(0.1)
-        with ViewerClient.connect(proxy_url(VIEWER_PORT)) as client:
-            yield client, psutil.Process(process.pid)
-    finally:
-        process.kill()
-        process.wait()
 
 
 @contextmanager

@@ -115,19 +115,17 @@ def smoother_errors(
 def bias_rows(seeds: range, _: Path) -> Iterator[Row]:
     """A unit in a hand, on a rover, in a car: the bias at rest and in motion."""
     for name, case in CASES.items():
-        ratios, mistakes = [], []
-        peers: dict[str, list[FloatArray]] = {peer: [] for peer in DEFAULTS}
+        ratios, errors = [], []
         for seed in seeds:
             record = simulate(case, seed)
             error, sd, estimates = estimated(case, record)
             rows, motion = places(record.rest)
             ratios.append((error / sd)[rows].ravel())
-            mistakes.append(error[motion].ravel())
-            for peer, method in DEFAULTS.items():
-                peers[peer].append((method(estimates) - record.bias - record.earth)[motion].ravel())
-        others = {peer: rms(np.concatenate(parts)) / DEG_PER_H for peer, parts in peers.items()}
-        found = np.concatenate(ratios)
-        yield Row("bias", name, "°/h", rms(np.concatenate(mistakes)) / DEG_PER_H, found, others)
+            others = (method(estimates) - record.bias - record.earth for method in DEFAULTS.values())
+            errors.append([of[motion].ravel() for of in (error, *others)])
+        ours, *peers = (rms(np.concatenate(parts)) / DEG_PER_H for parts in zip(*errors, strict=True))
+        found = dict(zip(DEFAULTS, peers, strict=True))
+        yield Row("bias", name, "°/h", ours, np.concatenate(ratios), found)
 
 
 def moving_rows(seeds: range, _: Path) -> Iterator[Row]:

@@ -14,7 +14,7 @@ from study import Options, Study, Table, rms
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias.stage import GyroBias
-from imumon.papers.linear import LinearFilter, ModelL
+from imumon.papers.linear import LinearFilter, LinearSeries, ModelL
 from imumon.papers.local_level import means_of
 from imumon.papers.rest_means import ExponentialMean, hold
 from imumon.papers.sigma_points import ModelNL, SigmaPointFilter
@@ -46,15 +46,6 @@ class Record:
     drift: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Output:
-    """x_k|k-1 and x_k|k, and the standard deviation, NaN where there is none, (n,), deg/s."""
-
-    predicted: FloatArray
-    estimate: FloatArray
-    sd: FloatArray
-
-
 def simulate(seconds: float, seed: int) -> Record:
     """Return MTi-28A noise at rest: white noise through a low-pass, and flicker that starts at zero."""
     rng = np.random.default_rng(seed)
@@ -71,24 +62,23 @@ def simulate(seconds: float, seed: int) -> Record:
     return Record(lfilter(b, a, fast)[lead::every][:n] + drift, drift)
 
 
-def published(name: str, delta: float, record: Record) -> Output:
+def published(name: str, delta: float, record: Record) -> LinearSeries:
     """Run a method of the paper, or the plain Kalman filter on model L as "KF"."""
     reading = record.reading
     start = float(np.mean(reading[:RATE_HZ]))
     if name in ("STF", "KF"):
         model = ModelL(0.0, delta, 0.0, (start, start), (VARIANCE / 100, VARIANCE / 100), VARIANCE)
-        linear = LinearFilter(model, 1.0 if name == "STF" else None).process(reading)
-        return Output(linear.predicted, linear.estimate, linear.sd)
+        return LinearFilter(model, 1.0 if name == "STF" else None).process(reading)
     risk = float(name.split()[1]) if " " in name else 0.0
     spread = (0.1 * delta) ** 2
     variances = (VARIANCE / 100, VARIANCE / 100, 0.01, spread, spread)
     nonlinear = ModelNL((start, start, 0.0, delta, 0.0), variances, VARIANCE)
     mu = risk / (2 * (VARIANCE + delta**2))
     result = SigmaPointFilter(nonlinear, (mu, 0.0, 0.0, 0.0, 0.0)).process(reading)
-    return Output(result.predicted, result.estimate, result.sd)
+    return LinearSeries(result.predicted, result.estimate, result.sd)
 
 
-def slow(name: str, rest: FloatArray, record: Record) -> Output:
+def slow(name: str, rest: FloatArray, record: Record) -> LinearSeries:
     """Run "drift" (the default estimate of the bias), "exponential 85 s" and the like, or "hold 60 s".
 
     rest (n,) is 1 where the unit rests.
@@ -99,20 +89,13 @@ def slow(name: str, rest: FloatArray, record: Record) -> Output:
         gyro = np.repeat(np.radians(record.reading)[:, np.newaxis], 3, axis=1)
         added = GyroBias().process(sent(time_s, at_rest=rest, gyro=gyro))
         values, sd = (np.degrees(added[f"gyro_random_error{part}_x"]) for part in ("", "_sd"))
-        return Output(values, values, sd)
+        return LinearSeries(values, values, sd)
     time_ns = np.rint(time_s * 1e9).astype(np.int64)
     means = means_of(time_ns, np.where(rest > 0, record.reading, np.nan))
     kind, seconds, _ = name.split()
     values = (hold if kind == "hold" else ExponentialMean)(float(seconds)).process(means)
     shown = np.append(np.nan, values)[np.minimum(time_ns // 1_000_000_000, len(values))]
-    return Output(shown, shown, np.full(n, np.nan))
-
-
-def exponential(reading: FloatArray, seconds: float) -> FloatArray:
-    """Return a low-pass sample by sample that starts at the mean of the first second."""
-    gain = 1.0 / (seconds * RATE_HZ)
-    start = float(np.mean(reading[:RATE_HZ]))
-    return np.asarray(lfilter([gain], [1.0, gain - 1.0], reading - start) + start)
+    return LinearSeries(shown, shown, np.full(n, np.nan))
 
 
 def compensated(records: Sequence[Record]) -> Table:
@@ -127,7 +110,11 @@ def compensated(records: Sequence[Record]) -> Table:
                 less = [r.reading - output.predicted for r, output in zip(records, outputs, strict=True)]
                 cells.append(_cell(less if meaning == "a" else [output.estimate for output in outputs]))
             rows.append([f"{name} ({meaning})", *cells])
-    rows.append(["exponential 1 s (b)", *[_cell([exponential(r.reading, 1.0) for r in records])] * n])
+    smooth = []
+    for r in records:
+        start = float(np.mean(r.reading[:RATE_HZ]))
+        smooth.append(lfilter([1.0 / RATE_HZ], [1.0, 1.0 / RATE_HZ - 1.0], r.reading - start) + start)
+    rows.append(["exponential 1 s (b)", *[_cell(smooth)] * n])
     title = "Compensated, 60 s: oadev at 0.02/0.1/1/10 s in °/h; rms angle after 60 s in deg"
     return Table(title, ["", *(f"δ¹ {delta:g}" for delta in PRETENDED)], rows)
 
@@ -140,7 +127,7 @@ def _cell(series: Sequence[FloatArray]) -> str:
 
 def against_truth(records: Sequence[Record]) -> Table:
     """Errors against the true drift over an hour, and whether the standard deviations are true."""
-    methods: dict[str, Callable[[Record], Output]] = {
+    methods: dict[str, Callable[[Record], LinearSeries]] = {
         f"{name}, δ¹ {delta:g}": partial(published, name, delta)
         for delta in DELTAS
         for name in ("KF", *PUBLISHED)

@@ -19,13 +19,6 @@ ARW, INSTABILITY, WALK = 0.28, 2.0, 2.0
 """Terms of the Allan curve that is drawn: N in °/√h, B in °/h, K in °/h/√h."""
 
 
-def course() -> FloatArray:
-    """Return the temperature at each step, °C, (n,)."""
-    ramp, hold = np.linspace(0.0, 1.0, round(RAMP_S / STEP_S)), round(HOLD_S / STEP_S)
-    shape = np.concatenate([np.zeros(hold), ramp, np.ones(hold), ramp[::-1], np.zeros(hold)])
-    return np.asarray(COLD + (WARM - COLD) * shape)
-
-
 def curve(degc: FloatArray) -> FloatArray:
     """Return the bias over temperature, °/h, (n,)."""
     u = (degc - COLD) / (WARM - COLD)
@@ -53,7 +46,9 @@ def biases(degc: FloatArray) -> dict[str, FloatArray]:
 
 def biases_over_temperature() -> list[Axes]:
     """Draw the bias over temperature of each sketch, warming and cooling in two colours."""
-    degc = course()
+    ramp, hold = np.linspace(0.0, 1.0, round(RAMP_S / STEP_S)), round(HOLD_S / STEP_S)
+    shape = np.concatenate([np.zeros(hold), ramp, np.ones(hold), ramp[::-1], np.zeros(hold)])
+    degc = np.asarray(COLD + (WARM - COLD) * shape)
     turned = len(degc) // 2
     figure = Figure(figsize=(9.0, 5.0), dpi=100)
     for panel, (name, bias) in zip(

@@ -19,7 +19,6 @@ from imumon.estimation.smoothing.stage import SmoothedEstimates, still_heading
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H
 from imumon.simulation.unit import load_scenario
-from imumon.simulation.unit.unit import SimulatedUnit
 
 CASES = (
     ("self-heating", 300),
@@ -94,7 +93,7 @@ def measured(name: str, seconds: int, seed: int) -> FloatArray:
 def heading(seed: int) -> tuple[float, float, float, float]:
     """Return error of the smoothed heading, °, also over sigma, that forward, °, and the residual r."""
     scenario, recorder = load_scenario("alignment").played(RATE_HZ, "FRD"), Recorder()
-    block, _ = SimulatedUnit(scenario, seed).run(scenario.samples)
+    block = play(scenario, seed, ()).samples
     latitude_deg, true = scenario.latitude_deg or 0.0, np.radians(scenario.attitude.heading_deg)
     declared = AlignmentParameters(accel_bias_sd_ug=ACCEL_BIAS_UG)
     stage = Alignment(declared, latitude_deg, "FRD")

@@ -189,15 +189,6 @@ def parser_of(
     return parser
 
 
-def printed(tables: Iterable[Table]) -> str:
-    """Print tables as they come, and return all of them in Markdown."""
-    done = []
-    for table in tables:
-        done.append(table.markdown())
-        print(done[-1], flush=True)
-    return "\n".join(done)
-
-
 def study_of(place: str) -> tuple[ModuleType, Study]:
     """Return the module of a study and the study, given its place in `STUDIES`."""
     name, _, attribute = place.partition(":")
@@ -217,9 +208,12 @@ def main(command: str, arguments: Sequence[str]) -> None:
     count, jobs = (1, 1) if given.quick else (given.seeds, given.jobs)
     seeds = range(given.first, given.first + count)
     options = Options(seeds, given.only, given.data, given.quick, jobs)
-    text = printed(study.tables(options))
+    done = []
+    for table in study.tables(options):
+        done.append(table.markdown())
+        print(done[-1], flush=True)
     if study.page and given.write:
-        write_between(DOCS / study.page, name or command, text)
+        write_between(DOCS / study.page, name or command, "\n".join(done))
 
 
 if __name__ == "__main__":

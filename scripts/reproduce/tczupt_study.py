@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -14,7 +13,7 @@ from study import Options, Study, Table, matrix
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias, Mode
-from imumon.geodesy import DEG_PER_H, EARTH_RATE, body_to_ned
+from imumon.geodesy import DEG_PER_H
 from imumon.papers.dense_zupt import DenseSettings
 from imumon.papers.fir import FirRate, Params
 from imumon.simulation.unit.scenario import load_scenario
@@ -63,17 +62,9 @@ class Record:
 def simulate(scenario: str, seed: int) -> Record:
     """Play a scenario."""
     played = load_scenario(scenario)
-    sent, truth = SimulatedUnit(played, seed).run(round(played.duration_s * played.rate_hz))
-    latitude = math.radians(played.latitude_deg)
-    earth = EARTH_RATE * np.array([math.cos(latitude), 0.0, -math.sin(latitude)])
-    return Record(
-        block=sent.with_columns({"at_rest": truth["at_rest"]}),
-        gyro=matrix(sent, "gyro"),
-        accel=matrix(sent, "accel"),
-        temperature=truth["temperature"],
-        bias=matrix(truth, "gyro_bias"),
-        earth=body_to_ned(UP, 0.0).T @ earth,
-    )
+    sent, truth = SimulatedUnit(played, seed).run(played.samples)
+    vectors = matrix(sent, "gyro"), matrix(sent, "accel"), truth["temperature"], matrix(truth, "gyro_bias")
+    return Record(sent.with_columns({"at_rest": truth["at_rest"]}), *vectors, matrix(truth, "rate")[0])
 
 
 @dataclass(frozen=True, slots=True)

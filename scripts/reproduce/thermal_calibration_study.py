@@ -9,10 +9,11 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from samples import HIGHEST_DEGC, LOWEST_DEGC, crs05_curves, crs05_slopes
 from scipy.interpolate import CubicSpline
-from study import Cells, Options, Study, Table, rms
+from study import Cells, Options, Study, Table, matrix, rms
 
-from imumon.blocks import BoolArray, FloatArray, SampleBlock
+from imumon.blocks import BoolArray, FloatArray
 from imumon.geodesy import DEG_PER_H
 from imumon.lab.calibration.calibration import calibrate, knots_of
 from imumon.lab.calibration.cells import Channel, channel_of, group, levels
@@ -27,17 +28,15 @@ from imumon.models.model import Curve
 from imumon.recordings.importing import import_table
 from imumon.recordings.reduced import GYRO
 from imumon.simulation.unit import SimulatedUnit, load_scenario
-from imumon.simulation.unit.biases import curve_value
 
 AXES = "xyz"
-INSIDE = np.linspace(-20.53, 48.08, 1373)
+INSIDE = np.linspace(LOWEST_DEGC, HIGHEST_DEGC, 1373)
 """Where curves are compared with the truth, every 0.05 °C."""
-STEP_DEGC = 1e-3
-"""Of the numerical derivative of the true curve."""
 DWELLING_DEGC = 0.1
 EVERY = 4
 """So many means on a level are one for the network: 75 of 300 on each show the same, in less time."""
-_AT_ONCE = 200_000
+AT_ONCE = 150_000
+"""Samples, nine times in the soak."""
 SIZES = (1, 2, 3, 4, 5)
 RESTARTS = 20
 SEED = 1
@@ -76,36 +75,19 @@ class Soak:
         return points.only(np.abs(points.temperature - self.centers[points.level]) < DWELLING_DEGC)
 
 
-def simulated_soak(seed: int, name: str = "crs05-soak") -> Soak:
-    """Run a scenario of the soak; the truth is its curve plus the earth rate, which stays in it."""
+def simulated_soak(seed: int) -> Soak:
+    """Run the scenario of the soak; the truth is its curve plus the earth rate, which stays in it."""
+    name = "crs05-soak"
     scenario = load_scenario(name)
     unit = SimulatedUnit(scenario, seed)
-    earth: list[FloatArray] = []
-
-    def blocks() -> Iterator[SampleBlock]:
-        left = scenario.samples
-        while left:
-            block, truth = unit.run(min(left, _AT_ONCE))
-            left -= len(block)
-            earth.append(np.array([truth[f"rate_{axis}"][0] for axis in AXES]))
-            yield block
-
-    record = record_of(blocks(), name, "0" * 64, axes=scenario.axes)
-    terms = [getattr(scenario.unit.gyro_bias_deg_per_s, axis) for axis in AXES]
-
-    def bias(t: FloatArray) -> FloatArray:
-        return np.deg2rad(np.column_stack([curve_value(term, t) for term in terms]))
-
+    blocks = (unit.run(AT_ONCE)[0] for _ in range(scenario.samples // AT_ONCE))
+    record = record_of(blocks, name, "0" * 64, axes=scenario.axes)
     cells = group([record], None, None)
     centers = levels(cells)
     channels = [channel_of([record], cells, name, centers) for name in GYRO]
-    return Soak(
-        record=record,
-        bias=bias(INSIDE) + earth[0],
-        slope=(bias(INSIDE + STEP_DEGC) - bias(INSIDE - STEP_DEGC)) / (2.0 * STEP_DEGC),
-        centers=centers,
-        channels=[channel for channel in channels if channel is not None],
-    )
+    earth = matrix(SimulatedUnit(scenario, seed).run(1)[1], "rate")
+    bias, slope = crs05_curves(INSIDE) + earth, crs05_slopes(INSIDE)
+    return Soak(record, bias, slope, centers, [channel for channel in channels if channel is not None])
 
 
 def during(record: Record, first: float, last: float) -> Record:

@@ -115,9 +115,9 @@ class Studio:
 
 
 @contextmanager
-def studio(settle_s: float = SETTLE_S) -> Iterator[Studio]:
-    """Start a viewer without a screen, and end it."""
-    port = free_port(9871)
+def studio(settle_s: float = SETTLE_S, port: int | None = None) -> Iterator[Studio]:
+    """Start a viewer without a screen, on any port or this one, and end it."""
+    port = port or free_port(9871)
     os.environ.update(quiet_environment())
     viewer = ViewerClient.spawn(
         headless=True, port=port, executable_path=str(viewer_binary()), hide_welcome_screen=True

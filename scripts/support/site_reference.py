@@ -114,12 +114,9 @@ def _tables(model: type[BaseModel], path: str, shown: set[type[BaseModel]]) -> I
 def _models(annotation: Any) -> list[type[BaseModel]]:
     """Return the models of files that stand in an annotation."""
     if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
-        return [annotation] if annotation.model_fields and not _is_own_file(annotation) else []
+        is_own_file = "format" in annotation.model_fields
+        return [annotation] if annotation.model_fields and not is_own_file else []
     return [one for part in get_args(annotation) for one in _models(part)]
-
-
-def _is_own_file(model: type[BaseModel]) -> bool:
-    return "format" in model.model_fields
 
 
 def _type(field: FieldInfo) -> str:
@@ -248,11 +245,8 @@ def _members(offered: type) -> Iterator[tuple[str, Any]]:
 
 def _described(name: str, offered: Any) -> str:
     """Return a name with its signature, and the docstring."""
-    try:
-        head = f"{name}{inspect.signature(offered)}"
-    except (TypeError, ValueError):
-        head = name
-    return f"{head}\n\n{inspect.getdoc(offered) or ''}"
+    signature = inspect.signature(offered) if callable(offered) else ""
+    return f"{name}{signature}\n\n{inspect.getdoc(offered) or ''}"
 
 
 def _fenced(text: str) -> str:
