@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from dense_record import dense_filter
 from samples import sent
-from study import Cells, Table
+from study import Table
 from vqf import VQF
 
 from benchmarks.measure import Bar, Result, measure
@@ -64,13 +64,8 @@ def zupt() -> Result:
         }
     )
     note = "300 s at 100 Hz in blocks of 10 s, from the start on: the first minute is filtered twice."
-    table = Table("## Gyro bias", ["", "µs per sample of three axes"], rows(cost), note, ("", ".3f"))
+    table = Table("## Gyro bias", ["", "µs per sample of three axes"], [*cost.items()], note, ("", ".3f"))
     return [table], [Bar("gyro bias, standard, us per sample", 0.2, cost["stage, standard"], at_most=True)]
-
-
-def rows(cost: Mapping[str, float]) -> list[Cells]:
-    """Return a row for each name and its number."""
-    return [[name, value] for name, value in cost.items()]
 
 
 def random_error() -> Result:
@@ -93,7 +88,7 @@ def random_error() -> Result:
         }
     )
     note = "The stage in blocks of a second, all that it shows beside included."
-    table = Table("## Random error", ["", "µs per sample and axis"], rows(cost), note, ("", ".3f"))
+    table = Table("## Random error", ["", "µs per sample and axis"], [*cost.items()], note, ("", ".3f"))
     return [table], [Bar("SR-RSUKF, us per sample", 2.0, cost["SR-RSUKF, 5 states"], at_most=True)]
 
 
@@ -120,7 +115,7 @@ def allan() -> Result:
     live_ns = measure({"live": live})["live"] / live_samples
     note = f"live, in blocks of {block}: {live_ns:.0f} ns per sample and channel, 18 kB a channel"
     title = "## Allan deviation, one hour at 400 Hz, six channels, octaves"
-    table = Table(title, ["step", "s"], rows(seconds), note, ("", ".3f"))
+    table = Table(title, ["step", "s"], [*seconds.items()], note, ("", ".3f"))
     grid, _, whole = seconds.values()
     return [table], [
         Bar("Allan analysis of an hour at 400 Hz, six channels, s", 1.0, grid + whole, at_most=True),

@@ -207,11 +207,8 @@ def _sent(
     matrix = np.array(scene.swap) + rng.normal(0.0, scene.scale_sd, (3, 3))
     walk = math.radians(sensor.angle_walk) / 60.0
     gyro = rate @ matrix.T + bias + drift + walk / math.sqrt(dt) * rng.normal(size=(n, 3))
-    accel = (
-        force
-        + rng.normal(0.0, scene.accel_sd, 3)
-        + sensor.velocity_walk / math.sqrt(dt) * rng.normal(size=(n, 3))
-    )
+    accel = force + rng.normal(0.0, scene.accel_sd, 3)
+    accel += sensor.velocity_walk / math.sqrt(dt) * rng.normal(size=(n, 3))
     field = np.einsum("nij,ni->nj", poses, FIELD_UT + _near(scene, rng, t))
     soft = rng.normal(0.0, SOFT, (3, 3))
     mag = field @ (np.eye(3) + 0.5 * (soft + soft.T)).T

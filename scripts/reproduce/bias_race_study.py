@@ -156,21 +156,19 @@ def best(grid: Mapping[str, Method], run: Record) -> str:
     return min(errors, key=lambda name: errors[name])
 
 
-OWN = {
-    "imumon standard, place unknown": imumon("standard", None, False),
-    "imumon standard": imumon("standard", None, True),
-    "imumon learned": imumon("learned", None, True),
-}
-
-
-def with_model(model: BiasModel) -> dict[str, Method]:
-    """Return imumon's with the model of a calibration."""
-    return {
-        "imumon standard, model": imumon("standard", model, True),
-        "imumon thermal": imumon("thermal", model, True),
-        "imumon learned, model": imumon("learned", model, True),
-        "imumon thermal, place unknown": imumon("thermal", model, False),
+def own(model: BiasModel | None) -> dict[str, Method]:
+    """Return imumon's, also with the model of a calibration where there is one."""
+    found = {
+        "imumon standard, place unknown": imumon("standard", None, False),
+        "imumon standard": imumon("standard", None, True),
+        "imumon learned": imumon("learned", None, True),
     }
+    if model is not None:
+        found["imumon standard, model"] = imumon("standard", model, True)
+        found["imumon thermal"] = imumon("thermal", model, True)
+        found["imumon learned, model"] = imumon("learned", model, True)
+        found["imumon thermal, place unknown"] = imumon("thermal", model, False)
+    return found
 
 
 HEADS = ("method", "rms", "worst seed", "rms at the ends of rests", "rms while it moves", "largest")
@@ -182,11 +180,9 @@ def tables(given: Options) -> Iterator[Table]:
     model = None if given.quick else calibrated()
     rms_of: dict[tuple[str, str], FloatArray] = {}
     for scenario, title in TITLES.items():
-        played = scenario_of(scenario)
         if given.quick and scenario != ATHERMAL:
             continue
-        if given.quick:
-            played = played.model_copy(update=QUICK)
+        played = scenario_of(scenario).model_copy(update=QUICK if given.quick else {})
         entered: dict[str, Method] = {"mean of each rest": averaging, **DEFAULTS}
         if model is not None:
             run = play(played, TUNING_SEED, (TemperatureRate(), RestDetector()))
@@ -194,9 +190,7 @@ def tables(given: Options) -> Iterator[Table]:
             title += f"\n\nTuned: imufusion {fusion_name}; VQF {vqf_name}"
             entered["imufusion Bias, tuned"] = FUSION_GRID[fusion_name]
             entered["VQF, tuned"] = VQF_GRID[vqf_name]
-        entered |= OWN
-        if model is not None and scenario != ATHERMAL:
-            entered |= with_model(model)
+        entered |= own(None if scenario == ATHERMAL else model)
         scores: dict[str, list[tuple[float, ...]]] = {name: [] for name in entered}
         for seed in given.seeds:
             run = play(played, seed, (TemperatureRate(), RestDetector()))
@@ -208,12 +202,8 @@ def tables(given: Options) -> Iterator[Table]:
             rms_of[scenario, name] = table[:, 0]
             whole, ends, moving = np.sqrt((table[:, :3] ** 2).mean(0))
             rows.append([name, whole, table[:, 0].max(), ends, moving, table[:, 3].max()])
-        yield Table(
-            f"### {title}\n\n{len(given.seeds)} seeds; deg/h after the third rest",
-            HEADS,
-            rows,
-            formats=FORMATS,
-        )
+        title = f"### {title}\n\n{len(given.seeds)} seeds; deg/h after the third rest"
+        yield Table(title, HEADS, rows, formats=FORMATS)
     lines = [
         f"Thermal, {scenario}, worst of the seeds: {found.max():.1f} deg/h (bar {BAR_DEG_PER_H:.0f})."
         for (scenario, name), found in rms_of.items()

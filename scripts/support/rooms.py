@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -73,13 +74,11 @@ def imported(path: Path) -> Iterator[str]:
             yield str(node.module).split(".")[1]
 
 
-def lines_of_rooms() -> dict[str, int]:
+def lines_of_rooms() -> Counter[str]:
     """Return how many lines each room has."""
-    lines: dict[str, int] = {}
+    lines = Counter[str]()
     for path in sorted(PACKAGE.rglob("*.py")):
-        lines[room_of(path)] = lines.get(room_of(path), 0) + len(
-            path.read_text(encoding="utf-8").splitlines()
-        )
+        lines[room_of(path)] += len(path.read_text(encoding="utf-8").splitlines())
     return lines
 
 
