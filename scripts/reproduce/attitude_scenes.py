@@ -49,11 +49,8 @@ class Scene:
     swap : array (3, 3)
         What the gyros read of the rate: the identity but where axes or signs are mixed up.
     warms : bool
-        Whether the unit warms up.
-    accel_sd : float
-        Turn-on error of its accelerometers, m/s².
-    scale_sd : float
-        Scale and misalignment of its gyros.
+    accel_sd, scale_sd : float
+        Turn-on error of its accelerometers, m/s²; scale and misalignment of its gyros.
     """
 
     moves: Callable[[np.random.Generator, FloatArray, FloatArray], Moves]

@@ -139,14 +139,6 @@ def _moved(case: Case, rng: np.random.Generator, seconds: float) -> tuple[FloatA
     return rate, np.gradient(velocity, 1.0 / RATE_HZ, axis=0) + ramp * waves(rng, t, lowest, highest, shake)
 
 
-def _temperature(case: Case, t: FloatArray) -> FloatArray:
-    if case.temperature == "ramp":
-        return np.asarray(25.0 + t / 30.0)
-    if case.temperature == "warm-up":
-        return np.asarray(45.0 - 20.0 * np.exp(-t / 400.0))
-    return np.full(len(t), 25.0)
-
-
 def simulate(case: Case, seed: int) -> Record:
     """Return a record."""
     rng = np.random.default_rng(seed)
@@ -178,7 +170,8 @@ def _sensed(
     """Return what the sensors make of it, and the bias."""
     n, sensor = len(rate), SENSORS[case.sensor]
     t = np.arange(n) / RATE_HZ
-    degc = _temperature(case, t)
+    courses = {"ramp": 25.0 + t / 30.0, "warm-up": 45.0 - 20.0 * np.exp(-t / 400.0)}
+    degc = courses.get(case.temperature, np.full(n, 25.0))
     bias = np.radians(sensor.turn_on) * rng.normal(size=3)
     bias = bias + sum(gauss_markov(rng, n, RATE_HZ, tau, sensor.flicker_dph * DEG_PER_H) for tau in TAUS_S)
     bias = bias + sensor.thermal * SLOPES_DPH * DEG_PER_H * (degc - 25.0)[:, np.newaxis]

@@ -104,17 +104,8 @@ class Table:
 
 @dataclass(frozen=True)
 class Study:
-    """A study.
-
-    Parameters
-    ----------
-    tables : callable
-        Yields the tables.
-    seeds, first : int
-        Runs of each scene and their first seed, by default.
-    page : str
-        Page below docs with the tables of `--write`, between markers with the name of the study or its part.
-    """
+    """A study: what yields its tables, runs of each scene and their first seed by default, and the page below
+    docs that `--write` puts the tables into, between markers with the name of the study or its part."""
 
     tables: Callable[[Options], Iterable[Table]]
     seeds: int = 1
@@ -198,6 +189,8 @@ def study_of(place: str) -> tuple[ModuleType, Study]:
 
 def main(command: str, arguments: Sequence[str]) -> None:
     """Run a study."""
+    if command not in STUDIES:
+        raise SystemExit(f"scripts/reproduce/NAME [--help], where NAME is one of {', '.join(STUDIES)}")
     parts = STUDIES[command]
     part = argparse.ArgumentParser(add_help=False)
     if len(parts) > 1:
