@@ -22,7 +22,7 @@ from support.screenshots import studio
 from benchmarks.measure import Bar, Result
 from imumon.protocols.device import load_device
 from imumon.simulation.virtual_device import VirtualDevice
-from imumon.view.viewer import VIEWER_PORT
+from imumon.view.viewer import VIEWER_PORT, Answer, probe
 
 DEVICE, BAUDRATE = "ax1", 921_600
 RATES_HZ = (100.0, 1000.0)
@@ -32,6 +32,8 @@ MOST_OF_A_CORE, OLDEST_S = 0.25, 0.150
 
 def live() -> Result:
     """Record a virtual AHRS with the native view, on a viewer without a screen."""
+    if probe(VIEWER_PORT) is not Answer.CLOSED:
+        sys.exit(f"port {VIEWER_PORT} is in use: close the viewer that is open")
     rows: list[Cells] = []
     bars: list[Bar] = []
     for rate in RATES_HZ:
@@ -81,18 +83,9 @@ def _measured(rate_hz: float) -> tuple[float, float, float, list[float]]:
 def _monitor(port: str, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
     """Monitor a port; its log and the recording go to a folder."""
     program = [sys.executable, "-c", "from imumon.cli import main; main()", "monitor", port]
-    options = [
-        "--device",
-        DEVICE,
-        "--baud",
-        str(BAUDRATE),
-        "--view",
-        "native",
-        "--out",
-        str(folder / "session"),
-    ]
+    options = f"--device {DEVICE} --baud {BAUDRATE} --view native --out {folder}/session"
     with (folder / "log").open("wb") as log:
-        process = subprocess.Popen([*program, *options], stdout=subprocess.DEVNULL, stderr=log)
+        process = subprocess.Popen([*program, *options.split()], stdout=subprocess.DEVNULL, stderr=log)
     try:
         yield process
     finally:
