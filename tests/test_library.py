@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import runpy
 import sys
 import textwrap
 from collections.abc import Iterator
@@ -13,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.site_reference import page_of_names
 
 import imumon
 from imumon import plugins
@@ -63,8 +63,7 @@ def test_the_page_runs_as_it_stands(
 
 
 def test_the_table_of_names_is_that_of_the_package() -> None:
-    script = PAGE.parents[1] / "scripts" / "support" / "library_names.py"
-    assert runpy.run_path(str(script))["page"]() == PAGE.read_text(encoding="utf-8")
+    assert page_of_names() == PAGE.read_text(encoding="utf-8")
     for name in imumon.__all__:
         assert getattr(imumon, name) is not None
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 from benchmarks import race
-from benchmarks.measure import Table
+from study import Table
 
 
 def column(table: Table, heading: str) -> list[str]:
-    at = table.headings.index(heading)
-    assert all(len(row) == len(table.headings) for row in table.rows)
-    return [row[at] for row in table.rows]
+    at = table.heads.index(heading)
+    assert all(len(row) == len(table.heads) for row in table.rows)
+    return [str(row[at]) for row in table.rows]
 
 
 def test_decoders_agree_with_every_package_that_is_installed() -> None:

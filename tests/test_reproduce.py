@@ -130,7 +130,7 @@ def test_parts_that_the_docs_name_exist() -> None:
             assert part in study.STUDIES["closing_the_loop"], f"{page.name}: --part {part}"
 
 
-def test_tables_are_written_between_markers_and_compared(tmp_path: Path) -> None:
+def test_tables_are_written_between_markers(tmp_path: Path) -> None:
     import study
 
     page = tmp_path / "page.md"
@@ -140,5 +140,3 @@ def test_tables_are_written_between_markers_and_compared(tmp_path: Path) -> None
     assert page.read_text(encoding="utf-8") == (
         "before\n<!-- one -->\nTitle\n\n| a | b |\n|---|---|\n| 1 | 2 |\n<!-- end one -->\nafter\n"
     )
-    assert not list(study.differences(table, page.read_text(encoding="utf-8")))
-    assert "+| 1 | 3 |" in study.differences(table.replace("2", "3"), page.read_text(encoding="utf-8"))

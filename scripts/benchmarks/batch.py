@@ -9,7 +9,9 @@ from tempfile import TemporaryDirectory
 from time import perf_counter, process_time
 from typing import Any
 
-from benchmarks.measure import Bar, Result, Table
+from study import Cells, Table
+
+from benchmarks.measure import Bar, Result
 from imumon.fleet.batch.dataset import Dataset, Row
 from imumon.fleet.batch.options import BatchOptions
 from imumon.fleet.batch.running import run_jobs, workers
@@ -39,19 +41,18 @@ def batch() -> Result:
             work(job)
         alone = (process_time() - began) / ALONE
         wall, rest, rows = _run(tiny, 2)
-    title = f"Batch: {SESSIONS} sessions of {SECONDS:g} s at 100 Hz replayed"
-    table = Table(title, ["", "s"], [["one worker", f"{one:.1f}"], ["two workers", f"{two:.1f}"]])
-    overhead = Table(f"Batch: {TINY:,} sessions of {TINY_SECONDS:g} s decoded", ["", "ms a session"])
-    overhead.rows = [
-        ["CPU without a scheduler", f"{1e3 * alone:.2f}"],
-        ["CPU of scheduler, client and table", f"{1e3 * rest / TINY:.2f}"],
-        ["on the clock, two workers", f"{1e3 * wall / TINY:.2f}"],
+    title = f"## Batch: {SESSIONS} sessions of {SECONDS:g} s at 100 Hz replayed"
+    table = Table(title, ["", "s"], [["one worker", one], ["two workers", two]], formats=("", ".1f"))
+    costs: list[Cells] = [
+        ["CPU without a scheduler", 1e3 * alone],
+        ["CPU of scheduler, client and table", 1e3 * rest / TINY],
+        ["on the clock, two workers", 1e3 * wall / TINY],
     ]
     found = len({row["session"] for row in rows})
-    overhead.notes = [f"{found:,} sessions have rows; failed: {sum('reason' in row for row in rows)}"]
-    return [table, overhead], [
-        Bar("speed of two workers over one", BAR, one / two),
-    ]
+    note = f"{found:,} sessions have rows; failed: {sum('reason' in row for row in rows)}"
+    title = f"## Batch: {TINY:,} sessions of {TINY_SECONDS:g} s decoded"
+    overhead = Table(title, ["", "ms a session"], costs, note, ("", ".2f"))
+    return [table, overhead], [Bar("speed of two workers over one", BAR, one / two)]
 
 
 def _jobs(folder: Path, number: int, seconds: float, command: Any) -> list[Job]:

@@ -1,16 +1,15 @@
-"""From bytes to columns: the 58-byte packet by chunk size, every device, and the pipeline without stages."""
+"""From bytes to columns: the 58-byte packet by chunk size, and every device, whole and damaged."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from study import Cells, Table
 
-from benchmarks.measure import Bar, Result, Table, measure
+from benchmarks.measure import Bar, Result, measure
 from imumon.blocks import ColumnArray, SampleBlock, join
-from imumon.pipeline import Digest, Pipeline
 from imumon.protocols.base import ByteArray
 from imumon.protocols.decoder import Decoder
 from imumon.protocols.device import DeviceFile, device_names, load_device
@@ -19,22 +18,11 @@ from imumon.protocols.fixed import FixedDevice
 CHUNKS = (256, 1024, 4096, 65_536, 1_048_576)
 CHUNK = 65_536
 """As a recording is read: the columns are taken about once in so many bytes."""
-PACKETS, PACKETS_OF_DEVICE, PACKETS_OF_PIPELINE = 20_000, 4000, 6000
+PACKETS, PACKETS_OF_DEVICE = 20_000, 4000
 CODES = {"u8": "u1", "u16": "u2", "i16": "i2", "u32": "u4", "i32": "i4"}
 FLIPS, CUTS, JUNK = 0.01, 0.005, 0.005
 """Shares of packets with a flipped bit, of packets cut short, and of packets with junk before them."""
 LONGEST_JUNK = 60
-LIVE_BYTES, LIVE_TAKE = 100, 5
-"""Live at 100 Hz: reads of about 100 bytes; five of them are 80 ms."""
-NS_PER_BYTE = 10_000_000 / 58
-
-
-@dataclass(frozen=True)
-class Damaged:
-    """A damaged stream, and how many packets are whole in it."""
-
-    data: bytes
-    intact: int
 
 
 def samples(n: int) -> SampleBlock:
@@ -54,10 +42,10 @@ def samples(n: int) -> SampleBlock:
     return SampleBlock(columns)
 
 
-def damage(packets: list[bytes], seed: int) -> Damaged:
+def damage(packets: list[bytes], seed: int) -> bytes:
     """Flip a bit, cut bytes out of the middle, or put junk before."""
     random = np.random.default_rng(seed)
-    stream, intact = bytearray(), 0
+    stream = bytearray()
     for packet in packets:
         draw, changed = random.random(), bytearray(packet)
         if draw < FLIPS:
@@ -65,12 +53,10 @@ def damage(packets: list[bytes], seed: int) -> Damaged:
         elif draw < FLIPS + CUTS:
             start = int(random.integers(len(changed)))
             del changed[start : start + int(random.integers(1, len(changed)))]
-        else:
-            intact += 1
-            if draw < FLIPS + CUTS + JUNK:
-                stream += random.bytes(int(random.integers(1, LONGEST_JUNK)))
+        elif draw < FLIPS + CUTS + JUNK:
+            stream += random.bytes(int(random.integers(1, LONGEST_JUNK)))
         stream += changed
-    return Damaged(bytes(stream), intact)
+    return bytes(stream)
 
 
 def feed_all(decoder: Decoder, chunks: list[ByteArray], take: bool) -> None:
@@ -121,38 +107,23 @@ def decoded(device: DeviceFile, data: bytes, size: int) -> SampleBlock:
 
 
 def chunks() -> Result:
-    """Measure all chunk sizes on the whole and the damaged stream."""
+    """Measure all chunk sizes."""
     device = load_device("ax1")
     assert isinstance(device, FixedDevice)
-    packets = device.encoder().encode(samples(PACKETS))
-    data, damaged = b"".join(packets), damage(packets, seed=2)
-    source, target = np.frombuffer(data, np.uint8), np.zeros(len(data), np.uint8)
-    functions: dict[str, Callable[[], object]] = {
-        "copy the bytes": lambda: np.copyto(target, source),
-        "NumPy, aligned packets, no search, no checksum": by_numpy(device, data),
-    }
-    references = list(functions)
+    data = b"".join(device.encoder().encode(samples(PACKETS)))
+    functions: dict[str, Callable[[], object]] = {"NumPy": by_numpy(device, data)}
     for size in CHUNKS:
         functions[f"whole {size}"] = partial(feed_all, device.decoder(), cut(data, size), False)
         functions[f"taken {size}"] = partial(feed_all, device.decoder(), cut(data, size), True)
-        functions[f"damaged {size}"] = partial(feed_all, device.decoder(), cut(damaged.data, size), False)
     ns = {name: time / PACKETS for name, time in measure(functions).items()}
-    reference = Table("Reference work on the same packets", ["work", "ns/packet"])
-    reference.rows = [[name, f"{ns[name]:.1f}"] for name in references]
-    table = Table(
-        f"58-byte packet, {len(device.decoder().columns)} columns, Fletcher checksum",
-        ["chunk bytes", "feed ns/packet", "million/s", "× NumPy", "feed + take ns/packet", "damaged"],
-    )
+    rows = []
     for size in CHUNKS:
         feed, taken = ns[f"whole {size}"], ns[f"taken {size}"]
-        hurt = ns[f"damaged {size}"] * PACKETS / damaged.intact
-        row = [f"{feed:.1f}", f"{1e3 / feed:.2f}", f"{ns[references[1]] / feed:.1f}", f"{taken:.1f}"]
-        table.rows.append([str(size), *row, f"{hurt:.1f}"])
-    table.notes = [
-        "Damaged: 1 % of the packets with a flipped bit, 0.5 % cut, 0.5 % with junk before them; "
-        f"{damaged.intact} of {PACKETS} are intact."
-    ]
-    return [reference, table], [
+        rows.append([size, feed, 1e3 / feed, ns["NumPy"] / feed, taken])
+    heads = ["chunk bytes", "feed ns/packet", "million/s", "× NumPy", "feed + take ns/packet"]
+    title = f"## 58-byte packet, {len(device.decoder().columns)} columns, Fletcher checksum"
+    note = f"NumPy, aligned packets, no search, no checksum: {ns['NumPy']:.1f} ns/packet."
+    return [Table(title, heads, rows, note, ("", ".1f", ".2f", ".1f", ".1f"))], [
         Bar("58-byte packets to columns, 64 KiB chunks, million/s", 4.0, 1e3 / ns["whole 65536"]),
         Bar("the same, and taken as arrays of their own, million/s", 2.0, 1e3 / ns["taken 65536"]),
         Bar("58-byte packets to columns, 1 KiB chunks, million/s", 2.0, 1e3 / ns["whole 1024"]),
@@ -165,44 +136,17 @@ def devices() -> Result:
     for name in device_names():
         device = load_device(name)
         packets = device.encoder().encode(samples(PACKETS_OF_DEVICE))
-        for kind, data in (("whole", b"".join(packets)), ("damaged", damage(packets, 3).data)):
+        for kind, data in (("whole", b"".join(packets)), ("damaged", damage(packets, 3))):
             decoder = device.decoder()
             functions[f"{name} {kind}"] = partial(feed_all, decoder, cut(data, CHUNK), False)
             functions[f"{name} {kind}"]()
-            length = sum(map(len, packets)) / PACKETS_OF_DEVICE
-            facts[name] = [f"{length:.0f}", str(len(decoder.columns))]
+            facts[name] = [sum(map(len, packets)) / PACKETS_OF_DEVICE, len(decoder.columns)]
     ns = {name: time / PACKETS_OF_DEVICE for name, time in measure(functions).items()}
-    heads = ["device", "bytes", "columns", "ns/packet", "million/s", "damaged ns/packet"]
-    table = Table("Every device, 64 KiB chunks", heads)
+    rows: list[Cells] = []
     for name, fact in facts.items():
         whole, damaged = ns[f"{name} whole"], ns[f"{name} damaged"]
-        table.rows.append([name, *fact, f"{whole:.1f}", f"{1e3 / whole:.2f}", f"{damaged:.1f}"])
-    return [table], []
-
-
-def pipeline() -> Result:
-    """Measure decoder and clocks on one minute at 100 Hz, making the pipeline and its arrays included."""
-    device = load_device("ax1")
-    data = b"".join(device.encoder().encode(samples(PACKETS_OF_PIPELINE)))
-
-    def through(size: int, every: int, digest: bool) -> None:
-        path, fingerprint = Pipeline(device), Digest()
-        for number, start in enumerate(range(0, len(data), size), 1):
-            path.feed(data[start : start + size], int((start + size) * NS_PER_BYTE))
-            if number % every == 0 and digest:
-                fingerprint.update(path.take())
-            elif number % every == 0:
-                path.take()
-        path.finish()
-        fingerprint.update(path.take())
-
-    functions = {
-        "live: 100-byte reads, taken every 80 ms": partial(through, LIVE_BYTES, LIVE_TAKE, False),
-        "bulk: 64 KiB reads, taken after each": partial(through, CHUNK, 1, False),
-        "bulk with Digest": partial(through, CHUNK, 1, True),
-    }
-    table = Table("Decoder and clocks, 58-byte packet", ["way", "ns/packet", "share of a core at 100 Hz"])
-    for name, time in measure(functions).items():
-        cost = time / PACKETS_OF_PIPELINE
-        table.rows.append([name, f"{cost:.0f}", f"{cost * 100 / 1e9:.4%}"])
-    return [table], []
+        rows.append([name, *fact, whole, 1e3 / whole, damaged])
+    heads = ["device", "bytes", "columns", "ns/packet", "million/s", "damaged ns/packet"]
+    note = "Damaged: 1 % of the packets with a flipped bit, 0.5 % cut, 0.5 % with junk before them."
+    formats = ("", ".0f", "", ".1f", ".2f", ".1f")
+    return [Table("## Every device, 64 KiB chunks", heads, rows, note, formats)], []

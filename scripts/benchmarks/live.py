@@ -9,18 +9,20 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 import psutil
 from rerun.experimental import ViewerClient
+from study import Cells, Table
+from support.scenes import at_baud
+from support.screenshots import studio
 
-from benchmarks.measure import Bar, Result, Table
+from benchmarks.measure import Bar, Result
 from imumon.protocols.device import load_device
 from imumon.simulation.virtual_device import VirtualDevice
-from imumon.view.viewer import VIEWER_PORT, Answer, probe, proxy_url, start_viewer
+from imumon.view.viewer import VIEWER_PORT, Answer, probe
 
 DEVICE, BAUDRATE = "ax1", 921_600
 RATES_HZ = (100.0, 1000.0)
@@ -28,95 +30,62 @@ STARTING_S, SETTLING_S, MEASURED_S = 30.0, 8.0, 20.0
 MOST_OF_A_CORE, OLDEST_S = 0.25, 0.150
 
 
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """Shares of a core, by process, and the ages of the newest sample that the viewer has, s."""
-
-    monitor: float
-    view: float
-    viewer: float
-    ages_s: np.ndarray[tuple[int], np.dtype[np.float64]]
-    load: float
-
-
 def live() -> Result:
     """Record a virtual AHRS with the native view, on a viewer without a screen."""
-    table = Table(
-        "Live run with the native view",
-        ["rate", "monitor", "view process", "both", "viewer", "age p50", "age p99", "load of the machine"],
-    )
+    if probe(VIEWER_PORT) is not Answer.CLOSED:
+        sys.exit(f"port {VIEWER_PORT} is in use: close the viewer that is open")
+    rows: list[Cells] = []
     bars: list[Bar] = []
     for rate in RATES_HZ:
-        cost = _measured(rate)
-        both, (middle, oldest) = cost.monitor + cost.view, np.quantile(cost.ages_s, (0.5, 0.99))
-        table.rows.append(
-            [
-                f"{rate:g} Hz", f"{cost.monitor:.1%}", f"{cost.view:.1%}", f"{both:.1%} of a core",
-                f"{cost.viewer:.1%}", f"{1e3 * middle:.0f} ms", f"{1e3 * oldest:.0f} ms", f"{cost.load:.1f}",
-            ]
-        )  # fmt: skip
+        monitor, view, viewer, ages_s = _measured(rate)
+        both, (middle, oldest) = monitor + view, np.quantile(ages_s, (0.5, 0.99))
+        load = os.getloadavg()[0]
+        rows.append([f"{rate:g} Hz", monitor, view, both, viewer, 1e3 * middle, 1e3 * oldest, load])
         if rate == max(RATES_HZ):
             bars.append(Bar(f"live at {rate:g} Hz, share of a core", MOST_OF_A_CORE, both, at_most=True))
             bars.append(Bar(f"live at {rate:g} Hz, age p99, s", OLDEST_S, float(oldest), at_most=True))
-    table.notes += [
+    note = (
         f"{MEASURED_S:g} s, after {SETTLING_S:g} s; the virtual device and the viewer, drawing by software, "
-        f"have the {os.cpu_count()} cores, too, and do not count",
-        "age: of the newest sample that the viewer has since its arrival, read about 50 times a second",
-    ]
-    return [table], bars
-
-
-def _measured(rate_hz: float) -> Cost:
-    description = load_device(DEVICE)
-    fast = description.model_copy(
-        update={"serial": description.serial.model_copy(update={"baudrates": [BAUDRATE]})}
+        f"have the {os.cpu_count()} cores, too, and do not count.\n\n"
+        "age: of the newest sample that the viewer has since its arrival, ms, read about 50 times a second"
     )
+    heads = ["rate", "monitor", "view process", "both, of a core", "viewer"]
+    heads += ["age p50", "age p99", "load of the machine"]
+    formats = ("", ".1%", ".1%", ".1%", ".1%", ".0f", ".0f", ".1f")
+    return [Table("## Live run with the native view", heads, rows, note, formats)], bars
+
+
+def _measured(rate_hz: float) -> tuple[float, float, float, list[float]]:
+    """Return shares of a core of monitor, view process and viewer, and ages of the newest sample, s."""
+    fast = at_baud(load_device(DEVICE), BAUDRATE)
     with (
         TemporaryDirectory(prefix="imumon-") as folder,
-        _viewer() as (viewer, drawing),
+        studio(port=VIEWER_PORT) as place,
         VirtualDevice(fast, Path(folder) / "ahrs", rate_hz) as ahrs,
-        monitored(ahrs.port.path, Path(folder), "native") as monitor,
+        _monitor(ahrs.port.path, Path(folder)) as monitor,
     ):
+        viewer = place.viewer
         _wait_for(viewer, monitor)
         time.sleep(SETTLING_S)
         measuring = psutil.Process(monitor.pid)
+        drawing = next(one for one in psutil.Process().children() if one.name().startswith("rerun"))
         processes = [drawing, measuring, *measuring.children(recursive=True)]
         before, began = [_cpu_s(one) for one in processes], time.monotonic()
         ages = []
         while (spent := time.monotonic() - began) < MEASURED_S:
-            newest = _newest_ns(viewer)
-            ages.append((time.time_ns() - newest) * 1e-9)
+            ages.append((time.time_ns() - _newest_ns(viewer)) * 1e-9)
             time.sleep(0.02)
         shares = [(_cpu_s(one) - at) / spent for one, at in zip(processes, before, strict=True)]
-    return Cost(shares[1], sum(shares[2:]), shares[0], np.array(ages), os.getloadavg()[0])
+    return shares[1], sum(shares[2:]), shares[0], ages
 
 
 @contextmanager
-def _viewer() -> Iterator[tuple[ViewerClient, psutil.Process]]:
-    """Start a viewer where the monitor looks for one; yield what asks it, and its process."""
-    if probe(VIEWER_PORT) is not Answer.CLOSED:
-        sys.exit(f"port {VIEWER_PORT} is in use: close the viewer that is open")
-    process = start_viewer(VIEWER_PORT, "--headless")
-    try:
-        deadline = time.monotonic() + STARTING_S
-        while probe(VIEWER_PORT) is not Answer.RERUN:
-            if process.poll() is not None or time.monotonic() > deadline:
-                sys.exit("no viewer starts here: apt install mesa-vulkan-drivers")
-            time.sleep(0.1)
-        with ViewerClient.connect(proxy_url(VIEWER_PORT)) as client:
-            yield client, psutil.Process(process.pid)
-    finally:
-        process.kill()
-        process.wait()
-
-
-@contextmanager
-def monitored(port: str, folder: Path, view: str) -> Iterator[subprocess.Popen[bytes]]:
-    """Monitor a port; its log goes to the file ``log`` of a folder, the recording to ``session``."""
+def _monitor(port: str, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Monitor a port; its log and the recording go to a folder."""
     program = [sys.executable, "-c", "from imumon.cli import main; main()", "monitor", port]
-    options = ["--device", DEVICE, "--baud", str(BAUDRATE), "--view", view, "--out", str(folder / "session")]
+    options = f"--device {DEVICE} --baud {BAUDRATE} --view native --out {folder}/session"
     with (folder / "log").open("wb") as log:
-        process = subprocess.Popen([*program, *options], stdout=subprocess.DEVNULL, stderr=log)
+        process = subprocess.Popen([*program, *options.split()], stdout=subprocess.DEVNULL, stderr=log)
     try:
         yield process
     finally:

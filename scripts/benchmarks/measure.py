@@ -6,32 +6,18 @@ import math
 import os
 import platform
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter_ns
+
+from study import Table
 
 ROUNDS = 40
 ROUND_NS = 4_000_000
 """Each function has about this long in each round."""
 BUSY = 0.5
 """Load of others from which on the figures are low."""
-
-
-@dataclass
-class Table:
-    """Figures of one section: rows under headings."""
-
-    title: str
-    headings: list[str]
-    rows: list[list[str]] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-
-    def markdown(self) -> str:
-        """Return the table in Markdown."""
-        rule = ["---", *["---:"] * (len(self.headings) - 1)]
-        lines = [f"| {' | '.join(row)} |" for row in (self.headings, rule, *self.rows)]
-        return "\n".join([f"## {self.title}\n", *lines, *(f"\n{note}" for note in self.notes), ""])
 
 
 @dataclass

@@ -16,10 +16,11 @@ from threading import Thread
 from typing import Any
 
 import numpy as np
+from study import Table
 
 from benchmarks.decoding import cut, decoded, feed_all, samples
-from benchmarks.measure import Result, Table, measure
-from imumon.blocks import FloatArray, SampleBlock
+from benchmarks.measure import Result, measure
+from imumon.blocks import FloatArray
 from imumon.protocols.device import load_device
 
 PACKETS = 4000
@@ -121,14 +122,14 @@ PEERS = (
 NOTES = (
     "Each decodes the same {packets} samples, which imumon's encoders wrote, in pieces of the size that it "
     "is fastest with, and hands over what it makes of them: imumon all columns as arrays, the others one "
-    "value of each packet as a list, which is less to do. imumon searches and verifies in all of these.",
+    "value of each packet as a list, which is less to do. imumon searches and verifies in all of these.\n\n"
     "Best of {rounds} rounds in which all take turns. The difference is the largest between the values, over "
-    "the largest value; a package that gave another number of values has that number instead.",
+    "the largest value; a package that gave another number of values has that number instead.\n\n"
     "Not in the race, as of November 2026: for Xsens, `mti8-navigation` 1.0.0 takes the checksum for an "
     "exclusive or and accepts no packet; for Aceinna, `openimu` 2.6.1 needs packages that it does not name; "
     "for VectorNav, `vectornav-vn200` 0.1.0 asks for registers and reads no stream; for the BNO08x, "
     "Adafruit's needs CircuitPython's ports. On PyPI none was found for SBG, STIM300, HiPNUC, Inertial Sense "
-    "and KVH.",
+    "and KVH."
 )
 
 
@@ -147,13 +148,6 @@ def faster(other: float, imumon: float) -> str:
     return f"**the other {imumon / other:.3g} ×**"
 
 
-def _rows(device: str, packets: int) -> tuple[bytes, Callable[[], object], SampleBlock]:
-    """Return a stream of a device, what decodes it, and what comes out."""
-    made = load_device(device)
-    data = b"".join(made.encoder().encode(samples(packets)))
-    return data, partial(feed_all, made.decoder(), cut(data, CHUNK), False), decoded(made, data, CHUNK)
-
-
 def difference(found: Sequence[float], unit: float, true: FloatArray) -> str:
     """Return how far the values of a package are from imumon's, or how many there are where that differs."""
     values, true = np.array(found) * unit, true[np.isfinite(true)]
@@ -167,29 +161,25 @@ def decoders(packets: int = PACKETS, rounds: int = ROUNDS) -> Table:
     functions: dict[str, Callable[[], object]] = {}
     apart: dict[str, str] = {}
     for peer in PEERS:
-        data, own, rows = _rows(peer.device, packets)
-        functions[f"imumon {peer.device}"] = own
+        made = load_device(peer.device)
+        data = b"".join(made.encoder().encode(samples(packets)))
+        functions[f"imumon {peer.device}"] = partial(feed_all, made.decoder(), cut(data, CHUNK), False)
         if named(peer.package):
-            true = rows[peer.column]
+            true = decoded(made, data, CHUNK)[peer.column]
             decode = partial(peer.decode, import_module(peer.module), data, int(np.isfinite(true).sum()))
             functions[peer.package] = decode
             apart[peer.package] = difference(decode(), peer.unit, true)
     times = measure(functions, rounds)
-    result = Table(
-        "Decoding",
-        ["other", "packet", "the other, µs", "imumon, µs", "faster", "difference", "how the other ran"],
-    )
+    rows = []
     for peer in PEERS:
         own_us, name = times[f"imumon {peer.device}"] / packets * 1e-3, named(peer.package)
         figures = ["not installed", "-", "-"]
         if name:
             other = times[peer.package] / packets * 1e-3
             figures = [f"{other:.2f}", faster(other, own_us), apart[peer.package]]
-        result.rows.append(
-            [name or peer.package, peer.device, figures[0], f"{own_us:.2f}", *figures[1:], peer.way]
-        )
-    result.notes += [note.format(packets=packets, rounds=rounds) for note in NOTES]
-    return result
+        rows.append([name or peer.package, peer.device, figures[0], f"{own_us:.2f}", *figures[1:], peer.way])
+    heads = ["other", "packet", "the other, µs", "imumon, µs", "faster", "difference", "how the other ran"]
+    return Table("## Decoding", heads, rows, NOTES.format(packets=packets, rounds=rounds))
 
 
 def race() -> Result:

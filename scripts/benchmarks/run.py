@@ -7,21 +7,19 @@ from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
-from benchmarks.measure import Bar, Table, machine
+from study import Cells, Table
+
+from benchmarks.measure import Bar, machine
 
 SECTIONS = {
     "start": "sessions",
     "chunks": "decoding",
     "devices": "decoding",
-    "pipeline": "decoding",
     "replay": "sessions",
     "live": "live",
-    "temperature": "stages",
-    "rest": "stages",
     "zupt": "stages",
     "random_error": "stages",
     "allan": "stages",
-    "alignment": "stages",
     "batch": "batch",
 }
 """The module of each section; its function has the name of the section."""
@@ -59,11 +57,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def bar_table(bars: Sequence[Bar]) -> Table:
     """Return the bars, what was measured, and whether it is enough."""
-    table = Table("Bars", ["bar", "demanded", "measured", "verdict"])
+    rows: list[Cells] = []
     for bar in bars:
         limit = f"{'≤' if bar.at_most else '≥'} {bar.demanded:g}"
-        table.rows.append([bar.name, limit, f"{bar.measured:.4g}", "PASS" if bar.passed else "FAIL"])
-    return table
+        rows.append([bar.name, limit, bar.measured, "PASS" if bar.passed else "FAIL"])
+    return Table("## Bars", ["bar", "demanded", "measured", "verdict"], rows, formats=("", "", ".4g"))
 
 
 if __name__ == "__main__":

@@ -12,8 +12,10 @@ from tempfile import TemporaryDirectory
 from time import process_time
 from typing import Any
 
+from study import Cells, Table
+
 from benchmarks.decoding import samples
-from benchmarks.measure import Bar, Result, Table
+from benchmarks.measure import Bar, Result
 from imumon.cli import commands as all_commands
 from imumon.pipeline import Digest, Pipeline
 from imumon.protocols.device import device_text, load_device, parse_device
@@ -57,8 +59,9 @@ def start() -> Result:
         for _ in range(ROUNDS):
             for name, arguments in commands.items():
                 best[name] = min(best[name], _cpu_seconds(arguments))
-    table = Table("Start of a command, kernels compiled", ["command", "CPU s", "× import numpy"])
-    table.rows = [[name, f"{s:.2f}", f"{s / best['import numpy']:.1f}"] for name, s in best.items()]
+    rows: list[Cells] = [[name, seconds, seconds / best["import numpy"]] for name, seconds in best.items()]
+    heads, formats = ["command", "CPU s", "× import numpy"], ("", ".2f", ".1f")
+    table = Table("## Start of a command, kernels compiled", heads, rows, formats=formats)
     helps = max(seconds for name, seconds in best.items() if name.endswith("--help"))
     return [table], [
         Bar("longest --help, CPU s", 0.3, helps, at_most=True),
@@ -75,24 +78,21 @@ def _cpu_seconds(arguments: list[str]) -> float:
 
 def replay() -> Result:
     """Record each scenario at each rate, and replay it as `imumon replay --speed max` does."""
-    table = Table("Replay with all estimators: ms of processor time per s of data", ["stage"])
-    columns: list[dict[str, float]] = []
+    columns: dict[str, dict[str, float]] = {}
     bars = []
     with TemporaryDirectory() as folder:
         for name, scenario, latitude in CASES:
             for rate in RATES_HZ:
                 cost = _measured(Path(folder) / f"{scenario}-{rate:g}", scenario, rate, latitude)
                 speed = 1e3 / sum(cost.values())
-                table.headings.append(f"{name}, {rate:g} Hz")
-                columns.append({**cost, "x real time": speed})
+                columns[f"{name}, {rate:g} Hz"] = {**cost, "x real time": speed}
                 if rate == max(RATES_HZ):
                     bars.append(Bar(f"replay at {rate:g} Hz, {name}, x real time", LEAST_SPEED, speed))
-    for stage in dict.fromkeys(stage for column in columns for stage in column):
-        table.rows.append(
-            [stage, *(f"{column[stage]:.3g}" if stage in column else "-" for column in columns)]
-        )
-    table.notes.append(f"{SECONDS:g} s of data, processor time of one process, compiled before")
-    return [table], bars
+    stages = dict.fromkeys(stage for column in columns.values() for stage in column)
+    rows: list[Cells] = [[stage, *(of.get(stage, 0.0) for of in columns.values())] for stage in stages]
+    title = "## Replay with all estimators: ms of processor time per s of data"
+    note = f"{SECONDS:g} s of data, processor time of one process, compiled before."
+    return [Table(title, ["stage", *columns], rows, note, ("", *[".3g"] * len(columns)))], bars
 
 
 def _measured(session: Path, scenario: str, rate: float, latitude: float | None) -> dict[str, float]:

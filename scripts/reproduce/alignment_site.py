@@ -21,11 +21,6 @@ RATIO, RMS_Z, MAX_Z, SHOWN = 1.5, 1.8, 5.0, 0.9
 """Bars: error over that of the better mean, error over sigma, and how often there must be a heading."""
 
 
-def off_deg(heading: float, truth: float) -> float:
-    """Return the difference of two headings in rad, as degrees."""
-    return math.degrees(math.remainder(heading - truth, 2.0 * math.pi))
-
-
 def outcome(scene: Scene, seed: int) -> tuple[FloatArray, FloatArray]:
     """Return error, sigma, error of the plain and of the Hann mean, degrees, at each time, (3, 4), and all z.
 
@@ -42,9 +37,9 @@ def outcome(scene: Scene, seed: int) -> tuple[FloatArray, FloatArray]:
     for second in AT_S:
         n = round(second * scene.rate_hz)
         means = [mean_heading(rec.level_rate[:n], weights) for weights in (np.ones, np.hanning)]
-        found = math.degrees(off[n]), math.degrees(out["heading_sd"][n])
-        rows.append([*found, *(off_deg(mean, rec.heading[n]) for mean in means)])
-    return np.array(rows), (off / out["heading_sd"])[:: round(scene.rate_hz)]
+        by_means = [math.remainder(mean - rec.heading[n], 2.0 * math.pi) for mean in means]
+        rows.append([off[n], out["heading_sd"][n], *by_means])
+    return np.degrees(rows), (off / out["heading_sd"])[:: round(scene.rate_hz)]
 
 
 NAMES = ("rms error °", "over the better mean", "σ", "shown", "rms z", "max z")

@@ -77,17 +77,11 @@ def fitted(records: list[FloatArray]) -> list[Fit]:
 def disturbed(name: str, text: str, fits: list[Fit]) -> Cells:
     """Return what is reported of the angle random walk, and how many other terms."""
     found = [term for fit in fits if (term := fit.terms["angle_random_walk"]) is not None]
+    others = sum(term is not None for fit in fits for term in fit.terms.values()) - len(found)
     if not found:
-        return [
-            name,
-            text,
-            0.0,
-            *[np.nan] * 4,
-            sum(term is not None for fit in fits for term in fit.terms.values()),
-        ]
+        return [name, text, 0.0, *[np.nan] * 4, others]
     value, sd = (np.array([getattr(term, key) for term in found]) for key in ("value", "sd"))
     z = (value - WHITE) / sd
-    others = sum(term is not None for fit in fits for term in fit.terms.values()) - len(found)
     share = len(found) / len(fits)
     return [name, text, share, value.mean() / WHITE, np.median(sd / value), rms(z), np.abs(z).max(), others]
 

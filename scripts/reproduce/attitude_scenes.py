@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from handled_units import SENSORS, waves
 from samples import sent
 from scipy.spatial.transform import Rotation
@@ -50,11 +49,8 @@ class Scene:
     swap : array (3, 3)
         What the gyros read of the rate: the identity but where axes or signs are mixed up.
     warms : bool
-        Whether the unit warms up.
-    accel_sd : float
-        Turn-on error of its accelerometers, m/s².
-    scale_sd : float
-        Scale and misalignment of its gyros.
+    accel_sd, scale_sd : float
+        Turn-on error of its accelerometers, m/s²; scale and misalignment of its gyros.
     """
 
     moves: Callable[[np.random.Generator, FloatArray, FloatArray], Moves]
@@ -67,11 +63,10 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """What a unit sent, the truth as matrices from body axes to east-north-up, (n, 3, 3), and rest, (n,)."""
+    """What a unit sent, the truth as matrices from body axes to east-north-up, (n, 3, 3)."""
 
     samples: SampleBlock
     attitude: FloatArray
-    rest: npt.NDArray[np.bool_]
     axes: str
 
 
@@ -190,8 +185,7 @@ def simulate(scene: Scene, rate_hz: float, seed: int, seconds: float = SECONDS) 
     rate, force = (values.reshape(n, each, 3).mean(1) for values in (rate, force))
     at = slice(each - 1, None, each)
     samples = _sent(scene, rng, t[1:][at], rate, force, poses[at])
-    rest = (much[1:][at] == 0.0) | (scene.moves is still)
-    return Record(samples, poses[at], rest, "FRD" if seed % 2 else "FLU")
+    return Record(samples, poses[at], "FRD" if seed % 2 else "FLU")
 
 
 def _sent(
@@ -210,12 +204,11 @@ def _sent(
     matrix = np.array(scene.swap) + rng.normal(0.0, scene.scale_sd, (3, 3))
     walk = math.radians(sensor.angle_walk) / 60.0
     gyro = rate @ matrix.T + bias + drift + walk / math.sqrt(dt) * rng.normal(size=(n, 3))
-    accel = (
-        force
-        + rng.normal(0.0, scene.accel_sd, 3)
-        + sensor.velocity_walk / math.sqrt(dt) * rng.normal(size=(n, 3))
-    )
-    mag = np.einsum("nij,ni->nj", poses, FIELD_UT + _near(scene, rng, t)) @ _symmetric(rng).T
+    accel = force + rng.normal(0.0, scene.accel_sd, 3)
+    accel += sensor.velocity_walk / math.sqrt(dt) * rng.normal(size=(n, 3))
+    field = np.einsum("nij,ni->nj", poses, FIELD_UT + _near(scene, rng, t))
+    soft = rng.normal(0.0, SOFT, (3, 3))
+    mag = field @ (np.eye(3) + 0.5 * (soft + soft.T)).T
     mag += rng.normal(0.0, HARD_UT, 3) + MAG_NOISE_UT * rng.normal(size=(n, 3))
     if scene.magnet in ("body", "put on"):
         there = t > (60.0 if scene.magnet == "put on" else 0.0)
@@ -235,11 +228,6 @@ def _near(scene: Scene, rng: np.random.Generator, t: FloatArray) -> FloatArray:
 def _any_direction(rng: np.random.Generator) -> FloatArray:
     vector = rng.normal(size=3)
     return np.asarray(vector / np.linalg.norm(vector))
-
-
-def _symmetric(rng: np.random.Generator) -> FloatArray:
-    drawn = rng.normal(0.0, SOFT, (3, 3))
-    return np.asarray(np.eye(3) + 0.5 * (drawn + drawn.T))
 
 
 def calibrated() -> MagnetometerModel:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
 from typing import Literal, cast
@@ -14,7 +13,7 @@ import numpy as np
 from attitude_scenes import SCENES, Record, calibrated, simulate
 from samples import without
 from scipy.spatial.transform import Rotation
-from study import Cells, Options, Study, Table, largest, matrix, over_bar, worst_first
+from study import Cells, Options, Study, Table, matrix, over_bar, worst_first
 from study import rms as rms
 from vqf import VQF
 
@@ -34,25 +33,6 @@ HEADS = (
 ANGLE = (".2f", ".2f", ".2f", ".2f", ".1f", ".2f")
 FORMATS = ("", ".0f", "", *ANGLE, *ANGLE, ".0f")
 QUICK_S = 30.0
-
-
-@dataclass(eq=False)
-class Errors:
-    """Errors of one angle over runs, rad, (n,) each, by method, and the sigma of ours."""
-
-    by: dict[str, list[FloatArray]] = field(
-        default_factory=lambda: {"ours": [], **{name: [] for name in PEERS}}
-    )
-    sigma: list[FloatArray] = field(default_factory=list)
-
-    def row(self) -> tuple[float, list[float], float]:
-        """Return how bad it is, its cells, and the share of samples with a sigma."""
-        errors = [np.concatenate(parts) for parts in self.by.values()]
-        sigma = np.concatenate(self.sigma)
-        ratios = errors[0] / sigma
-        degrees = [float(np.degrees(value)) for value in (*map(rms, errors), np.nanmedian(sigma))]
-        cells = [*degrees[:-1], rms(ratios), largest(ratios), degrees[-1]]
-        return over_bar(ratios), cells, float(np.mean(np.isfinite(sigma)))
 
 
 def by_vqf(samples: SampleBlock, dt: float) -> FloatArray:
@@ -103,8 +83,11 @@ def heading_error(q: FloatArray, truth: FloatArray, since: int, free: bool) -> F
     return np.asarray(np.angle(np.exp(1j * (off - (off[since] if free else 0.0)))))
 
 
-def add(tilt: Errors, turn: Errors, record: Record, with_mag: bool, dt: float) -> None:
-    """Run ours and others on a record, from where ours has a sigma."""
+def errors(record: Record, with_mag: bool, dt: float) -> tuple[FloatArray, ...]:
+    """Run ours and others on a record, from where ours has a sigma.
+
+    Returns errors of the tilt, (methods, 2 n), and its sigma, and the same of the heading, (methods, n), rad.
+    """
     samples = record.samples if with_mag else without(record.samples, "mag")
     axes = cast(Literal["FRD", "FLU"], record.axes)
     attitude = AttitudeEstimate(AttitudeParameters(), axes, calibrated())
@@ -115,22 +98,20 @@ def add(tilt: Errors, turn: Errors, record: Record, with_mag: bool, dt: float) -
     tilt_sd, heading_sd = (estimated[f"attitude_estimate_{name}_sd"] for name in ("tilt", "heading"))
     later = slice(int(np.argmax(np.isfinite(tilt_sd))) + 1, None)
     since = int(np.argmax(np.isfinite(heading_sd)))
-    found = {"ours": ours, **{name: method(samples, dt) for name, method in PEERS.items()}}
-    for name, q in found.items():
-        tilt.by[name].append(tilt_error(q[later], record.attitude[later]).ravel())
-        turn.by[name].append(heading_error(q, record.attitude, since, not with_mag)[later])
-    tilt.sigma.append(np.repeat(tilt_sd[later], 2))
-    turn.sigma.append(heading_sd[later])
+    found = [ours, *(method(samples, dt) for method in PEERS.values())]
+    tilt = [tilt_error(q[later], record.attitude[later]).ravel() for q in found]
+    turn = [heading_error(q, record.attitude, since, not with_mag)[later] for q in found]
+    return np.array(tilt), np.repeat(tilt_sd[later], 2), np.array(turn), heading_sd[later]
 
 
 def row(name: str, rate_hz: float, with_mag: bool, records: Iterable[Record]) -> tuple[float, Cells]:
     """Return how bad a row is, and its cells."""
-    tilt, turn = Errors(), Errors()
-    for record in records:
-        add(tilt, turn, record, with_mag, 1.0 / rate_hz)
-    (first, tilt_cells, known), (second, turn_cells, tied) = tilt.row(), turn.row()
-    cells = [name, rate_hz, "yes" if with_mag else "no", *tilt_cells, *turn_cells]
-    return max(first, second), [*cells, 100.0 * min(known, tied)]
+    runs = [errors(record, with_mag, 1.0 / rate_hz) for record in records]
+    tilt, tilt_sd, turn, turn_sd = (np.concatenate(parts, axis=-1) for parts in zip(*runs, strict=True))
+    claimed = 100.0 * min(float(np.mean(np.isfinite(sd))) for sd in (tilt_sd, turn_sd))
+    angles = [*broad.cells(tilt, tilt_sd), *broad.cells(turn, turn_sd)]
+    bad = max(over_bar(tilt[0] / tilt_sd), over_bar(turn[0] / turn_sd))
+    return bad, [name, rate_hz, "yes" if with_mag else "no", *angles, claimed]
 
 
 def tables(given: Options) -> Iterator[Table]:

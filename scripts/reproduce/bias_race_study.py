@@ -6,16 +6,16 @@ Each competitor takes a run and returns its bias estimate at every sample, rad/s
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import product
 
 import imufusion
 import numpy as np
-from study import Options, Study, Table, matrix
+from samples import Record, play
+from study import Options, Study, Table, largest, matrix, rms
 from thermal_calibration_study import simulated_soak
 from vqf import VQF
 
-from imumon.blocks import BoolArray, FloatArray, SampleBlock
+from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.parameters import GyroBiasParameters
 from imumon.estimation.gyro_bias.stage import GyroBias, Mode, RestDetector
 from imumon.estimation.temperature_rate.stage import TemperatureRate
@@ -23,43 +23,14 @@ from imumon.geodesy import DEG_PER_H
 from imumon.lab.calibration.calibration import calibrate
 from imumon.models.model import BiasModel
 from imumon.simulation.unit.scenario import Chamber, Scenario, Step, load_scenario
-from imumon.simulation.unit.unit import SimulatedUnit
 
-BLOCK = 10_000
 LEAST_MEAN_S = 3.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Run:
-    """What a unit sent, with the columns of temperature and rest, and the truth.
-
-    bias and earth (n, 3) in rad/s; earth is the rate of the unit in its attitude at the last rest, which an
-    estimator without latitude and heading cannot tell from bias.
-    """
-
-    scenario: Scenario
-    samples: SampleBlock
-    bias: FloatArray
-    earth: FloatArray
-    time_s: FloatArray
-    rest: BoolArray
+Method = Callable[[Record], FloatArray]
 
 
-Method = Callable[[Run], FloatArray]
-
-
-def simulate(scenario: Scenario, seed: int) -> Run:
-    """Return a run of a scenario, with temperature and rest estimated."""
-    samples, truth = SimulatedUnit(scenario, seed).run(scenario.samples)
-    for stage in (TemperatureRate(), RestDetector()):
-        samples = samples.with_columns(stage.process(samples))
-    rest = truth["at_rest"] == 1
-    last = np.maximum.accumulate(np.where(rest, np.arange(len(rest)), 0))
-    earth, bias = matrix(truth, "rate")[last], matrix(truth, "gyro_bias")
-    return Run(scenario, samples, bias, earth, samples["device_time_ns"] * 1e-9, rest)
-
-
-def averaging(run: Run) -> FloatArray:
+def averaging(run: Record) -> FloatArray:
     """Return the mean rate of each rest, from its third second on, held until the next has lasted as long.
 
     Rests are those that `RestDetector` finds.
@@ -67,7 +38,7 @@ def averaging(run: Run) -> FloatArray:
     at_rest = run.samples["at_rest"] == 1
     gyro, result = matrix(run.samples, "gyro"), np.full((len(at_rest), 3), np.nan)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], at_rest.view(np.int8), [0]])))
-    least = int(LEAST_MEAN_S * run.scenario.rate_hz)
+    least = int(LEAST_MEAN_S * run.rate_hz)
     known = np.zeros(len(at_rest), np.int64)
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
         means = np.cumsum(gyro[begin:end], 0) / np.arange(1, end - begin + 1)[:, np.newaxis]
@@ -79,10 +50,10 @@ def averaging(run: Run) -> FloatArray:
 def fusion(**settings: float) -> Method:
     """Return imufusion's `Bias` with a threshold, deg/s, and a period, s; it takes and returns deg/s."""
 
-    def method(run: Run) -> FloatArray:
+    def method(run: Record) -> FloatArray:
         bias = imufusion.Bias()
         chosen = settings["threshold"], settings["period"]
-        bias.set_settings(imufusion.BiasSettings(run.scenario.rate_hz, *chosen))
+        bias.set_settings(imufusion.BiasSettings(run.rate_hz, *chosen))
         result = np.empty((len(run.time_s), 3))
         for i, rate in enumerate(np.rad2deg(matrix(run.samples, "gyro"))):
             bias.update(rate)
@@ -95,8 +66,8 @@ def fusion(**settings: float) -> Method:
 def vqf(**settings: float) -> Method:
     """Return VQF's bias with these of its settings."""
 
-    def method(run: Run) -> FloatArray:
-        filter_ = VQF(1.0 / run.scenario.rate_hz, **settings)
+    def method(run: Record) -> FloatArray:
+        filter_ = VQF(1.0 / run.rate_hz, **settings)
         state = filter_.updateBatchFullState(matrix(run.samples, "gyro"), matrix(run.samples, "accel"))
         return np.asarray(state["bias"], np.float64)
 
@@ -124,24 +95,23 @@ DEFAULTS = {
 }
 
 
+WARM_UP, RAMP, ATHERMAL = "warm-up", "ramp", "warm-up-athermal"
+_SCENARIO = load_scenario(WARM_UP)
+PLACE = _SCENARIO.latitude_deg, _SCENARIO.attitude.heading_deg
+"""Latitude and heading of all three."""
+
+
 def imumon(mode: Mode, model: BiasModel | None, knows_place: bool) -> Method:
     """Return imumon's bias; with latitude and heading the earth rate is not in it, and is added here."""
 
-    def method(run: Run) -> FloatArray:
-        latitude = run.scenario.latitude_deg if knows_place else None
-        heading = run.scenario.attitude.heading_deg if knows_place else None
-        stage = GyroBias(GyroBiasParameters(), model, mode, latitude, heading)
-        parts = [
-            matrix(SampleBlock(stage.process(run.samples.rows(begin, begin + BLOCK))), "gyro_bias")
-            for begin in range(0, len(run.time_s), BLOCK)
-        ]
-        bias = np.concatenate(parts)
+    def method(run: Record) -> FloatArray:
+        stage = GyroBias(GyroBiasParameters(), model, mode, *(PLACE if knows_place else (None, None)))
+        bias = matrix(SampleBlock(stage.process(run.samples)), "gyro_bias")
         return bias + run.earth if knows_place else bias
 
     return method
 
 
-WARM_UP, RAMP, ATHERMAL = "warm-up", "ramp", "warm-up-athermal"
 TITLES = {
     WARM_UP: "Self-heating from 25 to 45 °C with a time constant of 400 s",
     RAMP: "25 to 45 °C at a steady 2 °C/min",
@@ -159,10 +129,9 @@ def scenario_of(name: str) -> Scenario:
     """Return one of the scenarios; the ramp is the warm-up with its temperature rising evenly."""
     if name != RAMP:
         return load_scenario(name)
-    base = load_scenario(WARM_UP)
     chamber = Chamber(start_degc=25.0, steps=[Step(to_degc=45.0, rate_degc_per_min=2.0)])
-    unit = base.unit.model_copy(update={"self_heating": None})
-    return base.model_copy(update={"unit": unit, "chamber": chamber, "duration_s": 600.0})
+    unit = _SCENARIO.unit.model_copy(update={"self_heating": None})
+    return _SCENARIO.model_copy(update={"unit": unit, "chamber": chamber, "duration_s": 600.0})
 
 
 def calibrated() -> BiasModel:
@@ -172,42 +141,34 @@ def calibrated() -> BiasModel:
     return calibrate([record], scenario.latitude_deg, scenario.attitude.heading_deg).model
 
 
-def score(run: Run, estimate: FloatArray) -> tuple[float, float, float, float]:
+def score(run: Record, estimate: FloatArray) -> tuple[float, ...]:
     """Return errors in deg/h from the end of the third rest: rms over all time and axes; rms at the last
     second of the rests; rms while it moves; the largest of an axis."""
     error = (estimate - run.bias - run.earth) / DEG_PER_H
     late = run.time_s > THIRD_REST_ENDS_S
-    rest = run.rest & late
-    soon = np.append(run.rest[100:], np.zeros(100, bool))
-    ends = rest & ~soon
-
-    def rms(rows: BoolArray) -> float:
-        return float(np.sqrt(np.mean(error[rows] ** 2)))
-
-    return rms(late), rms(ends), rms(late & ~run.rest), float(np.abs(error[late]).max())
+    ends = run.rest & late & ~np.append(run.rest[100:], np.zeros(100, bool))
+    return (*(rms(error[rows]) for rows in (late, ends, late & ~run.rest)), largest(error[late]))
 
 
-def best(grid: Mapping[str, Method], run: Run) -> str:
+def best(grid: Mapping[str, Method], run: Record) -> str:
     """Return the name of the settings with the least rms error: tuned on another seed."""
     errors = {name: score(run, method(run))[0] for name, method in grid.items()}
     return min(errors, key=lambda name: errors[name])
 
 
-OWN = {
-    "imumon standard, place unknown": imumon("standard", None, False),
-    "imumon standard": imumon("standard", None, True),
-    "imumon learned": imumon("learned", None, True),
-}
-
-
-def with_model(model: BiasModel) -> dict[str, Method]:
-    """Return imumon's with the model of a calibration."""
-    return {
-        "imumon standard, model": imumon("standard", model, True),
-        "imumon thermal": imumon("thermal", model, True),
-        "imumon learned, model": imumon("learned", model, True),
-        "imumon thermal, place unknown": imumon("thermal", model, False),
+def own(model: BiasModel | None) -> dict[str, Method]:
+    """Return imumon's, also with the model of a calibration where there is one."""
+    found = {
+        "imumon standard, place unknown": imumon("standard", None, False),
+        "imumon standard": imumon("standard", None, True),
+        "imumon learned": imumon("learned", None, True),
     }
+    if model is not None:
+        found["imumon standard, model"] = imumon("standard", model, True)
+        found["imumon thermal"] = imumon("thermal", model, True)
+        found["imumon learned, model"] = imumon("learned", model, True)
+        found["imumon thermal, place unknown"] = imumon("thermal", model, False)
+    return found
 
 
 HEADS = ("method", "rms", "worst seed", "rms at the ends of rests", "rms while it moves", "largest")
@@ -219,24 +180,20 @@ def tables(given: Options) -> Iterator[Table]:
     model = None if given.quick else calibrated()
     rms_of: dict[tuple[str, str], FloatArray] = {}
     for scenario, title in TITLES.items():
-        played = scenario_of(scenario)
         if given.quick and scenario != ATHERMAL:
             continue
-        if given.quick:
-            played = played.model_copy(update=QUICK)
+        played = scenario_of(scenario).model_copy(update=QUICK if given.quick else {})
         entered: dict[str, Method] = {"mean of each rest": averaging, **DEFAULTS}
         if model is not None:
-            run = simulate(played, TUNING_SEED)
+            run = play(played, TUNING_SEED, (TemperatureRate(), RestDetector()))
             fusion_name, vqf_name = best(FUSION_GRID, run), best(VQF_GRID, run)
             title += f"\n\nTuned: imufusion {fusion_name}; VQF {vqf_name}"
             entered["imufusion Bias, tuned"] = FUSION_GRID[fusion_name]
             entered["VQF, tuned"] = VQF_GRID[vqf_name]
-        entered |= OWN
-        if model is not None and scenario != ATHERMAL:
-            entered |= with_model(model)
+        entered |= own(None if scenario == ATHERMAL else model)
         scores: dict[str, list[tuple[float, ...]]] = {name: [] for name in entered}
         for seed in given.seeds:
-            run = simulate(played, seed)
+            run = play(played, seed, (TemperatureRate(), RestDetector()))
             for name, method in entered.items():
                 scores[name].append(score(run, method(run)))
         rows = []
@@ -245,12 +202,8 @@ def tables(given: Options) -> Iterator[Table]:
             rms_of[scenario, name] = table[:, 0]
             whole, ends, moving = np.sqrt((table[:, :3] ** 2).mean(0))
             rows.append([name, whole, table[:, 0].max(), ends, moving, table[:, 3].max()])
-        yield Table(
-            f"### {title}\n\n{len(given.seeds)} seeds; deg/h after the third rest",
-            HEADS,
-            rows,
-            formats=FORMATS,
-        )
+        title = f"### {title}\n\n{len(given.seeds)} seeds; deg/h after the third rest"
+        yield Table(title, HEADS, rows, formats=FORMATS)
     lines = [
         f"Thermal, {scenario}, worst of the seeds: {found.max():.1f} deg/h (bar {BAR_DEG_PER_H:.0f})."
         for (scenario, name), found in rms_of.items()

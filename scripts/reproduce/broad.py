@@ -62,7 +62,8 @@ def attitude_rows(data: Path) -> Iterator[Cells]:
     """Yield the cells of each trial below a folder of recordings."""
     for trial in measured(data, AttitudeParameters()):
         claimed = 100.0 * float(np.isfinite(trial.turn_sd).mean())
-        yield [trial.name, *_row(trial.tilt, trial.tilt_sd), *_row(trial.turn, trial.turn_sd), claimed]
+        angles = [*cells(trial.tilt[None], trial.tilt_sd), *cells(trial.turn[None], trial.turn_sd)]
+        yield [trial.name, *angles, claimed]
 
 
 def measured(data: Path, given: AttitudeParameters) -> Iterator[Trial]:
@@ -101,7 +102,11 @@ def bias_errors(path: Path) -> tuple[FloatArray, FloatArray, float]:
     return error, error / sd, 100.0 * float(samples["at_rest"][moving].mean())
 
 
-def _row(error: FloatArray, sd: FloatArray) -> list[float]:
-    """Return rms error, rms and largest error over sigma, and median sigma."""
-    ratio = error / sd
-    return [float(np.degrees(rms(error))), rms(ratio), largest(ratio), float(np.degrees(np.nanmedian(sd)))]
+def cells(errors: FloatArray, sd: FloatArray) -> list[float]:
+    """Return the cells of an angle, °: rms error by each method, rms and largest z of the first, its sigma.
+
+    errors (methods, n) and sd (n,) in rad.
+    """
+    ratio = errors[0] / sd
+    by_method = [float(np.degrees(rms(error))) for error in errors]
+    return [*by_method, rms(ratio), largest(ratio), float(np.degrees(np.nanmedian(sd)))]

@@ -6,50 +6,22 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import islice
+from itertools import islice, product
 from pathlib import Path
 
 import numpy as np
-from alignment_site import AT_S, outcome
-from alignment_site_scenes import SCENES as SITES
-from bias_race_study import DEFAULTS, Run, vqf
+import rest_scenes
+import thermometers
+from bias_race_study import DEFAULTS, vqf
 from broad import bias_errors
 from field_surprises import SURPRISES, met
 from handled_units import CASES, MOVING, RATE_HZ, estimated, places, simulate
-from rest_scenes import (
-    FULL_RATE_HZ,
-    SCENES,
-    SECONDS,
-    SENSORS,
-    TURN_RATE_HZ,
-    TURNS,
-    Scene,
-    bias_over_sigma,
-    measure_with_bias,
-    percent,
-    steady_turn,
-    vqf_rest,
-)
 from scipy.signal import savgol_filter
-from study import Cells, Options, Study, Table, largest, rms, worst_first
-from thermometers import (
-    KINDS,
-    ONSET_S,
-    PER_HOUR,
-    SETTLED_S,
-    STEADY_S,
-    Kind,
-    Profile,
-    constant,
-    drifting,
-    errors,
-    ramp,
-)
+from study import Cells, Options, Study, Table, largest, matrix, rms, worst_first
 
 from imumon.blocks import FloatArray
 from imumon.estimation.gyro_bias.stage import RestAndBias
 from imumon.geodesy import DEG_PER_H
-from imumon.simulation.unit.scenario import load_scenario
 
 HOLD_S, RAMP_S = 300.0, 300.0
 SMOOTH_S = 600.0
@@ -80,110 +52,91 @@ class Row:
 
 def rest_rows(seeds: range, _: Path) -> Iterator[Row]:
     """Steady turns, slow tilts, hands and cars, with six grades of sensors: motion taken for rest."""
-    scenes: list[tuple[str, Callable[[int], Scene]]] = [
-        (
-            f"turn of {rate:g} °/s for {minutes:g} min, begun in {begun:g} s, {tilt:g}° off the vertical",
-            partial(steady_turn, TURN_RATE_HZ, rate, minutes, begun, tilt),
-        )
-        for rate, minutes, begun, tilt in TURNS
-    ]
-    scenes += [(name, partial(make, FULL_RATE_HZ, 2 * SECONDS)) for name, make in SCENES.items()]
-    for grade in SENSORS:
-        for name, make in scenes:
-            found, ratios = [], []
-            for seed in seeds:
-                scene = make(seed)
-                samples, truth = measure_with_bias(scene, grade, seed)
-                ours = samples.with_columns(RestAndBias().process(samples))
-                found.append((scene.rest, ours["at_rest"] == 1, vqf_rest(samples)))
-                ratios.append(bias_over_sigma(ours, truth)[:: round(TURN_RATE_HZ)].ravel())
-            rest, by_us, by_vqf = (np.concatenate(of) for of in zip(*found, strict=True))
-            peers = {"VQF": percent(by_vqf, ~rest), "rest found": percent(by_us, rest)}
-            false = percent(by_us, ~rest)
-            yield Row("rest", f"{name}, {grade.name}", "% false", false, np.concatenate(ratios), peers)
+    rate_hz = rest_scenes.TURN_RATE_HZ
+    scenes: dict[str, Callable[[int], rest_scenes.Scene]] = {}
+    for rate, minutes, begun, tilt in rest_scenes.TURNS:
+        name = f"turn of {rate:g} °/s for {minutes:g} min, begun in {begun:g} s, {tilt:g}° off the vertical"
+        scenes[name] = partial(rest_scenes.steady_turn, rate_hz, rate, minutes, begun, tilt)
+    for name, moving in rest_scenes.SCENES.items():
+        scenes[name] = partial(moving, rest_scenes.FULL_RATE_HZ, 2 * rest_scenes.SECONDS)
+    for grade, (name, make) in product(rest_scenes.SENSORS, scenes.items()):
+        found, ratios = [], []
+        for seed in seeds:
+            scene = make(seed)
+            samples, truth = rest_scenes.measure_with_bias(scene, grade, seed)
+            ours = samples.with_columns(RestAndBias().process(samples))
+            found.append((scene.rest, ours["at_rest"] == 1, rest_scenes.vqf_rest(samples)))
+            ratio = (matrix(ours, "gyro_bias") - truth) / matrix(ours, "gyro_bias_sd")
+            ratios.append(ratio[:: round(rate_hz)].ravel())
+        rest, by_us, by_vqf = (np.concatenate(of) for of in zip(*found, strict=True))
+        peers = {"VQF": rest_scenes.percent(by_vqf, ~rest), "rest found": rest_scenes.percent(by_us, rest)}
+        false = rest_scenes.percent(by_us, ~rest)
+        yield Row("rest", f"{name}, {grade.name}", "% false", false, np.concatenate(ratios), peers)
 
 
 def thermometer_rows(seeds: range, _: Path) -> Iterator[Row]:
     """Every kind of thermometer, at constant, drifting and ramping temperature: the rate of temperature."""
-    for kind in KINDS:
+    steady = (thermometers.STEADY_S, thermometers.SETTLED_S)
+    for kind in thermometers.KINDS:
         for name, profile, length, start in (
-            ("constant", constant, STEADY_S, SETTLED_S),
-            ("5 °C/h", drifting, STEADY_S, SETTLED_S),
-            ("2 °C/min after 300 s", ramp(HOLD_S), HOLD_S + RAMP_S, HOLD_S + ONSET_S + kind.refresh_s),
+            ("constant", thermometers.constant, *steady),
+            ("5 °C/h", thermometers.drifting, *steady),
+            (
+                "2 °C/min after 300 s",
+                thermometers.ramp(HOLD_S),
+                HOLD_S + RAMP_S,
+                HOLD_S + thermometers.ONSET_S + kind.refresh_s,
+            ),
         ):
-            runs = [errors(kind, profile, length, seed) for seed in seeds]
+            runs = [thermometers.errors(kind, profile, length, seed) for seed in seeds]
             late = [run["t"] > start for run in runs]
             off, ratios = (
                 np.concatenate([run[what][where] for run, where in zip(runs, late, strict=True)])
                 for what in ("rate", "rate_z")
             )
-            peers = thermometer_peers(kind, profile, length, start, seeds)
+            played = (thermometers.play(kind, profile, length, seed) for seed in seeds)
+            smooth = [smoother_errors(kind.rate_hz, start, *one) for one in played]
+            peers = {"Savitzky-Golay": rms(np.concatenate(smooth))}
             yield Row("thermometer", f"{kind.name}, {name}", "°C/h", rms(off), ratios, peers)
 
 
-def thermometer_peers(
-    kind: Kind, profile: Profile, length: float, start: float, seeds: range
-) -> dict[str, float]:
-    """Return the rms of the rate in °C/h by a smoother."""
-    found = []
-    for seed in seeds:
-        rng = np.random.default_rng(seed)
-        t = np.arange(int(length * kind.rate_hz)) / kind.rate_hz
-        temperature, rate = profile(t, 25.0 + rng.uniform(-0.5, 0.5))
-        each = max(round(kind.rate_hz), 1)
-        seconds = kind.read(temperature, rng)[: len(t) // each * each].reshape(-1, each).mean(1)
-        truth = rate[each - 1 :: each][: len(seconds)]
-        dt = each / kind.rate_hz
-        window = min(round(SMOOTH_S / dt), len(seconds)) // 2 * 2 - 1
-        smooth = savgol_filter(seconds, window, 2, deriv=1, delta=dt)
-        late = (np.arange(len(seconds)) + 1) * dt > start
-        found.append((smooth - truth)[late] * PER_HOUR)
-    return {"Savitzky-Golay": rms(np.concatenate(found))}
-
-
-def north_rows(seeds: range, _: Path) -> Iterator[Row]:
-    """Sites that sway, are walked upon and settle: the heading after 20, 60 and 600 s."""
-    for scene in SITES:
-        found = np.array([outcome(scene, seed)[0] for seed in seeds])
-        for k, second in enumerate(AT_S):
-            error, sd, plain, hann = found[:, k].T
-            peers = {"plain mean": rms(plain), "Hann mean": rms(hann)}
-            yield Row("north", f"{scene.name}, {second} s", "°", rms(error), error / sd, peers)
+def smoother_errors(
+    rate_hz: float, start_s: float, t: FloatArray, _: FloatArray, rate: FloatArray, reading: FloatArray
+) -> FloatArray:
+    """Return errors of the rate, °C/h, by a smoother of means of a second, from a time on."""
+    each = max(round(rate_hz), 1)
+    dt = each / rate_hz
+    seconds = reading[: len(t) // each * each].reshape(-1, each).mean(1)
+    window = min(round(SMOOTH_S / dt), len(seconds)) // 2 * 2 - 1
+    off = savgol_filter(seconds, window, 2, deriv=1, delta=dt) - rate[each - 1 :: each][: len(seconds)]
+    return np.asarray(off[(np.arange(len(seconds)) + 1) * dt > start_s] * thermometers.PER_HOUR)
 
 
 def bias_rows(seeds: range, _: Path) -> Iterator[Row]:
     """A unit in a hand, on a rover, in a car: the bias at rest and in motion."""
-    scenario = load_scenario("warm-up").model_copy(update={"rate_hz": RATE_HZ})
     for name, case in CASES.items():
-        ratios, mistakes = [], []
-        peers: dict[str, list[FloatArray]] = {peer: [] for peer in DEFAULTS}
+        ratios, errors = [], []
         for seed in seeds:
             record = simulate(case, seed)
             error, sd, estimates = estimated(case, record)
             rows, motion = places(record.rest)
             ratios.append((error / sd)[rows].ravel())
-            mistakes.append(error[motion].ravel())
-            time_s = estimates.samples["device_time_ns"] * 1e-9
-            run = Run(scenario, estimates.samples, record.bias, record.earth, time_s, record.rest)
-            for peer, method in DEFAULTS.items():
-                peers[peer].append((method(run) - record.bias - record.earth)[motion].ravel())
-        others = {peer: rms(np.concatenate(parts)) / DEG_PER_H for peer, parts in peers.items()}
-        found = np.concatenate(ratios)
-        yield Row("bias", name, "°/h", rms(np.concatenate(mistakes)) / DEG_PER_H, found, others)
+            others = (method(estimates) - record.bias - record.earth for method in DEFAULTS.values())
+            errors.append([of[motion].ravel() for of in (error, *others)])
+        ours, *peers = (rms(np.concatenate(parts)) / DEG_PER_H for parts in zip(*errors, strict=True))
+        found = dict(zip(DEFAULTS, peers, strict=True))
+        yield Row("bias", name, "°/h", ours, np.concatenate(ratios), found)
 
 
 def moving_rows(seeds: range, _: Path) -> Iterator[Row]:
     """Vehicles, a boat, somebody who walks and a drone that never rest: the bias once a second."""
-    scenario = load_scenario("warm-up").model_copy(update={"rate_hz": RATE_HZ})
     later = slice(round(FIRST_WINDOW_S * RATE_HZ), None, round(RATE_HZ))
     for name, case in MOVING.items():
         found = []
         for seed in seeds:
             record = simulate(case, seed)
             error, sd, estimates = estimated(case, record)
-            time_s = estimates.samples["device_time_ns"] * 1e-9
-            run = Run(scenario, estimates.samples, record.bias, record.earth, time_s, record.rest)
-            other = vqf()(run) - record.bias - record.earth
+            other = vqf()(estimates) - record.bias - record.earth
             found.append([of[later].ravel() / DEG_PER_H for of in (error, sd, other)])
         error, sd, other = (np.concatenate(parts) for parts in zip(*found, strict=True))
         peers = {"VQF, the same axes": rms(other[np.isfinite(error)]), "VQF, all axes": rms(other)}
@@ -228,6 +181,6 @@ def study(rows: Callable[[range, Path], Iterator[Row]]) -> Study:
     return Study(tables, seeds=3, first=1000)
 
 
-REST, THERMOMETER, NORTH = study(rest_rows), study(thermometer_rows), study(north_rows)
+REST, THERMOMETER = study(rest_rows), study(thermometer_rows)
 BIAS, MOVING_BIAS = study(bias_rows), study(moving_rows)
 SURPRISE, MEASURED = study(surprise_rows), study(measured_rows)

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from samples import gauss_markov, sent
+from samples import Record, gauss_markov, sent
 from scipy.spatial.transform import Rotation
 from study import matrix
 
@@ -111,16 +111,6 @@ DRIVES = {
 LATITUDE_DEG = 40.93
 
 
-@dataclass(frozen=True, eq=False)
-class Record:
-    """What a unit sent, its bias and the earth rate in its axes, (n, 3), and whether it was at rest."""
-
-    samples: SampleBlock
-    bias: FloatArray
-    earth: FloatArray
-    rest: BoolArray
-
-
 def waves(rng: np.random.Generator, t: FloatArray, low_hz: float, high_hz: float, size: float) -> FloatArray:
     """Return smooth motion of three axes with frequencies between these, rms `size`, (n, 3)."""
     parts = 6
@@ -147,14 +137,6 @@ def _moved(case: Case, rng: np.random.Generator, seconds: float) -> tuple[FloatA
     rate = np.gradient(ramp * waves(rng, t, low, high, tilt), 1.0 / RATE_HZ, axis=0)
     rate[:, 2] = yaw
     return rate, np.gradient(velocity, 1.0 / RATE_HZ, axis=0) + ramp * waves(rng, t, lowest, highest, shake)
-
-
-def _temperature(case: Case, t: FloatArray) -> FloatArray:
-    if case.temperature == "ramp":
-        return np.asarray(25.0 + t / 30.0)
-    if case.temperature == "warm-up":
-        return np.asarray(45.0 - 20.0 * np.exp(-t / 400.0))
-    return np.full(len(t), 25.0)
 
 
 def simulate(case: Case, seed: int) -> Record:
@@ -188,7 +170,8 @@ def _sensed(
     """Return what the sensors make of it, and the bias."""
     n, sensor = len(rate), SENSORS[case.sensor]
     t = np.arange(n) / RATE_HZ
-    degc = _temperature(case, t)
+    courses = {"ramp": 25.0 + t / 30.0, "warm-up": 45.0 - 20.0 * np.exp(-t / 400.0)}
+    degc = courses.get(case.temperature, np.full(n, 25.0))
     bias = np.radians(sensor.turn_on) * rng.normal(size=3)
     bias = bias + sum(gauss_markov(rng, n, RATE_HZ, tau, sensor.flicker_dph * DEG_PER_H) for tau in TAUS_S)
     bias = bias + sensor.thermal * SLOPES_DPH * DEG_PER_H * (degc - 25.0)[:, np.newaxis]

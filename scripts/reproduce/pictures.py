@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
-import loop_pictures
 import numpy as np
 import sketches
 from attitude_scenes import SCENES
 from attitude_scenes import simulate as turned_unit
 from attitude_table import heading_error, tilt_error
+from closing_the_loop_measured import chamber_run
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from samples import sent, without
+from samples import crs05_model, play, sent, without
 from smoothing_table import RATE_HZ as SMOOTHED_HZ
 from smoothing_table import smoothed
-from study import DOCS, Cells, Options, Study, Table
-from tczupt_study import DPH, LATITUDE_DEG, ZEROING, true_model
+from study import DOCS, ROOT, Cells, Options, Study, Table
+from tczupt_study import LATITUDE_DEG, ZEROING
 from tczupt_study import simulate as ramp_test
 from thermometers import PER_HOUR
 
 from imumon.blocks import FloatArray
 from imumon.estimation.attitude.stage import AttitudeEstimate
-from imumon.estimation.gyro_bias.stage import GyroBias, RestAndBias
+from imumon.estimation.gyro_bias.stage import GyroBias, RestAndBias, RestDetector
 from imumon.estimation.temperature_rate.method import MultipleModelRate
+from imumon.geodesy import DEG_PER_H
+from imumon.lab.diagnosis.diagnose import diagnose
+from imumon.lab.diagnosis.runs import collect
 from imumon.papers.fir import FirRate, Params
+from imumon.simulation.unit import load_scenario
 
 FOLDER = DOCS / "figures"
 DEG = np.pi / 180.0
@@ -105,11 +111,11 @@ def bias_in_motion() -> list[Axes]:
     part = slice(ZEROING, None, 50)
     for name, stage in {
         "held (standard)": GyroBias(latitude_deg=LATITUDE_DEG, heading_deg=0.0),
-        "thermal": GyroBias(None, true_model(), "thermal", LATITUDE_DEG, 0.0),
+        "thermal": GyroBias(None, crs05_model(), "thermal", LATITUDE_DEG, 0.0),
     }.items():
         added = stage.process(block)
-        error = ((added["gyro_bias_y"] - record.bias[:, 1]) / DPH)[part]
-        sd = (added["gyro_bias_sd_y"] / DPH)[part]
+        error = ((added["gyro_bias_y"] - record.bias[:, 1]) / DEG_PER_H)[part]
+        sd = (added["gyro_bias_sd_y"] / DEG_PER_H)[part]
         ax.plot(record.seconds[part], error, linewidth=1.0, label=name)
         ax.fill_between(record.seconds[part], error - 2.0 * sd, error + 2.0 * sd, alpha=0.2)
     ax.set_ylabel("°/h")
@@ -118,7 +124,7 @@ def bias_in_motion() -> list[Axes]:
 
 def smoothed_bias() -> list[Axes]:
     """Draw the error of the bias of a unit that is handled, with rests of 10 s, live and smoothed."""
-    record, columns, true, _ = smoothed("warm-up", 900, 100)
+    record, _, columns = smoothed("warm-up", 900, 100)
     (ax,) = axes("Turned by hand, at rest for 10 s every two minutes: bias of y less the truth", 1)
     t = record.stop / SMOOTHED_HZ
     part = slice(None, None, 8)
@@ -126,7 +132,7 @@ def smoothed_bias() -> list[Axes]:
         "live": record.columns["gyro_bias_y"],
         "smoothed": columns["gyro_bias_smoothed_y"],
     }.items():
-        ax.plot(t[part], ((bias - true[:, 1]) / DPH)[part], linewidth=1.0, label=name)
+        ax.plot(t[part], ((bias - columns["true"][:, 1]) / DEG_PER_H)[part], linewidth=1.0, label=name)
     ax.set(ylabel="°/h", xlim=(60.0, 420.0), ylim=(-100.0, 250.0))
     return [ax]
 
@@ -156,14 +162,70 @@ def attitude_sigma() -> list[Axes]:
     return drawn
 
 
+def steps() -> list[Axes]:
+    """Draw the worked case of docs/closing-the-loop.md: training, the effect beside it, and the test.
+
+    The gyros of its three sessions are 30 s behind their thermometers; the third is the test.
+    """
+    plan = load_scenario("crs05-ramp-lag").played(10.0, "FRD")
+    first, second, third = (
+        collect([play(plan, seed, (RestDetector(),)).samples], f"S{seed}")[0] for seed in (1, 2, 3)
+    )
+    found = diagnose([first, second], [third], "polynomial 5", sensors=("gyro",))
+    verdict = next(one for one in found.verdicts if one.name == "gyro_x")
+    figure = Figure(figsize=(11.0, 3.3), dpi=80)
+    residual, effect, test = figure.subplots(1, 3, sharey=True)
+    at = 0
+    for run in verdict.channel.pool.runs:
+        minutes, rows = run.time_s / 60.0, slice(at, at + len(run))
+        before, after = (fit.train[rows] / DEG_PER_H for fit in (verdict.before, verdict.after))
+        residual.plot(minutes, before, ".", ms=4, label=run.name)
+        effect.plot(minutes, before, ".", ms=4)
+        name = "" if at else verdict.claims[0].finding.name
+        effect.plot(minutes, before - after, "k-", lw=1.2, label=name)
+        at += len(run)
+    (last,) = verdict.channel.test
+    scores = {"curve alone": (verdict.test_before, "C3."), "with the effect": (verdict.test_after, "C2.")}
+    for label, (score, style) in scores.items():
+        name = f"{label}: {score.rms / DEG_PER_H:.3g} °/h"
+        test.plot(last.time_s / 60.0, score.residual[0] / DEG_PER_H, style, ms=4, label=name)
+    floor = verdict.channel.floor.sd / DEG_PER_H
+    titles = ("1 what the curve leaves", "2 the effect that follows it", "3 what is left of unused data")
+    for one, title in zip((residual, effect, test), titles, strict=True):
+        one.axhspan(-floor, floor, color="0.85", zorder=0, label="white noise" if one is test else "")
+        one.set_title(title, fontsize=10)
+        one.set_xlabel("minutes since power-on")
+        one.grid(alpha=0.3)
+    residual.set_ylabel("gyro_x, °/h")
+    return [residual, effect, test]
+
+
+def chamber_cycle() -> list[Axes]:
+    """Draw what a cubic leaves of each gyro of the measured record, and what is left with the effects."""
+    folder = Path(os.environ.get("IMUMON_DATA", ROOT.parent / "shared" / "data"))
+    found = diagnose([chamber_run(folder / "chamber-cycle")], (), "polynomial 3", sensors=("gyro",))
+    figure = Figure(figsize=(11.0, 3.3), dpi=80)
+    drawn = list(figure.subplots(1, 3))
+    for one, verdict in zip(drawn, found.verdicts, strict=True):
+        (run,) = verdict.channel.pool.runs
+        effects = ", ".join(claim.finding.name for claim in verdict.claims) or "nothing named"
+        for fit, style, name in ((verdict.before, "C3.", "cubic"), (verdict.after, "C2.", f"with {effects}")):
+            one.plot(run.time_s / 60.0, np.degrees(fit.train), style, ms=4, label=name)
+        one.set_title(verdict.name, fontsize=10)
+        one.set_xlabel("minutes")
+        one.grid(alpha=0.3)
+    drawn[0].set_ylabel("residual, °/s")
+    return drawn
+
+
 PICTURES: dict[str, Callable[[], list[Axes]]] = {
     "attitude-sigma": attitude_sigma,
     "turn-or-bias": turn_or_bias,
     "bias-in-motion": bias_in_motion,
     "smoothed-bias": smoothed_bias,
     "temperature-rate": temperature_rate,
-    "closing-the-loop/steps": loop_pictures.steps,
-    "closing-the-loop/chamber-cycle": loop_pictures.chamber_cycle,
+    "closing-the-loop/steps": steps,
+    "closing-the-loop/chamber-cycle": chamber_cycle,
     "glossary/allan": sketches.allan_curve,
     "glossary/axes": sketches.body_axes,
     "glossary/bias-over-temperature": sketches.biases_over_temperature,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import allantools
 import numpy as np
@@ -46,9 +47,8 @@ class Record:
     drift: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Output:
-    """x_k|k-1 and x_k|k, and the standard deviation, NaN where there is none, (n,), deg/s."""
+class Output(NamedTuple):
+    """What a method predicts and estimates, and its standard deviation, (n,) each, deg/s."""
 
     predicted: FloatArray
     estimate: FloatArray
@@ -71,13 +71,14 @@ def simulate(seconds: float, seed: int) -> Record:
     return Record(lfilter(b, a, fast)[lead::every][:n] + drift, drift)
 
 
-def published(name: str, reading: FloatArray, delta: float) -> Output:
+def published(name: str, delta: float, record: Record) -> Output:
     """Run a method of the paper, or the plain Kalman filter on model L as "KF"."""
+    reading = record.reading
     start = float(np.mean(reading[:RATE_HZ]))
     if name in ("STF", "KF"):
         model = ModelL(0.0, delta, 0.0, (start, start), (VARIANCE / 100, VARIANCE / 100), VARIANCE)
-        linear = LinearFilter(model, 1.0 if name == "STF" else None).process(reading)
-        return Output(linear.predicted, linear.estimate, linear.sd)
+        found = LinearFilter(model, 1.0 if name == "STF" else None).process(reading)
+        return Output(found.predicted, found.estimate, found.sd)
     risk = float(name.split()[1]) if " " in name else 0.0
     spread = (0.1 * delta) ** 2
     variances = (VARIANCE / 100, VARIANCE / 100, 0.01, spread, spread)
@@ -87,7 +88,7 @@ def published(name: str, reading: FloatArray, delta: float) -> Output:
     return Output(result.predicted, result.estimate, result.sd)
 
 
-def slow(name: str, record: Record, rest: FloatArray) -> Output:
+def slow(name: str, rest: FloatArray, record: Record) -> Output:
     """Run "drift" (the default estimate of the bias), "exponential 85 s" and the like, or "hold 60 s".
 
     rest (n,) is 1 where the unit rests.
@@ -107,13 +108,6 @@ def slow(name: str, record: Record, rest: FloatArray) -> Output:
     return Output(shown, shown, np.full(n, np.nan))
 
 
-def exponential(reading: FloatArray, seconds: float) -> FloatArray:
-    """Return a low-pass sample by sample that starts at the mean of the first second."""
-    gain = 1.0 / (seconds * RATE_HZ)
-    start = float(np.mean(reading[:RATE_HZ]))
-    return np.asarray(lfilter([gain], [1.0, gain - 1.0], reading - start) + start)
-
-
 def compensated(records: Sequence[Record]) -> Table:
     """Allan deviations and the angle after a minute, of (a) raw less x_k|k-1 and (b) x_k|k."""
     n = len(PRETENDED)
@@ -122,11 +116,15 @@ def compensated(records: Sequence[Record]) -> Table:
         for name in PUBLISHED:
             cells = []
             for delta in PRETENDED:
-                outputs = [(r.reading, published(name, r.reading, delta)) for r in records]
-                less = [reading - output.predicted for reading, output in outputs]
-                cells.append(_cell(less if meaning == "a" else [output.estimate for _, output in outputs]))
+                outputs = [published(name, delta, r) for r in records]
+                less = [r.reading - output.predicted for r, output in zip(records, outputs, strict=True)]
+                cells.append(_cell(less if meaning == "a" else [output.estimate for output in outputs]))
             rows.append([f"{name} ({meaning})", *cells])
-    rows.append(["exponential 1 s (b)", *[_cell([exponential(r.reading, 1.0) for r in records])] * n])
+    smooth = []
+    for r in records:
+        start = float(np.mean(r.reading[:RATE_HZ]))
+        smooth.append(lfilter([1.0 / RATE_HZ], [1.0, 1.0 / RATE_HZ - 1.0], r.reading - start) + start)
+    rows.append(["exponential 1 s (b)", *[_cell(smooth)] * n])
     title = "Compensated, 60 s: oadev at 0.02/0.1/1/10 s in °/h; rms angle after 60 s in deg"
     return Table(title, ["", *(f"δ¹ {delta:g}" for delta in PRETENDED)], rows)
 
@@ -140,12 +138,12 @@ def _cell(series: Sequence[FloatArray]) -> str:
 def against_truth(records: Sequence[Record]) -> Table:
     """Errors against the true drift over an hour, and whether the standard deviations are true."""
     methods: dict[str, Callable[[Record], Output]] = {
-        f"{name}, δ¹ {delta:g}": partial(_published, name, delta)
+        f"{name}, δ¹ {delta:g}": partial(published, name, delta)
         for delta in DELTAS
         for name in ("KF", *PUBLISHED)
     }
     for name in ("drift", "exponential 85 s", "exponential 200 s", "hold 60 s"):
-        methods[name] = partial(_slow, name)
+        methods[name] = partial(slow, name, np.ones(len(records[0].reading)))
     rows = []
     late = slice(60 * RATE_HZ, None)
     for name, method in methods.items():
@@ -158,14 +156,6 @@ def against_truth(records: Sequence[Record]) -> Table:
     return Table(title, ["method", "rms °/h", "of seeds", "rms error / sd"], rows)
 
 
-def _published(name: str, delta: float, record: Record) -> Output:
-    return published(name, record.reading, delta)
-
-
-def _slow(name: str, record: Record) -> Output:
-    return slow(name, record, np.ones(len(record.reading)))
-
-
 def journey(records: Sequence[Record]) -> Table:
     """What the angle errs by after a minute of motion that follows ten minutes at rest."""
     rows = []
@@ -176,7 +166,7 @@ def journey(records: Sequence[Record]) -> Table:
         for record in records:
             known = record.drift if name == "the truth" else np.zeros(len(record.drift))
             if name not in ("nothing", "the truth"):
-                known = slow(name, record, still).estimate
+                known = slow(name, still, record).estimate
             whole.append(np.sum((record.reading - known)[moving]) / RATE_HZ)
             slowly.append(np.sum((record.drift - known)[moving]) / RATE_HZ)
         rows.append([name, rms(whole), rms(slowly)])

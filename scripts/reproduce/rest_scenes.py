@@ -279,11 +279,3 @@ def vqf_rest(samples: SampleBlock) -> BoolArray:
         np.ascontiguousarray(gyro - BIAS), np.ascontiguousarray(accel)
     )
     return np.asarray(found["restDetected"], np.bool_)
-
-
-def bias_over_sigma(samples: SampleBlock, truth: FloatArray) -> FloatArray:
-    """Return the error of the bias over its sigma, (n, 3), NaN where there is no estimate.
-
-    The hypothesis of a turn is part of the sigma that the estimator gives.
-    """
-    return (matrix(samples, "gyro_bias") - truth) / matrix(samples, "gyro_bias_sd")

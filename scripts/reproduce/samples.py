@@ -3,11 +3,96 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import lfilter
+from study import matrix
 
-from imumon.blocks import ColumnArray, FloatArray, SampleBlock
+from imumon.blocks import BoolArray, ColumnArray, FloatArray, SampleBlock
+from imumon.geodesy import DEG_PER_H
+from imumon.models.curves.spline import SplineCurve
+from imumon.models.model import BiasModel, ChannelModel
+from imumon.pipeline import Estimator
+from imumon.simulation.unit.biases import curve_value
+from imumon.simulation.unit.scenario import Scenario, load_scenario
+from imumon.simulation.unit.unit import SimulatedUnit
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """What a unit sent, and the truth.
+
+    Parameters
+    ----------
+    samples : SampleBlock
+    bias, earth : array (n, 3)
+        rad/s in body axes; the earth rate, of the last rest where the unit is in motion, is part of the bias
+        for those who do not know latitude and heading.
+    rest : array of bool (n,)
+    """
+
+    samples: SampleBlock
+    bias: FloatArray
+    earth: FloatArray
+    rest: BoolArray
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Time of the device, (n,)."""
+        return np.asarray(self.samples["device_time_ns"] * 1e-9)
+
+    @property
+    def rate_hz(self) -> float:
+        """Rate of the samples."""
+        return float(round(1e9 / (self.samples["device_time_ns"][1] - self.samples["device_time_ns"][0])))
+
+
+def play(scenario: Scenario, seed: int, stages: Sequence[Estimator], n: int | None = None) -> Record:
+    """Return what the simulated unit sends in a scenario, or its first n samples, with columns of stages."""
+    samples, truth = SimulatedUnit(scenario, seed).run(n or scenario.samples)
+    for stage in stages:
+        samples = samples.with_columns(stage.process(samples))
+    rest = truth["at_rest"] == 1
+    last = np.maximum.accumulate(np.where(rest, np.arange(len(rest)), 0))
+    return Record(samples, matrix(truth, "gyro_bias"), matrix(truth, "rate")[last], rest)
+
+
+LOWEST_DEGC, HIGHEST_DEGC = -20.53, 48.08
+"""Range of the curves of the unit crs05."""
+
+
+def crs05_curves(temperature: FloatArray) -> FloatArray:
+    """Return the bias of the three gyros of the unit crs05 at temperatures (n,), rad/s, (n, 3)."""
+    terms = load_scenario("crs05-ramp").unit.gyro_bias_deg_per_s
+    return np.radians([curve_value(getattr(terms, axis), temperature) for axis in "xyz"]).T
+
+
+def crs05_slopes(temperature: FloatArray) -> FloatArray:
+    """Return its derivative, rad/s/degC, (n, 3)."""
+    h = 1e-3
+    return np.asarray((crs05_curves(temperature + h) - crs05_curves(temperature - h)) / (2.0 * h))
+
+
+def crs05_model(thermometers: Sequence[str] = ("temperature",) * 3, tilt_z_dph: float = 0.0) -> BiasModel:
+    """Return the curves as a model file would hold them; z is wrong by a line of so many °/h per °C."""
+    knots = np.linspace(LOWEST_DEGC, HIGHEST_DEGC, 300)
+    wrong = tilt_z_dph * DEG_PER_H * np.array([0.0, 0.0, 1.0])
+    values, slopes = crs05_curves(knots) + np.outer(knots, wrong), crs05_slopes(knots) + wrong
+    channels = {
+        f"gyro_{axis}": ChannelModel(
+            unit="rad/s",
+            temperature_column=thermometers[j],
+            temperature_range_degc=[LOWEST_DEGC, HIGHEST_DEGC],
+            residual_sd=DEG_PER_H,
+            curve=SplineCurve(
+                knots_degc=knots.tolist(), values=values[:, j].tolist(), slopes=slopes[:, j].tolist()
+            ),
+        )
+        for j, axis in enumerate("xyz")
+    }
+    return BiasModel(made_by="the unit crs05", created="2026-01-01T00:00:00Z", channels=channels)
 
 
 def sent(time_s: FloatArray, /, **sensors: FloatArray) -> SampleBlock:

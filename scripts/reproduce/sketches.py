@@ -19,13 +19,6 @@ ARW, INSTABILITY, WALK = 0.28, 2.0, 2.0
 """Terms of the Allan curve that is drawn: N in °/√h, B in °/h, K in °/h/√h."""
 
 
-def course() -> FloatArray:
-    """Return the temperature at each step, °C, (n,)."""
-    ramp, hold = np.linspace(0.0, 1.0, round(RAMP_S / STEP_S)), round(HOLD_S / STEP_S)
-    shape = np.concatenate([np.zeros(hold), ramp, np.ones(hold), ramp[::-1], np.zeros(hold)])
-    return np.asarray(COLD + (WARM - COLD) * shape)
-
-
 def curve(degc: FloatArray) -> FloatArray:
     """Return the bias over temperature, °/h, (n,)."""
     u = (degc - COLD) / (WARM - COLD)
@@ -53,7 +46,9 @@ def biases(degc: FloatArray) -> dict[str, FloatArray]:
 
 def biases_over_temperature() -> list[Axes]:
     """Draw the bias over temperature of each sketch, warming and cooling in two colours."""
-    degc = course()
+    ramp, hold = np.linspace(0.0, 1.0, round(RAMP_S / STEP_S)), round(HOLD_S / STEP_S)
+    shape = np.concatenate([np.zeros(hold), ramp, np.ones(hold), ramp[::-1], np.zeros(hold)])
+    degc = np.asarray(COLD + (WARM - COLD) * shape)
     turned = len(degc) // 2
     figure = Figure(figsize=(9.0, 5.0), dpi=100)
     for panel, (name, bias) in zip(
@@ -114,29 +109,25 @@ def allan_curve() -> list[Axes]:
 def body_axes() -> list[Axes]:
     """Draw FRD and FLU on a case."""
     figure = Figure(figsize=(8.0, 3.6), dpi=100)
+    # A flat box in oblique projection, its front to the upper right.
+    forward, side, up = np.array([0.5, 0.25]), np.array([0.4, -0.21]), np.array([0.0, 0.18])
+    top = [a * forward + b * side + up for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    bottom = [corner - 2.0 * up for corner in top]
+    front, flank = (top[3], top[2], bottom[2], bottom[3]), (top[0], top[3], bottom[3], bottom[0])
     for panel, (name, right, down) in zip(
         figure.subplots(1, 2), (("FRD", 1.0, 1.0), ("FLU", -1.0, -1.0)), strict=True
     ):
-        _draw_case(panel)
-        side, vertical = ("right", "down") if right > 0 else ("left", "up")
+        for face, color in ((top, "0.8"), (front, "0.6"), (flank, "0.7")):
+            panel.fill(*zip(*face, strict=True), color=color)
+        sideways, vertical = ("right", "down") if right > 0 else ("left", "up")
         _arrow(panel, (0.9, 0.45), "x forward", "C3")
-        _arrow(panel, (0.75 * right, -0.4 * right), f"y {side}", "C2")
+        _arrow(panel, (0.75 * right, -0.4 * right), f"y {sideways}", "C2")
         _arrow(panel, (0.0, -0.95 * down), f"z {vertical}", "C0")
         reads = "−9.81" if down > 0 else "+9.81"
         panel.set_title(f"{name}: at rest and level z reads {reads} m/s²")
         panel.set(xlim=(-1.5, 1.9), ylim=(-1.3, 1.3), aspect="equal")
         panel.axis("off")
     return figure.axes
-
-
-def _draw_case(panel: Axes) -> None:
-    """Draw a flat box in oblique projection, its front to the upper right."""
-    forward, side, up = np.array([0.5, 0.25]), np.array([0.4, -0.21]), np.array([0.0, 0.18])
-    corners = [a * forward + b * side + up for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    lower = [corner - 2.0 * up for corner in corners]
-    panel.fill(*zip(*corners, strict=True), color="0.8")
-    panel.fill(*zip(*(corners[3], corners[2], lower[2], lower[3]), strict=True), color="0.6")
-    panel.fill(*zip(*(corners[0], corners[3], lower[3], lower[0]), strict=True), color="0.7")
 
 
 def _arrow(panel: Axes, to: tuple[float, float], text: str, color: str) -> None:

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from collections.abc import Iterator
 
 import numpy as np
 from alignment_site_scenes import ACCEL_BIAS_UG
+from samples import play
 from study import Cell, Options, Study, Table, largest, rms
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.stage import Alignment
 from imumon.estimation.gyro_bias.stage import RestAndBias
-from imumon.estimation.smoothing.record import Record, Recorder, backward
+from imumon.estimation.smoothing.record import Record as Forward
+from imumon.estimation.smoothing.record import Recorder, backward
 from imumon.estimation.smoothing.stage import SmoothedEstimates, still_heading
 from imumon.estimation.temperature_rate.stage import TemperatureRate
 from imumon.geodesy import DEG_PER_H
-from imumon.pipeline import Estimator
 from imumon.simulation.unit import load_scenario
-from imumon.simulation.unit.unit import SimulatedUnit
 
 CASES = (
     ("self-heating", 300),
@@ -32,7 +31,6 @@ CASES = (
 )
 """Scenario and seconds."""
 RATE_HZ = 100
-PIECE_S = 60
 HEADINGS = 4
 """Sessions of the alignment for one of the others: they are short."""
 
@@ -58,43 +56,44 @@ def tables(given: Options) -> Iterator[Table]:
     yield Table("", heads, [row], formats=("", ".4f", ".4f", ".2f", ".1f"))
 
 
-class Smoothed(NamedTuple):
-    """A simulated session: forward record, smoothed columns, true bias at its slots, and the residuals r."""
+def smoothed(name: str, seconds: int, seed: int) -> tuple[Forward, SmoothedEstimates, dict[str, FloatArray]]:
+    """Simulate and smooth a scenario.
 
-    record: Record
-    columns: dict[str, FloatArray]
-    true: FloatArray
-    residuals: Mapping[str, float]
-
-
-def smoothed(name: str, seconds: int, seed: int) -> Smoothed:
-    """Simulate and smooth a scenario."""
-    recorder, truths = Recorder(), []
-    for block, truth in played(name, seconds, seed):
-        recorder.add(block)
-        truths.append(truth)
-    record = recorder.finish()
-    against_time = backward(record, TemperatureRate(), RestAndBias(mode="learned"))
-    stage = SmoothedEstimates(record, against_time)
-    rows = np.minimum(record.stop - 1, seconds * RATE_HZ - 1)
-    slots = SampleBlock({"row": np.arange(seconds * RATE_HZ)})
-    columns = {key: values[rows] for key, values in stage.process(slots).items()}
-    return Smoothed(record, columns, np.concatenate(truths)[rows], stage.residuals)
+    Returns the forward record, what smoothed it, and at its slots the smoothed columns and, as `true`, the
+    bias with the earth rate of the latest rest, (n, 3).
+    """
+    scenario = load_scenario(name).played(RATE_HZ, "FRD")
+    n = seconds * RATE_HZ
+    made = play(scenario, seed, (TemperatureRate(), RestAndBias(mode="learned")), n)
+    recorder = Recorder()
+    recorder.add(made.samples)
+    forward = recorder.finish()
+    stage = SmoothedEstimates(forward, backward(forward, TemperatureRate(), RestAndBias(mode="learned")))
+    rows = np.minimum(forward.stop - 1, n - 1)
+    columns = {key: values[rows] for key, values in stage.process(SampleBlock({"row": np.arange(n)})).items()}
+    return forward, stage, columns | {"true": (made.bias + made.earth)[rows]}
 
 
 def measured(name: str, seconds: int, seed: int) -> FloatArray:
     """Return for each gyro: rms error forward and smoothed, °/h, rms and largest z, r, (3, 5)."""
-    record, columns, true, residuals = smoothed(name, seconds, seed)
-    result = np.empty((3, 5))
+    forward, stage, columns = smoothed(name, seconds, seed)
+    result = []
     for j, axis in enumerate("xyz"):
-        result[j] = _scores(record, columns, axis, true[:, j], residuals[f"gyro_bias_{axis}"])
-    return result
+        true = columns["true"][:, j]
+        before, error = (
+            forward.columns[f"gyro_bias_{axis}"] - true,
+            columns[f"gyro_bias_smoothed_{axis}"] - true,
+        )
+        z = error / columns[f"gyro_bias_smoothed_sd_{axis}"]
+        errors = [rms(before) / DEG_PER_H, rms(error) / DEG_PER_H]
+        result.append([*errors, rms(z), largest(z), stage.residuals[f"gyro_bias_{axis}"]])
+    return np.array(result)
 
 
 def heading(seed: int) -> tuple[float, float, float, float]:
     """Return error of the smoothed heading, °, also over sigma, that forward, °, and the residual r."""
     scenario, recorder = load_scenario("alignment").played(RATE_HZ, "FRD"), Recorder()
-    block, _ = SimulatedUnit(scenario, seed).run(scenario.samples)
+    block = play(scenario, seed, ()).samples
     latitude_deg, true = scenario.latitude_deg or 0.0, np.radians(scenario.attitude.heading_deg)
     declared = AlignmentParameters(accel_bias_sd_ug=ACCEL_BIAS_UG)
     stage = Alignment(declared, latitude_deg, "FRD")
@@ -107,34 +106,6 @@ def heading(seed: int) -> tuple[float, float, float, float]:
     error = float(np.degrees(np.remainder(found.value[middle] - true + np.pi, 2.0 * np.pi) - np.pi))
     live = float(np.nanmedian(np.abs(off)))
     return error, error / float(np.degrees(found.sd[middle])), live, found.residual
-
-
-def played(name: str, seconds: int, seed: int) -> Iterator[tuple[SampleBlock, FloatArray]]:
-    """Yield samples behind the stages, and the bias with the earth rate of the latest rest, (n, 3)."""
-    unit = SimulatedUnit(load_scenario(name).played(RATE_HZ, "FRD"), seed)
-    stages: list[Estimator] = [TemperatureRate(), RestAndBias(mode="learned")]
-    kept = np.zeros(3)
-    for begun in range(0, seconds, PIECE_S):
-        block, truth = unit.run(min(PIECE_S, seconds - begun) * RATE_HZ)
-        for stage in stages:
-            block = block.with_columns(stage.process(block))
-        rate, bias = truth.vector("rate"), truth.vector("gyro_bias")
-        assert rate is not None
-        assert bias is not None
-        rates = np.vstack([kept, rate])
-        latest = np.maximum.accumulate(np.where(truth["at_rest"] == 1, np.arange(1, len(rate) + 1), 0))
-        kept = rates[latest[-1]]
-        yield block, bias + rates[latest]
-
-
-def _scores(
-    record: Record, smoothed: dict[str, FloatArray], axis: str, true: FloatArray, apart: float
-) -> list[float]:
-    error = smoothed[f"gyro_bias_smoothed_{axis}"] - true
-    before = record.columns[f"gyro_bias_{axis}"] - true
-    z = error / smoothed[f"gyro_bias_smoothed_sd_{axis}"]
-    errors = [rms(before) / DEG_PER_H, rms(error) / DEG_PER_H]
-    return [*errors, rms(z), largest(z), apart]
 
 
 def _three(values: FloatArray) -> str:

@@ -1,4 +1,4 @@
-"""The runner of the studies: options, tables in Markdown, pages, and comparison with a page.
+"""The runner of the studies: options, tables in Markdown, and pages.
 
 A study is a module with `STUDY`.  It defines which scenes, methods and errors make a table; all else is here.
 """
@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
-from difflib import unified_diff
 from importlib import import_module
 from itertools import zip_longest
 from pathlib import Path
@@ -48,7 +47,6 @@ STUDIES: Mapping[str, Mapping[str, str]] = {
     "field": {
         "rest": "field_table:REST",
         "thermometer": "field_table:THERMOMETER",
-        "north": "field_table:NORTH",
         "bias": "field_table:BIAS",
         "moving": "field_table:MOVING_BIAS",
         "surprises": "field_table:SURPRISE",
@@ -67,20 +65,8 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Options:
-    """What the command line gives a study.
-
-    Parameters
-    ----------
-    seeds : range
-    only : str
-        Scenes whose name holds this text.
-    data : Path
-        Folder of the measured recordings.
-    quick : bool
-        The first of everything, in seconds.
-    jobs : int
-        Processes.
-    """
+    """What the command line gives a study: scenes whose name holds `only`, recordings in the folder `data`,
+    with `quick` the first of everything, and so many processes."""
 
     seeds: range
     only: str
@@ -118,17 +104,8 @@ class Table:
 
 @dataclass(frozen=True)
 class Study:
-    """A study.
-
-    Parameters
-    ----------
-    tables : callable
-        Yields the tables.
-    seeds, first : int
-        Runs of each scene and their first seed, by default.
-    page : str
-        Page below docs with the tables of `--write`, between markers with the name of the study or its part.
-    """
+    """A study: what yields its tables, runs of each scene and their first seed by default, and the page below
+    docs that `--write` puts the tables into, between markers with the name of the study or its part."""
 
     tables: Callable[[Options], Iterable[Table]]
     seeds: int = 1
@@ -174,22 +151,6 @@ def worst_first(rows: Iterable[tuple[float, Cells]]) -> list[Cells]:
     return [cells for _, cells in sorted(rows, key=lambda row: -row[0])]
 
 
-def rows_of(text: str) -> Iterator[tuple[str, str]]:
-    """Yield the lines of all tables of a page, each with the heads of its table."""
-    heads = ""
-    for line in text.splitlines():
-        heads = (heads or line) if line.startswith("|") else ""
-        if heads:
-            yield heads, line
-
-
-def differences(new: str, old: str) -> Iterator[str]:
-    """Yield the rows that differ between two versions of tables with the same heads, as `diff` does."""
-    known = {heads for heads, _ in rows_of(new)}
-    before, after = ([line for heads, line in rows_of(text) if heads in known] for text in (old, new))
-    return unified_diff(before, after, "old", "new", n=0, lineterm="")
-
-
 def write_between(page: Path, name: str, text: str) -> None:
     """Put text between the markers of this name in a page."""
     begin, end = f"<!-- {name} -->\n", f"<!-- end {name} -->"
@@ -214,19 +175,9 @@ def parser_of(
     parser.add_argument("--data", type=Path, default=data, help="folder of the measured recordings")
     parser.add_argument("--jobs", type=int, default=2, help="processes, where a study has some (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="the first of everything, in seconds")
-    parser.add_argument("--beside", type=Path, help="print the rows that differ from those of this page")
     if study.page:
         parser.add_argument("--write", action="store_true", help=f"write the tables into docs/{study.page}")
     return parser
-
-
-def printed(tables: Iterable[Table]) -> str:
-    """Print tables as they come, and return all of them in Markdown."""
-    done = []
-    for table in tables:
-        done.append(table.markdown())
-        print(done[-1], flush=True)
-    return "\n".join(done)
 
 
 def study_of(place: str) -> tuple[ModuleType, Study]:
@@ -238,6 +189,8 @@ def study_of(place: str) -> tuple[ModuleType, Study]:
 
 def main(command: str, arguments: Sequence[str]) -> None:
     """Run a study."""
+    if command not in STUDIES:
+        raise SystemExit(f"scripts/reproduce/NAME [--help], where NAME is one of {', '.join(STUDIES)}")
     parts = STUDIES[command]
     part = argparse.ArgumentParser(add_help=False)
     if len(parts) > 1:
@@ -248,11 +201,12 @@ def main(command: str, arguments: Sequence[str]) -> None:
     count, jobs = (1, 1) if given.quick else (given.seeds, given.jobs)
     seeds = range(given.first, given.first + count)
     options = Options(seeds, given.only, given.data, given.quick, jobs)
-    text = printed(study.tables(options))
-    if given.beside:
-        print("\n".join(differences(text, given.beside.read_text(encoding="utf-8"))))
+    done = []
+    for table in study.tables(options):
+        done.append(table.markdown())
+        print(done[-1], flush=True)
     if study.page and given.write:
-        write_between(DOCS / study.page, name or command, text)
+        write_between(DOCS / study.page, name or command, "\n".join(done))
 
 
 if __name__ == "__main__":

@@ -2,39 +2,33 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 from dense_record import dense_filter
+from samples import crs05_curves, crs05_model, crs05_slopes
 from study import Options, Study, Table, matrix
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.estimation.gyro_bias.stage import GyroBias, Mode
-from imumon.geodesy import EARTH_RATE, body_to_ned
-from imumon.models.curves.spline import SplineCurve
-from imumon.models.model import BiasModel, ChannelModel
+from imumon.geodesy import DEG_PER_H
 from imumon.papers.dense_zupt import DenseSettings
 from imumon.papers.fir import FirRate, Params
-from imumon.simulation.unit.biases import curve_value
 from imumon.simulation.unit.scenario import load_scenario
 from imumon.simulation.unit.unit import SimulatedUnit
 
-DPH = math.radians(1.0) / 3600.0
-"""One degree per hour, rad/s."""
 RATE_HZ = 100
 LATITUDE_DEG = 40.93
 ZEROING = 60 * RATE_HZ
 STEP = 10
 """Samples to a step of the filter: as good as one, see tests/papers/test_dense_zupt.py."""
-THRESHOLD = 1.00e-5 / DPH
+THRESHOLD = 1.00e-5 / DEG_PER_H
 """Convergence of the paper, deg/h, held for `HELD` samples."""
 HELD = 5 * RATE_HZ
 RESIDUAL = 15.0
 """Error of the start, deg/h."""
-LOWEST, HIGHEST = -20.53, 48.08
 UP = np.array([0.0, 0.0, -1.0])
 ARW = 0.28
 """deg/√h."""
@@ -68,48 +62,9 @@ class Record:
 def simulate(scenario: str, seed: int) -> Record:
     """Play a scenario."""
     played = load_scenario(scenario)
-    sent, truth = SimulatedUnit(played, seed).run(round(played.duration_s * played.rate_hz))
-    latitude = math.radians(played.latitude_deg)
-    earth = EARTH_RATE * np.array([math.cos(latitude), 0.0, -math.sin(latitude)])
-    return Record(
-        block=sent.with_columns({"at_rest": truth["at_rest"]}),
-        gyro=matrix(sent, "gyro"),
-        accel=matrix(sent, "accel"),
-        temperature=truth["temperature"],
-        bias=matrix(truth, "gyro_bias"),
-        earth=body_to_ned(UP, 0.0).T @ earth,
-    )
-
-
-def curves(temperature: FloatArray) -> FloatArray:
-    """Return the true curve of the three gyros at temperatures (n,), rad/s, (n, 3)."""
-    terms = load_scenario("crs05-ramp").unit.gyro_bias_deg_per_s
-    return np.radians([curve_value(getattr(terms, axis), temperature) for axis in "xyz"]).T
-
-
-def slopes(temperature: FloatArray) -> FloatArray:
-    """Return its derivative, rad/s/degC, (n, 3)."""
-    h = 1e-3
-    return np.asarray((curves(temperature + h) - curves(temperature - h)) / (2.0 * h))
-
-
-def true_model() -> BiasModel:
-    """Return the true curve as a model file would hold it."""
-    knots = np.linspace(LOWEST, HIGHEST, 300)
-    value, slope = curves(knots), slopes(knots)
-    channels = {
-        f"gyro_{axis}": ChannelModel(
-            unit="rad/s",
-            temperature_column="temperature",
-            temperature_range_degc=[LOWEST, HIGHEST],
-            residual_sd=DPH,
-            curve=SplineCurve(
-                knots_degc=knots.tolist(), values=value[:, j].tolist(), slopes=slope[:, j].tolist()
-            ),
-        )
-        for j, axis in enumerate("xyz")
-    }
-    return BiasModel(made_by="scripts/reproduce/tczupt", created="2026-01-01T00:00:00Z", channels=channels)
+    sent, truth = SimulatedUnit(played, seed).run(played.samples)
+    vectors = matrix(sent, "gyro"), matrix(sent, "accel"), truth["temperature"], matrix(truth, "gyro_bias")
+    return Record(sent.with_columns({"at_rest": truth["at_rest"]}), *vectors, matrix(truth, "rate")[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,19 +83,21 @@ class Filter:
 def run(record: Record, chosen: Filter, residual: float = 0.0) -> FloatArray:
     """Return the error of the bias after the zeroing, deg/h, (n, 3)."""
     at = record.block["temperature"] if chosen.thermal == "reading" else record.temperature
-    thermal = curves(at)
+    thermal = crs05_curves(at)
     subtracted = thermal if chosen.thermal == "calibrated" else np.zeros_like(thermal)
     gyro, drift = record.gyro - subtracted, None
     if chosen.thermal in ("increments", "reading"):
         drift = np.diff(thermal, axis=0)[ZEROING - 1 :]
     elif chosen.thermal in ("rate", "fir"):
         rate = fir_rate(record) if chosen.thermal == "fir" else np.gradient(record.temperature) * RATE_HZ
-        drift = (slopes(record.temperature) * rate[:, np.newaxis] / RATE_HZ)[ZEROING:]
-    start = (gyro[:ZEROING] - record.earth).mean(0) + residual * DPH
+        drift = (crs05_slopes(record.temperature) * rate[:, np.newaxis] / RATE_HZ)[ZEROING:]
+    start = (gyro[:ZEROING] - record.earth).mean(0) + residual * DEG_PER_H
     part = slice(ZEROING, None)
-    settings = replace(DenseSettings(1.0 / RATE_HZ), bias_random_walk=chosen.k * DPH, bias_sd=chosen.p0 * DPH)
+    settings = replace(
+        DenseSettings(1.0 / RATE_HZ), bias_random_walk=chosen.k * DEG_PER_H, bias_sd=chosen.p0 * DEG_PER_H
+    )
     result = dense_filter(settings, gyro[part], record.accel[part], start, drift, UP, STEP)
-    return np.asarray((result.bias + (subtracted - record.bias)[part]) / DPH)
+    return np.asarray((result.bias + (subtracted - record.bias)[part]) / DEG_PER_H)
 
 
 def fir_rate(record: Record) -> FloatArray:
@@ -180,8 +137,11 @@ def averages(records: Sequence[Record]) -> Table:
         n = np.arange(len(record.gyro))
         low, high = (np.clip(n + sign * width // 2, 0, len(n)) for sign in (-1, 1))
         found.append((total[high] - total[low]) / (high - low)[:, np.newaxis])
-    off = [(mean - r.bias)[ZEROING:] / DPH for mean, r in zip(found, records, strict=True)]
-    raw = [(r.gyro - r.earth - mean)[ZEROING:].mean(0) / DPH for mean, r in zip(found, records, strict=True)]
+    off = [(mean - r.bias)[ZEROING:] / DEG_PER_H for mean, r in zip(found, records, strict=True)]
+    raw = [
+        (r.gyro - r.earth - mean)[ZEROING:].mean(0) / DEG_PER_H
+        for mean, r in zip(found, records, strict=True)
+    ]
     heads = ["mean residual about it", "its rms error against the truth", "60 ARW/√(30 s)"]
     cells = [three(np.mean(raw, axis=0), 3), three(rms(off)), f"{60 * ARW / np.sqrt(30):.2f}"]
     return Table("Table 5: the moving average of 30 s, deg/h, x y z", heads, [cells])
@@ -212,9 +172,9 @@ def comparison(records: Sequence[Record]) -> Table:
 
 def stage_error(record: Record, mode: Mode) -> FloatArray:
     """Return the error of the stage after the zeroing, deg/h, (n, 3)."""
-    model = true_model() if mode == "thermal" else None
+    model = crs05_model() if mode == "thermal" else None
     added = SampleBlock(GyroBias(None, model, mode, LATITUDE_DEG, 0.0).process(record.block))
-    return np.asarray((matrix(added, "gyro_bias") - record.bias)[ZEROING:] / DPH)
+    return np.asarray((matrix(added, "gyro_bias") - record.bias)[ZEROING:] / DEG_PER_H)
 
 
 def thermal_terms(count: int) -> Table:
@@ -242,8 +202,10 @@ def predicted(record: Record) -> Table:
     """What the bias of y moves by without updates in the descent, and what predictions of that err by."""
     rows = []
     begin = ZEROING + DESCENT_S * RATE_HZ
-    thermal, reading = (curves(t)[:, 1] / DPH for t in (record.temperature, record.block["temperature"]))
-    by_rate = np.cumsum(slopes(record.temperature)[:, 1] * fir_rate(record)) / RATE_HZ / DPH
+    thermal, reading = (
+        crs05_curves(t)[:, 1] / DEG_PER_H for t in (record.temperature, record.block["temperature"])
+    )
+    by_rate = np.cumsum(crs05_slopes(record.temperature)[:, 1] * fir_rate(record)) / RATE_HZ / DEG_PER_H
     for seconds in PREDICTED_S:
         stop = min(begin + seconds * RATE_HZ, len(record.gyro) - 1)
         truth = thermal[stop] - thermal[begin]

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+from samples import HIGHEST_DEGC, LOWEST_DEGC, crs05_curves, crs05_slopes
 from scipy.interpolate import CubicSpline
-from study import Cell, Cells, Options, Study, Table, rms
+from study import Cells, Options, Study, Table, matrix, rms
 
-from imumon.blocks import BoolArray, FloatArray, SampleBlock
+from imumon.blocks import BoolArray, FloatArray
+from imumon.geodesy import DEG_PER_H
 from imumon.lab.calibration.calibration import calibrate, knots_of
 from imumon.lab.calibration.cells import Channel, channel_of, group, levels
 from imumon.lab.calibration.record import Record, read_session, record_of
@@ -25,19 +27,24 @@ from imumon.models.model import Curve
 from imumon.recordings.importing import import_table
 from imumon.recordings.reduced import GYRO
 from imumon.simulation.unit import SimulatedUnit, load_scenario
-from imumon.simulation.unit.biases import curve_value
 
-DEG_H = np.deg2rad(1.0) / 3600.0
-"""1 °/h in rad/s."""
 AXES = "xyz"
-INSIDE = np.linspace(-20.53, 48.08, 1373)
+INSIDE = np.linspace(LOWEST_DEGC, HIGHEST_DEGC, 1373)
 """Where curves are compared with the truth, every 0.05 °C."""
-STEP_DEGC = 1e-3
-"""Of the numerical derivative of the true curve."""
 DWELLING_DEGC = 0.1
 EVERY = 4
 """So many means on a level are one for the network: 75 of 300 on each show the same, in less time."""
-_AT_ONCE = 200_000
+AT_ONCE = 150_000
+"""Samples, nine times in the soak."""
+SIZES = (1, 2, 3, 4, 5)
+RESTARTS = 20
+SEED = 1
+"""Of the simulated soak."""
+BAD = 1.5
+"""A start ended badly when its error is more than this much above that of the best."""
+SHARES = (0.42, 0.6, 0.8)
+"""Of the chamber's record that is fitted."""
+DISTANCES_DEGC = np.array([0.5, 1.0, 2.0, 3.0, 3.5])
 
 Function = Callable[[FloatArray], FloatArray]
 
@@ -61,48 +68,25 @@ class Soak:
         keep = moving | (np.arange(len(t)) % EVERY == 0)
         return Points(t, value, np.ones(len(t)), level).only(keep)
 
-    def dwelling(self, points: Points) -> BoolArray:
-        """Return which of the points are on a level, not on the way between two."""
-        return np.abs(points.temperature - self.centers[points.level]) < DWELLING_DEGC
+    def on_levels(self, axis: int) -> Points:
+        """Return those of the means that are on a level, not on the way between two."""
+        points = self.halfminutes(axis)
+        return points.only(np.abs(points.temperature - self.centers[points.level]) < DWELLING_DEGC)
 
 
-def simulated_soak(seed: int, name: str = "crs05-soak") -> Soak:
-    """Run a scenario of the soak; the truth is its curve plus the earth rate, which stays in it."""
+def simulated_soak(seed: int) -> Soak:
+    """Run the scenario of the soak; the truth is its curve plus the earth rate, which stays in it."""
+    name = "crs05-soak"
     scenario = load_scenario(name)
     unit = SimulatedUnit(scenario, seed)
-    earth: list[FloatArray] = []
-
-    def blocks() -> Iterator[SampleBlock]:
-        left = scenario.samples
-        while left:
-            block, truth = unit.run(min(left, _AT_ONCE))
-            left -= len(block)
-            earth.append(np.array([truth[f"rate_{axis}"][0] for axis in AXES]))
-            yield block
-
-    record = record_of(blocks(), name, "0" * 64, axes=scenario.axes)
-    terms = [getattr(scenario.unit.gyro_bias_deg_per_s, axis) for axis in AXES]
-
-    def bias(t: FloatArray) -> FloatArray:
-        return np.deg2rad(np.column_stack([curve_value(term, t) for term in terms]))
-
+    blocks = (unit.run(AT_ONCE)[0] for _ in range(scenario.samples // AT_ONCE))
+    record = record_of(blocks, name, "0" * 64, axes=scenario.axes)
     cells = group([record], None, None)
     centers = levels(cells)
     channels = [channel_of([record], cells, name, centers) for name in GYRO]
-    return Soak(
-        record=record,
-        bias=bias(INSIDE) + earth[0],
-        slope=(bias(INSIDE + STEP_DEGC) - bias(INSIDE - STEP_DEGC)) / (2.0 * STEP_DEGC),
-        centers=centers,
-        channels=[channel for channel in channels if channel is not None],
-    )
-
-
-def chamber_cycle(data: Path, scratch: Path) -> Record:
-    """Return the measured chamber cycle as `imumon import` and the pipeline give it."""
-    folder = data / "chamber-cycle"
-    import_table(folder / "cooling-heating.csv", folder / "map.yaml", scratch / "chamber-cycle")
-    return read_session(scratch / "chamber-cycle")[0]
+    earth = matrix(SimulatedUnit(scenario, seed).run(1)[1], "rate")
+    bias, slope = crs05_curves(INSIDE) + earth, crs05_slopes(INSIDE)
+    return Soak(record, bias, slope, centers, [channel for channel in channels if channel is not None])
 
 
 def during(record: Record, first: float, last: float) -> Record:
@@ -111,35 +95,17 @@ def during(record: Record, first: float, last: float) -> Record:
     return replace(record, rest=record.rest & (place >= first) & (place < last))
 
 
-SIZES = (1, 2, 3, 4, 5)
-RESTARTS = 20
-SEED = 1
-"""Of the simulated soak."""
-BAD = 1.5
-"""A start ended badly when its error is more than this much above that of the best."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Trained:
-    """A network trained in the published way.
-
-    `residual` has the rms residual of training, validation and test samples, `bad` counts the starts that
-    ended badly; in the unit of the points.
-    """
-
-    curve: NetworkCurve
-    residual: tuple[float, float, float]
-    bad: int
-
-
-def split(count: int, random: np.random.Generator) -> tuple[BoolArray, BoolArray, BoolArray]:
+def split(count: int, random: np.random.Generator) -> list[BoolArray]:
     """Return which samples are for training, validation and test: 65/20/15 %, drawn at random."""
     place = (random.permutation(count) + 0.5) / count
-    return place < 0.65, (place >= 0.65) & (place < 0.85), place >= 0.85
+    return [place < 0.65, (place >= 0.65) & (place < 0.85), place >= 0.85]
 
 
-def published(points: Points, neurons: int, seed: int) -> Trained:
-    """Train with a split by sample; the start with the best validation is kept."""
+def published(points: Points, neurons: int, seed: int) -> tuple[NetworkCurve, list[float], int]:
+    """Train a network as published: with a split by sample, the start with the best validation is kept.
+
+    Returns the curve, rms residuals of training, validation and test samples, and the number of bad starts.
+    """
     random = np.random.default_rng(seed)
     parts = split(len(points), random)
     scaled = Scaled.of(points)
@@ -150,49 +116,33 @@ def published(points: Points, neurons: int, seed: int) -> Trained:
     weights = [train(start, training, validation) for start in starts(neurons, RESTARTS, random)]
     error = np.sqrt([mean_square(one, validation) for one in weights])
     curve = scaled.curve(weights[np.argmin(error)])
+    return curve, residuals(curve, points, parts), int(np.sum(error > BAD * error.min()))
+
+
+def residuals(curve: Curve, points: Points, parts: list[BoolArray]) -> list[float]:
+    """Return the rms residual of each part of the points."""
     residual = points.value - curve.value(points.temperature)
-    of_training, of_validation, of_test = (rms(residual[part]) for part in parts)
-    return Trained(curve, (of_training, of_validation, of_test), int(np.sum(error > BAD * error.min())))
+    return [rms(residual[part]) for part in parts]
 
 
-@dataclass(frozen=True, slots=True)
-class SizeRow:
-    """S_r of one size of network: the rms over the axes, °/h or °/h/°C."""
-
-    neurons: int
-    by_sample: list[float]
-    """Of training, validation and test samples."""
-    levels_left_out: float
-    truth: float
-
-
-def size_study(soak: Soak) -> list[SizeRow]:
-    """Figure 7: networks on b(T), trained on 30 s means at the levels; what splits say, and the truth."""
-    points = [soak.halfminutes(axis) for axis in range(3)]
-    return _sizes([one.only(soak.dwelling(one)) for one in points], soak.bias, soak.channels)
-
-
-def slope_size_study(soak: Soak) -> list[SizeRow]:
-    """Figure 8: networks on differences of levels, and the truth."""
-    return _sizes([level_differences(soak, axis) for axis in range(3)], soak.slope, [])
-
-
-def _sizes(points: list[Points], truth: FloatArray, channels: list[Channel]) -> list[SizeRow]:
-    rows = []
+def sizes(title: str, points: list[Points], truth: FloatArray, channels: list[Channel]) -> Table:
+    """Return S_r, the rms over the axes, of networks of each size: what splits tell, and the truth."""
+    rows: list[Cells] = []
     for n in SIZES:
         found = [published(one, n, seed=n) for one in points]
-        by_sample = [rms([one.residual[k] for one in found]) / DEG_H for k in range(3)]
-        true = rms(np.column_stack([one.curve.value(INSIDE) for one in found]) - truth)
+        by_sample = [rms(part) / DEG_PER_H for part in zip(*(parts for _, parts, _ in found), strict=True)]
+        true = rms(np.column_stack([curve.value(INSIDE) for curve, _, _ in found]) - truth) / DEG_PER_H
         fit = partial(fit_network, neurons=n, restarts=3)
-        apart = rms([rms(held_out(channel.points(), fit)) for channel in channels])
-        rows.append(SizeRow(n, by_sample, apart / DEG_H, true / DEG_H))
-    return rows
+        apart = rms([rms(held_out(channel.points(), fit)) for channel in channels]) / DEG_PER_H
+        rows.append([n, *by_sample, apart if channels else "", true])
+    heads = ["neurons", "training samples", "validation samples", "test samples", "levels left out"]
+    formats = ("", ".2f", ".2f", ".2f", ".1f", ".2f")
+    return Table(title, [*heads, "against the truth"], rows, formats=formats)
 
 
 def level_means(soak: Soak, axis: int) -> Points:
     """Return the mean of each level."""
-    points = soak.halfminutes(axis)
-    points = points.only(soak.dwelling(points))
+    points = soak.on_levels(axis)
     number = np.unique(points.level)
     t, value = (
         np.array([of[points.level == k].mean() for k in number]) for of in (points.temperature, points.value)
@@ -215,8 +165,8 @@ def slope_methods(soak: Soak, axis: int) -> dict[str, Function]:
     knots = knots_of(channel, soak.centers)
     points = channel.points(slow_variance(channel.points(), channel.white, knots))
     return {
-        "derivative of the published b(T) network": published(all_points, 2, 1).curve.slope,
-        "network on differences of levels": published(level_differences(soak, axis), 2, 1).curve.value,
+        "derivative of the published b(T) network": published(all_points, 2, 1)[0].slope,
+        "network on differences of levels": published(level_differences(soak, axis), 2, 1)[0].value,
         "cubic spline through the level means": CubicSpline(means.temperature, means.value).derivative(),
         "imumon: smoothing spline": fit_spline(points, knots).slope,
         "imumon: network 2": fit_network(points, 2).slope,
@@ -225,76 +175,45 @@ def slope_methods(soak: Soak, axis: int) -> dict[str, Function]:
     }
 
 
-def polynomial_leak(soak: Soak) -> tuple[float, float, float, float]:
-    """Return residuals of a split by sample and the true error, rad/s, of 13 coefficients on 15 levels; z."""
-    points = soak.halfminutes(2)
-    points = points.only(soak.dwelling(points))
-    parts = split(len(points), np.random.default_rng(1))
-    curve = fit_polynomial(points.only(parts[0]), 12)
-    residual = points.value - curve.value(points.temperature)
-    training, validation, test = (rms(residual[part]) for part in parts)
-    return training, validation, test, rms(curve.value(INSIDE) - soak.bias[:, 2])
-
-
-def beyond_the_range(soak: Soak, distances: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return rms errors over axes and both ends, rad/s, of following the tangent and of holding the value.
-
-    The curve is fitted to levels 2 to 14 of 15; it is evaluated `distances` °C outside.
-    """
-    tangent, hold = [], []
-    for axis, channel in enumerate(soak.channels):
-        low, high = soak.centers[1] - DWELLING_DEGC, soak.centers[-2] + DWELLING_DEGC
-        inner = channel.only((channel.temperature > low) & (channel.temperature < high))
-        knots = knots_of(inner, soak.centers[1:-1])
-        curve = fit_spline(inner.points(), knots)
-        for end, sign in ((knots[0], -1.0), (knots[-1], 1.0)):
-            truth = np.interp(end + sign * distances, INSIDE, soak.bias[:, axis])
-            value, slope = float(curve.value(end)), float(curve.slope(end))
-            tangent.append(value + slope * sign * distances - truth)
-            hold.append(value - truth)
-    return np.sqrt(np.mean(np.square(tangent), axis=0)), np.sqrt(np.mean(np.square(hold), axis=0))
-
-
-SHARES = (0.42, 0.6, 0.8)
-"""Of the chamber's record that is fitted."""
-DISTANCES_DEGC = np.array([0.5, 1.0, 2.0, 3.0, 3.5])
-
-
-def sizes(rows: Sequence[SizeRow], title: str) -> Table:
-    """What splits by sample say of networks of each size, and the truth."""
-    cells: list[Cells] = []
-    for row in rows:
-        left_out: Cell = row.levels_left_out if np.isfinite(row.levels_left_out) else ""
-        cells.append([row.neurons, *row.by_sample, left_out, row.truth])
-    heads = ["neurons", "training samples", "validation samples", "test samples", "levels left out"]
-    formats = ("", ".2f", ".2f", ".2f", ".1f", ".2f")
-    return Table(title, [*heads, "against the truth"], cells, formats=formats)
-
-
 def slopes(soak: Soak) -> Table:
     """Errors of db/dT by each method."""
     methods = [slope_methods(soak, axis) for axis in range(3)]
-    rows = []
+    rows: list[Cells] = []
     for name in methods[0]:
-        errors = [rms(methods[axis][name](INSIDE) - soak.slope[:, axis]) / DEG_H for axis in range(3)]
+        errors = [rms(methods[axis][name](INSIDE) - soak.slope[:, axis]) / DEG_PER_H for axis in range(3)]
         rows.append([name, *errors])
-    bad = [published(soak.halfminutes(axis), 2, 1).bad for axis in range(3)]
-    *parts, true = (value / DEG_H for value in polynomial_leak(soak))
+    bad = [published(soak.halfminutes(axis), 2, 1)[2] for axis in range(3)]
+    points = soak.on_levels(2)
+    parts = split(len(points), np.random.default_rng(1))
+    curve = fit_polynomial(points.only(parts[0]), 12)
+    found = [f"{value / DEG_PER_H:.1f}" for value in residuals(curve, points, parts)]
+    between = rms(curve.value(INSIDE) - soak.bias[:, 2]) / DEG_PER_H
     note = (
         f"Of {RESTARTS} starts of the 1-2-2-1 network {' / '.join(map(str, bad))} (x / y / z) ended with more"
         " than 1.5 times the validation error of the best.  A polynomial of order 12 on the levels alone,"
-        f" split by sample: rms residual of training, validation and test"
-        f" {' / '.join(f'{value:.1f}' for value in parts)} °/h; its error between the levels {true:.1f} °/h"
-        " (z)."
+        f" split by sample: rms residual of training, validation and test {' / '.join(found)} °/h; its error"
+        f" between the levels {between:.1f} °/h (z)."
     )
     title = "## Error of the slope\n\nrms from -20.53 to 48.08 °C against the truth, °/h/°C."
     return Table(title, ["method", *AXES], rows, note, ("", ".2f", ".2f", ".2f"))
 
 
 def outside(soak: Soak) -> Table:
-    """Errors beyond the calibrated range."""
-    errors = dict(zip(("tangent", "held"), beyond_the_range(soak, DISTANCES_DEGC), strict=True))
-    rows = [[name, *(values / DEG_H)] for name, values in errors.items()]
+    """Return errors outside levels 2 to 14 of 15, over axes and ends: by tangent, and value held."""
+    errors: dict[str, list[FloatArray]] = {"tangent": [], "held": []}
+    for axis, channel in enumerate(soak.channels):
+        low, high = soak.centers[1] - DWELLING_DEGC, soak.centers[-2] + DWELLING_DEGC
+        inner = channel.only((channel.temperature > low) & (channel.temperature < high))
+        knots = knots_of(inner, soak.centers[1:-1])
+        curve = fit_spline(inner.points(), knots)
+        for end, sign in ((knots[0], -1.0), (knots[-1], 1.0)):
+            truth = np.interp(end + sign * DISTANCES_DEGC, INSIDE, soak.bias[:, axis])
+            value, slope = float(curve.value(end)), float(curve.slope(end))
+            errors["tangent"].append(value + slope * sign * DISTANCES_DEGC - truth)
+            errors["held"].append(value - truth)
+    rows: list[Cells] = []
+    for name, off in errors.items():
+        rows.append([name, *(np.sqrt(np.mean(np.square(off), axis=0)) / DEG_PER_H)])
     title = (
         "## Outside the calibrated range\n\n"
         "Spline fitted to levels 2 to 14; rms error over axes and both ends, °/h."
@@ -347,15 +266,18 @@ def tables(given: Options) -> Iterator[Table]:
         "Scenario crs05-soak, 30 s means at the levels, 65/20/15 % of the samples at random, as published;"
         " S_r is the rms over the three axes, °/h.  The three parts agree whatever happens in between."
     )
-    yield sizes(size_study(soak), title)
+    yield sizes(title, [soak.on_levels(axis) for axis in range(3)], soak.bias, soak.channels)
     title = "The same on db/dT from differences of levels, °/h/°C: 14 of them, 9 for training."
-    yield sizes(slope_size_study(soak), title)
+    yield sizes(title, [level_differences(soak, axis) for axis in range(3)], soak.slope, [])
     yield slopes(soak)
     yield outside(soak)
-    if not (given.data / "chamber-cycle").is_dir():
+    folder = given.data / "chamber-cycle"
+    if not folder.is_dir():
         return
     with tempfile.TemporaryDirectory() as scratch:
-        record = chamber_cycle(given.data, Path(scratch))
+        session = Path(scratch) / "chamber-cycle"
+        import_table(folder / "cooling-heating.csv", folder / "map.yaml", session)
+        record = read_session(session)[0]
     text = (
         "## Measured: before and after\n\n"
         "rms error of the bias in the part of the chamber cycle after the fit, where its temperature is in"

@@ -91,10 +91,9 @@ def flicker(sd: float) -> Noise:
 
 def averaged(sd: float, length: int) -> Noise:
     """Return a moving mean of so many samples of white noise, of this standard deviation in the end."""
+    kernel = np.full(length, 1 / length)
     return lambda n, _, rng: np.asarray(
-        sd
-        * np.sqrt(length)
-        * np.convolve(rng.standard_normal(n + length - 1), np.full(length, 1 / length), "valid")
+        sd * np.sqrt(length) * np.convolve(rng.standard_normal(n + length - 1), kernel, "valid")
     )
 
 
@@ -105,9 +104,7 @@ def telegraph(size: float, time_s: float) -> Noise:
     )
 
 
-def both(
-    *parts: Noise,
-) -> Noise:
+def both(*parts: Noise) -> Noise:
     """Return the sum of noises."""
     return lambda n, rate_hz, rng: np.asarray(sum(part(n, rate_hz, rng) for part in parts))
 
@@ -181,9 +178,7 @@ def drifting(t: FloatArray, start: float) -> tuple[FloatArray, FloatArray]:
     return start + 5.0 / PER_HOUR * t, np.full(len(t), 5.0 / PER_HOUR)
 
 
-def ramp(
-    hold_s: float, rate: float = 2.0 / 60.0
-) -> Callable[[FloatArray, float], tuple[FloatArray, FloatArray]]:
+def ramp(hold_s: float, rate: float = 2.0 / 60.0) -> Profile:
     """Return a temperature that holds and then goes at a rate in °C/s."""
 
     def profile(t: FloatArray, start: float) -> tuple[FloatArray, FloatArray]:
@@ -204,6 +199,14 @@ def thermostat(swing: float, period_s: float, lag_s: float = 0.0) -> Profile:
     return profile
 
 
+def play(kind: Kind, profile: Profile, seconds: float, seed: int) -> tuple[FloatArray, ...]:
+    """Return times, temperature, its rate, and the reading, (n,) each."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(int(seconds * kind.rate_hz)) / kind.rate_hz
+    temperature, rate = profile(t, 25.0 + rng.uniform(-0.5, 0.5))
+    return t, temperature, rate, kind.read(temperature, rng)
+
+
 def errors(
     kind: Kind,
     profile: Profile,
@@ -212,10 +215,7 @@ def errors(
     new_method: Callable[[], RateMethod] | None = None,
 ) -> dict[str, FloatArray]:
     """Return once a second: time, errors of temperature and rate (°C, °C/h), and both in units of sigma."""
-    rng = np.random.default_rng(seed)
-    t = np.arange(int(seconds * kind.rate_hz)) / kind.rate_hz
-    temperature, rate = profile(t, 25.0 + rng.uniform(-0.5, 0.5))
-    reading = kind.read(temperature, rng)
+    t, temperature, rate, reading = play(kind, profile, seconds, seed)
     stage = TemperatureRate(new_method=new_method)
     time_ns = np.round(t * 1e9).astype(np.int64)
     length = max(round(BLOCK_S * kind.rate_hz), 1)

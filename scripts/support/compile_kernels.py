@@ -9,7 +9,6 @@ import io
 import platform
 import sys
 import tempfile
-from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from importlib.metadata import version
 from pathlib import Path
@@ -24,18 +23,8 @@ DONE = ROOT / "imumon" / "__pycache__" / "kernels"
 """State of the package when the kernels were last compiled; beside the kernels, so deleted with them."""
 
 
-def commands(folder: str) -> Iterator[list[str]]:
-    """Yield commands of imumon that together need every kernel: epochs, clocks, stages, Allan deviation."""
-    session, table = f"{folder}/session", f"{folder}/table.parquet"
-    scenario = ["simulate", "crs05-ramp-hysteresis", "--duration", "60", "--rate", "100"]
-    yield [*scenario, "--out", table]
-    yield ["allan", table]
-    yield [*scenario, "--device", "xsens", "--out", session]
-    yield ["replay", session, "--latitude", "45"]
-
-
 def main() -> None:
-    """Compile the kernels, where anything has changed."""
+    """Compile the kernels, where anything has changed, by commands that together need all of them."""
     now = f"{package_stamp('imumon')} numba {version('numba')} Python {platform.python_version()}"
     now += f" on {platform.node()}"
     if DONE.exists() and DONE.read_text() == now:
@@ -48,8 +37,14 @@ def main() -> None:
     began, unread = monotonic(), io.StringIO()
     warm_up(load_device("ax1"), Setup(latitude_deg=45.0))
     with tempfile.TemporaryDirectory() as folder, redirect_stdout(unread), redirect_stderr(unread):
-        for command in commands(folder):
-            cli.main(command, standalone_mode=False)
+        scenario = "simulate crs05-ramp-hysteresis --duration 60 --rate 100 --out"
+        for command in (
+            f"{scenario} {folder}/table.parquet",
+            f"allan {folder}/table.parquet",
+            f"{scenario} {folder}/session --device xsens",
+            f"replay {folder}/session --latitude 45",
+        ):
+            cli.main(command.split(), standalone_mode=False)
     print(f"compiled kernels ({monotonic() - began:.0f} s)", file=sys.stderr)
     DONE.parent.mkdir(exist_ok=True)
     DONE.write_text(now)

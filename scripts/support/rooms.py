@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,10 +16,7 @@ PACKAGE = ROOT / "imumon"
 PAGE = ROOT / "docs" / "architecture.md"
 BEGIN, END = "<!-- rooms -->\n", "<!-- end rooms -->"
 ROOMS = {
-    "lab": (
-        10_008,
-        "bias models from recordings, what they lack, plans, learning, hard and soft iron",
-    ),
+    "lab": (10_008, "bias models from recordings, what they lack, plans, learning, hard and soft iron"),
     "estimation": (
         13_428,
         "temperature rate, rest, gyro bias, alignment, attitude, smoothing, each with a sigma",
@@ -76,13 +74,11 @@ def imported(path: Path) -> Iterator[str]:
             yield str(node.module).split(".")[1]
 
 
-def lines_of_rooms() -> dict[str, int]:
+def lines_of_rooms() -> Counter[str]:
     """Return how many lines each room has."""
-    lines: dict[str, int] = {}
+    lines = Counter[str]()
     for path in sorted(PACKAGE.rglob("*.py")):
-        lines[room_of(path)] = lines.get(room_of(path), 0) + len(
-            path.read_text(encoding="utf-8").splitlines()
-        )
+        lines[room_of(path)] += len(path.read_text(encoding="utf-8").splitlines())
     return lines
 
 

@@ -7,11 +7,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
+from samples import crs05_model
 
 from imumon.estimation.watch.parameters import WatchParameters
-from imumon.models.curves.polynomial import PolynomialCurve
-from imumon.models.model import BiasModel, ChannelModel
+from imumon.models.model import BiasModel
 from imumon.protocols.device import DeviceFile, device_text, load_device, parse_device
 from imumon.recordings.folder import open_session
 from imumon.recordings.wire_reader import WireReader
@@ -20,8 +19,7 @@ from imumon.run.replay import replay
 from imumon.run.setup import Setup
 from imumon.run.stages import pipeline_of
 from imumon.simulation.recording import START_NS, record_session
-from imumon.simulation.unit import SimulatedUnit, load_scenario
-from imumon.simulation.unit.biases import curve_value
+from imumon.simulation.unit import load_scenario
 from imumon.simulation.unit.events import Handling, Vibration
 from imumon.simulation.unit.scenario import Chamber, Step
 from imumon.transport.reader import Bytes, Event, EventKind, Item
@@ -134,46 +132,9 @@ def capture(path: Path, seconds: float) -> Callable[[Path], Iterator[Item]]:
     return record
 
 
-def crs05_model(slope_z_dph: float = 0.0) -> BiasModel:
-    """Return the curves over temperature that the simulated unit of "crs05" has.
-
-    In z they are wrong by a line, which rises by so many °/h between the ends.
-    """
-    unit = SimulatedUnit(load_scenario("warm-up"), seed=0).scenario.unit
-    low, high = 20.0, 50.0
-    at = np.linspace(low, high, 400)
-    channels = {}
-    for axis in "xyz":
-        values = np.radians(curve_value(getattr(unit.gyro_bias_deg_per_s, axis), at))
-        if axis == "z":
-            values += np.radians(slope_z_dph / 3600.0) * (at - low) / (high - low)
-        series = np.polynomial.Chebyshev.fit(at, values, 8, domain=[low, high])
-        half = 0.5 * (high - low)
-        channels[f"gyro_{axis}"] = ChannelModel(
-            unit="rad/s",
-            temperature_column=f"temperature_{axis}",
-            temperature_range_degc=[low, high],
-            residual_sd=2e-6,
-            curve=PolynomialCurve(
-                center_degc=low + half, half_width_degc=half, coefficients=series.coef.tolist()
-            ),
-        )
-    return BiasModel(made_by="the unit file", created="2026-01-01T00:00:00Z", channels=channels)
-
-
-def wrong_in_z() -> Setup:
-    """Return a setup with a model that is wrong in z."""
-    return Setup(model=crs05_model(100.0))
-
-
-def right() -> Setup:
-    """Return a setup with the right model, and a latitude."""
-    return Setup(model=crs05_model(), latitude_deg=40.93)
-
-
-def learning() -> Setup:
-    """Return a setup with the right curves, that lets a better model run beside this one."""
-    return Setup(model=crs05_model(), watch=WatchParameters(learn=True))
+def model(tilt_z_dph: float = 0.0) -> BiasModel:
+    """Return the curves of the simulated unit, where z is wrong by so many °/h per °C."""
+    return crs05_model(("temperature_x", "temperature_y", "temperature_z"), tilt_z_dph)
 
 
 def scenes(data: Path) -> dict[str, Scene]:
@@ -185,14 +146,14 @@ def scenes(data: Path) -> dict[str, Scene]:
             "A warm-up in motion with a bias model, opened afterwards: rerun view.rrd",
             "ax1",
             simulated("warm-up", "ax1", 600.0, motion=[HANDLING]),
-            right,
+            lambda: Setup(model=model(), latitude_deg=40.93),
             live=False,
         ),
         "wrong": Scene(
             "A warm-up at rest with a bias model that is wrong in z by 100 °/h over 30 °C, after 10 min",
             "ax1",
             simulated("warm-up", "ax1", 600.0, 20.0, motion=[]),
-            wrong_in_z,
+            lambda: Setup(model=model(100.0 / 30.0)),
         ),
         "alignment": Scene(
             "Alignment to north after 5 min",
@@ -209,7 +170,7 @@ def scenes(data: Path) -> dict[str, Scene]:
             "monitor --learn on a unit whose gyros are 90 s behind their thermometers, after 40 min",
             "ax1",
             simulated("crs05-ramp-lag", "ax1", 2400.0, 10.0, chamber=TURNING, unit=late),
-            learning,
+            lambda: Setup(model=model(), watch=WatchParameters(learn=True)),
         ),
         "slow": Scene("The demo at 20 Hz, after 2 min", "ax1", simulated("bench", "ax1", 120.0, 20.0)),
         "fast": Scene(

@@ -115,9 +115,9 @@ class Studio:
 
 
 @contextmanager
-def studio(settle_s: float = SETTLE_S) -> Iterator[Studio]:
-    """Start a viewer without a screen, and end it."""
-    port = free_port(9871)
+def studio(settle_s: float = SETTLE_S, port: int | None = None) -> Iterator[Studio]:
+    """Start a viewer without a screen, on any port or this one, and end it."""
+    port = port or free_port(9871)
     os.environ.update(quiet_environment())
     viewer = ViewerClient.spawn(
         headless=True, port=port, executable_path=str(viewer_binary()), hide_welcome_screen=True
@@ -131,6 +131,12 @@ def studio(settle_s: float = SETTLE_S) -> Iterator[Studio]:
 def picture_name(scene: str, tab: str) -> str:
     """Return the name of the file of a picture."""
     return f"{scene}-{tab.replace(' ', '-').lower()}.png"
+
+
+def keep_small(picture: Path, name: str) -> None:
+    """Put a picture into the docs, with few colours."""
+    small = Image.open(picture).convert("RGB").quantize(COLORS)
+    small.save(PICTURES / f"{name}.png", optimize=True)
 
 
 def main() -> int:
@@ -152,9 +158,7 @@ def main() -> int:
             print(f"{name}: {found[name].shows}")
         for shown, (name, tab) in SHOWN.items():
             if (taken := folder / picture_name(name, tab)).exists():
-                Image.open(taken).convert("RGB").quantize(COLORS).save(
-                    PICTURES / f"{shown}.png", optimize=True
-                )
+                keep_small(taken, shown)
     for fault in faults:
         print(f"FAULT {fault}")
     return 1 if faults else 0

@@ -1,4 +1,7 @@
-"""Pages of the reference that are made from the code: commands, settings, exit codes, library."""
+"""Pages of the reference that are made from the code: commands, settings, exit codes, library.
+
+As a program it writes the table of names at the end of docs/library.md anew.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import inspect
 import re
 import types
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import click
@@ -17,6 +21,8 @@ import imumon
 
 WIDTH = 80
 """Columns of a help text."""
+NAMES = Path(__file__).resolve().parents[2] / "docs" / "library.md"
+"""Page that ends with the table of names."""
 
 
 def pages() -> dict[str, str]:
@@ -108,12 +114,9 @@ def _tables(model: type[BaseModel], path: str, shown: set[type[BaseModel]]) -> I
 def _models(annotation: Any) -> list[type[BaseModel]]:
     """Return the models of files that stand in an annotation."""
     if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
-        return [annotation] if annotation.model_fields and not _is_own_file(annotation) else []
+        is_own_file = "format" in annotation.model_fields
+        return [annotation] if annotation.model_fields and not is_own_file else []
     return [one for part in get_args(annotation) for one in _models(part)]
-
-
-def _is_own_file(model: type[BaseModel]) -> bool:
-    return "format" in model.model_fields
 
 
 def _type(field: FieldInfo) -> str:
@@ -215,6 +218,20 @@ def library() -> str:
     return "\n".join(parts)
 
 
+def page_of_names() -> str:
+    """Return the page of the library with its table of names as it should be."""
+    head = "|---|---|\n"
+    rows = []
+    for name in imumon.__all__:
+        offered = getattr(imumon, name)
+        parameters = ", ".join(inspect.signature(offered).parameters) if inspect.isfunction(offered) else None
+        if not isinstance(offered, str):
+            called = name if parameters is None else f"{name}({parameters})"
+            about = _cell((inspect.getdoc(offered) or "").partition("\n\n")[0])
+            rows.append(f"| `imumon.{called}` | {about} |\n")
+    return NAMES.read_text(encoding="utf-8").rpartition(head)[0] + head + "".join(rows)
+
+
 def _members(offered: type) -> Iterator[tuple[str, Any]]:
     """Yield the public methods and properties that a class defines itself, with a docstring."""
     for name, value in vars(offered).items():
@@ -228,12 +245,13 @@ def _members(offered: type) -> Iterator[tuple[str, Any]]:
 
 def _described(name: str, offered: Any) -> str:
     """Return a name with its signature, and the docstring."""
-    try:
-        head = f"{name}{inspect.signature(offered)}"
-    except (TypeError, ValueError):
-        head = name
-    return f"{head}\n\n{inspect.getdoc(offered) or ''}"
+    signature = inspect.signature(offered) if callable(offered) else ""
+    return f"{name}{signature}\n\n{inspect.getdoc(offered) or ''}"
 
 
 def _fenced(text: str) -> str:
     return f"```text\n{text.rstrip()}\n```\n"
+
+
+if __name__ == "__main__":
+    NAMES.write_text(page_of_names(), encoding="utf-8")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import platform
-import re
 import warnings
 from collections.abc import Callable, Iterator
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
+
+from study import Table, write_between
 
 from tests.faults import (
     cost,
@@ -112,16 +113,12 @@ def main() -> int:
 
 
 def write(name: str, rows: list[Row], short: bool) -> None:
-    """Put a table between the marks of its section."""
-    lines = ["| fault | times tried | outcome | held |", "|---|---:|---|---|"]
-    lines += [f"| {r.fault} | {r.times:,} | {r.outcome} | {'yes' if r.held else '**no**'} |" for r in rows]
+    """Put a table between the markers of its section."""
+    cells = [[row.fault, f"{row.times:,}", row.outcome, "yes" if row.held else "**no**"] for row in rows]
     form = f"{name} --short" if short else name
     command = f"`scripts/soak {form}`, on {platform.machine()}, Python {platform.python_version()}:"
-    table = "\n".join([f"<!-- soak {name} -->", command, "", *lines, f"<!-- end {name} -->"])
-    pattern = re.compile(rf"<!-- soak {name} -->.*?<!-- end {name} -->", re.DOTALL)
-    text = DOCS.read_text(encoding="utf-8")
-    assert pattern.search(text), name
-    DOCS.write_text(pattern.sub(lambda _: table, text), encoding="utf-8")
+    table = Table(command, ["fault", "times tried", "outcome", "held"], cells)
+    write_between(DOCS, f"soak {name}", table.markdown())
 
 
 if __name__ == "__main__":

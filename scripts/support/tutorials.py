@@ -45,16 +45,11 @@ def run(page: Path, folder: Path) -> list[Ran]:
     What was started in the background ends with the page; the link of a virtual device is waited for.
     """
     blocks = list(BLOCK.finditer(page.read_text(encoding="utf-8")))
-    printed = _printed("\n".join(_step(block["commands"]) for block in blocks), folder)
+    waits = r"\g<0>until [ -e \1 ]; do sleep 0.05; done\n"
+    steps = (re.sub(r".*--link (\S+).*&\n", waits, block["commands"]) for block in blocks)
+    printed = _printed("\n".join(f"echo {MARK}\n{step}" for step in steps), folder)
     parts = printed.split(f"{MARK}\n")[1:]
     return [Ran(block["commands"], block["printed"], one) for block, one in zip(blocks, parts, strict=True)]
-
-
-def _step(commands: str) -> str:
-    """Return the lines of a shell that run a block."""
-    waits = r"\g<0>until [ -e \1 ]; do sleep 0.05; done\n"
-    ready = re.sub(r".*--link (\S+).*&\n", waits, commands)
-    return f"echo {MARK}\n{ready}"
 
 
 def _printed(script: str, folder: Path) -> str:

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import rerun as rr
 from PIL import Image
-from support.browser import Browser, browser, browser_binary
 
 from imumon.charts import AXIS_COLORS, ORANGE
 from imumon.view.items import merge
 from imumon.view.logger import StreamLogger
 from imumon.view.viewer import SERVER_MEMORY, free_port, listen
 from imumon.view.web import WebServer
+from tests.view.browser import Browser, browser, browser_binary
 from tests.view.test_screenshots import SETUP, run_of_20_s
 from tests.waiting import LIMIT_S
 

@@ -1,0 +1,93 @@
+"""Make the pictures of docs/rack.md and docs/catalog.md: python -m support.fleet_pictures [rack] [record]"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import tempfile
+import time
+from contextlib import closing
+from pathlib import Path
+
+import rerun as rr
+
+from imumon.cli import run
+from imumon.fleet.rack.description import load_rack
+from imumon.fleet.rack.rack import Rack
+from imumon.fleet.rack.view import UnitsLogger
+from imumon.protocols.device import device_text, load_device
+from imumon.view.items import ViewItem, ViewSetup
+from imumon.view.viewer import APPLICATION
+from support.screenshots import SETTLE_S, keep_small, studio
+from tests.faults.rack import Feeder, packets, write_rack
+from tests.fleet.catalog.fleet import RUNAWAY, fleet
+from tests.view.browser import browser, browser_binary
+
+RATE_HZ = 400.0
+UNITS, SECONDS = 16, 90.0
+DEAD_FOR_S = 1.5
+"""Before the picture of the page a process is killed."""
+
+
+def record(folder: Path) -> None:
+    """Photograph the record of a unit, of a fleet that the tests make, in a browser."""
+    sessions, page, picture = fleet(folder / "fleet"), folder / "record.html", folder / "record.png"
+    assert not run(["report", RUNAWAY, "--sessions", str(sessions), "--out", str(page)])
+    chromium = browser_binary()
+    assert chromium is not None, "there is no browser"
+    with browser(chromium) as shown:
+        shown.open(f"{page.as_uri()}#drift")
+        shown.listen(SETTLE_S)
+        shown.photograph(picture)
+    keep_small(picture, "record")
+
+
+def rack(folder: Path) -> None:
+    """Let a rack run, and photograph it."""
+    names = [f"unit-{number:02d}" for number in range(1, UNITS + 1)]
+    device = folder / "fast.yaml"
+    text = device_text("ax1")[0].replace("name: ax1", "name: fast")
+    device.write_text(text.replace("baudrates: [115200", "baudrates: [921600"))
+    sent = packets(load_device(str(device)), RATE_HZ, SECONDS + 60.0)
+    items: list[ViewItem] = []
+    running = Rack(folder / "sessions", print, items.append)
+    with studio() as place, closing(Feeder(folder, names, sent, RATE_HZ)) as feeder:
+        rec = rr.RecordingStream(APPLICATION, recording_id="rack")
+        rec.set_sinks(rr.GrpcSink(place.url))
+        logger = UnitsLogger(rec, ViewSetup("rack bench", "rack"))
+        logger.begin()
+        running.change(load_rack(write_rack(folder, feeder, device.name)))
+        try:
+            while not feeder.is_open():
+                running.look()
+                time.sleep(0.1)
+            feeder.start()
+            killed, began_s = False, time.monotonic()
+            while (passed_s := time.monotonic() - began_s) < SECONDS:
+                running.look()
+                logger.log(items)
+                items.clear()
+                time.sleep(0.2)
+                if passed_s > SECONDS - DEAD_FOR_S and not killed:
+                    killed = True
+                    os.kill(running.units[-2].process.pid, signal.SIGKILL)  # type: ignore[union-attr]
+            arrangement = logger.arrangement
+            assert arrangement is not None
+            for tab, name in enumerate(("rack", "rack-unit")):
+                arrangement.root_container.active_tab = tab
+                rec.send_blueprint(arrangement)
+                rec.flush()
+                time.sleep(place.settle_s)
+                place.viewer.save_screenshot(str(folder / f"{name}.png"))
+                keep_small(folder / f"{name}.png", name)
+        finally:
+            running.stop()
+        rec.disconnect()
+
+
+if __name__ == "__main__":
+    for chosen in (rack, record):
+        if chosen.__name__ in (sys.argv[1:] or ["rack", "record"]):
+            with tempfile.TemporaryDirectory(prefix="imumon-") as scratch:
+                chosen(Path(scratch))
