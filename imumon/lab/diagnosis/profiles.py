@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from imumon.effects.base import LEAST_SPAN_DEGC
-from imumon.simulation.unit.events import Turn
+from imumon.simulation.unit.motion import Turn
 from imumon.simulation.unit.scenario import Chamber, Step
 from imumon.simulation.unit.thermal import chamber_knots
 
