@@ -46,7 +46,7 @@ def command(
         opened = read_channels(recording, lambda _: [RestDetector()])
         tell("deviations and terms of all channels")
         results = analyse(opened.series)
-    warn([*opened.warnings, *_of_the_fit(results)])
+    warn([*opened.warnings, *output.remarks(results)])
     written: dict[str, Path] = {}
     if plot is not None:
         from imumon.allan.plot import write_plot
@@ -66,68 +66,6 @@ def command(
     else:
         _show(results)
     print_rows({name: str(path) for name, path in written.items()})
-
-
-def _of_the_fit(results: dict[str, Result]) -> list[str]:
-    """Tell where the terms are from a part of the curve, or from none, and why."""
-    from imumon.allan.fit import AMBIGUOUS, DIGITS, NO_SUM
-
-    none = [name for name, result in results.items() if result.fit is None]
-    still = [name for name in none if not results[name].allan.values.any()]
-    short = [name for name in none if name not in still]
-    fits = {name: result.fit for name, result in results.items() if result.fit is not None}
-    cut = [f"{name} {results[name].tau_s[fit.first]:.2g} s" for name, fit in fits.items() if fit.first]
-    off = {name: fit.model_error for name, fit in fits.items() if fit.model_error and fit.withheld != DIGITS}
-    begun = [
-        f"{name} {results[name].tau_s[fit.last]:.2g} s"
-        for name, fit in fits.items()
-        if fit.last < results[name].trusted - 1
-    ]
-    channels = {
-        "the reading never changes: the channel is stuck, or its resolution too coarse; no terms": still,
-        "too short for a fit of the terms": short,
-        "shorter averaging times are not fitted: no sum of the terms describes them (a filter?)": cut,
-        "the curve differs so much from every sum of the terms; the standard deviations take that in": [
-            f"{name} {_percent(error)}" for name, error in off.items() if error <= NO_SUM
-        ],
-        "no sum of the terms describes longer averaging times (a vibration, a cycle, motion?): "
-        "only the angle random walk is reported": begun,
-        "no sum of the terms describes the curve (a vibration, a cycle, motion?): no term is reported": [
-            name for name, error in off.items() if error > NO_SUM
-        ],
-        "correlated noise describes the curve as well as bias instability or a random walk: neither is "
-        "reported; record for longer": [name for name, fit in fits.items() if fit.withheld == AMBIGUOUS],
-        "the steps of the readings hide the noise: no term is reported": [
-            _steps(name, results[name]) for name, fit in fits.items() if fit.withheld == DIGITS
-        ],
-        "the steps of the readings add to the noise": [
-            f"{_steps(name, result)}, {result.digits.share:.0%} of the variance"
-            for name, result in results.items()
-            if result.digits is not None and _is_rough(result)
-        ],
-    }
-    return [f"{', '.join(names)}: {text}" for text, names in channels.items() if names]
-
-
-def _steps(name: str, result: Result) -> str:
-    """Return the steps of the readings, and how many times the noise they are."""
-    from imumon.allan.recording import UNITS, group_of
-
-    if result.digits is None:
-        return ""
-    times = 1.0 / result.digits.ratio
-    return f"{name} {result.digits.step:.3g} {UNITS[group_of(name)]}, {times:.2g} times the noise"
-
-
-def _is_rough(result: Result) -> bool:
-    """Return whether rounding adds more to the angle random walk than its standard deviation."""
-    walk = None if result.fit is None else result.fit.terms["angle_random_walk"]
-    share = 0.0 if result.digits is None else result.digits.share
-    return walk is not None and 0.5 * share * walk.value > walk.sd
-
-
-def _percent(variance_error: float) -> str:
-    return f"{50.0 * variance_error:.2g} %"
 
 
 LARGE = 1e5

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import polynomial
@@ -41,32 +42,22 @@ def axis_values(curves: Curves, temperature_degc: FloatArray) -> FloatArray:
     )
 
 
+@dataclass(eq=False)
 class Bias:
-    """Bias of the three axes of a sensor: curve over their temperature, effects, and slow random errors.
+    """Bias of the three axes of a sensor: curve over their temperature, effects, and slow random errors."""
 
-    Parameters
-    ----------
-    curves, scale : Curves, float
-        Curve over temperature, and its unit in SI units.
-    lag_s : three numbers
-        With what time constants the sensors follow the temperature at them.
-    effects : three lists of Effect
-        Of each axis, in SI units.
-    random : sequence of GaussMarkov or RandomWalk
-        In SI units.
-    """
+    curves: Curves
+    scale: float
+    """Curve over temperature, and its unit in SI units."""
+    lags: Lags
+    """By which the sensors follow the temperature at them."""
+    effects: Sequence[Sequence[Effect]]
+    """Of each axis, in SI units."""
+    random: Sequence[Random]
+    """In SI units."""
 
-    def __init__(
-        self,
-        curves: Curves,
-        scale: float,
-        lag_s: Sequence[float],
-        effects: Sequence[Sequence[Effect]],
-        random: Sequence[Random],
-    ) -> None:
-        self._curves, self._scale, self._random = curves, scale, random
-        self._lags = Lags(lag_s)
-        self._carried = [[(effect, Memory()) for effect in axis] for axis in effects]
+    def __post_init__(self) -> None:
+        self._carried = [[(effect, Memory()) for effect in axis] for axis in self.effects]
 
     def process(
         self,
@@ -79,13 +70,13 @@ class Bias:
 
         `others` are further drivers of effects, (n,) each.
         """
-        inside = self._lags.process(time_s, temperature_degc)
-        bias = axis_values(self._curves, inside) * self._scale
+        inside = self.lags.process(time_s, temperature_degc)
+        bias = axis_values(self.curves, inside) * self.scale
         for axis, carried in enumerate(self._carried):
             drive = Drive(time_s, np.ascontiguousarray(inside[:, axis]), force, others)
             for effect, memory in carried:
                 bias[:, axis] += effect.added(memory, drive)
-        for drift in self._random:
+        for drift in self.random:
             bias += drift.take(len(time_s))
         return bias
 
@@ -106,7 +97,7 @@ def gyro_bias(unit: UnitParameters, step_s: float, seed: int) -> Bias:
     walk = np.array(noise.random_walk_deg_per_h_per_sqrt_s) * DEG_PER_H
     random = [*_flicker("gyro", flicker, step_s, seed)]
     random.append(RandomWalk(walk, step_s, generator(seed, "gyro random walk")))
-    return Bias(unit.gyro_bias_deg_per_s, np.pi / 180, unit.gyro_lag_s, effects, random)
+    return Bias(unit.gyro_bias_deg_per_s, np.pi / 180, Lags(unit.gyro_lag_s), effects, random)
 
 
 def accel_bias(unit: UnitParameters, step_s: float, seed: int) -> Bias:
@@ -122,7 +113,7 @@ def accel_bias(unit: UnitParameters, step_s: float, seed: int) -> Bias:
             added.append(WarmUp(time_constant_s=warm_up.tau_s, coefficients=[-grown]))
         added.append(RunOffset(coefficients=[offset[axis]]))
     flicker = [(np.array(part.sd_ug) * MICRO_G, part.tau_s) for part in unit.accel_noise.flicker]
-    return Bias(unit.accel_bias_mg, MG, (0.0, 0.0, 0.0), effects, _flicker("accel", flicker, step_s, seed))
+    return Bias(unit.accel_bias_mg, MG, Lags([0.0] * 3), effects, _flicker("accel", flicker, step_s, seed))
 
 
 def _flicker(
