@@ -5,6 +5,7 @@ Everything here is what the command line is made of; the names that `import imum
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 from imumon.errors import ImumonError, Reason
 
@@ -20,7 +21,7 @@ def require_list(name: str, value: object, expected: str) -> None:
     require(isinstance(value, Sequence) and not isinstance(value, str | bytes), name, value, expected)
 
 
-def require_seconds(name: str, value: object, expected: str) -> None:
+def require_seconds(name: str, value: Any, expected: str) -> None:
     """Raise BAD_CONFIG unless an argument is None or a finite number that is not negative."""
     number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     require(value is None or (number and value >= 0), name, value, f"a number of seconds {expected}, or None")

@@ -59,7 +59,9 @@ def _rows(item: Samples) -> Iterator[Message]:
     if item.first is not None:
         columns["sample"] = [*range(item.first, item.first + item.rows)]
     for name, values in item.block.columns.items():
-        columns[name] = np.where(_known(values), values, None).tolist()
+        listed = values.astype(object)
+        listed[~_known(values)] = None
+        columns[name] = listed.tolist()
     for row in zip(*columns.values(), strict=True):
         known = {name: value for name, value in zip(columns, row, strict=True) if value is not None}
         times = (int(known[clock]) for clock in CLOCKS if clock in known)

@@ -12,7 +12,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from imumon.blocks import BoolArray, FloatArray
+from imumon.blocks import BoolArray, ColumnArray, FloatArray
 from imumon.config import StrictModel
 from imumon.simulation.unit.parameters import NONE, Three
 
@@ -90,7 +90,7 @@ class _Shaking(_Timed):
     tilt_deg: Three = NONE
     """Amplitude of roll, pitch, heading."""
 
-    def _shake(self, sine: FloatArray, slope: FloatArray, total: Movement) -> None:
+    def _shake(self, sine: ColumnArray, slope: ColumnArray, total: Movement) -> None:
         """Add an oscillation of amplitude 1 and its derivative (1/s), both of shape (n,)."""
         tilt = np.deg2rad(self.tilt_deg)
         total.acceleration += np.outer(sine, self.acceleration_m_per_s2)
