@@ -47,7 +47,6 @@ class Deviations:
     values: FloatArray
     low: FloatArray
     high: FloatArray
-    freedom: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,9 +102,7 @@ def variances(series: EvenSeries, factors: IntArray) -> dict[Kind, FloatArray]:
     found = np.full((len(factors), len(COEFFICIENTS)), np.nan)
     for row, m in enumerate(factors.tolist()):
         sums, numbers = all_sums(x, *series.runs(m), m)
-        scale = np.array(
-            [NORMS[kind] * m**2 * (m**2 if kind == "modified" else 1.0) for kind in COEFFICIENTS]
-        )
+        scale = np.array([NORMS[kind] * m ** (4 if kind == "modified" else 2) for kind in COEFFICIENTS])
         some = numbers > 0
         found[row, some] = sums[some] / numbers[some] / scale[some]
     return dict(zip(COEFFICIENTS, found.T, strict=True))
@@ -194,11 +191,8 @@ def uncertainty(series: EvenSeries) -> Uncertainty:
 
 def analyse(series: Mapping[str, EvenSeries]) -> dict[str, Result]:
     """Return deviations and noise terms of channels; what follows from the gaps is worked out once."""
-    shared: dict[tuple[bytes, ...], Uncertainty] = {}
-    for channel in series.values():
-        key = _key(channel)
-        if key not in shared:
-            shared[key] = uncertainty(channel)
+    kinds = {_key(channel): channel for channel in series.values()}
+    shared = {key: uncertainty(channel) for key, channel in kinds.items()}
     with ThreadPoolExecutor(os.cpu_count()) as threads:  # the kernels release the interpreter
         results = threads.map(lambda channel: _analyse(channel, shared[_key(channel)]), series.values())
         return dict(zip(series, results, strict=True))
@@ -244,4 +238,4 @@ def _analyse(series: EvenSeries, known: Uncertainty) -> Result:
 def _intervals(values: FloatArray, freedoms: list[float]) -> Deviations:
     edf = np.where(np.isfinite(values), np.array(freedoms), np.nan)
     edf[edf <= 0.0] = np.nan
-    return Deviations(np.sqrt(values), *intervals(values, edf), edf)
+    return Deviations(np.sqrt(values), *intervals(values, edf))

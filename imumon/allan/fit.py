@@ -195,16 +195,13 @@ def usable_range(problem: Problem, interval_s: float) -> tuple[int, int, float]:
         if start and m[start] * interval_s > LONGEST_START_S:
             break
         error, solution = _model_error(problem.part(start, n))
-        if start and not _is_filtered(problem, start, solution):
-            continue
-        tried.append((error, start))
-        if error == 0.0:
+        if not start or _is_filtered(problem, start, solution):
+            tried.append((error, start))
+        if tried[-1] == (0.0, start):
             break
     error, start = min(tried)
-    if error > NO_SUM:
-        stop = _good_beginning(problem)
-        if stop:
-            return 0, stop, 0.0
+    if error > NO_SUM and (stop := _good_beginning(problem)):
+        return 0, stop, 0.0
     return min(start + BEYOND_FILTER, n - FEWEST) if start else 0, n, error
 
 

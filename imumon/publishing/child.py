@@ -100,7 +100,6 @@ def make_outlet(target: Target, setup: ViewSetup) -> UdpJson | Foxglove | Ros2:
 def run(stream: Connection, out: Connection) -> None:
     """Send what comes until the stream ends."""
     outlet = make_outlet(*stream.recv())
-    reported = None
     taken = failed = 0
     repeated_s = reported_s = time.monotonic()
     while True:
@@ -116,10 +115,9 @@ def run(stream: Connection, out: Connection) -> None:
         if time.monotonic() - repeated_s >= REPEAT_S:
             repeated_s = time.monotonic()
             outlet.repeat(time.time_ns())
-        now = Delivery(outlet.text, sent=taken - failed, dropped=failed)
-        if now != reported and time.monotonic() - reported_s >= REPORT_S:
-            reported, reported_s = now, time.monotonic()
-            out.send(now)
+        if time.monotonic() - reported_s >= REPORT_S:
+            reported_s = time.monotonic()
+            out.send(Delivery(outlet.text, sent=taken - failed, dropped=failed))
 
 
 if __name__ == "__main__":
