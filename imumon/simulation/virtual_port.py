@@ -97,10 +97,10 @@ class VirtualPort:
         with self._changed:
             return self._changed.wait_for(lambda: not self._backlog, DRAIN_S)
 
-    def read(self) -> bytes:
-        """Return what the host has sent since the last call, as the device samples it."""
+    def read(self, timeout_s: float = 0.0) -> bytes:
+        """Return what the host has sent, as the device samples it, waiting at most `timeout_s`."""
         master = self._master
-        if master is None or not self.host_listens() or not select.select([master], [], [], 0.0)[0]:
+        if master is None or not self.host_listens() or not select.select([master], [], [], timeout_s)[0]:
             return b""
         try:
             data = os.read(master, 4096)
