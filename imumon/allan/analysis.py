@@ -1,4 +1,10 @@
-"""From the samples of a channel to its deviations, their confidence, and the noise terms."""
+"""From the samples of a channel to its deviations, their confidence, and the noise terms.
+
+With x the running sum of the samples (x[0] = 0), m the averaging factor and d the order of the difference,
+every deviation is a mean of squares of sum over a of c_a x[t + a m], c = (1, -2, 1) or (1, -3, 3, -1).  Only
+differences whose whole span lies in one run of samples are taken.  The sums are compiled: in NumPy they take
+three times as long (an hour of six channels at 400 Hz: 2 s), and a hundred times with a gap every 20 samples.
+"""
 
 from __future__ import annotations
 
@@ -11,29 +17,27 @@ from functools import cache, partial
 
 import numpy as np
 
-from imumon.allan.confidence import TRUSTED_FREEDOM, intervals
 from imumon.allan.correlated import Family, times_to_try
 from imumon.allan.covariance import (
     COEFFICIENTS,
     NORMS,
+    TRUSTED_FREEDOM,
     Freedom,
     Kind,
     Runs,
     covariances_of,
     freedom,
+    intervals,
 )
 from imumon.allan.fit import LONGEST_START_S, Fit, fit_terms
-from imumon.allan.kernels import all_sums, integrate
 from imumon.allan.parameters import NAMES
 from imumon.allan.series import EvenSeries
 from imumon.blocks import FloatArray, IntArray
+from imumon.compiled import inner, njit
 from imumon.filters.rounding import Digits, digits
 
 _WALK = np.array([0.0, 0.0, 1.0, 0.0])
 _WHITE = np.array([1.0, 0.0, 0.0, 0.0])
-MISSING = 2.0
-"""Part of the variance by which the terms are less certain, over the square of the share of samples that are
-missing: without it N and B err by up to 2.9 sigma (rms) where three tenths are missing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +47,6 @@ class Deviations:
     values: FloatArray
     low: FloatArray
     high: FloatArray
-    freedom: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +60,7 @@ class Result:
     allan: Deviations
     modified: Deviations
     hadamard: Deviations
-    """All overlapping, with intervals of `imumon.allan.confidence.CONFIDENCE`."""
+    """All overlapping, with intervals of `imumon.allan.covariance.CONFIDENCE`."""
     noise: tuple[str, ...]
     """The term that the fit has most of at each averaging time."""
     fit: Fit | None
@@ -94,27 +97,66 @@ def octaves(series: EvenSeries) -> IntArray:
 
 def variances(series: EvenSeries, factors: IntArray) -> dict[Kind, FloatArray]:
     """Return overlapping variances at averaging factors, (n,) each; NaN where no run is long enough."""
-    x = integrate(series.values, float(series.values.mean()))
+    x = np.zeros(len(series.values) + 1)
+    np.cumsum(series.values - series.values.mean(), out=x[1:])
     found = np.full((len(factors), len(COEFFICIENTS)), np.nan)
     for row, m in enumerate(factors.tolist()):
         sums, numbers = all_sums(x, *series.runs(m), m)
-        scale = np.array(
-            [NORMS[kind] * m**2 * (m**2 if kind == "modified" else 1.0) for kind in COEFFICIENTS]
-        )
+        scale = np.array([NORMS[kind] * m ** (4 if kind == "modified" else 2) for kind in COEFFICIENTS])
         some = numbers > 0
         found[row, some] = sums[some] / numbers[some] / scale[some]
     return dict(zip(COEFFICIENTS, found.T, strict=True))
 
 
-def _white_gain(series: EvenSeries, factors: IntArray) -> FloatArray:
-    """Return by what missing samples multiply the variance of white noise, (n,): of m samples as many fewer
-    are in a mean as are missing within the runs."""
-    count = np.concatenate([[0], np.cumsum(series.there)])
-    found = []
-    for m in factors.tolist():
-        starts, stops = series.runs(m)
-        found.append(float((stops - starts).sum()) / float((count[stops] - count[starts]).sum()))
-    return np.array(found)
+@inner(fastmath={"reassoc"})
+def _all_runs(x: FloatArray, start: int, positions: int, m: int, window: float) -> tuple[float, float, float]:
+    """Return the sums of squares of second differences, third differences, and windows of m of the second.
+
+    The step from one window to the next is the third difference.  The rounding of the windows stays below
+    1e-9 of the result for 1e8 samples.
+    """
+    allan, hadamard, modified = 0.0, 0.0, window * window
+    for k in range(positions):
+        t = start + k
+        near, far = x[t + m] - x[t], x[t + 2 * m] - x[t + m]
+        second = far - near
+        third = x[t + 3 * m] - x[t + 2 * m] - far - second
+        allan += second * second
+        hadamard += third * third
+        window += third
+        modified += window * window
+    return allan, hadamard, modified
+
+
+@njit
+def all_sums(x: FloatArray, starts: IntArray, stops: IntArray, m: int) -> tuple[FloatArray, IntArray]:
+    """Return sums of squares and their numbers for Allan, modified Allan and Hadamard, (3,) each.
+
+    Parameters
+    ----------
+    x : array, (n + 1,)
+        Running sum of the samples without their mean.
+    starts, stops : arrays of int64
+        Runs: samples start..stop, so that x[start] ... x[stop] belong to the run.
+    """
+    sums, numbers = np.zeros(3), np.zeros(3, np.int64)
+    for run in range(len(starts)):
+        start, length = starts[run], stops[run] - starts[run]
+        second = length - 2 * m + 1
+        third = max(0, second - m)
+        if second >= m:
+            window = 0.0
+            for t in range(start, start + m):
+                window += x[t + 2 * m] - 2.0 * x[t + m] + x[t]
+            allan, hadamard, modified = _all_runs(x, start, third, m, window)
+            sums += np.array([allan, modified, hadamard])
+            numbers[1] += third + 1
+            numbers[2] += third
+        for t in range(start + third, start + second):
+            difference = x[t + 2 * m] - 2.0 * x[t + m] + x[t]
+            sums[0] += difference * difference
+        numbers[0] += max(0, second)
+    return sums, numbers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,7 +182,7 @@ def uncertainty(series: EvenSeries) -> Uncertainty:
         ]
     walk = [0.0 if part is None else part.of(_WALK) for part in freedoms["allan"]]
     trusted = next((row for row, value in enumerate(walk) if value < TRUSTED_FREEDOM), len(walk))
-    at = cache(partial(covariances_of, factors, runs, _white_gain(series, factors)))
+    at = cache(partial(covariances_of, factors, runs))
     times = times_to_try(series.interval_s, LONGEST_START_S, int(factors[:trusted].max(initial=1)))
     for time in times:
         at(time)  # now, and not once in each thread
@@ -149,11 +191,8 @@ def uncertainty(series: EvenSeries) -> Uncertainty:
 
 def analyse(series: Mapping[str, EvenSeries]) -> dict[str, Result]:
     """Return deviations and noise terms of channels; what follows from the gaps is worked out once."""
-    shared: dict[tuple[bytes, ...], Uncertainty] = {}
-    for channel in series.values():
-        key = _key(channel)
-        if key not in shared:
-            shared[key] = uncertainty(channel)
+    kinds = {_key(channel): channel for channel in series.values()}
+    shared = {key: uncertainty(channel) for key, channel in kinds.items()}
     with ThreadPoolExecutor(os.cpu_count()) as threads:  # the kernels release the interpreter
         results = threads.map(lambda channel: _analyse(channel, shared[_key(channel)]), series.values())
         return dict(zip(series, results, strict=True))
@@ -180,7 +219,7 @@ def _analyse(series: EvenSeries, known: Uncertainty) -> Result:
     if fit is not None:
         fit = fit.less_certain(math.sqrt(_kurtosis(samples) / len(samples)), [NAMES[0]])
         fit = fit if found_digits is None else fit.less_certain(found_digits.error)
-        fit = fit.less_certain(MISSING * (1.0 - series.there.mean()) ** 2)
+        fit = fit.with_missing(float(1.0 - series.there.mean()))
     noise = _WHITE if fit is None or not fit.coefficients[:4].any() else fit.coefficients[:4]
     found_intervals = {
         kind: _intervals(values, [part.of(noise) if part else 0.0 for part in known.freedoms[kind]])
@@ -199,4 +238,4 @@ def _analyse(series: EvenSeries, known: Uncertainty) -> Result:
 def _intervals(values: FloatArray, freedoms: list[float]) -> Deviations:
     edf = np.where(np.isfinite(values), np.array(freedoms), np.nan)
     edf[edf <= 0.0] = np.nan
-    return Deviations(np.sqrt(values), *intervals(values, edf), edf)
+    return Deviations(np.sqrt(values), *intervals(values, edf))

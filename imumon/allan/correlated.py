@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -37,26 +36,6 @@ def times_to_try(interval_s: float, shortest_s: float, longest: int) -> list[flo
     return [float(time) for time in 2.0 ** np.arange(first, last + 1e-9)]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Correlated:
-    """The correlation time, samples, and the problem with the covariances that go with it."""
-
-    time: float
-    problem: Problem
-
-    def uncertainty(self, solution: Solution) -> tuple[FloatArray, float]:
-        """Return the covariance of the coefficients, and the variance of the logarithm of the time."""
-        active = np.flatnonzero(np.diag(solution.covariance)).tolist()
-        m = self.problem.covariances.m.astype(np.float64)
-        longer, shorter = markov_shape(m, self.time * STEP), markov_shape(m, self.time / STEP)
-        slope = solution.coefficients[MARKOV] * (longer - shorter) / (2.0 * math.log(STEP))
-        design = np.column_stack([self.problem.design[:, active], slope])
-        inverse = inverse_information(design, solution.factor)
-        covariance = np.zeros_like(solution.covariance)
-        covariance[np.ix_(active, active)] = inverse[:-1, :-1]
-        return covariance, float(inverse[-1, -1])
-
-
 class Family(NamedTuple):
     """The covariances of a curve by correlation time, samples, and the times that are tried, upwards."""
 
@@ -64,8 +43,10 @@ class Family(NamedTuple):
     at: Callable[[float], Covariances]
 
 
-def find_correlated(plain: Problem, family: Family) -> Correlated | None:
-    """Return the process where it makes the variances far more likely than the other terms alone can.
+def find_correlated(plain: Problem, family: Family) -> tuple[float, Problem] | None:
+    """Return a correlation time, samples, and the problem with its covariances.
+
+    None where the other terms alone make the variances about as likely.
 
     Parameters
     ----------
@@ -85,11 +66,24 @@ def find_correlated(plain: Problem, family: Family) -> Correlated | None:
         return None
     half = math.sqrt(2.0)
     time = best * half ** _peak(likelihood(best / half), tried[best], likelihood(best * half))
-    found = Correlated(time, plain.with_covariances(family.at(time)))
-    solution = found.problem.fit(WITH_MARKOV)
+    problem = plain.with_covariances(family.at(time))
+    solution = problem.fit(WITH_MARKOV)
     beside_white = solution.coefficients[WHITE] > 0.0 and solution.coefficients[MARKOV] > 0.0
-    is_likely = solution.log_likelihood >= needed
-    return found if is_likely and beside_white and solution.is_good(others=1) else None
+    is_likely = solution.log_likelihood >= needed and solution.is_good()
+    return (time, problem) if is_likely and beside_white else None
+
+
+def uncertainty(problem: Problem, solution: Solution, time: float) -> tuple[FloatArray, float]:
+    """Return the covariance of the coefficients, (7, 7), and the variance of the logarithm of the time."""
+    active = np.flatnonzero(np.diag(solution.covariance)).tolist()
+    m = problem.covariances.m.astype(np.float64)
+    longer, shorter = markov_shape(m, time * STEP), markov_shape(m, time / STEP)
+    slope = solution.coefficients[MARKOV] * (longer - shorter) / (2.0 * math.log(STEP))
+    design = np.column_stack([problem.design[:, active], slope])
+    inverse = inverse_information(design, solution.factor)
+    covariance = np.zeros_like(solution.covariance)
+    covariance[np.ix_(active, active)] = inverse[:-1, :-1]
+    return covariance, float(inverse[-1, -1])
 
 
 def may_be_correlated(plain: Problem, family: Family, columns: Iterable[int]) -> bool:

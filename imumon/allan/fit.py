@@ -38,7 +38,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.allan.correlated import SHOWN, Correlated, Family, find_correlated, may_be_correlated
+from imumon.allan.correlated import SHOWN, Family, find_correlated, may_be_correlated, uncertainty
 from imumon.allan.covariance import FLOOR_PER_INSTABILITY, SHAPES, markov_shape
 from imumon.allan.parameters import NAMES
 from imumon.allan.problem import (
@@ -117,7 +117,7 @@ class Fit:
     """Part of each variance by which the curve differs from any sum of the terms beyond its noise, as far
     as the fit can tell; it is in the standard deviations.  0 when chi-square is in order; above `NO_SUM`
     no term is reported."""
-    withheld: str
+    withheld: str = ""
     """`AMBIGUOUS`: bias instability and random walk are not reported, because noise that is correlated for a
     while would be as likely.  `DIGITS`: nothing is, because the steps of the readings hide the noise."""
 
@@ -131,6 +131,18 @@ class Fit:
             if term is not None:
                 terms[name] = Estimate(term.value, math.hypot(term.sd, 0.5 * error * term.value))
         return replace(self, terms=terms)
+
+    def with_missing(self, share: float) -> Fit:
+        """Return the terms where this share of the samples is missing: means of fewer have more white noise.
+
+        Corrected on average only: shorter averaging times do not cross gaps.
+        """
+        fit = self.less_certain(min(0.5 * share, NO_SUM))
+        white = fit.terms["angle_random_walk"]
+        if white is None or not share:
+            return fit
+        kept = math.sqrt(1.0 - share)
+        return replace(fit, terms={**fit.terms, "angle_random_walk": Estimate(kept * white.value, white.sd)})
 
     def shares(self, m: FloatArray) -> FloatArray:
         """Return the Allan variance that each of `TERMS` makes at averaging factors, (n, 6)."""
@@ -148,25 +160,23 @@ def fit_terms(variances: FloatArray, family: Family, interval_s: float, last: in
     start, stop, error = usable_range(whole, interval_s)
     described = error == 0.0 and stop == n
     correlated = find_correlated(whole.part(start if described else 0, n), family)
-    if correlated is None:
-        problem, every, time = whole.part(start, stop, error), EVERY, np.nan
-    else:
-        problem, every, time = correlated.problem, WITH_MARKOV, correlated.time
-        start, stop, error = n - len(problem), n, 0.0
+    problem, every, time = whole.part(start, stop, error), EVERY, np.nan
+    if correlated is not None:
+        time, problem = correlated
+        every, start, stop, error = WITH_MARKOV, n - len(problem), n, 0.0
     smallest = _smallest(problem, every)
     fitted = _with_alike(smallest) | ({FILTER} if start else frozenset())
     solution = problem.fit(fitted, ALIKE | {FILTER})
-    withheld = ""
     shown = [column for column in sorted(solution.columns) if _is_shown(problem, smallest, column)]
     if error > NO_SUM:
         shown = []
     elif stop < n:
         shown = [column for column in shown if column == WHITE]
-    elif described and correlated is None and ALIKE & {*shown}:
-        others = smallest.columns - ALIKE
-        withheld = AMBIGUOUS if may_be_correlated(problem, family, others) else ""
-        shown = [column for column in shown if not withheld or column not in ALIKE]
-    terms = _estimates(solution, shown, correlated, interval_s)
+    withheld = ""
+    doubtful = described and correlated is None and bool(ALIKE & {*shown})
+    if doubtful and may_be_correlated(problem, family, smallest.columns - ALIKE):
+        withheld, shown = AMBIGUOUS, [column for column in shown if column not in ALIKE]
+    terms = _estimates(problem, solution, shown, time, interval_s)
     return Fit(terms, signed(solution.coefficients), time, start, stop - 1, error, withheld)
 
 
@@ -185,16 +195,13 @@ def usable_range(problem: Problem, interval_s: float) -> tuple[int, int, float]:
         if start and m[start] * interval_s > LONGEST_START_S:
             break
         error, solution = _model_error(problem.part(start, n))
-        if start and not _is_filtered(problem, start, solution):
-            continue
-        tried.append((error, start))
-        if error == 0.0:
+        if not start or _is_filtered(problem, start, solution):
+            tried.append((error, start))
+        if tried[-1] == (0.0, start):
             break
     error, start = min(tried)
-    if error > NO_SUM:
-        stop = _good_beginning(problem)
-        if stop:
-            return 0, stop, 0.0
+    if error > NO_SUM and (stop := _good_beginning(problem)):
+        return 0, stop, 0.0
     return min(start + BEYOND_FILTER, n - FEWEST) if start else 0, n, error
 
 
@@ -230,7 +237,7 @@ def _model_error(problem: Problem) -> tuple[float, Solution]:
     error = 1.0
     for _ in range(ROUNDS):
         solution = problem.part(0, len(problem), error).fit(EVERY)
-        change = math.sqrt(solution.chi_square / solution.degrees_of_freedom())
+        change = math.sqrt(solution.chi_square / solution.degrees_of_freedom)
         error = min(error * change, LARGEST_ERROR)
         if abs(change - 1.0) < CLOSE:
             break
@@ -278,15 +285,15 @@ def _is_shown(problem: Problem, smallest: Solution, column: int) -> bool:
 
 
 def _estimates(
-    solution: Solution, columns: Sequence[int], correlated: Correlated | None, interval_s: float
+    problem: Problem, solution: Solution, columns: Sequence[int], time: float, interval_s: float
 ) -> dict[str, Estimate | None]:
-    """Return the terms of these columns, and None for every other."""
+    """Return the terms of these columns, and None for every other; `time` is NaN without correlated noise."""
     terms: dict[str, Estimate | None] = dict.fromkeys(NAMES)
     covariance = solution.covariance
-    if correlated is not None:
-        covariance, of_time = correlated.uncertainty(solution)
+    if not math.isnan(time):
+        covariance, of_time = uncertainty(problem, solution, time)
         if MARKOV in columns:
-            time_s = correlated.time * interval_s
+            time_s = time * interval_s
             terms[CORRELATION_TIME] = Estimate(time_s, time_s * math.sqrt(of_time))
     for column in columns:
         coefficient, sd = float(solution.coefficients[column]), math.sqrt(covariance[column, column])

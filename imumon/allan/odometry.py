@@ -28,7 +28,8 @@ from imumon.errors import ImumonError, Reason
 from imumon.files import write_text
 from imumon.geodesy import STANDARD_GRAVITY
 
-SENSORS = {"accel": ("accelerometer", "acc"), "gyro": ("gyroscope", "gyr")}
+SENSORS = {"accelerometer": "acc", "gyroscope": "gyr"}
+"""Names of a sensor: Kalibr's and that of VINS."""
 OPENCV = "%YAML:1.0\n"
 """The first line of a file that OpenCV's FileStorage reads."""
 
@@ -39,8 +40,7 @@ def write_kalibr(path: Path, results: Mapping[str, Result], source: Path) -> Non
     Raises BAD_DATA when a sensor is missing or shows no white noise; OSError when the file cannot be written.
     """
     body, head = _densities(results, source)
-    body |= {"rostopic": "/imu0", "update_rate": _rate(results)}
-    write_text(path, "\n".join(head) + "\n" + dump_yaml(body, flow=False))
+    write_text(path, head + dump_yaml(body, flow=False))
 
 
 def write_openvins(path: Path, results: Mapping[str, Result], source: Path) -> None:
@@ -50,49 +50,37 @@ def write_openvins(path: Path, results: Mapping[str, Result], source: Path) -> N
     chain: dict[str, Any] = {
         "T_i_b": np.eye(4).tolist(),
         **body,
-        "rostopic": "/imu0",
         "time_offset": 0.0,
-        "update_rate": _rate(results),
         "model": "kalibr",
         **{name: np.eye(3).tolist() for name in ("Tw", "R_IMUtoGYRO", "Ta", "R_IMUtoACC")},
         "Tg": np.zeros((3, 3)).tolist(),
     }
     # OpenCV refuses a list that stands at the column of its key.
     text = re.sub(r"^( *)- ", r"\1  - ", dump_yaml({"imu0": chain}, flow=None), flags=re.MULTILINE)
-    write_text(path, OPENCV + "\n".join(head) + "\n" + text)
+    write_text(path, OPENCV + head + text)
 
 
 def write_vins(path: Path, results: Mapping[str, Result], source: Path) -> None:
-    """Write the IMU's lines of a configuration of VINS-Mono or VINS-Fusion; raises as `write_kalibr`.
-
-    Also BAD_DATA when the rate of the recording is not known.
-    """
+    """Write the IMU's lines of a configuration of VINS-Mono or VINS-Fusion; raises as `write_kalibr`."""
     body, head = _densities(results, source)
-    rate = _rate(results)
-    if not rate:
-        raise ImumonError(Reason.BAD_DATA, "VINS needs noise of a sample, and the rate is not known")
-    scale = math.sqrt(rate)
+    rate = body["update_rate"]
+    head += f"# Of one sample at {rate:g} Hz: the densities times the root of the rate.\n"
     values = {}
-    for long, short in SENSORS.values():
-        values[f"{short}_n"] = float(f"{scale * body[f'{long}_noise_density']:.6g}")
-        values[f"{short}_w"] = float(f"{scale * body[f'{long}_random_walk']:.6g}")
-    head.append(f"# Of one sample at {rate:g} Hz: the densities times the root of the rate.")
+    for long, short in SENSORS.items():
+        values[f"{short}_n"] = _rounded(math.sqrt(rate) * body[f"{long}_noise_density"])
+        values[f"{short}_w"] = _rounded(math.sqrt(rate) * body[f"{long}_random_walk"])
     values["g_norm"] = STANDARD_GRAVITY
-    write_text(path, OPENCV + "\n".join(head) + "\n" + dump_yaml(values, flow=False))
+    write_text(path, OPENCV + head + dump_yaml(values, flow=False))
 
 
-def _rate(results: Mapping[str, Result]) -> float | None:
-    return float(f"{rate_hz(results['gyro_x'].series):.6g}") if "gyro_x" in results else None
-
-
-def _densities(results: Mapping[str, Result], source: Path) -> tuple[dict[str, Any], list[str]]:
-    """Return the densities by Kalibr's names, and comments."""
-    head = [
-        f"# Noise of {source.name}, by Allan deviation; the largest of the three axes.",
-        "# rostopic is a guess: name your own.",
-    ]
+def _densities(results: Mapping[str, Result], source: Path) -> tuple[dict[str, Any], str]:
+    """Return densities, rate and topic by Kalibr's names, and the comments above them."""
+    head = (
+        f"# Noise of {source.name}, by Allan deviation; the largest of the three axes.\n"
+        "# rostopic is a guess: name your own.\n"
+    )
     body: dict[str, Any] = {}
-    for group, (name, _) in SENSORS.items():
+    for group, name in zip(("accel", "gyro"), SENSORS, strict=True):
         white = _largest(results, group, "angle_random_walk")
         walk = _largest(results, group, "rate_random_walk")
         if white is None:
@@ -100,12 +88,17 @@ def _densities(results: Mapping[str, Result], source: Path) -> tuple[dict[str, A
                 Reason.BAD_DATA, f"odometry needs a noise density of the {name}, and the data show none"
             )
         if walk is None:
-            head.append(f"# {name}_random_walk: the data show none; 0 is not a fact of the sensor.")
+            head += f"# {name}_random_walk: the data show none; 0 is not a fact of the sensor.\n"
         body[f"{name}_noise_density"] = white
         body[f"{name}_random_walk"] = 0.0 if walk is None else walk
-    return body, head
+    some = next(result for name, result in results.items() if name.startswith("gyro"))
+    return {**body, "rostopic": "/imu0", "update_rate": _rounded(rate_hz(some.series))}, head
 
 
 def _largest(results: Mapping[str, Result], group: str, term: str) -> float | None:
     values = [value_of(results.get(f"{group}_{axis}"), term) for axis in "xyz"]
     return max((value for value in values if value is not None), default=None)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.6g}")

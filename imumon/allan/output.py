@@ -1,14 +1,14 @@
-"""Results as JSON, and as the noise section of a pipeline."""
+"""Results as remarks, as JSON, and as the noise section of a pipeline."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from imumon.allan.analysis import Deviations, Result
-from imumon.allan.confidence import CONFIDENCE
-from imumon.allan.fit import Estimate
+from imumon.allan.covariance import CONFIDENCE
+from imumon.allan.fit import AMBIGUOUS, DIGITS, NO_SUM, Estimate
 from imumon.allan.parameters import TERMS_OF
 from imumon.allan.recording import GROUPS, UNITS, group_of, rate_hz
 from imumon.config import dump_yaml
@@ -27,6 +27,57 @@ def check_outputs(plot: Path | None, *files: Path | None) -> None:
     for path in (plot, *files):
         if path is not None:
             check_output(path, replace=path is plot)
+
+
+STUCK = "the reading never changes: the channel is stuck, or its resolution too coarse; no terms"
+SHORT = "too short for a fit of the terms"
+FILTERED = "shorter averaging times are not fitted: no sum of the terms describes them (a filter?)"
+DIFFERS = "the curve differs so much from every sum of the terms; the standard deviations take that in"
+DISTURBED = (
+    "no sum of the terms describes longer averaging times (a vibration, a cycle, motion?): "
+    "only the angle random walk is reported"
+)
+UNLIKE = "no sum of the terms describes the curve (a vibration, a cycle, motion?): no term is reported"
+EITHER = (
+    "correlated noise describes the curve as well as bias instability or a random walk: neither is "
+    "reported; record for longer"
+)
+HIDDEN = "the steps of the readings hide the noise: no term is reported"
+ROUGH = "the steps of the readings add to the noise"
+
+
+def remarks(results: Mapping[str, Result]) -> list[str]:
+    """Return why terms are less certain or missing, or from a part of the curve, with their channels."""
+    channels: dict[str, list[str]] = {}
+    for name, result in results.items():
+        for sentence, detail in _remarks(result, UNITS[group_of(name)]):
+            channels.setdefault(sentence, []).append(f"{name} {detail}".rstrip())
+    return [f"{', '.join(names)}: {sentence}" for sentence, names in channels.items()]
+
+
+def _remarks(result: Result, unit: str) -> Iterator[tuple[str, str]]:
+    """Yield sentences about one channel, each with the number that goes with it."""
+    fit, digits = result.fit, result.digits
+    if fit is None:
+        yield SHORT if result.allan.values.any() else STUCK, ""
+        return
+    if fit.first:
+        yield FILTERED, f"{result.tau_s[fit.first]:.2g} s"
+    if fit.model_error > NO_SUM and fit.withheld != DIGITS:
+        yield UNLIKE, ""
+    elif fit.model_error and fit.withheld != DIGITS:
+        yield DIFFERS, f"{50.0 * fit.model_error:.2g} %"
+    if fit.last < result.trusted - 1:
+        yield DISTURBED, f"{result.tau_s[fit.last]:.2g} s"
+    if fit.withheld == AMBIGUOUS:
+        yield EITHER, ""
+    if digits is not None:
+        steps = f"{digits.step:.3g} {unit}, {1.0 / digits.ratio:.2g} times the noise"
+        walk = fit.terms["angle_random_walk"]
+        if fit.withheld == DIGITS:
+            yield HIDDEN, steps
+        elif walk is not None and 0.5 * digits.share * walk.value > walk.sd:
+            yield ROUGH, f"{steps}, {digits.share:.0%} of the variance"
 
 
 def as_json(results: Mapping[str, Result]) -> dict[str, Any]:

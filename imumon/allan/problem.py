@@ -53,13 +53,14 @@ class Solution:
         """Return the columns of the terms that are not zero."""
         return frozenset(np.flatnonzero(self.coefficients).tolist())
 
-    def degrees_of_freedom(self, others: int = 0) -> int:
-        """Return those that are left, one at least; `others` is how many other parameters were fitted."""
-        return max(1, len(self.residual) - int(np.count_nonzero(self.coefficients)) - others)
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Return those that are left, one at least."""
+        return max(1, len(self.residual) - int(np.count_nonzero(self.coefficients)))
 
-    def is_good(self, others: int = 0) -> bool:
+    def is_good(self) -> bool:
         """Return whether chi-square is in order for its degrees of freedom."""
-        return float(gammaincc(0.5 * self.degrees_of_freedom(others), 0.5 * self.chi_square)) > GOOD
+        return float(gammaincc(0.5 * self.degrees_of_freedom, 0.5 * self.chi_square)) > GOOD
 
 
 class Problem:

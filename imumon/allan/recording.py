@@ -72,23 +72,18 @@ def read_channels(path: Path, stages: Stages = no_stages, count: Count = no_coun
     samples = join(blocks)
     there = [name for name in CHANNELS if name in samples]
     names = [name for name in there if np.isfinite(samples[name]).sum() > 1]
-    if there and not names:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: {', '.join(there)} hold no two numbers")
     if not names:
-        raise ImumonError(Reason.BAD_DATA, f"{path}: has none of the columns {', '.join(CHANNELS)}")
+        lack = "holds no two numbers in" if there else "has none of the columns"
+        raise ImumonError(Reason.BAD_DATA, f"{path}: {lack} {', '.join(there or CHANNELS)}")
     time_ns, segment = samples["device_time_ns"], samples["segment"]
     series = even_channels(time_ns, segment, {name: samples[name] for name in names})
     _refuse(path, len(samples), names, series)
-    empty = [name for name in there if name not in names]
-    warnings = [
-        *recording.warnings(),
-        *([f"{', '.join(empty)}: fewer than two numbers; left out"] if empty else []),
-        *_of_units(series),
-        *_of_the_grid(series),
-        *_of_motion(samples, series, declared="at_rest" in recording.columns),
-        *_of_temperature(samples),
-    ]
-    return Channels(series, tuple(warnings))
+    warnings = [*recording.warnings()]
+    if empty := [name for name in there if name not in names]:
+        warnings.append(f"{', '.join(empty)}: fewer than two numbers; left out")
+    warnings += [*_of_units(series), *_of_the_grid(series)]
+    warnings += [*_of_motion(samples, series, declared="at_rest" in recording.columns)]
+    return Channels(series, (*warnings, *_of_temperature(samples)))
 
 
 def _check_units(path: Path, columns: Mapping[str, Column]) -> None:
@@ -129,20 +124,18 @@ def _refuse(path: Path, rows: int, names: list[str], series: dict[str, EvenSerie
             )
 
 
-def _of_units(series: dict[str, EvenSeries]) -> list[str]:
-    """Tell what looks like readings in other units."""
-    remarks = []
-    sizes = {name: np.median(np.abs(series[name].values)) for name in GYRO if name in series}
-    fast = [name for name, size in sizes.items() if size > FASTEST_RAD_S]
+def _of_units(series: dict[str, EvenSeries]) -> Iterator[str]:
+    """Yield what looks like readings in other units."""
+    gyros = [name for name in GYRO if name in series]
+    fast = [name for name in gyros if np.median(np.abs(series[name].values)) > FASTEST_RAD_S]
     if fast:
-        remarks.append(f"{', '.join(fast)}: turns faster than any gyro measures: it is not in rad/s")
-    accel = [series[name].values.mean() for name in ACCEL if name in series]
-    norm = float(np.linalg.norm(accel))
-    if len(accel) == len(ACCEL) and not NORMAL_G[0] < norm < NORMAL_G[1]:
-        remarks.append(
-            f"the mean specific force is {norm:.4g} m/s^2, not gravity: it is not in m/s^2, or not whole"
-        )
-    return remarks
+        yield f"{', '.join(fast)}: turns faster than any gyro measures: it is not in rad/s"
+    if all(name in series for name in ACCEL):
+        norm = float(np.linalg.norm([series[name].values.mean() for name in ACCEL]))
+        if not NORMAL_G[0] < norm < NORMAL_G[1]:
+            yield (
+                f"the mean specific force is {norm:.4g} m/s^2, not gravity: it is not in m/s^2, or not whole"
+            )
 
 
 def _of_the_grid(series: dict[str, EvenSeries]) -> list[str]:
@@ -184,52 +177,52 @@ def _hidden(series: dict[str, EvenSeries]) -> list[str]:
     found = {name: digits(channel.values[channel.there]) for name, channel in series.items()}
     return [
         name
-        for name, look in found.items()
-        if look is not None and (look.error > NO_SUM or look.step > coarsest[group_of(name)])
+        for name, steps in found.items()
+        if steps is not None and (steps.error > NO_SUM or steps.step > coarsest[group_of(name)])
     ]
 
 
-def _of_motion(samples: SampleBlock, series: dict[str, EvenSeries], *, declared: bool) -> list[str]:
-    """Tell the share of motion: by the column ``at_rest`` of a table, else by the rest detector."""
+def _of_motion(samples: SampleBlock, series: dict[str, EvenSeries], *, declared: bool) -> Iterator[str]:
+    """Yield the share of motion: by the column ``at_rest`` of a table, else by the rest detector."""
     time_ns = samples["device_time_ns"]
     short = time_ns[-1] - time_ns[0] < LEAST_FOR_MOTION_S * 1e9
     if "at_rest" not in samples or (short and not declared):
-        return []
+        return
     at_rest = samples["at_rest"]
     known = at_rest[np.argmax(at_rest == 1) :]  # until the first rest nothing is known
     share = float(np.mean(known != 1))
     if share <= MOVING_SHARE:
-        return []
-    hidden = [] if declared else _hidden(series)
-    if hidden:
-        return [f"whether the unit moved is unknown: the steps of {', '.join(hidden)} are too coarse"]
-    if not (at_rest == 1).any() and not declared:
-        return [
+        return
+    if not declared and (hidden := _hidden(series)):
+        yield f"whether the unit moved is unknown: the steps of {', '.join(hidden)} are too coarse"
+    elif not declared and not (at_rest == 1).any():
+        yield (
             "the rest detector found no rest: the unit moved, or is noisier than a sensor at rest can be; an "
             "Allan deviation of a unit that moves is that of the motion"
-        ]
-    how = "column at_rest" if declared else "by the rest detector"
-    return [
-        f"the unit moved during {share:.1%} of the recording ({how}): "
-        "an Allan deviation of a unit that moves is that of the motion; record it at rest"
-    ]
+        )
+    else:
+        how = "column at_rest" if declared else "by the rest detector"
+        yield (
+            f"the unit moved during {share:.1%} of the recording ({how}): "
+            "an Allan deviation of a unit that moves is that of the motion; record it at rest"
+        )
 
 
-def _of_temperature(samples: SampleBlock) -> list[str]:
+def _of_temperature(samples: SampleBlock) -> Iterator[str]:
     there = [samples[name][np.isfinite(samples[name])] for name in TEMPERATURES if name in samples]
     readings = next((part for part in there if len(part)), None)
     if readings is None:
-        return [
+        yield (
             "there is no temperature: thermal drift cannot be distinguished from bias instability and random"
             " walk"
-        ]
+        )
+        return
     low, high = np.percentile(readings, [0.5, 99.5])
-    if high - low <= WARMING_DEGC:
-        return []
-    return [
-        f"the temperature moved between {low:.1f} and {high:.1f} °C: bias instability, random walk and ramp "
-        "hold thermal drift"
-    ]
+    if high - low > WARMING_DEGC:
+        yield (
+            f"the temperature moved between {low:.1f} and {high:.1f} °C: bias instability, random walk and "
+            "ramp hold thermal drift"
+        )
 
 
 def rate_hz(series: EvenSeries) -> float:

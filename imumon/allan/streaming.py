@@ -16,8 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.allan.confidence import TRUSTED_FREEDOM, intervals
-from imumon.allan.covariance import NOISES, Runs, freedom
+from imumon.allan.covariance import NOISES, TRUSTED_FREEDOM, Runs, freedom, intervals
 from imumon.allan.series import JITTER, nominal_interval_ns
 from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit, record
@@ -99,7 +98,7 @@ def stream(time_ns: IntArray, segment: IntArray, values: FloatArray, run: _Run) 
 
 
 class LiveCurve(NamedTuple):
-    """Allan deviations so far, (n,) each, with intervals of `imumon.allan.confidence.CONFIDENCE`."""
+    """Allan deviations so far, (n,) each, with intervals of `imumon.allan.covariance.CONFIDENCE`."""
 
     tau_s: FloatArray
     deviation: FloatArray

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING
@@ -48,7 +48,7 @@ def command(
         opened = read_channels(recording, lambda _: [RestDetector()], tell.count)
         tell("deviations and terms of all channels")
         results = analyse(opened.series)
-    warn([*opened.warnings, *_of_the_fit(results)])
+    warn([*opened.warnings, *output.remarks(results)])
     writers: dict[str, Callable[[Path], None]] = {
         "plot": lambda path: resolve_name("imumon.allan.plot:write_plot")(path, results, str(recording)),
         "noise": lambda path: output.write_noise(path, results, recording),
@@ -64,54 +64,6 @@ def command(
     else:
         _show(results)
     print_rows({name: str(path) for name, path in outputs.items()})
-
-
-def _of_the_fit(results: dict[str, Result]) -> list[str]:
-    """Return warnings where the terms are from a part of the curve, or from none; channels together."""
-    from imumon.allan.recording import UNITS, group_of
-
-    channels: dict[str, list[str]] = {}
-    for name, result in results.items():
-        for remark, detail in _remarks(result, UNITS[group_of(name)]):
-            channels.setdefault(remark, []).append(f"{name} {detail}".rstrip())
-    return [f"{', '.join(names)}: {remark}" for remark, names in channels.items()]
-
-
-def _remarks(result: Result, unit: str) -> Iterator[tuple[str, str]]:
-    """Yield the warnings on the fit of a channel, each with its number."""
-    from imumon.allan.fit import AMBIGUOUS, DIGITS, NO_SUM
-
-    fit, digits = result.fit, result.digits
-    if fit is None and result.allan.values.any():
-        yield "too short for a fit of the terms", ""
-    elif fit is None:
-        yield "the reading never changes: the channel is stuck, or its resolution too coarse; no terms", ""
-    if fit is None:
-        return
-    if fit.first:
-        text = "shorter averaging times are not fitted: no sum of the terms describes them (a filter?)"
-        yield text, f"{result.tau_s[fit.first]:.2g} s"
-    if fit.withheld != DIGITS and fit.model_error > NO_SUM:
-        text = "no sum of the terms describes the curve (a vibration, a cycle, motion?): no term is reported"
-        yield text, ""
-    elif fit.withheld != DIGITS and fit.model_error:
-        text = "the curve differs so much from every sum of the terms; the standard deviations take that in"
-        yield text, f"{50.0 * fit.model_error:.2g} %"
-    if fit.last < result.trusted - 1:
-        text = "no sum of the terms describes longer averaging times (a vibration, a cycle, motion?): "
-        yield text + "only the angle random walk is reported", f"{result.tau_s[fit.last]:.2g} s"
-    if fit.withheld == AMBIGUOUS:
-        text = "correlated noise describes the curve as well as bias instability or a random walk: "
-        yield text + "neither is reported; record for longer", ""
-    if digits is None:
-        return
-    steps = f"{digits.step:.3g} {unit}, {1.0 / digits.ratio:.2g} times the noise"
-    walk = fit.terms["angle_random_walk"]
-    if fit.withheld == DIGITS:
-        yield "the steps of the readings hide the noise: no term is reported", steps
-    if walk is not None and 0.5 * digits.share * walk.value > walk.sd:
-        text = "the steps of the readings add to the noise"
-        yield text, f"{steps}, {digits.share:.0%} of the variance"
 
 
 LARGE = 1e5

@@ -13,7 +13,7 @@ from typing import Self
 
 from imumon.blocks import SampleBlock, join, with_nan
 from imumon.files import as_path
-from imumon.library.arguments import expect, expect_list, expect_seconds, refuse
+from imumon.library import require, require_list, require_seconds
 from imumon.pipeline import Estimator, PipelineCounters
 from imumon.protocols.device import DeviceFile, device_text, parse_device
 from imumon.run.live import BATCH_S, DecodedPort, LiveRun, nothing_decoded, warm_up
@@ -224,15 +224,16 @@ def open(
         Whether a loop that was busy gets only the newest rows, those of the last 0.08 s; the estimators see
         all rows.
     """
-    expect("port", port, str, "the name of a port")
-    expect("device", device, (str, Path), "the name of a device or the path of its file")
-    expect("baudrate", baudrate, (int, type(None)), "a whole number of bits per second")
-    if baudrate is not None and baudrate <= 0:
-        raise refuse("baudrate", baudrate, "a whole number of bits per second")
-    expect("setup", setup, (Setup, type(None)), "an imumon.Setup")
-    expect_list("stages", stages, "a list of stages")
-    expect_seconds("timeout", timeout, positive=True)
-    expect("latest", latest, bool, "True or False")
+    require(isinstance(port, str), "port", port, "the name of a port")
+    is_name = isinstance(device, str | Path)
+    require(is_name, "device", device, "the name of a device or the path of its file")
+    is_rate = baudrate is None or (type(baudrate) is int and baudrate > 0)
+    require(is_rate, "baudrate", baudrate, "a whole number of bits per second")
+    require(setup is None or isinstance(setup, Setup), "setup", setup, "an imumon.Setup")
+    require_list("stages", stages, "a list of stages")
+    require_seconds("timeout", timeout, "above 0")
+    require(timeout != 0, "timeout", timeout, "a number of seconds above 0, or None")
+    require(isinstance(latest, bool), "latest", latest, "True or False")
     folder = None if record is None else as_path("record", record)
     text, source = device_text(str(device))
     known, setup = parse_device(text, source), setup or Setup()

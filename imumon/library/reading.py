@@ -13,7 +13,7 @@ from imumon.columns import KNOWN, TIME_COLUMNS, Column
 from imumon.errors import ImumonError, Reason
 from imumon.files import as_path
 from imumon.heap import trim_heap
-from imumon.library.arguments import expect, expect_list, expect_seconds, refuse
+from imumon.library import require, require_list, require_seconds
 from imumon.library.samples import TIMES, Samples
 from imumon.pipeline import Estimator, Pipeline
 from imumon.protocols.base import MAIN
@@ -120,14 +120,15 @@ class _Run:
         end_s: float | None,
     ) -> None:
         where = as_path("path", path)
-        expect("device", device, (str, Path, type(None)), "the name of a device or the path of its file")
-        expect("setup", setup, (Setup, type(None)), "an imumon.Setup")
-        expect("estimates", estimates, bool, "True or False")
-        expect_list("stages", stages, "a list of stages")
+        is_name = device is None or isinstance(device, str | Path)
+        require(is_name, "device", device, "the name of a device or the path of its file")
+        require(setup is None or isinstance(setup, Setup), "setup", setup, "an imumon.Setup")
+        require(isinstance(estimates, bool), "estimates", estimates, "True or False")
+        require_list("stages", stages, "a list of stages")
         if columns is not None:
-            expect_list("columns", columns, 'a list of names, as ["gyro_x"]')
+            require_list("columns", columns, 'a list of names, as ["gyro_x"]')
             for name in columns:
-                expect("columns", name, str, "names of columns")
+                require(isinstance(name, str), "columns", name, "names of columns")
         self._columns = columns
         self._span = _Span(begin_s, end_s) if begin_s is not None or end_s is not None else None
         if not where.exists():
@@ -187,27 +188,21 @@ class _Run:
         self, block: SampleBlock, side: Mapping[str, Samples] | None = None, stream: str = MAIN
     ) -> Samples:
         """Return a block with unit and meaning of its columns, in the order of a table."""
+        known = self._pipeline.stream_columns(stream)
         if stream == MAIN:
             known = self._source.columns(self._pipeline)
-        else:
-            known = self._pipeline.stream_columns(stream)
-        if self._columns is not None:
-            by_name = {column.name: column for column in known}
-            known = [by_name.get(name) or KNOWN.get(name) or Column(name, "") for name in self._columns]
         declared = {column.name: column for column in known}
-        names = [name for name in declared if name in block or self._is_expected(name)]
-        columns = {name: declared[name] for name in names}
+        expected = {column.name for column in self._source.imported}
+        if self._columns is not None:
+            declared = {n: declared.get(n) or KNOWN.get(n) or Column(n, "") for n in self._columns}
+            expected = set(self._columns)
+        columns = {name: c for name, c in declared.items() if name in block or name in expected}
         columns |= {name: Column(name, "") for name in block.columns if name not in columns}
         complete = {
             name: block[name] if name in block else missing(len(block), column.dtype)
             for name, column in columns.items()
         }
         return Samples(SampleBlock(complete), columns, side or {})
-
-    def _is_expected(self, name: str) -> bool:
-        """Return whether a column has its place even where it holds nothing."""
-        wanted = self._columns is not None and name in self._columns
-        return wanted or any(column.name == name for column in self._source.imported)
 
 
 def _table(path: Path, setup: Setup | None, columns: Sequence[str] | None) -> Source:
@@ -276,10 +271,10 @@ class _Span:
     """
 
     def __init__(self, begin_s: float | None, end_s: float | None) -> None:
-        expect_seconds("begin_s", begin_s)
-        expect_seconds("end_s", end_s)
-        if begin_s is not None and end_s is not None and end_s <= begin_s:
-            raise refuse("end_s", end_s, f"more than begin_s={begin_s!r}")
+        require_seconds("begin_s", begin_s, "from 0 on")
+        require_seconds("end_s", end_s, "from 0 on")
+        if begin_s is not None and end_s is not None:
+            require(end_s > begin_s, "end_s", end_s, f"more than begin_s={begin_s!r}")
         self._begin_s, self._end_s = begin_s or 0.0, np.inf if end_s is None else end_s
         self._clock, self._first_ns, self._segment = "", 0, 0
         self.over = False
@@ -291,11 +286,8 @@ class _Span:
             return block
         if not self._clock:
             self._start(block)
-        if (
-            self._clock == "device_time_ns"
-            and "segment" in block
-            and (block["segment"] != self._segment).any()
-        ):
+        restarted = "segment" in block and (block["segment"] != self._segment).any()
+        if restarted and self._clock == "device_time_ns":
             raise ImumonError(
                 Reason.BAD_DATA,
                 "begin_s, end_s: the device restarted, and the recording has no times of arrival",

@@ -30,8 +30,9 @@ class Foxglove:
     """
 
     def __init__(self, target: Target, setup: ViewSetup) -> None:
-        self._units, self._states, self._slow = setup.units, dict[str, Value](), _Slow()
-        logging.getLogger(FULL).addHandler(self._slow)
+        self._units, self._states = setup.units, dict[str, Value]()
+        self._is_slow = False
+        logging.getLogger(FULL).addFilter(self._note_slow)
         logging.getLogger(FULL).setLevel(logging.INFO)
         self._context = foxglove.Context()
         try:
@@ -49,7 +50,7 @@ class Foxglove:
     @property
     def text(self) -> str:
         """The address, and whether a viewer is too slow."""
-        return f"{self._url}, a viewer is too slow and misses messages" if self._slow.noted else self._url
+        return f"{self._url}, a viewer is too slow and misses messages" if self._is_slow else self._url
 
     def send(self, items: Sequence[Published]) -> int:
         """Hand messages to the SDK, which keeps the latest 1024 for a slow viewer; none fails here."""
@@ -69,6 +70,10 @@ class Foxglove:
     def close(self) -> None:
         """End the server."""
         self._server.stop()
+
+    def _note_slow(self, _: logging.LogRecord) -> bool:
+        self._is_slow = True
+        return False
 
     def _is_wanted(self, item: Samples) -> bool:
         """Have a channel that describes these columns; tell whether a viewer has subscribed to it."""
@@ -97,15 +102,6 @@ class Foxglove:
 
     def _put(self, message: Message) -> None:
         self._channels[message.topic].log(dict(message.values), log_time=message.time_ns)
-
-
-class _Slow(logging.Handler):
-    """Notes that a viewer was too slow."""
-
-    noted = False
-
-    def emit(self, _: logging.LogRecord) -> None:
-        self.noted = True
 
 
 def _log(message: Message) -> FoxgloveLog:

@@ -6,13 +6,13 @@ Names and units are those of `imumon.columns`; a value that is not there has no 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, ColumnArray
 from imumon.protocols.base import MAIN
-from imumon.view.items import Log, Samples, State, ViewItem
+from imumon.view.items import Log, Samples, State
 
 CLOCKS = ("host_time_ns", "arrival_time_ns")
 """The first that a row has is the time of its message, Unix time in ns."""
@@ -20,8 +20,7 @@ STATE, LOG = "state", "log"
 Value = float | int | str
 
 
-@dataclass(frozen=True, slots=True)
-class Message:
+class Message(NamedTuple):
     """Values of one moment."""
 
     topic: str
@@ -32,11 +31,7 @@ class Message:
 
 
 Published = Samples | State | Log
-
-
-def is_published(item: ViewItem) -> bool:
-    """Return whether an item of the view is for other programs, too."""
-    return isinstance(item, Samples | State | Log)
+"""Those items of the view that are for other programs, too."""
 
 
 def topic_of(item: Samples) -> str:
@@ -60,25 +55,18 @@ def messages(items: Sequence[Published], states: dict[str, Value]) -> Iterator[M
 
 
 def _rows(item: Samples) -> Iterator[Message]:
-    topic, columns = topic_of(item), dict[str, list[Value | None]]()
+    columns: dict[str, list[Value | None]] = {}
     if item.first is not None:
         columns["sample"] = [*range(item.first, item.first + item.rows)]
     for name, values in item.block.columns.items():
-        if (known := _known(values)).any():
-            listed: list[Value | None] = values.tolist()
-            for absent in np.flatnonzero(~known).tolist():
-                listed[absent] = None
-            columns[name] = listed
-    names = list(columns)
+        listed = values.astype(object)
+        listed[~_known(values)] = None
+        columns[name] = listed.tolist()
     for row in zip(*columns.values(), strict=True):
-        known_of = {name: value for name, value in zip(names, row, strict=True) if value is not None}
-        yield Message(topic, _time_ns(known_of), known_of)
+        known = {name: value for name, value in zip(columns, row, strict=True) if value is not None}
+        times = (int(known[clock]) for clock in CLOCKS if clock in known)
+        yield Message(topic_of(item), next(times, None), known)
 
 
 def _known(values: ColumnArray) -> BoolArray:
     return np.asarray(np.isfinite(values) if values.dtype == np.float64 else values != NO_INT)
-
-
-def _time_ns(values: Mapping[str, Value]) -> int | None:
-    found = next((values[clock] for clock in CLOCKS if clock in values), None)
-    return None if found is None else int(found)

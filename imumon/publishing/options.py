@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import click
@@ -10,9 +10,9 @@ import click
 from imumon.cli.common import warn
 
 if TYPE_CHECKING:
-    from imumon.publishing.publisher import Publisher
+    from imumon.publishing.publisher import Publishers
     from imumon.publishing.target import Target
-    from imumon.view.items import ViewItem, ViewSetup
+    from imumon.view.items import ViewSetup
 
 
 class _Publish:
@@ -39,66 +39,11 @@ class _Publish:
         warn(target.warning for target in targets if target.warning is not None)
         return targets
 
-    def start(self, parsed: Sequence[Target], setup: ViewSetup) -> Published:
+    def start(self, parsed: Sequence[Target], setup: ViewSetup) -> Publishers:
         """Begin to send to them."""
-        if not parsed:
-            return Published([])
-        from imumon.publishing.publisher import Publisher
+        from imumon.publishing.publisher import Publisher, Publishers
 
-        return Published([Publisher(target, setup).start() for target in parsed])
+        return Publishers([Publisher(target, setup).start() for target in parsed])
 
 
 PUBLISH = _Publish()
-
-
-class Published:
-    """Everything that --publish asks for, while a command runs."""
-
-    def __init__(self, publishers: Sequence[Publisher]) -> None:
-        self._publishers = publishers
-        self._reported: dict[Publisher, str] = {}
-
-    @property
-    def publish(self) -> list[Callable[[ViewItem], None]]:
-        """Where view items go."""
-        return [one.publish for one in self._publishers]
-
-    @property
-    def text(self) -> str:
-        """What a status line says: where it goes, and what of it was dropped."""
-        texts = []
-        for one in self._publishers:
-            state = one.state
-            dropped = f", {state.dropped:,} dropped" if state.dropped else ""
-            text = f"{state.sent:,} sent{dropped}" if state.ready else state.text
-            texts.append(f"  {one.target.kind}: {text}")
-        return "".join(texts)
-
-    @property
-    def as_data(self) -> dict[str, object]:
-        """What the command says with --json."""
-        states = [(str(one.target), one.state) for one in self._publishers]
-        return {
-            "published": [{"to": to, "sent": state.sent, "dropped": state.dropped} for to, state in states]
-        }
-
-    @property
-    def rows(self) -> dict[str, str]:
-        """What the summary says."""
-        states = [(one.target, one.state) for one in self._publishers]
-        texts = [f"{to}: {state.sent:,} sent, {state.dropped:,} dropped" for to, state in states]
-        return {"published": "; ".join(texts)} if texts else {}
-
-    def announce(self, tell: Callable[[str, str], None]) -> None:
-        """Say how it goes, when that changes, and when the first is dropped."""
-        for one in self._publishers:
-            state = one.state
-            text = f"{one.target}: {state.text}" + (", some are dropped" if state.dropped else "")
-            if text != self._reported.get(one, ""):
-                self._reported[one] = text
-                tell("INFO" if state.ready and not state.dropped else "WARN", f"published to {text}")
-
-    def close(self) -> None:
-        """Send what is left, and end."""
-        for one in self._publishers:
-            one.close()

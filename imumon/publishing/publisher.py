@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from imumon.publishing.messages import is_published
+from imumon.publishing.messages import Published
 from imumon.publishing.target import Target
 from imumon.view.fed import FedProcess
 from imumon.view.items import ViewItem, ViewSetup
@@ -42,10 +42,12 @@ class Publisher(FedProcess):
         super().__init__("imumon.publishing.child")
         self.target = target
         self._setup = setup
-        self._published = self._handed_rows = self._lost = 0
+        self._published = self._handed_rows = 0
+        self._sent = self._lost = 0
+        """What processes that ended have sent, and what was lost with them."""
         self._closed = False
-        self._before, self._now = Delivery(""), Delivery("begins", ready=False)
-        """What processes that ended have said together, and what the present one says."""
+        self._now = Delivery("begins", ready=False)
+        """What the present process says."""
 
     def start(self) -> Publisher:
         """Start the process and return at once."""
@@ -54,7 +56,7 @@ class Publisher(FedProcess):
 
     def publish(self, item: ViewItem) -> None:
         """Queue an item, when it is for other programs; takes microseconds.  Called from one thread."""
-        if is_published(item):
+        if isinstance(item, Published):
             self._published += item.rows
             super().publish(item)
 
@@ -66,16 +68,14 @@ class Publisher(FedProcess):
     @property
     def state(self) -> Delivery:
         """How it goes now."""
-        before, now = self._before, self._now
-        sent = before.sent + now.sent
-        failed = before.dropped + now.dropped
-        dropped = self._published - sent if self._closed else self._queue.dropped + self._lost + failed
+        now, sent = self._now, self._sent + self._now.sent
+        dropped = self._published - sent if self._closed else self._queue.dropped + self._lost + now.dropped
         return replace(now, sent=sent, dropped=dropped)
 
     def _first(self) -> tuple[Target, ViewSetup]:
         if self._restarts:  # what waited for the process is not news any more
             self._handed(self._queue.take(0.0, 0.0))
-        self._count_lost()
+        self._lost = self._handed_rows - self._sent
         return self.target, self._setup
 
     def _handed(self, items: Sequence[ViewItem]) -> None:
@@ -85,12 +85,61 @@ class Publisher(FedProcess):
         self._now = message
 
     def _gone(self) -> None:
-        before, now = self._before, self._now
-        self._before = Delivery("", sent=before.sent + now.sent, dropped=before.dropped + now.dropped)
+        now = self._now
         text = "ended" if self._queue.closed.is_set() else "begins again" if now.ready else now.text
+        self._sent += now.sent
+        self._lost = self._handed_rows - self._sent
         self._now = Delivery(text, ready=False)
-        self._count_lost()
 
-    def _count_lost(self) -> None:
-        """What no process took until now is lost."""
-        self._lost = self._handed_rows - self._before.sent - self._before.dropped
+
+class Publishers:
+    """Everything that --publish asks for, while a command runs."""
+
+    def __init__(self, publishers: Sequence[Publisher]) -> None:
+        self._publishers = publishers
+        self._reported: dict[Publisher, str] = {}
+
+    @property
+    def publish(self) -> list[Callable[[ViewItem], None]]:
+        """Where view items go."""
+        return [one.publish for one in self._publishers]
+
+    @property
+    def text(self) -> str:
+        """What a status line says: where it goes, and what of it was dropped."""
+        texts = []
+        for one in self._publishers:
+            state = one.state
+            dropped = f", {state.dropped:,} dropped" if state.dropped else ""
+            text = f"{state.sent:,} sent{dropped}" if state.ready else state.text
+            texts.append(f"  {one.target.kind}: {text}")
+        return "".join(texts)
+
+    @property
+    def as_data(self) -> dict[str, object]:
+        """What the command says with --json."""
+        states = [(str(one.target), one.state) for one in self._publishers]
+        return {
+            "published": [{"to": to, "sent": state.sent, "dropped": state.dropped} for to, state in states]
+        }
+
+    @property
+    def rows(self) -> dict[str, str]:
+        """What the summary says."""
+        states = [(one.target, one.state) for one in self._publishers]
+        texts = [f"{to}: {state.sent:,} sent, {state.dropped:,} dropped" for to, state in states]
+        return {"published": "; ".join(texts)} if texts else {}
+
+    def announce(self, tell: Callable[[str, str], None]) -> None:
+        """Say how it goes, when that changes, and when the first is dropped."""
+        for one in self._publishers:
+            state = one.state
+            text = f"{one.target}: {state.text}" + (", some are dropped" if state.dropped else "")
+            if text != self._reported.get(one, ""):
+                self._reported[one] = text
+                tell("INFO" if state.ready and not state.dropped else "WARN", f"published to {text}")
+
+    def close(self) -> None:
+        """Send what is left, and end."""
+        for one in self._publishers:
+            one.close()

@@ -32,7 +32,8 @@ class Target:
         """Return what `parse_target` reads."""
         if self.kind == "ros2":
             return self.kind if self.is_local else f"{self.kind}={NETWORK}"
-        return f"{self.kind}={_joined(self.host, self.port)}"
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{self.kind}={host}:{self.port}"
 
     @property
     def is_local(self) -> bool:
@@ -108,7 +109,3 @@ def _resolved(text: str, host: str) -> str:
             Reason.BAD_CONFIG, f"--publish {text}: the host {host!r} is not known", "give its address"
         ) from error
     return str(found[0][4][0]).partition("%")[0]
-
-
-def _joined(host: str, port: int) -> str:
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +21,8 @@ from imumon.recordings.wire import WireWriter
 from imumon.simulation.unit import TRUTH_COLUMNS, Scenario, SimulatedUnit
 from imumon.simulation.unit.noise import generator
 from imumon.simulation.unit.thermal import chamber_log
-from imumon.simulation.unit.unit import CHUNK, MICROSECOND
-from imumon.simulation.virtual_device import refuse_overload
+from imumon.simulation.unit.unit import CHUNK
+from imumon.simulation.virtual_device import refuse_overload, switch_on
 from imumon.simulation.virtual_port import BITS_PER_BYTE
 from imumon.transport.reader import Bytes, Event, EventKind
 
@@ -51,9 +52,7 @@ def record_session(
     BAD_DATA when a value does not fit its field; OSError when the disk is full or fails; nothing is left
     behind.
     """
-    tick_ns = device.decoder().timing.tick_ns or MICROSECOND
-    first = device.encoder().encode(SimulatedUnit(scenario, seed, tick_ns).samples(1))[0]
-    refuse_overload(len(first), scenario.rate_hz, device.serial.baudrates[0])
+    refuse_overload(device, scenario)
     text = yaml.safe_dump(scenario.model_dump(exclude_defaults=True), sort_keys=False, allow_unicode=True)
     with whole_session(folder) as partial:
         session = create_session(partial, _metadata(scenario, device, device_yaml, seed))
@@ -70,7 +69,7 @@ def _record(
 ) -> SessionMetadata:
     """Write bytes and truth of a scenario; return what the session says then."""
     encoder, arrivals = device.encoder(), _Arrivals(device.serial.baudrates[0], seed)
-    unit = SimulatedUnit(scenario, seed, device.decoder().timing.tick_ns or MICROSECOND)
+    unit = switch_on(device, scenario, seed)
     names = [KNOWN["device_time_ns"], KNOWN["segment"], *TRUTH_COLUMNS]
     with (
         closing(WireWriter(session.wire_path, session.metadata.for_wire())) as writer,
@@ -102,16 +101,14 @@ def write_table(scenario: Scenario, seed: int, path: Path, progress: Progress) -
     """
     unit = SimulatedUnit(scenario, seed)
     known = KNOWN | {"supply_voltage": Column("supply_voltage", "V")}
-    known |= {
-        name: Column(name, course.unit) for name, course in scenario.drivers.items() if name not in KNOWN
-    }
-    truth_columns = {c.name: Column(f"true_{c.name}", c.unit, c.dtype, c.description) for c in TRUTH_COLUMNS}
+    known = {name: Column(name, course.unit) for name, course in scenario.drivers.items()} | known
+    known |= {f"true_{c.name}": replace(c, name=f"true_{c.name}") for c in TRUTH_COLUMNS}
     with TableWriter(path, {}) as writer:
         for size in _sizes(scenario):
             sent, truth = unit.run(size)
-            true = {column.name: truth[name] for name, column in truth_columns.items()}
-            writer.announce([*(known[name] for name in sent.columns), *truth_columns.values()])
-            writer.write(sent.with_columns(true))
+            rows = sent.with_columns({f"true_{c.name}": truth[c.name] for c in TRUTH_COLUMNS})
+            writer.announce([known[name] for name in rows.columns])
+            writer.write(rows)
             progress(size)
     return scenario.samples
 

@@ -25,13 +25,21 @@ AHEAD_S = 0.25
 """Packets of so long are made at once, which takes hardly longer than to make one."""
 
 
-def refuse_overload(packet_bytes: int, rate_hz: float, baudrate: int) -> None:
-    """Raise BAD_CONFIG when packets of this size and rate do not fit through a line."""
-    load = packet_bytes * BITS_PER_BYTE * rate_hz / baudrate
+def switch_on(device: DeviceFile, scenario: Scenario, seed: int) -> SimulatedUnit:
+    """Return a unit that plays a scenario and counts its time as the device does."""
+    return SimulatedUnit(scenario, seed, device.decoder().timing.tick_ns or MICROSECOND)
+
+
+def refuse_overload(device: DeviceFile, scenario: Scenario) -> None:
+    """Raise BAD_CONFIG when a device cannot send its packets at the rate of a scenario through its line."""
+    packet_bytes = len(device.encoder().encode(switch_on(device, scenario, 0).samples(1))[0])
+    baudrate = device.serial.baudrates[0]
+    load = packet_bytes * BITS_PER_BYTE * scenario.rate_hz / baudrate
     if load > 1.0:
         raise ImumonError(
             Reason.BAD_CONFIG,
-            f"{rate_hz:g} packets/s of {packet_bytes} bytes are {load:.0%} of a line at {baudrate} baud",
+            f"{scenario.rate_hz:g} packets/s of {packet_bytes} bytes are {load:.0%} of a line at {baudrate} "
+            "baud",
             "choose a lower rate, or a device file with a higher baud rate first in its list",
         )
 
@@ -66,18 +74,15 @@ class VirtualDevice:
         port: VirtualPort | None = None,
         scenario: Scenario | None = None,
     ) -> None:
-        scenario_hz = None if scenario is None else scenario.rate_hz
-        self._rate_hz = rate_hz or scenario_hz or device.rate_hz or DEFAULT_RATE_HZ
-        self._plan, self._axes = scenario or load_scenario("bench"), device.axes
-        self._default_hz, self._seed = self._rate_hz, seed
+        plan = scenario or load_scenario("bench")
+        self._default_hz = rate_hz or (scenario and scenario.rate_hz) or device.rate_hz or DEFAULT_RATE_HZ
+        self._device, self._plan, self._seed = device, plan, seed
         self._encoder = device.encoder()
-        self._tick_ns = device.decoder().timing.tick_ns or MICROSECOND
-        packet = self._encoder.encode(self._switched_on(0).samples(1))[0]
-        refuse_overload(len(packet), self._rate_hz, device.serial.baudrates[0])
-        self._switch_on(seed)
+        self._begin(self._default_hz, seed)
+        refuse_overload(device, plan.played(self._rate_hz, device.axes))
         self._rebooted = False
         make = firmware_of(device.protocol)
-        self.firmware: Any = None if make is None else make(device, self._rate_hz)
+        self.firmware: Any = None if make is None else make(device, self._default_hz)
         """What answers commands, of the wing that has some for it; None for a device that does not listen."""
         self._sending: Any = None
         self._closing = threading.Event()
@@ -106,11 +111,11 @@ class VirtualDevice:
         """Close the device."""
         self.close()
 
-    def _switched_on(self, seed: int) -> SimulatedUnit:
-        return SimulatedUnit(self._plan.played(self._rate_hz, self._axes), seed, self._tick_ns)
-
-    def _switch_on(self, seed: int) -> None:
-        self._unit, self._packets = self._switched_on(seed), deque[bytes]()
+    def _begin(self, rate_hz: float, seed: int) -> None:
+        """Switch the unit on; it sends packets at this rate."""
+        self._rate_hz = rate_hz
+        self._unit = switch_on(self._device, self._plan.played(rate_hz, self._device.axes), seed)
+        self._packets = deque[bytes]()
 
     def _run(self) -> None:
         try:
@@ -148,8 +153,9 @@ class VirtualDevice:
         self._rebooted = False
         if self.firmware is not None:
             self.firmware.power_on()
-            self._configure()
-        self._switch_on(self._seed + 1)
+            self._configure(self._seed + 1)
+        else:
+            self._begin(self._rate_hz, self._seed + 1)
 
     def _obeyed(self) -> bool:
         """Answer the commands that have come; tell whether the samples begin anew, or none are sent."""
@@ -164,14 +170,12 @@ class VirtualDevice:
                 self.port.drain()  # the answer goes at the old rate
                 self.port.baudrate = firmware.baudrate
             if firmware.volatile != before:
-                self._configure()
+                self._configure(self._seed)
                 return True
         return not firmware.streaming
 
-    def _configure(self) -> None:
+    def _configure(self, seed: int) -> None:
         """Send from now on what the settings say."""
-        assert self.firmware is not None
         self._sending = self.firmware.sending()
-        self._rate_hz = self._default_hz if self._sending is None else self._sending.rate_hz
-        self._switch_on(self._seed)
+        self._begin(self._default_hz if self._sending is None else self._sending.rate_hz, seed)
         self.port.baudrate = self.firmware.baudrate

@@ -100,9 +100,7 @@ class VirtualPort:
     def read(self, timeout_s: float = 0.0) -> bytes:
         """Return what the host has sent, as the device samples it, waiting at most `timeout_s`."""
         master = self._master
-        if master is None or not self.host_listens():
-            return b""
-        if not select.select([master], [], [], timeout_s)[0]:
+        if master is None or not self.host_listens() or not select.select([master], [], [], timeout_s)[0]:
             return b""
         try:
             data = os.read(master, 4096)
@@ -113,8 +111,11 @@ class VirtualPort:
 
     def host_listens(self) -> bool:
         """Return whether a host has the port open."""
-        master = self._master
-        return master is not None and not _poll(master) & select.POLLHUP
+        if (master := self._master) is None:
+            return False
+        poll = select.poll()
+        poll.register(master, 0)
+        return not any(events & select.POLLHUP for _, events in poll.poll(0))
 
     def host_baudrate(self) -> int:
         """Return the rate that the host has set."""
@@ -296,13 +297,6 @@ class Sampler:
 
 def _leads_to(link: Path, node: str) -> bool:
     return link.is_symlink() and str(link.readlink()) == node
-
-
-def _poll(fd: int) -> int:
-    poll = select.poll()
-    poll.register(fd, 0)
-    events = poll.poll(0)
-    return events[0][1] if events else 0
 
 
 def _termios2(fd: int) -> array.array[int]:

@@ -20,7 +20,7 @@ from imumon.run.setup import Setup
 from imumon.run.stages import pipeline_of
 from imumon.simulation.recording import START_NS, record_session
 from imumon.simulation.unit import load_scenario
-from imumon.simulation.unit.events import Handling, Vibration
+from imumon.simulation.unit.motion import Handling, Vibration
 from imumon.simulation.unit.scenario import Chamber, Step
 from imumon.transport.reader import Bytes, Event, EventKind, Item
 from imumon.transport.settings import PortSettings

@@ -30,7 +30,7 @@ from imumon.lab.diagnosis.runs import Run, collect
 from imumon.lab.diagnosis.search import Progress, Search
 from imumon.models.model import UNITS
 from imumon.simulation.unit import Scenario, SimulatedUnit
-from imumon.simulation.unit.events import Turn
+from imumon.simulation.unit.motion import Turn
 from imumon.simulation.unit.scenario import Chamber, Step, Unit
 from imumon.simulation.unit.thermal import chamber_knots
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import polynomial
@@ -18,6 +19,7 @@ from imumon.simulation.unit.thermal import Lags
 
 MG = 1e3 * MICRO_G
 """m/s²."""
+Random = GaussMarkov | RandomWalk
 
 
 def curve_value(terms: Sequence[Term], temperature_degc: FloatArray) -> FloatArray:
@@ -39,32 +41,22 @@ def axis_values(curves: Curves, temperature_degc: FloatArray) -> FloatArray:
     )
 
 
+@dataclass(eq=False)
 class Bias:
-    """Bias of the three axes of a sensor: curve over their temperature, effects, and slow random errors.
+    """Bias of the three axes of a sensor: curve over their temperature, effects, and slow random errors."""
 
-    Parameters
-    ----------
-    curves, scale : Curves, float
-        Curve over temperature, and its unit in SI units.
-    lag_s : three numbers
-        With what time constants the sensors follow the temperature at them.
-    effects : three lists of Effect
-        Of each axis, in SI units.
-    random : sequence of GaussMarkov or RandomWalk
-        In SI units.
-    """
+    curves: Curves
+    scale: float
+    """Curve over temperature, and its unit in SI units."""
+    lags: Lags
+    """By which the sensors follow the temperature at them."""
+    effects: Sequence[Sequence[Effect]]
+    """Of each axis, in SI units."""
+    random: Sequence[Random]
+    """In SI units."""
 
-    def __init__(
-        self,
-        curves: Curves,
-        scale: float,
-        lag_s: Sequence[float],
-        effects: Sequence[Sequence[Effect]],
-        random: Sequence[GaussMarkov | RandomWalk],
-    ) -> None:
-        self._curves, self._scale, self._random = curves, scale, random
-        self._lags = Lags(lag_s)
-        self._carried = [[(effect, Memory()) for effect in axis] for axis in effects]
+    def __post_init__(self) -> None:
+        self._carried = [[(effect, Memory()) for effect in axis] for axis in self.effects]
 
     def process(
         self,
@@ -77,13 +69,13 @@ class Bias:
 
         `others` are further drivers of effects, (n,) each.
         """
-        inside = self._lags.process(time_s, temperature_degc)
-        bias = axis_values(self._curves, inside) * self._scale
+        inside = self.lags.process(time_s, temperature_degc)
+        bias = axis_values(self.curves, inside) * self.scale
         for axis, carried in enumerate(self._carried):
             drive = Drive(time_s, np.ascontiguousarray(inside[:, axis]), force, others)
             for effect, memory in carried:
                 bias[:, axis] += effect.added(memory, drive)
-        for drift in self._random:
+        for drift in self.random:
             bias += drift.take(len(time_s))
         return bias
 
@@ -91,49 +83,46 @@ class Bias:
 def gyro_bias(unit: UnitParameters, step_s: float, seed: int) -> Bias:
     """Return the bias of the gyros in rad/s; `step_s` is the time between samples."""
     turn_on, noise, loop = unit.gyro_turn_on, unit.gyro_noise, unit.gyro_hysteresis
-    drawn = White(turn_on.sd_deg_per_h, generator(seed, "gyro turn-on")).take(1)[0]
+    offset = White(turn_on.sd_deg_per_h, generator(seed, "gyro turn-on")).take(1)[0]
+    offset = (turn_on.offset_deg_per_h + offset) * DEG_PER_H
     effects: list[list[Effect]] = []
     for axis, more in enumerate(_scaled(unit.gyro_effects_deg_per_h, DEG_PER_H)):
-        constant = (turn_on.offset_deg_per_h[axis] + drawn[axis]) * DEG_PER_H
-        effects.append([RunOffset(coefficients=[constant]), *more])
+        effects.append([RunOffset(coefficients=[offset[axis]]), *more])
         if loop is not None:
-            effect = Hysteresis(
-                half_width=loop.width_degc,
-                shape=loop.kind,
-                slack=0.0,
-                middle=0.0,
-                half_span=loop.width_degc,
-            )
-            effects[-1].append(effect.with_coefficients([loop.half_width_deg_per_h[axis] * DEG_PER_H]))
-    random: list[GaussMarkov | RandomWalk] = [
-        GaussMarkov(
-            np.array(part.sd_deg_per_h) * DEG_PER_H, part.tau_s, step_s, generator(seed, f"gyro flicker {i}")
-        )
-        for i, part in enumerate(noise.flicker)
-    ]
+            width, height = loop.width_degc, loop.half_width_deg_per_h[axis] * DEG_PER_H
+            effect = Hysteresis(half_width=width, shape=loop.kind, slack=0.0, middle=0.0, half_span=width)
+            effects[-1].append(effect.with_coefficients([height]))
+    flicker = [(np.array(part.sd_deg_per_h) * DEG_PER_H, part.tau_s) for part in noise.flicker]
     walk = np.array(noise.random_walk_deg_per_h_per_sqrt_s) * DEG_PER_H
+    random = [*_flicker("gyro", flicker, step_s, seed)]
     random.append(RandomWalk(walk, step_s, generator(seed, "gyro random walk")))
-    return Bias(unit.gyro_bias_deg_per_s, np.pi / 180, unit.gyro_lag_s, effects, random)
+    return Bias(unit.gyro_bias_deg_per_s, np.pi / 180, Lags(unit.gyro_lag_s), effects, random)
 
 
 def accel_bias(unit: UnitParameters, step_s: float, seed: int) -> Bias:
     """Return the bias of the accelerometers in m/s²; `step_s` is the time between samples."""
     turn_on, warm_up = unit.accel_turn_on, unit.accel_warm_up
-    drawn = White(turn_on.sd_mg, generator(seed, "accel turn-on")).take(1)[0]
-    effects: list[list[Effect]] = []
-    for axis, more in enumerate(_scaled(unit.accel_effects_ug, MICRO_G)):
-        constant = (turn_on.offset_mg[axis] + drawn[axis]) * MG
-        effects.append([*more])
+    offset = White(turn_on.sd_mg, generator(seed, "accel turn-on")).take(1)[0]
+    offset = (turn_on.offset_mg + offset) * MG
+    effects = _scaled(unit.accel_effects_ug, MICRO_G)
+    for axis, added in enumerate(effects):
         if warm_up is not None:
             grown = warm_up.amplitude_ug[axis] * MICRO_G
-            constant += grown
-            effects[-1].append(WarmUp(time_constant_s=warm_up.tau_s, coefficients=[-grown]))
-        effects[-1].append(RunOffset(coefficients=[constant]))
-    random = [
-        GaussMarkov(np.array(part.sd_ug) * MICRO_G, part.tau_s, step_s, generator(seed, f"accel flicker {i}"))
-        for i, part in enumerate(unit.accel_noise.flicker)
+            offset[axis] += grown
+            added.append(WarmUp(time_constant_s=warm_up.tau_s, coefficients=[-grown]))
+        added.append(RunOffset(coefficients=[offset[axis]]))
+    flicker = [(np.array(part.sd_ug) * MICRO_G, part.tau_s) for part in unit.accel_noise.flicker]
+    return Bias(unit.accel_bias_mg, MG, Lags([0.0] * 3), effects, _flicker("accel", flicker, step_s, seed))
+
+
+def _flicker(
+    sensor: str, parts: Sequence[tuple[FloatArray, float]], step_s: float, seed: int
+) -> list[Random]:
+    """Return the processes of these standard deviations, (3,), and correlation times (s)."""
+    return [
+        GaussMarkov(sd, tau_s, step_s, generator(seed, f"{sensor} flicker {i}"))
+        for i, (sd, tau_s) in enumerate(parts)
     ]
-    return Bias(unit.accel_bias_mg, MG, (0.0, 0.0, 0.0), effects, random)
 
 
 def _scaled(effects: Effects, scale: float) -> list[list[Effect]]:

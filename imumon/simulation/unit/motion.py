@@ -1,15 +1,20 @@
-"""Motion as closed functions of time, so that any part of a run can be computed by itself."""
+"""Motion of a scenario: turns, shakes and rests of the unit, as closed functions of time.
+
+So any part of a run can be computed by itself.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import singledispatch
+from typing import Annotated, Literal, Self
 
 import numpy as np
+from pydantic import Field, model_validator
 
-from imumon.blocks import FloatArray
-from imumon.simulation.unit.events import Bump, Event, Handling, Rotation, Turn, Vibration
+from imumon.blocks import BoolArray, ColumnArray, FloatArray
+from imumon.config import StrictModel
+from imumon.simulation.unit.parameters import NONE, Three
 
 EDGE_S = 2.0
 """How long it takes to get into motion and out of it, where a round of handling has room for that."""
@@ -28,8 +33,158 @@ class Movement:
     """Roll, pitch, heading in rad, and their derivatives in rad/s, (n, 3)."""
     acceleration: FloatArray
     """North, east, down, in m/s², (n, 3)."""
-    moving: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    moving: BoolArray
     """False at rest, (n,); a fan shakes a unit that is at rest."""
+
+
+class _Timed(StrictModel):
+    """An event; `_add` adds what it does by the time since its begin, negative before it."""
+
+    at_s: float = Field(ge=0.0)
+
+
+class _Lasting(_Timed):
+    duration_s: float = Field(gt=0.0)
+
+    @property
+    def _length_s(self) -> float:
+        return self.duration_s
+
+
+class Turn(_Lasting):
+    """A guided turn: the attitude changes by these angles, smoothly (minimum jerk), and stays there."""
+
+    kind: Literal["turn"]
+    roll_deg: float = 0.0
+    pitch_deg: float = 0.0
+    heading_deg: float = 0.0
+
+    def _add(self, since_s: FloatArray, total: Movement) -> None:
+        angles = np.deg2rad([self.roll_deg, self.pitch_deg, self.heading_deg])
+        way, speed, _ = _minimum_jerk(since_s, self.duration_s)
+        total.angles += np.outer(way, angles)
+        total.rates += np.outer(speed, angles)
+        total.moving |= _within(since_s, self.duration_s)
+
+
+class Rotation(_Lasting):
+    """A turn at constant rates of roll, pitch and heading, from one moment to the next."""
+
+    kind: Literal["rotation"]
+    roll_deg_per_s: float = 0.0
+    pitch_deg_per_s: float = 0.0
+    heading_deg_per_s: float = 0.0
+
+    def _add(self, since_s: FloatArray, total: Movement) -> None:
+        rates = np.deg2rad([self.roll_deg_per_s, self.pitch_deg_per_s, self.heading_deg_per_s])
+        turning = _within(since_s, self.duration_s)
+        total.angles += np.outer(np.clip(since_s, 0.0, self.duration_s), rates)
+        total.rates += np.outer(turning, rates)
+        total.moving |= turning
+
+
+class _Shaking(_Timed):
+    frequency_hz: float = Field(gt=0.0)
+    acceleration_m_per_s2: Three = NONE
+    """Amplitude north, east, down."""
+    tilt_deg: Three = NONE
+    """Amplitude of roll, pitch, heading."""
+
+    def _shake(self, sine: ColumnArray, slope: ColumnArray, total: Movement) -> None:
+        """Add an oscillation of amplitude 1 and its derivative (1/s), both of shape (n,)."""
+        tilt = np.deg2rad(self.tilt_deg)
+        total.acceleration += np.outer(sine, self.acceleration_m_per_s2)
+        total.angles += np.outer(sine, tilt)
+        total.rates += np.outer(slope, tilt)
+
+
+class Bump(_Shaking):
+    """A knock against the table: it rings at a frequency, first with its amplitude, and dies away."""
+
+    kind: Literal["bump"]
+    decay_s: float = Field(gt=0.0)
+
+    @property
+    def _length_s(self) -> float:
+        return RINGING * self.decay_s
+
+    def _add(self, since_s: FloatArray, total: Movement) -> None:
+        ringing = _within(since_s, self._length_s)
+        since = np.where(ringing, since_s, 0.0)
+        fading = ringing * np.exp(-since / self.decay_s)
+        omega = 2 * np.pi * self.frequency_hz
+        sine = fading * np.sin(omega * since)
+        self._shake(sine, fading * omega * np.cos(omega * since) - sine / self.decay_s, total)
+        total.moving |= ringing
+
+
+class Vibration(_Shaking, _Lasting):
+    """A fan: a steady sine of acceleration (north, east, down) and of angle (roll, pitch, heading)."""
+
+    kind: Literal["vibration"]
+
+    def _add(self, since_s: FloatArray, total: Movement) -> None:
+        running = _within(since_s, self.duration_s)
+        omega = 2 * np.pi * self.frequency_hz
+        cosine = running * np.cos(omega * since_s)
+        self._shake(running * np.sin(omega * since_s), omega * cosine, total)
+
+
+class Handling(_Timed):
+    """Rounds of rest and motion: each begins with a rest, then the unit is swung and carried about.
+
+    Parameters
+    ----------
+    at_s, rounds, every_s, rest_s : float
+        First round, number of rounds, length of a round, and of the rest at its beginning.
+    swing_deg, swing_period_s : three numbers, float
+        Amplitudes of roll, pitch, heading, and about how long one swing lasts.
+    travel_m : three numbers
+        Amplitudes of the way north, east, down.
+    heading_deg : float
+        Change of heading from one rest to the next.
+    """
+
+    kind: Literal["handling"]
+    rounds: int = Field(ge=1)
+    every_s: float = Field(gt=0.0)
+    rest_s: float = Field(gt=0.0)
+    swing_deg: Three = NONE
+    swing_period_s: float = Field(default=4.0, gt=0.0)
+    travel_m: Three = NONE
+    heading_deg: float = 0.0
+
+    @model_validator(mode="after")
+    def _moves(self) -> Self:
+        if self.rest_s >= self.every_s:
+            raise ValueError(f"rest_s {self.rest_s:g} leaves no time for motion in every_s {self.every_s:g}")
+        return self
+
+    @property
+    def _length_s(self) -> float:
+        return self.rounds * self.every_s
+
+    def _add(self, since_s: FloatArray, total: Movement) -> None:
+        number = np.clip(np.floor(since_s / self.every_s), -1, self.rounds)
+        under_way = (number >= 0) & (number < self.rounds)
+        length = self.every_s - self.rest_s
+        s = np.where(under_way, since_s - number * self.every_s - self.rest_s, -1.0)
+        way, speed, _ = _minimum_jerk(s, length)
+        heading = np.deg2rad(self.heading_deg)
+        total.angles[:, 2] += heading * (np.maximum(number, 0.0) + way)
+        total.rates[:, 2] += heading * speed
+        envelope = _window(s, length)
+        for axis in range(3):
+            period = self.swing_period_s * _RATIOS[axis]
+            swing = _swing(s, period, number + axis, envelope)
+            total.angles[:, axis] += np.deg2rad(self.swing_deg[axis]) * swing[0]
+            total.rates[:, axis] += np.deg2rad(self.swing_deg[axis]) * swing[1]
+            travel = _swing(s, 0.7 * period, 2.0 * number - axis, envelope)
+            total.acceleration[:, axis] += self.travel_m[axis] * travel[2]
+        total.moving |= _within(s, length)
+
+
+Event = Annotated[Turn | Rotation | Bump | Vibration | Handling, Field(discriminator="kind")]
 
 
 def movement(events: Sequence[Event], start_rad: FloatArray, time_s: FloatArray) -> Movement:
@@ -38,97 +193,20 @@ def movement(events: Sequence[Event], start_rad: FloatArray, time_s: FloatArray)
     total = Movement(np.tile(start_rad, (n, 1)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n, bool))
     for event in events:
         if event.at_s <= time_s[-1]:
-            _add(event, time_s - event.at_s, total)
+            event._add(time_s - event.at_s, total)
     return total
 
 
 def is_static(events: Sequence[Event], first_s: float, last_s: float) -> bool:
     """Return whether no event is under way between two times."""
-    return all(event.at_s > last_s or event.at_s + _length_s(event) < first_s for event in events)
-
-
-def _length_s(event: Event) -> float:
-    if isinstance(event, Bump):
-        return RINGING * event.decay_s
-    return event.rounds * event.every_s if isinstance(event, Handling) else event.duration_s
-
-
-@singledispatch
-def _add(event: Event, since_s: FloatArray, total: Movement) -> None:  # noqa: ARG001 - of all that follow
-    """Add what an event does, by the time since its begin; negative times are before it."""
-    raise TypeError(f"no motion for {event!r}")
-
-
-@_add.register
-def _(event: Turn, since_s: FloatArray, total: Movement) -> None:
-    angles = np.deg2rad([event.roll_deg, event.pitch_deg, event.heading_deg])
-    way, speed, _ = _minimum_jerk(since_s, event.duration_s)
-    total.angles += np.outer(way, angles)
-    total.rates += np.outer(speed, angles)
-    total.moving |= _within(since_s, event.duration_s)
-
-
-@_add.register
-def _(event: Rotation, since_s: FloatArray, total: Movement) -> None:
-    rates = np.deg2rad([event.roll_deg_per_s, event.pitch_deg_per_s, event.heading_deg_per_s])
-    turning = _within(since_s, event.duration_s)
-    total.angles += np.outer(np.clip(since_s, 0.0, event.duration_s), rates)
-    total.rates += np.outer(turning, rates)
-    total.moving |= turning
-
-
-@_add.register
-def _(event: Bump, since_s: FloatArray, total: Movement) -> None:
-    ringing = _within(since_s, RINGING * event.decay_s)
-    since = np.where(ringing, since_s, 0.0)
-    fading = ringing * np.exp(-since / event.decay_s)
-    omega = 2 * np.pi * event.frequency_hz
-    sine = fading * np.sin(omega * since)
-    total.acceleration += np.outer(sine, event.acceleration_m_per_s2)
-    total.angles += np.outer(sine, np.deg2rad(event.tilt_deg))
-    total.rates += np.outer(
-        fading * omega * np.cos(omega * since) - sine / event.decay_s, np.deg2rad(event.tilt_deg)
-    )
-    total.moving |= ringing
-
-
-@_add.register
-def _(event: Vibration, since_s: FloatArray, total: Movement) -> None:
-    running = _within(since_s, event.duration_s)
-    omega = 2 * np.pi * event.frequency_hz
-    sine, cosine = running * np.sin(omega * since_s), running * np.cos(omega * since_s)
-    total.acceleration += np.outer(sine, event.acceleration_m_per_s2)
-    total.angles += np.outer(sine, np.deg2rad(event.tilt_deg))
-    total.rates += np.outer(omega * cosine, np.deg2rad(event.tilt_deg))
-
-
-@_add.register
-def _(event: Handling, since_s: FloatArray, total: Movement) -> None:
-    number = np.clip(np.floor(since_s / event.every_s), -1, event.rounds)
-    length = event.every_s - event.rest_s
-    s = np.where(
-        (number >= 0) & (number < event.rounds), since_s - number * event.every_s - event.rest_s, -1.0
-    )
-    way, speed, _ = _minimum_jerk(s, length)
-    heading = np.deg2rad(event.heading_deg)
-    total.angles[:, 2] += heading * (np.maximum(number, 0.0) + way)
-    total.rates[:, 2] += heading * speed
-    envelope = _window(s, length)
-    for axis in range(3):
-        period = event.swing_period_s * _RATIOS[axis]
-        swing = _swing(s, period, number + axis, envelope)
-        total.angles[:, axis] += np.deg2rad(event.swing_deg[axis]) * swing[0]
-        total.rates[:, axis] += np.deg2rad(event.swing_deg[axis]) * swing[1]
-        travel = _swing(s, 0.7 * period, 2.0 * number - axis, envelope)
-        total.acceleration[:, axis] += event.travel_m[axis] * travel[2]
-    total.moving |= _within(s, length)
+    return all(event.at_s > last_s or event.at_s + event._length_s < first_s for event in events)
 
 
 Triple = tuple[FloatArray, FloatArray, FloatArray]
 """A function of time and its first two derivatives."""
 
 
-def _within(since_s: FloatArray, length_s: float) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _within(since_s: FloatArray, length_s: float) -> BoolArray:
     return np.asarray((since_s >= 0.0) & (since_s < length_s))
 
 

@@ -26,22 +26,13 @@ ThreePositive = Annotated[tuple[_Positive, _Positive, _Positive], BeforeValidato
 NONE = (0.0, 0.0, 0.0)
 
 
-class _Shape(StrictModel):
+class Shape(StrictModel):
+    """amplitude tanh(u) or amplitude sin(u), u = (T - at_degc) / width_degc."""
+
     amplitude: float
     at_degc: float
     width_degc: float = Field(gt=0.0)
-
-
-class Tanh(_Shape):
-    """amplitude tanh(u), u = (T - at_degc) / width_degc."""
-
-    kind: Literal["tanh"]
-
-
-class Sin(_Shape):
-    """amplitude sin(u), u = (T - at_degc) / width_degc."""
-
-    kind: Literal["sin"]
+    kind: Literal["tanh", "sin"]
 
 
 class Polynomial(StrictModel):
@@ -53,7 +44,7 @@ class Polynomial(StrictModel):
     width_degc: float = Field(default=1.0, gt=0.0)
 
 
-Term = Annotated[Tanh | Sin | Polynomial, Field(discriminator="kind")]
+Term = Annotated[Shape | Polynomial, Field(discriminator="kind")]
 
 
 class Curves(StrictModel):

@@ -15,7 +15,7 @@ from imumon.config import StrictModel, load_yaml, parse_yaml
 from imumon.effects.base import ACCEL
 from imumon.errors import ImumonError, Reason
 from imumon.files import bundled, read_text
-from imumon.simulation.unit.events import Event
+from imumon.simulation.unit.motion import Event
 from imumon.simulation.unit.parameters import Thermometer, UnitParameters
 
 
@@ -61,7 +61,7 @@ class _Based(StrictModel):
 
     @classmethod
     def _path(cls, name: str | Path) -> Path:
-        if isinstance(name, Path) or _looks_like_path(name):
+        if isinstance(name, Path) or name.endswith((".yaml", ".yml")) or "/" in name:
             return Path(name)
         there = bundled(f"{cls.kind}s")
         if name not in there:
@@ -86,10 +86,6 @@ class _Header(StrictModel, extra="ignore"):
     """What tells whether a file may serve as a base."""
 
     base: str | None = None
-
-
-def _looks_like_path(name: str) -> bool:
-    return name.endswith((".yaml", ".yml")) or "/" in name
 
 
 class Attitude(StrictModel):

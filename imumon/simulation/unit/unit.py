@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from fractions import Fraction
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, FloatArray, SampleBlock
+from imumon.blocks import ColumnArray, FloatArray, SampleBlock, join
 from imumon.columns import KNOWN, TEMPERATURES, Column
 from imumon.simulation.frames import (
     FIELD_UT,
@@ -57,7 +58,7 @@ class SimulatedUnit:
         self.scenario = scenario
         self._tick_ns = tick_ns
         self._sensors = _Sensors(scenario, seed)
-        self._chunk: dict[str, ColumnArray] = {}
+        self._chunk = SampleBlock({}), SampleBlock({})
         self._used = CHUNK
         self._computed = 0
 
@@ -83,30 +84,33 @@ class SimulatedUnit:
         first = self._computed - (CHUNK - self._used)
         index = np.arange(first, first + n)
         ticks_per_sample = float(1_000_000_000 / self._tick_ns) / self.scenario.rate_hz
-        columns: dict[str, ColumnArray] = {
+        counted = {
             "packet_counter": index,
             "device_ticks": np.rint(index * ticks_per_sample).astype(np.int64),
         }
-        parts: list[dict[str, ColumnArray]] = []
+        parts: list[tuple[SampleBlock, SampleBlock]] = []
         while n or not parts:
             if self._used == CHUNK:
                 self._chunk = self._sensors.chunk(self._computed)
                 self._computed, self._used = self._computed + CHUNK, 0
             end = min(self._used + n, CHUNK)
-            parts.append({name: values[self._used : end] for name, values in self._chunk.items()})
+            parts.append((self._chunk[0].rows(self._used, end), self._chunk[1].rows(self._used, end)))
             n, self._used = n - (end - self._used), end
-        columns |= {name: np.concatenate([part[name] for part in parts]) for name in self._chunk}
-        truth = {name: columns.pop(_TRUE + name) for name in (column.name for column in TRUTH_COLUMNS)}
-        return SampleBlock(columns), SampleBlock(truth)
+        sent, truth = (join(part) for part in zip(*parts, strict=True))
+        return SampleBlock({**counted, **sent.columns}), truth
 
 
-_TRUE = "true_"
 _CONSTANT: dict[str, ColumnArray] = {
     "status": np.array([7]),
     "supply_voltage": np.array([5.02]),
     "pressure": np.array([101_325.0]),
 }
 """What encoders may ask for and nothing here changes."""
+
+
+def _whole(columns: Mapping[str, ColumnArray]) -> SampleBlock:
+    """Return a block of `CHUNK` rows; a column of one row holds throughout."""
+    return SampleBlock({name: np.array(np.broadcast_to(values, CHUNK)) for name, values in columns.items()})
 
 
 class _Sensors:
@@ -133,44 +137,43 @@ class _Sensors:
         self._thermometers = Thermometers(unit.thermometer, 4, rate, seed)
         self._low_pass: LowPass | None = None
 
-    def chunk(self, first: int) -> dict[str, ColumnArray]:
-        """Return the columns of the next `CHUNK` samples, the truth under names that begin with true_."""
+    def chunk(self, first: int) -> tuple[SampleBlock, SampleBlock]:
+        """Return what is sent of the next `CHUNK` samples, and the truth."""
         time_s = np.arange(first, first + CHUNK) / self._scenario.rate_hz
         temperature = self._temperature.process(time_s)
         motion = self._motion(time_s)
         rate, force, field = self._in_body(motion)
-        everywhere = np.broadcast_to(force, (CHUNK, 3))
         others = {
             name: np.interp(time_s, course.at_s, course.value) for name, course in self._drivers.items()
         }
-        bias = [
-            part.process(time_s, temperature, everywhere, others)
-            for part in (self._gyro_bias, self._accel_bias)
-        ]
-        read = self._driver_noise.take(CHUNK)
-        recorded = {name: values + read[:, at] for at, (name, values) in enumerate(others.items())}
-        sensed = np.column_stack([rate + bias[0], force + bias[1]])
+        drive = time_s, temperature, np.broadcast_to(force, (CHUNK, 3)), others
+        gyro_bias, accel_bias = self._gyro_bias.process(*drive), self._accel_bias.process(*drive)
+        sensed = np.column_stack([rate + gyro_bias, force + accel_bias])
         if self._low_pass is None:
             self._low_pass = LowPass(self._scenario.unit.low_pass_hz, self._scenario.rate_hz, sensed[0])
-        sent = self._low_pass.process(sensed + self._white.take(CHUNK))
+        measured = self._low_pass.process(sensed + self._white.take(CHUNK))
         board = temperature.mean(axis=1)
         readings = self._thermometers.process(first, np.column_stack([temperature, board]))
-        columns = {
-            **split("gyro", sent[:, :3]),
-            **split("accel", sent[:, 3:]),
+        noise = self._driver_noise.take(CHUNK)
+        sent = {
+            **split("gyro", measured[:, :3]),
+            **split("accel", measured[:, 3:]),
             **split("mag", field + self._mag_noise.take(CHUNK)),
             **split("temperature", readings),
             "temperature": readings[:, 3],
             **reported(motion.angles, self._scenario.axes),
-            **(_CONSTANT | recorded),
-            **split(f"{_TRUE}gyro_bias", bias[0]),
-            **split(f"{_TRUE}accel_bias", bias[1]),
-            **split(f"{_TRUE}rate", rate),
-            **split(f"{_TRUE}temperature", temperature),
-            f"{_TRUE}temperature": board,
-            f"{_TRUE}at_rest": (~motion.moving).astype(np.int64),
+            **_CONSTANT,
+            **{name: values + noise[:, at] for at, (name, values) in enumerate(others.items())},
         }
-        return {name: np.broadcast_to(values, CHUNK) for name, values in columns.items()}
+        truth = {
+            **split("gyro_bias", gyro_bias),
+            **split("accel_bias", accel_bias),
+            **split("rate", rate),
+            "temperature": board,
+            **split("temperature", temperature),
+            "at_rest": (~motion.moving).astype(np.int64),
+        }
+        return _whole(sent), _whole(truth)
 
     def _motion(self, time_s: FloatArray) -> Movement:
         """Return the motion at these times, or a single row when nothing moves."""

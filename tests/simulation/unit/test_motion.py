@@ -5,8 +5,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from imumon.blocks import FloatArray
-from imumon.simulation.unit.events import Event
-from imumon.simulation.unit.motion import is_static, movement
+from imumon.simulation.unit.motion import Event, is_static, movement
 
 EVENT: TypeAdapter[Event] = TypeAdapter(Event)
 ALL = {
