@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import rerun as rr
@@ -24,6 +24,8 @@ SEGMENT_S = 600.0
 """Rerun keeps 2 kB of each chunk until the file ends: at 1 kHz 25 MB/h."""
 QUEUE_BYTES = 64 << 20
 FLUSH_S = 5.0
+BLOCKED_S = 30.0
+"""A disk that has taken nothing for so long is taken for full: Rerun does not always say so."""
 
 
 class ViewRecorder:
@@ -36,7 +38,7 @@ class ViewRecorder:
     Raises EXISTS when there is a file already; NOT_FOUND when the folder is missing.
 
     `path` is the first segment, the others stand beside it; one begins with the first batch after
-    `segment_s`. `on_error` is called with `error` once, from the thread that writes.
+    `segment_s`. `on_error` is called with `error` once, from any thread.
     """
 
     def __init__(
@@ -57,6 +59,8 @@ class ViewRecorder:
         self._logger = StreamLogger(self._rec, setup, live=False)
         self._queue = DropOldestQueue(QUEUE_BYTES)
         self._refused = 0
+        self._waits_since_s = math.inf
+        """Since when there is something that is not on disk."""
         self.error = ""
         """Why nothing is written any more (disk full, ...); empty while all is well."""
         self._on_error = on_error
@@ -73,7 +77,13 @@ class ViewRecorder:
 
     def publish(self, item: ViewItem) -> None:
         """Queue an item; takes microseconds."""
-        self._queue.put(item)
+        if not self.error and time.monotonic() - self._waits_since_s > BLOCKED_S:
+            self._give_up(f"it took nothing for {BLOCKED_S:.0f} s")
+            self._refuse(self._queue.take(0.0, 0.0))
+        if self.error:
+            self._refuse([item])
+        else:
+            self._queue.put(item)
 
     def end(self) -> None:
         """Begin to write what is left; returns at once."""
@@ -100,19 +110,28 @@ class ViewRecorder:
             if time.monotonic() - self._opened_s > self._segment_s:
                 self._logger.end_file()
                 self._open_segment()
+            self._waits_since_s = min(self._waits_since_s, time.monotonic())
             self._logger.log(items)
             self._check()
-        elif items:
-            self._refused += sum(item.rows for item in items)
+        else:
+            self._refuse(items)
 
     def _check(self) -> None:
         """Find out whether Rerun could write; it says so in its log only, or when asked to flush."""
         try:
             self._rec.flush(timeout_sec=FLUSH_S)
+            self._waits_since_s = math.inf
         except RuntimeError as error:  # rerun has no exceptions of its own
-            if "timed out" not in str(error).lower():
-                self.error = f"{self.files[-1]} cannot be written any more: {error}"
-                self._on_error(self.error)
+            if not self.error and "timed out" not in str(error).lower():
+                self._give_up(str(error))
+
+    def _give_up(self, why: str) -> None:
+        self.error = f"{self.files[-1]} cannot be written any more: {why}"
+        self._on_error(self.error)
+
+    def _refuse(self, items: Iterable[ViewItem]) -> None:
+        """Count what is not written."""
+        self._refused += sum(item.rows for item in items)
 
     def _open_segment(self) -> None:
         count = len(self.files)
