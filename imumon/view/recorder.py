@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 
 import rerun as rr
@@ -23,9 +24,9 @@ BATCH_S = 30.0
 SEGMENT_S = 600.0
 """Rerun keeps 2 kB of each chunk until the file ends: at 1 kHz 25 MB/h."""
 QUEUE_BYTES = 64 << 20
-FLUSH_S = 5.0
-BLOCKED_S = 30.0
-"""A disk that has taken nothing for so long is taken for full: Rerun does not always say so."""
+FLUSH_S, TIMEOUTS = 5.0, 6
+"""How long a flush may take; after so many in a row that take longer the disk is taken for full, which Rerun
+does not always report."""
 
 
 class ViewRecorder:
@@ -38,7 +39,7 @@ class ViewRecorder:
     Raises EXISTS when there is a file already; NOT_FOUND when the folder is missing.
 
     `path` is the first segment, the others stand beside it; one begins with the first batch after
-    `segment_s`. `on_error` is called with `error` once, from any thread.
+    `segment_s`. `on_error` is called with `error` once, from the thread that writes.
     """
 
     def __init__(
@@ -58,9 +59,7 @@ class ViewRecorder:
         self._rec = rr.RecordingStream(APPLICATION, recording_id=setup.recording_id)
         self._logger = StreamLogger(self._rec, setup, live=False)
         self._queue = DropOldestQueue(QUEUE_BYTES)
-        self._refused = 0
-        self._waits_since_s = math.inf
-        """Since when there is something that is not on disk."""
+        self._refused = self._timeouts = 0
         self.error = ""
         """Why nothing is written any more (disk full, ...); empty while all is well."""
         self._on_error = on_error
@@ -77,13 +76,7 @@ class ViewRecorder:
 
     def publish(self, item: ViewItem) -> None:
         """Queue an item; takes microseconds."""
-        if not self.error and time.monotonic() - self._waits_since_s > BLOCKED_S:
-            self._give_up(f"it took nothing for {BLOCKED_S:.0f} s")
-            self._refuse(self._queue.take(0.0, 0.0))
-        if self.error:
-            self._refuse([item])
-        else:
-            self._queue.put(item)
+        self._queue.put(item)
 
     def end(self) -> None:
         """Begin to write what is left; returns at once."""
@@ -100,6 +93,11 @@ class ViewRecorder:
             closing = self._queue.closed.is_set()
             self._write_next()
             trim_heap()
+        if self.error:
+            # After a failed write, whatever ends a stream of Rerun may wait for ever, so it is never ended.
+            rr.unregister_shutdown()
+            ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._rec))
+            return
         self._logger.finish()
         self._rec.disconnect()
 
@@ -110,28 +108,21 @@ class ViewRecorder:
             if time.monotonic() - self._opened_s > self._segment_s:
                 self._logger.end_file()
                 self._open_segment()
-            self._waits_since_s = min(self._waits_since_s, time.monotonic())
             self._logger.log(items)
             self._check()
-        else:
-            self._refuse(items)
+        elif items:
+            self._refused += sum(item.rows for item in items)
 
     def _check(self) -> None:
         """Find out whether Rerun could write; it says so in its log only, or when asked to flush."""
         try:
             self._rec.flush(timeout_sec=FLUSH_S)
-            self._waits_since_s = math.inf
+            self._timeouts = 0
         except RuntimeError as error:  # rerun has no exceptions of its own
-            if not self.error and "timed out" not in str(error).lower():
-                self._give_up(str(error))
-
-    def _give_up(self, why: str) -> None:
-        self.error = f"{self.files[-1]} cannot be written any more: {why}"
-        self._on_error(self.error)
-
-    def _refuse(self, items: Iterable[ViewItem]) -> None:
-        """Count what is not written."""
-        self._refused += sum(item.rows for item in items)
+            self._timeouts += 1
+            if "timed out" not in str(error).lower() or self._timeouts >= TIMEOUTS:
+                self.error = f"{self.files[-1]} cannot be written any more: {error}"
+                self._on_error(self.error)
 
     def _open_segment(self) -> None:
         count = len(self.files)
