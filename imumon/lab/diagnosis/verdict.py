@@ -124,8 +124,8 @@ class ChannelVerdict:
 
     @property
     def claimed(self) -> bool:
-        """Training proves effects, the test does not refute them, and of both 60 % is explained or less than
-        1.8 floors are left; or the test alone proves one."""
+        """Either effects pass, and in training as well as in the test they explain 60 % of the excess or
+        leave less than 1.8 floors; or the test alone proves an effect."""
         return bool(self.claims)
 
     @property
@@ -135,8 +135,9 @@ class ChannelVerdict:
 
     @property
     def by_test(self) -> bool:
-        """An effect that makes training likelier explains 60 % of the test, where training proves nothing or
-        leaves more than twice as much of it."""
+        """The effect makes training likelier, and explains 60 % of the test's excess. But it was chosen with
+        the help of the test: training alone did not prove it, or what training alone would choose leaves more
+        than twice as much of the test."""
         return any(claim.finding.by_test for claim in self.claims)
 
     @property

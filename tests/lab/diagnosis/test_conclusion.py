@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -155,14 +156,16 @@ def test_what_is_not_told_apart_is_one_verdict_with_one_next_step(lagging: Diagn
 
 def test_the_documented_table_of_verdicts_is_the_one_that_is_evaluated() -> None:
     text = (Path(__file__).parents[3] / "docs" / "closing-the-loop.md").read_text(encoding="utf-8")
-    for row in VERDICTS:
-        when = row.predicate or "otherwise"
-        assert f"| {when} | {row.sentence.format(names='NAMES')} | `{row.state}` |" in text
-    for name, more in BESIDE_CLAIMS.items():
-        assert f"| claimed and {name.replace('_', ' ')} | NAMES{more} | `named` |" in text
     source = " ".join(inspect.getsource(ChannelVerdict).split())
-    for name in {row.predicate for row in VERDICTS if row.predicate} | BESIDE_CLAIMS.keys():
-        start = f"- **{name.replace('_', ' ')}**: "
-        meaning = text.partition(start)[2].partition("\n")[0]
-        assert meaning
+    ends = [
+        (row.predicate, f"{row.sentence.format(names='NAMES')} | `{row.state}` |")
+        for row in VERDICTS
+        if row.predicate
+    ]
+    ends += [(name, f'"{more}" |') for name, more in BESIDE_CLAIMS.items()]
+    assert f"| otherwise | | {VERDICTS[-1].sentence} | `{VERDICTS[-1].state}` |" in text
+    for name, end in ends:
+        line = re.search(rf"^\| {name.replace('_', ' ')} \| (.+) \| {re.escape(end)}$", text, re.MULTILINE)
+        assert line is not None, name
+        meaning = line[1]
         assert f'"""{meaning[0].upper()}{meaning[1:]}' in source
