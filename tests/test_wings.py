@@ -38,7 +38,8 @@ def test_every_command_stands_under_a_heading_of_the_help() -> None:
 
 def test_a_wing_of_another_package_brings_its_command(monkeypatch: pytest.MonkeyPatch) -> None:
     module = ModuleType("another_wing")
-    module.WING = Wing("another", {"other": Command("Devices", "Do something else.", "another_wing")})  # type: ignore[attr-defined]
+    commands_of = {"other": Command("Devices", "Do something else.", "another_wing")}
+    module.WING = Wing("another", commands_of, import_log="json:loads")  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "another_wing", module)
     entry = EntryPoint("another", "another_wing:WING", plugins.WINGS)
     monkeypatch.setattr(plugins, "entry_points", lambda group: [entry] if group == plugins.WINGS else [])
@@ -46,6 +47,8 @@ def test_a_wing_of_another_package_brings_its_command(monkeypatch: pytest.Monkey
     commands.cache_clear()
     try:
         assert wings.wings()[-1].name == "another"
+        ours, theirs = wings.offers("import_log")
+        assert (ours.__module__, theirs.__module__) == ("imumon.logs.importing", "json")
         assert commands(of_plugins=True)["other"].help == "Do something else."
         assert "other" not in commands()
     finally:

@@ -277,15 +277,19 @@ def _open_missing_streams() -> None:
             setattr(sys, name, stream)
 
 
+class _Compiling(logging.Handler):
+    """Logs what a command waits for; in the main thread only, as a stopped terminal blocks whoever writes."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if threading.current_thread() is threading.main_thread():
+            say(record.levelname, record.getMessage())
+
+
 def _report_compiling() -> None:
-    """Log what a command waits for; in the main thread only, as a stopped terminal blocks whoever writes."""
-    log, main_thread = logging.getLogger("imumon.compiled"), threading.get_ident()
+    log = logging.getLogger("imumon.compiled")
     log.setLevel(logging.INFO)
     log.propagate = False
-    handler = logging.Handler()
-    handler.addFilter(lambda record: record.thread == main_thread)
-    handler.emit = lambda record: say(record.levelname, record.getMessage())  # type: ignore[method-assign]
-    log.addHandler(handler)
+    log.addHandler(_Compiling())
 
 
 def _settle_streams() -> None:

@@ -229,10 +229,7 @@ def chosen_view(view: View | None, bind: str) -> View:
         try:
             socket.create_server((bind, 0)).close()
         except (OSError, UnicodeError) as error:
-            what, hint = (
-                "is no IPv4 address of this computer",
-                "`ip -4 addr` lists them; 0.0.0.0 is all of them",
-            )
+            what, hint = "is no IPv4 address of this computer", "`ip -4 addr` lists them; 0.0.0.0 is all"
             raise ImumonError(Reason.BAD_CONFIG, f"--bind {bind}: {what}", hint) from error
         warn([f"--bind {bind}: every computer that reaches this one can read the live view"])
     return mode

@@ -181,7 +181,7 @@ def _compare(session: Path, given: tuple[Path, Path], out: Path | None, as_json:
         what = "--compare-models makes a page, which has no name"
         raise ImumonError(Reason.BAD_CONFIG, what, "add --out PAGE.html")
     check_output(out)
-    (compare,) = offers("compare_models")
+    compare, *_ = offers("compare_models")  # that of imumon comes first
     data, rows = compare(session, given, out)
     print_result(as_json, data, {**rows, "page": str(out)})
     return EXIT_OK

@@ -171,7 +171,7 @@ def import_(
     chosen: dict[str, Any] = {}
     more: dict[str, str] = {}
     if map_path is None:
-        (import_log,) = offers("import_log")
+        import_log, *_ = offers("import_log")  # that of imumon comes first
         found = import_log(table, sensor, out)
         report, damage = found.rows, found.damage
         if damage.places:

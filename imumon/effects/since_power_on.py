@@ -22,7 +22,7 @@ random barriers and of stretched exponentials, in 20 min, in 2 h and in 20 h, be
 BEGUN = 1e-9
 """Share of a time constant: at power-on itself either integral is infinite, and their difference is not."""
 EDGE_BLOCKS = 3
-"""A jump closer than this to an end of the run cannot be told from a bad block."""
+"""A jump closer than this to an end of the run cannot be distinguished from a bad block."""
 MOST_TIMES = 300
 LEAST_CYCLES = 4.0
 """Half a cycle imitates any slow residual."""
@@ -163,7 +163,7 @@ class Step(Effect):
 
 
 class RunOffset(Effect):
-    """A constant; what it is in another run nobody can foresee."""
+    """A constant; what it is in another run cannot be foreseen."""
 
     kind: Literal["run_offset"] = "run_offset"
     scope = "run"

@@ -47,7 +47,7 @@ class Publisher(FedProcess):
         """What processes that ended have sent, and what was lost with them."""
         self._closed = False
         self._now = Delivery("begins", ready=False)
-        """What the present process says."""
+        """What the present process reports."""
 
     def start(self) -> Publisher:
         """Start the process and return at once."""
@@ -93,7 +93,7 @@ class Publisher(FedProcess):
 
 
 class Publishers:
-    """Everything that --publish asks for, while a command runs."""
+    """Everything that --publish starts, while a command runs."""
 
     def __init__(self, publishers: Sequence[Publisher]) -> None:
         self._publishers = publishers
@@ -106,7 +106,7 @@ class Publishers:
 
     @property
     def text(self) -> str:
-        """What a status line says: where it goes, and what of it was dropped."""
+        """The part of a status line: where it goes, and what of it was dropped."""
         texts = []
         for one in self._publishers:
             state = one.state
@@ -117,7 +117,7 @@ class Publishers:
 
     @property
     def as_data(self) -> dict[str, object]:
-        """What the command says with --json."""
+        """What the command reports with --json."""
         states = [(str(one.target), one.state) for one in self._publishers]
         return {
             "published": [{"to": to, "sent": state.sent, "dropped": state.dropped} for to, state in states]
@@ -125,7 +125,7 @@ class Publishers:
 
     @property
     def rows(self) -> dict[str, str]:
-        """What the summary says."""
+        """The row of the summary."""
         states = [(one.target, one.state) for one in self._publishers]
         texts = [f"{to}: {state.sent:,} sent, {state.dropped:,} dropped" for to, state in states]
         return {"published": "; ".join(texts)} if texts else {}

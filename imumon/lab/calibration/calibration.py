@@ -240,7 +240,7 @@ def _remarks(records: Sequence[Record], cells: Cells, findings: dict[str, Findin
         ),
         f"{', '.join(far)}: the bias differs by {', '.join(far.values())} °/h between the poses, by g or by "
         "the earth rate, which no curve over temperature has: the residual is that of one pose; imumon "
-        "diagnose tells by what": cells.turned and bool(far),
+        "diagnose finds which": cells.turned and bool(far),
     }
     return [text for text, applies in remarks.items() if applies]
 
