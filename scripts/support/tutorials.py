@@ -1,4 +1,4 @@
-"""The tutorials of the docs, run from first to last line; as a program it writes their outputs anew.
+"""The tutorials and how-to pages of the docs, run from first to last line; as a program it writes their outputs anew.
 
 A page has blocks of commands (```sh) and, behind some, what they print (```text).  There a line `...` stands
 for lines that are left out.  Pictures of a page that a command draws have the name of the picture's file.
@@ -16,7 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = ROOT / "docs" / "tutorials"
+PAGES = [
+    *sorted((ROOT / "docs" / "tutorials").glob("*.md")),
+    *sorted((ROOT / "docs" / "how-to").glob("*.md")),
+]
 PICTURES = ROOT / "docs" / "figures" / "tutorials"
 BLOCK = re.compile(r"```sh\n(?P<commands>.*?)```\n(?:\n```text\n(?P<printed>.*?)```\n)?", re.DOTALL)
 NUMBER = re.compile(r"[-+]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?")
@@ -124,6 +127,6 @@ def _shown(printed: str) -> str:
 
 
 if __name__ == "__main__":
-    for one in [PAGES / name for name in sys.argv[1:]] or sorted(PAGES.glob("*.md")):
+    for one in [page for page in PAGES if page.name in sys.argv[1:]] or PAGES:
         write(one)
         print(f"{one.relative_to(ROOT)} written")

@@ -1,4 +1,4 @@
-"""Each tutorial runs from its first to its last line, and prints what the page shows."""
+"""Each tutorial and each how-to page runs from its first to its last line, and prints what the page shows."""
 
 from __future__ import annotations
 
@@ -10,10 +10,8 @@ from support import tutorials
 
 from tests.data_folder import measured
 
-PAGES = sorted(tutorials.PAGES.glob("*.md"))
 
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", tutorials.PAGES, ids=lambda page: page.stem)
 def test_tutorial(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if "IMUMON_DATA" in page.read_text(encoding="utf-8"):
         monkeypatch.setitem(os.environ, "IMUMON_DATA", str(measured("chamber-cycle").parent))

@@ -31,6 +31,7 @@ ALLOWED = re.compile("not told apart")
 PAGES = [
     *sorted((ROOT / "docs").glob("*.md")),
     *sorted((ROOT / "docs" / "tutorials").glob("*.md")),
+    *sorted((ROOT / "docs" / "how-to").glob("*.md")),
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
 ]
