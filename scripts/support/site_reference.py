@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 import re
+import textwrap
 import types
 from collections.abc import Iterator
 from pathlib import Path
@@ -202,19 +203,27 @@ def _constants(source: str) -> dict[str, str]:
     return {name: " ".join(text.split()) for name, text in found}
 
 
+SECTIONS = {
+    "Read recordings": ["read", "read_blocks", "Samples"],
+    "Read a port": ["open", "Live"],
+    "Settings and models": ["Setup", "load_setup", "load_model"],
+    "Stages of your own": ["Estimator", "Pipeline", "SampleBlock", "Column"],
+    "Errors": ["ImumonError", "Reason"],
+}
+"""What ``import imumon`` offers, by what it is for."""
+
+
 def library() -> str:
     """Return signature and docstring of what ``import imumon`` offers."""
-    conventions = inspect.cleandoc(imumon.__doc__ or "")
     parts = ["# What `import imumon` offers\n\nHow to use it is in [library](../library.md).\n"]
-    for name in imumon.__all__:
-        offered = getattr(imumon, name)
-        if isinstance(offered, str):
-            continue
-        parts.append(f"## {name}\n")
-        parts.append(_fenced(_described(name, offered)))
-        if inspect.isclass(offered):
-            parts += [_fenced(_described(f"{name}.{one}", value)) for one, value in _members(offered)]
-    parts += ["## Conventions\n", _fenced(conventions)]
+    for title, names in SECTIONS.items():
+        parts.append(f"## {title}\n")
+        for name in names:
+            offered = getattr(imumon, name)
+            parts.append(_described(name, offered, "###"))
+            if inspect.isclass(offered):
+                parts += [_described(f"{name}.{one}", value, "####") for one, value in _members(offered)]
+    parts += ["## Conventions\n", _fenced(inspect.cleandoc(imumon.__doc__ or ""))]
     return "\n".join(parts)
 
 
@@ -243,10 +252,22 @@ def _members(offered: type) -> Iterator[tuple[str, Any]]:
             yield name, value
 
 
-def _described(name: str, offered: Any) -> str:
-    """Return a name with its signature, and the docstring."""
-    signature = inspect.signature(offered) if callable(offered) else ""
-    return f"{name}{signature}\n\n{inspect.getdoc(offered) or ''}"
+def _described(name: str, offered: Any, heading: str) -> str:
+    """Return a heading, the signature, the text of the docstring, and a table of its parameters."""
+    doc = inspect.getdoc(offered) or ""
+    parts = [f"{heading} {name}\n"]
+    if callable(offered) and not inspect.isclass(offered):
+        signature = (
+            str(inspect.signature(offered)).replace("'", "").replace("(self, ", "(").replace("(self)", "()")
+        )
+        parts.append(_fenced(textwrap.fill(f"{name}{signature}", WIDTH, subsequent_indent="    ")))
+    text = doc.partition("Parameters\n----------\n")[0].rstrip()
+    parts.append(re.sub(r"``(.*?)``", r"`\1`", text) + "\n")
+    parameters = _parameters(doc)
+    if parameters:
+        rows = [f"| `{one}` | {_cell(meaning)} |" for one, meaning in parameters.items()]
+        parts.append("\n".join(["| parameter | meaning |", "|---|---|", *rows, ""]))
+    return "\n".join(parts)
 
 
 def _fenced(text: str) -> str:

@@ -1,4 +1,4 @@
-"""The tutorials and how-to pages of the docs, run from first to last line; as a program it writes their outputs anew.
+"""The tutorials and how-to pages of the docs, run by tests; as a program it writes their outputs anew.
 
 A page has blocks of commands (```sh) and, behind some, what they print (```text).  There a line `...` stands
 for lines that are left out.  Pictures of a page that a command draws have the name of the picture's file.
