@@ -9,9 +9,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.alignment.fit import creeps, fit_position
+from imumon.estimation.alignment.fit import fit_position
 from imumon.estimation.alignment.motion import CALM_SLOTS, Motion
-from imumon.estimation.alignment.parameters import AlignmentParameters, RemainingWarmUp
+from imumon.estimation.alignment.parameters import AlignmentParameters
 from imumon.estimation.alignment.position import SLOT_S, Position, Slot, direction_of, upright, yaw_between
 from imumon.estimation.alignment.posterior import HeadingPosterior, heading_posterior, sensor_errors
 from imumon.estimation.alignment.report import ANY_ANGLE_SD, Estimate, PositionHeading, Status
@@ -56,10 +56,10 @@ class Aligner:
         """Time at rest, and that at which the next fit is due."""
         self.vertical: float | None = None
         """Mean of the vertical gyro in the last fit, rad/s."""
-        self.yaw_since_fit, self.creeping = 0.0, False
-        """What it has turned since, less that, rad, and whether that was a creep."""
-        self.variance_since_fit = 0.0
-        """Variance of the turns since the last heading, rad²."""
+        self.yaw_since_fit = 0.0
+        """What it has turned since, less that, rad."""
+        self.fitted_variance = 0.0
+        """`Position.azimuth_variance` of the present position in the last heading, rad²."""
         self.settled_s: float | None = None
         """Time since the first sample at which the heading settled; None if it is not settled."""
         self.events: list[str] = []
@@ -95,7 +95,7 @@ class Aligner:
     def _begin(self, position: Position) -> None:
         self.positions.append(position)
         self.due_s = self.rest_s + FIRST_FIT_S
-        self.yaw_since_fit, self.creeping = 0.0, False
+        self.yaw_since_fit = 0.0
 
     def _end_turn(self, rest: Sequence[Slot]) -> bool:
         """Begin a position with the rest after a turn; return whether the angle of the turn is known."""
@@ -117,9 +117,7 @@ class Aligner:
         )
         before.fit = before.fit and before.fit.averaged()
         before.sums = np.empty((0, 7))
-        variance += self.yaw_since_fit**2
-        self.variance_since_fit += variance
-        variance += before.azimuth_variance
+        variance += before.azimuth_variance + self.yaw_since_fit**2
         self._begin(Position(rest[0].number, attitude, variance, before.number + new))
         return True
 
@@ -130,26 +128,22 @@ class Aligner:
         return np.asarray(here @ self.motion.turn.rotation)
 
     def _fit_position(self) -> bool:
-        """Fit the present position, and both means of its gyros; return whether its record allows it."""
-        here, known = self.positions[-1], self.parameters.known_warm_up
-        data = here.horizontal(EARTH_RATE * math.sin(self.latitude), known)
-        if creeps(data):
-            self.creeping = True
+        """Fit the present position; return whether its record allows it."""
+        here = self.positions[-1]
+        fit = fit_position(here, self.latitude, self.parameters.known_warm_up)
+        if fit is None:
             if here.rest_s > FORGET_S:
                 here.forget_half()
             return False
-        fit = fit_position(data, RemainingWarmUp() if known is None else known.remaining)
-        if fit is None:
-            return False
         here.fit, self.vertical = fit, fit.vertical
-        here.azimuth_variance += self.creeping * self.yaw_since_fit**2
-        self.yaw_since_fit, self.creeping = 0.0, False
+        here.azimuth_variance += self.yaw_since_fit**2
+        self.yaw_since_fit = 0.0
         white = min(one.fit.white for one in self.positions if one.fit is not None)
         self.errors = sensor_errors(math.sqrt(white), self.parameters)
-        rate, bias = data.rate[data.valid], self.posterior.bias_size if self.posterior else 0.0
-        for name, taper, factor in (("gyro_mean", np.ones, 1.0), ("hann_mean", np.hanning, 1.5)):
+        bias = self.posterior.bias_size if self.posterior else 0.0
+        for name, mean, factor in (("gyro_mean", fit.gyro_mean, 1.0), ("hann_mean", fit.hann_mean, 1.5)):
             sd = math.sqrt(factor * fit.white / here.rest_s + bias**2) / self.earth_horizontal
-            self.means[name] = cmath.phase(complex(taper(len(rate)) @ rate)), min(sd, ANY_ANGLE_SD)
+            self.means[name] = cmath.phase(mean), min(sd, ANY_ANGLE_SD)
         return True
 
     def _update_heading(self) -> None:
@@ -166,7 +160,7 @@ class Aligner:
         recent = [north for rest_s, north, _ in self.history if rest_s >= since_s]
         moved = max((abs(math.remainder(new.north - north, 2.0 * math.pi)) for north in recent), default=0.0)
         self.posterior = new._replace(sd=min(max(new.sd, moved), ANY_ANGLE_SD))
-        self.variance_since_fit = 0.0
+        self.fitted_variance = here.azimuth_variance
         self.history = [*self.history[1 - MOST_FITS :], (self.rest_s, new.north, self.posterior.sd)]
         # Settled when sigma falls to the wanted one, and no longer when it exceeds 1.25 times that.
         if not (self.observable and self.heading_sd <= 1.25 * self.wanted_sd):
@@ -179,7 +173,8 @@ class Aligner:
         """Standard deviation of the heading, rad: of the last fit, turns and creep since; NaN before it."""
         if self.posterior is None:
             return math.nan
-        variance = self.posterior.sd**2 + self.variance_since_fit + self.yaw_since_fit**2
+        since = self.positions[-1].azimuth_variance - self.fitted_variance
+        variance = self.posterior.sd**2 + since + self.yaw_since_fit**2
         if self.motion.moving:
             variance += self.motion.azimuth_variance(self.positions[-1].attitude[2], self.errors.scale)
         return min(math.sqrt(variance), ANY_ANGLE_SD)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -19,11 +19,8 @@ _Micro = Annotated[float, Field(ge=-1e5, le=1e5)]
 _Seconds = Annotated[float, Field(gt=0.0, le=1e5)]
 
 
-class RemainingWarmUp(NamedTuple):
-    """Warm-up of the accelerometers: standard deviation of its amplitudes, g, and their time constants, s."""
-
-    sd: float = 1e-4
-    tau_s: tuple[float, ...] = (100.0, 300.0, 1000.0)
+ANY_WARM_UP = 1e-4, (100.0, 300.0, 1000.0)
+"""Warm-up of accelerometers: standard deviation of its amplitudes, g, and their time constants, s."""
 
 
 class KnownWarmUp(StrictModel):
@@ -54,13 +51,13 @@ class KnownWarmUp(StrictModel):
         return np.asarray(1e-6 * course * np.array(self.amplitude_ug))
 
     @property
-    def remaining(self) -> RemainingWarmUp:
-        """What remains of the warm-up when this is subtracted; that of any unit if no sd is given."""
+    def remaining(self) -> tuple[float, tuple[float, ...]]:
+        """What remains of the warm-up when this is subtracted, as `ANY_WARM_UP`; that if no sd is given."""
         if self.amplitude_sd_ug is None:
-            return RemainingWarmUp()
+            return ANY_WARM_UP
         largest, mean_s = max(map(abs, self.amplitude_ug)), sum(self.time_constant_s) / 3.0
         sd_ug = math.hypot(self.amplitude_sd_ug, self.time_constant_sd_s / mean_s * largest)
-        return RemainingWarmUp(1e-6 * sd_ug, tuple(sorted(set(self.time_constant_s))))
+        return 1e-6 * sd_ug, tuple(sorted(set(self.time_constant_s)))
 
 
 class AlignmentParameters(StrictModel):

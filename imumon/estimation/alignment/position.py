@@ -8,10 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import BoolArray, FloatArray
-from imumon.estimation.alignment.fit import HorizontalRows, PositionFit
-from imumon.estimation.alignment.parameters import KnownWarmUp
-from imumon.geodesy import STANDARD_GRAVITY, forward
+from imumon.blocks import BoolArray, ColumnArray, FloatArray
+from imumon.geodesy import forward
 
 SLOT_S = 0.25
 """Length of the slots into which samples are gathered: motion is detected, and rows are filled, four times a
@@ -42,6 +40,34 @@ class Slot(NamedTuple):
     def ended_s(self) -> float:
         """End, s since the first sample."""
         return SLOT_S * (self.number + 1)
+
+
+class PositionFit(NamedTuple):
+    """Rate of one position given each of h hypotheses, in horizontal axes, complex: forward + i left.
+
+    `log_weight` (h,) is that of prior and evidence; `rate` (h,) earth rate and bias, rad/s, with the variance
+    of each part; `vertical` is the vertical gyro, rad/s, and `white` the white noise of the quietest gyro,
+    (rad/s)²/Hz; `attitude` (3, 3) is from body axes.  `gyro_mean` and `hann_mean` have the directions of the
+    plain and the Hann-weighted mean of the gyros.
+    """
+
+    log_weight: FloatArray
+    rate: ColumnArray
+    variance: FloatArray
+    vertical: float
+    vertical_variance: float
+    white: float
+    attitude: FloatArray
+    gyro_mean: complex
+    hann_mean: complex
+
+    def averaged(self) -> PositionFit:
+        """Return the fit with one hypothesis that has the mean and the variance of all."""
+        weight = np.exp(self.log_weight - self.log_weight.max())
+        weight /= weight.sum()
+        mean = weight @ self.rate
+        variance = weight @ (self.variance + 0.5 * np.abs(self.rate - mean) ** 2)
+        return self._replace(log_weight=np.zeros(1), rate=np.array([mean]), variance=np.array([variance]))
 
 
 @dataclass
@@ -109,22 +135,6 @@ class Position:
         sums = self.sums[: self.slots // self.slots_per_row]
         count = sums[:, 0]
         return count > 0.0, sums[:, 1:] / np.maximum(count, 1.0)[:, None]
-
-    def horizontal(self, earth_vertical: float, known: KnownWarmUp | None) -> HorizontalRows:
-        """Return the complete rows in horizontal axes; of the attitude only the azimuth is used.
-
-        `earth_vertical` is Ω sin L, rad/s; a known warm-up of the accelerometers is subtracted.
-        """
-        valid, means = self.rows()
-        attitude = upright(self.attitude[0], means[valid, 3:].mean(axis=0))
-        force = means[:, 3:] / STANDARD_GRAVITY
-        if known is not None:
-            time_s = self.begun_s + self.row_s * (np.arange(len(means)) + 0.5)
-            force -= known.bias_g(np.asarray(time_s, np.float64))
-        force, rate = force @ attitude.T, means[:, :3] @ attitude.T
-        alpha = np.where(valid, force[:, 1] - 1j * force[:, 0], 0.0)
-        horizontal = rate[:, 0] + 1j * rate[:, 1] - 1j * alpha * earth_vertical
-        return HorizontalRows(self.row_s, valid, horizontal, rate[:, 2], alpha, attitude)
 
 
 def upright(ahead: FloatArray, force: FloatArray) -> FloatArray:
