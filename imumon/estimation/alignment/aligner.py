@@ -77,20 +77,17 @@ class Aligner:
             self._begin(Position(rest[0].number, upright(forward(force / np.linalg.norm(force)), force)))
         elif begins and not self._end_turn(rest):
             return f"the unit turned at {motion.begun_s:.1f} s by an angle that is not known"
+        here = self.positions[-1]
         for one in rest:
-            self._add_rest(one)
-        motion.end()
+            here.add(one)
+            seconds = SLOT_S * one.length
+            self.rest_s += seconds
+            if self.vertical is not None:
+                self.yaw_since_fit += seconds * (float(here.attitude[2] @ one.rate) - self.vertical)
+        motion.add_rest(rest)
         if self.rest_s >= self.due_s:
             self._update_heading()
         return None
-
-    def _add_rest(self, slot: Slot) -> None:
-        here, seconds = self.positions[-1], SLOT_S * slot.length
-        here.add(slot)
-        self.rest_s += seconds
-        if self.vertical is not None:
-            self.yaw_since_fit += seconds * (float(here.attitude[2] @ slot.rate) - self.vertical)
-        self.motion.add_rest(slot)
 
     def _begin(self, position: Position) -> None:
         self.positions.append(position)
@@ -162,11 +159,8 @@ class Aligner:
         self.posterior = new._replace(sd=min(max(new.sd, moved), ANY_ANGLE_SD))
         self.fitted_variance = here.azimuth_variance
         self.history = [*self.history[1 - MOST_FITS :], (self.rest_s, new.north, self.posterior.sd)]
-        # Settled when sigma falls to the wanted one, and no longer when it exceeds 1.25 times that.
-        if not (self.observable and self.heading_sd <= 1.25 * self.wanted_sd):
-            self.settled_s = None
-        elif self.settled_s is None and self.heading_sd <= self.wanted_sd:
-            self.settled_s = here.ended_s
+        settled = self.observable and self.heading_sd <= self.wanted_sd
+        self.settled_s = (self.settled_s or here.ended_s) if settled else None
 
     @property
     def heading_sd(self) -> float:
@@ -203,25 +197,19 @@ class Aligner:
             return None
         if self.heading_sd <= self.wanted_sd:
             return 0.0
-        bias_sd = 0.0
-        if self.positions[-1].number == 1:  # several separate the bias from the earth rate
-            by_level = self.errors.accel_bias * math.tan(self.latitude)
-            bias_sd = math.hypot(self.posterior.bias_size / self.earth_horizontal, by_level)
-        left, noise = self.wanted_sd**2 - bias_sd**2, max(self.heading_sd**2 - bias_sd**2, 0.0)
+        alone = self.positions[-1].number == 1  # several positions separate the bias from the earth rate
+        by_bias = alone * (self.posterior.bias_size / self.earth_horizontal) ** 2
+        left, noise = self.wanted_sd**2 - by_bias, max(self.heading_sd**2 - by_bias, 0.0)
         return max(self.rest_s * (noise / left - 1.0), 1.0) if left > 0.0 else None
 
     def status(self, elapsed_s: float) -> Status:
         """Return the state so long after the first sample."""
-        number, position_s, position_sd, turned = 0, 0.0, math.inf, 0.0
-        if self.positions:
-            here, moving = self.positions[-1], self.motion.moving
-            number, position_s = here.number, here.rest_s
-            if here.fit is not None:
-                position_sd = math.sqrt(here.fit.variance.min()) / self.earth_horizontal
-            before = [one.attitude for one in self.positions if moving or one.number < number]
-            turned = -yaw_between(before[-1], self.attitude) if before else 0.0
+        here = self.positions[-1] if self.positions else Position(0, np.eye(3), number=0)
+        moving, number = self.motion.moving, here.number
+        by_noise = here.fit.variance.min() if here.fit else math.inf
+        before = [one.attitude for one in self.positions if moving or one.number < number]
         return Status(
-            moving=self.motion.moving,
+            moving=moving,
             estimates=self.estimates,
             settled_s=self.settled_s,
             remaining_s=self.remaining_s,
@@ -229,9 +217,9 @@ class Aligner:
             rest_s=self.rest_s,
             elapsed_s=elapsed_s,
             positions=number,
-            position_s=position_s,
-            position_sd=position_sd,
-            turned=turned,
+            position_s=here.rest_s,
+            position_sd=math.sqrt(by_noise) / self.earth_horizontal,
+            turned=-yaw_between(before[-1], self.attitude) if before else 0.0,
         )
 
     def headings(self, run: int) -> list[PositionHeading]:

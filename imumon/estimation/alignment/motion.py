@@ -6,6 +6,7 @@ A turn is followed by the gyros, sample by sample (`imumon.filters.turns`), less
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -92,14 +93,12 @@ class Motion:
         self.rest_rate = np.median(rates, axis=0)
         self.limit = max(MOTION_RATE, LIMIT_FACTOR * float(np.abs(rates - self.rest_rate).max()))
 
-    def add_rest(self, slot: Slot) -> None:
-        """Add the rate of a slot at rest; update the median every 10 s."""
-        self.recent.append(slot.rate)
-        if slot.number % SWAYING_SLOTS < slot.length:
-            self._update_rest_rate(np.array(self.recent))
-
-    def end(self) -> None:
-        """End the motion."""
+    def add_rest(self, rest: Sequence[Slot]) -> None:
+        """Take slots at rest, with which a motion ends; update the median every 10 s."""
+        for slot in rest:
+            self.recent.append(slot.rate)
+            if slot.number % SWAYING_SLOTS < slot.length:
+                self._update_rest_rate(np.array(self.recent))
         self.pending.clear()
         self.turn = STILL
 

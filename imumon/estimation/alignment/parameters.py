@@ -106,14 +106,16 @@ def known_warm_up(model: BiasModel | None) -> KnownWarmUp | None:
     channel's residual, unless an accelerometer has other effects: it may drift by these.
     """
     channels = {} if model is None else model.channels
-    accels = {axis: channels[f"accel_{axis}"] for axis in "xyz" if f"accel_{axis}" in channels}
-    effects = [(axis, effect) for axis, channel in accels.items() for effect in channel.effects]
-    warm_ups = {axis: effect for axis, effect in effects if isinstance(effect, WarmUp)}
+    accels = [channels.get(f"accel_{axis}") for axis in "xyz"]
+    effects = [[] if accel is None else accel.effects for accel in accels]
+    found = [next((effect for effect in of if isinstance(effect, WarmUp)), None) for of in effects]
+    warm_ups = [one for one in found if one is not None]
     if not warm_ups:
         return None
-    alone, some = len(warm_ups) == len(effects), next(iter(warm_ups.values()))
+    residual = max(accel.residual_sd for accel, one in zip(accels, found, strict=True) if accel and one)
+    alone = len(warm_ups) == sum(map(len, effects))
     return KnownWarmUp(
-        amplitude_ug=[-warm_ups[a].coefficients[0] / MICRO_G if a in warm_ups else 0.0 for a in "xyz"],
-        time_constant_s=[warm_ups.get(a, some).time_constant_s for a in "xyz"],
-        amplitude_sd_ug=max(accels[a].residual_sd for a in warm_ups) / MICRO_G or None if alone else None,
+        amplitude_ug=[-one.coefficients[0] / MICRO_G if one else 0.0 for one in found],
+        time_constant_s=[(one or warm_ups[0]).time_constant_s for one in found],
+        amplitude_sd_ug=residual / MICRO_G or None if alone else None,
     )

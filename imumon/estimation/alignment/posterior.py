@@ -98,7 +98,7 @@ def sensor_errors(noise: float, parameters: AlignmentParameters) -> SensorErrors
 class HeadingPosterior(NamedTuple):
     """Direction of north, counter-clockwise in the reference frame, rad, and its standard deviation.
 
-    `bias_size`, rad/s, is the root mean square size of a gyro's bias.
+    `bias_size`, rad/s, is the root mean square size of a gyro's bias, with the part by the level.
     """
 
     north: float
@@ -129,7 +129,7 @@ def heading_posterior(
     return HeadingPosterior(
         north=north,
         sd=min(math.sqrt(np.sum(mass * (spread + off**2))), ANY_ANGLE_SD),
-        bias_size=math.sqrt(mass @ np.mean(errors.sizes**2, axis=1)[part % len(sizes)]),
+        bias_size=math.sqrt(mass @ np.mean(sizes**2, axis=1)[part % len(sizes)]),
     )
 
 
