@@ -11,8 +11,8 @@
        unit that settles, accelerometers that warm up: s_k = 1 - exp(-t/τ_k), w_j = 1 - exp(-t/T_j)
 
 The unknowns are the constant rate c + b and the amplitudes A and B, with two real parts each.  A hypothesis
-is a prior of the amplitudes: the unit stands, or settles by a size; the accelerometers have warmed up, or
-warm up.  Mean, variance and evidence are closed forms; c + b has a flat prior.
+is a prior of the amplitudes: the unit stands, or settles by three neighbours of the τ_k; the accelerometers
+have warmed up, or warm up.  Mean, variance and evidence are closed forms; c + b has a flat prior.
 """
 
 from __future__ import annotations
@@ -30,9 +30,8 @@ CELLS = (96, 24, 6)
 """Candidate numbers of cells in a record; ablation: 48 alone makes 2.6 times the error."""
 MIN_CELLS = 5
 """Fewer used cells give no scatter about a trend."""
-OVERLAP = 4.0 / 3.0
-"""Variance of the mean of white noise in Hann cells that overlap by half, over that of independent ones: the
-correlation of neighbours, the mean of their product over that of a square, is 1/6."""
+OVERLAP = 1.0 / 6.0
+"""Correlation of white noise in neighbouring Hann cells: the mean of their product over that of a square."""
 TREND_ORDER = 5
 """Coefficients of the polynomial trend that is removed before the scatter is computed; at most a quarter of
 the cells."""
@@ -56,11 +55,14 @@ SETTLING_TAU_S = np.geomspace(5.0, 640.0, 8)
 NOTHING = 1e-9
 """rad or g: standard deviation of an amplitude that is none."""
 TILT_SD, P_SETTLES = (1e-5, 1e-4, 1e-3), 0.3
-"""Standard deviation of all amplitudes of a tripod that settles, rad, and the prior probability that it does.
+"""Standard deviation of the amplitudes of a tripod that settles, rad, and the prior probability that it does.
 With 0.03 a slow tilt passes for a bias, 9 sigma off."""
+TAU = np.arange(len(SETTLING_TAU_S))
+TILTS = np.array([np.where(np.abs(TAU - middle) <= 1, sd, NOTHING) for sd in TILT_SD for middle in TAU[1:-1]])
+"""Standard deviation of each amplitude, rad, (18, 8): three neighbouring exponentials of one size."""
 OFFSET_SD, WALK, LEAST_NOISE = 1e-3, 1e-7, 1e-14
-"""Standard deviation of the constant part of α, rad, random walk of a warmed-up accelerometer, g/√s, and
-smallest variance of a cell of α, rad²."""
+"""Standard deviation of the constant part of α and of its step in a knock, rad, random walk of a warmed-up
+accelerometer, g/√s, and smallest variance of a cell of α, rad²."""
 
 
 def eliminate(
@@ -106,14 +108,16 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
     by_gyros = _information(
         windows[used] @ np.hstack([np.ones((n, 1)), slopes, 0.0 * warm]),
         y[used] - mean,
-        OVERLAP * variance * np.eye(used.sum()) + swing @ swing.T,
+        variance * _correlation(used) + swing @ swing.T,
     )
     noise, seen, _ = _scatter(levels, used, TREND_ORDER)
     walk = OFFSET_SD**2 + WALK**2 * np.minimum.outer(time_s[seen], time_s[seen])
+    for knock_s in time_s[~seen & np.r_[True, seen[:-1]]]:  # the offset is unknown anew behind it
+        walk += OFFSET_SD**2 * np.outer(time_s[seen] > knock_s, time_s[seen] > knock_s)
     by_accelerometers = _information(
         windows[seen] @ np.hstack([np.zeros((n, 1)), middles, warm]),
         levels[seen] - levels[seen].mean(),
-        (OVERLAP * noise + LEAST_NOISE) * np.eye(seen.sum()) + walk,
+        (noise + LEAST_NOISE) * _correlation(seen) + walk,
     )
     known_by_both = by_gyros[0] + by_accelerometers[0], by_gyros[1] + by_accelerometers[1]
     log_weight, rates, variances = _given_each_hypothesis(*known_by_both, warm_sd, len(warm_tau_s))
@@ -123,7 +127,7 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
         rate=rates + mean,
         variance=variances,
         vertical=float((windows @ gyro[:, 2])[still].mean()),
-        vertical_variance=OVERLAP * up_variance / float(still.sum()),
+        vertical_variance=(1.0 + 2.0 * OVERLAP) * up_variance / float(still.sum()),
         white=min(variance, up_variance) * dt / float(np.sum(windows[0] ** 2)),
         attitude=attitude,
         gyro_mean=complex(rate[valid].mean()),
@@ -159,17 +163,17 @@ def _information(
 def _given_each_hypothesis(
     matrix: FloatArray, vector: FloatArray, warm_sd: float, warm_ups: int
 ) -> tuple[FloatArray, ColumnArray, FloatArray]:
-    """Return log weight, mean rate, rad/s, and variance of each part, (8,) each.
+    """Return log weight, mean rate, rad/s, and variance of each part of 38 hypotheses.
 
-    The hypotheses are four sizes of a tilt, with accelerometers that have warmed up, and that warm up.
+    The unit stands, or settles, with accelerometers that have warmed up, and that warm up.
     """
-    tilts, drifts = np.meshgrid([NOTHING, *TILT_SD], [NOTHING, warm_sd])
-    counts = [len(SETTLING_TAU_S), warm_ups]
-    sd = np.repeat(np.column_stack([tilts.ravel(), drifts.ravel()]), counts, axis=1)
+    stands = np.full((1, len(SETTLING_TAU_S)), NOTHING)
+    prior = np.r_[1.0 - P_SETTLES, np.full(len(TILTS), P_SETTLES / len(TILTS))]
+    drift = np.repeat([[NOTHING], [warm_sd]], len(prior), axis=0) * np.ones(warm_ups)
+    sd = np.hstack([np.tile(np.vstack([stands, TILTS]), (2, 1)), drift])
     precision, of_rate, evidence = eliminate(matrix, vector, sd)
     variance = 1.0 / precision[:, 0, 0]
     mean = of_rate[:, 0, :] * variance[:, None]
-    prior = np.array([1.0 - P_SETTLES] + [P_SETTLES / len(TILT_SD)] * len(TILT_SD))
     evidence += 0.5 * np.sum(mean**2, axis=1) / variance + np.log(variance) + np.log(np.tile(prior, 2))
     return evidence, mean @ np.array([1.0, 1j]), variance
 
@@ -190,8 +194,8 @@ def _divide(rate: ColumnArray, valid: BoolArray) -> tuple[FloatArray, BoolArray,
         if used.sum() < MIN_CELLS:
             continue
         variance, used, freedom = _scatter(windows @ rate, used, TREND_ORDER)
-        of_mean = variance * (1.0 + math.sqrt(2.0 / max(freedom, 1.0))) / float(used.sum())
-        if of_mean < smallest:
+        of_mean = variance / float(used.sum())
+        if of_mean * (1.0 + math.sqrt(2.0 / max(freedom, 1.0))) < smallest:
             best, smallest = (windows, used, variance), of_mean
     return best
 
@@ -216,6 +220,12 @@ def hann_windows(n: int, cells: int) -> FloatArray:
     from_middle = np.minimum(np.abs(row - np.arange(1, cells + 1)[:, None]), 1.0)
     windows = 1.0 + np.cos(np.pi * from_middle)
     return np.asarray(windows / windows.sum(axis=1, keepdims=True))
+
+
+def _correlation(used: BoolArray) -> FloatArray:
+    """Return the correlation of white noise in those of the cells that are used, (m, m)."""
+    apart = np.abs(np.subtract.outer(np.flatnonzero(used), np.flatnonzero(used)))
+    return np.asarray((apart == 0) + OVERLAP * (apart == 1))
 
 
 def _trend(n: int, order: int) -> FloatArray:

@@ -50,9 +50,9 @@ WORSE = np.array(
     ]
 )
 """Factors by which some gyros or all are worse than that, (35, 3): up to 31 °/h for the best of them."""
-P_WORSE = 0.001
-"""Prior probability of any of these factors, also over a declared bias (assumed): as rare as a normal value
-beyond 3.3 sigmas.  Ablation: without it, errors are up to 39 sigma."""
+P_WORSE, P_WORSE_THAN_DECLARED = 0.003, 0.001
+"""Prior probabilities of any of these factors (assumed): over the regression, as rare as a normal value
+beyond three sigmas, and over a declared bias.  Ablation: without them, errors are up to 39 sigma."""
 DIRECTIONS = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
 """Starting points of the search for peaks on the circle, rad."""
 QUARTIC = 0.152
@@ -77,17 +77,18 @@ def sensor_errors(noise: float, parameters: AlignmentParameters) -> SensorErrors
     """Return the declared errors, and the regression on an angular random walk, rad/√s, for the others."""
     ratio = noise / (math.radians(0.1) / 60.0)
     bias = min(GYRO_BIAS * max(ratio, LEAST_NOISE) ** BIAS_POWER, EARTH_RATE)
-    alike, share = bias * np.exp(LOG_SIZES), np.exp(-0.5 * (LOG_SIZES / LOG_SIZE_SD) ** 2)
+    alike, share, p_worse = bias * np.exp(LOG_SIZES), np.exp(-0.5 * (LOG_SIZES / LOG_SIZE_SD) ** 2), P_WORSE
     if parameters.gyro_bias_sd_deg_per_h is not None:
         declared = max(parameters.gyro_bias_sd_deg_per_h * DEG_PER_H, 1e-11)  # zero has no logarithm
-        bias, alike, share = max(bias, declared), np.array([declared]), np.ones(1)
+        bias, p_worse = max(bias, declared), P_WORSE_THAN_DECLARED
+        alike, share = np.array([declared]), np.ones(1)
     poorer = min(max(ratio, 1.0) ** ERROR_POWER, MOST_ERROR)
     ppm, micro_g = parameters.gyro_scale_sd_ppm, parameters.accel_bias_sd_ug
     flicker = parameters.gyro_flicker_deg_per_h
-    worse = np.full(len(WORSE), P_WORSE / len(WORSE))
+    worse = np.full(len(WORSE), p_worse / len(WORSE))
     return SensorErrors(
         sizes=np.concatenate([np.tile(alike[:, None], (1, 3)), bias * WORSE]),
-        log_prior=np.log(np.concatenate([(1.0 - P_WORSE) * share / share.sum(), worse])),
+        log_prior=np.log(np.concatenate([(1.0 - p_worse) * share / share.sum(), worse])),
         # A declared error of scale and misalignment changes the earth rate as a bias of that position would.
         flicker=math.hypot((flicker or 0.0) * DEG_PER_H, (ppm or 0.0) * 1e-6 * EARTH_RATE),
         scale=GYRO_SCALE * poorer if ppm is None else ppm * 1e-6,
