@@ -43,10 +43,12 @@ MIN_VARIANCE = 1e-24
 CREEP_CELLS, CREEP_YAW, CREEP_NOISE = 12, 3e-4, 4.0
 """A unit creeps about the vertical whose angle by means of 12 cells of the vertical gyro, less their mean,
 varies by more than 0.3 mrad and more than 4 times what the white noise turns in this time."""
-LEAST_ROWS, MIN_PERIODS, RESIDUAL_SHARE = 60, 1.5, 0.3
-"""Rows of the record, and periods in it, that a line needs, and to which share it must reduce the residual
-variance: a knock has power at all frequencies, too.  A slower sway is left to the trend and the settling
-hypotheses."""
+LEAST_ROWS, MIN_PERIODS = 60, 1.5
+"""Rows of the record, and periods in it, that a line needs; a slower sway is left to the trend and the
+settling hypotheses."""
+FEW_PERIODS, RESIDUAL_SHARE = 5.0, 0.3
+"""A line with fewer periods than this must reduce the residual variance to this share: a knock has power at
+all frequencies, too."""
 LINE_RATIO = 40.0
 """Ratio of the power of a line to the median of the spectrum; white noise exceeds it with probability e^-40
 a bin."""
@@ -270,7 +272,8 @@ def _without_sway(
     columns = np.hstack([slow, line])
     amplitudes = _amplitudes(columns, given, valid)
     remains = (rate - columns @ amplitudes[:, 0]) * valid
-    if np.sum(np.abs(remains) ** 2) > RESIDUAL_SHARE * np.sum(np.abs(left) ** 2):
+    share = np.sum(np.abs(remains) ** 2) / np.sum(np.abs(left) ** 2)
+    if omega * n < FEW_PERIODS * math.tau and share > RESIDUAL_SHARE:
         return given.T, np.zeros((n, 0))
     swing = line @ amplitudes[-4:]
     return np.asarray((given - swing).T), line * math.sqrt(2.0 * np.mean(np.abs(swing[:, 0]) ** 2))

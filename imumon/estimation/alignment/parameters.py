@@ -76,8 +76,9 @@ class AlignmentParameters(StrictModel):
     gyro_flicker_deg_per_h : float, optional
         Standard deviation by which the bias changes from position to position: the bias instability.
     gyro_scale_sd_ppm : float, optional
-        Standard deviation of a gyro's scale factor and misalignment: the relative
-        error of a turn between two positions.  Default: a regression on the noise, and 300 at least.
+        Standard deviation of a gyro's scale factor and misalignment: the relative error of a turn between
+        two positions, and, if declared, of the earth rate at rest.  Default: a regression on the noise, and
+        300 at least.
     accel_bias_sd_ug : float, optional
         Standard deviation of the constant bias of an accelerometer; it tilts the horizon.  Default:
         a regression on the noise of the gyros, and 750 at least.
