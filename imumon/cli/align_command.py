@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
@@ -68,16 +68,14 @@ if TYPE_CHECKING:
 @json_option
 def command(
     source: str,
-    latitude: float | None,
     until: float | None,
     device: str | None,
     baud: int | None,
     positions: int,
     seconds: float | None,
     out: Path | None,
-    pipeline: Path | None,
-    model: Path | None,
     as_json: bool,
+    **given: Any,
 ) -> int:
     """Find the heading of the resting unit on PORT or in SESSION from the earth's rotation.
 
@@ -92,7 +90,7 @@ def command(
     measure the angle.  The earth's rotation stays where it is and the bias turns with the unit, so that the
     two can be separated.
     """
-    options: SetupOptions = {"pipeline": pipeline, "model": model, "latitude": latitude}
+    options = cast("SetupOptions", given)
     if _is_recording(source):
         if baud is not None or seconds is not None or out is not None:
             raise click.UsageError("--baud, --seconds and --out are for a port; a session is only read")

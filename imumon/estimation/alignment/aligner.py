@@ -10,9 +10,17 @@ import numpy as np
 
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment.fit import fit_position
-from imumon.estimation.alignment.motion import CALM_SLOTS, Motion
 from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.position import SLOT_S, Position, Slot, direction_of, upright, yaw_between
+from imumon.estimation.alignment.position import (
+    CALM_SLOTS,
+    SLOT_S,
+    Motion,
+    Position,
+    Slot,
+    direction_of,
+    upright,
+    yaw_between,
+)
 from imumon.estimation.alignment.posterior import HeadingPosterior, heading_posterior, sensor_errors
 from imumon.estimation.alignment.report import ANY_ANGLE_SD, Estimate, PositionHeading, Status
 from imumon.filters.turns import Turn, angle_of
@@ -37,8 +45,9 @@ MOST_FITS = 400
 class Aligner:
     """The alignment of one device since its last restart, fed with slots."""
 
-    def __init__(self, parameters: AlignmentParameters, latitude_deg: float) -> None:
-        self.parameters = parameters
+    def __init__(self, parameters: AlignmentParameters, latitude_deg: float, events: list[str]) -> None:
+        """Prepare for the first slot; `events` takes the messages."""
+        self.parameters, self.events = parameters, events
         self.latitude = math.radians(latitude_deg)
         self.earth_horizontal = EARTH_RATE * math.cos(self.latitude)
         self.wanted_sd = math.radians(parameters.settled_deg)
@@ -54,16 +63,10 @@ class Aligner:
         """Time at rest, s, north and sigma of each fit."""
         self.rest_s, self.due_s = 0.0, FIRST_FIT_S
         """Time at rest, and that at which the next fit is due."""
-        self.vertical: float | None = None
-        """Mean of the vertical gyro in the last fit, rad/s."""
-        self.yaw_since_fit = 0.0
-        """What it has turned since, less that, rad."""
         self.fitted_variance = 0.0
         """`Position.azimuth_variance` of the present position in the last heading, rad²."""
         self.settled_s: float | None = None
         """Time since the first sample at which the heading settled; None if it is not settled."""
-        self.events: list[str] = []
-        """Messages that were not reported yet."""
 
     def step(self, slot: Slot, at_rest: bool, turn: Turn) -> str | None:
         """Process a slot with its turn and the rest detector's flag; return why to start anew, or None."""
@@ -80,10 +83,7 @@ class Aligner:
         here = self.positions[-1]
         for one in rest:
             here.add(one)
-            seconds = SLOT_S * one.length
-            self.rest_s += seconds
-            if self.vertical is not None:
-                self.yaw_since_fit += seconds * (float(here.attitude[2] @ one.rate) - self.vertical)
+            self.rest_s += SLOT_S * one.length
         motion.add_rest(rest)
         if self.rest_s >= self.due_s:
             self._update_heading()
@@ -92,7 +92,6 @@ class Aligner:
     def _begin(self, position: Position) -> None:
         self.positions.append(position)
         self.due_s = self.rest_s + FIRST_FIT_S
-        self.yaw_since_fit = 0.0
 
     def _end_turn(self, rest: Sequence[Slot]) -> bool:
         """Begin a position with the rest after a turn; return whether the angle of the turn is known."""
@@ -114,7 +113,7 @@ class Aligner:
         )
         before.fit = before.fit and before.fit.averaged()
         before.sums = np.empty((0, 7))
-        variance += before.azimuth_variance + self.yaw_since_fit**2
+        variance += before.azimuth_variance + before.yaw_since_fit**2
         self._begin(Position(rest[0].number, attitude, variance, before.number + new))
         return True
 
@@ -132,9 +131,8 @@ class Aligner:
             if here.rest_s > FORGET_S:
                 here.forget_half()
             return False
-        here.fit, self.vertical = fit, fit.vertical
-        here.azimuth_variance += self.yaw_since_fit**2
-        self.yaw_since_fit = 0.0
+        here.azimuth_variance += here.yaw_since_fit**2
+        here.fit, here.yaw_since_fit = fit, 0.0
         white = min(one.fit.white for one in self.positions if one.fit is not None)
         self.errors = sensor_errors(math.sqrt(white), self.parameters)
         bias = self.posterior.bias_size if self.posterior else 0.0
@@ -169,10 +167,11 @@ class Aligner:
         """Standard deviation of the heading, rad: of the last fit, turns and creep since; NaN before it."""
         if self.posterior is None:
             return math.nan
-        since = self.positions[-1].azimuth_variance - self.fitted_variance
-        variance = self.posterior.sd**2 + since + self.yaw_since_fit**2
+        here = self.positions[-1]
+        variance = self.posterior.sd**2 + here.azimuth_variance - self.fitted_variance
+        variance += here.yaw_since_fit**2
         if self.motion.moving:
-            variance += self.motion.azimuth_variance(self.positions[-1].attitude[2], self.errors.scale)
+            variance += self.motion.azimuth_variance(here.attitude[2], self.errors.scale)
         return min(math.sqrt(variance), ANY_ANGLE_SD)
 
     @property

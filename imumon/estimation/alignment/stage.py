@@ -13,9 +13,8 @@ from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.charts import GREEN, GREY, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.estimation.alignment.aligner import Aligner
-from imumon.estimation.alignment.motion import CALM_SLOTS
 from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.position import SLOT_S, Slot, direction_of
+from imumon.estimation.alignment.position import CALM_SLOTS, SLOT_S, Slot, direction_of
 from imumon.estimation.alignment.report import PositionHeading, heading_text, to_go_text
 from imumon.estimation.rest.parameters import retired
 from imumon.filters.slots import SlotGatherer, Slots, held
@@ -49,7 +48,9 @@ class Alignment:
         self._parameters = parameters or AlignmentParameters()
         self._retired = retired(self._parameters)
         self._latitude_deg = latitude_deg
-        self._aligner = Aligner(self._parameters, latitude_deg)
+        self._events: list[str] = []
+        """Messages that were not reported yet."""
+        self._aligner = Aligner(self._parameters, latitude_deg, self._events)
         self._earlier: list[PositionHeading] = []
         """Headings in the positions before the last restart."""
         self._slots = SlotGatherer(10, round(SLOT_S * 1e9), turns=True)
@@ -62,7 +63,6 @@ class Alignment:
         """Number of the last slot with samples in the segment."""
         self._recent: deque[FloatArray] = deque(maxlen=CALM_SLOTS)
         """Specific force, m/s², and magnetic field of the last 2 s, (6,); the mean force is up at rest."""
-        self._events: list[str] = []
         self._reported: set[str] = set()
         self._row: dict[str, float] = {}
         """Columns after the last slot; empty before the first sample."""
@@ -134,11 +134,10 @@ class Alignment:
 
     def _restart(self, why: str) -> None:
         """Drop all positions, and report the reason."""
-        self._events += self._aligner.events
         if self._aligner.positions:
             self._earlier = self.finish()
             self._events.append(f"alignment: {why}: the alignment starts anew")
-        self._aligner = Aligner(self._parameters, self._latitude_deg)
+        self._aligner = Aligner(self._parameters, self._latitude_deg, self._events)
 
     def finish(self) -> list[PositionHeading]:
         """Fit the rest since the last fit; return the heading in each position."""
@@ -197,9 +196,9 @@ class Alignment:
 
     def notices(self) -> list[str]:
         """Return, once each, motions and restarts, and conditions that limit the heading."""
-        texts = self._events + self._aligner.events
-        texts += [f"alignment: {name} is not used any more" for name in self._retired]
-        self._events, self._aligner.events, self._retired = [], [], []
+        texts = self._events + [f"alignment: {name} is not used any more" for name in self._retired]
+        self._retired = []
+        self._events.clear()
         new = [text for text, true in self._conditions().items() if true and text not in self._reported]
         self._reported.update(new)
         return texts + new
