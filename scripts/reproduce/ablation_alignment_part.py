@@ -16,6 +16,7 @@ from study import rms
 
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment import aligner, fit, posterior
+from imumon.estimation.alignment.parameters import ANY_WARM_UP
 from imumon.estimation.alignment.position import PositionFit
 
 
@@ -32,8 +33,9 @@ def _best(*given: Any) -> PositionFit | None:
 
 def _tilts(neighbours: int) -> FloatArray:
     """Return the sizes of the exponentials of tripods that settle by some neighbouring ones of one size."""
-    last = np.arange(len(fit.SETTLING_TAU_S) - neighbours + 1)[:, None]
-    chosen = (last <= fit.TAU) & (last + neighbours > fit.TAU)
+    k = np.arange(len(fit.SETTLING_TAU_S))
+    first = np.arange(len(k) - neighbours + 1)[:, None]
+    chosen = (k >= first) & (k < first + neighbours)
     return np.concatenate([np.where(chosen, sd, fit.NOTHING) for sd in fit.TILT_SD])
 
 
@@ -44,7 +46,7 @@ VARIANTS: Mapping[str, Change] = {
     "sway": [(fit, "LEAST_ROWS", 1_000_000)],
     "sway with fewer than 5 periods": [(fit, "MIN_PERIODS", 5.0)],
     "the record of a creep is halved": [(fit, "CREEP_YAW", math.inf)],
-    "warm-up": [(fit, "ANY_WARM_UP", (fit.NOTHING, fit.ANY_WARM_UP[1]))],
+    "warm-up": [(fit, "ANY_WARM_UP", (fit.NOTHING, ANY_WARM_UP[1]))],
     "settling": [(fit, "P_SETTLES", 1e-9)],
     "settling: one exponential": [(fit, "TILTS", _tilts(1))],
     "settling: all exponentials": [(fit, "TILTS", _tilts(8))],

@@ -59,8 +59,13 @@ NOTHING = 1e-9
 TILT_SD, P_SETTLES = (1e-5, 1e-4, 1e-3), 0.3
 """Standard deviation of the amplitudes of a tripod that settles, rad, and the prior probability that it does.
 With 0.03 a slow tilt passes for a bias, 9 sigma off."""
-TAU = np.arange(len(SETTLING_TAU_S))
-TILTS = np.array([np.where(np.abs(TAU - middle) <= 1, sd, NOTHING) for sd in TILT_SD for middle in TAU[1:-1]])
+TILTS = np.array(
+    [
+        [sd if abs(k - middle) <= 1 else NOTHING for k in range(len(SETTLING_TAU_S))]
+        for sd in TILT_SD
+        for middle in range(1, len(SETTLING_TAU_S) - 1)
+    ]
+)
 """Standard deviation of each amplitude, rad, (18, 8): three neighbouring exponentials of one size."""
 OFFSET_SD, WALK, LEAST_NOISE = 1e-3, 1e-7, 1e-14
 """Standard deviation of the constant part of α and of its step in a knock, rad, random walk of a warmed-up
@@ -103,38 +108,45 @@ def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -
     if cells is None:
         return None
     windows, used, variance = cells
-    y, levels, time_s = windows @ steady, windows @ level, dt * (windows @ np.arange(n))
-    mean, swing = complex(y[used].mean()), windows[used] @ line
     warm_sd, warm_tau_s = ANY_WARM_UP if known is None else known.remaining
     warm = -np.expm1(-dt * (np.arange(n)[:, None] + 0.5) / np.array(warm_tau_s))
-    by_gyros = _information(
+    y, swing = windows[used] @ steady, windows[used] @ line
+    matrix, vector = _information(
         windows[used] @ np.hstack([np.ones((n, 1)), slopes, 0.0 * warm]),
-        y[used] - mean,
+        y - y.mean(),
         variance * _correlation(used) + swing @ swing.T,
     )
-    noise, seen, _ = _scatter(levels, used, TREND_ORDER)
-    walk = OFFSET_SD**2 + WALK**2 * np.minimum.outer(time_s[seen], time_s[seen])
-    for knock_s in time_s[~seen & np.r_[True, seen[:-1]]]:  # the offset is unknown anew behind it
-        walk += OFFSET_SD**2 * np.outer(time_s[seen] > knock_s, time_s[seen] > knock_s)
-    by_accelerometers = _information(
-        windows[seen] @ np.hstack([np.zeros((n, 1)), middles, warm]),
-        levels[seen] - levels[seen].mean(),
-        (noise + LEAST_NOISE) * _correlation(seen) + walk,
+    of_level, covariance = _level_noise(windows @ level, used, dt * (windows @ np.arange(n)))
+    by_level = _information(
+        windows[of_level] @ np.hstack([np.zeros((n, 1)), middles, warm]),
+        windows[of_level] @ level - (windows[of_level] @ level).mean(),
+        covariance,
     )
-    known_by_both = by_gyros[0] + by_accelerometers[0], by_gyros[1] + by_accelerometers[1]
-    log_weight, rates, variances = _given_each_hypothesis(*known_by_both, warm_sd, len(warm_tau_s))
-    up_variance, still, _ = _scatter(windows @ gyro[:, 2], used, 1)
+    log_weight, rates, variances = _given_each_hypothesis(
+        matrix + by_level[0], vector + by_level[1], warm_sd, len(warm_tau_s)
+    )
+    up = windows @ gyro[:, 2]
+    up_variance, up_used, _ = _scatter(up, used, 1)
     return PositionFit(
         log_weight=log_weight,
-        rate=rates + mean,
+        rate=rates + y.mean(),
         variance=variances,
-        vertical=float((windows @ gyro[:, 2])[still].mean()),
-        vertical_variance=(1.0 + 2.0 * OVERLAP) * up_variance / float(still.sum()),
+        vertical=float(up[up_used].mean()),
+        vertical_variance=(1.0 + 2.0 * OVERLAP) * up_variance / float(up_used.sum()),
         white=min(variance, up_variance) * dt / float(np.sum(windows[0] ** 2)),
         attitude=attitude,
         gyro_mean=complex(rate[valid].mean()),
         hann_mean=complex(np.hanning(valid.sum()) @ rate[valid]),
     )
+
+
+def _level_noise(levels: ColumnArray, used: BoolArray, time_s: FloatArray) -> tuple[BoolArray, FloatArray]:
+    """Return which cells of α, rad, have no knock, (J,), and the covariance of these, (m, m)."""
+    noise, used, _ = _scatter(levels, used, TREND_ORDER)
+    walk = OFFSET_SD**2 + WALK**2 * np.minimum.outer(time_s[used], time_s[used])
+    for knock_s in time_s[~used & np.r_[True, used[:-1]]]:  # the offset is unknown anew behind it
+        walk += OFFSET_SD**2 * np.outer(time_s[used] > knock_s, time_s[used] > knock_s)
+    return used, (noise + LEAST_NOISE) * _correlation(used) + walk
 
 
 def _horizontal(
@@ -149,7 +161,8 @@ def _horizontal(
     force = means[:, 3:] / STANDARD_GRAVITY
     attitude = upright(record.attitude[0], force[valid].mean(axis=0))
     if known is not None:
-        force -= known.bias_g(record.begun_s + record.row_s * (np.arange(len(valid)) + 0.5))
+        time_s = record.begun_s + record.row_s * (np.arange(len(valid)) + 0.5)
+        force -= known.bias_g(np.asarray(time_s, np.float64))
     force = force @ attitude.T
     return valid, means[:, :3] @ attitude.T, np.where(valid, force[:, 1] - 1j * force[:, 0], 0.0), attitude
 
