@@ -99,12 +99,14 @@ def sensor_errors(noise: float, parameters: AlignmentParameters) -> SensorErrors
 class HeadingPosterior(NamedTuple):
     """Direction of north, counter-clockwise in the reference frame, rad, and its standard deviation.
 
-    `bias_size`, rad/s, is the root mean square size of a gyro's bias, with the part by the level.
+    `bias_size`, rad/s, is the root mean square size of a gyro's bias, with the part by the level, and `worse`
+    the probability that gyros are `WORSE` than declared or, if nothing is declared, than the regression.
     """
 
     north: float
     sd: float
     bias_size: float
+    worse: float
 
 
 def heading_posterior(
@@ -131,6 +133,7 @@ def heading_posterior(
         north=north,
         sd=min(math.sqrt(np.sum(mass * (spread + off**2))), ANY_ANGLE_SD),
         bias_size=math.sqrt(mass @ np.mean(sizes**2, axis=1)[part % len(sizes)]),
+        worse=float(mass @ (part % len(sizes) >= len(sizes) - len(WORSE))),
     )
 
 

@@ -218,9 +218,7 @@ class Alignment:
                 declared is None and status.positions == 1 and status.phase in ("aligning", "settled")
             ),
             "alignment: the rates contradict the declared bias of the gyros, or the latitude is wrong": (
-                declared is not None
-                and posterior is not None
-                and posterior.bias_size > 3.0 * max(declared, 0.01) * DEG_PER_H
+                declared is not None and posterior is not None and posterior.worse > 0.5
             ),
         }
 
