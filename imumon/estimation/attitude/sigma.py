@@ -95,8 +95,8 @@ class Accelerometers:
         """a², (m/s²)²; the 2 in it is a margin, as e shows one of three components."""
         if self.declared is not None:
             return self.declared**2
-        seen = self.face_s > 0.0
-        e2 = (self.face_sum[seen] / self.face_s[seen]) ** 2
+        known = self.face_s > 0.0
+        e2 = (self.face_sum[known] / self.face_s[known]) ** 2
         return ACCEL_SD**2 + 2.0 * float(e2.mean() if len(e2) else 0.0)
 
 
