@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
@@ -28,10 +27,17 @@ from imumon.cli.common import (
 from imumon.cli.live_run import PortRun
 from imumon.cli.setup_options import SetupOptions, make_setup
 from imumon.errors import EXIT_NEGATIVE, EXIT_OK, ImumonError, Reason
+from imumon.estimation.alignment.report import (
+    Estimate,
+    Guide,
+    Status,
+    estimator_rows,
+    heading_text,
+    rows,
+    to_go_text,
+)
 
 if TYPE_CHECKING:
-    from imumon.columns import Column
-    from imumon.estimation.alignment.report import Status
     from imumon.estimation.alignment.stage import Alignment
     from imumon.pipeline import Pipeline
     from imumon.run.setup import Setup
@@ -62,16 +68,14 @@ if TYPE_CHECKING:
 @json_option
 def command(
     source: str,
-    latitude: float | None,
     until: float | None,
     device: str | None,
     baud: int | None,
     positions: int,
     seconds: float | None,
     out: Path | None,
-    pipeline: Path | None,
-    model: Path | None,
     as_json: bool,
+    **given: Any,
 ) -> int:
     """Find the heading of the resting unit on PORT or in SESSION from the earth's rotation.
 
@@ -86,8 +90,7 @@ def command(
     measure the angle.  The earth's rotation stays where it is and the bias turns with the unit, so that the
     two can be separated.
     """
-
-    options: SetupOptions = {"pipeline": pipeline, "model": model, "latitude": latitude}
+    options = cast("SetupOptions", given)
     if _is_recording(source):
         if baud is not None or seconds is not None or out is not None:
             raise click.UsageError("--baud, --seconds and --out are for a port; a session is only read")
@@ -95,13 +98,16 @@ def command(
     else:
         setup = _with_sigma(make_setup(options), until)
         ran = _live(PortRun(source, _needed(device, source), baud, setup, out, seconds), positions)
-        columns = ran.columns
+        columns = {column.name for column in ran.columns}
     status = _stage_of(ran).status
-    _refuse_without_sensors(status, source, [column.name for column in columns])
+    if status.phase == "waiting":
+        raise _no_reading(source, columns)
     if as_json:
         print_json(as_data(status, positions) | {"left_out": ran.counters.left_out})
     else:
-        _report(status)
+        if status.rest_s > 0.0:
+            print_table(["estimator", "heading [°]", "σ [°]"], estimator_rows(status))
+        show("\n".join(labelled(rows(status))))
     settled = status.settled_s is not None and status.positions >= positions
     return EXIT_OK if settled else EXIT_NEGATIVE
 
@@ -137,8 +143,8 @@ def _stage_of(pipeline: Pipeline) -> Alignment:
 
 def _recorded(
     path: Path, device: str | None, options: SetupOptions, until: float | None
-) -> tuple[Pipeline, list[Column]]:
-    """Go through a recording to its end; return the pipeline, and the columns that came."""
+) -> tuple[Pipeline, set[str]]:
+    """Go through a recording to its end; return the pipeline, and the names of the columns that came."""
     from imumon.estimation.alignment.stage import Alignment
     from imumon.estimation.gyro_bias.stage import RestAndBias
     from imumon.recordings.source import open_source, run_over
@@ -154,7 +160,7 @@ def _recorded(
         for _ in run_over(source.items, pipeline):
             line.update(_progress(stage.status))
     warn([*source.warnings(), *pipeline.warnings()])
-    return pipeline, source.columns(pipeline)
+    return pipeline, {column.name for column in source.columns(pipeline)}
 
 
 def _needed(device: str | None, port: str) -> str:
@@ -170,8 +176,6 @@ def _needed(device: str | None, port: str) -> str:
 
 def _live(live: PortRun, positions: int) -> Pipeline:
     """Record and align a port until the heading has settled, or will not, or the time is over."""
-    from imumon.estimation.alignment.report import Guide
-
     stage, guide = _stage_of(live.run.pipeline), Guide(positions)
     try:
         live.begin(())
@@ -191,48 +195,37 @@ def _live(live: PortRun, positions: int) -> Pipeline:
 
 def _progress(status: Status, instruction: str = "") -> str:
     """Return what the terminal's line shows: state, sigma on its way to the one wanted, and time to go."""
-    from imumon.estimation.alignment.report import heading_text, to_go_text
-
     text = f"{status.phase}: {heading_text(status)}; {to_go_text(status)}"
     return f"{instruction}; {text}" if instruction else text
 
 
-def _refuse_without_sensors(status: Status, where: str, columns: Sequence[str]) -> None:
-    """Raise BAD_DATA when there was not one whole reading of gyros and accelerometers."""
-    if status.phase != "waiting" or status.elapsed_s > 0.0:
-        return
+def _no_reading(where: str, columns: set[str]) -> ImumonError:
+    """Return the error of data without one whole reading of gyros and accelerometers."""
     needed = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
     lacking = ", ".join(name for name in needed if name not in columns)
-    seen = f"there is no {lacking}" if lacking else "fewer than two samples have all six readings"
+    found = f"there is no {lacking}" if lacking else "fewer than two samples have all six readings"
     hint = "the heading needs angular rate and specific force of all three axes, in the same packets"
-    raise ImumonError(Reason.BAD_DATA, f"{where}: {seen}", hint)
+    return ImumonError(Reason.BAD_DATA, f"{where}: {found}", hint)
 
 
 def as_data(status: Status, positions: int = 1) -> dict[str, object]:
     """Return what ``--json`` prints; headings in degrees clockwise from true north, 0 to 360."""
+    unknown = Estimate(math.nan, math.nan)
 
-    def degrees(angle: float, known: bool = True) -> float:
-        return math.degrees(angle) if known else math.nan
+    def degrees(one: Estimate) -> tuple[float, float]:
+        return math.degrees(one.heading) % 360.0, math.degrees(one.sd)
 
     estimators = {
-        name: {"heading_deg": degrees(one.heading, one.known) % 360.0, "sd_deg": degrees(one.sd, one.known)}
+        name: dict(zip(("heading_deg", "sd_deg"), degrees(one if one.known else unknown), strict=True))
         for name, one in status.estimates.items()
     }
-    shown = status.shown
+    heading, sd = degrees(status.shown or unknown)
     return {
-        "heading_deg": math.nan if shown is None else degrees(shown.heading) % 360.0,
-        "heading_sd_deg": math.nan if shown is None else degrees(shown.sd),
-        "estimator": None if shown is None else "joint",
+        "heading_deg": heading,
+        "heading_sd_deg": sd,
+        "estimator": "joint" if status.shown else None,
         "settled_s": status.settled_s if status.positions >= positions else None,
         "observable": status.observable,
         "positions": status.positions,
         "estimators": estimators,
     }
-
-
-def _report(status: Status) -> None:
-    from imumon.estimation.alignment.report import estimator_rows, rows
-
-    if status.rest_s > 0.0:
-        print_table(["estimator", "heading [°]", "σ [°]"], estimator_rows(status))
-    show("\n".join(labelled(rows(status))))

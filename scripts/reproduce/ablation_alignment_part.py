@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import alignment_site
 import numpy as np
@@ -15,7 +16,28 @@ from study import rms
 
 from imumon.blocks import FloatArray
 from imumon.estimation.alignment import aligner, fit, posterior
-from imumon.estimation.alignment.parameters import RemainingWarmUp
+from imumon.estimation.alignment.parameters import ANY_WARM_UP
+from imumon.estimation.alignment.position import PositionFit
+
+
+def _best(*given: Any) -> PositionFit | None:
+    """Return the fit of a position by its most likely hypothesis alone."""
+    found = fit.fit_position(*given)
+    if found is None:
+        return None
+    best = [int(np.argmax(found.log_weight))]
+    return found._replace(
+        log_weight=found.log_weight[best], rate=found.rate[best], variance=found.variance[best]
+    )
+
+
+def _tilts(neighbours: int) -> FloatArray:
+    """Return the sizes of the exponentials of tripods that settle by some neighbouring ones of one size."""
+    k = np.arange(len(fit.SETTLING_TAU_S))
+    first = np.arange(len(k) - neighbours + 1)[:, None]
+    chosen = (k >= first) & (k < first + neighbours)
+    return np.concatenate([np.where(chosen, sd, fit.NOTHING) for sd in fit.TILT_SD])
+
 
 VARIANTS: Mapping[str, Change] = {
     "cells: 48 alone": [(fit, "CELLS", (48,))],
@@ -24,12 +46,12 @@ VARIANTS: Mapping[str, Change] = {
     "sway": [(fit, "LEAST_ROWS", 1_000_000)],
     "sway with fewer than 5 periods": [(fit, "MIN_PERIODS", 5.0)],
     "the record of a creep is halved": [(fit, "CREEP_YAW", math.inf)],
-    "warm-up": [(aligner, "RemainingWarmUp", lambda: RemainingWarmUp(fit.NOTHING))],
+    "warm-up": [(fit, "ANY_WARM_UP", (fit.NOTHING, ANY_WARM_UP[1]))],
     "settling": [(fit, "P_SETTLES", 1e-9)],
-    "settling: one exponential": [(fit, "TILTS", fit.tilt_hypotheses(1))],
-    "settling: all exponentials": [(fit, "TILTS", fit.tilt_hypotheses(8))],
+    "settling: one exponential": [(fit, "TILTS", _tilts(1))],
+    "settling: all exponentials": [(fit, "TILTS", _tilts(8))],
     "settling: prior of 0.03": [(fit, "P_SETTLES", 0.03)],
-    "averaging: the best hypothesis": [(fit, "LIKELY", -1e-9)],
+    "averaging: the best hypothesis": [(aligner, "fit_position", _best)],
     "gyros worse than the others": [(posterior, "P_WORSE", 1e-12)],
     "sigma of a heading that moves from fit to fit": [(aligner, "RECENT_SHARE", 0.0)],
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -45,7 +45,7 @@ def _nothing(*_: Any) -> float:
 
 def _as_in_motion(tilt: sigma.TiltSigma, slot: sigma.Slot) -> float:
     tilt.rested |= slot.rest
-    return _step(tilt, replace(slot, rest=False))
+    return _step(tilt, slot._replace(rest=False))
 
 
 VARIANTS: dict[str, Change] = {

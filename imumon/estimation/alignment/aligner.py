@@ -9,10 +9,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from imumon.blocks import FloatArray
-from imumon.estimation.alignment.fit import creeps, fit_position
-from imumon.estimation.alignment.motion import CALM_SLOTS, Motion
-from imumon.estimation.alignment.parameters import AlignmentParameters, RemainingWarmUp
-from imumon.estimation.alignment.position import SLOT_S, Position, Slot, direction_of, upright, yaw_between
+from imumon.estimation.alignment.fit import fit_position
+from imumon.estimation.alignment.parameters import AlignmentParameters
+from imumon.estimation.alignment.position import (
+    CALM_SLOTS,
+    SLOT_S,
+    Motion,
+    Position,
+    Slot,
+    direction_of,
+    upright,
+    yaw_between,
+)
 from imumon.estimation.alignment.posterior import HeadingPosterior, heading_posterior, sensor_errors
 from imumon.estimation.alignment.report import ANY_ANGLE_SD, Estimate, PositionHeading, Status
 from imumon.filters.turns import Turn, angle_of
@@ -37,8 +45,9 @@ MOST_FITS = 400
 class Aligner:
     """The alignment of one device since its last restart, fed with slots."""
 
-    def __init__(self, parameters: AlignmentParameters, latitude_deg: float) -> None:
-        self.parameters = parameters
+    def __init__(self, parameters: AlignmentParameters, latitude_deg: float, events: list[str]) -> None:
+        """Prepare for the first slot; `events` takes the messages."""
+        self.parameters, self.events = parameters, events
         self.latitude = math.radians(latitude_deg)
         self.earth_horizontal = EARTH_RATE * math.cos(self.latitude)
         self.wanted_sd = math.radians(parameters.settled_deg)
@@ -54,16 +63,10 @@ class Aligner:
         """Time at rest, s, north and sigma of each fit."""
         self.rest_s, self.due_s = 0.0, FIRST_FIT_S
         """Time at rest, and that at which the next fit is due."""
-        self.vertical: float | None = None
-        """Mean of the vertical gyro in the last fit, rad/s."""
-        self.yaw_since_fit, self.creeping = 0.0, False
-        """What it has turned since, less that, rad, and whether that was a creep."""
-        self.variance_since_fit = 0.0
-        """Variance of the turns since the last heading, rad²."""
+        self.fitted_variance = 0.0
+        """`Position.azimuth_variance` of the present position in the last heading, rad²."""
         self.settled_s: float | None = None
         """Time since the first sample at which the heading settled; None if it is not settled."""
-        self.events: list[str] = []
-        """Messages that were not reported yet."""
 
     def step(self, slot: Slot, at_rest: bool, turn: Turn) -> str | None:
         """Process a slot with its turn and the rest detector's flag; return why to start anew, or None."""
@@ -77,25 +80,18 @@ class Aligner:
             self._begin(Position(rest[0].number, upright(forward(force / np.linalg.norm(force)), force)))
         elif begins and not self._end_turn(rest):
             return f"the unit turned at {motion.begun_s:.1f} s by an angle that is not known"
+        here = self.positions[-1]
         for one in rest:
-            self._add_rest(one)
-        motion.end()
+            here.add(one)
+            self.rest_s += SLOT_S * one.length
+        motion.add_rest(rest)
         if self.rest_s >= self.due_s:
             self._update_heading()
         return None
 
-    def _add_rest(self, slot: Slot) -> None:
-        here, seconds = self.positions[-1], SLOT_S * slot.length
-        here.add(slot)
-        self.rest_s += seconds
-        if self.vertical is not None:
-            self.yaw_since_fit += seconds * (float(here.attitude[2] @ slot.rate) - self.vertical)
-        self.motion.add_rest(slot)
-
     def _begin(self, position: Position) -> None:
         self.positions.append(position)
         self.due_s = self.rest_s + FIRST_FIT_S
-        self.yaw_since_fit, self.creeping = 0.0, False
 
     def _end_turn(self, rest: Sequence[Slot]) -> bool:
         """Begin a position with the rest after a turn; return whether the angle of the turn is known."""
@@ -117,9 +113,7 @@ class Aligner:
         )
         before.fit = before.fit and before.fit.averaged()
         before.sums = np.empty((0, 7))
-        variance += self.yaw_since_fit**2
-        self.variance_since_fit += variance
-        variance += before.azimuth_variance
+        variance += before.azimuth_variance + before.yaw_since_fit**2
         self._begin(Position(rest[0].number, attitude, variance, before.number + new))
         return True
 
@@ -130,26 +124,21 @@ class Aligner:
         return np.asarray(here @ self.motion.turn.rotation)
 
     def _fit_position(self) -> bool:
-        """Fit the present position, and both means of its gyros; return whether its record allows it."""
-        here, known = self.positions[-1], self.parameters.known_warm_up
-        data = here.horizontal(EARTH_RATE * math.sin(self.latitude), known)
-        if creeps(data):
-            self.creeping = True
+        """Fit the present position; return whether its record allows it."""
+        here = self.positions[-1]
+        fit = fit_position(here, self.latitude, self.parameters.known_warm_up)
+        if fit is None:
             if here.rest_s > FORGET_S:
                 here.forget_half()
             return False
-        fit = fit_position(data, RemainingWarmUp() if known is None else known.remaining)
-        if fit is None:
-            return False
-        here.fit, self.vertical = fit, fit.vertical
-        here.azimuth_variance += self.creeping * self.yaw_since_fit**2
-        self.yaw_since_fit, self.creeping = 0.0, False
+        here.azimuth_variance += here.yaw_since_fit**2
+        here.fit, here.yaw_since_fit = fit, 0.0
         white = min(one.fit.white for one in self.positions if one.fit is not None)
         self.errors = sensor_errors(math.sqrt(white), self.parameters)
-        rate, bias = data.rate[data.valid], self.posterior.bias_size if self.posterior else 0.0
-        for name, taper, factor in (("gyro_mean", np.ones, 1.0), ("hann_mean", np.hanning, 1.5)):
+        bias = self.posterior.bias_size if self.posterior else 0.0
+        for name, mean, factor in (("gyro_mean", fit.gyro_mean, 1.0), ("hann_mean", fit.hann_mean, 1.5)):
             sd = math.sqrt(factor * fit.white / here.rest_s + bias**2) / self.earth_horizontal
-            self.means[name] = cmath.phase(complex(taper(len(rate)) @ rate)), min(sd, ANY_ANGLE_SD)
+            self.means[name] = cmath.phase(mean), min(sd, ANY_ANGLE_SD)
         return True
 
     def _update_heading(self) -> None:
@@ -166,22 +155,23 @@ class Aligner:
         recent = [north for rest_s, north, _ in self.history if rest_s >= since_s]
         moved = max((abs(math.remainder(new.north - north, 2.0 * math.pi)) for north in recent), default=0.0)
         self.posterior = new._replace(sd=min(max(new.sd, moved), ANY_ANGLE_SD))
-        self.variance_since_fit = 0.0
+        self.fitted_variance = here.azimuth_variance
         self.history = [*self.history[1 - MOST_FITS :], (self.rest_s, new.north, self.posterior.sd)]
         # Settled when sigma falls to the wanted one, and no longer when it exceeds 1.25 times that.
-        if not (self.observable and self.heading_sd <= 1.25 * self.wanted_sd):
-            self.settled_s = None
-        elif self.settled_s is None and self.heading_sd <= self.wanted_sd:
-            self.settled_s = here.ended_s
+        wanted = self.wanted_sd * (1.0 if self.settled_s is None else 1.25)
+        settled = self.observable and self.heading_sd <= wanted
+        self.settled_s = (self.settled_s or here.ended_s) if settled else None
 
     @property
     def heading_sd(self) -> float:
         """Standard deviation of the heading, rad: of the last fit, turns and creep since; NaN before it."""
         if self.posterior is None:
             return math.nan
-        variance = self.posterior.sd**2 + self.variance_since_fit + self.yaw_since_fit**2
+        here = self.positions[-1]
+        variance = self.posterior.sd**2 + here.azimuth_variance - self.fitted_variance
+        variance += here.yaw_since_fit**2
         if self.motion.moving:
-            variance += self.motion.azimuth_variance(self.positions[-1].attitude[2], self.errors.scale)
+            variance += self.motion.azimuth_variance(here.attitude[2], self.errors.scale)
         return min(math.sqrt(variance), ANY_ANGLE_SD)
 
     @property
@@ -208,25 +198,19 @@ class Aligner:
             return None
         if self.heading_sd <= self.wanted_sd:
             return 0.0
-        bias_sd = 0.0
-        if self.positions[-1].number == 1:  # several separate the bias from the earth rate
-            by_level = self.errors.accel_bias * math.tan(self.latitude)
-            bias_sd = math.hypot(self.posterior.bias_size / self.earth_horizontal, by_level)
-        left, noise = self.wanted_sd**2 - bias_sd**2, max(self.heading_sd**2 - bias_sd**2, 0.0)
+        alone = self.positions[-1].number == 1  # several positions separate the bias from the earth rate
+        by_bias = alone * (self.posterior.bias_size / self.earth_horizontal) ** 2
+        left, noise = self.wanted_sd**2 - by_bias, max(self.heading_sd**2 - by_bias, 0.0)
         return max(self.rest_s * (noise / left - 1.0), 1.0) if left > 0.0 else None
 
     def status(self, elapsed_s: float) -> Status:
         """Return the state so long after the first sample."""
-        number, position_s, position_sd, turned = 0, 0.0, math.inf, 0.0
-        if self.positions:
-            here, moving = self.positions[-1], self.motion.moving
-            number, position_s = here.number, here.rest_s
-            if here.fit is not None:
-                position_sd = math.sqrt(here.fit.variance.min()) / self.earth_horizontal
-            before = [one.attitude for one in self.positions if moving or one.number < number]
-            turned = -yaw_between(before[-1], self.attitude) if before else 0.0
+        here = self.positions[-1] if self.positions else Position(0, np.eye(3), number=0)
+        moving, number = self.motion.moving, here.number
+        by_noise = here.fit.variance.min() if here.fit else math.inf
+        before = [one.attitude for one in self.positions if moving or one.number < number]
         return Status(
-            moving=self.motion.moving,
+            moving=moving,
             estimates=self.estimates,
             settled_s=self.settled_s,
             remaining_s=self.remaining_s,
@@ -234,9 +218,9 @@ class Aligner:
             rest_s=self.rest_s,
             elapsed_s=elapsed_s,
             positions=number,
-            position_s=position_s,
-            position_sd=position_sd,
-            turned=turned,
+            position_s=here.rest_s,
+            position_sd=math.sqrt(by_noise) / self.earth_horizontal,
+            turned=-yaw_between(before[-1], self.attitude) if before else 0.0,
         )
 
     def headings(self, run: int) -> list[PositionHeading]:

@@ -1,9 +1,9 @@
 """Rate of one position in horizontal axes, given each hypothesis about slow tilts and accelerometer drift.
 
 1. The strongest spectral line of the sway is fitted beside a slow trend, and subtracted.
-2. The rest is averaged in Hann windows that overlap by half: an angle that stays bounded falls out of their
-   mean, as their sum is flat with smooth ends.  The scatter of the cells about a slow trend is their noise,
-   and a cell far beyond that is a knock.
+2. The rest is averaged in cells, Hann windows that overlap by half: an angle that stays bounded falls out of
+   their mean, as their sum is flat with smooth ends.  The scatter of the cells about a slow trend is their
+   noise, and a cell far beyond that is a knock.
 3. One linear regression, complex (forward + i left), on the cells::
 
        gyros                       y = c + b + Σ A_k d/dt s_k + noise                  c earth rate, b bias
@@ -18,15 +18,16 @@ have warmed up, or warm up.  Mean, variance and evidence are closed forms; c + b
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from imumon.blocks import BoolArray, ColumnArray, FloatArray
-from imumon.estimation.alignment.parameters import RemainingWarmUp
+from imumon.estimation.alignment.parameters import ANY_WARM_UP, KnownWarmUp
+from imumon.estimation.alignment.position import Position, PositionFit, upright
+from imumon.geodesy import EARTH_RATE, STANDARD_GRAVITY
 
 CELLS = (96, 24, 6)
-"""Candidate numbers of windows in a record; ablation: 48 alone makes 2.6 times the error."""
+"""Candidate numbers of cells in a record; ablation: 48 alone makes 2.6 times the error."""
 MIN_CELLS = 5
 """Fewer used cells give no scatter about a trend."""
 OVERLAP = 1.0 / 6.0
@@ -53,210 +54,164 @@ LINE_RATIO = 40.0
 a bin."""
 SETTLING_TAU_S = np.geomspace(5.0, 640.0, 8)
 """Time constants of a tripod that settles, in octaves."""
-TILT_SD, NOTHING = (1e-5, 1e-4, 1e-3), 1e-9
-"""rad: sizes of a tilt; rad or g: what is none."""
-P_SETTLES = 0.3
-"""Prior probability of a settling tripod.  With 0.03 a slow tilt passes for a bias, 9 sigma off."""
-WALK = 1e-7
-"""Random walk of a warmed-up accelerometer, g/√s.  A drift of 1 µg is read as a tilt of 1 µrad."""
-OFFSET_SD = 1e-3
-"""Standard deviation of the constant part of α, and of its step in a knock, rad."""
-LIKELY = -15.0
-"""Log weight relative to the largest below which a hypothesis is dropped."""
+NOTHING = 1e-9
+"""rad or g: standard deviation of an amplitude that is none."""
+TILT_SD, P_SETTLES = (1e-5, 1e-4, 1e-3), 0.3
+"""Standard deviation of the amplitudes of a tripod that settles, rad, and the prior probability that it does.
+With 0.03 a slow tilt passes for a bias, 9 sigma off."""
+TILTS = np.array(
+    [
+        [sd if abs(k - middle) <= 1 else NOTHING for k in range(len(SETTLING_TAU_S))]
+        for sd in TILT_SD
+        for middle in range(1, len(SETTLING_TAU_S) - 1)
+    ]
+)
+"""Standard deviation of each amplitude, rad, (18, 8): three neighbouring exponentials of one size."""
+OFFSET_SD, WALK, LEAST_NOISE = 1e-3, 1e-7, 1e-14
+"""Standard deviation of the constant part of α and of its step in a knock, rad, random walk of a warmed-up
+accelerometer, g/√s, and smallest variance of a cell of α, rad²."""
 
 
-def tilt_hypotheses(neighbours: int = 3) -> FloatArray:
-    """Return the prior sd of the amplitude of each exponential, rad, (19, 8).
+def eliminate(
+    matrix: FloatArray, vector: FloatArray, sd: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Integrate a Gaussian over its last m unknowns, which have the prior N(0, sd²), `sd` (..., m).
 
-    The first hypothesis is that the unit stands; in the others some neighbouring exponentials have one size.
+    Its log density is η'x - ½ x'Λx, with the `matrix` Λ (..., n, n), and the `vector` η (..., n, k) of k sets
+    of unknowns with the same Λ, such as the real parts of complex ones.  Returns Λ and η of the other
+    unknowns, and the log density of what does not depend on them, (...).
     """
-    all_tau = len(SETTLING_TAU_S)
-    offset = np.arange(all_tau) - np.arange(all_tau - neighbours + 1)[:, None]
-    chosen = (offset >= 0) & (offset < neighbours)
-    settles = [np.where(chosen, size, NOTHING) for size in TILT_SD]
-    return np.concatenate([np.full((1, all_tau), NOTHING), *settles])
+    kept, sets = matrix.shape[-1] - sd.shape[-1], vector.shape[-1]
+    precision = matrix[..., kept:, kept:] + np.eye(sd.shape[-1]) / sd[..., None, :] ** 2
+    covariance, last = np.linalg.inv(precision), vector[..., kept:, :]
+    gain = matrix[..., :kept, kept:] @ covariance
+    log_density = 0.5 * np.sum(last * (covariance @ last), axis=(-2, -1))
+    log_density -= sets * (0.5 * np.linalg.slogdet(precision)[1] + np.log(sd).sum(axis=-1))
+    remaining = matrix[..., :kept, :kept] - gain @ matrix[..., kept:, :kept]
+    return remaining, vector[..., :kept, :] - gain @ last, log_density
 
 
-TILTS = tilt_hypotheses()
+def fit_position(record: Position, latitude: float, known: KnownWarmUp | None) -> PositionFit | None:
+    """Return the fit of a position; None if its record is too short, or if the unit creeps.
 
-
-class Information(NamedTuple):
-    """A Gaussian in information form, log density η'x - ½ x'Λx + const, of n unknowns x.
-
-    `matrix` Λ is (..., n, n), and `vector` η (..., n, k) for k independent sets of unknowns, such as the real
-    parts of complex ones.
+    The latitude is in rad; a known warm-up of the accelerometers is subtracted.
     """
-
-    matrix: FloatArray
-    vector: FloatArray
-
-    def plus(self, other: Information) -> Information:
-        """Return the information of independent data taken together."""
-        return Information(self.matrix + other.matrix, self.vector + other.vector)
-
-    def without(self, sd: FloatArray) -> tuple[Information, FloatArray]:
-        """Eliminate the last m unknowns, N(0, sd²), `sd` (..., m).
-
-        Returns the information on the others, and the log density of what does not depend on them, (...).
-        """
-        kept, sets = self.matrix.shape[-1] - sd.shape[-1], self.vector.shape[-1]
-        precision = self.matrix[..., kept:, kept:] + np.eye(sd.shape[-1]) / sd[..., None, :] ** 2
-        covariance = np.linalg.inv(precision)
-        gain, vector = self.matrix[..., :kept, kept:] @ covariance, self.vector[..., kept:, :]
-        log_density = 0.5 * np.sum(vector * (covariance @ vector), axis=(-2, -1))
-        log_density -= sets * (0.5 * np.linalg.slogdet(precision)[1] + np.log(sd).sum(axis=-1))
-        rest = Information(
-            self.matrix[..., :kept, :kept] - gain @ self.matrix[..., kept:, :kept],
-            self.vector[..., :kept, :] - gain @ vector,
-        )
-        return rest, log_density
-
-
-class HorizontalRows(NamedTuple):
-    """The rows of a position in horizontal axes, complex: forward + i left.
-
-    `rate` (n,) are the horizontal gyros, rad/s, in axes that follow the horizon of the accelerometers,
-    `vertical` (n,) is the vertical gyro, and `alpha` (n,) the tilt by the accelerometers, rad, whose
-    derivative is a part of the rate; `attitude` (3, 3) is from body axes by the mean specific force.
-    """
-
-    row_s: float
-    valid: BoolArray
-    rate: ColumnArray
-    vertical: FloatArray
-    alpha: ColumnArray
-    attitude: FloatArray
-
-
-class PositionFit(NamedTuple):
-    """Rate of one position given each of h likely hypotheses, in horizontal axes.
-
-    `log_weight` (h,) is that of prior and evidence, the largest 0; `rate` (h,) earth rate and bias, rad/s,
-    with the variance of each part; `vertical` is the vertical gyro, rad/s, and `white` the white noise of the
-    quietest gyro, (rad/s)²/Hz; `attitude` as in `HorizontalRows`.
-    """
-
-    log_weight: FloatArray
-    rate: ColumnArray
-    variance: FloatArray
-    vertical: float
-    vertical_variance: float
-    white: float
-    attitude: FloatArray
-
-    def averaged(self) -> PositionFit:
-        """Return the fit with one hypothesis that has the mean and the variance of all."""
-        weight = np.exp(self.log_weight)
-        weight /= weight.sum()
-        mean = weight @ self.rate
-        variance = weight @ (self.variance + 0.5 * np.abs(self.rate - mean) ** 2)
-        return self._replace(log_weight=np.zeros(1), rate=np.array([mean]), variance=np.array([variance]))
-
-
-class Cells(NamedTuple):
-    """A division of a record of n rows into J cells.
-
-    `windows` (J, n) are the weights of the rows, `used` (J,) the cells of valid rows without a knock, and
-    `rate` (J,) their horizontal rates, rad/s, with the variance of each part; `vertical` is the mean of the
-    vertical gyro, and `white` the white noise of the quietest axis, (rad/s)²/Hz.
-    """
-
-    windows: FloatArray
-    used: BoolArray
-    rate: ColumnArray
-    variance: float
-    vertical: float
-    vertical_variance: float
-    white: float
-
-
-def fit_position(data: HorizontalRows, warm_up: RemainingWarmUp) -> PositionFit | None:
-    """Return the fit of one position given each hypothesis; None if the record is too short."""
-    n, dt = len(data.rate), data.row_s
+    valid, gyro, alpha, attitude = _horizontal(record, known)
+    n, dt = len(valid), record.row_s
+    if creeps(gyro[:, 2], valid, dt):
+        return None
+    rate = gyro[:, 0] + 1j * gyro[:, 1] - 1j * alpha * EARTH_RATE * math.sin(latitude)
     courses = -np.expm1(-dt * np.arange(n + 1.0)[:, None] / SETTLING_TAU_S)
     slopes, middles = np.diff(courses, axis=0) / dt, 0.5 * (courses[1:] + courses[:-1])
-    slow = np.column_stack([_trend(n, TREND_ORDER), slopes])
-    (rate, alpha), line = _without_sway(data.rate, data.alpha, data.valid, slow)
-    cells = _divide(data, rate)
+    (steady, level), line = _without_sway(rate, alpha, valid, np.hstack([_trend(n, TREND_ORDER), slopes]))
+    cells = _divide(steady, valid)
     if cells is None:
         return None
-    windows, used, warm_ups = cells.windows, cells.used, len(warm_up.tau_s)
-    mean_rate = complex(cells.rate[used].mean())
-    uncertain = windows[used] @ line
-    by_gyros = _information(
-        np.column_stack([np.ones(n), slopes, np.zeros((n, warm_ups))]),
-        cells.rate - mean_rate, windows, used, cells.variance * _correlation(used) + uncertain @ uncertain.T,
-    )  # fmt: skip
-    levels, time_s = windows @ alpha, dt * (windows @ np.arange(n))
-    noise, level, _ = _scatter(levels, used, TREND_ORDER)
-    walk = OFFSET_SD**2 + WALK**2 * np.minimum.outer(time_s[level], time_s[level])
-    covariance = noise * _correlation(level) + walk + 1e-14 * np.eye(level.sum())
-    for knock_s in time_s[~level & np.r_[True, level[:-1]]]:  # the offset is unknown anew behind it
-        covariance += OFFSET_SD**2 * np.outer(time_s[level] > knock_s, time_s[level] > knock_s)
-    warm = -np.expm1(-dt * (np.arange(n)[:, None] + 0.5) / np.array(warm_up.tau_s))
-    by_accelerometers = _information(
-        np.column_stack([np.zeros(n), middles, warm]),
-        levels - levels[level].mean(), windows, level, covariance,
-    )  # fmt: skip
-    log_weight, rate, variance = _of_each_hypothesis(by_gyros.plus(by_accelerometers), warm_up)
-    likely = log_weight > log_weight.max() + LIKELY
+    windows, used, variance = cells
+    warm_sd, warm_tau_s = ANY_WARM_UP if known is None else known.remaining
+    warm = -np.expm1(-dt * (np.arange(n)[:, None] + 0.5) / np.array(warm_tau_s))
+    y, swing = windows[used] @ steady, windows[used] @ line
+    matrix, vector = _information(
+        windows[used] @ np.hstack([np.ones((n, 1)), slopes, 0.0 * warm]),
+        y - y.mean(),
+        variance * _correlation(used) + swing @ swing.T,
+    )
+    of_level, covariance = _level_noise(windows @ level, used, dt * (windows @ np.arange(n)))
+    by_level = _information(
+        windows[of_level] @ np.hstack([np.zeros((n, 1)), middles, warm]),
+        windows[of_level] @ level - (windows[of_level] @ level).mean(),
+        covariance,
+    )
+    log_weight, rates, variances = _given_each_hypothesis(
+        matrix + by_level[0], vector + by_level[1], warm_sd, len(warm_tau_s)
+    )
+    up = windows @ gyro[:, 2]
+    up_variance, up_used, _ = _scatter(up, used, 1)
     return PositionFit(
-        log_weight=log_weight[likely] - log_weight.max(),
-        rate=rate[likely] + mean_rate,
-        variance=variance[likely],
-        vertical=cells.vertical,
-        vertical_variance=cells.vertical_variance,
-        white=cells.white,
-        attitude=data.attitude,
+        log_weight=log_weight,
+        rate=rates + y.mean(),
+        variance=variances,
+        vertical=float(up[up_used].mean()),
+        vertical_variance=(1.0 + 2.0 * OVERLAP) * up_variance / float(up_used.sum()),
+        white=min(variance, up_variance) * dt / float(np.sum(windows[0] ** 2)),
+        attitude=attitude,
+        gyro_mean=complex(rate[valid].mean()),
+        hann_mean=complex(np.hanning(valid.sum()) @ rate[valid]),
     )
 
 
+def _level_noise(levels: ColumnArray, used: BoolArray, time_s: FloatArray) -> tuple[BoolArray, FloatArray]:
+    """Return which cells of α, rad, have no knock, (J,), and the covariance of these, (m, m)."""
+    noise, used, _ = _scatter(levels, used, TREND_ORDER)
+    walk = OFFSET_SD**2 + WALK**2 * np.minimum.outer(time_s[used], time_s[used])
+    for knock_s in time_s[~used & np.r_[True, used[:-1]]]:  # the offset is unknown anew behind it
+        walk += OFFSET_SD**2 * np.outer(time_s[used] > knock_s, time_s[used] > knock_s)
+    return used, (noise + LEAST_NOISE) * _correlation(used) + walk
+
+
+def _horizontal(
+    record: Position, known: KnownWarmUp | None
+) -> tuple[BoolArray, FloatArray, ColumnArray, FloatArray]:
+    """Return the rows of a position in horizontal axes, and these axes.
+
+    These are which rows have samples, (n,), the gyros, rad/s, (n, 3), α, rad, (n,), and the attitude from
+    body axes by the mean specific force, (3, 3).
+    """
+    valid, means = record.rows()
+    force = means[:, 3:] / STANDARD_GRAVITY
+    attitude = upright(record.attitude[0], force[valid].mean(axis=0))
+    if known is not None:
+        time_s = record.begun_s + record.row_s * (np.arange(len(valid)) + 0.5)
+        force -= known.bias_g(np.asarray(time_s, np.float64))
+    force = force @ attitude.T
+    return valid, means[:, :3] @ attitude.T, np.where(valid, force[:, 1] - 1j * force[:, 0], 0.0), attitude
+
+
 def _information(
-    design: FloatArray, data: ColumnArray, windows: FloatArray, used: BoolArray, covariance: FloatArray
-) -> Information:
-    """Return the information of the used cells: data (J,) = windows design (n, k) x + noise."""
-    design, data = windows[used] @ design, data[used]
+    design: FloatArray, data: ColumnArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return Λ (k, k) and η (k, 2) of complex data (m,) = design (m, k) x + noise in each part."""
     weighted = np.linalg.solve(covariance, design).T
-    return Information(weighted @ design, weighted @ np.column_stack([data.real, data.imag]))
+    return weighted @ design, weighted @ np.column_stack([data.real, data.imag])
 
 
-def _of_each_hypothesis(
-    known: Information, warm_up: RemainingWarmUp
+def _given_each_hypothesis(
+    matrix: FloatArray, vector: FloatArray, warm_sd: float, warm_ups: int
 ) -> tuple[FloatArray, ColumnArray, FloatArray]:
-    """Return log weight, mean rate and variance of each part, of standing or settling, warm or not, (38,)."""
-    sizes = np.array([[NOTHING], [warm_up.sd]]) * np.ones(len(warm_up.tau_s))
-    sd = np.hstack([np.tile(TILTS, (2, 1)), np.repeat(sizes, len(TILTS), axis=0)])
-    of_rate, evidence = known.without(sd)
-    precision = of_rate.matrix[:, 0, 0]
-    mean = of_rate.vector[:, 0, :] / precision[:, None]
-    prior = np.r_[1.0 - P_SETTLES, np.full(len(TILTS) - 1, P_SETTLES / (len(TILTS) - 1))]
-    evidence += 0.5 * precision * np.sum(mean**2, axis=1) - np.log(precision) + np.log(np.tile(prior, 2))
-    return evidence, mean @ np.array([1.0, 1j]), 1.0 / precision
+    """Return log weight, mean rate, rad/s, and variance of each part of 38 hypotheses.
+
+    The unit stands, or settles, with accelerometers that have warmed up, and that warm up.
+    """
+    stands = np.full((1, len(SETTLING_TAU_S)), NOTHING)
+    prior = np.r_[1.0 - P_SETTLES, np.full(len(TILTS), P_SETTLES / len(TILTS))]
+    drift = np.repeat([[NOTHING], [warm_sd]], len(prior), axis=0) * np.ones(warm_ups)
+    sd = np.hstack([np.tile(np.vstack([stands, TILTS]), (2, 1)), drift])
+    precision, of_rate, evidence = eliminate(matrix, vector, sd)
+    variance = 1.0 / precision[:, 0, 0]
+    mean = of_rate[:, 0, :] * variance[:, None]
+    evidence += 0.5 * np.sum(mean**2, axis=1) / variance + np.log(variance) + np.log(np.tile(prior, 2))
+    return evidence, mean @ np.array([1.0, 1j]), variance
 
 
-def _divide(data: HorizontalRows, rate: ColumnArray) -> Cells | None:
+def _divide(rate: ColumnArray, valid: BoolArray) -> tuple[FloatArray, BoolArray, float] | None:
     """Return the division into cells with the smallest variance of the mean; None if the record is too short.
 
-    Longer cells suppress more sway, but estimate the noise from fewer degrees of freedom: they must be better
-    by the standard deviation of that estimate.
+    It has the weights of the rows in each cell, (J, n), which cells have all rows and no knock, (J,), and the
+    variance of each part of a cell.  Longer cells suppress more sway, but estimate the noise from fewer
+    degrees of freedom: they must be better by the standard deviation of that estimate.
     """
     best, smallest, n = None, math.inf, len(rate)
     for count in CELLS:
         if n < 2 * (count + 1):
             continue
         windows = hann_windows(n, count)
-        used = windows @ ~data.valid == 0.0
+        used = windows @ ~valid == 0.0
         if used.sum() < MIN_CELLS:
             continue
-        cells, vertical = windows @ rate, windows @ data.vertical
-        up_variance, up_used, _ = _scatter(vertical, used, 1)
-        variance, used, freedom = _scatter(cells, used, TREND_ORDER)
-        of_mean = (1.0 + 2.0 * OVERLAP) / float(used.sum())
-        if variance * of_mean * (1.0 + math.sqrt(2.0 / max(freedom, 1.0))) < smallest:
-            smallest = variance * of_mean
-            white = min(variance, up_variance) * data.row_s / float(np.sum(windows[0] ** 2))
-            mean = float(vertical[up_used].mean())
-            best = Cells(windows, used, cells, variance, mean, up_variance * of_mean, white)
+        variance, used, freedom = _scatter(windows @ rate, used, TREND_ORDER)
+        of_mean = variance / float(used.sum())
+        if of_mean * (1.0 + math.sqrt(2.0 / max(freedom, 1.0))) < smallest:
+            best, smallest = (windows, used, variance), of_mean
     return best
 
 
@@ -293,35 +248,35 @@ def _trend(n: int, order: int) -> FloatArray:
     return np.asarray(np.polynomial.chebyshev.chebvander((np.arange(n) + 0.5) / n * 2.0 - 1.0, order - 1))
 
 
-def creeps(data: HorizontalRows) -> bool:
-    """Return whether the unit turns slowly about the vertical, at a rate that changes."""
-    n = len(data.valid)
+def creeps(vertical: FloatArray, valid: BoolArray, row_s: float) -> bool:
+    """Return whether the vertical gyro, rad/s, (n,), shows a slow turn at a rate that changes."""
+    n = len(valid)
     if n < 2 * (CREEP_CELLS + 1):
         return False
     windows = hann_windows(n, CREEP_CELLS)
-    means = (windows @ data.vertical)[windows @ ~data.valid == 0.0]
+    means = (windows @ vertical)[windows @ ~valid == 0.0]
     if len(means) < MIN_CELLS:
         return False
-    yaw = np.cumsum(means - means.mean()) * data.row_s * n / (CREEP_CELLS + 1)
-    steps = np.diff(data.vertical[data.valid])
+    steps = np.diff(vertical[valid])
     steps = steps[steps != 0.0]  # a sample may fill several rows
-    noise = math.sqrt(0.5 * steps @ steps) * data.row_s * n / max(len(steps), 1)
+    noise = math.sqrt(0.5 * steps @ steps) * row_s * n / max(len(steps), 1)
+    yaw = np.cumsum(means - means.mean()) * row_s * n / (CREEP_CELLS + 1)
     return float(np.ptp(yaw)) > max(CREEP_YAW, CREEP_NOISE * noise)
 
 
 def _without_sway(
     rate: ColumnArray, alpha: ColumnArray, valid: BoolArray, slow: FloatArray
 ) -> tuple[ColumnArray, FloatArray]:
-    """Return rates, rad/s, and α, rad, of horizontal axes, (n,) each, without the strongest line, (2, n).
+    """Return rate, rad/s, and α, rad, (n,) each, without the strongest line of the rate, (2, n).
 
-    The line is found in the rate, and fitted beside slow functions of time, (n, m).  Cosine and sine have an
-    amplitude that may change along the record, and the frequency by a fraction of a period in the record.
-    The second result are these functions times the amplitude, (n, 4) or (n, 0), rad/s: its uncertainty.
+    The line is fitted beside slow functions of time, (n, m).  Cosine and sine have an amplitude that may
+    change along the record, and the frequency by a fraction of a period in the record.  The second result
+    are these functions times the amplitude, (n, 4) or (n, 0), rad/s: its uncertainty.
     """
     n, given = len(rate), np.column_stack([rate, alpha])
     slow = slow / np.sqrt(np.sum(slow**2, axis=0))
-    left = rate - slow @ _amplitudes(slow, rate, valid)
-    omega = _strongest(left * valid * np.hanning(n + 2)[1:-1]) if n >= LEAST_ROWS else None
+    left = (rate - slow @ _amplitudes(slow, rate, valid)) * valid
+    omega = _strongest(left * np.hanning(n + 2)[1:-1]) if n >= LEAST_ROWS else None
     if omega is None:
         return given.T, np.zeros((n, 0))
     row = (np.arange(n) - 0.5 * (n - 1))[:, None]
@@ -329,8 +284,8 @@ def _without_sway(
     line = np.hstack([wave, wave * row / (0.5 * n)])
     columns = np.hstack([slow, line])
     amplitudes = _amplitudes(columns, given, valid)
-    remains = rate - columns @ amplitudes[:, 0]
-    share = np.sum(np.abs(remains[valid]) ** 2) / np.sum(np.abs(left[valid]) ** 2)
+    remains = (rate - columns @ amplitudes[:, 0]) * valid
+    share = np.sum(np.abs(remains) ** 2) / np.sum(np.abs(left) ** 2)
     if omega * n < FEW_PERIODS * math.tau and share > RESIDUAL_SHARE:
         return given.T, np.zeros((n, 0))
     swing = line @ amplitudes[-4:]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -19,11 +19,8 @@ _Micro = Annotated[float, Field(ge=-1e5, le=1e5)]
 _Seconds = Annotated[float, Field(gt=0.0, le=1e5)]
 
 
-class RemainingWarmUp(NamedTuple):
-    """Warm-up of the accelerometers: standard deviation of its amplitudes, g, and their time constants, s."""
-
-    sd: float = 1e-4
-    tau_s: tuple[float, ...] = (100.0, 300.0, 1000.0)
+ANY_WARM_UP = 1e-4, (100.0, 300.0, 1000.0)
+"""Warm-up of accelerometers: standard deviation of its amplitudes, g, and their time constants, s."""
 
 
 class KnownWarmUp(StrictModel):
@@ -54,13 +51,13 @@ class KnownWarmUp(StrictModel):
         return np.asarray(1e-6 * course * np.array(self.amplitude_ug))
 
     @property
-    def remaining(self) -> RemainingWarmUp:
-        """What remains of the warm-up when this is subtracted; that of any unit if no sd is given."""
+    def remaining(self) -> tuple[float, tuple[float, ...]]:
+        """What remains of the warm-up when this is subtracted, as `ANY_WARM_UP`; that if no sd is given."""
         if self.amplitude_sd_ug is None:
-            return RemainingWarmUp()
+            return ANY_WARM_UP
         largest, mean_s = max(map(abs, self.amplitude_ug)), sum(self.time_constant_s) / 3.0
         sd_ug = math.hypot(self.amplitude_sd_ug, self.time_constant_sd_s / mean_s * largest)
-        return RemainingWarmUp(1e-6 * sd_ug, tuple(sorted(set(self.time_constant_s))))
+        return 1e-6 * sd_ug, tuple(sorted(set(self.time_constant_s)))
 
 
 class AlignmentParameters(StrictModel):
@@ -79,8 +76,9 @@ class AlignmentParameters(StrictModel):
     gyro_flicker_deg_per_h : float, optional
         Standard deviation by which the bias changes from position to position: the bias instability.
     gyro_scale_sd_ppm : float, optional
-        Standard deviation of a gyro's scale factor and misalignment: the relative
-        error of a turn between two positions.  Default: a regression on the noise, and 300 at least.
+        Standard deviation of a gyro's scale factor and misalignment: the relative error of a turn between
+        two positions, and, if declared, of the earth rate at rest.  Default: a regression on the noise, and
+        300 at least.
     accel_bias_sd_ug : float, optional
         Standard deviation of the constant bias of an accelerometer; it tilts the horizon.  Default:
         a regression on the noise of the gyros, and 750 at least.
@@ -109,14 +107,16 @@ def known_warm_up(model: BiasModel | None) -> KnownWarmUp | None:
     channel's residual, unless an accelerometer has other effects: it may drift by these.
     """
     channels = {} if model is None else model.channels
-    accels = {axis: channels[f"accel_{axis}"] for axis in "xyz" if f"accel_{axis}" in channels}
-    effects = [(axis, effect) for axis, channel in accels.items() for effect in channel.effects]
-    warm_ups = {axis: effect for axis, effect in effects if isinstance(effect, WarmUp)}
+    accels = [channels.get(f"accel_{axis}") for axis in "xyz"]
+    effects = [[] if accel is None else accel.effects for accel in accels]
+    found = [next((effect for effect in of if isinstance(effect, WarmUp)), None) for of in effects]
+    warm_ups = [one for one in found if one is not None]
     if not warm_ups:
         return None
-    alone, some = len(warm_ups) == len(effects), next(iter(warm_ups.values()))
+    residual = max(accel.residual_sd for accel, one in zip(accels, found, strict=True) if accel and one)
+    alone = len(warm_ups) == sum(map(len, effects))
     return KnownWarmUp(
-        amplitude_ug=[-warm_ups[a].coefficients[0] / MICRO_G if a in warm_ups else 0.0 for a in "xyz"],
-        time_constant_s=[warm_ups.get(a, some).time_constant_s for a in "xyz"],
-        amplitude_sd_ug=max(accels[a].residual_sd for a in warm_ups) / MICRO_G or None if alone else None,
+        amplitude_ug=[-one.coefficients[0] / MICRO_G if one else 0.0 for one in found],
+        time_constant_s=[(one or warm_ups[0]).time_constant_s for one in found],
+        amplitude_sd_ug=residual / MICRO_G or None if alone else None,
     )

@@ -1,17 +1,21 @@
-"""What a unit at rest in one position measured, in rows of equal length."""
+"""Which slots are rest and which are turns, and what a unit at rest in one position measured.
+
+A turn is followed by the gyros, sample by sample (`imumon.filters.turns`), less what they read at rest.
+"""
 
 from __future__ import annotations
 
 import math
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import BoolArray, FloatArray
-from imumon.estimation.alignment.fit import HorizontalRows, PositionFit
-from imumon.estimation.alignment.parameters import KnownWarmUp
-from imumon.geodesy import STANDARD_GRAVITY, forward
+from imumon.blocks import BoolArray, ColumnArray, FloatArray
+from imumon.filters.turns import STILL, Turn, angle_of
+from imumon.geodesy import EARTH_RATE, forward
 
 SLOT_S = 0.25
 """Length of the slots into which samples are gathered: motion is detected, and rows are filled, four times a
@@ -19,6 +23,18 @@ second."""
 CAPACITY = 4096
 """Largest number of rows of a record: 17 minutes of slots; then rows are merged in pairs, so that the time of
 a fit stays bounded."""
+
+MOTION_RATE, LIMIT_FACTOR = 1e-3, 5.0
+"""A rate is motion that differs from the median at rest by more than 1 mrad/s (slower than any hand; less is
+sway, noise or creep), and by more than 5 times the largest deviation of the last 30 s."""
+SWAYING_RATE = 20e-3
+"""rad/s: at the start, a rate that varies by less for 10 s is taken for rest."""
+CALM_SLOTS, SWAYING_SLOTS, MEDIAN_SLOTS = 8, 40, 120
+"""Slots: 2 s of calm are a rest, 10 s of sway at the start; the rate at rest is the median of 30 s."""
+MOST_PENDING = 480
+"""Slots: 2 minutes of a motion, or before the first rest, may turn out to be rest; what is older is lost."""
+SAME_ATTITUDE, SHORT_PATH = 1e-3, 20e-3
+"""rad: a turn by less (0.06°, the noise of 1 °/√h in 10 s) on a path of less leaves the attitude as it is."""
 
 
 class Slot(NamedTuple):
@@ -44,6 +60,34 @@ class Slot(NamedTuple):
         return SLOT_S * (self.number + 1)
 
 
+class PositionFit(NamedTuple):
+    """Rate of one position given each of h hypotheses, in horizontal axes, complex: forward + i left.
+
+    `log_weight` (h,) is that of prior and evidence; `rate` (h,) earth rate and bias, rad/s, with the variance
+    of each part; `vertical` is the vertical gyro, rad/s, and `white` the white noise of the quietest gyro,
+    (rad/s)²/Hz; `attitude` (3, 3) is from body axes.  `gyro_mean` and `hann_mean` have the directions of the
+    plain and the Hann-weighted mean of the gyros.
+    """
+
+    log_weight: FloatArray
+    rate: ColumnArray
+    variance: FloatArray
+    vertical: float
+    vertical_variance: float
+    white: float
+    attitude: FloatArray
+    gyro_mean: complex
+    hann_mean: complex
+
+    def averaged(self) -> PositionFit:
+        """Return the fit with one hypothesis that has the mean and the variance of all."""
+        weight = np.exp(self.log_weight - self.log_weight.max())
+        weight /= weight.sum()
+        mean = weight @ self.rate
+        variance = weight @ (self.variance + 0.5 * np.abs(self.rate - mean) ** 2)
+        return self._replace(log_weight=np.zeros(1), rate=np.array([mean]), variance=np.array([variance]))
+
+
 @dataclass
 class Position:
     """A rest in one attitude: sums over its slots, in rows of `slots_per_row` slots.
@@ -61,6 +105,8 @@ class Position:
     azimuth_variance: float = 0.0
     number: int = 1
     fit: PositionFit | None = None
+    yaw_since_fit: float = 0.0
+    """Angle about the vertical since the last fit by its gyro, less the mean in that fit, rad."""
     slots_per_row: int = 1
     slots: int = 0
     """Slots from the first to the last."""
@@ -68,6 +114,9 @@ class Position:
 
     def add(self, slot: Slot) -> None:
         """Add a slot at rest."""
+        if self.fit is not None:
+            still = float(self.attitude[2] @ slot.rate) - self.fit.vertical
+            self.yaw_since_fit += SLOT_S * slot.length * still
         end = slot.number + 1 - self.first_slot
         while end > CAPACITY * self.slots_per_row:
             pairs = self.sums.reshape(-1, 2, 7).sum(axis=1)
@@ -110,22 +159,6 @@ class Position:
         count = sums[:, 0]
         return count > 0.0, sums[:, 1:] / np.maximum(count, 1.0)[:, None]
 
-    def horizontal(self, earth_vertical: float, known: KnownWarmUp | None) -> HorizontalRows:
-        """Return the complete rows in horizontal axes; of the attitude only the azimuth is used.
-
-        `earth_vertical` is Ω sin L, rad/s; a known warm-up of the accelerometers is subtracted.
-        """
-        valid, means = self.rows()
-        attitude = upright(self.attitude[0], means[valid, 3:].mean(axis=0))
-        force = means[:, 3:] / STANDARD_GRAVITY
-        if known is not None:
-            time_s = self.begun_s + self.row_s * (np.arange(len(means)) + 0.5)
-            force -= known.bias_g(np.asarray(time_s, np.float64))
-        force, rate = force @ attitude.T, means[:, :3] @ attitude.T
-        alpha = np.where(valid, force[:, 1] - 1j * force[:, 0], 0.0)
-        horizontal = rate[:, 0] + 1j * rate[:, 1] - 1j * alpha * earth_vertical
-        return HorizontalRows(self.row_s, valid, horizontal, rate[:, 2], alpha, attitude)
-
 
 def upright(ahead: FloatArray, force: FloatArray) -> FloatArray:
     """Return the attitude, body to horizontal axes, (3, 3), with this specific force upward.
@@ -148,3 +181,89 @@ def yaw_between(before: FloatArray, after: FloatArray) -> float:
     """Return the angle about the vertical between two attitudes, rad, counter-clockwise from above."""
     turn = after @ before.T
     return math.atan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
+
+
+class Motion:
+    """The motion detector."""
+
+    def __init__(self) -> None:
+        self.rest_rate: FloatArray | None = None
+        """Median rate at rest, rad/s, (3,); None before the first rest."""
+        self.limit = MOTION_RATE
+        """Distance from it that is still rest, rad/s."""
+        self.recent: deque[FloatArray] = deque(maxlen=MEDIAN_SLOTS)
+        """Rates of slots at rest."""
+        self.pending: deque[Slot] = deque(maxlen=MOST_PENDING)
+        """Slots of the motion; before the first rest, those that may belong to it."""
+        self.turn: Turn = STILL
+        """Since the motion began."""
+        self.begun_s = self.ended_s = 0.0
+        """Of the motion, s since the first sample."""
+
+    @property
+    def moving(self) -> bool:
+        """Whether the unit moves, or came to rest less than 2 s ago."""
+        return self.rest_rate is not None and bool(self.pending)
+
+    def step(self, slot: Slot, at_rest: bool, turn: Turn) -> tuple[list[Slot], bool]:
+        """Return the slots at rest that are known with this slot and its turn, and whether a rest begins.
+
+        There are none before the first rest and in motion.  After a motion that leaves the attitude as it was
+        they are all of its slots; a rest that begins, the first one or after a turn, has those before it.
+        """
+        if self.rest_rate is None:
+            self.pending.append(slot)
+            return (list(self.pending), True) if at_rest and self._first_rest() else ([], False)
+        in_motion = self._is_motion(slot)
+        if not (self.pending or in_motion):
+            return [slot], False
+        if not self.pending:
+            self.begun_s = slot.ended_s - SLOT_S
+        if in_motion:
+            self.ended_s = slot.ended_s
+        self.pending.append(slot)
+        self.turn = self.turn.then(turn.less(self.rest_rate))
+        calm = list(self.pending)[-CALM_SLOTS:]
+        if any(self._is_motion(one) for one in calm):
+            return [], False
+        turned = angle_of(self.turn.rotation) > SAME_ATTITUDE or self.turn.path > SHORT_PATH
+        return calm if turned else list(self.pending), turned
+
+    def _first_rest(self) -> bool:
+        """Return whether the unit rests for the first time; if so, drop the slots before that rest."""
+        rates = np.array([one.rate for one in self.pending])[-SWAYING_SLOTS:]
+        calm = len(rates) >= CALM_SLOTS and np.ptp(rates[-CALM_SLOTS:], axis=0).max() < MOTION_RATE
+        if not (calm or (len(rates) == SWAYING_SLOTS and np.ptp(rates, axis=0).max() < SWAYING_RATE)):
+            return False
+        self._update_rest_rate(rates[-CALM_SLOTS:] if calm else rates)
+        while any(self._is_motion(one) for one in self.pending):
+            self.pending.popleft()
+        return True
+
+    def _is_motion(self, slot: Slot) -> bool:
+        assert self.rest_rate is not None
+        return float(np.abs(slot.rate - self.rest_rate).max()) > self.limit
+
+    def _update_rest_rate(self, rates: FloatArray) -> None:
+        self.rest_rate = np.median(rates, axis=0)
+        self.limit = max(MOTION_RATE, LIMIT_FACTOR * float(np.abs(rates - self.rest_rate).max()))
+
+    def add_rest(self, rest: Sequence[Slot]) -> None:
+        """Take slots at rest, with which a motion ends; update the median every 10 s."""
+        for slot in rest:
+            self.recent.append(slot.rate)
+            if slot.number % SWAYING_SLOTS < slot.length:
+                self._update_rest_rate(np.array(self.recent))
+        self.pending.clear()
+        self.turn = STILL
+
+    def azimuth_variance(self, up: FloatArray, scale_sd: float) -> float:
+        """Return the variance of the angle by which the unit has turned about the vertical, rad².
+
+        `up` (3,) is the vertical in body axes at the beginning, `scale_sd` is of scale factor and
+        misalignment.
+        """
+        # The earth rate turns against the body: up to all of it is wrong while it turns by a radian.
+        drift = EARTH_RATE * (self.ended_s - self.begun_s) * min(self.turn.path, 1.0)
+        by_scale = scale_sd**2 * float(np.sum(self.turn.scale_about(up) ** 2))
+        return by_scale + self.turn.sampling_variance(up) + drift**2

@@ -27,16 +27,18 @@ import numpy as np
 from scipy.special import i0e, i1e
 
 from imumon.blocks import FloatArray, IntArray
-from imumon.estimation.alignment.fit import Information, PositionFit
+from imumon.estimation.alignment.fit import eliminate
 from imumon.estimation.alignment.parameters import AlignmentParameters
+from imumon.estimation.alignment.position import PositionFit
 from imumon.estimation.alignment.report import ANY_ANGLE_SD
 from imumon.geodesy import DEG_PER_H, EARTH_RATE
 
-GYRO_BIAS = (2.0 * DEG_PER_H, 1.86, 0.0014 * DEG_PER_H, EARTH_RATE)
-GYRO_SCALE = (3e-4, 1.4, 3e-4, 0.03)
-ACCEL_BIAS = (7.5e-4, 1.4, 7.5e-4, 0.04)
-"""Regressions of the bias of a gyro, rad/s, scale factor and misalignment of a gyro, and the bias of an
-accelerometer, g: factor (N / 0.1 °/√h)^power, clipped to least and most."""
+GYRO_BIAS, BIAS_POWER, LEAST_NOISE = 2.0 * DEG_PER_H, 1.86, 0.02
+"""Regression of the bias of a gyro, rad/s, on the ratio of its noise to 0.1 °/√h, of which 0.02 counts at
+least; at most the earth rate."""
+GYRO_SCALE, ACCEL_BIAS, ERROR_POWER, MOST_ERROR = 3e-4, 7.5e-4, 1.4, 100.0
+"""Scale factor and misalignment of a gyro, and bias of an accelerometer, g, of gyros with 0.1 °/√h at most;
+of others they grow with this power of the ratio, up to 100 times."""
 LOG_SIZES, LOG_SIZE_SD = np.linspace(-4.0, 4.0, 9), 1.5
 """Logarithms of the sizes of a bias over that of the regression, and their standard deviation."""
 WORSE = np.array(
@@ -48,11 +50,9 @@ WORSE = np.array(
     ]
 )
 """Factors by which some gyros or all are worse than that, (35, 3): up to 31 °/h for the best of them."""
-P_WORSE = 0.003
-"""Prior probability of any of these factors (assumed), as rare as a normal value beyond three sigmas.
-Ablation: without it, errors are up to 39 sigma."""
-P_WORSE_THAN_DECLARED = 0.001
-"""Prior probability that a declared bias is exceeded by any of these factors (assumed)."""
+P_WORSE, P_WORSE_THAN_DECLARED = 0.003, 0.001
+"""Prior probabilities of any of these factors (assumed): over the regression, as rare as a normal value
+beyond three sigmas, and over a declared bias.  Ablation: without them, errors are up to 39 sigma."""
 DIRECTIONS = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
 """Starting points of the search for peaks on the circle, rad."""
 QUARTIC = 0.152
@@ -62,8 +62,8 @@ QUARTIC = 0.152
 class SensorErrors(NamedTuple):
     """Standard deviations of the errors of gyros and accelerometers.
 
-    `sizes` (s, 3) of the gyros' biases, rad/s, have the log probabilities `log_prior` (s,); `flicker` is the
-    change of a bias from position to position, rad/s; `scale` is a ratio; `accel_bias` is in g.
+    `sizes` (s, 3) of the gyros' biases, rad/s, have the log probabilities `log_prior` (s,); `flicker` is what
+    changes from position to position, rad/s; `scale` is a ratio; `accel_bias` is in g.
     """
 
     sizes: FloatArray
@@ -75,37 +75,38 @@ class SensorErrors(NamedTuple):
 
 def sensor_errors(noise: float, parameters: AlignmentParameters) -> SensorErrors:
     """Return the declared errors, and the regression on an angular random walk, rad/√s, for the others."""
-
-    def typical(factor: float, power: float, least: float, most: float) -> float:
-        return min(max(factor * math.pow(noise / (math.radians(0.1) / 60.0), power), least), most)
-
-    bias, p_worse = typical(*GYRO_BIAS), P_WORSE
-    alike, share = bias * np.exp(LOG_SIZES), np.exp(-0.5 * (LOG_SIZES / LOG_SIZE_SD) ** 2)
+    ratio = noise / (math.radians(0.1) / 60.0)
+    bias = min(GYRO_BIAS * max(ratio, LEAST_NOISE) ** BIAS_POWER, EARTH_RATE)
+    alike, share, p_worse = bias * np.exp(LOG_SIZES), np.exp(-0.5 * (LOG_SIZES / LOG_SIZE_SD) ** 2), P_WORSE
     if parameters.gyro_bias_sd_deg_per_h is not None:
         declared = max(parameters.gyro_bias_sd_deg_per_h * DEG_PER_H, 1e-11)  # zero has no logarithm
-        alike, share = np.array([declared]), np.ones(1)
         bias, p_worse = max(bias, declared), P_WORSE_THAN_DECLARED
-    worse = np.full(len(WORSE), p_worse / len(WORSE))
+        alike, share = np.array([declared]), np.ones(1)
+    poorer = min(max(ratio, 1.0) ** ERROR_POWER, MOST_ERROR)
     ppm, micro_g = parameters.gyro_scale_sd_ppm, parameters.accel_bias_sd_ug
+    flicker = parameters.gyro_flicker_deg_per_h
+    worse = np.full(len(WORSE), p_worse / len(WORSE))
     return SensorErrors(
         sizes=np.concatenate([np.tile(alike[:, None], (1, 3)), bias * WORSE]),
         log_prior=np.log(np.concatenate([(1.0 - p_worse) * share / share.sum(), worse])),
-        flicker=(parameters.gyro_flicker_deg_per_h or 0.0) * DEG_PER_H,
-        scale=typical(*GYRO_SCALE) if ppm is None else ppm * 1e-6,
-        accel_bias=typical(*ACCEL_BIAS) if micro_g is None else micro_g * 1e-6,
+        # A declared error of scale and misalignment changes the earth rate as a bias of that position would.
+        flicker=math.hypot((flicker or 0.0) * DEG_PER_H, (ppm or 0.0) * 1e-6 * EARTH_RATE),
+        scale=GYRO_SCALE * poorer if ppm is None else ppm * 1e-6,
+        accel_bias=ACCEL_BIAS * poorer if micro_g is None else micro_g * 1e-6,
     )
 
 
 class HeadingPosterior(NamedTuple):
-    """The posterior of the direction of north.
+    """Direction of north, counter-clockwise in the reference frame, rad, and its standard deviation.
 
-    `north` is counter-clockwise in the reference frame, rad, `sd` its standard deviation, and `bias_size`,
-    rad/s, the root mean square size of a gyro's bias.
+    `bias_size`, rad/s, is the root mean square size of a gyro's bias, with the part by the level, and `worse`
+    the probability that gyros are `WORSE` than declared or, if nothing is declared, than the regression.
     """
 
     north: float
     sd: float
     bias_size: float
+    worse: float
 
 
 def heading_posterior(
@@ -115,13 +116,11 @@ def heading_posterior(
 
     `azimuth_variances` (p,) are of the angle by which the unit was turned since the first position, rad².
     """
-    joint, log_density = _linear_model(fits, azimuth_variances, latitude, errors.flicker)
+    matrix, vector, log_density = _linear_model(fits, azimuth_variances, latitude, errors.flicker)
     sizes = np.hypot(errors.sizes, errors.accel_bias * EARTH_RATE * math.sin(latitude))
-    of_north, log_factor = Information(joint.matrix[:, None], joint.vector[:, None]).without(sizes)
+    matrix, vector, log_factor = eliminate(matrix[:, None], vector[:, None], sizes)
     log_weight = (log_density[:, None] + log_factor + errors.log_prior).ravel()
-    matrix, vector = of_north.matrix.reshape(-1, 2, 2), of_north.vector.reshape(-1, 2)
-    part, angle, height, sharpness = peaks(matrix, vector)
-
+    part, angle, height, sharpness = peaks(matrix.reshape(-1, 2, 2), vector.reshape(-1, 2))
     # Each peak is a von Mises distribution with this concentration; moments of their mixture.
     log_mass = log_weight[part] + height + np.log(i0e(sharpness))
     mass = np.exp(log_mass - log_mass.max())
@@ -133,28 +132,29 @@ def heading_posterior(
     return HeadingPosterior(
         north=north,
         sd=min(math.sqrt(np.sum(mass * (spread + off**2))), ANY_ANGLE_SD),
-        bias_size=math.sqrt(mass @ np.mean(errors.sizes**2, axis=1)[part % len(sizes)]),
+        bias_size=math.sqrt(mass @ np.mean(sizes**2, axis=1)[part % len(sizes)]),
+        worse=float(mass @ (part % len(sizes) >= len(sizes) - len(WORSE))),
     )
 
 
 def _linear_model(
     fits: Sequence[PositionFit], azimuth_variances: FloatArray, latitude: float, flicker: float
-) -> tuple[Information, FloatArray]:
-    """Return the information on z and b of each hypothesis, (h,), and the log density without them, (h,)."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return Λ and η of z and b given each hypothesis, (h, 5, 5) and (h, 5, 1), and its log weight, (h,)."""
     horizontal, vertical = EARTH_RATE * math.cos(latitude), EARTH_RATE * math.sin(latitude)
-    model = Information(np.zeros((1, 5, 5)), np.zeros((1, 5, 1)))
+    matrix, vector = np.zeros((1, 5, 5)), np.zeros((1, 5, 1))
     log_density = fits[-1].log_weight
     for fit, azimuth_variance in zip(fits, azimuth_variances[-1] - azimuth_variances, strict=True):
-        rate = fit.rate
-        observed = np.column_stack([rate.real, rate.imag, np.full(len(rate), fit.vertical - vertical)])
+        one = np.ones(len(fit.rate))
+        observed = np.column_stack([fit.rate.real, fit.rate.imag, (fit.vertical - vertical) * one])
         of_level = fit.variance + horizontal**2 * azimuth_variance
-        variance = np.column_stack([of_level, of_level, np.full(len(rate), fit.vertical_variance)])
+        variance = np.column_stack([of_level, of_level, fit.vertical_variance * one])
         weight = 1.0 / (variance + flicker**2)
         design = np.hstack([horizontal * np.eye(3, 2), fit.attitude])
         weighted = design.T * weight[:, None, :]
-        model = model.plus(Information(weighted @ design, weighted @ observed[:, :, None]))
+        matrix, vector = matrix + weighted @ design, vector + weighted @ observed[:, :, None]
         log_density = log_density - 0.5 * np.sum(weight * observed**2 - np.log(weight), axis=1)
-    return model, log_density
+    return matrix, vector, log_density
 
 
 def peaks(matrix: FloatArray, vector: FloatArray) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
@@ -164,22 +164,19 @@ def peaks(matrix: FloatArray, vector: FloatArray) -> tuple[IntArray, FloatArray,
     distribution with the same integral: minus the second derivative, and a part of the fourth, without which
     two peaks that merge are any angle.
     """
-    z = np.stack([np.cos(DIRECTIONS), np.sin(DIRECTIONS)])
-    values = vector @ z - 0.5 * np.sum(z * (matrix @ z), axis=1)
+    xx, yy, xy = matrix[:, 0, 0], matrix[:, 1, 1], matrix[:, 0, 1]
+    # At the angle a this is a constant and Re(p e^-ia + q e^-2ia): a first and a second harmonic.
+    p, q = vector[:, 0] + 1j * vector[:, 1], 0.25 * (yy - xx) - 0.5j * xy
+    values = (np.outer(p, np.exp(-1j * DIRECTIONS)) + np.outer(q, np.exp(-2j * DIRECTIONS))).real
     found = (values >= np.roll(values, 1, axis=1)) & (values > np.roll(values, -1, axis=1))
     found[np.arange(len(values)), np.argmax(values, axis=1)] = True
     index, start = np.nonzero(found)
-    x, y = vector[index].T
-    xx, yy, xy = matrix[index, 0, 0], matrix[index, 1, 1], matrix[index, 0, 1]
     angle = DIRECTIONS[start]
-    for step in range(7):
-        c, s = np.cos(angle), np.sin(angle)
-        # First and second harmonic: η'z and -½ z'Λz + ¼ tr Λ.
-        first, second = x * c + y * s, 0.25 * (yy - xx) * (c * c - s * s) - xy * c * s
-        slope = y * c - x * s - (yy - xx) * c * s - xy * (c * c - s * s)
-        curvature, fourth = first + 4.0 * second, np.maximum(-first - 16.0 * second, 0.0)
-        if step < 6:  # Newton's steps converge quadratically
-            angle = angle + np.clip(slope / np.maximum(np.abs(curvature), 1e-30), -0.2, 0.2)
-    half = 0.5 * np.maximum(curvature, 0.0)
-    sharpness = half + np.sqrt(half**2 + QUARTIC * fourth)
-    return index, angle, first + second - 0.25 * (xx + yy), sharpness
+    for _ in range(6):  # Newton's steps converge quadratically
+        first, second = p[index] * np.exp(-1j * angle), q[index] * np.exp(-2j * angle)
+        slope, curvature = first.imag + 2.0 * second.imag, np.abs(first.real + 4.0 * second.real)
+        angle = angle + np.clip(slope / np.maximum(curvature, 1e-30), -0.2, 0.2)
+    first, second = (p[index] * np.exp(-1j * angle)).real, (q[index] * np.exp(-2j * angle)).real
+    half = 0.5 * np.maximum(first + 4.0 * second, 0.0)
+    sharpness = half + np.sqrt(half**2 + QUARTIC * np.maximum(-first - 16.0 * second, 0.0))
+    return index, angle, first + second - 0.25 * (xx + yy)[index], sharpness

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 ANY_ANGLE_SD = math.pi / math.sqrt(3.0)
 """Standard deviation of an angle that is uniform on the circle, rad."""
@@ -14,8 +14,7 @@ LONGEST_S = 300.0
 """Longest time in one of several positions."""
 
 
-@dataclass(frozen=True, slots=True)
-class Estimate:
+class Estimate(NamedTuple):
     """A heading, rad clockwise from north, NaN if not observable, and its standard deviation."""
 
     heading: float
@@ -27,8 +26,7 @@ class Estimate:
         return self.sd < ANY_ANGLE_SD
 
 
-@dataclass(frozen=True, slots=True)
-class PositionHeading:
+class PositionHeading(NamedTuple):
     """Heading in one position by all positions, rad; NaN where it is not observable.
 
     `run` counts the device's segments from 1; the times are since the first sample of it.
@@ -41,8 +39,7 @@ class PositionHeading:
     sd: float
 
 
-@dataclass(frozen=True, slots=True)
-class Status:
+class Status(NamedTuple):
     """State of an alignment at the end of a block: rad and s; NaN where nothing is known yet.
 
     `estimates` are the joint fit, which is the heading shown, and plain and Hann-weighted mean of the gyros;
@@ -104,24 +101,23 @@ def heading_text(status: Status) -> str:
 def to_go_text(status: Status) -> str:
     """Return the predicted time to the wanted sigma, or why there is none."""
     wanted = f"{math.degrees(status.wanted_sd):g}°"
-    if status.phase == "disturbed":
-        return f"disturbed, turned by {math.degrees(status.turned):.0f}°"
-    if status.phase in ("settled", "waiting"):
-        return status.phase
-    if status.phase == "coarse":
-        return f"coarse, {status.rest_s:.0f} s of rest"
-    if status.remaining_s is None:
-        return f"{wanted} not in reach with the bias of these sensors"
-    return f"about {status.remaining_s:.0f} s to {wanted}"
+    time = f"about {status.remaining_s:.0f} s to {wanted}" if status.remaining_s is not None else ""
+    return {
+        "waiting": "waiting",
+        "settled": "settled",
+        "disturbed": f"disturbed, turned by {math.degrees(status.turned):.0f}°",
+        "coarse": f"coarse, {status.rest_s:.0f} s of rest",
+    }.get(status.phase, time or f"{wanted} not in reach with the bias of these sensors")
 
 
 def rows(status: Status) -> dict[str, str]:
     """Return texts by label: the heading, whether it settled, and the conditions that limit it."""
     wanted = f"(σ ≤ {math.degrees(status.wanted_sd):g}°)"
-    texts = {"heading": heading_text(status), "settled": f"no {wanted}: {to_go_text(status)}"}
+    settled = f"no {wanted}: {to_go_text(status)}"
     if status.settled_s is not None:
-        texts["settled"] = f"yes, {status.settled_s:.1f} s after the first sample {wanted}"
-    texts["data"] = f"{min(status.rest_s, status.elapsed_s):.0f} of {status.elapsed_s:.0f} s counted"
+        settled = f"yes, {status.settled_s:.1f} s after the first sample {wanted}"
+    counted = f"{min(status.rest_s, status.elapsed_s):.0f} of {status.elapsed_s:.0f} s counted"
+    texts = {"heading": heading_text(status), "settled": settled, "data": counted}
     if status.positions > 1:
         texts["positions"] = f"{status.positions}, the last turned by {math.degrees(status.turned):.1f}°"
     return texts
@@ -156,12 +152,11 @@ class Guide:
         hopeless = status.rest_s >= HOPELESS_S and status.remaining_s is None
         ended = status.settled_s is not None or hopeless
         too_long = status.position_s >= LONGEST_S
-        enough = too_long or status.position_sd <= status.wanted_sd
         if self.positions == 1:
             self.done = ended
         elif at >= self.positions and (ended or too_long):
             self.instruction, self.done = "done", True
-        elif at < self.positions and enough:
+        elif at < self.positions and (too_long or status.position_sd <= status.wanted_sd):
             self.instruction = f"turn the unit now by about {360.0 / self.positions:.0f}° about the vertical"
         elif at and not status.moving:
             self.instruction = f"position {at} of {self.positions}: do not touch the unit"

@@ -13,9 +13,8 @@ from imumon.blocks import ColumnArray, FloatArray, SampleBlock
 from imumon.charts import GREEN, GREY, Axis, Chart, Curve
 from imumon.columns import Column
 from imumon.estimation.alignment.aligner import Aligner
-from imumon.estimation.alignment.motion import CALM_SLOTS
 from imumon.estimation.alignment.parameters import AlignmentParameters
-from imumon.estimation.alignment.position import SLOT_S, Slot, direction_of
+from imumon.estimation.alignment.position import CALM_SLOTS, SLOT_S, Slot, direction_of
 from imumon.estimation.alignment.report import PositionHeading, heading_text, to_go_text
 from imumon.estimation.rest.parameters import retired
 from imumon.filters.slots import SlotGatherer, Slots, held
@@ -49,7 +48,9 @@ class Alignment:
         self._parameters = parameters or AlignmentParameters()
         self._retired = retired(self._parameters)
         self._latitude_deg = latitude_deg
-        self._aligner = Aligner(self._parameters, latitude_deg)
+        self._events: list[str] = []
+        """Messages that were not reported yet."""
+        self._aligner = Aligner(self._parameters, latitude_deg, self._events)
         self._earlier: list[PositionHeading] = []
         """Headings in the positions before the last restart."""
         self._slots = SlotGatherer(10, round(SLOT_S * 1e9), turns=True)
@@ -59,10 +60,9 @@ class Alignment:
         self._origin_ns = self._segment = self._run = 0
         """The first time of the segment, its number in the data, and by the count of segments."""
         self._index = -1
-        """Number of the last slot with samples since the origin."""
+        """Number of the last slot with samples in the segment."""
         self._recent: deque[FloatArray] = deque(maxlen=CALM_SLOTS)
         """Specific force, m/s², and magnetic field of the last 2 s, (6,); the mean force is up at rest."""
-        self._events: list[str] = []
         self._reported: set[str] = set()
         self._row: dict[str, float] = {}
         """Columns after the last slot; empty before the first sample."""
@@ -134,11 +134,10 @@ class Alignment:
 
     def _restart(self, why: str) -> None:
         """Drop all positions, and report the reason."""
-        self._events += self._aligner.events
         if self._aligner.positions:
             self._earlier = self.finish()
             self._events.append(f"alignment: {why}: the alignment starts anew")
-        self._aligner = Aligner(self._parameters, self._latitude_deg)
+        self._aligner = Aligner(self._parameters, self._latitude_deg, self._events)
 
     def finish(self) -> list[PositionHeading]:
         """Fit the rest since the last fit; return the heading in each position."""
@@ -173,21 +172,19 @@ class Alignment:
 
     def lanes(self) -> Mapping[str, LaneState]:
         """Return the state of the alignment, and the source of the heading shown."""
-        phase, level = self.status.phase, LEVELS.get(self.status.phase, Level.PLAIN)
-        if phase == "not observable":
-            phase = "not observable with this gyro"
-        by = "joint fit" if self.status.observable else "none yet"
-        return {"alignment": LaneState(phase, level), "heading by": LaneState(by)}
+        phase, by = self.status.phase, "joint fit" if self.status.observable else "none yet"
+        text = phase.replace("observable", "observable with this gyro")
+        return {"alignment": LaneState(text, LEVELS.get(phase, Level.PLAIN)), "heading by": LaneState(by)}
 
     def charts(self) -> Sequence[Chart]:
         """Return sigma against time."""
         if len(self._aligner.history) < 2:
             return []
         time_s, _, sd = np.array(self._aligner.history).T
-        wanted_s = np.array([max(time_s[0], 1.0), max(time_s[-1], 10.0)])
+        wanted = np.full(2, self._parameters.settled_deg)
         curves = (
             Curve("σ", time_s, np.degrees(sd), GREEN, width=2.0),
-            Curve("wanted", wanted_s, np.full(2, self._parameters.settled_deg), GREY),
+            Curve("wanted", time_s[[0, -1]], wanted, GREY),
         )
         return [
             Chart(
@@ -199,9 +196,9 @@ class Alignment:
 
     def notices(self) -> list[str]:
         """Return, once each, motions and restarts, and conditions that limit the heading."""
-        texts = self._events + self._aligner.events
-        texts += [f"alignment: {name} is not used any more" for name in self._retired]
-        self._events, self._aligner.events, self._retired = [], [], []
+        texts = self._events + [f"alignment: {name} is not used any more" for name in self._retired]
+        self._retired = []
+        self._events.clear()
         new = [text for text, true in self._conditions().items() if true and text not in self._reported]
         self._reported.update(new)
         return texts + new
@@ -210,19 +207,18 @@ class Alignment:
         status, posterior = self.status, self._aligner.posterior
         declared = self._parameters.gyro_bias_sd_deg_per_h
         horizontal = self._aligner.earth_horizontal / DEG_PER_H
-        limit = math.inf if declared is None else 3.0 * max(declared, 0.01) * DEG_PER_H
+        a_degree = f"{math.radians(horizontal):.2g} °/h of the gyro that points east turn the heading by 1°"
         return {
             "heading not observable with this gyro: its bias is not small beside the earth's horizontal rate "
             f"of {horizontal:.1f} °/h; a turn by half a circle, and a rest, separate them": (
                 status.phase == "not observable"
             ),
             "alignment: the gyros' turn-on bias is not declared (gyro_bias_sd_deg_per_h); sigma takes it for "
-            f"that of gyros of such noise: {math.radians(horizontal):.2g} °/h of the gyro that points east "
-            "turn the heading by 1°; a turn by half a circle and a rest remove it": (
+            f"that of gyros of such noise: {a_degree}; a turn by half a circle and a rest remove it": (
                 declared is None and status.positions == 1 and status.phase in ("aligning", "settled")
             ),
             "alignment: the rates contradict the declared bias of the gyros, or the latitude is wrong": (
-                posterior is not None and posterior.bias_size > limit
+                declared is not None and posterior is not None and posterior.worse > 0.5
             ),
         }
 

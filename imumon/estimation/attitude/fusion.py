@@ -51,8 +51,8 @@ for _name in ("field", "tilt", "heading"):
     BEFORE_FIRST[_name] = math.nan
 
 
-def _restored(rates: Sequence[float], params: dict[str, Any], state: dict[str, Any]) -> VQF:
-    vqf = VQF(*rates, **params)
+def _restored(intervals_s: Sequence[float], params: dict[str, Any], state: dict[str, Any]) -> VQF:
+    vqf = VQF(*intervals_s, **params)
     vqf.state = state
     return vqf
 
@@ -137,19 +137,13 @@ class Fusion:
         if not self.begun:
             self._delta = float(heading(rows["quat6d"][:1])[0]) - self._begins_at
         rows["delta"] = self._delta
-        if with_mag:
-            self._follow_field(rows, found, has_mag, self._vqf.params)
-
-    def _follow_field(
-        self, rows: Rows, found: dict[str, Any], has_mag: BoolArray, given: dict[str, Any]
-    ) -> None:
-        """Fill in where north is, and whether the heading follows the field."""
+        if not with_mag:
+            return
         north = self.north | np.logical_or.accumulate(has_mag)
         rows["north"], rows["delta"] = north, np.where(north, found["delta"], self._delta)
         # Before it has taken a field as its reference VQF calls every field disturbed, and follows it.
         disturbed = found["magDistDetected"] & (found["magRefNorm"] > 0.0)
-        rejected = found["magRejectT"] <= given["magMaxRejectionTime"]
-        rows["follows"] = ~(disturbed & rejected)
+        rows["follows"] = ~disturbed | (found["magRejectT"] > self._vqf.params["magMaxRejectionTime"])
         self.north, self.disturbed = True, bool(disturbed[-1])
 
     def _learn_rate(self, time_ns: IntArray, accel: FloatArray, has_mag: BoolArray) -> int:

@@ -2,9 +2,9 @@
 
 VQF turns the specific force into axes that only the gyros carry, low-passes it there with the time constant
 τ = 3 s, and takes what is left for up, u.  True up stands still in these axes.  So an error of the tilt shows
-as a change of u, whether accelerations or gyros cause it.  J, (3, 9), is the integral of C (x) rate over a
-slot, with C from body to gyro-carried axes: column 3 i + j is the rotation vector that a unit element (i, j)
-of the gyros' matrix of scale and misalignment adds, so 0, 4 and 8 are the turns about the gyros' own axes.
+as a change of u, whether accelerations or gyros cause it.  The element i, j of the gyros' matrix of scale and
+misalignment turns the attitude wrong by that element times q_ij, the integral of c_i rate_j over a slot, with
+c_i the axis of gyro i in gyro-carried axes; q_ii is the turn about the gyro's own axis.
 
 A calibrated magnetometer ties the heading down: VQF follows the field with τ = 9 s.  H and V are the
 horizontal and the vertical field, and B its calibrated strength.
@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,35 +47,34 @@ IRON_MEMORY_S = 30.0
 shows it again.  Ablation."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Slot:
-    """Half a second of motion or rest; vectors in gyro-carried axes unless stated otherwise."""
+class Slot(NamedTuple):
+    """Half a second of motion or rest; vectors in gyro-carried axes unless stated otherwise.
+
+    `rest` is whether the unit was at rest for the whole slot; `up` and `up_body` (3,) are u at its end, in
+    gyro-carried and in body axes; `force` (3,) is the mean specific force and `low_force` the magnitude of
+    the low-passed one at its end, m/s², NaN where there is none.  `wrong_turns` (3, 9) are the q_ij, rad, in
+    column 3 i + j; `missed` is the variance of the angle by samples that are missing, rad², and `bias_sd` the
+    standard deviation of the gyro bias about the vertical, rad/s, NaN while it is not known.
+    """
 
     rest: bool
-    """Whether the unit was at rest for the whole slot."""
     up: FloatArray
     up_body: FloatArray
-    """u at its end, in gyro-carried and in body axes, (3,)."""
     force: FloatArray
-    """Mean specific force, m/s², (3,); NaN where there is none."""
     low_force: float
-    """Magnitude of the low-passed specific force at its end, m/s²; NaN where there is none."""
-    sensitivity: FloatArray
-    """J, rad, (3, 9)."""
+    wrong_turns: FloatArray
     missed: float
-    """Variance of the angle by samples that are missing, rad²."""
     bias_sd: float
-    """Standard deviation of the gyro bias about the vertical, rad/s; NaN while it is not known."""
 
 
-def tilt_squared(sensitivity: FloatArray, up: FloatArray) -> FloatArray:
-    """Return tilt²(J) = |J|² - (u J)², rad², of each column of J."""
-    return np.asarray((sensitivity * sensitivity).sum(0) - (up @ sensitivity) ** 2)
+def tilt_squared(wrong_turns: FloatArray, up: FloatArray) -> FloatArray:
+    """Return tilt²_ij = |q_ij|² - (u q_ij)², rad², of each column."""
+    return np.asarray((wrong_turns * wrong_turns).sum(0) - (up @ wrong_turns) ** 2)
 
 
 @dataclass(slots=True)
 class Accelerometers:
-    """Size of the accelerometers' error: a² = a0² + 2 mean z², z the mean of |low-passed force| - g of each
+    """Size of the accelerometers' error: a² = a0² + 2 mean e², e the mean of |low-passed force| - g of each
     face of the body that was up; a declared a is taken as it is."""
 
     declared: float | None
@@ -92,11 +92,12 @@ class Accelerometers:
 
     @property
     def variance(self) -> float:
-        """a², (m/s²)²; the 2 in it is a margin, as z shows one of three components."""
+        """a², (m/s²)²; the 2 in it is a margin, as e shows one of three components."""
         if self.declared is not None:
             return self.declared**2
-        z = self.face_sum / np.maximum(self.face_s, SLOT_S)
-        return ACCEL_SD**2 + 2.0 * float(z @ z) / max(int(np.count_nonzero(self.face_s)), 1)
+        known = self.face_s > 0.0
+        e2 = (self.face_sum[known] / self.face_s[known]) ** 2
+        return ACCEL_SD**2 + 2.0 * float(e2.mean() if len(e2) else 0.0)
 
 
 @dataclass(slots=True)
@@ -107,18 +108,18 @@ class Gyros:
     change: float = 0.0
     """Sum of d = |u(t) - u(t - 6 s)|², the change of u, over all lags, rad²."""
     turned: float = 0.0
-    """Sum of tilt²(J), rad²."""
+    """Sum of tilt²_ij, rad²."""
     followed: float = 0.0
-    """Sum of tilt² by turns about the gyros' own axes that u has had the time to follow, rad²."""
+    """Sum of tilt²_ii that u has had the time to follow, rad²."""
 
-    def learn(self, change: float, sensitivities: FloatArray, up: FloatArray) -> None:
-        """Take d, rad², and J, (n, 3, 9), of the slots of the last lag."""
+    def learn(self, change: float, wrong_turns: FloatArray, up: FloatArray) -> None:
+        """Take d, rad², and q_ij, (n, 3, 9), of the slots of the last lag."""
         share = SLOT_S / LAG_S  # successive lags overlap
-        own = sensitivities[: -round(TAU_ACC_S / SLOT_S)].sum(0)[:, ::4]
+        own = wrong_turns[: -round(TAU_ACC_S / SLOT_S)].sum(0)[:, ::4]
         # A turn counts as a quarter of a circle at most: by half a circle each way the vertical is the same.
         circle = np.maximum((own**2).sum(0) / (0.5 * math.pi) ** 2, 1.0)
         self.change += share * change
-        self.turned += share * float(tilt_squared(sensitivities.sum(0), up).sum())
+        self.turned += share * float(tilt_squared(wrong_turns.sum(0), up).sum())
         self.followed += share * float((tilt_squared(own, up) / circle).sum())
 
     @property
@@ -133,7 +134,7 @@ class Gyros:
 
     @property
     def variance(self) -> float:
-        """s² = (g0 s0² + Σ d) / (g0 + Σ tilt²(J)); no more than is declared: accelerations change u, too."""
+        """s² = (g0 s0² + Σ d) / (g0 + Σ tilt²_ij); no more than is declared: accelerations change u, too."""
         prior = (SCALE_SD if self.declared is None else self.declared) ** 2
         learned = (SCALE_TURN * prior + self.change) / (SCALE_TURN + self.turned)
         return learned if self.declared is None else min(learned, prior)
@@ -144,40 +145,37 @@ class Gyros:
         return self.variance + (not self.confirmed)
 
     def error_variance(self, squares: FloatArray) -> float:
-        """Return s² times the sum of squared turns, rad², (9,), and until confirmed all of the own ones."""
+        """Return s² times the sum of squares of q_ij, rad², (9,), and until confirmed all of q_ii."""
         return self.variance * float(squares.sum()) + (not self.confirmed) * float(squares[::4].sum())
 
 
-@dataclass(slots=True)
 class TiltSigma:
-    """State of the estimate of the tilt's standard deviation, since the attitude began."""
+    """Estimate of the tilt's standard deviation since the attitude began."""
 
-    accelerometers: Accelerometers
-    gyros: Gyros
-    ups: deque[FloatArray] = field(default_factory=lambda: deque(maxlen=round(LAG_S / SLOT_S) + 1))
-    sensitivities: deque[FloatArray] = field(default_factory=lambda: deque(maxlen=round(LAG_S / SLOT_S)))
-    """u and J of the last lag."""
-    mean: float = 0.0
-    """m, the mean of d/4 over 18 s of motion, rad²: d is of two axes, and u is off at both moments."""
-    late: FloatArray = field(default_factory=lambda: np.zeros((3, 9)))
-    """J that is forgotten within τ, rad."""
-    rested: bool = False
-    """Whether the unit has been at rest since the attitude began."""
+    def __init__(self, accelerometers: Accelerometers, gyros: Gyros) -> None:
+        self.accelerometers, self.gyros = accelerometers, gyros
+        self.lag: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=round(LAG_S / SLOT_S) + 1)
+        """u and q_ij of the slots of the last lag, and those before it."""
+        self.mean = 0.0
+        """m, the mean of d/4 over 18 s of motion, rad²: d is of two axes, and u is off at both moments."""
+        self.late = np.zeros((3, 9))
+        """q_ij that are forgotten within τ, rad."""
+        self.rested = False
+        """Whether the unit has been at rest since the attitude began."""
 
     def step(self, slot: Slot) -> float:
         """Take a slot; return the variance at its end, rad²; NaN while nothing is known.
 
         At rest it is |u - f/|f||² / 2 + a²/g², with the mean specific force f.
         """
-        self.ups.append(slot.up)
-        self.sensitivities.append(np.zeros((3, 9)) if slot.rest else slot.sensitivity)
-        change = float(((slot.up - self.ups[0]) ** 2).sum())
+        self.lag.append((slot.up, np.zeros((3, 9)) if slot.rest else slot.wrong_turns))
+        change = float(((slot.up - self.lag[0][0]) ** 2).sum())
         if math.isfinite(slot.low_force):
             self.accelerometers.learn(slot.up_body, slot.low_force)
-        self.gyros.learn(change, np.array(self.sensitivities), slot.up)
+        latest = list(self.lag)[-round(LAG_S / SLOT_S) :]
+        self.gyros.learn(change, np.array([wrong_turns for _, wrong_turns in latest]), slot.up)
         if slot.rest:
-            self.rested = True
-            self.late[:] = 0.0
+            self.rested, self.late = True, np.zeros((3, 9))
             variance = 0.5 * float(((slot.up - slot.force / np.linalg.norm(slot.force)) ** 2).sum())
         else:
             variance = self._in_motion(slot, change)
@@ -186,8 +184,8 @@ class TiltSigma:
     def _in_motion(self, slot: Slot, change: float) -> float:
         """Return max(m, d/2, l), rad²; d/2 as u was right where a motion begins: all its change is error."""
         self.mean += SLOT_S / (3.0 * LAG_S) * (0.25 * change - self.mean)
-        self.late = math.exp(-SLOT_S / TAU_ACC_S) * self.late + slot.sensitivity
-        if not self.rested and SLOT_S * len(self.sensitivities) < LAG_S:
+        self.late = math.exp(-SLOT_S / TAU_ACC_S) * self.late + slot.wrong_turns
+        if not self.rested and SLOT_S * len(self.lag) < LAG_S:
             return math.nan  # begun in motion: there is no earlier vertical to compare with
         return max(self.mean, 0.5 * change, self._not_followed(slot.up))
 
@@ -196,32 +194,29 @@ class TiltSigma:
         return 0.5 * self.gyros.error_variance(tilt_squared(self.late, up))
 
 
-@dataclass(slots=True)
 class HeadingSigma:
-    """State of the estimate of the heading's standard deviation, since the attitude began.
+    """Estimate of the heading's standard deviation since the attitude began.
 
-    The change of a relative heading has the variance h: s² |Σ u J|², (Σ u J_ii)² until the gyros are
-    confirmed, the bias of each motion, which the next rest measures anew, Σ (bias sigma · seconds)², and
-    missed samples.
+    The change of a relative heading has the variance s² Σ h_ij², with h_ij = u q_ij summed over all slots,
+    Σ h_ii² until the gyros are confirmed, the bias of each motion, which the next rest measures anew,
+    Σ (bias sigma · seconds)², and missed samples.  The `magnetometer` is None where it is not calibrated;
+    `earth_rate` is its vertical part that is left in the corrected rate, rad/s.
     """
 
-    gyros: Gyros
-    magnetometer: MagnetometerModel | None
-    """None: not calibrated, so a heading by it has no sigma."""
-    earth_rate: float
-    """Vertical part of it that is left in the corrected rate, rad/s."""
-    about_up: FloatArray = field(default_factory=lambda: np.zeros(9))
-    """Sum of u J: turn about the vertical for each element of scale and misalignment, rad."""
-    earlier: float = 0.0
-    """Variance by the bias in the motions before, and by missing samples, rad²."""
-    moving_s: float = 0.0
-    """Duration of this motion, s."""
-    field_correction: float = 0.0
-    """p, the angle by which the field has turned the heading against the gyros, forgotten with τ, rad."""
-    delta: float = math.nan
-    """That of the last slot, rad."""
-    iron: float = 0.0
-    """Largest along² + across² lately, in the square of the field's unit."""
+    def __init__(self, gyros: Gyros, magnetometer: MagnetometerModel | None, earth_rate: float) -> None:
+        self.gyros, self.magnetometer, self.earth_rate = gyros, magnetometer, earth_rate
+        self.about_up = np.zeros(9)
+        """h_ij, rad."""
+        self.earlier = 0.0
+        """Variance by the bias in the motions before, and by missing samples, rad²."""
+        self.moving_s = 0.0
+        """Duration of this motion, s."""
+        self.field_correction = 0.0
+        """p, the angle by which the field has turned the heading against the gyros, forgotten with τ, rad."""
+        self.delta = math.nan
+        """That of the last slot, rad."""
+        self.iron = 0.0
+        """Largest along² + across² lately, in the square of the field's unit."""
 
     def step(self, slot: Slot, end: Rows, tilt_variance: float) -> float:
         """Process a slot; return the variance of the heading, or of its change where it is relative, rad².
@@ -229,14 +224,14 @@ class HeadingSigma:
         `end` is the last sample of the slot, a `fusion.ROW` with the field in the unit of the calibration.
         """
         if math.isnan(slot.bias_sd):
-            self.about_up[:] = self.earlier = self.moving_s = 0.0
+            self.about_up, self.earlier, self.moving_s = np.zeros(9), 0.0, 0.0
         bias_sd = math.hypot(slot.bias_sd, self.earth_rate)
         if slot.rest:
             self.earlier += (bias_sd * self.moving_s) ** 2
             self.moving_s = 0.0
         else:
             self.moving_s += SLOT_S
-            self.about_up += slot.up @ slot.sensitivity
+            self.about_up += slot.up @ slot.wrong_turns
             self.earlier += slot.missed
         if end["north"] and end["follows"]:  # the field corrects what is older than τ
             keep = math.exp(-SLOT_S / TAU_MAG_S)

@@ -22,21 +22,19 @@ from imumon.models.magnetometer import MagnetometerModel
 
 GAP_NS = 250_000_000
 """A longer pause hides turns: in it a hand turns by a radian."""
-HEADING = "of the body x axis, clockwise from magnetic north; relative: from where it begins"
+NAMES = {
+    "roll": "estimated roll",
+    "pitch": "estimated pitch",
+    "tilt_sd": "standard deviation of roll and pitch",
+    "heading": "of the body x axis, clockwise from magnetic north; relative: from where it begins",
+    "heading_sd": "its standard deviation; of its change since then where it is relative",
+}
 COLUMNS = (
     *(
         Column(f"attitude_estimate_{part}", "1", description=f"attitude, body to east-north-up, {part}")
         for part in "wxyz"
     ),
-    Column("attitude_estimate_roll", "rad", description="estimated roll"),
-    Column("attitude_estimate_pitch", "rad", description="estimated pitch"),
-    Column("attitude_estimate_tilt_sd", "rad", description="standard deviation of roll and pitch"),
-    Column("attitude_estimate_heading", "rad", description=HEADING),
-    Column(
-        "attitude_estimate_heading_sd",
-        "rad",
-        description="its standard deviation; of its change since then where it is relative",
-    ),
+    *(Column(f"attitude_estimate_{name}", "rad", description=text) for name, text in NAMES.items()),
     Column("attitude_estimate_north", "1", "int64", "1: heading from magnetic north, 0: relative heading"),
 )
 
@@ -172,7 +170,7 @@ class AttitudeEstimate:
             up_body=body[2],
             force=force,
             low_force=float(end["low_force"]) or math.nan,
-            sensitivity=carried @ turn.rotation.T @ turn.by_scale.reshape(3, 9),
+            wrong_turns=carried @ turn.rotation.T @ turn.by_scale.reshape(3, 9),
             missed=turn.missed,
             bias_sd=float(np.linalg.norm(body[2] * slots.last[k, 6:9])),
         )
@@ -192,12 +190,12 @@ class AttitudeEstimate:
         since += (rows["angle"] ** 2).sum(1) / 12.0
         tilt = rows["tilt"] + since
         heading_variance = rows["heading"] + since + tilt_into_heading(up, tilt)
+        variances = np.array([tilt, heading_variance])
         # More than a radian is no small angle, and its standard deviation means nothing.
-        tilt_sd, heading_sd = (
-            np.sqrt(np.where(each < 1.0, each, math.nan)) for each in (tilt, heading_variance)
-        )
-        if self._down == 0.0 and np.isfinite(up[:, 2]).any():
-            self._down = 1.0 if up[np.argmax(np.isfinite(up[:, 2])), 2] < 0.0 else -1.0
+        tilt_sd, heading_sd = np.sqrt(np.where(variances < 1.0, variances, math.nan))
+        known = np.isfinite(up[:, 2])
+        if self._down == 0.0 and known.any():
+            self._down = 1.0 if up[known, 2][0] < 0.0 else -1.0
         # The third axis of the level frame that the body axes are like, in body axes.
         along, across, third = -self._down * up.T
         roll, pitch = np.arctan2(across, third), -np.arcsin(np.clip(along, -1.0, 1.0))
@@ -216,10 +214,10 @@ class AttitudeEstimate:
 
     def notices(self) -> list[str]:
         """Return once what an attitude lacks and its reinitializations, where the device sends none."""
-        conditions = {f"attitude: {name} is not used any more": True for name in retired(self._parameters)}
+        texts = [f"attitude: {name} is not used any more" for name in retired(self._parameters)]
         if not self._device_has_attitude:
-            conditions |= self._conditions()
-        texts = [text for text, true in conditions.items() if true and text not in self._reported]
+            texts += [text for text, true in self._conditions().items() if true]
+        texts = [text for text in texts if text not in self._reported]
         self._reported.update(texts)
         return texts
 

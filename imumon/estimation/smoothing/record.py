@@ -6,7 +6,7 @@ Time counts from the end of each run, and the order of the runs is reversed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,8 @@ QUANTITIES = (
     *(("gyro_bias", suffix) for suffix in SUFFIXES[1:]),
 )
 """What is smoothed: a quantity, and the suffix of its columns."""
+REVERSED = {"temperature_estimate": 1.0, "temperature_rate": -1.0, "gyro_bias": -1.0}
+"""Sign of each quantity when time is reversed."""
 THERMOMETERS = tuple(f"temperature{suffix}" for suffix in SUFFIXES)
 
 
@@ -45,18 +47,18 @@ NAMES = (
 """Columns of a record."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Record:
-    """n slots of a recording, in order."""
+class Record(NamedTuple):
+    """n slots of a recording, in order.
+
+    `stop` (n,) is the row of the recording after the last of each slot, `run` (n,) the number of the segment,
+    counted from restart to restart, and `middle_ns` (n,) the device time.  `columns` are means of the
+    sensors, (n,) each; the last value of temperatures, rest and estimates.
+    """
 
     stop: IntArray
-    """Row of the recording after the last of each slot, (n,)."""
     run: IntArray
-    """Number of the segment, counted from restart to restart, (n,)."""
     middle_ns: IntArray
-    """Device time, (n,)."""
     columns: dict[str, FloatArray]
-    """Means of the sensors, (n,) each; the last value of temperatures, rest and estimates."""
 
     def vector(self, name: str) -> FloatArray:
         """Return the three axes of a column, (n, 3)."""
@@ -93,17 +95,11 @@ class Recorder:
         return Record(stop, np.cumsum(begins), middle_ns, dict(zip(NAMES, columns, strict=True)))
 
 
-REVERSED = {"temperature_estimate": 1.0, "temperature_rate": -1.0, "gyro_bias": -1.0}
-"""Sign of each quantity when time is reversed."""
-
-
 def backward(record: Record, temperature: Estimator, bias: Estimator) -> dict[str, FloatArray]:
     """Return temperature, its rate and the bias, with their sigmas, by what comes later, (n,) each.
 
-    Parameters
-    ----------
-    temperature, bias : Estimator
-        New stages.  That of the bias has no bias model: the modelled bias is subtracted from the rates here.
+    The stages are new.  That of the bias has no bias model: the modelled bias is subtracted from the rates
+    here.
     """
     ends = np.flatnonzero(np.diff(record.run, append=-1))
     last_ns = record.middle_ns[ends][np.searchsorted(record.run[ends], record.run)]
@@ -117,10 +113,8 @@ def backward(record: Record, temperature: Estimator, bias: Estimator) -> dict[st
     }
     for j, axis in enumerate("xyz"):
         columns[f"gyro_{axis}"] = model[:, j] - record.columns[f"gyro_{axis}"]
-        columns[f"accel_{axis}"] = record.columns[f"accel_{axis}"]
-    columns |= {
-        name: record.columns[name] for name in THERMOMETERS if np.isfinite(record.columns[name]).any()
-    }
+    present = [name for name in THERMOMETERS if np.isfinite(record.columns[name]).any()]
+    columns |= {name: record.columns[name] for name in (*SENSORS[3:], *present)}
     block = SampleBlock({name: np.ascontiguousarray(values[::-1]) for name, values in columns.items()})
     block = block.with_columns(temperature.process(block))
     block = block.with_columns(bias.process(block))

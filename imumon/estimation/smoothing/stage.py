@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,8 +30,7 @@ MEDIAN = 0.6745
 UNITS = {"temperature_estimate": "degC", "temperature_rate": "degC/s", "gyro_bias": "rad/s", "heading": "rad"}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Smoothed:
+class Smoothed(NamedTuple):
     """Estimate and standard deviation, (n,) each, and r as above."""
 
     value: FloatArray
@@ -66,13 +65,8 @@ def combine(
 def still_heading(record: Record, positions: Sequence[PositionHeading]) -> Smoothed:
     """Return the heading of each slot in which the unit stood still, rad, (n,); NaN elsewhere.
 
-    It is a constant, so it is the result of one fit to all samples of the interval, and no backward filter is
-    needed: warm-up and a settling tripod are models that only run forward.
-
-    Parameters
-    ----------
-    positions : sequence of PositionHeading
-        As the alignment of the whole recording left them.
+    It is a constant, so it is the result of one fit to all samples of the interval, as the alignment of the
+    whole recording left it.  Warm-up and a settling tripod are models that only run forward.
     """
     value, sd = np.full((2, len(record.run)), np.nan)
     for position in positions:
@@ -86,14 +80,8 @@ def still_heading(record: Record, positions: Sequence[PositionHeading]) -> Smoot
 class SmoothedEstimates:
     """Estimates from forward and backward filters; ``gyro_bias_sd_x`` becomes ``gyro_bias_smoothed_sd_x``.
 
-    Parameters
-    ----------
-    record : Record
-        Of the first run.
-    backward : dict of str to array (n,)
-        As from `imumon.estimation.smoothing.record.backward`.
-    heading : Smoothed, optional
-        As from `still_heading`.
+    `record` is of the first run, `backward` (n,) each what `record.backward` returns, and `heading` what
+    `still_heading` returns.
     """
 
     def __init__(
@@ -101,30 +89,31 @@ class SmoothedEstimates:
     ) -> None:
         self._stop = record.stop
         self._rows = 0
-        self._values: dict[str, FloatArray] = {}
-        self.columns: tuple[Column, ...] = ()
-        """The columns that `process` adds."""
-        self.residuals: dict[str, float] = {}
-        """r of `combine`, by quantity."""
+        found = {}
         for quantity, suffix in QUANTITIES:
             names = value_and_sd(quantity, suffix)
             if names[0] in backward:
                 directions = [of[name] for of in (record.columns, backward) for name in names]
-                self._add(quantity, suffix, combine(*directions))
+                found[quantity, suffix] = combine(*directions)
         if heading is not None:
-            self._add("heading", "", heading)
-        self._notices = self._contradictions()
-
-    def _add(self, quantity: str, suffix: str, found: Smoothed) -> None:
-        """Add the columns of a quantity, if it is known anywhere."""
-        if math.isfinite(found.residual):
-            self.residuals[f"{quantity}{suffix}"] = found.residual
-        if np.isfinite(found.sd).any():
-            value, sd = value_and_sd(f"{quantity}_smoothed", suffix)
-            self._values |= {value: found.value, sd: found.sd}
-            text, unit = "with what came later", UNITS[quantity]
-            self.columns += (Column(value, unit, description=text),)
-            self.columns += (Column(sd, unit, description=f"standard deviation {text}"),)
+            found["heading", ""] = heading
+        self.residuals = {
+            f"{quantity}{suffix}": each.residual
+            for (quantity, suffix), each in found.items()
+            if math.isfinite(each.residual)
+        }
+        """r of `combine`, by quantity."""
+        self._values: dict[str, FloatArray] = {}
+        self.columns: tuple[Column, ...] = ()
+        """The columns that `process` adds."""
+        for (quantity, suffix), each in found.items():
+            if np.isfinite(each.sd).any():
+                value, sd = value_and_sd(f"{quantity}_smoothed", suffix)
+                self._values |= {value: each.value, sd: each.sd}
+                text, unit = "with what came later", UNITS[quantity]
+                self.columns += (Column(value, unit, description=text),)
+                self.columns += (Column(sd, unit, description=f"standard deviation {text}"),)
+        self._reported = False
 
     def process(self, block: SampleBlock) -> Mapping[str, ColumnArray]:
         """Return the new columns of a block; the blocks must be the rows of the first run, in their order."""
@@ -135,13 +124,10 @@ class SmoothedEstimates:
 
     def notices(self) -> list[str]:
         """Return, once, the quantities in which forward and backward contradict each other."""
-        notices, self._notices = self._notices, []
-        return notices
-
-    def _contradictions(self) -> list[str]:
         suspect = [f"{name} ({r:.1f} σ)" for name, r in self.residuals.items() if r > SUSPECT]
-        if not suspect:
+        if self._reported or not suspect:
             return []
+        self._reported = True
         return [
             f"forward and backward contradict each other in {', '.join(suspect)}: something changed abruptly "
             "that the filter takes for smooth, or its model lacks an effect (of a bias, imumon diagnose may "
