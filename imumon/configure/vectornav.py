@@ -24,7 +24,16 @@ from imumon.configure.core import (
 from imumon.configure.firmware import Firmware, PacketKind, nearest
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.text import line_frame, sentence, sentence_body
-from imumon.protocols.vectornav import PLACES, XMODEM, Header, VectorNavDevice, VectorNavEncoder, read_header
+from imumon.protocols.vectornav import (
+    PLACES,
+    XMODEM,
+    Contents,
+    VectorNavDevice,
+    VectorNavEncoder,
+    header_of,
+    read_contents,
+    words_of,
+)
 from imumon.protocols.vectornav_fields import GROUP_NAMES
 
 ERRORS = {1: "hard fault", 2: "serial buffer overflow", 3: "invalid checksum", 4: "invalid command",
@@ -110,9 +119,7 @@ class Output:
     @classmethod
     def of(cls, port: int, by: int, names: Sequence[str]) -> Output:
         """Return the output of fields."""
-        words: dict[int, int] = {}
-        for group, bit in sorted(PLACES[name] for name in names):
-            words[group] = words.get(group, 0) | 1 << bit
+        words = words_of(names)
         return cls(port, by, sum(1 << group - 1 for group in words), tuple(words.values()))
 
     @property
@@ -121,41 +128,18 @@ class Output:
         return self.port > 0 and self.by > 0 and self.groups > 0
 
     @property
-    def header(self) -> bytes:
-        """How the packets begin."""
-        return (
-            b"\xfa"
-            + bytes([self.groups & 0xFF])
-            + b"".join(word.to_bytes(2, "little") for word in self.words)
-        )
-
-    @property
     def value(self) -> bytes:
         """The register."""
         words = "".join(f",{word:04X}" for word in self.words)
         return f"{self.port},{self.by},{self.groups:02X}{words}".encode()
 
     @property
-    def _announced(self) -> Header | None:
+    def contents(self) -> Contents | None:
         """What its packets hold; None when that is not known."""
-        header = read_header(self.header + bytes(64)) if self.groups <= 0x7F else None
-        return header if isinstance(header, Header) else None
-
-    def fields(self) -> list[str]:
-        """Return the names of the fields, with their groups."""
-        header = self._announced
-        if header is None:
-            return ["fields that imumon does not know"]
-        names = [item.name for item in header.items]
-        return [f"{' '.join(_groups(self.groups))}: {', '.join(names)}"]
-
-    def packet_bytes(self) -> int:
-        """Return the size of a packet; 0 when it is not known."""
-        header = self._announced
-        if header is None:
-            return 0
-        offsets = header.offsets(bytes(512))
-        return 0 if isinstance(offsets, int) else offsets[-1] + 2
+        found = (
+            read_contents(header_of(self.groups, self.words) + bytes(512)) if self.groups <= 0x7F else None
+        )
+        return found if isinstance(found, Contents) else None
 
 
 NO_OUTPUT = Output(0, 0, 0, ())
@@ -256,7 +240,8 @@ class VectorNav(Family):
     def bytes_per_s(self, values: Mapping[str, bytes]) -> float:
         """Return the packets of the binary outputs."""
         outputs = [Output.read(values[name]) for name in (OUTPUT, SECOND, THIRD) if name in values]
-        return sum(output.packet_bytes() * self.base_hz / output.by for output in outputs if output.on)
+        sent = [(output.contents, output.by) for output in outputs if output.on]
+        return sum((found.end + 2) * self.base_hz / by for found, by in sent if found is not None)
 
     def describe(self, name: str, value: bytes) -> str:
         """Return fields, rate and port of a binary output, or the type of the ASCII output."""
@@ -268,7 +253,11 @@ class VectorNav(Family):
         if not output.on:
             return "off"
         rate = f"{self.base_hz / output.by:.6g} Hz ({self.base_hz}/{output.by})"
-        return f"{rate} on serial port {output.port}, {', '.join(output.fields())}"
+        found, fields = output.contents, "fields that imumon does not know"
+        if found is not None:
+            names = [item.name for item, _ in found.fields]
+            fields = f"{' '.join(_groups(output.groups))}: {', '.join(names)}"
+        return f"{rate} on serial port {output.port}, {fields}"
 
 
 INVALID_COMMAND, INVALID_PARAMETER, INVALID_REGISTER = 4, 7, 8

@@ -27,8 +27,15 @@ from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.tagged import XBUS, xbus_message
 from imumon.protocols.xsens.fields import message_of
-from imumon.protocols.xsens.messages import ERROR, ERRORS, NAMES, identifier_name
-from imumon.protocols.xsens.mtdata2 import MTData2Device, MTData2Encoder, find_fields
+from imumon.protocols.xsens.mtdata import (
+    ERROR,
+    ERRORS,
+    NAMES,
+    MTData2Device,
+    MTData2Encoder,
+    find_fields,
+    identifier_name,
+)
 
 GO_TO_MEASUREMENT, SET_BAUDRATE, REQ_PRODUCT_CODE, GO_TO_CONFIG = 0x10, 0x18, 0x1C, 0x30
 REQ_FIRMWARE, RESET, SET_OUTPUT_CONFIGURATION = 0x12, 0x40, 0xC0

@@ -17,7 +17,7 @@ from imumon.columns import KNOWN, Column
 from imumon.protocols.base import CHUNK, ByteArray, Groups, Packets, Timing
 from imumon.protocols.epochs import GENERATION
 from imumon.protocols.framing import BAD_SUM, IMPOSSIBLE, Candidates, Found, Frame, windows
-from imumon.protocols.layouts import Layout
+from imumon.protocols.numbers import Layout
 from imumon.transport.statistics import Counters
 
 MOST_AT_ONCE = 1 << 20

@@ -23,8 +23,7 @@ from imumon.protocols.checks import CHECKSUM_NAMES, Checksum, Rearranged
 from imumon.protocols.decoder import Decoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import IMPOSSIBLE, Check, Found, Frame, unchecked
-from imumon.protocols.layouts import Record, groups_of
-from imumon.protocols.numbers import NO_GROUP, NUMBER_TYPES, Number, write
+from imumon.protocols.numbers import NO_GROUP, NUMBER_TYPES, Number, Record, groups_of, write
 from imumon.units import exact_conversion
 
 ByteOrder = Literal["big", "little"]

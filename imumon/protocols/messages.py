@@ -10,20 +10,23 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import ClassVar
 
 from imumon.blocks import SampleBlock
 from imumon.columns import Column
-from imumon.protocols.base import COMMON, MAIN, Encoder, Timing, chosen
+from imumon.protocols.base import COMMON, MAIN, Encoder, Groups, Timing, chosen
 from imumon.protocols.decoder import Alike, Decoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Frame
-from imumon.protocols.layouts import Layout, Record, groups_of
 from imumon.protocols.numbers import (
     NO_GROUP,
     NUMBER_TYPES,
     Derived,
+    Layout,
     Number,
+    Record,
+    groups_of,
     in_a_row,
     with_sources,
     write,
@@ -52,7 +55,7 @@ def whole(at: int, kind: str, name: str, description: str, unit: str = "1") -> P
     return part(at, kind, [count(name, description, unit)])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Message:
     """What packets with one identifier carry, or a field of a packet."""
 
@@ -92,6 +95,15 @@ def field(name: str, numbers: Iterable[Number], group: str = MAIN) -> Message:
     return Message(name, row[-1].end if row else ANY_SIZE, (row,), group)
 
 
+@lru_cache
+def _all_columns(
+    messages: Sequence[Message], derived: Sequence[Derived], names: Sequence[str], apart: Sequence[str]
+) -> tuple[Groups, tuple[Column, ...]]:
+    """Return the groups and the columns of all messages; kept, as they take ten times as long as the rest."""
+    layouts = [Record(message.placed(0, message.size, False), derived) for message in messages]
+    return groups_of(layouts, names, apart), tuple(column for layout in layouts for column in layout.columns)
+
+
 class TableDecoder(Decoder):
     """Decodes packets that hold messages of a table.
 
@@ -108,9 +120,8 @@ class TableDecoder(Decoder):
         apart: Sequence[str] = (),
         big: bool = False,
     ) -> None:
-        layouts = [Record(message.placed(0, message.size, big), derived) for message in messages]
-        possible = [column for layout in layouts for column in layout.columns]
-        super().__init__(frames, timing, groups_of(layouts, names, apart), possible)
+        groups, possible = _all_columns(*map(tuple, (messages, derived, names, apart)))
+        super().__init__(frames, timing, groups, possible)
         self._derived, self._big = derived, big
 
     @abstractmethod

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
-from functools import partial
+from functools import lru_cache, partial
 from math import pi
 from typing import Final, Literal
 
@@ -69,6 +69,7 @@ def _blocks(output: Output, accel_range_g: AccelRange, rate_hz: float | None) ->
     }
 
 
+@lru_cache
 def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) -> dict[int, Message]:
     """Return the datagrams of normal mode by their identifier, which is byte 0 of the payload."""
     blocks = _blocks(output, accel_range_g, rate_hz)

@@ -27,8 +27,7 @@ from imumon.protocols.decoder import Decoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.fixed import NumberField, NumberName, timing_of
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame
-from imumon.protocols.layouts import groups_of
-from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING, Number, is_missing
+from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING, Number, groups_of, is_missing
 
 LINE_END: Final = 0x0A
 MOST_LINES: Final = 1 << 14
