@@ -20,7 +20,7 @@ from imumon.blocks import BoolArray, IntArray
 from imumon.columns import Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, ByteArray, Timing
-from imumon.protocols.framing import Found, Frame
+from imumon.protocols.framing import Found, Frame, windows
 from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, TableFamily, part
 from imumon.protocols.quantities import number, vector
 from imumon.protocols.text import NUMBER, line_frame, line_lengths
@@ -72,6 +72,7 @@ def _message(letter: str) -> Message:
 
 
 MESSAGES = {ord(letter): _message(letter) for letter in KINDS}
+SIZES = np.array([message.size for message in MESSAGES.values()])
 
 
 def _without_escapes(message: bytes) -> bytes:
@@ -81,10 +82,11 @@ def _without_escapes(message: bytes) -> bytes:
 
 def _right(size: int, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
     """Check binary messages: their bytes without escapes, and their time."""
-    right: BoolArray = (length >= size + 2) & (length <= 2 * size + 3)
-    stream, ends = held.tobytes(), at + length
-    for row in np.flatnonzero(right).tolist():
-        right[row] = _is_whole(stream[at[row] : ends[row]], size)
+    right: BoolArray = length == size + 2
+    plain = windows(held, at[right], size + 2)
+    right[right] = ~np.any(plain == ESCAPE[0], axis=1) & (plain[:, TIME_SIZE] < YEARS_US >> 56)
+    for row in np.flatnonzero((length > size + 2) & (length <= 2 * size + 3)).tolist():
+        right[row] = _is_whole(held[at[row] : at[row] + length[row]].tobytes(), size)
     return right
 
 
@@ -108,15 +110,16 @@ class XimuDecoder(FamilyDecoder):
     """Decodes data messages with numbers; answers to commands and notes are skipped."""
 
     def _plain(self, found: Found) -> Found:
-        """Return all messages as binary ones without escapes."""
-        spans = zip(found.at.tolist(), found.length.tolist(), found.frame.tolist(), strict=True)
-        parts = []
-        for at, length, frame in spans:
-            message = found.held[at : at + length].tobytes()
-            parts.append(_as_binary(message) if frame >= len(MESSAGES) else _without_escapes(message))
-        lengths = np.array([len(one) for one in parts], np.int64)
-        held = np.frombuffer(b"".join(parts), np.uint8)
-        return Found(held, np.cumsum(lengths) - lengths, lengths, found.frame)
+        """Return all messages as binary ones without escapes and end; those that differ stand behind."""
+        at, length = found.at.copy(), found.length - 1
+        is_text = found.frame >= len(MESSAGES)
+        parts, size = [found.held.tobytes()], len(found.held)
+        for row in np.flatnonzero(is_text | (length > SIZES[found.frame % len(MESSAGES)] + 1)).tolist():
+            message = found.held[at[row] : at[row] + length[row] + 1].tobytes()
+            parts.append(_as_binary(message) if is_text[row] else _without_escapes(message))
+            at[row], length[row] = size, len(parts[-1])
+            size += len(parts[-1])
+        return Found(np.frombuffer(b"".join(parts), np.uint8), at, length, found.frame)
 
     def _key(self, packet: bytes) -> int:
         return packet[0] & ~BINARY
