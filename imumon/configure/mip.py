@@ -12,19 +12,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 
-from imumon.configure.core import (
-    BAUD,
-    SAVE_S,
-    USUAL_COLUMNS,
-    Ask,
-    Family,
-    Message,
-    Refusal,
-    Request,
-    divisor,
-    known,
-    nothing_to_keep,
-)
+from imumon.configure import core
+from imumon.configure.core import Family, Message, Request
 from imumon.configure.firmware import Firmware, PacketKind, nearest
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
@@ -83,14 +72,14 @@ def request(
     asking = (command_set, command) in ASKING
     repeated = data[:strip] if asking else data[1 : 1 + strip]
 
-    def answer(message: Message) -> bytes | Refusal | None:
+    def answer(message: Message) -> bytes | core.Refusal | None:
         there = fields(message.payload) if message.kind == command_set else []
         acks = [ack for code, ack in there if code == ACK and len(ack) == 2 and ack[0] == command]
         if not acks:
             return None
         if acks[0][1]:
             code = acks[0][1]
-            return Refusal(ERRORS.get(code, f"code {code}"))
+            return core.Refusal(ERRORS.get(code, f"code {code}"))
         wanted = ANSWERS.get((command_set, command))
         found = [value for code, value in there if code == wanted]
         if not found:
@@ -129,14 +118,14 @@ class Mip(Family):
     """Base rate of each data set that the device has, of those that are configured."""
     speed_in_base = False
     """Whether the baud rate is set by a base command."""
-    settings = (*OF_SET, BAUD)
+    settings = (*OF_SET, core.BAUD)
     answer_frame = MIP.frame
     title = "MicroStrain"
     verified = "frames of other programs (0x08, 0x0A), and the virtual device; never a real unit"
     baud_codes: Mapping[int, bytes] = {
         rate: rate.to_bytes(4, "big") for rate in (115_200, 230_400, 460_800, 921_600)
     }
-    columns = USUAL_COLUMNS | {"status": ("overrange",)}
+    columns = core.USUAL_COLUMNS | {"status": ("overrange",)}
     assumed = (
         f"base rate {USUAL_BASE_HZ} Hz for sensors and filter; the device is queried for it first",
         "message format by command 0x0F; older devices are set by 0x08 and 0x0A",
@@ -145,7 +134,7 @@ class Mip(Family):
     quiet = (request(BASE, IDLE, b"", "SetToIdle: no data while settings change"),)
     resume = (request(BASE, RESUME, b"", "Resume: data again"),)
     questions = (
-        request(BASE, DEVICE_INFO, b"", "GetDeviceInfo", timeout_s=SAVE_S),
+        request(BASE, DEVICE_INFO, b"", "GetDeviceInfo", timeout_s=core.SAVE_S),
         _base_rate(True, SENSOR),
         _base_rate(True, FILTER),
         request(THREE_DM, UART_BAUD, READ, "read baud rate (UARTBaudRate)"),
@@ -166,28 +155,28 @@ class Mip(Family):
         """Return descriptor set and fields."""
         return Message(packet[2], packet[4:-2])
 
-    def learn(self, ask: Ask) -> None:
+    def learn(self, ask: core.Ask) -> None:
         """Ask what it is, which commands it knows and its base rates."""
         about, sensors, _, uart = self.questions
         info = ask(about)
         texts = [info[at : at + 16].decode("ascii", "replace").strip(" \0") for at in (2, 18, 34)]
-        sensor_rate = known(ask, sensors)
+        sensor_rate = core.known(ask, sensors)
         modern = sensor_rate is not None
         answers = {
-            SENSOR: sensor_rate if modern else known(ask, _base_rate(False, SENSOR)),
-            FILTER: known(ask, _base_rate(modern, FILTER)),
+            SENSOR: sensor_rate if modern else core.known(ask, _base_rate(False, SENSOR)),
+            FILTER: core.known(ask, _base_rate(modern, FILTER)),
         }
         known_hz = {of: int.from_bytes((answer or b"")[:2], "big") for of, answer in answers.items()}
         rates = {of: base for of, base in known_hz.items() if base}
         if SENSOR not in rates:
             raise ImumonError(Reason.BAD_DATA, "the device reports no base rate of its sensors")
         self.identity, self.modern, self.base_hz = tuple(filter(None, texts)), modern, rates
-        self.settings = (*(name for name, of in OF_SET.items() if of in rates), BAUD)
-        self.speed_in_base = known(ask, uart) is None
+        self.settings = (*(name for name, of in OF_SET.items() if of in rates), core.BAUD)
+        self.speed_in_base = core.known(ask, uart) is None
 
     def command(self, name: str) -> tuple[int, int, bytes]:
         """Return command set, command, and what follows the function selector."""
-        if name == BAUD:
+        if name == core.BAUD:
             return (BASE, COMM_SPEED, MAIN_PORT) if self.speed_in_base else (THREE_DM, UART_BAUD, b"")
         of = OF_SET[name]
         if name in (SENSOR_STREAM, FILTER_STREAM):
@@ -211,7 +200,7 @@ class Mip(Family):
         found = []
         for name in names:
             command_set, command, of = self.command(name)
-            found.append(request(command_set, command, SAVE + of, f"save {name}", timeout_s=SAVE_S))
+            found.append(request(command_set, command, SAVE + of, f"save {name}", timeout_s=core.SAVE_S))
         return tuple(found)
 
     def _fields(self, outputs: Sequence[str], of: int) -> list[int]:
@@ -238,12 +227,12 @@ class Mip(Family):
                 continue
             kept = [code for code, _ in formatted(present.get(name, b""))]
             codes = kept if outputs is None else self._fields(outputs, of)
-            by = divisor(self.base_hz[of], rate_hz) if codes else 1
+            by = core.divisor(self.base_hz[of], rate_hz) if codes else 1
             result[name] = message_format([(code, by) for code in codes])
             if codes:
                 result[name.replace("format", "stream")] = ON
         if not any(formatted(value) for name, value in result.items() if "format" in name):
-            raise nothing_to_keep("output", "give --outputs")
+            raise core.nothing_to_keep("output", "give --outputs")
         return result
 
     def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
@@ -270,7 +259,7 @@ class Mip(Family):
 
     def describe(self, name: str, value: bytes) -> str:
         """Return whether a stream is on, or each field of a format with its rate."""
-        if name == BAUD:
+        if name == core.BAUD:
             return super().describe(name, value)
         if name in (SENSOR_STREAM, FILTER_STREAM):
             return "off" if value == OFF else "on"
@@ -357,7 +346,7 @@ class MipFirmware(Firmware):
         return "", b""
 
     def _possible(self, name: str, value: bytes) -> bool:
-        if name == BAUD:
+        if name == core.BAUD:
             return value in Mip.baud_codes.values()
         if name in (SENSOR_STREAM, FILTER_STREAM):
             return len(value) == 1

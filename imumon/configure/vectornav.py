@@ -10,17 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from imumon.configure.core import (
-    BAUD,
-    SAVE_S,
-    Ask,
-    Family,
-    Message,
-    Refusal,
-    Request,
-    divisor,
-    nothing_to_keep,
-)
+from imumon.configure import core
+from imumon.configure.core import Family, Message, Request
 from imumon.configure.firmware import Firmware, PacketKind, nearest
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.text import line_frame, sentence, sentence_body
@@ -41,7 +32,7 @@ ERRORS = {1: "hard fault", 2: "serial buffer overflow", 3: "invalid checksum", 4
           9: "unauthorized access", 10: "watchdog reset", 11: "output buffer overflow",
           12: "insufficient baud rate", 255: "error buffer overflow"}  # fmt: skip
 OUTPUT, SECOND, THIRD, ASCII = "binary output 1", "binary output 2", "binary output 3", "ASCII output"
-REGISTERS = {OUTPUT: 75, SECOND: 76, THIRD: 77, ASCII: 6, BAUD: 5}
+REGISTERS = {OUTPUT: 75, SECOND: 76, THIRD: 77, ASCII: 6, core.BAUD: 5}
 FIELDS: Mapping[str, tuple[str, ...]] = {
     "inertial": ("Imu.UncompAccel", "Imu.UncompGyro"),
     "increments": ("Imu.DeltaTheta", "Imu.DeltaVelocity"),
@@ -74,11 +65,13 @@ def request(command: str, meaning: str, echo: str = "", timeout_s: float = 0.5) 
     """Return a command; its answer begins with `echo`, or else with the letters of the command."""
     kind, register = command[2:5], echo
 
-    def answer(message: Message) -> bytes | Refusal | None:
+    def answer(message: Message) -> bytes | core.Refusal | None:
         text = message.payload.decode("ascii", "replace")
         if message.kind == "ERR":
             code = _whole(text.split(",")[0])
-            return Refusal(f"error {text}: {ERRORS.get(-1 if code is None else code, 'not a known code')}")
+            return core.Refusal(
+                f"error {text}: {ERRORS.get(-1 if code is None else code, 'not a known code')}"
+            )
         if message.kind != kind:
             return None
         if not register:
@@ -176,7 +169,7 @@ class VectorNav(Family):
         assert body is not None
         return Message(body[3:6], body[7:].encode())
 
-    def learn(self, ask: Ask) -> None:
+    def learn(self, ask: core.Ask) -> None:
         """Ask the model, of which the base rate depends, and the firmware."""
         model, firmware = (ask(question).decode("ascii", "replace") for question in self.questions)
         self.base_hz = FAST_HZ if model.upper().startswith("VN-1") else SLOW_HZ
@@ -189,11 +182,11 @@ class VectorNav(Family):
         reader = found.answer
         assert reader is not None
 
-        def canonical(message: Message) -> bytes | Refusal | None:
+        def canonical(message: Message) -> bytes | core.Refusal | None:
             value = reader(message)
             if not isinstance(value, bytes):
                 return value
-            if name in (ASCII, BAUD):  # newer firmware adds the number of the port
+            if name in (ASCII, core.BAUD):  # newer firmware adds the number of the port
                 return value.split(b",")[0].lstrip(b"0") or b"0"
             return Output.read(value).value
 
@@ -208,7 +201,7 @@ class VectorNav(Family):
     def save(self, names: Sequence[str]) -> tuple[Request, ...]:
         """Return $VNWNV, which saves every register."""
         del names
-        return (request("VNWNV", "save all registers", timeout_s=SAVE_S),)
+        return (request("VNWNV", "save all registers", timeout_s=core.SAVE_S),)
 
     def of_wish(
         self, present: Mapping[str, bytes], rate_hz: float | None, outputs: tuple[str, ...] | None
@@ -216,13 +209,13 @@ class VectorNav(Family):
         """Return the first binary output; the others and the ASCII output off.  See `Family.wanted`."""
         now = {name: Output.read(present[name]) for name in (OUTPUT, SECOND, THIRD) if name in present}
         old = now.get(OUTPUT, NO_OUTPUT)
-        by, port = divisor(self.base_hz, rate_hz), old.port or 1
+        by, port = core.divisor(self.base_hz, rate_hz), old.port or 1
         if outputs is not None:
             new = Output.of(port, by, ["Common.TimeStartup", *(x for name in outputs for x in FIELDS[name])])
         elif old.on:
             new = Output(port, by, old.groups, old.words)
         else:
-            raise nothing_to_keep("binary output", "give --outputs")
+            raise core.nothing_to_keep("binary output", "give --outputs")
         others = [name for name in (SECOND, THIRD) if now.get(name, NO_OUTPUT).on]
         off = {name: replace(now[name], port=0).value for name in others}
         return {ASCII: b"0", **off, OUTPUT: new.value}
@@ -245,7 +238,7 @@ class VectorNav(Family):
 
     def describe(self, name: str, value: bytes) -> str:
         """Return fields, rate and port of a binary output, or the type of the ASCII output."""
-        if name == BAUD:
+        if name == core.BAUD:
             return super().describe(name, value)
         if name == ASCII:
             return "off" if value == b"0" else f"type {value.decode('ascii', 'replace')}"
@@ -328,7 +321,7 @@ def _names(register: Output) -> list[str]:
 
 def _possible(name: str, value: bytes) -> bool:
     """Return whether the device takes a value."""
-    if name == BAUD:
+    if name == core.BAUD:
         return value in VectorNav.baud_codes.values()
     if name == ASCII:
         return value.isdigit()

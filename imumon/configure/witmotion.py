@@ -11,18 +11,8 @@ from collections.abc import Mapping, Sequence
 from functools import partial, reduce
 from operator import or_
 
-from imumon.configure.core import (
-    BAUD,
-    CLOSE_ENOUGH,
-    USUAL_COLUMNS,
-    Family,
-    Message,
-    Refusal,
-    Request,
-    no_rate,
-    nothing_to_keep,
-    packets_among,
-)
+from imumon.configure import core
+from imumon.configure.core import Family, Message, Request
 from imumon.configure.firmware import Firmware, PacketKind
 from imumon.protocols.checks import Checksum
 from imumon.protocols.device import DeviceFile
@@ -33,7 +23,7 @@ from imumon.protocols.witmotion import SIZE, TYPES, WitMotionDevice
 REGISTER_ANSWER = 0x5F
 CONTENT, RATE = "output content", "output rate"
 SAVE, RSW, RRATE, BAUD_REGISTER, READ_ADDRESS = 0x00, 0x02, 0x03, 0x04, 0x27
-REGISTERS = {CONTENT: RSW, RATE: RRATE, BAUD: BAUD_REGISTER}
+REGISTERS = {CONTENT: RSW, RATE: RRATE, core.BAUD: BAUD_REGISTER}
 UNLOCK = b"\xff\xaa\x69\x88\xb5"
 PAUSE_S = 0.1
 """Between writes: the vendor's code leaves 1 to 200 ms."""
@@ -58,7 +48,7 @@ def frame(register: int, value: bytes) -> bytes:
     return b"\xff\xaa" + bytes([register]) + value
 
 
-def _registers(message: Message) -> bytes | Refusal | None:
+def _registers(message: Message) -> bytes | core.Refusal | None:
     """Return the first of the four registers of an answer."""
     return message.payload[:2] if message.kind == REGISTER_ANSWER else None
 
@@ -76,7 +66,9 @@ class WitMotion(Family):
     save_confirmed = False
     baud_codes: Mapping[int, bytes] = {rate: bytes([code, 0]) for code, rate in enumerate(BAUDRATES, 1)}
     columns: Mapping[str, tuple[str, ...]] = {
-        **{name: USUAL_COLUMNS[name] for name in ("inertial", "magnetometer", "temperature", "pressure")},
+        **{
+            name: core.USUAL_COLUMNS[name] for name in ("inertial", "magnetometer", "temperature", "pressure")
+        },
         "attitude": ("roll",),
     }
     settings = tuple(REGISTERS)
@@ -108,11 +100,11 @@ class WitMotion(Family):
         if outputs is not None:
             result[CONTENT] = reduce(or_, (FRAMES[name] for name in outputs), 0).to_bytes(2, "little")
         elif present and not any(present[CONTENT]):
-            raise nothing_to_keep("output", "give --outputs")
+            raise core.nothing_to_keep("output", "give --outputs")
         if rate_hz is not None:
-            near = [code for code, rate in RATES.items() if abs(rate / rate_hz - 1) <= CLOSE_ENOUGH]
+            near = [code for code, rate in RATES.items() if abs(rate / rate_hz - 1) <= core.CLOSE_ENOUGH]
             if not near:
-                raise no_rate(rate_hz, tuple(RATES.values()), "the device has a list of rates")
+                raise core.no_rate(rate_hz, tuple(RATES.values()), "the device has a list of rates")
             result[RATE] = bytes([near[0], 0])
         return result
 
@@ -127,7 +119,7 @@ class WitMotion(Family):
 
     def describe(self, name: str, value: bytes) -> str:
         """Return the rate, or the frames of a sample."""
-        if name == BAUD:
+        if name == core.BAUD:
             return super().describe(name, value)
         code = int.from_bytes(value, "little")
         if name == RATE:
@@ -157,7 +149,7 @@ class WitMotionFirmware(Firmware):
 
     def found(self, held: bytes) -> tuple[list[Message], int]:
         """Find writes, which are unlike answers."""
-        packets, done = packets_among(held, WRITE)
+        packets, done = core.packets_among(held, WRITE)
         return [Message(packet[2], packet[3:]) for packet in packets], done
 
     def answer(self, command: Message) -> bytes:

@@ -10,18 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from imumon.configure.core import (
-    BAUD,
-    SAVE_S,
-    Ask,
-    Family,
-    Message,
-    Refusal,
-    Request,
-    known,
-    no_rate,
-    nothing_to_keep,
-)
+from imumon.configure import core
+from imumon.configure.core import Family, Message, Request
 from imumon.configure.firmware import Firmware, PacketKind, nearest
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
@@ -68,13 +58,13 @@ def frame(kind: int, payload: bytes = b"") -> bytes:
     return XBUS.check.sealed(xbus_message(kind, payload))
 
 
-def request(kind: int, payload: bytes = b"", meaning: str = "", timeout_s: float = SAVE_S) -> Request:
+def request(kind: int, payload: bytes = b"", meaning: str = "", timeout_s: float = core.SAVE_S) -> Request:
     """Return a request; its answer has the next number, an Error message says no."""
 
-    def answer(message: Message) -> bytes | Refusal | None:
+    def answer(message: Message) -> bytes | core.Refusal | None:
         if message.kind == ERROR:
             code = message.payload[0] if message.payload else 0
-            return Refusal(f"error {code}: {ERRORS.get(code, 'not a known code')}")
+            return core.Refusal(f"error {code}: {ERRORS.get(code, 'not a known code')}")
         return message.payload if message.kind == kind + 1 else None
 
     return Request(meaning or NAMES[kind], frame(kind, payload), answer, timeout_s)
@@ -104,7 +94,7 @@ def _version(payload: bytes) -> str:
 class Xsens(Family):
     """Commands of an MTi."""
 
-    settings = (OUTPUT, BAUD)
+    settings = (OUTPUT, core.BAUD)
     answer_frame = replace(XBUS.frame, sync=b"\xfa\xff")
     title = "Xsens MTi"
     verified = "frames of other programs, and the virtual device; never a real unit"
@@ -121,9 +111,9 @@ class Xsens(Family):
         """Return identifier and data."""
         return Message(packet[2], XBUS.payload(packet))
 
-    def learn(self, ask: Ask) -> None:
+    def learn(self, ask: core.Ask) -> None:
         """Ask what it is; a unit that refuses to tell can be configured all the same."""
-        answers = [known(ask, question) for question in self.questions]
+        answers = [core.known(ask, question) for question in self.questions]
         texts = [of(answer) for of, answer in zip((_text, _version), answers, strict=True) if answer]
         self.identity = tuple(texts)
 
@@ -148,9 +138,9 @@ class Xsens(Family):
     ) -> dict[str, bytes]:
         """Return the output configuration; see `Family.wanted`."""
         if rate_hz is None:
-            raise nothing_to_keep("rate", "give --rate")
+            raise core.nothing_to_keep("rate", "give --rate")
         if rate_hz not in RATES:
-            raise no_rate(rate_hz, RATES, f"the device divides {FASTEST_HZ} Hz by a whole number")
+            raise core.no_rate(rate_hz, RATES, f"the device divides {FASTEST_HZ} Hz by a whole number")
         now = entries(present[OUTPUT]) if outputs is None else []
         fastest = self.rate_hz(present) if outputs is None else None
         timed = [(code, rate_hz if hz == fastest else hz) for code, hz in now if hz != WITH_EVERY_PACKET]
@@ -170,7 +160,7 @@ class Xsens(Family):
             (code, round(min(hz, rate_hz, MOST_HZ.get(code & 0xFFF0, FASTEST_HZ)))) for code, hz in timed
         ]
         if max(rates := [hz for _, hz in often]) < rate_hz:
-            raise no_rate(rate_hz, rates, "these outputs are slower")
+            raise core.no_rate(rate_hz, rates, "these outputs are slower")
         return {OUTPUT: packed((*always, *often) if outputs is None else (*ALWAYS, *often, *always))}
 
     def settled(self, name: str, wanted: bytes, found: bytes) -> bool:
@@ -199,7 +189,7 @@ class Xsens(Family):
 
     def describe(self, name: str, value: bytes) -> str:
         """Return each output with its rate."""
-        if name == BAUD:
+        if name == core.BAUD:
             return super().describe(name, value)
         outputs = [
             f"{identifier_name(code)} {'always' if rate == WITH_EVERY_PACKET else f'{rate} Hz'}"
@@ -261,9 +251,9 @@ class XsensFirmware(Firmware):
         if data:
             if data not in self.family.baud_codes.values():
                 return frame(ERROR, bytes([NO_SUCH_BAUDRATE]))
-            self.obey(BAUD, data)
-            self.save(BAUD)
-        return frame(SET_BAUDRATE + 1, b"" if data else self.volatile[BAUD])
+            self.obey(core.BAUD, data)
+            self.save(core.BAUD)
+        return frame(SET_BAUDRATE + 1, b"" if data else self.volatile[core.BAUD])
 
     def outputs(self) -> tuple[float, list[PacketKind]]:
         """Return MTData2 messages; each holds what is due."""
