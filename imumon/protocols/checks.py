@@ -150,17 +150,17 @@ class Checksum:
 class Rearranged:
     """The check of packets that have their bytes in another order.
 
-    `order` takes the length of a packet, and returns the places of what counts, those of the checksum last.
+    `places`: those of what counts, those of the checksum last; of packets of any length a function of that.
     """
 
     check: Checksum
-    order: Callable[[int], Sequence[int]]
+    places: Sequence[int] | Callable[[int], Sequence[int]]
 
     def __call__(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
         """Tell which packets are right; see `Check`."""
         right = np.zeros(len(at), np.bool_)
         for which, rows in by_size(held, at, at + length):
-            places = self.order(rows.shape[1])
+            places = self.places(rows.shape[1]) if callable(self.places) else self.places
             moved = rows.take(places, axis=1)
             begins = np.arange(len(which)) * len(places)
             right[which] = self.check(moved.reshape(-1), begins, np.full(len(which), len(places)))

@@ -289,6 +289,23 @@ class Decoder:
         return Packets(SampleBlock(columns), groups)
 
 
+class DescribedDecoder(Decoder):
+    """Decodes packets of described kinds, a row for each, or for those of one moment.
+
+    `layouts` are those of the frames, of which the first counts that is valid at a place.
+    """
+
+    def __init__(
+        self, frames: Sequence[Frame], timing: Timing, layouts: Sequence[Layout], groups: Groups | None
+    ) -> None:
+        super().__init__(frames, timing, groups)
+        for layout in layouts:
+            self._add(layout)
+
+    def _layout_numbers(self, found: Found) -> IntArray:
+        return found.frame
+
+
 def _once(texts: dict[str, bool]) -> list[str]:
     """Return the texts that were not given before."""
     new = [text for text, given in texts.items() if not given]

@@ -20,7 +20,7 @@ from imumon.config import LARGEST_NUMBER, StrictModel
 from imumon.errors import ImumonError
 from imumon.protocols.base import COMMON, LONGEST_PACKET, MAIN, ByteArray, Encoder, Timing
 from imumon.protocols.checks import CHECKSUM_NAMES, Checksum, Rearranged
-from imumon.protocols.decoder import Decoder
+from imumon.protocols.decoder import DescribedDecoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import IMPOSSIBLE, Check, Found, Frame, unchecked
 from imumon.protocols.numbers import NO_GROUP, NUMBER_TYPES, Number, Record, groups_of, write
@@ -279,26 +279,15 @@ class DescribedLayout(Record):
         return columns
 
 
-class FixedDecoder(Decoder):
-    """Decodes packets of described kinds, a row for each, or for those of one moment.
-
-    `name` is what a packet without a name is called in the counters.  Of several packets that begin at the
-    same place the first that is valid counts.
-    """
-
-    def __init__(self, name: str, packets: Sequence[Packet], rate_hz: float | None) -> None:
-        timings = [timing_of(packet.fields, rate_hz) for packet in packets]
-        counted = next((t for t in timings if t.counter_bits is not None), timings[0])
-        timed = next((t for t in timings if t.tick_ns is not None), timings[0])
-        timing = replace(timed, counter_bits=counted.counter_bits)
-        layouts = [DescribedLayout(packet) for packet in packets]
-        groups = groups_of(layouts) if len(packets) > 1 else None
-        super().__init__([_frame(packet, name) for packet in packets], timing, groups)
-        for layout in layouts:
-            self._add(layout)
-
-    def _layout_numbers(self, found: Found) -> IntArray:
-        return found.frame
+def fixed_decoder(name: str, packets: Sequence[Packet], rate_hz: float | None) -> DescribedDecoder:
+    """Return a decoder of packets; `name` is what one without a name is called in the counters."""
+    timings = [timing_of(packet.fields, rate_hz) for packet in packets]
+    counted = next((t for t in timings if t.counter_bits is not None), timings[0])
+    timed = next((t for t in timings if t.tick_ns is not None), timings[0])
+    timing = replace(timed, counter_bits=counted.counter_bits)
+    layouts = [DescribedLayout(packet) for packet in packets]
+    groups = groups_of(layouts) if len(packets) > 1 else None
+    return DescribedDecoder([_frame(packet, name) for packet in packets], timing, layouts, groups)
 
 
 def _frame(packet: Packet, name: str) -> Frame:
@@ -320,13 +309,7 @@ def _check(packet: Packet) -> Check:
         return unchecked
     if field.last + 1 == field.at and field.at + check.size == packet.length:
         return packet.check(field.first) or unchecked
-    places = [*range(field.first, field.last + 1), *range(field.at, field.at + check.size)]
-    return Rearranged(check, partial(_always, places))
-
-
-def _always(places: list[int], size: int) -> list[int]:
-    del size
-    return places
+    return Rearranged(check, (*range(field.first, field.last + 1), *range(field.at, field.at + check.size)))
 
 
 class FixedEncoder(Encoder):
@@ -365,9 +348,9 @@ class FixedDevice(DeviceFile):
     protocol: Literal["fixed"]
     packet: Packet
 
-    def decoder(self) -> FixedDecoder:
+    def decoder(self) -> DescribedDecoder:
         """Make a decoder for this packet."""
-        return FixedDecoder(self.name, [self.packet], self.rate_hz)
+        return fixed_decoder(self.name, [self.packet], self.rate_hz)
 
     def encoder(self) -> FixedEncoder:
         """Make an encoder for this packet."""
@@ -391,9 +374,9 @@ class SeveralDevice(DeviceFile):
             raise ValueError(f"sends: no packet {', '.join(unknown)}; there are: {', '.join(names)}")
         return self
 
-    def decoder(self) -> FixedDecoder:
+    def decoder(self) -> DescribedDecoder:
         """Make a decoder for these packets."""
-        return FixedDecoder(self.name, self.packets, self.rate_hz)
+        return fixed_decoder(self.name, self.packets, self.rate_hz)
 
     def encoder(self) -> FixedEncoder:
         """Make an encoder for those that are sent."""

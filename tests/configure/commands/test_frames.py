@@ -71,7 +71,8 @@ def test_vectornav_asks_for_what_the_filter_has_not_corrected() -> None:
     shown = vectornav.VectorNav().describe(vectornav.OUTPUT, wanted[vectornav.OUTPUT])
     assert shown.endswith("Common Imu: TimeStartup, UncompAccel, UncompGyro, Temperature")
     found = vectornav.Output.read(wanted[vectornav.OUTPUT]).contents
-    assert found is not None and found.end + 2 == 2 + 4 + 8 + 12 + 12 + 4 + 2
+    assert found is not None
+    assert found.end + 2 == 2 + 4 + 8 + 12 + 12 + 4 + 2
     assert wanted[vectornav.OUTPUT] == b"1,8,05,0001,001C"
 
 
