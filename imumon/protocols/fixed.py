@@ -190,24 +190,27 @@ class Packet(StrictModel):
     def _fits(self) -> Self:
         if len(self.sync) >= self.length:
             raise ValueError(f"{len(self.sync)} sync bytes do not fit into {self.length} bytes")
-        if self.length_field is not None:
-            size = NUMBER_TYPES[self.length_field.type].size
-            self._inside("length_field", self.length_field.at, self.length_field.at + size)
-            if self.length_field.value >= 1 << (8 * size):
-                raise ValueError(
-                    f"length_field: {self.length_field.value} does not fit {self.length_field.type}"
-                )
-        check = self.checksum
+        length, check = self.length_field, self.checksum
+        spans = [(f"fields[{k}] ({', '.join(f.names)})", f.at, f.end) for k, f in enumerate(self.fields)]
+        if length is not None:
+            size = NUMBER_TYPES[length.type].size
+            spans.append(("length_field", length.at, length.at + size))
+            if length.value >= 1 << (8 * size):
+                raise ValueError(f"length_field: {length.value} does not fit {length.type}")
         if check.type != "none":
-            self._inside("checksum", check.at, check.at + Checksum(check.type).size)
-            self._inside("checksum", check.first, check.last + 1)
+            spans.append(("checksum", check.at, check.at + Checksum(check.type).size))
+            spans.append(("checksum", check.first, check.last + 1))
             if check.first <= check.at <= check.last:
                 raise ValueError(
                     f"checksum: covers itself (bytes {check.first} to {check.last}, at {check.at})"
                 )
+        for what, start, stop in spans:
+            if start >= stop or stop > self.length:
+                raise ValueError(
+                    f"{what}: bytes {start} to {stop - 1} are outside the packet of {self.length} bytes"
+                )
         names: set[str] = set()
         for number, field in enumerate(self.fields):
-            self._inside(f"fields[{number}] ({', '.join(field.names)})", field.at, field.end)
             for name in field.names:
                 if name in names:
                     raise ValueError(f"fields[{number}]: column {name} is there twice")
@@ -250,12 +253,6 @@ class Packet(StrictModel):
     def turns(self) -> dict[str, When]:
         """In which packets the columns are there that are not in all."""
         return {name: field.when for field in self.fields for name in field.names if field.when}
-
-    def _inside(self, what: str, start: int, stop: int) -> None:
-        if start >= stop or stop > self.length:
-            raise ValueError(
-                f"{what}: bytes {start} to {stop - 1} are outside the packet of {self.length} bytes"
-            )
 
 
 def _fraction(number: float | int | str) -> Fraction:

@@ -33,14 +33,7 @@ from imumon.protocols.mip_filter import (
     valid,
 )
 from imumon.protocols.numbers import NO_GROUP, Columns, Derived, Number
-from imumon.protocols.quantities import (
-    MATRIX,
-    QUATERNION_OF_MATRIX,
-    count,
-    known,
-    number,
-    vector,
-)
+from imumon.protocols.quantities import MATRIX, QUATERNION_OF_MATRIX, count, known, number, vector
 from imumon.protocols.tagged import MIP, TaggedDecoder, TaggedEncoder
 
 WEEK_NS = 7 * 86_400 * 10**9

@@ -19,6 +19,7 @@ import numpy as np
 
 from imumon.blocks import IntArray, SampleBlock
 from imumon.columns import KNOWN
+from imumon.protocols import vectornav_fields as tables
 from imumon.protocols.base import LONGEST_PACKET, MAIN, ByteArray, Encoder, Timing, chosen
 from imumon.protocols.checks import Checksum
 from imumon.protocols.decoder import Alike
@@ -27,16 +28,6 @@ from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame, count
 from imumon.protocols.messages import Message, TableDecoder
 from imumon.protocols.numbers import Layout, Number, Record, write
 from imumon.protocols.text import LineLayout, line_frame, sentence_body
-from imumon.protocols.vectornav_fields import (
-    COMMON,
-    FILTERED,
-    GROUP_NAMES,
-    GROUPS,
-    RECEIVERS,
-    REPEATS,
-    SENTENCES,
-    SIDE_GROUPS,
-)
 
 MOST_HEADER = 64
 KINDS = 8
@@ -53,7 +44,7 @@ class Contents(NamedTuple):
     @property
     def counters(self) -> list[int]:
         """Places of the bytes that say how long a field is."""
-        return [at + REPEATS[item.name][1] for item, at in self.fields if item.name in REPEATS]
+        return [at + tables.REPEATS[item.name][1] for item, at in self.fields if item.name in tables.REPEATS]
 
 
 def read_contents(packet: bytes) -> Contents | int:
@@ -71,7 +62,7 @@ def read_contents(packet: bytes) -> Contents | int:
         return IMPOSSIBLE
     items: list[Message] = []
     for group in groups:
-        left, more = GROUPS.get(group, ()), group in GROUPS
+        left, more = tables.GROUPS.get(group, ()), group in tables.GROUPS
         if not more:
             return IMPOSSIBLE
         while more:
@@ -79,8 +70,8 @@ def read_contents(packet: bytes) -> Contents | int:
                 return INCOMPLETE if at <= MOST_HEADER else IMPOSSIBLE
             word = packet[at] | packet[at + 1] << 8
             at += 2
-            more = group != COMMON and word >= 0x8000
-            word &= 0xFFFF if group == COMMON else 0x7FFF
+            more = group != tables.COMMON and word >= 0x8000
+            word &= 0xFFFF if group == tables.COMMON else 0x7FFF
             if word >> len(left):
                 return IMPOSSIBLE
             items += [item for k, item in enumerate(left[:16]) if word >> k & 1 and item is not None]
@@ -93,8 +84,8 @@ def _placed(packet: bytes, items: Sequence[Message], header: int) -> Contents | 
     at, fields = header, list[tuple[Message, int]]()
     for item in items:
         fields.append((item, at))
-        if item.name in REPEATS:
-            more, counter = REPEATS[item.name]
+        if item.name in tables.REPEATS:
+            more, counter = tables.REPEATS[item.name]
             if at + counter >= len(packet):
                 return INCOMPLETE
             at += more * packet[at + counter]
@@ -137,7 +128,7 @@ def _sentence(text: str) -> tuple[str, list[str]] | None:
     if body is None or not body.isascii():
         return None
     name, *fields = body[3:].split(",")
-    values = SENTENCES.get(name)
+    values = tables.SENTENCES.get(name)
     if values is not None:
         if fields and fields[-1][:1] in ("S", "T") and len(fields) > len(values):
             fields = fields[: len(values)]  # the appendix with status or time
@@ -172,7 +163,9 @@ class VectorNavDecoder(TableDecoder):
             line_frame("ascii", b"$VN", _sentence),
         )
         timing = Timing(tick_ns=Fraction(1), rate_hz=rate_hz)
-        super().__init__(frames, timing, FIELDS.values(), names=SIDE_GROUPS, apart=(*RECEIVERS.values(),))
+        super().__init__(
+            frames, timing, FIELDS.values(), names=tables.SIDE_GROUPS, apart=(*tables.RECEIVERS.values(),)
+        )
         self._factory: frozenset[str] = frozenset()
         """Quantities that have come as they were calibrated in the factory."""
 
@@ -203,7 +196,7 @@ class VectorNavDecoder(TableDecoder):
     def _numbers_of(self, alike: Alike) -> list[Number]:
         """Return the numbers of packets; those of a sentence are in its order."""
         if alike.frame == SENTENCE:
-            values = SENTENCES.get(alike.packet[3:6].decode("ascii", "replace"), ())
+            values = tables.SENTENCES.get(alike.packet[3:6].decode("ascii", "replace"), ())
             return [value._replace(group=MAIN) for value in values]
         return [n for item, at, size in self._contents(alike.packet) for n in item.placed(at, size, False)]
 
@@ -227,19 +220,19 @@ class VectorNavDecoder(TableDecoder):
         assert read is not None
         if read[0] == "ERR":
             self._say(f"the device reports error {', '.join(read[1])}")
-        elif read[0] not in SENTENCES:
+        elif read[0] not in tables.SENTENCES:
             self._say(f"sentence $VN{read[0]} is counted and not read")
 
 
 def _factory(numbers: Sequence[Number]) -> frozenset[str]:
     """Return of which quantities there are numbers as they were calibrated in the factory."""
     names = {number.name for number in numbers}
-    return frozenset(base for base in FILTERED if f"{base}_x" in names)
+    return frozenset(base for base in tables.FILTERED if f"{base}_x" in names)
 
 
 def _renamed(numbers: Sequence[Number], factory: frozenset[str]) -> list[Number]:
     """Return the numbers; those of the filter have the plain names where nothing comes as calibrated."""
-    bases = {*FILTERED} - factory
+    bases = {*tables.FILTERED} - factory
     plain = {f"{base}_compensated_{axis}": f"{base}_{axis}" for base in bases for axis in "xyz"}
     return [
         number._replace(column=KNOWN[plain[number.name]]) if number.name in plain else number
@@ -248,17 +241,17 @@ def _renamed(numbers: Sequence[Number], factory: frozenset[str]) -> list[Number]
 
 
 FIELDS = {
-    f"{GROUP_NAMES[group]}.{item.name}": item
-    for group, items in GROUPS.items()
+    f"{tables.GROUP_NAMES[group]}.{item.name}": item
+    for group, items in tables.GROUPS.items()
     for item in items
     if item is not None and item.columns
 }
 """The fields that are read, by GROUP.FIELD."""
 PLACES = {
     name: (group, bit)
-    for group, items in GROUPS.items()
+    for group, items in tables.GROUPS.items()
     for bit, item in enumerate(items)
-    if item is not None and (name := f"{GROUP_NAMES[group]}.{item.name}") in FIELDS
+    if item is not None and (name := f"{tables.GROUP_NAMES[group]}.{item.name}") in FIELDS
 }
 """Group and bit of these."""
 

@@ -22,20 +22,8 @@ from imumon.protocols.messages import Message, field
 from imumon.protocols.numbers import Number
 from imumon.protocols.quantities import MATRIX, count, known, number
 from imumon.protocols.tagged import XBUS, XBUS_DATA, TaggedDecoder, TaggedEncoder
-from imumon.protocols.xsens.fields import (
-    DEGREE,
-    DERIVED,
-    DEVICE_TICKS_OF_UTC,
-    FRAMES,
-    IDENTIFIERS,
-    MAG,
-    PRECISIONS,
-    RAW,
-    RAW_TEMPERATURE,
-    UTC_VALUES,
-    VELOCITY,
-    message_of,
-)
+from imumon.protocols.xsens import fields
+from imumon.protocols.xsens.fields import DEGREE, DERIVED, FRAMES, IDENTIFIERS, PRECISIONS, message_of
 
 MTDATA, MTDATA2 = 0x32, 0x36
 DEVICE_ID, CONFIGURATION, FIRMWARE, PRODUCT_CODE = 0x01, 0x0D, 0x13, 0x1D
@@ -262,8 +250,12 @@ _RAW_GPS = (
     Number(count("gnss_age", "age of the GNSS data, in packets"), "u8"),
 )
 
-_CALIBRATED = {"accel": known("accel"), "gyro": known("gyro"), "mag": MAG}
-_ORIENTATION = {"quaternion": (known("q"), 1.0), "euler": (known("angles"), DEGREE), "matrix": (MATRIX, 1.0)}
+_CALIBRATED = {"accel": known("accel"), "gyro": known("gyro"), "mag": fields.MAG}
+_ORIENTATION = {
+    "quaternion": (known("q"), 1.0),
+    "euler": (known("angles"), DEGREE),
+    "matrix": (MATRIX, 1.0),
+}
 
 
 def mtdata_field(profile: Profile) -> Message:
@@ -274,25 +266,25 @@ def mtdata_field(profile: Profile) -> Message:
     calibrated = [c for part, columns in _CALIBRATED.items() if part in settings.calibrated for c in columns]
     analog = [number(f"analog_{line}", "1", f"analog input {line}, raw counts") for line in (1, 2)]
     parts: dict[str, list[Number]] = {
-        "raw_inertial": [Number(column, "u16") for column in (*RAW, RAW_TEMPERATURE)],
+        "raw_inertial": [Number(column, "u16") for column in (*fields.RAW, fields.RAW_TEMPERATURE)],
         "raw_gps": list(_RAW_GPS),
         "temperature": [Number(column, kind, factor) for column in known("temperature")],
         "calibrated": [Number(column, kind, factor) for column in calibrated],
         "orientation": [Number(column, kind, factor * to_radian) for column in orientation],
         "auxiliary": [Number(analog[line - 1], "u16") for line in sorted({*settings.analog})],
         "position": [Number(column, kind, factor) for column in known("place")],
-        "velocity": [Number(column, kind, factor) for column in VELOCITY],
+        "velocity": [Number(column, kind, factor) for column in fields.VELOCITY],
         "status": [Number(KNOWN["status"], "u8" if settings.status == "compact" else "u32")],
     }
     values = [value for part, content in parts.items() if part in profile.output_mode for value in content]
     if "sample_counter" in settings.timestamp:
         values.append(Number(KNOWN["packet_counter"], "u16"))
     if "utc" in settings.timestamp:
-        values.extend(UTC_VALUES)
+        values.extend(fields.UTC_VALUES)
     return field("MTData", values)
 
 
-_DERIVED = (DEVICE_TICKS_OF_UTC, *DERIVED)
+_DERIVED = (fields.DEVICE_TICKS_OF_UTC, *DERIVED)
 
 
 class MTDataDecoder(TaggedDecoder):
