@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pkgutil import resolve_name
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 
@@ -175,11 +175,8 @@ class Family(ABC):
     questions: tuple[Request, ...] = ()
     """What `learn` asks of a device of the newest kind."""
 
-    @classmethod
-    def of(cls, device: DeviceFile) -> Self:
-        """Return the family as a device file has it."""
-        del device
-        return cls()
+    def __init__(self, device: DeviceFile | None = None) -> None:
+        self.device = device
 
     @abstractmethod
     def message(self, packet: bytes) -> Message:
@@ -316,4 +313,4 @@ def family_of(device: DeviceFile) -> Family:
             "those that it does: xsens, microstrain, vectornav, witmotion; use the vendor's software",
         )
     family: type[Family] = resolve_name(FAMILIES[device.protocol])
-    return family.of(device)
+    return family(device)

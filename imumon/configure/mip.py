@@ -140,16 +140,10 @@ class Mip(Family):
         request(THREE_DM, UART_BAUD, READ, "read baud rate (UARTBaudRate)"),
     )
 
-    def __init__(
-        self, attitude: Attitude = "filter", clock: Clock = "reference", modern: bool = True
-    ) -> None:
-        self.attitude, self.clock, self.modern = attitude, clock, modern
-
-    @classmethod
-    def of(cls, device: DeviceFile) -> Mip:
-        """Return the family with what the device file calls attitude and clock."""
-        assert isinstance(device, MipDevice)
-        return cls(device.attitude, device.clock)
+    def __init__(self, device: DeviceFile | None = None, modern: bool = True) -> None:
+        self.attitude: Attitude = device.attitude if isinstance(device, MipDevice) else "filter"
+        self.clock: Clock = device.clock if isinstance(device, MipDevice) else "reference"
+        self.modern = modern
 
     def message(self, packet: bytes) -> Message:
         """Return descriptor set and fields."""
@@ -285,7 +279,7 @@ class MipFirmware(Firmware):
 
     def __init__(self, device: DeviceFile, rate_hz: float) -> None:
         assert isinstance(device, MipDevice)
-        self.family, self._device = Mip.of(device), device
+        self.family, self._device = Mip(device), device
         by = nearest(USUAL_BASE_HZ, rate_hz)
         codes = {name: code for code, name in self._names(SENSOR).items()}
         settings = {
