@@ -64,14 +64,7 @@ class Proposal(NamedTuple):
 def propose(data: bytes, seconds: float, baudrate: int | None) -> Proposal | None:
     """Return a device file for binary packets of one length; None when nothing repeats as they do.
 
-    Parameters
-    ----------
-    data : bytes
-        What came; may begin and end anywhere.
-    seconds : float
-        Time in which it came.
-    baudrate : int or None
-        Rate in bit/s at which it came.
+    `data`: what came within `seconds`, at `baudrate` (bit/s); may begin and end anywhere.
     """
     held = np.frombuffer(data[:MOST_BYTES], np.uint8)
     seconds *= len(held) / max(len(data), 1)

@@ -55,17 +55,11 @@ class Decoder:
 
     It finds packets by frames, keeps count of every byte, and makes a row of each packet that has a layout.
 
-    Parameters
-    ----------
-    frames : sequence of Frame
-        Kinds of packets; where two begin at the same place the first that is valid counts.
-    timing : Timing
-        How the device counts time.
-    groups : Groups, optional
-        Groups of all columns that may come, for a protocol that may spread one moment over several packets;
-        none where each packet is a row.
-    possible : iterable of Column
-        All columns that may come.
+    `frames`: kinds of packets; where two begin at the same place the first that is valid counts.
+    `timing`: how the device counts time.
+    `groups`: those of all columns that may come, for a protocol that may spread one moment over several
+        packets; None where each packet is a row.
+    `possible`: all columns that may come.
     """
 
     def __init__(

@@ -149,12 +149,8 @@ class EpochAssembler:
     def process(self, packets: Packets, end: bool = False) -> dict[str, Epochs]:
         """Return the epochs that are complete, by stream; the main stream is always there.
 
-        Parameters
-        ----------
-        packets : Packets
-            Those that follow the last ones.
-        end : bool
-            Whether what is open is to come out as it is: no packet follows, or the device may have restarted.
+        `packets`: those that follow the last ones.
+        `end`: whether what is open is to come out: no packet follows, or the device may have restarted.
         """
         epoch, own, ended = self._assigned(packets, end)
         block = join([self._kept, packets.block])

@@ -195,14 +195,7 @@ def fixed_length(size: int) -> Lengths:
 def counted_length(at: int, size: int, more: int, longest: int) -> Lengths:
     """Return the `Lengths` of packets that say how many bytes they have besides `more`, low byte first.
 
-    Parameters
-    ----------
-    at, size : int
-        Place and bytes of the number.
-    more : int
-        Bytes that it does not count.
-    longest : int
-        Longest packet that is believed.
+    `at`, `size`: place and bytes of the number.  `longest`: longest packet that is believed.
     """
     return partial(_counted, at, size, more, longest)
 

@@ -195,10 +195,7 @@ class TableEncoder(Encoder):
 
     Raises BAD_CONFIG when there is no such message.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Names of messages, in the order in which they are sent.
+    `names`: those of messages, in the order in which they are sent.
     """
 
     def __init__(self, family: TableFamily, names: Sequence[str]) -> None:

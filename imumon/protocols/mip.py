@@ -198,15 +198,9 @@ def _derived(clock: Clock) -> tuple[Derived, ...]:
 class MipDecoder(TaggedDecoder):
     """Decodes MIP data packets; commands and replies are counted by descriptor set.
 
-    Parameters
-    ----------
-    attitude : str
-        What ``roll``, ``pitch``, ``yaw`` and ``q_*`` are: those of the "filter" set or of the "imu" set
-        (devices without a navigation filter).  The others get columns of their own.
-    clock : str
-        What ``device_ticks`` is: the "reference" time of newer devices, or "gps" time.
-    rate_hz : float or None
-        Nominal rate of the packets.
+    `attitude`: whether ``roll``, ``pitch``, ``yaw`` and ``q_*`` are those of the "filter" set or of the "imu"
+        set (devices without a navigation filter); the others get columns of their own.
+    `clock`: whether ``device_ticks`` is the "reference" time of newer devices, or "gps" time.
     """
 
     def __init__(

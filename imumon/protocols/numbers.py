@@ -226,12 +226,8 @@ class Layout(Protocol):
 class Record:
     """A layout of numbers that stand at the same places in every packet.
 
-    Parameters
-    ----------
-    numbers : sequence of Number
-        Of several for one column the last counts.
-    derived : sequence of Derived
-        Columns that are computed from others, which have names that begin with "_".
+    `numbers`: of several for one column the last counts.
+    `derived`: columns that are computed from others, which have names that begin with "_".
     """
 
     def __init__(self, numbers: Sequence[Number], derived: Sequence[Derived] = ()) -> None:
@@ -264,14 +260,8 @@ class Record:
 def groups_of(layouts: Iterable[Layout], names: Sequence[str] = (), apart: Sequence[str] = ()) -> Groups:
     """Return the groups of layouts after these; a column of several groups has that of the first layout.
 
-    Parameters
-    ----------
-    layouts : iterable of Layout
-        All that may come.
-    names : sequence of str
-        Groups that come first, behind the main one; `OTHER`: there is a stream of what has no group.
-    apart : sequence of str
-        Groups that never join the rows of the main one.
+    `names`: groups that come first, behind the main one; `OTHER`: there is a stream of what has no group.
+    `apart`: groups that never join the rows of the main one.
     """
     of_column, having = dict[str, int](), dict[str, tuple[int, ...]]()
     there = {name: number for number, name in enumerate((MAIN, *names))}

@@ -235,12 +235,7 @@ def _tree(leaves: dict[str, float]) -> Any:
 class LineLayout:
     """What lines of one kind carry.
 
-    Parameters
-    ----------
-    read : callable
-        Returns the numbers of a line.
-    numbers : sequence of Number
-        What each of them is.
+    `read` returns the numbers of a line, `numbers` says what each of them is.
     """
 
     def __init__(self, read: Callable[[str], list[float] | None], numbers: Sequence[Number]) -> None:

@@ -61,14 +61,7 @@ class _Lines(NamedTuple):
 def propose(data: bytes, seconds: float, baudrate: int | None) -> str | None:
     """Return the text of a device file for lines of text; None when there are not enough of one kind.
 
-    Parameters
-    ----------
-    data : bytes
-        What came; the first and the last line may be torn.
-    seconds : float
-        Time in which it came.
-    baudrate : int or None
-        Rate in bit/s at which it came.
+    `data`: what came within `seconds`, at `baudrate` (bit/s); the first and the last line may be torn.
     """
     lines = [line.strip("\r") for line in data.decode("ascii", "replace").split("\n")[1:-1]]
     lines = [line for line in lines if line.strip()]

@@ -168,14 +168,8 @@ class MTData2Encoder(TaggedEncoder):
 
     Raises BAD_CONFIG when a name is not that of a data identifier that carries values.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Data identifiers as in `fields.IDENTIFIERS`, in the order in which they are sent.
-    precision : str
-        float32, fp12.20, fp16.32 or float64.
-    frame : str
-        ENU, NED or NWU, for the bits in the identifiers; values are sent as they are.
+    `names`: data identifiers as in `fields.IDENTIFIERS`, in the order in which they are sent.
+    `frame`: for the bits in the identifiers; values are sent as they are.
     """
 
     def __init__(self, names: Sequence[str], precision: Precision = "float32", frame: Frame = "ENU") -> None:
@@ -290,12 +284,7 @@ _DERIVED = (fields.DEVICE_TICKS_OF_UTC, *DERIVED)
 class MTDataDecoder(TaggedDecoder):
     """Decodes MTData by a profile; one row per message.
 
-    Parameters
-    ----------
-    profile : Profile
-        Output mode and settings of the device.
-    rate_hz : float or None
-        Nominal rate of the messages; with the sample counter it dates them.
+    `rate_hz`: nominal rate of the messages; with the sample counter it dates them.
     """
 
     _type_names = NAMES
