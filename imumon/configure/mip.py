@@ -38,8 +38,9 @@ MAIN_PORT = b"\x01"
 OLD_SELECTOR = {SENSOR: 0x01, FILTER: 0x03}
 """How older devices name the streams of the data sets."""
 SENSOR_FORMAT, FILTER_FORMAT_NAME = "sensor format", "filter format"
-SENSOR_STREAM, FILTER_STREAM = "sensor stream", "filter stream"
-OF_SET = {SENSOR_FORMAT: SENSOR, FILTER_FORMAT_NAME: FILTER, SENSOR_STREAM: SENSOR, FILTER_STREAM: FILTER}
+FORMATS = {SENSOR: SENSOR_FORMAT, FILTER: FILTER_FORMAT_NAME}
+STREAMS = {SENSOR: "sensor stream", FILTER: "filter stream"}
+OF_SET = {name: of for names in (FORMATS, STREAMS) for of, name in names.items()}
 ON, OFF = b"\x01", b"\x00"
 USUAL_BASE_HZ = 500
 BAUDRATES = (115_200, 230_400, 460_800, 921_600)
@@ -173,7 +174,7 @@ class Mip(Family):
         if name == core.BAUD:
             return (BASE, COMM_SPEED, MAIN_PORT) if self.speed_in_base else (THREE_DM, UART_BAUD, b"")
         of = OF_SET[name]
-        if name in (SENSOR_STREAM, FILTER_STREAM):
+        if name in STREAMS.values():
             return THREE_DM, STREAM, bytes([of if self.modern else OLD_SELECTOR[of]])
         if self.modern:
             return THREE_DM, FORMAT, bytes([of])
@@ -215,8 +216,7 @@ class Mip(Family):
                 "use a device file with attitude: imu (imumon devices microstrain)",
             )  # fmt: skip
         result: dict[str, bytes] = {}
-        for name in (SENSOR_FORMAT, FILTER_FORMAT_NAME):
-            of = OF_SET[name]
+        for of, name in FORMATS.items():
             if of not in self.base_hz:
                 continue
             kept = [code for code, _ in formatted(present.get(name, b""))]
@@ -224,38 +224,36 @@ class Mip(Family):
             by = core.divisor(self.base_hz[of], rate_hz) if codes else 1
             result[name] = message_format([(code, by) for code in codes])
             if codes:
-                result[name.replace("format", "stream")] = ON
-        if not any(formatted(value) for name, value in result.items() if "format" in name):
+                result[STREAMS[of]] = ON
+        if ON not in result.values():
             raise core.nothing_to_keep("output", "give --outputs")
         return result
 
     def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
         """Return the rate of the fastest field of the sensors, else of the filter."""
-        for name in (SENSOR_FORMAT, FILTER_FORMAT_NAME):
+        for of, name in FORMATS.items():
             items = [by for _, by in formatted(values.get(name, b"")) if by]
             if items:
-                return self.base_hz[OF_SET[name]] / min(items)
+                return self.base_hz[of] / min(items)
         return None
 
     def bytes_per_s(self, values: Mapping[str, bytes]) -> float:
         """Return packets of both data sets, as long as they do not exceed 255 bytes of fields."""
-        there = mip_fields(self.attitude, self.clock)
-        total = 0.0
-        for name in (SENSOR_FORMAT, FILTER_FORMAT_NAME):
-            of, items = OF_SET[name], [(code, by) for code, by in formatted(values.get(name, b"")) if by]
-            if items and values.get(name.replace("format", "stream")) != OFF:
-                base = self.base_hz[of]
-                total += 6 * base / min(by for _, by in items)
+        there, total = mip_fields(self.attitude, self.clock), 0.0
+        for of, name in FORMATS.items():
+            items = [(code, by) for code, by in formatted(values.get(name, b"")) if by]
+            if items and values.get(STREAMS[of]) != OFF:
+                total += 6 * self.base_hz[of] / min(by for _, by in items)
                 for code, by in items:
                     field = there.get(of << 8 | code)
-                    total += (2 + (max(field.size, 0) if field else 0)) * base / by
+                    total += (2 + (max(field.size, 0) if field else 0)) * self.base_hz[of] / by
         return total
 
     def describe(self, name: str, value: bytes) -> str:
         """Return whether a stream is on, or each field of a format with its rate."""
         if name == core.BAUD:
             return super().describe(name, value)
-        if name in (SENSOR_STREAM, FILTER_STREAM):
+        if name in STREAMS.values():
             return "off" if value == OFF else "on"
         of = OF_SET[name]
         names = {key: item.name for key, item in mip_fields(self.attitude, self.clock).items()}
@@ -268,8 +266,6 @@ class Mip(Family):
 
 
 DONE, UNKNOWN, INVALID = 0, 1, 3
-STREAMS = {SENSOR: SENSOR_STREAM, FILTER: FILTER_STREAM}
-FORMATS = {SENSOR: SENSOR_FORMAT, FILTER: FILTER_FORMAT_NAME}
 
 
 class MipFirmware(Firmware):
@@ -285,8 +281,7 @@ class MipFirmware(Firmware):
         settings = {
             SENSOR_FORMAT: message_format([(codes[name], by) for name in device.sends]),
             FILTER_FORMAT_NAME: message_format([]),
-            SENSOR_STREAM: ON,
-            FILTER_STREAM: ON,
+            **dict.fromkeys(STREAMS.values(), ON),
         }
         super().__init__(device, settings)
 
@@ -317,7 +312,6 @@ class MipFirmware(Firmware):
         if data[:1] != APPLY or not self._possible(name, value):
             return acknowledged(command, INVALID)
         self.obey(name, value)
-        self.baudrate = self.baud()
         return acknowledged(command, DONE)
 
     def _base(self, command: Message, code: int) -> bytes:
@@ -342,10 +336,9 @@ class MipFirmware(Firmware):
     def _possible(self, name: str, value: bytes) -> bool:
         if name == core.BAUD:
             return value in Mip.baud_codes.values()
-        if name in (SENSOR_STREAM, FILTER_STREAM):
+        if name in STREAMS.values():
             return len(value) == 1
-        of = SENSOR if name == SENSOR_FORMAT else FILTER
-        items, names = formatted(value), self._names(of)
+        items, names = formatted(value), self._names(OF_SET[name])
         return len(value) == 1 + 3 * len(items) and all(code in names and by > 0 for code, by in items)
 
     def outputs(self) -> tuple[float, list[PacketKind]]:

@@ -296,7 +296,6 @@ class VectorNavFirmware(Firmware):
         if not _possible(name, value.encode()):
             return frame(f"VNERR,{INVALID_PARAMETER:02d}")
         self.obey(name, value.encode())
-        self.baudrate = self.baud()
         return frame(f"VNWRG,{register:02d},{value}")
 
     def outputs(self) -> tuple[float, list[PacketKind]]:

@@ -155,32 +155,22 @@ class WitMotionFirmware(Firmware):
     def answer(self, command: Message) -> bytes:
         """Carry a command out; only a read is answered."""
         register, data = int(command.kind), command.payload
-        if register == UNLOCK[2]:
-            self._locked = data != UNLOCK[3:]
-            return b""
-        if register == READ_ADDRESS:
-            return self._four(data[0])
-        if self._locked:
-            return b""
-        if register == SAVE:
-            self.save()
-            return b""
         possible = {
             RSW: data != b"\0\0",
             RRATE: data[0] in RATES,
             BAUD_REGISTER: data in self.family.baud_codes.values(),
         }
-        if possible.get(register):
+        if register == READ_ADDRESS:
+            there = {number: self.volatile[name] for name, number in REGISTERS.items()}
+            four = b"".join(there.get(data[0] + k, b"\0\0") for k in range(4))
+            return Checksum("sum8").sealed(bytes([0x55, REGISTER_ANSWER]) + four)
+        if register == UNLOCK[2]:
+            self._locked = data != UNLOCK[3:]
+        elif not self._locked and register == SAVE:
+            self.save()
+        elif not self._locked and possible.get(register):
             self.obey(next(name for name, number in REGISTERS.items() if number == register), data)
-            self.baudrate = self.baud()
         return b""
-
-    def _four(self, first: int) -> bytes:
-        there = {number: self.volatile[name] for name, number in REGISTERS.items()}
-        data = b"".join(there.get(first + k, b"\0\0") for k in range(4))
-        packet = bytes([0x55, REGISTER_ANSWER]) + data
-        assert len(packet) == SIZE - 1
-        return packet + bytes([sum(packet) & 0xFF])
 
     def outputs(self) -> tuple[float, list[PacketKind]]:
         """Return the frames of a sample; what the encoder lacks is left out."""

@@ -30,6 +30,7 @@ from imumon.protocols.xsens.mtdata import (
 GO_TO_MEASUREMENT, SET_BAUDRATE, REQ_PRODUCT_CODE, GO_TO_CONFIG = 0x10, 0x18, 0x1C, 0x30
 REQ_FIRMWARE, RESET, SET_OUTPUT_CONFIGURATION = 0x12, 0x40, 0xC0
 OUTPUT = "output configuration"
+KINDS = {OUTPUT: SET_OUTPUT_CONFIGURATION, core.BAUD: SET_BAUDRATE}
 WITH_EVERY_PACKET = 0xFFFF
 BAUD_CODES = {0x02: 115_200, 0x0A: 921_600, 0x00: 460_800, 0x01: 230_400, 0x04: 57_600, 0x05: 38_400,
               0x07: 19_200, 0x09: 9600, 0x0C: 2_000_000}  # fmt: skip
@@ -83,14 +84,6 @@ def packed(outputs: Sequence[tuple[int, int]]) -> bytes:
     return b"".join(code.to_bytes(2, "big") + rate.to_bytes(2, "big") for code, rate in outputs)
 
 
-def _text(payload: bytes) -> str:
-    return payload.decode("ascii", "replace").strip(" \0")
-
-
-def _version(payload: bytes) -> str:
-    return "firmware " + ".".join(map(str, payload[:3]))
-
-
 class Xsens(Family):
     """Commands of an MTi."""
 
@@ -113,18 +106,18 @@ class Xsens(Family):
 
     def learn(self, ask: core.Ask) -> None:
         """Ask what it is; a unit that refuses to tell can be configured all the same."""
-        answers = [core.known(ask, question) for question in self.questions]
-        texts = [of(answer) for of, answer in zip((_text, _version), answers, strict=True) if answer]
-        self.identity = tuple(texts)
+        product, version = (core.known(ask, question) for question in self.questions)
+        name = (product or b"").decode("ascii", "replace").strip(" \0")
+        self.identity = (*filter(None, (name, version and "firmware " + ".".join(map(str, version[:3])))),)
 
     def read(self, name: str) -> Request:
         """Return a request without data, which reads."""
-        kind = SET_OUTPUT_CONFIGURATION if name == OUTPUT else SET_BAUDRATE
+        kind = KINDS[name]
         return request(kind, meaning=f"read {name} ({NAMES[kind]} without data)")
 
     def write(self, name: str, value: bytes) -> tuple[Request, ...]:
         """Return the request with data; a baud rate needs a reset."""
-        kind = SET_OUTPUT_CONFIGURATION if name == OUTPUT else SET_BAUDRATE
+        kind = KINDS[name]
         write = request(kind, value, f"{NAMES[kind]}: {self.describe(name, value)}")
         return (write,) if name == OUTPUT else (write, request(RESET))
 
@@ -202,6 +195,8 @@ class Xsens(Family):
         return 921_600 if value == OLD_921600 else super().baud_of(value)
 
 
+IDENTITY = {REQ_PRODUCT_CODE: b"MTi-VIRTUAL", REQ_FIRMWARE: bytes([1, 2, 3])}
+NAMED = {kind: name for name, kind in KINDS.items()}
 INVALID_PARAMETER, INVALID_MESSAGE, NO_SUCH_BAUDRATE = 33, 4, 32
 TIMELESS = {0x10, 0xE0}
 """Groups of identifiers that go with every packet: times and status."""
@@ -232,28 +227,22 @@ class XsensFirmware(Firmware):
         if kind == RESET:
             self.power_on()
             return frame(kind + 1)
-        if kind == SET_OUTPUT_CONFIGURATION:
-            return self._output(data)
-        if kind == SET_BAUDRATE:
-            return self._baudrate(data)
-        identity = {REQ_PRODUCT_CODE: b"MTi-VIRTUAL", REQ_FIRMWARE: bytes([1, 2, 3])}
-        return frame(kind + 1, identity[kind]) if kind in identity else frame(ERROR, bytes([INVALID_MESSAGE]))
-
-    def _output(self, data: bytes) -> bytes:
+        if kind not in NAMED:
+            identity = {REQ_PRODUCT_CODE: b"MTi-VIRTUAL", REQ_FIRMWARE: bytes([1, 2, 3])}
+            return (
+                frame(kind + 1, identity[kind])
+                if kind in identity
+                else frame(ERROR, bytes([INVALID_MESSAGE]))
+            )
+        name = NAMED[kind]
         if data:
-            if len(data) % 4 or not all(_sendable(code, rate) for code, rate in entries(data)):
-                return frame(ERROR, bytes([INVALID_PARAMETER]))
-            self.obey(OUTPUT, data)
-            self.save(OUTPUT)
-        return frame(SET_OUTPUT_CONFIGURATION + 1, self.volatile[OUTPUT])
-
-    def _baudrate(self, data: bytes) -> bytes:
-        if data:
-            if data not in self.family.baud_codes.values():
+            if name == core.BAUD and data not in self.family.baud_codes.values():
                 return frame(ERROR, bytes([NO_SUCH_BAUDRATE]))
-            self.obey(core.BAUD, data)
-            self.save(core.BAUD)
-        return frame(SET_BAUDRATE + 1, b"" if data else self.volatile[core.BAUD])
+            if name == OUTPUT and (len(data) % 4 or not all(_sendable(*entry) for entry in entries(data))):
+                return frame(ERROR, bytes([INVALID_PARAMETER]))
+            self.volatile[name] = data  # a baud rate counts after a reset
+            self.save(name)
+        return frame(kind + 1, b"" if data and name == core.BAUD else self.volatile[name])
 
     def outputs(self) -> tuple[float, list[PacketKind]]:
         """Return MTData2 messages; each holds what is due."""

@@ -7,7 +7,6 @@ its numbers) and a time that a device can have run.  Temperature comes in messag
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from fractions import Fraction
 from functools import partial
@@ -26,10 +25,8 @@ from imumon.protocols.quantities import number, vector
 from imumon.protocols.text import NUMBER, line_frame, line_lengths
 
 BINARY: Final = 0x80
-END, ESCAPE = b"\x0a", b"\xdb"
-ESCAPED_END, ESCAPED_ESCAPE = b"\xdb\xdc", b"\xdb\xdd"
-STUFFED: Final = re.compile(b"([^\xdb]|\xdb\xdc|\xdb\xdd)*", re.DOTALL)
-"""Bytes in which every escape is one of the two."""
+END, ESCAPE, ESCAPED_END, ESCAPED_ESCAPE = 0x0A, 0xDB, 0xDC, 0xDD
+"""In a message, the first two are an escape and one of the others."""
 TIME_SIZE: Final = 8
 YEARS_US: Final = 1 << 58
 """Microseconds of 9000 years: a message that claims more began in the middle of another."""
@@ -72,30 +69,24 @@ def _message(letter: str) -> Message:
 
 
 MESSAGES = {ord(letter): _message(letter) for letter in KINDS}
-SIZES = np.array([message.size for message in MESSAGES.values()])
-
-
-def _without_escapes(message: bytes) -> bytes:
-    """Return a message without its end and its escapes."""
-    return message[:-1].replace(ESCAPED_END, END).replace(ESCAPED_ESCAPE, ESCAPE)
 
 
 def _right(size: int, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
     """Check binary messages: their bytes without escapes, and their time."""
     right: BoolArray = length == size + 2
-    plain = windows(held, at[right], size + 2)
-    right[right] = ~np.any(plain == ESCAPE[0], axis=1) & (plain[:, TIME_SIZE] < YEARS_US >> 56)
-    for row in np.flatnonzero((length > size + 2) & (length <= 2 * size + 3)).tolist():
-        right[row] = _is_whole(held[at[row] : at[row] + length[row]].tobytes(), size)
+    rows = windows(held, at[right], size + 2)
+    right[right] = ~np.any(rows == ESCAPE, axis=1) & (rows[:, TIME_SIZE] < YEARS_US >> 56)
+    longer = np.flatnonzero((length > size + 2) & (length <= 2 * size + 3))
+    width = 2 * size + 3
+    rows = windows(np.pad(held, (0, width)), at[longer], width)
+    inside = np.arange(width) < length[longer, np.newaxis] - 1
+    escapes = inside & (rows == ESCAPE)
+    ends_well = ~escapes[:, :-1] | (rows[:, 1:] == ESCAPED_END) | (rows[:, 1:] == ESCAPED_ESCAPE)
+    place = np.cumsum(inside & ~escapes, axis=1)
+    end_of_time = rows[np.arange(len(rows)), np.argmax(place == TIME_SIZE + 1, axis=1)]
+    good = ends_well.all(axis=1) & (place[:, -1] == size + 1) & (end_of_time < YEARS_US >> 56)
+    right[longer] = good
     return right
-
-
-def _is_whole(message: bytes, size: int) -> bool:
-    """Return whether a message has this size without its escapes, letter and end, and a time that can be."""
-    plain = message[:-1]
-    if ESCAPE in message:
-        plain = _without_escapes(message) if STUFFED.fullmatch(message) else b""
-    return len(plain) == size + 1 and int.from_bytes(plain[1 : 1 + TIME_SIZE], "little") < YEARS_US
 
 
 def _numbers(text: str) -> list[float] | None:
@@ -110,13 +101,18 @@ class XimuDecoder(FamilyDecoder):
     """Decodes data messages with numbers; answers to commands and notes are skipped."""
 
     def _plain(self, found: Found) -> Found:
-        """Return all messages as binary ones without escapes and end; those that differ stand behind."""
-        at, length = found.at.copy(), found.length - 1
-        is_text = found.frame >= len(MESSAGES)
-        parts, size = [found.held.tobytes()], len(found.held)
-        for row in np.flatnonzero(is_text | (length > SIZES[found.frame % len(MESSAGES)] + 1)).tolist():
-            message = found.held[at[row] : at[row] + length[row] + 1].tobytes()
-            parts.append(_as_binary(message) if is_text[row] else _without_escapes(message))
+        """Return all messages as binary ones without escapes and end, those of text behind the others."""
+        held, escapes = found.held.copy(), found.held == ESCAPE
+        follows = np.append(False, escapes[:-1])
+        follows[found.at] = False
+        held[follows] = np.where(held[follows] == ESCAPED_END, END, ESCAPE)
+        place = np.cumsum(~escapes)
+        at = place[found.at] - 1
+        length = place[found.at + found.length - 1] - 1 - at
+        parts, size = [held[~escapes].tobytes()], int(place[-1])
+        for row in np.flatnonzero(found.frame >= len(MESSAGES)).tolist():
+            message = found.held[found.at[row] : found.at[row] + found.length[row]].tobytes()
+            parts.append(_as_binary(message))
             at[row], length[row] = size, len(parts[-1])
             size += len(parts[-1])
         return Found(np.frombuffer(b"".join(parts), np.uint8), at, length, found.frame)
@@ -134,8 +130,8 @@ def _as_binary(message: bytes) -> bytes:
 
 
 def _wrapped(key: int, payload: bytes) -> bytes:
-    stuffed = payload.replace(ESCAPE, ESCAPED_ESCAPE).replace(END, ESCAPED_END)
-    return bytes([key | BINARY]) + stuffed + END
+    stuffed = payload.replace(b"\xdb", b"\xdb\xdd").replace(b"\n", b"\xdb\xdc")
+    return bytes([key | BINARY]) + stuffed + b"\n"
 
 
 FRAMES = [
