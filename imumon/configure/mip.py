@@ -123,9 +123,7 @@ class Mip(Family):
     answer_frame = MIP.frame
     title = "MicroStrain"
     verified = "frames of other programs (0x08, 0x0A), and the virtual device; never a real unit"
-    baud_codes: Mapping[int, bytes] = {
-        rate: rate.to_bytes(4, "big") for rate in (115_200, 230_400, 460_800, 921_600)
-    }
+    baud_codes: Mapping[int, bytes] = {rate: rate.to_bytes(4, "big") for rate in BAUDRATES}
     columns = core.USUAL_COLUMNS | {"status": ("overrange",)}
     assumed = (
         f"base rate {USUAL_BASE_HZ} Hz for sensors and filter; the device is queried for it first",

@@ -63,30 +63,21 @@ def _body(line: str) -> str | None:
 
 def request(command: str, meaning: str, echo: str = "", timeout_s: float = 0.5) -> Request:
     """Return a command; its answer begins with `echo`, or else with the letters of the command."""
-    kind, register = command[2:5], echo
+    kind = command[2:5]
 
     def answer(message: Message) -> bytes | core.Refusal | None:
         text = message.payload.decode("ascii", "replace")
+        first, _, rest = text.partition(",")
+        number = int(first) if first.isdecimal() else -1
         if message.kind == "ERR":
-            code = _whole(text.split(",")[0])
-            return core.Refusal(
-                f"error {text}: {ERRORS.get(-1 if code is None else code, 'not a known code')}"
-            )
+            return core.Refusal(f"error {text}: {ERRORS.get(number, 'not a known code')}")
         if message.kind != kind:
             return None
-        if not register:
+        if not echo:
             return message.payload
-        first, _, rest = text.partition(",")
-        return rest.encode() if _whole(first) == int(register) else None
+        return rest.encode() if number == int(echo) else None
 
     return Request(meaning, frame(command), answer, timeout_s)
-
-
-def _whole(text: str, base: int = 10) -> int | None:
-    try:
-        return int(text, base) if text.isalnum() else None
-    except ValueError:
-        return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,13 +92,14 @@ class Output:
     @classmethod
     def read(cls, value: bytes) -> Output:
         """Read a register; what makes no sense is an output that is off."""
-        first, *texts = value.decode("ascii", "replace").split(",")
-        numbers = [_whole(text, 16) for text in texts[1:]]
-        port, by = _whole(first), _whole(texts[0]) if texts else None
-        if port is None or by is None or not numbers or None in numbers:
+        try:
+            port, by, *hexadecimal = value.decode("ascii", "replace").split(",")
+            groups, *words = (int(text, 16) for text in hexadecimal)
+            found = cls(int(port), int(by), groups, tuple(words))
+        except ValueError:
             return NO_OUTPUT
-        groups, *words = (number for number in numbers if number is not None)
-        return cls(port, by, groups, tuple(words))
+        fits = all(0 <= number <= 0xFFFF for number in (found.port, found.by, groups, *words))
+        return found if fits else NO_OUTPUT
 
     @classmethod
     def of(cls, port: int, by: int, names: Sequence[str]) -> Output:
@@ -129,10 +121,8 @@ class Output:
     @property
     def contents(self) -> Contents | None:
         """What its packets hold; None when that is not known."""
-        found = (
-            read_contents(header_of(self.groups, self.words) + bytes(512)) if self.groups <= 0x7F else None
-        )
-        return found if isinstance(found, Contents) else None
+        found = read_contents(header_of(self.groups, self.words) + bytes(512))
+        return found if isinstance(found, Contents) and self.groups <= 0x7F else None
 
 
 NO_OUTPUT = Output(0, 0, 0, ())

@@ -65,12 +65,7 @@ class WitMotion(Family):
     verified = "codes of the vendor's sample code, and the virtual device; never a real unit"
     save_confirmed = False
     baud_codes: Mapping[int, bytes] = {rate: bytes([code, 0]) for code, rate in enumerate(BAUDRATES, 1)}
-    columns: Mapping[str, tuple[str, ...]] = {
-        **{
-            name: core.USUAL_COLUMNS[name] for name in ("inertial", "magnetometer", "temperature", "pressure")
-        },
-        "attitude": ("roll",),
-    }
+    columns = {name: core.USUAL_COLUMNS[name] for name in FRAMES} | {"attitude": ("roll",)}
     settings = tuple(REGISTERS)
     hello = _read(RATE)
 
