@@ -189,8 +189,9 @@ class DeviceClock:
         time_ns = np.empty(n, np.int64)
         segment = np.empty(n, np.int64)
         absent = missing(n, np.int64)
-        sent = [absent if one is None else one for one in (packet_counter, device_ticks, arrival_ns)]
-        _unwrap(*sent, self._sources, self._state, time_ns, segment)
+        sent = (packet_counter, device_ticks, arrival_ns)
+        counter, ticks, arrival = (absent if one is None else one for one in sent)
+        _unwrap(counter, ticks, arrival, self._sources, self._state, time_ns, segment)
         return time_ns, segment
 
 
