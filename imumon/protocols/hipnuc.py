@@ -139,25 +139,17 @@ class HipnucDecoder(FamilyDecoder):
         return int.from_bytes(bits, "little") << 8 | key if key == OF_BITS and len(bits) == 4 else key
 
 
-HIPNUC = TableFamily(
-    MESSAGES,
-    [Frame("HiPNUC", SYNC, counted_length(2, 2, HEADER, LONGEST), _RIGHT)],
-    HipnucDecoder,
-    _wrapped,
-    Timing(tick_ns=Fraction(1000)),
-    HEADER,
-    HEADER,
-    (HEADER,),
-)
+FRAMES = [Frame("HiPNUC", SYNC, counted_length(2, 2, HEADER, LONGEST), _RIGHT)]
+TIMING = Timing(tick_ns=Fraction(1000))
 
 
 class HipnucDevice(TableDevice):
     """Device file of a HiPNUC unit: `sends` ``imu91``, ``ins81``, or the bits of 0x83, ``imu83:0x123``."""
 
-    family = HIPNUC
+    family = TableFamily(MESSAGES, FRAMES, HipnucDecoder, _wrapped, TIMING, HEADER, HEADER, (HEADER,))
 
     def encoder(self) -> TableEncoder:
         """Make an encoder that sends what the device would send."""
         bits = [int(n.partition(":")[2], 16) for n in self.sends if n.startswith("imu83:0x")]
         messages = PACKETS | {b << 8 | OF_BITS: of_bits(b) for b in bits}
-        return TableEncoder(replace(HIPNUC, messages=messages), self.sends)
+        return TableEncoder(replace(self.family, messages=messages), self.sends)

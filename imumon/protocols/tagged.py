@@ -221,11 +221,7 @@ class TaggedEncoder(Encoder):
     """
 
     def __init__(
-        self,
-        form: Form,
-        kind: int,
-        fields: Sequence[tuple[int, Message]],
-        derived: Sequence[Derived] = (),
+        self, form: Form, kind: int, fields: Sequence[tuple[int, Message]], derived: Sequence[Derived] = ()
     ) -> None:
         if empty := [field.name for _, field in fields if field.size < 0]:
             raise ImumonError(Reason.BAD_CONFIG, f"{', '.join(empty)}: carries nothing that can be encoded")

@@ -245,11 +245,7 @@ _RAW_GPS = (
 )
 
 _CALIBRATED = {"accel": known("accel"), "gyro": known("gyro"), "mag": fields.MAG}
-_ORIENTATION = {
-    "quaternion": (known("q"), 1.0),
-    "euler": (known("angles"), DEGREE),
-    "matrix": (MATRIX, 1.0),
-}
+_ORIENTATION = {"quaternion": (known("q"), 1.0), "euler": (known("angles"), DEGREE), "matrix": (MATRIX, 1.0)}
 
 
 def mtdata_field(profile: Profile) -> Message:
