@@ -110,7 +110,8 @@ def known(ask: Ask, question: Request) -> bytes | None:
         return None
 
 
-class Wish(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Wish:
     """What a user asked for; None: as it is."""
 
     rate_hz: float | None = None

@@ -86,7 +86,7 @@ class Firmware(ABC):
     def obey(self, name: str, value: bytes) -> None:
         """Set a setting; a baud rate counts at once."""
         self.volatile[name] = value
-        self.baudrate = self.family.baud_of(self.volatile[BAUD]) or self.baudrate
+        self.baudrate = self.baud()
 
     def save(self, *names: str) -> None:
         """Write settings into flash; all when none is named."""
@@ -96,7 +96,11 @@ class Firmware(ABC):
         """Begin with the settings in flash."""
         self.volatile = dict(self.flash)
         self.streaming, self._held = True, b""
-        self.obey(BAUD, self.volatile[BAUD])
+        self.baudrate = self.baud()
+
+    def baud(self) -> int:
+        """Return the baud rate of the settings."""
+        return self.family.baud_of(self.volatile[BAUD]) or self.baudrate
 
     def found(self, held: bytes) -> tuple[list[Message], int]:
         """Return the commands among bytes, and how many of these are done with."""

@@ -240,9 +240,13 @@ class XsensFirmware(Firmware):
                 return frame(ERROR, bytes([NO_SUCH_BAUDRATE]))
             if name == OUTPUT and (len(data) % 4 or not all(_sendable(*entry) for entry in entries(data))):
                 return frame(ERROR, bytes([INVALID_PARAMETER]))
-            self.volatile[name] = data  # a baud rate counts after a reset
+            self.obey(name, data)
             self.save(name)
         return frame(kind + 1, b"" if data and name == core.BAUD else self.volatile[name])
+
+    def obey(self, name: str, value: bytes) -> None:
+        """Set a setting; a baud rate counts after a reset."""
+        self.volatile[name] = value
 
     def outputs(self) -> tuple[float, list[PacketKind]]:
         """Return MTData2 messages; each holds what is due."""
