@@ -190,11 +190,11 @@ class Mip(Family):
 
     def save(self, names: Sequence[str]) -> tuple[Request, ...]:
         """Return the commands with the function selector SAVE: these settings only."""
-        found = []
-        for name in names:
-            command_set, command, of = self.command(name)
-            found.append(request(command_set, command, SAVE + of, f"save {name}", timeout_s=core.SAVE_S))
-        return tuple(found)
+        commands = [(name, *self.command(name)) for name in names]
+        return tuple(
+            request(command_set, command, SAVE + of, f"save {name}", timeout_s=core.SAVE_S)
+            for name, command_set, command, of in commands
+        )
 
     def _fields(self, outputs: Sequence[str], of: int) -> list[int]:
         """Return the descriptors of outputs in a data set, the time first."""
