@@ -166,6 +166,8 @@ class VectorNavDecoder(TableDecoder):
         super().__init__(
             frames, timing, FIELDS.values(), names=tables.SIDE_GROUPS, apart=(*tables.RECEIVERS.values(),)
         )
+        for name in ("roll", "pitch"):  # alignment calls its own otherwise where a device may send these
+            del self._possible[name]
         self._factory: frozenset[str] = frozenset()
         """Quantities that have come as they were calibrated in the factory."""
 

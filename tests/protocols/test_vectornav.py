@@ -133,3 +133,9 @@ def test_packets_of_the_third_receiver_are_read_between_others() -> None:
     block = feed_in_chunks(decoder, (inertial + third + both) * 40, [100])
     assert decoder.counters().bytes_skipped == decoder.counters().length_errors == 0
     assert block["gnss3_satellites"][:3].tolist() == [NO_INT, 7, 8]
+
+
+def test_columns_are_declared_before_the_first_packet() -> None:
+    names = {column.name for column in VectorNavDecoder().possible_columns}
+    assert {"gyro_x", "gyro_compensated_x", "mag_x", "temperature", "pressure", "q_w"} <= names
+    assert not {"roll", "pitch"} & names
