@@ -19,18 +19,7 @@ from imumon.protocols.base import COMMON, MAIN, Encoder, Groups, Timing, chosen
 from imumon.protocols.decoder import Alike, Decoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Frame
-from imumon.protocols.numbers import (
-    NO_GROUP,
-    NUMBER_TYPES,
-    Derived,
-    Layout,
-    Number,
-    Record,
-    groups_of,
-    in_a_row,
-    with_sources,
-    write,
-)
+from imumon.protocols.numbers import NO_GROUP, Derived, Layout, Number, Record, groups_of, with_sources, write
 from imumon.protocols.quantities import count, known
 
 ANY_SIZE = -1
@@ -46,7 +35,7 @@ def part(at: int, kind: str, columns: str | Sequence[Column], factor: float = 1.
     its name.  Without a group the numbers are of that of the message.
     """
     there = known(columns) if isinstance(columns, str) else columns
-    size = NUMBER_TYPES[kind].size
+    size = Number(None, kind).end
     return tuple(Number(c, kind, factor, at=at + k * size, group=group) for k, c in enumerate(there))
 
 
@@ -91,8 +80,11 @@ class Message:
 
 def field(name: str, numbers: Iterable[Number], group: str = MAIN) -> Message:
     """Return a field of numbers that stand one behind the other; of any size when there are none."""
-    row = in_a_row(numbers)
-    return Message(name, row[-1].end if row else ANY_SIZE, (row,), group)
+    at, placed = 0, list[Number]()
+    for number in numbers:
+        placed.append(number._replace(at=at))
+        at = placed[-1].end
+    return Message(name, at if placed else ANY_SIZE, (tuple(placed),), group)
 
 
 @lru_cache

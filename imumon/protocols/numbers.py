@@ -122,15 +122,6 @@ class Number(NamedTuple):
             return numbers if self.column.dtype == "float64" else np.rint(numbers).astype(np.int64)
 
 
-def in_a_row(numbers: Iterable[Number], at: int = 0) -> tuple[Number, ...]:
-    """Return numbers that stand one behind the other from a place on."""
-    found = []
-    for number in numbers:
-        found.append(number._replace(at=at))
-        at = found[-1].end
-    return tuple(found)
-
-
 def record_type(numbers: Sequence[Number], size: int) -> np.dtype[np.void]:
     """Return packets of a size as a structured type; those that NumPy lacks as bytes."""
     formats: list[tuple[str, int] | str] = []
