@@ -17,8 +17,8 @@ from imumon.configure.core import Family, Message, Request
 from imumon.configure.firmware import Firmware, PacketKind, nearest
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.mip import ERRORS, FILTER, SENSOR, SET_NAMES, Clock, MipDevice, MipEncoder, mip_fields
-from imumon.protocols.mip_filter import Attitude
+from imumon.protocols.mip import ERRORS, SET_NAMES, MipDevice, MipEncoder
+from imumon.protocols.mip_fields import FILTER, SENSOR, Attitude, Clock, mip_fields
 from imumon.protocols.tagged import MIP
 
 BASE, THREE_DM = 0x01, 0x0C

@@ -13,18 +13,9 @@ from dataclasses import dataclass, replace
 from imumon.configure import core
 from imumon.configure.core import Family, Message, Request
 from imumon.configure.firmware import Firmware, PacketKind, nearest
+from imumon.protocols import vectornav
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.text import line_frame, sentence, sentence_body
-from imumon.protocols.vectornav import (
-    PLACES,
-    XMODEM,
-    Contents,
-    VectorNavDevice,
-    VectorNavEncoder,
-    header_of,
-    read_contents,
-    words_of,
-)
 from imumon.protocols.vectornav_fields import GROUP_NAMES
 
 ERRORS = {1: "hard fault", 2: "serial buffer overflow", 3: "invalid checksum", 4: "invalid command",
@@ -57,7 +48,7 @@ def frame(text: str) -> bytes:
 
 def _body(line: str) -> str | None:
     """Return what a line has before its checksum, of eight bits or a CRC, or None when that is wrong."""
-    body = sentence_body(line.rstrip("\r\n"), XMODEM)
+    body = sentence_body(line.rstrip("\r\n"), vectornav.XMODEM)
     return body if body is not None and body.isascii() else None
 
 
@@ -104,7 +95,7 @@ class Output:
     @classmethod
     def of(cls, port: int, by: int, names: Sequence[str]) -> Output:
         """Return the output of fields."""
-        words = words_of(names)
+        words = vectornav.words_of(names)
         return cls(port, by, sum(1 << group - 1 for group in words), tuple(words.values()))
 
     @property
@@ -119,10 +110,10 @@ class Output:
         return f"{self.port},{self.by},{self.groups:02X}{words}".encode()
 
     @property
-    def contents(self) -> Contents | None:
+    def contents(self) -> vectornav.Contents | None:
         """What its packets hold; None when that is not known."""
-        found = read_contents(header_of(self.groups, self.words) + bytes(512))
-        return found if isinstance(found, Contents) and self.groups <= 0x7F else None
+        found = vectornav.read_contents(vectornav.header_of(self.groups, self.words) + bytes(512))
+        return found if isinstance(found, vectornav.Contents) and self.groups <= 0x7F else None
 
 
 NO_OUTPUT = Output(0, 0, 0, ())
@@ -246,7 +237,7 @@ class VectorNav(Family):
 INVALID_COMMAND, INVALID_PARAMETER, INVALID_REGISTER = 4, 7, 8
 IDENTITY = {1: "VN-100-VIRTUAL", 3: "0100000001", 4: "2.1.0.0"}
 NAMES = {number: name for name, number in REGISTERS.items()}
-FIELD_OF_PLACE = {place: name for name, place in PLACES.items()}
+FIELD_OF_PLACE = {place: name for name, place in vectornav.PLACES.items()}
 
 
 class VectorNavFirmware(Firmware):
@@ -255,7 +246,7 @@ class VectorNavFirmware(Firmware):
     family = VectorNav()
 
     def __init__(self, device: DeviceFile, rate_hz: float) -> None:
-        assert isinstance(device, VectorNavDevice)
+        assert isinstance(device, vectornav.VectorNavDevice)
         off = Output(0, 1, 0, ()).value
         settings = dict.fromkeys(REGISTERS, off) | {
             OUTPUT: Output.of(1, nearest(FAST_HZ, rate_hz), device.sends).value,
@@ -294,7 +285,9 @@ class VectorNavFirmware(Firmware):
         for name in NAMES.values():
             register = Output.read(self.volatile[name]) if "binary" in name else None
             if register is not None and register.on and register.port & 1:
-                found.append(PacketKind(VectorNavEncoder, dict.fromkeys(_names(register), register.by)))
+                found.append(
+                    PacketKind(vectornav.VectorNavEncoder, dict.fromkeys(_names(register), register.by))
+                )
         return FAST_HZ, found
 
 

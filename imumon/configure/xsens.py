@@ -16,16 +16,8 @@ from imumon.configure.firmware import Firmware, PacketKind, nearest
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.tagged import XBUS, xbus_message
+from imumon.protocols.xsens import mtdata
 from imumon.protocols.xsens.fields import message_of
-from imumon.protocols.xsens.mtdata import (
-    ERROR,
-    ERRORS,
-    NAMES,
-    MTData2Device,
-    MTData2Encoder,
-    find_fields,
-    identifier_name,
-)
 
 GO_TO_MEASUREMENT, SET_BAUDRATE, REQ_PRODUCT_CODE, GO_TO_CONFIG = 0x10, 0x18, 0x1C, 0x30
 REQ_FIRMWARE, RESET, SET_OUTPUT_CONFIGURATION = 0x12, 0x40, 0xC0
@@ -63,12 +55,12 @@ def request(kind: int, payload: bytes = b"", meaning: str = "", timeout_s: float
     """Return a request; its answer has the next number, an Error message says no."""
 
     def answer(message: Message) -> bytes | core.Refusal | None:
-        if message.kind == ERROR:
+        if message.kind == mtdata.ERROR:
             code = message.payload[0] if message.payload else 0
-            return core.Refusal(f"error {code}: {ERRORS.get(code, 'not a known code')}")
+            return core.Refusal(f"error {code}: {mtdata.ERRORS.get(code, 'not a known code')}")
         return message.payload if message.kind == kind + 1 else None
 
-    return Request(meaning or NAMES[kind], frame(kind, payload), answer, timeout_s)
+    return Request(meaning or mtdata.NAMES[kind], frame(kind, payload), answer, timeout_s)
 
 
 def entries(value: bytes) -> list[tuple[int, int]]:
@@ -113,12 +105,12 @@ class Xsens(Family):
     def read(self, name: str) -> Request:
         """Return a request without data, which reads."""
         kind = KINDS[name]
-        return request(kind, meaning=f"read {name} ({NAMES[kind]} without data)")
+        return request(kind, meaning=f"read {name} ({mtdata.NAMES[kind]} without data)")
 
     def write(self, name: str, value: bytes) -> tuple[Request, ...]:
         """Return the request with data; a baud rate needs a reset."""
         kind = KINDS[name]
-        write = request(kind, value, f"{NAMES[kind]}: {self.describe(name, value)}")
+        write = request(kind, value, f"{mtdata.NAMES[kind]}: {self.describe(name, value)}")
         return (write,) if name == OUTPUT else (write, request(RESET))
 
     def save(self, names: Sequence[str]) -> tuple[Request, ...]:
@@ -185,7 +177,7 @@ class Xsens(Family):
         if name == core.BAUD:
             return super().describe(name, value)
         outputs = [
-            f"{identifier_name(code)} {'always' if rate == WITH_EVERY_PACKET else f'{rate} Hz'}"
+            f"{mtdata.identifier_name(code)} {'always' if rate == WITH_EVERY_PACKET else f'{rate} Hz'}"
             for code, rate in entries(value)
         ]
         return ", ".join(outputs) or "nothing"
@@ -208,8 +200,8 @@ class XsensFirmware(Firmware):
     family = Xsens()
 
     def __init__(self, device: DeviceFile, rate_hz: float) -> None:
-        assert isinstance(device, MTData2Device)
-        keys = [key for key, _ in find_fields(device.sends, device.precision)]
+        assert isinstance(device, mtdata.MTData2Device)
+        keys = [key for key, _ in mtdata.find_fields(device.sends, device.precision)]
         output = [(key, WITH_EVERY_PACKET if key >> 8 in TIMELESS else round(rate_hz)) for key in keys]
         super().__init__(device, {OUTPUT: packed(output)})
 
@@ -232,14 +224,14 @@ class XsensFirmware(Firmware):
             return (
                 frame(kind + 1, identity[kind])
                 if kind in identity
-                else frame(ERROR, bytes([INVALID_MESSAGE]))
+                else frame(mtdata.ERROR, bytes([INVALID_MESSAGE]))
             )
         name = NAMED[kind]
         if data:
             if name == core.BAUD and data not in self.family.baud_codes.values():
-                return frame(ERROR, bytes([NO_SUCH_BAUDRATE]))
+                return frame(mtdata.ERROR, bytes([NO_SUCH_BAUDRATE]))
             if name == OUTPUT and (len(data) % 4 or not all(_sendable(*entry) for entry in entries(data))):
-                return frame(ERROR, bytes([INVALID_PARAMETER]))
+                return frame(mtdata.ERROR, bytes([INVALID_PARAMETER]))
             self.obey(name, data)
             self.save(name)
         return frame(kind + 1, b"" if data and name == core.BAUD else self.volatile[name])
@@ -257,7 +249,7 @@ class XsensFirmware(Firmware):
             for code, rate in pairs
             if fastest and rate
         }
-        return FASTEST_HZ, [PacketKind(MTData2Encoder, every)]
+        return FASTEST_HZ, [PacketKind(mtdata.MTData2Encoder, every)]
 
 
 def _name(code: int) -> str:

@@ -110,6 +110,6 @@ def _quaternion_to_matrix(columns: Columns) -> list[ColumnArray]:
     return list(rows)
 
 
-QUATERNION_OF_MATRIX = Derived(
+FROM_MATRIX = Derived(
     tuple(column.name for column in MATRIX), QUATERNION, _matrix_to_quaternion, _quaternion_to_matrix
 )
