@@ -75,7 +75,7 @@ class SideClock:
             steps = np.where(anchored, nearest, steps)
         whole, part = steps // unit.denominator, steps % unit.denominator
         moved = whole * unit.numerator + part * unit.numerator // unit.denominator
-        return np.where(alone, 0, device) + moved
+        return np.asarray(np.where(alone, 0, device) + moved)
 
 
 class HeldReadings:

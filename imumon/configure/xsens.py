@@ -99,8 +99,9 @@ class Xsens(Family):
     def learn(self, ask: core.Ask) -> None:
         """Ask what it is; a unit that refuses to tell can be configured all the same."""
         product, version = (core.known(ask, question) for question in self.questions)
-        name = (product or b"").decode("ascii", "replace").strip(" \0")
-        self.identity = (*filter(None, (name, version and "firmware " + ".".join(map(str, version[:3])))),)
+        texts = [(product or b"").decode("ascii", "replace").strip(" \0")]
+        texts += ["firmware " + ".".join(map(str, version[:3]))] if version else []
+        self.identity = tuple(filter(None, texts))
 
     def read(self, name: str) -> Request:
         """Return a request without data, which reads."""
