@@ -33,11 +33,7 @@ ONLY_CORRECTED = (
 )
 """Warning of a device that sends no rate as it was calibrated in the factory."""
 _ORDER = {name: place for place, name in enumerate(KNOWN)}
-
-
-def _place(name: str) -> tuple[int, str]:
-    """Return what columns are sorted by: the canonical ones first, in their order."""
-    return _ORDER.get(name, len(_ORDER)), name
+"""Place of the canonical columns, which go before the others."""
 
 
 class Alike(NamedTuple):
@@ -80,8 +76,7 @@ class Decoder:
         self._searched = 0  # bytes before the rest
         self._received = self._in_packets = self._checksum_errors = self._length_errors = 0
         self._by_frame = np.zeros(len(self._frames), np.int64)
-        self._layouts: list[Layout] = []
-        self._group_bits: list[int] = []
+        self._layouts: list[tuple[Layout, int]] = []  # and the bits of their groups
         self._numbers: dict[tuple[int, int, bytes], int] = {}
         self._columns = {"arrival_time_ns": KNOWN["arrival_time_ns"]}
         self._possible = self._columns | {column.name: column for column in possible}
@@ -90,7 +85,8 @@ class Decoder:
     def columns(self) -> tuple[Column, ...]:
         """Columns of the blocks that `take` returns now; a device may begin to send more."""
         self._search(final=False)
-        return tuple(self._columns[name] for name in sorted(self._columns, key=_place))
+        names = sorted(self._columns, key=lambda name: (_ORDER.get(name, len(_ORDER)), name))
+        return tuple(self._columns[name] for name in names)
 
     @property
     def possible_columns(self) -> tuple[Column, ...]:
@@ -253,15 +249,15 @@ class Decoder:
         """Add a layout; return its number."""
         for column in layout.columns:
             self._columns.setdefault(column.name, column)
-        self._layouts.append(layout)
-        self._group_bits.append(1 if self.groups is None else self.groups.bits({*layout.of_column.values()}))
+        bits = 1 if self.groups is None else self.groups.bits({*layout.of_column.values()})
+        self._layouts.append((layout, bits))
         return len(self._layouts) - 1
 
     def _read(self, found: Found, arrival_ns: IntArray) -> Packets:
         """Return what the packets carry: a row for each that has something for a row, in order."""
         if len(self._numbers) > MOST_LAYOUTS:
-            for known in (self._numbers, self._layouts, self._group_bits):
-                known.clear()
+            self._numbers.clear()
+            self._layouts.clear()
         found = self._plain(found)
         numbers = self._layout_numbers(found)
         rows = np.flatnonzero(numbers >= 0)
@@ -270,8 +266,7 @@ class Decoder:
         groups = np.ones(len(rows), np.int64)
         for number in np.flatnonzero(np.bincount(numbers)).tolist():
             mine = np.flatnonzero(numbers == number)
-            layout = self._layouts[number]
-            groups[mine] = self._group_bits[number]
+            layout, groups[mine] = self._layouts[number]
             values = layout.read(found.only(rows[mine]))
             for column in layout.columns:
                 if len(mine) == len(rows):

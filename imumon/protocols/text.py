@@ -146,16 +146,11 @@ class Line(StrictModel):
         if self.form == "pairs":
             if self.values is not None and len(words) != self.values:
                 raise ValueError("another number of pairs")
-            return dict(self._pair(word) for word in words)
+            pairs = (re.split("[:=]", word, maxsplit=1) for word in words)
+            return {key.strip(): value for key, value in pairs}
         if len(words) != self.values:
             raise ValueError("another number of values")
         return words
-
-    @staticmethod
-    def _pair(word: str) -> tuple[str, str]:
-        key, sign, value = re.split("([:=])", word, maxsplit=1)
-        del sign
-        return key.strip(), value
 
     def _number(self, word: Any) -> float:
         if isinstance(word, str):
