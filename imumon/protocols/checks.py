@@ -41,31 +41,34 @@ CRCS = {
 """CRCs by the names of the catalogue, with a hyphen behind the width."""
 
 
-def _total(rows: ByteArray) -> IntArray:
-    return np.asarray(np.sum(rows, axis=1, dtype=np.int64))
+def _total(data: ByteArray, size: IntArray) -> IntArray:
+    del size
+    return np.asarray(np.sum(data, axis=1, dtype=np.int64))
 
 
-def _words(big: bool, rows: ByteArray) -> IntArray:
-    is_high = (np.arange(rows.shape[1]) % 2 == 0) == big
-    return np.asarray(np.sum(rows.astype(np.int64) << np.where(is_high, 8, 0), axis=1))
+def _words(data: ByteArray, size: IntArray, big: bool) -> IntArray:
+    even = (np.arange(data.shape[1]) - data.shape[1] + size[:, np.newaxis]) % 2 == 0
+    return np.asarray(np.sum(data.astype(np.int64) << np.where(even == big, 8, 0), axis=1))
 
 
-def _fletcher(modulus: int, rows: ByteArray) -> IntArray:
-    high = rows @ np.arange(rows.shape[1], 0, -1)
-    return np.asarray(high % modulus << 8 | _total(rows) % modulus)
+def _fletcher(data: ByteArray, size: IntArray, modulus: int) -> IntArray:
+    high = data @ np.arange(data.shape[1], 0, -1)
+    return np.asarray(high % modulus << 8 | _total(data, size) % modulus)
 
 
-SIMPLE: dict[str, tuple[int, Callable[[ByteArray], IntArray]]] = {
+Formula = Callable[[ByteArray, IntArray], IntArray]
+"""Takes rows of bytes, which begin with zeros where they are shorter than the longest, and their sizes."""
+SIMPLE: dict[str, tuple[int, Formula]] = {
     "sum8": (1, _total),
-    "sum8-negated": (1, lambda rows: -_total(rows)),
-    "xor8": (1, lambda rows: np.bitwise_xor.reduce(rows, axis=1).astype(np.int64)),
+    "sum8-negated": (1, lambda data, size: -_total(data, size)),
+    "xor8": (1, lambda data, _: np.bitwise_xor.reduce(data, axis=1).astype(np.int64)),
     "sum16": (2, _total),
-    "sum16-words-le": (2, partial(_words, False)),
-    "sum16-words-be": (2, partial(_words, True)),
-    "fletcher16": (2, partial(_fletcher, 255)),
-    "fletcher16-256": (2, partial(_fletcher, 256)),
+    "sum16-words-le": (2, partial(_words, big=False)),
+    "sum16-words-be": (2, partial(_words, big=True)),
+    "fletcher16": (2, partial(_fletcher, modulus=255)),
+    "fletcher16-256": (2, partial(_fletcher, modulus=256)),
 }
-"""Bytes of the others, and the formula, which takes rows of bytes.
+"""Bytes and formula of the others.
 
 sum8-negated makes the sum of all bytes and the checksum zero.  sum16-words-* adds numbers of 16 bits, low
 (le) or high byte (be) first; a last byte alone has zero for the other.  fletcher16 is modulo 255 (RFC 1145,
@@ -75,12 +78,21 @@ second sum in the high byte); fletcher16-256 is the variant modulo 256 that MIP 
 CHECKSUM_NAMES = ("none", *SIMPLE, *CRCS)
 
 
-def by_size(held: ByteArray, first: IntArray, last: IntArray) -> Iterator[tuple[IntArray, ByteArray]]:
-    """Yield the numbers of the spans of each length, and their bytes, (m, length)."""
+def aligned(held: ByteArray, first: IntArray, last: IntArray) -> Iterator[tuple[IntArray, ByteArray]]:
+    """Yield numbers of spans, and their bytes with zeros before the shorter ones, (m, longest).
+
+    Those of the most frequent length come at once; others with those that are at most twice as long.
+    """
     sizes = last - first
-    for size in np.flatnonzero(np.bincount(sizes)).tolist():
-        which = np.flatnonzero(sizes == size)
-        yield which, windows(held, first[which], size)
+    usual = int(np.argmax(np.bincount(sizes))) if len(sizes) else 0
+    which = np.flatnonzero(sizes == usual)
+    yield which, windows(held, first[which], usual)
+    octaves = np.where(sizes == usual, 0, np.frexp(sizes)[1] + 1)
+    for octave in np.flatnonzero(np.bincount(octaves, minlength=1)[1:]).tolist():
+        which = np.flatnonzero(octaves == octave + 1)
+        place = last[which, np.newaxis] + np.arange(-int(sizes[which].max()), 0)
+        there = place >= first[which, np.newaxis]
+        yield which, np.where(there, held[np.where(there, place, 0)], np.uint8(0))
 
 
 def sent(held: ByteArray, end: IntArray, size: int, big: bool) -> IntArray:
@@ -112,17 +124,18 @@ class Checksum:
     def values(self, held: ByteArray, first: IntArray, last: IntArray) -> IntArray:
         """Return the checksums of the bytes from each first to before each last place."""
         found = np.zeros(len(first), np.int64)
-        formula = self._cyclic if self.name in CRCS else SIMPLE[self.name][1]
-        for which, rows in by_size(held, first, last):
-            found[which] = formula(rows)
+        for which, data in aligned(held, first, last):
+            size = (last - first)[which]
+            found[which] = self._cyclic(data, size) if self.name in CRCS else SIMPLE[self.name][1](data, size)
         return found & (1 << 8 * self.size) - 1
 
-    def _cyclic(self, rows: ByteArray) -> IntArray:
+    def _cyclic(self, data: ByteArray, size: IntArray) -> IntArray:
         """Return CRCs: they are linear, so each byte adds what its value and distance to the end tell."""
-        longest = rows.shape[1] + self.zeros
+        longest = data.shape[1] + self.zeros
         table, empty = by_distance(CRCS[self.name], 1 << longest.bit_length())
         distance = np.arange(longest - 1, self.zeros - 1, -1)
-        return np.asarray(np.bitwise_xor.reduce(table.take(rows + 256 * distance), axis=1) ^ empty[longest])
+        value = np.bitwise_xor.reduce(table.take(data + 256 * distance), axis=1)
+        return np.asarray(value ^ empty[size + self.zeros])
 
     def __call__(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
         """Tell which packets are right; see `Check`."""
@@ -159,9 +172,10 @@ class Rearranged:
     def __call__(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
         """Tell which packets are right; see `Check`."""
         right = np.zeros(len(at), np.bool_)
-        for which, rows in by_size(held, at, at + length):
-            places = self.places(rows.shape[1]) if callable(self.places) else self.places
-            moved = rows.take(places, axis=1)
+        for size in np.flatnonzero(np.bincount(length)).tolist():
+            which, places = np.flatnonzero(length == size), self.places
+            places = places(size) if callable(places) else places
+            moved = windows(held, at[which], size).take(places, axis=1)
             begins = np.arange(len(which)) * len(places)
             right[which] = self.check(moved.reshape(-1), begins, np.full(len(which), len(places)))
         return right
