@@ -109,12 +109,6 @@ class Found:
         """Return some of the packets."""
         return Found(self.held, self.at[rows], self.length[rows], self.frame[rows])
 
-    def bytes(self, size: int | None = None) -> ByteArray:
-        """Return the first bytes of each packet, (n, size); of packets of one length all when not given."""
-        if size is None:
-            size = int(self.length[0]) if len(self) else 0
-        return windows(self.held, self.at, size)
-
 
 def windows(held: ByteArray, at: IntArray, size: int) -> ByteArray:
     """Return so many bytes from each place on, (n, size)."""

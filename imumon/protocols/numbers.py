@@ -13,7 +13,7 @@ from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.base import MAIN, ByteArray, Groups
-from imumon.protocols.framing import Found
+from imumon.protocols.framing import Found, windows
 
 
 class NumberType(NamedTuple):
@@ -239,7 +239,7 @@ class Record:
 
     def read(self, found: Found) -> dict[str, ColumnArray]:
         """Return a value a packet for each column."""
-        records = found.bytes(self._type.itemsize).view(self._type)[:, 0]
+        records = windows(found.held, found.at, self._type.itemsize).view(self._type)[:, 0]
         columns = {item.name: item.read(records[item.name]) for item in self._numbers}
         for made in self._derived:
             for name, values in zip(made.names, made.decode(columns), strict=True):
