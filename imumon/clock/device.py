@@ -22,7 +22,7 @@ slack (8 bits at 100 Hz).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import Final, Literal
 
@@ -61,13 +61,8 @@ MAX_TIME_NS = 1 << 61
 ARRIVALS, ROWS, COUNTER, TICKS = range(4)
 NO_SOURCE = -1
 DatedBy = Literal["", "arrival", "rows", "counter", "clock"]
-DATED_BY: Final[Mapping[int, DatedBy]] = {
-    NO_SOURCE: "",
-    ARRIVALS: "arrival",
-    ROWS: "rows",
-    COUNTER: "counter",
-    TICKS: "clock",
-}
+DATED_BY: Final[Sequence[DatedBy]] = ("arrival", "rows", "counter", "clock", "")
+"""By the number of the source; the last is that of `NO_SOURCE`."""
 RESTART = -1
 
 
@@ -194,15 +189,9 @@ class DeviceClock:
         time_ns = np.empty(n, np.int64)
         segment = np.empty(n, np.int64)
         absent = missing(n, np.int64)
-        _unwrap(
-            absent if packet_counter is None else packet_counter,
-            absent if device_ticks is None else device_ticks,
-            absent if arrival_ns is None else arrival_ns,
-            self._sources,
-            self._state,
-            time_ns,
-            segment,
-        )
+        sent = (packet_counter, device_ticks, arrival_ns)
+        counter, ticks, arrival = (absent if one is None else one for one in sent)
+        _unwrap(counter, ticks, arrival, self._sources, self._state, time_ns, segment)
         return time_ns, segment
 
 
@@ -225,14 +214,13 @@ def _check(timing: Timing) -> Fraction | None:
 def _sources(timing: Timing, period: Fraction | None) -> Sequence[_Source]:
     """Return the sources, worst first."""
     table = records(_Source, 4)
+    counted = period if timing.counter_bits else None
     entries = [
-        (TICKS, timing.tick_ns, timing.tick_bits, CLOCK_STEADINESS),
-        (COUNTER, period if timing.counter_bits else None, timing.counter_bits or 0, RATE_STEADINESS),
+        (ARRIVALS, Fraction(1), 0, CLOCK_STEADINESS),
         (ROWS, period, 0, RATE_STEADINESS),
+        (COUNTER, counted, timing.counter_bits or 0, RATE_STEADINESS),
+        (TICKS, timing.tick_ns, timing.tick_bits, CLOCK_STEADINESS),
     ]
-    arrivals = table[ARRIVALS]
-    arrivals.numerator = arrivals.denominator = 1
-    arrivals.limit, arrivals.steadiness = np.iinfo(np.int64).max, CLOCK_STEADINESS
     for number, unit, bits, steadiness in entries:
         if unit is not None:
             source = table[number]
@@ -324,8 +312,11 @@ def _packets_in(source: _Source, state: _State, packets: int, counted: bool, ste
     elapsed = _ns(source, state.count + step) - state.time_at_counter
     state.time_at_counter += elapsed
     state.held_packets = 0
-    if first or held + packets == 1:
-        _learn_period(state, elapsed)
+    if period == 0 and (first or held + packets == 1):
+        state.period = elapsed
+    elif first or held + packets == 1:
+        most = period // PERIOD_MEMORY
+        state.period = max(period + min(max((elapsed - period) // PERIOD_MEMORY, -most), most), 1)
     if first or period == 0:
         return packets
     room = elapsed // period
@@ -333,16 +324,6 @@ def _packets_in(source: _Source, state: _State, packets: int, counted: bool, ste
     # The clock may be coarse: one tick more or less.
     most = RESTARTED_FACTOR * (elapsed + _ns(source, 1)) // period + RESTARTED_PACKETS
     return RESTART if held + packets > most else int(packets + max(rounds, 0) * modulus)
-
-
-@inner
-def _learn_period(state: _State, elapsed: int) -> None:
-    period = state.period
-    if period == 0:
-        state.period = elapsed
-        return
-    most = period // PERIOD_MEMORY
-    state.period = max(period + min(max((elapsed - period) // PERIOD_MEMORY, -most), most), 1)
 
 
 @inner

@@ -78,8 +78,6 @@ class _Fit:
     corners: int
     hull: IntArray
     vertex: int
-    left: int
-    right: int
     count: float
     sum_x: float
     sum_y: float
@@ -203,7 +201,6 @@ def _start(fit: _Fit, blocks: Sequence[_Block], device: int, segment: int, arriv
     fit.y0 = arrival - device
     fit.block = 0
     fit.far_since = NOT_FAR
-    fit.left = fit.right = 0
     fit.slope = 0.0
     fit.slope_sd = math.inf
     _empty(fit)
@@ -223,7 +220,6 @@ def _forget(fit: _Fit, blocks: Sequence[_Block], number: int) -> None:
     for new in range(max(fit.block + 1, number - BLOCKS + 1), number + 1):
         _empty(blocks[new % BLOCKS])
     fit.block = number
-    fit.left = fit.right = 0
     _empty(fit)
     for old in range(max(0, number - BLOCKS + 1), number):
         block = blocks[old % BLOCKS]
@@ -264,15 +260,6 @@ def _slope(hull: IntArray, k: int) -> float:
 
 
 @inner
-def _edge_at(hull: IntArray, last: int, k: int, x: float) -> int:
-    """Return the edge over x, searching from k to the right; x only moves to the right, so this is quick."""
-    k = min(k, last - 1)
-    while k < last - 1 and hull[k + 1, 0] < x:
-        k += 1
-    return k
-
-
-@inner
 def _support(fit: _Fit, limit: float) -> None:
     """Choose the line: slope of the chord, drawn to zero while unsure, and the vertex it then touches."""
     hull, last = fit.hull, fit.corners - 1
@@ -282,9 +269,8 @@ def _support(fit: _Fit, limit: float) -> None:
         return
     span = float(hull[last, 0] - hull[0, 0])
     x_left, x_right = hull[0, 0] + MARGIN * span, hull[last, 0] - MARGIN * span
-    fit.left = _edge_at(hull, last, fit.left, x_left)
-    fit.right = k = _edge_at(hull, last, fit.right, x_right)
-    y_left = hull[fit.left, 1] + _slope(hull, fit.left) * (x_left - hull[fit.left, 0])
+    left, k = np.searchsorted(hull[1:last, 0], x_left), np.searchsorted(hull[1:last, 0], x_right)
+    y_left = hull[left, 1] + _slope(hull, left) * (x_left - hull[left, 0])
     y_right = hull[k, 1] + _slope(hull, k) * (x_right - hull[k, 0])
     chord = (y_right - y_left) / (x_right - x_left)
     distance = fit.sum_y / fit.count - y_left - chord * (fit.sum_x / fit.count - x_left)

@@ -18,7 +18,6 @@ from imumon.protocols.epochs import Epochs
 
 HISTORY = 4096
 """Main rows that are remembered; a side epoch that waited for longer is dated by the oldest."""
-FIELDS = ("ticks", "device", "host", "segment")
 
 
 class SideClock:
@@ -30,21 +29,16 @@ class SideClock:
     def __init__(self, timing: Timing) -> None:
         self._timing = timing
         self._first = 0
-        # The first row stands for the time before any main row.
-        self._main = {name: np.array([0 if name == "segment" else NO_INT]) for name in FIELDS}
+        # Ticks, device time, host time and segment; the first row stands for the time before any main row.
+        self._main = np.array([[NO_INT], [NO_INT], [NO_INT], [0]])
 
     def follow(self, main: SampleBlock, ticks: IntArray | None) -> None:
         """Take the dated rows of the main stream that the next side rows refer to."""
-        new = {
-            "ticks": np.full(len(main), NO_INT, np.int64) if ticks is None else ticks,
-            "device": main["device_time_ns"],
-            "host": main["host_time_ns"],
-            "segment": main["segment"],
-        }
-        old = len(self._main["ticks"])
-        drop = max(old - HISTORY - 1, 0)
+        sent = missing(len(main), np.int64) if ticks is None else ticks
+        new = np.stack([sent, *(main[name] for name in ("device_time_ns", "host_time_ns", "segment"))])
+        drop = max(self._main.shape[1] - HISTORY - 1, 0)
         self._first += drop
-        self._main = {name: np.concatenate([self._main[name][drop:], new[name]]) for name in FIELDS}
+        self._main = np.hstack([self._main[:, drop:], new])
 
     def times(self, side: Epochs) -> dict[str, ColumnArray]:
         """Return the time columns of side rows.
@@ -53,7 +47,7 @@ class SideClock:
         main row a count stands for itself.
         """
         at = np.maximum(side.after, side.until - HISTORY) - self._first
-        ticks, device, host, segment = (self._main[name][at] for name in FIELDS)
+        ticks, device, host, segment = self._main[:, at]
         block, n = side.block, len(side.block)
         counts = block.columns.get("device_ticks", missing(n, np.int64))
         arrival = block.columns.get("arrival_time_ns", missing(n, np.int64))
@@ -81,7 +75,7 @@ class SideClock:
             steps = np.where(anchored, nearest, steps)
         whole, part = steps // unit.denominator, steps % unit.denominator
         moved = whole * unit.numerator + part * unit.numerator // unit.denominator
-        return np.where(alone, moved, np.where(anchored, device + moved, device))
+        return np.asarray(np.where(alone, 0, device) + moved)
 
 
 class HeldReadings:

@@ -7,7 +7,7 @@ WING = Wing(
     commands={
         "configure": Command(
             "Devices", "Set rate, outputs and baud rate of a device.", "imumon.configure.configure_command"
-        ),
+        )
     },
     firmware={
         "xsens-mtdata2": "imumon.configure.xsens:XsensFirmware",

@@ -119,9 +119,7 @@ def connect(url: str, device: DeviceFile, family: Family, baudrate: int | None) 
     """
     evidence = _received(url, device) if baudrate is None else []
     rates = [baudrate] if baudrate is not None else _rates_received(url, device, evidence)
-    line = device.serial
-    settings = PortSettings(url, rates[0], line.bytesize, line.parity, line.stopbits)
-    link = CommandLink(open_port(settings), family, streaming=False)
+    link = CommandLink(open_port(device.port_settings(url, rates[0])), family, streaming=False)
     try:
         link.streaming = link.discard(HEAR_S if not any(item.packets for item in evidence) else 0.1) > 0
         link.streaming |= any(item.packets for item in evidence)

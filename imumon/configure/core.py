@@ -11,13 +11,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pkgutil import resolve_name
-from typing import Self
+from typing import NamedTuple
 
 import numpy as np
 
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.framing import INCOMPLETE, Frame
+from imumon.protocols.framing import Candidates, Frame
 
 OUTPUTS = {
     "inertial": "angular rate and specific force, corrected as little as the device has them",
@@ -29,16 +29,8 @@ OUTPUTS = {
     "status": "status word of the device",
 }
 """What can be asked for, whatever the family; the time or counter of the sample comes with it."""
-
-USUAL_COLUMNS: dict[str, tuple[str, ...]] = {
-    "inertial": ("gyro_x",),
-    "increments": ("delta_velocity_x",),
-    "magnetometer": ("mag_x",),
-    "temperature": ("temperature",),
-    "pressure": ("pressure",),
-    "attitude": ("q_w",),
-    "status": ("status",),
-}
+_FIRST = ("gyro_x", "delta_velocity_x", "mag_x", "temperature", "pressure", "q_w", "status")
+USUAL_COLUMNS = {name: (column,) for name, column in zip(OUTPUTS, _FIRST, strict=True)}
 """For each output the columns of which one must come, in most families."""
 
 BAUD = "baud rate"
@@ -53,16 +45,14 @@ MOST_DIVISOR = 65_535
 """Sixteen bits."""
 
 
-@dataclass(frozen=True, slots=True)
-class Message:
+class Message(NamedTuple):
     """An answer, or what may be one: which kind, and what it carries."""
 
     kind: int | str
     payload: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Refusal:
+class Refusal(NamedTuple):
     """The device says no, and why."""
 
     why: str
@@ -88,10 +78,8 @@ class Request:
     @property
     def shown(self) -> str:
         """The frame as people read it: text as text, anything else as hexadecimal bytes."""
-        text = self.frame.rstrip(b"\r\n")
-        return (
-            text.decode() if text.isascii() and text.decode().isprintable() else self.frame.hex(" ").upper()
-        )
+        text = self.frame.rstrip(b"\r\n").decode("latin-1")
+        return text if text.isascii() and text.isprintable() else self.frame.hex(" ").upper()
 
 
 class CommandError(Exception):
@@ -143,20 +131,11 @@ def packets_among(data: bytes, frame: Frame) -> tuple[list[bytes], int]:
 
     A packet that is cut off hides none behind it, as it may be none: an answer would come too late.
     """
-    held = np.frombuffer(data, np.uint8)
-    places = frame.places(held)
-    sizes = frame.measured(held, places)
-    whole = sizes > 0
-    sizes[whole] = frame.verdicts(held, places[whole], sizes[whole], final=True)
-    found: list[bytes] = []
-    end, cut = 0, len(data)
-    for at, size in zip(places.tolist(), sizes.tolist(), strict=True):
-        if size > 0 and at >= end:
-            found.append(data[at : at + size])
-            end = at + size
-        elif size == INCOMPLETE and at >= end:
-            cut = min(cut, at)
-    return found, cut
+    candidates = Candidates([frame], np.frombuffer(data, np.uint8), final=True)
+    taken, done, _ = candidates.walk(0)
+    found = candidates.found(taken)
+    spans = zip(found.at.tolist(), found.length.tolist(), strict=True)
+    return [data[at : at + size] for at, size in spans], done
 
 
 class Family(ABC):
@@ -197,11 +176,8 @@ class Family(ABC):
     questions: tuple[Request, ...] = ()
     """What `learn` asks of a device of the newest kind."""
 
-    @classmethod
-    def of(cls, device: DeviceFile) -> Self:
-        """Return the family as a device file has it."""
-        del device
-        return cls()
+    def __init__(self, device: DeviceFile | None = None) -> None:
+        self.device = device
 
     @abstractmethod
     def message(self, packet: bytes) -> Message:
@@ -338,4 +314,4 @@ def family_of(device: DeviceFile) -> Family:
             "those that it does: xsens, microstrain, vectornav, witmotion; use the vendor's software",
         )
     family: type[Family] = resolve_name(FAMILIES[device.protocol])
-    return family.of(device)
+    return family(device)

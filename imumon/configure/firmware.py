@@ -84,8 +84,9 @@ class Firmware(ABC):
         return b"".join(map(self.answer, messages))
 
     def obey(self, name: str, value: bytes) -> None:
-        """Set a setting."""
+        """Set a setting; a baud rate counts at once."""
         self.volatile[name] = value
+        self.baudrate = self.baud()
 
     def save(self, *names: str) -> None:
         """Write settings into flash; all when none is named."""
@@ -95,10 +96,6 @@ class Firmware(ABC):
         """Begin with the settings in flash."""
         self.volatile = dict(self.flash)
         self.streaming, self._held = True, b""
-        self.started()
-
-    def started(self) -> None:
-        """Take the baud rate of the settings; a family that does it at other times has its own."""
         self.baudrate = self.baud()
 
     def baud(self) -> int:

@@ -10,6 +10,7 @@ import numpy as np
 
 from imumon.configure.command_link import CommandLink
 from imumon.protocols.device import DeviceFile
+from imumon.protocols.numbers import is_missing
 
 LEAST_S, MOST_S = 1.5, 5.0
 """Shortest and longest time for `PACKETS`; what comes once a second is heard in the shortest."""
@@ -73,10 +74,8 @@ def measure(link: CommandLink, device: DeviceFile, rate_hz: float | None) -> Str
         decoder.feed(link.port.read(min(left, 0.05)), time.time_ns())
         block = decoder.take()
         for name, values in block.columns.items():
-            if name != "arrival_time_ns" and values.dtype == np.float64:
-                times.setdefault(name, []).append(block["arrival_time_ns"][np.isfinite(values)])
-            elif name != "arrival_time_ns" and len(values):
-                times.setdefault(name, []).append(block["arrival_time_ns"][values != np.iinfo(np.int64).min])
+            if name != "arrival_time_ns":
+                times.setdefault(name, []).append(block["arrival_time_ns"][~is_missing(values)])
     received = {name: np.concatenate(parts) for name, parts in times.items()}
     columns = tuple(name for name, arrivals in received.items() if len(arrivals))
     main = next((received[name] for name in MAIN_COLUMNS if name in columns), np.zeros(0, np.int64))

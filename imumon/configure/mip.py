@@ -12,24 +12,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 
-from imumon.configure.core import (
-    BAUD,
-    SAVE_S,
-    USUAL_COLUMNS,
-    Ask,
-    Family,
-    Message,
-    Refusal,
-    Request,
-    divisor,
-    known,
-    nothing_to_keep,
-)
+from imumon.configure import core
+from imumon.configure.core import Family, Message, Request
 from imumon.configure.firmware import Firmware, PacketKind, nearest
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
-from imumon.protocols.mip import ERRORS, FILTER, SENSOR, SET_NAMES, Clock, MipDevice, MipEncoder, mip_fields
-from imumon.protocols.mip_filter import Attitude
+from imumon.protocols.mip import ERRORS, SET_NAMES, MipDevice, MipEncoder
+from imumon.protocols.mip_fields import FILTER, SENSOR, Attitude, Clock, mip_fields
 from imumon.protocols.tagged import MIP
 
 BASE, THREE_DM = 0x01, 0x0C
@@ -49,8 +38,9 @@ MAIN_PORT = b"\x01"
 OLD_SELECTOR = {SENSOR: 0x01, FILTER: 0x03}
 """How older devices name the streams of the data sets."""
 SENSOR_FORMAT, FILTER_FORMAT_NAME = "sensor format", "filter format"
-SENSOR_STREAM, FILTER_STREAM = "sensor stream", "filter stream"
-OF_SET = {SENSOR_FORMAT: SENSOR, FILTER_FORMAT_NAME: FILTER, SENSOR_STREAM: SENSOR, FILTER_STREAM: FILTER}
+FORMATS = {SENSOR: SENSOR_FORMAT, FILTER: FILTER_FORMAT_NAME}
+STREAMS = {SENSOR: "sensor stream", FILTER: "filter stream"}
+OF_SET = {name: of for names in (FORMATS, STREAMS) for of, name in names.items()}
 ON, OFF = b"\x01", b"\x00"
 USUAL_BASE_HZ = 500
 BAUDRATES = (115_200, 230_400, 460_800, 921_600)
@@ -83,14 +73,14 @@ def request(
     asking = (command_set, command) in ASKING
     repeated = data[:strip] if asking else data[1 : 1 + strip]
 
-    def answer(message: Message) -> bytes | Refusal | None:
+    def answer(message: Message) -> bytes | core.Refusal | None:
         there = fields(message.payload) if message.kind == command_set else []
         acks = [ack for code, ack in there if code == ACK and len(ack) == 2 and ack[0] == command]
         if not acks:
             return None
         if acks[0][1]:
             code = acks[0][1]
-            return Refusal(ERRORS.get(code, f"code {code}"))
+            return core.Refusal(ERRORS.get(code, f"code {code}"))
         wanted = ANSWERS.get((command_set, command))
         found = [value for code, value in there if code == wanted]
         if not found:
@@ -129,14 +119,12 @@ class Mip(Family):
     """Base rate of each data set that the device has, of those that are configured."""
     speed_in_base = False
     """Whether the baud rate is set by a base command."""
-    settings = (*OF_SET, BAUD)
+    settings = (*OF_SET, core.BAUD)
     answer_frame = MIP.frame
     title = "MicroStrain"
     verified = "frames of other programs (0x08, 0x0A), and the virtual device; never a real unit"
-    baud_codes: Mapping[int, bytes] = {
-        rate: rate.to_bytes(4, "big") for rate in (115_200, 230_400, 460_800, 921_600)
-    }
-    columns = USUAL_COLUMNS | {"status": ("overrange",)}
+    baud_codes: Mapping[int, bytes] = {rate: rate.to_bytes(4, "big") for rate in BAUDRATES}
+    columns = core.USUAL_COLUMNS | {"status": ("overrange",)}
     assumed = (
         f"base rate {USUAL_BASE_HZ} Hz for sensors and filter; the device is queried for it first",
         "message format by command 0x0F; older devices are set by 0x08 and 0x0A",
@@ -145,52 +133,46 @@ class Mip(Family):
     quiet = (request(BASE, IDLE, b"", "SetToIdle: no data while settings change"),)
     resume = (request(BASE, RESUME, b"", "Resume: data again"),)
     questions = (
-        request(BASE, DEVICE_INFO, b"", "GetDeviceInfo", timeout_s=SAVE_S),
+        request(BASE, DEVICE_INFO, b"", "GetDeviceInfo", timeout_s=core.SAVE_S),
         _base_rate(True, SENSOR),
         _base_rate(True, FILTER),
         request(THREE_DM, UART_BAUD, READ, "read baud rate (UARTBaudRate)"),
     )
 
-    def __init__(
-        self, attitude: Attitude = "filter", clock: Clock = "reference", modern: bool = True
-    ) -> None:
-        self.attitude, self.clock, self.modern = attitude, clock, modern
-
-    @classmethod
-    def of(cls, device: DeviceFile) -> Mip:
-        """Return the family with what the device file calls attitude and clock."""
-        assert isinstance(device, MipDevice)
-        return cls(device.attitude, device.clock)
+    def __init__(self, device: DeviceFile | None = None, modern: bool = True) -> None:
+        self.attitude: Attitude = device.attitude if isinstance(device, MipDevice) else "filter"
+        self.clock: Clock = device.clock if isinstance(device, MipDevice) else "reference"
+        self.modern = modern
 
     def message(self, packet: bytes) -> Message:
         """Return descriptor set and fields."""
         return Message(packet[2], packet[4:-2])
 
-    def learn(self, ask: Ask) -> None:
+    def learn(self, ask: core.Ask) -> None:
         """Ask what it is, which commands it knows and its base rates."""
         about, sensors, _, uart = self.questions
         info = ask(about)
         texts = [info[at : at + 16].decode("ascii", "replace").strip(" \0") for at in (2, 18, 34)]
-        sensor_rate = known(ask, sensors)
+        sensor_rate = core.known(ask, sensors)
         modern = sensor_rate is not None
         answers = {
-            SENSOR: sensor_rate if modern else known(ask, _base_rate(False, SENSOR)),
-            FILTER: known(ask, _base_rate(modern, FILTER)),
+            SENSOR: sensor_rate if modern else core.known(ask, _base_rate(False, SENSOR)),
+            FILTER: core.known(ask, _base_rate(modern, FILTER)),
         }
         known_hz = {of: int.from_bytes((answer or b"")[:2], "big") for of, answer in answers.items()}
         rates = {of: base for of, base in known_hz.items() if base}
         if SENSOR not in rates:
             raise ImumonError(Reason.BAD_DATA, "the device reports no base rate of its sensors")
         self.identity, self.modern, self.base_hz = tuple(filter(None, texts)), modern, rates
-        self.settings = (*(name for name, of in OF_SET.items() if of in rates), BAUD)
-        self.speed_in_base = known(ask, uart) is None
+        self.settings = (*(name for name, of in OF_SET.items() if of in rates), core.BAUD)
+        self.speed_in_base = core.known(ask, uart) is None
 
     def command(self, name: str) -> tuple[int, int, bytes]:
         """Return command set, command, and what follows the function selector."""
-        if name == BAUD:
+        if name == core.BAUD:
             return (BASE, COMM_SPEED, MAIN_PORT) if self.speed_in_base else (THREE_DM, UART_BAUD, b"")
         of = OF_SET[name]
-        if name in (SENSOR_STREAM, FILTER_STREAM):
+        if name in STREAMS.values():
             return THREE_DM, STREAM, bytes([of if self.modern else OLD_SELECTOR[of]])
         if self.modern:
             return THREE_DM, FORMAT, bytes([of])
@@ -208,11 +190,11 @@ class Mip(Family):
 
     def save(self, names: Sequence[str]) -> tuple[Request, ...]:
         """Return the commands with the function selector SAVE: these settings only."""
-        found = []
-        for name in names:
-            command_set, command, of = self.command(name)
-            found.append(request(command_set, command, SAVE + of, f"save {name}", timeout_s=SAVE_S))
-        return tuple(found)
+        commands = [(name, *self.command(name)) for name in names]
+        return tuple(
+            request(command_set, command, SAVE + of, f"save {name}", timeout_s=core.SAVE_S)
+            for name, command_set, command, of in commands
+        )
 
     def _fields(self, outputs: Sequence[str], of: int) -> list[int]:
         """Return the descriptors of outputs in a data set, the time first."""
@@ -232,47 +214,44 @@ class Mip(Family):
                 "use a device file with attitude: imu (imumon devices microstrain)",
             )  # fmt: skip
         result: dict[str, bytes] = {}
-        for name in (SENSOR_FORMAT, FILTER_FORMAT_NAME):
-            of = OF_SET[name]
+        for of, name in FORMATS.items():
             if of not in self.base_hz:
                 continue
             kept = [code for code, _ in formatted(present.get(name, b""))]
             codes = kept if outputs is None else self._fields(outputs, of)
-            by = divisor(self.base_hz[of], rate_hz) if codes else 1
+            by = core.divisor(self.base_hz[of], rate_hz) if codes else 1
             result[name] = message_format([(code, by) for code in codes])
             if codes:
-                result[name.replace("format", "stream")] = ON
-        if not any(formatted(value) for name, value in result.items() if "format" in name):
-            raise nothing_to_keep("output", "give --outputs")
+                result[STREAMS[of]] = ON
+        if ON not in result.values():
+            raise core.nothing_to_keep("output", "give --outputs")
         return result
 
     def rate_hz(self, values: Mapping[str, bytes]) -> float | None:
         """Return the rate of the fastest field of the sensors, else of the filter."""
-        for name in (SENSOR_FORMAT, FILTER_FORMAT_NAME):
+        for of, name in FORMATS.items():
             items = [by for _, by in formatted(values.get(name, b"")) if by]
             if items:
-                return self.base_hz[OF_SET[name]] / min(items)
+                return self.base_hz[of] / min(items)
         return None
 
     def bytes_per_s(self, values: Mapping[str, bytes]) -> float:
         """Return packets of both data sets, as long as they do not exceed 255 bytes of fields."""
-        there = mip_fields(self.attitude, self.clock)
-        total = 0.0
-        for name in (SENSOR_FORMAT, FILTER_FORMAT_NAME):
-            of, items = OF_SET[name], [(code, by) for code, by in formatted(values.get(name, b"")) if by]
-            if items and values.get(name.replace("format", "stream")) != OFF:
-                base = self.base_hz[of]
-                total += 6 * base / min(by for _, by in items)
+        there, total = mip_fields(self.attitude, self.clock), 0.0
+        for of, name in FORMATS.items():
+            items = [(code, by) for code, by in formatted(values.get(name, b"")) if by]
+            if items and values.get(STREAMS[of]) != OFF:
+                total += 6 * self.base_hz[of] / min(by for _, by in items)
                 for code, by in items:
                     field = there.get(of << 8 | code)
-                    total += (2 + (max(field.size, 0) if field else 0)) * base / by
+                    total += (2 + (max(field.size, 0) if field else 0)) * self.base_hz[of] / by
         return total
 
     def describe(self, name: str, value: bytes) -> str:
         """Return whether a stream is on, or each field of a format with its rate."""
-        if name == BAUD:
+        if name == core.BAUD:
             return super().describe(name, value)
-        if name in (SENSOR_STREAM, FILTER_STREAM):
+        if name in STREAMS.values():
             return "off" if value == OFF else "on"
         of = OF_SET[name]
         names = {key: item.name for key, item in mip_fields(self.attitude, self.clock).items()}
@@ -285,8 +264,6 @@ class Mip(Family):
 
 
 DONE, UNKNOWN, INVALID = 0, 1, 3
-STREAMS = {SENSOR: SENSOR_STREAM, FILTER: FILTER_STREAM}
-FORMATS = {SENSOR: SENSOR_FORMAT, FILTER: FILTER_FORMAT_NAME}
 
 
 class MipFirmware(Firmware):
@@ -296,14 +273,13 @@ class MipFirmware(Firmware):
 
     def __init__(self, device: DeviceFile, rate_hz: float) -> None:
         assert isinstance(device, MipDevice)
-        self.family, self._device = Mip.of(device), device
+        self.family, self._device = Mip(device), device
         by = nearest(USUAL_BASE_HZ, rate_hz)
         codes = {name: code for code, name in self._names(SENSOR).items()}
         settings = {
             SENSOR_FORMAT: message_format([(codes[name], by) for name in device.sends]),
             FILTER_FORMAT_NAME: message_format([]),
-            SENSOR_STREAM: ON,
-            FILTER_STREAM: ON,
+            **dict.fromkeys(STREAMS.values(), ON),
         }
         super().__init__(device, settings)
 
@@ -334,7 +310,6 @@ class MipFirmware(Firmware):
         if data[:1] != APPLY or not self._possible(name, value):
             return acknowledged(command, INVALID)
         self.obey(name, value)
-        self.baudrate = self.baud()
         return acknowledged(command, DONE)
 
     def _base(self, command: Message, code: int) -> bytes:
@@ -357,12 +332,11 @@ class MipFirmware(Firmware):
         return "", b""
 
     def _possible(self, name: str, value: bytes) -> bool:
-        if name == BAUD:
+        if name == core.BAUD:
             return value in Mip.baud_codes.values()
-        if name in (SENSOR_STREAM, FILTER_STREAM):
+        if name in STREAMS.values():
             return len(value) == 1
-        of = SENSOR if name == SENSOR_FORMAT else FILTER
-        items, names = formatted(value), self._names(of)
+        items, names = formatted(value), self._names(OF_SET[name])
         return len(value) == 1 + 3 * len(items) and all(code in names and by > 0 for code, by in items)
 
     def outputs(self) -> tuple[float, list[PacketKind]]:

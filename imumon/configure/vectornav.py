@@ -10,21 +10,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from imumon.configure.core import (
-    BAUD,
-    SAVE_S,
-    Ask,
-    Family,
-    Message,
-    Refusal,
-    Request,
-    divisor,
-    nothing_to_keep,
-)
+from imumon.configure import core
+from imumon.configure.core import Family, Message, Request
 from imumon.configure.firmware import Firmware, PacketKind, nearest
+from imumon.protocols import vectornav
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.text import line_frame, sentence, sentence_body
-from imumon.protocols.vectornav import PLACES, XMODEM, Header, VectorNavDevice, VectorNavEncoder, read_header
 from imumon.protocols.vectornav_fields import GROUP_NAMES
 
 ERRORS = {1: "hard fault", 2: "serial buffer overflow", 3: "invalid checksum", 4: "invalid command",
@@ -32,7 +23,7 @@ ERRORS = {1: "hard fault", 2: "serial buffer overflow", 3: "invalid checksum", 4
           9: "unauthorized access", 10: "watchdog reset", 11: "output buffer overflow",
           12: "insufficient baud rate", 255: "error buffer overflow"}  # fmt: skip
 OUTPUT, SECOND, THIRD, ASCII = "binary output 1", "binary output 2", "binary output 3", "ASCII output"
-REGISTERS = {OUTPUT: 75, SECOND: 76, THIRD: 77, ASCII: 6, BAUD: 5}
+REGISTERS = {OUTPUT: 75, SECOND: 76, THIRD: 77, ASCII: 6, core.BAUD: 5}
 FIELDS: Mapping[str, tuple[str, ...]] = {
     "inertial": ("Imu.UncompAccel", "Imu.UncompGyro"),
     "increments": ("Imu.DeltaTheta", "Imu.DeltaVelocity"),
@@ -57,34 +48,27 @@ def frame(text: str) -> bytes:
 
 def _body(line: str) -> str | None:
     """Return what a line has before its checksum, of eight bits or a CRC, or None when that is wrong."""
-    body = sentence_body(line.rstrip("\r\n"), XMODEM)
+    body = sentence_body(line.rstrip("\r\n"), vectornav.XMODEM)
     return body if body is not None and body.isascii() else None
 
 
 def request(command: str, meaning: str, echo: str = "", timeout_s: float = 0.5) -> Request:
     """Return a command; its answer begins with `echo`, or else with the letters of the command."""
-    kind, register = command[2:5], echo
+    kind = command[2:5]
 
-    def answer(message: Message) -> bytes | Refusal | None:
+    def answer(message: Message) -> bytes | core.Refusal | None:
         text = message.payload.decode("ascii", "replace")
+        first, _, rest = text.partition(",")
+        number = int(first) if first.isdecimal() else -1
         if message.kind == "ERR":
-            code = _whole(text.split(",")[0])
-            return Refusal(f"error {text}: {ERRORS.get(-1 if code is None else code, 'not a known code')}")
+            return core.Refusal(f"error {text}: {ERRORS.get(number, 'not a known code')}")
         if message.kind != kind:
             return None
-        if not register:
+        if not echo:
             return message.payload
-        first, _, rest = text.partition(",")
-        return rest.encode() if _whole(first) == int(register) else None
+        return rest.encode() if number == int(echo) else None
 
     return Request(meaning, frame(command), answer, timeout_s)
-
-
-def _whole(text: str, base: int = 10) -> int | None:
-    try:
-        return int(text, base) if text.isalnum() else None
-    except ValueError:
-        return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,20 +83,19 @@ class Output:
     @classmethod
     def read(cls, value: bytes) -> Output:
         """Read a register; what makes no sense is an output that is off."""
-        first, *texts = value.decode("ascii", "replace").split(",")
-        numbers = [_whole(text, 16) for text in texts[1:]]
-        port, by = _whole(first), _whole(texts[0]) if texts else None
-        if port is None or by is None or not numbers or None in numbers:
+        try:
+            port, by, *hexadecimal = value.decode("ascii", "replace").split(",")
+            groups, *words = (int(text, 16) for text in hexadecimal)
+            found = cls(int(port), int(by), groups, tuple(words))
+        except ValueError:
             return NO_OUTPUT
-        groups, *words = (number for number in numbers if number is not None)
-        return cls(port, by, groups, tuple(words))
+        fits = all(0 <= number <= 0xFFFF for number in (found.port, found.by, groups, *words))
+        return found if fits else NO_OUTPUT
 
     @classmethod
     def of(cls, port: int, by: int, names: Sequence[str]) -> Output:
         """Return the output of fields."""
-        words: dict[int, int] = {}
-        for group, bit in sorted(PLACES[name] for name in names):
-            words[group] = words.get(group, 0) | 1 << bit
+        words = vectornav.words_of(names)
         return cls(port, by, sum(1 << group - 1 for group in words), tuple(words.values()))
 
     @property
@@ -121,41 +104,16 @@ class Output:
         return self.port > 0 and self.by > 0 and self.groups > 0
 
     @property
-    def header(self) -> bytes:
-        """How the packets begin."""
-        return (
-            b"\xfa"
-            + bytes([self.groups & 0xFF])
-            + b"".join(word.to_bytes(2, "little") for word in self.words)
-        )
-
-    @property
     def value(self) -> bytes:
         """The register."""
         words = "".join(f",{word:04X}" for word in self.words)
         return f"{self.port},{self.by},{self.groups:02X}{words}".encode()
 
     @property
-    def _announced(self) -> Header | None:
+    def contents(self) -> vectornav.Contents | None:
         """What its packets hold; None when that is not known."""
-        header = read_header(self.header + bytes(64)) if self.groups <= 0x7F else None
-        return header if isinstance(header, Header) else None
-
-    def fields(self) -> list[str]:
-        """Return the names of the fields, with their groups."""
-        header = self._announced
-        if header is None:
-            return ["fields that imumon does not know"]
-        names = [item.name for item in header.items]
-        return [f"{' '.join(_groups(self.groups))}: {', '.join(names)}"]
-
-    def packet_bytes(self) -> int:
-        """Return the size of a packet; 0 when it is not known."""
-        header = self._announced
-        if header is None:
-            return 0
-        offsets = header.offsets(bytes(512))
-        return 0 if isinstance(offsets, int) else offsets[-1] + 2
+        found = vectornav.read_contents(vectornav.header_of(self.groups, self.words) + bytes(512))
+        return found if isinstance(found, vectornav.Contents) and self.groups <= 0x7F else None
 
 
 NO_OUTPUT = Output(0, 0, 0, ())
@@ -192,7 +150,7 @@ class VectorNav(Family):
         assert body is not None
         return Message(body[3:6], body[7:].encode())
 
-    def learn(self, ask: Ask) -> None:
+    def learn(self, ask: core.Ask) -> None:
         """Ask the model, of which the base rate depends, and the firmware."""
         model, firmware = (ask(question).decode("ascii", "replace") for question in self.questions)
         self.base_hz = FAST_HZ if model.upper().startswith("VN-1") else SLOW_HZ
@@ -205,11 +163,11 @@ class VectorNav(Family):
         reader = found.answer
         assert reader is not None
 
-        def canonical(message: Message) -> bytes | Refusal | None:
+        def canonical(message: Message) -> bytes | core.Refusal | None:
             value = reader(message)
             if not isinstance(value, bytes):
                 return value
-            if name in (ASCII, BAUD):  # newer firmware adds the number of the port
+            if name in (ASCII, core.BAUD):  # newer firmware adds the number of the port
                 return value.split(b",")[0].lstrip(b"0") or b"0"
             return Output.read(value).value
 
@@ -224,7 +182,7 @@ class VectorNav(Family):
     def save(self, names: Sequence[str]) -> tuple[Request, ...]:
         """Return $VNWNV, which saves every register."""
         del names
-        return (request("VNWNV", "save all registers", timeout_s=SAVE_S),)
+        return (request("VNWNV", "save all registers", timeout_s=core.SAVE_S),)
 
     def of_wish(
         self, present: Mapping[str, bytes], rate_hz: float | None, outputs: tuple[str, ...] | None
@@ -232,13 +190,13 @@ class VectorNav(Family):
         """Return the first binary output; the others and the ASCII output off.  See `Family.wanted`."""
         now = {name: Output.read(present[name]) for name in (OUTPUT, SECOND, THIRD) if name in present}
         old = now.get(OUTPUT, NO_OUTPUT)
-        by, port = divisor(self.base_hz, rate_hz), old.port or 1
+        by, port = core.divisor(self.base_hz, rate_hz), old.port or 1
         if outputs is not None:
             new = Output.of(port, by, ["Common.TimeStartup", *(x for name in outputs for x in FIELDS[name])])
         elif old.on:
             new = Output(port, by, old.groups, old.words)
         else:
-            raise nothing_to_keep("binary output", "give --outputs")
+            raise core.nothing_to_keep("binary output", "give --outputs")
         others = [name for name in (SECOND, THIRD) if now.get(name, NO_OUTPUT).on]
         off = {name: replace(now[name], port=0).value for name in others}
         return {ASCII: b"0", **off, OUTPUT: new.value}
@@ -256,11 +214,12 @@ class VectorNav(Family):
     def bytes_per_s(self, values: Mapping[str, bytes]) -> float:
         """Return the packets of the binary outputs."""
         outputs = [Output.read(values[name]) for name in (OUTPUT, SECOND, THIRD) if name in values]
-        return sum(output.packet_bytes() * self.base_hz / output.by for output in outputs if output.on)
+        sent = [(output.contents, output.by) for output in outputs if output.on]
+        return sum((found.end + 2) * self.base_hz / by for found, by in sent if found is not None)
 
     def describe(self, name: str, value: bytes) -> str:
         """Return fields, rate and port of a binary output, or the type of the ASCII output."""
-        if name == BAUD:
+        if name == core.BAUD:
             return super().describe(name, value)
         if name == ASCII:
             return "off" if value == b"0" else f"type {value.decode('ascii', 'replace')}"
@@ -268,13 +227,17 @@ class VectorNav(Family):
         if not output.on:
             return "off"
         rate = f"{self.base_hz / output.by:.6g} Hz ({self.base_hz}/{output.by})"
-        return f"{rate} on serial port {output.port}, {', '.join(output.fields())}"
+        found, fields = output.contents, "fields that imumon does not know"
+        if found is not None:
+            names = [item.name for item, _ in found.fields]
+            fields = f"{' '.join(_groups(output.groups))}: {', '.join(names)}"
+        return f"{rate} on serial port {output.port}, {fields}"
 
 
 INVALID_COMMAND, INVALID_PARAMETER, INVALID_REGISTER = 4, 7, 8
 IDENTITY = {1: "VN-100-VIRTUAL", 3: "0100000001", 4: "2.1.0.0"}
 NAMES = {number: name for name, number in REGISTERS.items()}
-FIELD_OF_PLACE = {place: name for name, place in PLACES.items()}
+FIELD_OF_PLACE = {place: name for name, place in vectornav.PLACES.items()}
 
 
 class VectorNavFirmware(Firmware):
@@ -283,7 +246,7 @@ class VectorNavFirmware(Firmware):
     family = VectorNav()
 
     def __init__(self, device: DeviceFile, rate_hz: float) -> None:
-        assert isinstance(device, VectorNavDevice)
+        assert isinstance(device, vectornav.VectorNavDevice)
         off = Output(0, 1, 0, ()).value
         settings = dict.fromkeys(REGISTERS, off) | {
             OUTPUT: Output.of(1, nearest(FAST_HZ, rate_hz), device.sends).value,
@@ -314,7 +277,6 @@ class VectorNavFirmware(Firmware):
         if not _possible(name, value.encode()):
             return frame(f"VNERR,{INVALID_PARAMETER:02d}")
         self.obey(name, value.encode())
-        self.baudrate = self.baud()
         return frame(f"VNWRG,{register:02d},{value}")
 
     def outputs(self) -> tuple[float, list[PacketKind]]:
@@ -323,7 +285,9 @@ class VectorNavFirmware(Firmware):
         for name in NAMES.values():
             register = Output.read(self.volatile[name]) if "binary" in name else None
             if register is not None and register.on and register.port & 1:
-                found.append(PacketKind(VectorNavEncoder, dict.fromkeys(_names(register), register.by)))
+                found.append(
+                    PacketKind(vectornav.VectorNavEncoder, dict.fromkeys(_names(register), register.by))
+                )
         return FAST_HZ, found
 
 
@@ -339,7 +303,7 @@ def _names(register: Output) -> list[str]:
 
 def _possible(name: str, value: bytes) -> bool:
     """Return whether the device takes a value."""
-    if name == BAUD:
+    if name == core.BAUD:
         return value in VectorNav.baud_codes.values()
     if name == ASCII:
         return value.isdigit()

@@ -11,18 +11,8 @@ from collections.abc import Mapping, Sequence
 from functools import partial, reduce
 from operator import or_
 
-from imumon.configure.core import (
-    BAUD,
-    CLOSE_ENOUGH,
-    USUAL_COLUMNS,
-    Family,
-    Message,
-    Refusal,
-    Request,
-    no_rate,
-    nothing_to_keep,
-    packets_among,
-)
+from imumon.configure import core
+from imumon.configure.core import Family, Message, Request
 from imumon.configure.firmware import Firmware, PacketKind
 from imumon.protocols.checks import Checksum
 from imumon.protocols.device import DeviceFile
@@ -33,7 +23,7 @@ from imumon.protocols.witmotion import SIZE, TYPES, WitMotionDevice
 REGISTER_ANSWER = 0x5F
 CONTENT, RATE = "output content", "output rate"
 SAVE, RSW, RRATE, BAUD_REGISTER, READ_ADDRESS = 0x00, 0x02, 0x03, 0x04, 0x27
-REGISTERS = {CONTENT: RSW, RATE: RRATE, BAUD: BAUD_REGISTER}
+REGISTERS = {CONTENT: RSW, RATE: RRATE, core.BAUD: BAUD_REGISTER}
 UNLOCK = b"\xff\xaa\x69\x88\xb5"
 PAUSE_S = 0.1
 """Between writes: the vendor's code leaves 1 to 200 ms."""
@@ -58,7 +48,7 @@ def frame(register: int, value: bytes) -> bytes:
     return b"\xff\xaa" + bytes([register]) + value
 
 
-def _registers(message: Message) -> bytes | Refusal | None:
+def _registers(message: Message) -> bytes | core.Refusal | None:
     """Return the first of the four registers of an answer."""
     return message.payload[:2] if message.kind == REGISTER_ANSWER else None
 
@@ -75,10 +65,7 @@ class WitMotion(Family):
     verified = "codes of the vendor's sample code, and the virtual device; never a real unit"
     save_confirmed = False
     baud_codes: Mapping[int, bytes] = {rate: bytes([code, 0]) for code, rate in enumerate(BAUDRATES, 1)}
-    columns: Mapping[str, tuple[str, ...]] = {
-        **{name: USUAL_COLUMNS[name] for name in ("inertial", "magnetometer", "temperature", "pressure")},
-        "attitude": ("roll",),
-    }
+    columns = {name: core.USUAL_COLUMNS[name] for name in FRAMES} | {"attitude": ("roll",)}
     settings = tuple(REGISTERS)
     hello = _read(RATE)
 
@@ -108,11 +95,11 @@ class WitMotion(Family):
         if outputs is not None:
             result[CONTENT] = reduce(or_, (FRAMES[name] for name in outputs), 0).to_bytes(2, "little")
         elif present and not any(present[CONTENT]):
-            raise nothing_to_keep("output", "give --outputs")
+            raise core.nothing_to_keep("output", "give --outputs")
         if rate_hz is not None:
-            near = [code for code, rate in RATES.items() if abs(rate / rate_hz - 1) <= CLOSE_ENOUGH]
+            near = [code for code, rate in RATES.items() if abs(rate / rate_hz - 1) <= core.CLOSE_ENOUGH]
             if not near:
-                raise no_rate(rate_hz, tuple(RATES.values()), "the device has a list of rates")
+                raise core.no_rate(rate_hz, tuple(RATES.values()), "the device has a list of rates")
             result[RATE] = bytes([near[0], 0])
         return result
 
@@ -127,7 +114,7 @@ class WitMotion(Family):
 
     def describe(self, name: str, value: bytes) -> str:
         """Return the rate, or the frames of a sample."""
-        if name == BAUD:
+        if name == core.BAUD:
             return super().describe(name, value)
         code = int.from_bytes(value, "little")
         if name == RATE:
@@ -157,38 +144,28 @@ class WitMotionFirmware(Firmware):
 
     def found(self, held: bytes) -> tuple[list[Message], int]:
         """Find writes, which are unlike answers."""
-        packets, done = packets_among(held, WRITE)
+        packets, done = core.packets_among(held, WRITE)
         return [Message(packet[2], packet[3:]) for packet in packets], done
 
     def answer(self, command: Message) -> bytes:
         """Carry a command out; only a read is answered."""
         register, data = int(command.kind), command.payload
-        if register == UNLOCK[2]:
-            self._locked = data != UNLOCK[3:]
-            return b""
-        if register == READ_ADDRESS:
-            return self._four(data[0])
-        if self._locked:
-            return b""
-        if register == SAVE:
-            self.save()
-            return b""
         possible = {
             RSW: data != b"\0\0",
             RRATE: data[0] in RATES,
             BAUD_REGISTER: data in self.family.baud_codes.values(),
         }
-        if possible.get(register):
+        if register == READ_ADDRESS:
+            there = {number: self.volatile[name] for name, number in REGISTERS.items()}
+            four = b"".join(there.get(data[0] + k, b"\0\0") for k in range(4))
+            return Checksum("sum8").sealed(bytes([0x55, REGISTER_ANSWER]) + four)
+        if register == UNLOCK[2]:
+            self._locked = data != UNLOCK[3:]
+        elif not self._locked and register == SAVE:
+            self.save()
+        elif not self._locked and possible.get(register):
             self.obey(next(name for name, number in REGISTERS.items() if number == register), data)
-            self.baudrate = self.baud()
         return b""
-
-    def _four(self, first: int) -> bytes:
-        there = {number: self.volatile[name] for name, number in REGISTERS.items()}
-        data = b"".join(there.get(first + k, b"\0\0") for k in range(4))
-        packet = bytes([0x55, REGISTER_ANSWER]) + data
-        assert len(packet) == SIZE - 1
-        return packet + bytes([sum(packet) & 0xFF])
 
     def outputs(self) -> tuple[float, list[PacketKind]]:
         """Return the frames of a sample; what the encoder lacks is left out."""

@@ -10,29 +10,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from imumon.configure.core import (
-    BAUD,
-    SAVE_S,
-    Ask,
-    Family,
-    Message,
-    Refusal,
-    Request,
-    known,
-    no_rate,
-    nothing_to_keep,
-)
+from imumon.configure import core
+from imumon.configure.core import Family, Message, Request
 from imumon.configure.firmware import Firmware, PacketKind, nearest
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.tagged import XBUS, xbus_message
+from imumon.protocols.xsens import mtdata
 from imumon.protocols.xsens.fields import message_of
-from imumon.protocols.xsens.messages import ERROR, ERRORS, NAMES, identifier_name
-from imumon.protocols.xsens.mtdata2 import MTData2Device, MTData2Encoder, find_fields
 
 GO_TO_MEASUREMENT, SET_BAUDRATE, REQ_PRODUCT_CODE, GO_TO_CONFIG = 0x10, 0x18, 0x1C, 0x30
 REQ_FIRMWARE, RESET, SET_OUTPUT_CONFIGURATION = 0x12, 0x40, 0xC0
 OUTPUT = "output configuration"
+KINDS = {OUTPUT: SET_OUTPUT_CONFIGURATION, core.BAUD: SET_BAUDRATE}
 WITH_EVERY_PACKET = 0xFFFF
 BAUD_CODES = {0x02: 115_200, 0x0A: 921_600, 0x00: 460_800, 0x01: 230_400, 0x04: 57_600, 0x05: 38_400,
               0x07: 19_200, 0x09: 9600, 0x0C: 2_000_000}  # fmt: skip
@@ -61,16 +51,16 @@ def frame(kind: int, payload: bytes = b"") -> bytes:
     return XBUS.check.sealed(xbus_message(kind, payload))
 
 
-def request(kind: int, payload: bytes = b"", meaning: str = "", timeout_s: float = SAVE_S) -> Request:
+def request(kind: int, payload: bytes = b"", meaning: str = "", timeout_s: float = core.SAVE_S) -> Request:
     """Return a request; its answer has the next number, an Error message says no."""
 
-    def answer(message: Message) -> bytes | Refusal | None:
-        if message.kind == ERROR:
+    def answer(message: Message) -> bytes | core.Refusal | None:
+        if message.kind == mtdata.ERROR:
             code = message.payload[0] if message.payload else 0
-            return Refusal(f"error {code}: {ERRORS.get(code, 'not a known code')}")
+            return core.Refusal(f"error {code}: {mtdata.ERRORS.get(code, 'not a known code')}")
         return message.payload if message.kind == kind + 1 else None
 
-    return Request(meaning or NAMES[kind], frame(kind, payload), answer, timeout_s)
+    return Request(meaning or mtdata.NAMES[kind], frame(kind, payload), answer, timeout_s)
 
 
 def entries(value: bytes) -> list[tuple[int, int]]:
@@ -86,18 +76,10 @@ def packed(outputs: Sequence[tuple[int, int]]) -> bytes:
     return b"".join(code.to_bytes(2, "big") + rate.to_bytes(2, "big") for code, rate in outputs)
 
 
-def _text(payload: bytes) -> str:
-    return payload.decode("ascii", "replace").strip(" \0")
-
-
-def _version(payload: bytes) -> str:
-    return "firmware " + ".".join(map(str, payload[:3]))
-
-
 class Xsens(Family):
     """Commands of an MTi."""
 
-    settings = (OUTPUT, BAUD)
+    settings = (OUTPUT, core.BAUD)
     answer_frame = replace(XBUS.frame, sync=b"\xfa\xff")
     title = "Xsens MTi"
     verified = "frames of other programs, and the virtual device; never a real unit"
@@ -114,21 +96,22 @@ class Xsens(Family):
         """Return identifier and data."""
         return Message(packet[2], XBUS.payload(packet))
 
-    def learn(self, ask: Ask) -> None:
+    def learn(self, ask: core.Ask) -> None:
         """Ask what it is; a unit that refuses to tell can be configured all the same."""
-        answers = [known(ask, question) for question in self.questions]
-        texts = [of(answer) for of, answer in zip((_text, _version), answers, strict=True) if answer]
-        self.identity = tuple(texts)
+        product, version = (core.known(ask, question) for question in self.questions)
+        texts = [(product or b"").decode("ascii", "replace").strip(" \0")]
+        texts += ["firmware " + ".".join(map(str, version[:3]))] if version else []
+        self.identity = tuple(filter(None, texts))
 
     def read(self, name: str) -> Request:
         """Return a request without data, which reads."""
-        kind = SET_OUTPUT_CONFIGURATION if name == OUTPUT else SET_BAUDRATE
-        return request(kind, meaning=f"read {name} ({NAMES[kind]} without data)")
+        kind = KINDS[name]
+        return request(kind, meaning=f"read {name} ({mtdata.NAMES[kind]} without data)")
 
     def write(self, name: str, value: bytes) -> tuple[Request, ...]:
         """Return the request with data; a baud rate needs a reset."""
-        kind = SET_OUTPUT_CONFIGURATION if name == OUTPUT else SET_BAUDRATE
-        write = request(kind, value, f"{NAMES[kind]}: {self.describe(name, value)}")
+        kind = KINDS[name]
+        write = request(kind, value, f"{mtdata.NAMES[kind]}: {self.describe(name, value)}")
         return (write,) if name == OUTPUT else (write, request(RESET))
 
     def save(self, names: Sequence[str]) -> tuple[Request, ...]:
@@ -141,9 +124,9 @@ class Xsens(Family):
     ) -> dict[str, bytes]:
         """Return the output configuration; see `Family.wanted`."""
         if rate_hz is None:
-            raise nothing_to_keep("rate", "give --rate")
+            raise core.nothing_to_keep("rate", "give --rate")
         if rate_hz not in RATES:
-            raise no_rate(rate_hz, RATES, f"the device divides {FASTEST_HZ} Hz by a whole number")
+            raise core.no_rate(rate_hz, RATES, f"the device divides {FASTEST_HZ} Hz by a whole number")
         now = entries(present[OUTPUT]) if outputs is None else []
         fastest = self.rate_hz(present) if outputs is None else None
         timed = [(code, rate_hz if hz == fastest else hz) for code, hz in now if hz != WITH_EVERY_PACKET]
@@ -163,7 +146,7 @@ class Xsens(Family):
             (code, round(min(hz, rate_hz, MOST_HZ.get(code & 0xFFF0, FASTEST_HZ)))) for code, hz in timed
         ]
         if max(rates := [hz for _, hz in often]) < rate_hz:
-            raise no_rate(rate_hz, rates, "these outputs are slower")
+            raise core.no_rate(rate_hz, rates, "these outputs are slower")
         return {OUTPUT: packed((*always, *often) if outputs is None else (*ALWAYS, *often, *always))}
 
     def settled(self, name: str, wanted: bytes, found: bytes) -> bool:
@@ -192,10 +175,10 @@ class Xsens(Family):
 
     def describe(self, name: str, value: bytes) -> str:
         """Return each output with its rate."""
-        if name == BAUD:
+        if name == core.BAUD:
             return super().describe(name, value)
         outputs = [
-            f"{identifier_name(code)} {'always' if rate == WITH_EVERY_PACKET else f'{rate} Hz'}"
+            f"{mtdata.identifier_name(code)} {'always' if rate == WITH_EVERY_PACKET else f'{rate} Hz'}"
             for code, rate in entries(value)
         ]
         return ", ".join(outputs) or "nothing"
@@ -205,6 +188,8 @@ class Xsens(Family):
         return 921_600 if value == OLD_921600 else super().baud_of(value)
 
 
+IDENTITY = {REQ_PRODUCT_CODE: b"MTi-VIRTUAL", REQ_FIRMWARE: bytes([1, 2, 3])}
+NAMED = {kind: name for name, kind in KINDS.items()}
 INVALID_PARAMETER, INVALID_MESSAGE, NO_SUCH_BAUDRATE = 33, 4, 32
 TIMELESS = {0x10, 0xE0}
 """Groups of identifiers that go with every packet: times and status."""
@@ -216,8 +201,8 @@ class XsensFirmware(Firmware):
     family = Xsens()
 
     def __init__(self, device: DeviceFile, rate_hz: float) -> None:
-        assert isinstance(device, MTData2Device)
-        keys = [key for key, _ in find_fields(device.sends, device.precision)]
+        assert isinstance(device, mtdata.MTData2Device)
+        keys = [key for key, _ in mtdata.find_fields(device.sends, device.precision)]
         output = [(key, WITH_EVERY_PACKET if key >> 8 in TIMELESS else round(rate_hz)) for key in keys]
         super().__init__(device, {OUTPUT: packed(output)})
 
@@ -235,28 +220,26 @@ class XsensFirmware(Firmware):
         if kind == RESET:
             self.power_on()
             return frame(kind + 1)
-        if kind == SET_OUTPUT_CONFIGURATION:
-            return self._output(data)
-        if kind == SET_BAUDRATE:
-            return self._baudrate(data)
-        identity = {REQ_PRODUCT_CODE: b"MTi-VIRTUAL", REQ_FIRMWARE: bytes([1, 2, 3])}
-        return frame(kind + 1, identity[kind]) if kind in identity else frame(ERROR, bytes([INVALID_MESSAGE]))
-
-    def _output(self, data: bytes) -> bytes:
+        if kind not in NAMED:
+            identity = {REQ_PRODUCT_CODE: b"MTi-VIRTUAL", REQ_FIRMWARE: bytes([1, 2, 3])}
+            return (
+                frame(kind + 1, identity[kind])
+                if kind in identity
+                else frame(mtdata.ERROR, bytes([INVALID_MESSAGE]))
+            )
+        name = NAMED[kind]
         if data:
-            if len(data) % 4 or not all(_sendable(code, rate) for code, rate in entries(data)):
-                return frame(ERROR, bytes([INVALID_PARAMETER]))
-            self.obey(OUTPUT, data)
-            self.save(OUTPUT)
-        return frame(SET_OUTPUT_CONFIGURATION + 1, self.volatile[OUTPUT])
+            if name == core.BAUD and data not in self.family.baud_codes.values():
+                return frame(mtdata.ERROR, bytes([NO_SUCH_BAUDRATE]))
+            if name == OUTPUT and (len(data) % 4 or not all(_sendable(*entry) for entry in entries(data))):
+                return frame(mtdata.ERROR, bytes([INVALID_PARAMETER]))
+            self.obey(name, data)
+            self.save(name)
+        return frame(kind + 1, b"" if data and name == core.BAUD else self.volatile[name])
 
-    def _baudrate(self, data: bytes) -> bytes:
-        if data:
-            if data not in self.family.baud_codes.values():
-                return frame(ERROR, bytes([NO_SUCH_BAUDRATE]))
-            self.obey(BAUD, data)
-            self.save(BAUD)
-        return frame(SET_BAUDRATE + 1, b"" if data else self.volatile[BAUD])
+    def obey(self, name: str, value: bytes) -> None:
+        """Set a setting; a baud rate counts after a reset."""
+        self.volatile[name] = value
 
     def outputs(self) -> tuple[float, list[PacketKind]]:
         """Return MTData2 messages; each holds what is due."""
@@ -267,7 +250,7 @@ class XsensFirmware(Firmware):
             for code, rate in pairs
             if fastest and rate
         }
-        return FASTEST_HZ, [PacketKind(MTData2Encoder, every)]
+        return FASTEST_HZ, [PacketKind(mtdata.MTData2Encoder, every)]
 
 
 def _name(code: int) -> str:

@@ -8,8 +8,7 @@ bytes stay unknown, for somebody to fill in.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from imumon.blocks import BoolArray, IntArray
 from imumon.protocols.base import ByteArray
 from imumon.protocols.checks import CHECKSUM_NAMES, Checksum, sent
 from imumon.protocols.framing import windows
+from imumon.protocols.text_proposal import file_head
 
 LEAST_PACKETS: Final = 8
 """Packets from which a layout is proposed."""
@@ -51,69 +51,53 @@ MOSTLY_TEXT: Final = 0.95
 """Share of printable bytes from which a stream is text, whose lines may all be of one length."""
 
 
-@dataclass(frozen=True, slots=True)
-class Proposal:
-    """A device file, and how well it is founded."""
+class Proposal(NamedTuple):
+    """A device file, and how well it is founded; the best is the largest."""
 
-    text: str
     checked: bool
     """Whether a checksum fits."""
     covered: float
     """Share of the bytes that are in packets."""
-
-    @property
-    def weight(self) -> tuple[bool, float]:
-        """What orders proposals, the best last."""
-        return self.checked, self.covered
+    text: str
 
 
 def propose(data: bytes, seconds: float, baudrate: int | None) -> Proposal | None:
     """Return a device file for binary packets of one length; None when nothing repeats as they do.
 
-    Parameters
-    ----------
-    data : bytes
-        What came; may begin and end anywhere.
-    seconds : float
-        Time in which it came.
-    baudrate : int or None
-        Rate in bit/s at which it came.
+    `data`: what came within `seconds`, at `baudrate` (bit/s); may begin and end anywhere.
     """
     held = np.frombuffer(data[:MOST_BYTES], np.uint8)
     seconds *= len(held) / max(len(data), 1)
-    best: Proposal | None = None
-    for anchors, lengths in _repeating(held):
-        if len(lengths) == 1 and (best is None or not best.checked):
-            found = _proposal(held, anchors, int(lengths[0]), seconds, baudrate)
-            best = max(filter(None, (best, found)), key=lambda one: one.weight, default=None)
-    return best
+    found: list[Proposal] = []
+    for anchors, length in _repeating(held):
+        proposal = _proposal(held, anchors, length, seconds, baudrate)
+        found += [proposal] if proposal is not None else []
+        if proposal is not None and proposal.checked:
+            break
+    return max(found, key=lambda one: one[:2], default=None)
 
 
-def _repeating(held: ByteArray) -> list[tuple[IntArray, IntArray]]:
-    """Return places of patterns of one or two bytes, and the usual distances between them, the best first."""
+def _repeating(held: ByteArray) -> list[tuple[IntArray, int]]:
+    """Return places of patterns of one or two bytes, and the usual distance between them, the best first."""
     if len(held) < LEAST_PACKETS * SHORTEST:
         return []
     if np.mean((held >= 0x20) & (held < 0x7F) | np.isin(held, (0x09, 0x0A, 0x0D))) > MOSTLY_TEXT:
         return []
     pairs = held[:-1].astype(np.int64) << 8 | held[1:]
     often = np.argsort(np.bincount(pairs, minlength=1 << 16), kind="stable")[:-65:-1]
-    places = [
-        *(np.flatnonzero(pairs == pair) for pair in often),
-        *(np.flatnonzero(held == b) for b in range(256)),
-    ]
-    found: dict[tuple[int, ...], tuple[float, IntArray, IntArray]] = {}
-    for at in places:
+    places = [np.flatnonzero(pairs == pair) for pair in often]
+    found: dict[int, tuple[float, IntArray]] = {}
+    for at in (*places, *(np.flatnonzero(held == byte) for byte in range(256))):
         distances = np.diff(at)
         count = np.bincount(distances[distances <= LONGEST], minlength=SHORTEST + 1)
-        count[:SHORTEST] = 0
-        lengths = np.flatnonzero(count >= max(LEAST_PACKETS, USUAL * len(distances)))
-        covered = float(count[lengths] @ lengths) / len(held)
-        score = covered - USUAL * len(lengths)
-        key = tuple(lengths.tolist())
-        if covered > COVERED and (key not in found or score > found[key][0]):
-            found[key] = score, at, lengths
-    best = sorted(found.values(), key=lambda one: -one[0])[:TRIED_PATTERNS]
-    return [(at, lengths) for _, at, lengths in best]
+        lengths = np.flatnonzero(count[SHORTEST:] >= max(LEAST_PACKETS, USUAL * len(distances))) + SHORTEST
+        if len(lengths) == 1:
+            length = int(lengths[0])
+            covered = float(count[length] * length) / len(held)
+            if covered > max(COVERED, found[length][0] if length in found else 0.0):
+                found[length] = covered, at
+    best = sorted(found.items(), key=lambda one: -one[1][0])[:TRIED_PATTERNS]
+    return [(at, length) for length, (_, at) in best]
 
 
 def _proposal(
@@ -131,17 +115,14 @@ def _proposal(
     if covered < (COVERED if check else COVERED_UNCHECKED):
         return None
     rate = len(at) / seconds if seconds > 0 else 0.0
+    rate_text = f"{max(rate / covered, 0.01):.3g}  # in {seconds:.2g} s"
     text = [
         "# Proposed from what came; the reasons stand beside the lines.  Look at it before you trust it.",
         f"# {covered:.0%} of the bytes are in {len(at)} packets that begin alike, with another behind.",
-        "format: imumon-device/1", "name: proposed", "title: proposed from binary packets",
-        'verified: "nothing: proposed from the stream"', "protocol: fixed",
-        "axes: FLU  # cannot be seen: x forward, y left, z up, or FRD",
-        f"rate_hz: {max(rate / covered, 0.01):.3g}  # in {seconds:.2g} s",
-        f"serial: {{baudrates: [{baudrate or 115_200}]}}", "packet:",
-        *(f"  {line}" for line in _layout(at, packets, check, rate)), "",
+        *file_head("binary packets", "fixed", baudrate, rate_text),
+        "packet:", *(f"  {line}" for line in _layout(at, packets, check, rate)), "",
     ]  # fmt: skip
-    return Proposal("\n".join(text), check is not None, covered)
+    return Proposal(check is not None, covered, "\n".join(text))
 
 
 def _cut(held: ByteArray, at: IntArray, length: int) -> ByteArray:

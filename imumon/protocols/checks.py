@@ -41,14 +41,9 @@ CRCS = {
 """CRCs by the names of the catalogue, with a hyphen behind the width."""
 
 
-def _total(data: ByteArray, size: IntArray, sign: int = 1) -> IntArray:
+def _total(data: ByteArray, size: IntArray) -> IntArray:
     del size
-    return np.asarray(sign * np.sum(data, axis=1, dtype=np.int64))
-
-
-def _exclusive_or(data: ByteArray, size: IntArray) -> IntArray:
-    del size
-    return np.asarray(np.bitwise_xor.reduce(data, axis=1), np.int64)
+    return np.asarray(np.sum(data, axis=1, dtype=np.int64))
 
 
 def _words(data: ByteArray, size: IntArray, big: bool) -> IntArray:
@@ -65,8 +60,8 @@ Formula = Callable[[ByteArray, IntArray], IntArray]
 """Takes rows of bytes, which begin with zeros where they are shorter than the longest, and their sizes."""
 SIMPLE: dict[str, tuple[int, Formula]] = {
     "sum8": (1, _total),
-    "sum8-negated": (1, partial(_total, sign=-1)),
-    "xor8": (1, _exclusive_or),
+    "sum8-negated": (1, lambda data, size: -_total(data, size)),
+    "xor8": (1, lambda data, _: np.bitwise_xor.reduce(data, axis=1).astype(np.int64)),
     "sum16": (2, _total),
     "sum16-words-le": (2, partial(_words, big=False)),
     "sum16-words-be": (2, partial(_words, big=True)),
@@ -168,17 +163,18 @@ class Checksum:
 class Rearranged:
     """The check of packets that have their bytes in another order.
 
-    `order` takes the length of a packet, and returns the places of what counts, those of the checksum last.
+    `places`: those of what counts, those of the checksum last; of packets of any length a function of that.
     """
 
     check: Checksum
-    order: Callable[[int], Sequence[int]]
+    places: Sequence[int] | Callable[[int], Sequence[int]]
 
     def __call__(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
         """Tell which packets are right; see `Check`."""
         right = np.zeros(len(at), np.bool_)
         for size in np.flatnonzero(np.bincount(length)).tolist():
-            which, places = np.flatnonzero(length == size), self.order(size)
+            which, places = np.flatnonzero(length == size), self.places
+            places = places(size) if callable(places) else places
             moved = windows(held, at[which], size).take(places, axis=1)
             begins = np.arange(len(which)) * len(places)
             right[which] = self.check(moved.reshape(-1), begins, np.full(len(which), len(places)))

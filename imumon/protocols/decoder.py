@@ -17,7 +17,7 @@ from imumon.columns import KNOWN, Column
 from imumon.protocols.base import CHUNK, ByteArray, Groups, Packets, Timing
 from imumon.protocols.epochs import GENERATION
 from imumon.protocols.framing import BAD_SUM, IMPOSSIBLE, Candidates, Found, Frame, windows
-from imumon.protocols.layouts import Layout
+from imumon.protocols.numbers import Layout
 from imumon.transport.statistics import Counters
 
 MOST_AT_ONCE = 1 << 20
@@ -33,11 +33,7 @@ ONLY_CORRECTED = (
 )
 """Warning of a device that sends no rate as it was calibrated in the factory."""
 _ORDER = {name: place for place, name in enumerate(KNOWN)}
-
-
-def _place(name: str) -> tuple[int, str]:
-    """Return what columns are sorted by: the canonical ones first, in their order."""
-    return _ORDER.get(name, len(_ORDER)), name
+"""Place of the canonical columns, which go before the others."""
 
 
 class Alike(NamedTuple):
@@ -55,17 +51,11 @@ class Decoder:
 
     It finds packets by frames, keeps count of every byte, and makes a row of each packet that has a layout.
 
-    Parameters
-    ----------
-    frames : sequence of Frame
-        Kinds of packets; where two begin at the same place the first that is valid counts.
-    timing : Timing
-        How the device counts time.
-    groups : Groups, optional
-        Groups of all columns that may come, for a protocol that may spread one moment over several packets;
-        none where each packet is a row.
-    possible : iterable of Column
-        All columns that may come.
+    `frames`: kinds of packets; where two begin at the same place the first that is valid counts.
+    `timing`: how the device counts time.
+    `groups`: those of all columns that may come, for a protocol that may spread one moment over several
+        packets; None where each packet is a row.
+    `possible`: all columns that may come.
     """
 
     def __init__(
@@ -86,8 +76,7 @@ class Decoder:
         self._searched = 0  # bytes before the rest
         self._received = self._in_packets = self._checksum_errors = self._length_errors = 0
         self._by_frame = np.zeros(len(self._frames), np.int64)
-        self._layouts: list[Layout] = []
-        self._group_bits: list[int] = []
+        self._layouts: list[tuple[Layout, int]] = []  # and the bits of their groups
         self._numbers: dict[tuple[int, int, bytes], int] = {}
         self._columns = {"arrival_time_ns": KNOWN["arrival_time_ns"]}
         self._possible = self._columns | {column.name: column for column in possible}
@@ -96,7 +85,8 @@ class Decoder:
     def columns(self) -> tuple[Column, ...]:
         """Columns of the blocks that `take` returns now; a device may begin to send more."""
         self._search(final=False)
-        return tuple(self._columns[name] for name in sorted(self._columns, key=_place))
+        names = sorted(self._columns, key=lambda name: (_ORDER.get(name, len(_ORDER)), name))
+        return tuple(self._columns[name] for name in names)
 
     @property
     def possible_columns(self) -> tuple[Column, ...]:
@@ -259,15 +249,15 @@ class Decoder:
         """Add a layout; return its number."""
         for column in layout.columns:
             self._columns.setdefault(column.name, column)
-        self._layouts.append(layout)
-        self._group_bits.append(1 if self.groups is None else self.groups.bits({*layout.of_column.values()}))
+        bits = 1 if self.groups is None else self.groups.bits({*layout.of_column.values()})
+        self._layouts.append((layout, bits))
         return len(self._layouts) - 1
 
     def _read(self, found: Found, arrival_ns: IntArray) -> Packets:
         """Return what the packets carry: a row for each that has something for a row, in order."""
         if len(self._numbers) > MOST_LAYOUTS:
-            for known in (self._numbers, self._layouts, self._group_bits):
-                known.clear()
+            self._numbers.clear()
+            self._layouts.clear()
         found = self._plain(found)
         numbers = self._layout_numbers(found)
         rows = np.flatnonzero(numbers >= 0)
@@ -276,8 +266,7 @@ class Decoder:
         groups = np.ones(len(rows), np.int64)
         for number in np.flatnonzero(np.bincount(numbers)).tolist():
             mine = np.flatnonzero(numbers == number)
-            layout = self._layouts[number]
-            groups[mine] = self._group_bits[number]
+            layout, groups[mine] = self._layouts[number]
             values = layout.read(found.only(rows[mine]))
             for column in layout.columns:
                 if len(mine) == len(rows):
@@ -287,6 +276,23 @@ class Decoder:
                     columns[column.name] = missing(len(rows), column.dtype)
                 columns[column.name][mine] = values[column.name]
         return Packets(SampleBlock(columns), groups)
+
+
+class DescribedDecoder(Decoder):
+    """Decodes packets of described kinds, a row for each, or for those of one moment.
+
+    `layouts` are those of the frames, of which the first counts that is valid at a place.
+    """
+
+    def __init__(
+        self, frames: Sequence[Frame], timing: Timing, layouts: Sequence[Layout], groups: Groups | None
+    ) -> None:
+        super().__init__(frames, timing, groups)
+        for layout in layouts:
+            self._add(layout)
+
+    def _layout_numbers(self, found: Found) -> IntArray:
+        return found.frame
 
 
 def _once(texts: dict[str, bool]) -> list[str]:

@@ -26,7 +26,7 @@ PROTOCOLS = {
     "ximu3": "imumon.protocols.ximu3:XimuDevice",
     "mavlink": "imumon.protocols.mavlink:MavlinkDevice",
     "fixed-several": "imumon.protocols.fixed:SeveralDevice",
-    "xsens-mtdata2": "imumon.protocols.xsens.mtdata2:MTData2Device",
+    "xsens-mtdata2": "imumon.protocols.xsens.mtdata:MTData2Device",
     "xsens-mtdata": "imumon.protocols.xsens.mtdata:MTDataDevice",
     "witmotion": "imumon.protocols.witmotion:WitMotionDevice",
     "vectornav": "imumon.protocols.vectornav:VectorNavDevice",

@@ -78,15 +78,6 @@ class _Group:
     incomplete: int
 
 
-class _Entry:
-    """A packet belongs to an epoch, with these of its columns."""
-
-    row: int
-    group: int
-    epoch: int
-    own: int
-
-
 class _Ended:
     """An epoch that ended; `after` and `until` count main rows as `Epochs` does."""
 
@@ -97,15 +88,14 @@ class _Ended:
 
 
 class _Counts:
-    """Number of the latest epoch; entries and ended epochs so far."""
+    """Number of the latest epoch; ended epochs so far."""
 
     latest: int
-    entries: int
     ended: int
 
 
 class _Arrived(NamedTuple):
-    """Of each packet the groups, what tells its epoch, and the columns that it has."""
+    """Of each new packet the groups, what tells its epoch, and the columns that it has, (n,) each."""
 
     groups: IntArray
     kind: IntArray
@@ -117,7 +107,10 @@ class _Books(NamedTuple):
     """What the assignment reads and writes."""
 
     groups: Sequence[_Group]
-    entries: Sequence[_Entry]
+    epoch: IntArray
+    """Epoch of each packet, kept and new, in each group; 0: none, (packets, groups)."""
+    own: IntArray
+    """The columns that it has there."""
     ended: Sequence[_Ended]
     counts: Sequence[_Counts]
 
@@ -135,8 +128,9 @@ class EpochAssembler:
         self._packets = np.zeros(n, np.int64)
         self.counted_aside: list[tuple[int, int]] = []
         """Of the side packets that `process` saw last: the main rows begun before each, and its counter."""
-        self._pending: Packets | None = None
-        self._kept = _array(records(_Entry, 0))
+        self._kept = SampleBlock({})
+        """Packets of which some epoch is not complete, and of these epoch and own columns."""
+        self._kept_epoch = self._kept_own = np.zeros((0, n), np.int64)
         self._columns: dict[str, set[str]] = {name: set() for name in groups.names}
 
     @property
@@ -155,50 +149,44 @@ class EpochAssembler:
     def process(self, packets: Packets, end: bool = False) -> dict[str, Epochs]:
         """Return the epochs that are complete, by stream; the main stream is always there.
 
-        Parameters
-        ----------
-        packets : Packets
-            Those that follow the last ones.
-        end : bool
-            Whether what is open is to come out as it is: no packet follows, or the device may have restarted.
+        `packets`: those that follow the last ones.
+        `end`: whether what is open is to come out: no packet follows, or the device may have restarted.
         """
-        held = 0 if self._pending is None else len(self._pending)
-        if self._pending is not None:
-            packets = Packets(
-                join([self._pending.block, packets.block]),
-                np.concatenate([self._pending.groups, packets.groups]),
-            )
-        entries, ended, behind = self._assigned(packets, held, end)
-        self.counted_aside = _counted(packets.block, behind, held)
-        is_open = entries["epoch"] == _array(self._state)["epoch"][entries["group"]]
-        complete = entries[~is_open]
+        epoch, own, ended = self._assigned(packets, end)
+        block = join([self._kept, packets.block])
+        is_open = (epoch > 0) & (epoch == _array(self._state)["epoch"])
         found = {}
         for g, name in enumerate(self._groups.names):
-            own = ended[ended["group"] == g]
-            if g and not len(own):
+            of_group = ended[ended["group"] == g]
+            if g and not len(of_group):
                 continue
-            made = complete[complete["group"] == g]
-            self._packets[g] += len(made)
-            place = np.searchsorted(own["epoch"], made["epoch"])
-            block = self._gather(name, packets.block, made, place, len(own))
-            more = _steps_within(packets.block, made["row"], place, len(own))
-            found[name] = Epochs(block, own["after"], own["until"], more)
-        self._keep(packets, entries[is_open])
+            row = np.flatnonzero((epoch[:, g] > 0) & ~is_open[:, g])
+            self._packets[g] += len(row)
+            place = np.searchsorted(of_group["epoch"], epoch[row, g])
+            gathered = self._gather(name, block, row, own[row, g], place, len(of_group))
+            more = _steps_within(block, row, place, len(of_group))
+            found[name] = Epochs(gathered, of_group["after"], of_group["until"], more)
+        rows = np.flatnonzero(is_open.any(axis=1))
+        self._kept = SampleBlock({name: values[rows] for name, values in block.columns.items()})
+        self._kept_epoch, self._kept_own = np.where(is_open, epoch, 0)[rows], own[rows]
         return found
 
-    def _assigned(self, packets: Packets, held: int, end: bool) -> tuple[RecordArray, RecordArray, IntArray]:
-        """Return the entries, the epochs that ended, and the main rows begun before each side packet."""
-        n, kept, n_groups = len(packets), len(self._kept), len(self._groups.names)
+    def _assigned(self, packets: Packets, end: bool) -> tuple[IntArray, IntArray, RecordArray]:
+        """Return epoch and own columns of kept and new packets in each group, and the epochs that ended."""
         masks, group_masks = self._masks(packets.block)
-        most = (n - held) * n_groups + kept
-        entries, ended = records(_Entry, most), records(_Ended, most + n_groups)
-        _array(entries)[:kept] = self._kept
-        behind = np.full(n, -1, np.int64)
-        self._counts.entries, self._counts.ended = kept, 0
+        new = _own_columns(packets.groups, masks, group_masks)
+        epoch = np.concatenate([self._kept_epoch, np.zeros_like(new)])
+        own = np.concatenate([self._kept_own, new])
+        ended = records(_Ended, epoch.size + len(group_masks))
+        behind = np.full(len(packets), -1, np.int64)
+        self._counts.ended = 0
         arrived = _Arrived(packets.groups, *_keys(packets.block), masks)
-        books = _Books(self._state, entries, ended, alone(self._counts))
-        _assign(arrived, group_masks, held, end, books, behind)
-        return _array(entries)[: self._counts.entries], _array(ended)[: self._counts.ended], behind
+        books = _Books(self._state, epoch, own, ended, alone(self._counts))
+        _assign(arrived, group_masks, end, books, behind)
+        counter = packets.block.columns.get("packet_counter", missing(len(packets), np.int64))
+        aside = (behind >= 0) & (counter != NO_INT)
+        self.counted_aside = list(zip(behind[aside].tolist(), counter[aside].tolist(), strict=True))
+        return epoch, own, _array(ended)[: self._counts.ended]
 
     def _masks(self, block: SampleBlock) -> tuple[IntArray, IntArray]:
         """Return which columns each packet has, (n,), and which each group may have: a bit a column."""
@@ -219,16 +207,16 @@ class EpochAssembler:
         return 1 << self._bits.setdefault(self._groups.layouts[name], len(self._bits)) % BITS
 
     def _gather(
-        self, stream: str, block: SampleBlock, entries: RecordArray, place: IntArray, n: int
+        self, stream: str, block: SampleBlock, row: IntArray, own: IntArray, place: IntArray, n: int
     ) -> SampleBlock:
-        """Return n rows of a stream, `place` being those of the entries; the first arrival counts."""
-        row, known = entries["row"], self._columns[stream]
+        """Return n rows of a stream: the packets `row` make the rows `place`; the first arrival counts."""
+        known = self._columns[stream]
         columns: dict[str, ColumnArray] = {}
         for name, values in block.columns.items():
             taken = values[row]
             present = ~is_missing(taken)
             if name in self._groups.of_column:
-                present &= entries["own"] & self._bit(name) != 0
+                present &= own & self._bit(name) != 0
             if name not in known and name not in COMMON and not present.any():
                 continue
             known.add(name)
@@ -240,31 +228,22 @@ class EpochAssembler:
             columns[name][place[present][order]] = taken[present][order]
         return SampleBlock(columns)
 
-    def _keep(self, packets: Packets, entries: RecordArray) -> None:
-        """Keep the packets of the entries whose epochs are not complete."""
-        rows, again = np.unique(entries["row"], return_inverse=True)
-        self._kept = entries.copy()
-        self._kept["row"] = again.reshape(-1)
-        if not len(rows):
-            self._pending = None
-            return
-        block = SampleBlock({name: values[rows] for name, values in packets.block.columns.items()})
-        self._pending = Packets(block, packets.groups[rows])
-
 
 def _array(made: Sequence[Any]) -> RecordArray:
     """Return the records as NumPy sees them."""
     return cast(RecordArray, made)
 
 
-def _counted(block: SampleBlock, behind: IntArray, held: int) -> list[tuple[int, int]]:
-    """Return (main rows begun before, counter) of the side packets from row `held` on that have a counter."""
-    if "packet_counter" not in block:
-        return []
-    counter = block["packet_counter"]
-    aside = np.flatnonzero((behind >= 0) & (counter != NO_INT))
-    aside = aside[aside >= held]
-    return list(zip(behind[aside].tolist(), counter[aside].tolist(), strict=True))
+def _own_columns(belongs: IntArray, masks: IntArray, group_masks: IntArray) -> IntArray:
+    """Return the columns that packets have in each of their groups, (n, groups).
+
+    Columns of other groups (another message has the same quantity) are in the first group of the packet.
+    """
+    there = (belongs[:, np.newaxis] >> np.arange(len(group_masks)) & 1).astype(np.bool_)
+    own: IntArray = np.where(there, masks[:, np.newaxis] & group_masks, 0)
+    stray = masks & ~np.bitwise_or.reduce(np.where(there, group_masks, 0), axis=1)
+    own[np.arange(len(own)), there.argmax(axis=1)] |= stray
+    return own
 
 
 def _steps_within(block: SampleBlock, row: IntArray, place: IntArray, n: int) -> IntArray:
@@ -293,58 +272,37 @@ def _keys(block: SampleBlock) -> tuple[IntArray, IntArray]:
 
 
 @njit
-def _assign(
-    arrived: _Arrived, group_masks: IntArray, first: int, end: bool, books: _Books, behind: IntArray
-) -> None:
-    """Assign packets from row `first` on to epochs (see the text of the module).
+def _assign(arrived: _Arrived, group_masks: IntArray, end: bool, books: _Books, behind: IntArray) -> None:
+    """Assign new packets to epochs (see the text of the module).
 
     `behind` is filled with how many main rows had begun before each packet of a side stream.
     """
-    groups, main = books.groups, books.groups[0]
-    for i in range(first, len(arrived.groups)):
+    groups, main, held = books.groups, books.groups[0], len(books.epoch) - len(behind)
+    for i in range(len(behind)):
         belongs, kind, key, mask = arrived.groups[i], arrived.kind[i], arrived.key[i], arrived.masks[i]
-        joined, aside, stray = belongs & 1 != 0, np.int64(0), _stray(belongs, mask, group_masks)
+        row, together = held + i, mask
         for g in range(1, len(groups)):
             if belongs >> g & 1 and groups[g].apart:
-                aside |= _own(g, belongs, mask, stray, group_masks)
-        together = mask & ~aside
+                together &= ~books.own[row, g]
+        joined = belongs & 1 != 0
         if joined:
             together |= mask & group_masks[0]
-            _add(0, i, kind, key, together, books)
-        elif together and main.epoch and not _is_other(main, kind, key, together):
-            _enter(0, i, together, books)
-            joined = True
-        if not joined:
+        elif together and main.epoch:
+            joined = not _is_other(main, kind, key, together)
+        if joined:
+            books.own[row, 0] = together
+            _add(0, row, kind, key, books)
+        else:
             behind[i] = main.epochs + (main.epoch != 0)
         for g in range(1, len(groups)):
-            if belongs >> g == 0:
-                break
-            if not belongs >> g & 1 or (joined and not groups[g].apart):
-                continue
-            own = _own(g, belongs, mask, stray, group_masks)
-            if groups[g].epoch and _is_other(groups[g], kind, key, own):
-                groups[g].apart = 1
-            _add(g, i, kind, key, own, books)
+            if belongs >> g & 1 and (groups[g].apart or not joined):
+                if groups[g].epoch and _is_other(groups[g], kind, key, books.own[row, g]):
+                    groups[g].apart = 1
+                _add(g, row, kind, key, books)
     if end:
         for g in range(len(groups)):
             if groups[g].epoch:
                 _end(g, books)
-
-
-@inner
-def _stray(belongs: int, mask: int, group_masks: IntArray) -> int:
-    """Return the columns of a packet whose own group it is not of: another message has the same quantity."""
-    for g in range(len(group_masks)):
-        if belongs >> g & 1:
-            mask &= ~group_masks[g]
-    return mask
-
-
-@inner
-def _own(g: int, belongs: int, mask: int, stray: int, group_masks: IntArray) -> int:
-    """Return the columns that a packet has in one of its groups; stray ones are in the first of these."""
-    first = belongs & -belongs == 1 << g
-    return int(mask & group_masks[g] | (stray if first else 0))
 
 
 @inner
@@ -355,9 +313,9 @@ def _is_other(group: _Group, kind: int, key: int, own: int) -> bool:
 
 
 @inner
-def _add(g: int, row: int, kind: int, key: int, own: int, books: _Books) -> None:
-    """Add a packet to its group's epoch, which it may begin."""
-    group = books.groups[g]
+def _add(g: int, row: int, kind: int, key: int, books: _Books) -> None:
+    """Add a packet to its group's epoch, which it may begin, or complete."""
+    group, own = books.groups[g], books.own[row, g]
     if group.epoch and _is_other(group, kind, key, own):
         _end(g, books)
     if not group.epoch:
@@ -366,38 +324,30 @@ def _add(g: int, row: int, kind: int, key: int, own: int, books: _Books) -> None
         group.key_kind, group.key, group.mask = kind, key, 0
         group.after = books.groups[0].epochs
         if g == 0 and kind != NO_TIME:
-            _pull(kind, key, own, books)
-    _enter(g, row, own, books)
-
-
-@inner
-def _pull(kind: int, key: int, own: int, books: _Books) -> None:
-    """Take into the new main epoch what came before it with the same time, but no field a second time."""
-    entries, main = books.entries, books.groups[0]
-    for g in range(1, len(books.groups)):
-        group = books.groups[g]
-        if group.apart or not group.epoch or group.key_kind != kind or group.key != key:
-            continue
-        if group.mask & (own | main.mask):
-            continue
-        for k in range(books.counts[0].entries - 1, -1, -1):
-            if entries[k].epoch == group.epoch:
-                entries[k].epoch, entries[k].group = main.epoch, 0
-        main.mask |= group.mask
-        group.epoch = 0
-
-
-@inner
-def _enter(g: int, row: int, own: int, books: _Books) -> None:
-    """Enter a packet into the open epoch, and end that when it has all that it may have."""
-    group, counts = books.groups[g], books.counts[0]
-    entry = books.entries[counts.entries]
-    entry.row, entry.group, entry.epoch, entry.own = row, g, group.epoch, own
-    counts.entries += 1
+            _pull(row, kind, key, books)
+    books.epoch[row, g] = group.epoch
     group.mask |= own
     usual = group.any_now | group.any_before
     if group.generations and group.mask & usual == usual:
         _end(g, books)
+
+
+@inner
+def _pull(row: int, kind: int, key: int, books: _Books) -> None:
+    """Take into the new main epoch what came before it with the same time, but no field a second time."""
+    epoch, own, main = books.epoch, books.own, books.groups[0]
+    for g in range(1, len(books.groups)):
+        group = books.groups[g]
+        if group.apart or not group.epoch or group.key_kind != kind or group.key != key:
+            continue
+        if group.mask & (own[row, 0] | main.mask):
+            continue
+        for k in range(row):
+            if epoch[k, g] == group.epoch:
+                own[k, 0] = own[k, g] | (own[k, 0] if epoch[k, 0] == main.epoch else 0)
+                epoch[k, 0], epoch[k, g] = main.epoch, 0
+        main.mask |= group.mask
+        group.epoch = 0
 
 
 @inner

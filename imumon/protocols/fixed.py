@@ -20,11 +20,10 @@ from imumon.config import LARGEST_NUMBER, StrictModel
 from imumon.errors import ImumonError
 from imumon.protocols.base import COMMON, LONGEST_PACKET, MAIN, ByteArray, Encoder, Timing
 from imumon.protocols.checks import CHECKSUM_NAMES, Checksum, Rearranged
-from imumon.protocols.decoder import Decoder
+from imumon.protocols.decoder import DescribedDecoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import IMPOSSIBLE, Check, Found, Frame, unchecked
-from imumon.protocols.layouts import Record, groups_of
-from imumon.protocols.numbers import NO_GROUP, NUMBER_TYPES, Number, write
+from imumon.protocols.numbers import NO_GROUP, NUMBER_TYPES, Number, Record, groups_of, write
 from imumon.units import exact_conversion
 
 ByteOrder = Literal["big", "little"]
@@ -191,24 +190,27 @@ class Packet(StrictModel):
     def _fits(self) -> Self:
         if len(self.sync) >= self.length:
             raise ValueError(f"{len(self.sync)} sync bytes do not fit into {self.length} bytes")
-        if self.length_field is not None:
-            size = NUMBER_TYPES[self.length_field.type].size
-            self._inside("length_field", self.length_field.at, self.length_field.at + size)
-            if self.length_field.value >= 1 << (8 * size):
-                raise ValueError(
-                    f"length_field: {self.length_field.value} does not fit {self.length_field.type}"
-                )
-        check = self.checksum
+        length, check = self.length_field, self.checksum
+        spans = [(f"fields[{k}] ({', '.join(f.names)})", f.at, f.end) for k, f in enumerate(self.fields)]
+        if length is not None:
+            size = NUMBER_TYPES[length.type].size
+            spans.append(("length_field", length.at, length.at + size))
+            if length.value >= 1 << (8 * size):
+                raise ValueError(f"length_field: {length.value} does not fit {length.type}")
         if check.type != "none":
-            self._inside("checksum", check.at, check.at + Checksum(check.type).size)
-            self._inside("checksum", check.first, check.last + 1)
+            spans.append(("checksum", check.at, check.at + Checksum(check.type).size))
+            spans.append(("checksum", check.first, check.last + 1))
             if check.first <= check.at <= check.last:
                 raise ValueError(
                     f"checksum: covers itself (bytes {check.first} to {check.last}, at {check.at})"
                 )
+        for what, start, stop in spans:
+            if start >= stop or stop > self.length:
+                raise ValueError(
+                    f"{what}: bytes {start} to {stop - 1} are outside the packet of {self.length} bytes"
+                )
         names: set[str] = set()
         for number, field in enumerate(self.fields):
-            self._inside(f"fields[{number}] ({', '.join(field.names)})", field.at, field.end)
             for name in field.names:
                 if name in names:
                     raise ValueError(f"fields[{number}]: column {name} is there twice")
@@ -252,12 +254,6 @@ class Packet(StrictModel):
         """In which packets the columns are there that are not in all."""
         return {name: field.when for field in self.fields for name in field.names if field.when}
 
-    def _inside(self, what: str, start: int, stop: int) -> None:
-        if start >= stop or stop > self.length:
-            raise ValueError(
-                f"{what}: bytes {start} to {stop - 1} are outside the packet of {self.length} bytes"
-            )
-
 
 def _fraction(number: float | int | str) -> Fraction:
     """Take a decimal for what it says: 0.1 is a tenth."""
@@ -280,26 +276,15 @@ class DescribedLayout(Record):
         return columns
 
 
-class FixedDecoder(Decoder):
-    """Decodes packets of described kinds, a row for each, or for those of one moment.
-
-    `name` is what a packet without a name is called in the counters.  Of several packets that begin at the
-    same place the first that is valid counts.
-    """
-
-    def __init__(self, name: str, packets: Sequence[Packet], rate_hz: float | None) -> None:
-        timings = [timing_of(packet.fields, rate_hz) for packet in packets]
-        counted = next((t for t in timings if t.counter_bits is not None), timings[0])
-        timed = next((t for t in timings if t.tick_ns is not None), timings[0])
-        timing = replace(timed, counter_bits=counted.counter_bits)
-        layouts = [DescribedLayout(packet) for packet in packets]
-        groups = groups_of(layouts) if len(packets) > 1 else None
-        super().__init__([_frame(packet, name) for packet in packets], timing, groups)
-        for layout in layouts:
-            self._add(layout)
-
-    def _layout_numbers(self, found: Found) -> IntArray:
-        return found.frame
+def fixed_decoder(name: str, packets: Sequence[Packet], rate_hz: float | None) -> DescribedDecoder:
+    """Return a decoder of packets; `name` is what one without a name is called in the counters."""
+    timings = [timing_of(packet.fields, rate_hz) for packet in packets]
+    counted = next((t for t in timings if t.counter_bits is not None), timings[0])
+    timed = next((t for t in timings if t.tick_ns is not None), timings[0])
+    timing = replace(timed, counter_bits=counted.counter_bits)
+    layouts = [DescribedLayout(packet) for packet in packets]
+    groups = groups_of(layouts) if len(packets) > 1 else None
+    return DescribedDecoder([_frame(packet, name) for packet in packets], timing, layouts, groups)
 
 
 def _frame(packet: Packet, name: str) -> Frame:
@@ -321,13 +306,7 @@ def _check(packet: Packet) -> Check:
         return unchecked
     if field.last + 1 == field.at and field.at + check.size == packet.length:
         return packet.check(field.first) or unchecked
-    places = [*range(field.first, field.last + 1), *range(field.at, field.at + check.size)]
-    return Rearranged(check, partial(_always, places))
-
-
-def _always(places: list[int], size: int) -> list[int]:
-    del size
-    return places
+    return Rearranged(check, (*range(field.first, field.last + 1), *range(field.at, field.at + check.size)))
 
 
 class FixedEncoder(Encoder):
@@ -366,9 +345,9 @@ class FixedDevice(DeviceFile):
     protocol: Literal["fixed"]
     packet: Packet
 
-    def decoder(self) -> FixedDecoder:
+    def decoder(self) -> DescribedDecoder:
         """Make a decoder for this packet."""
-        return FixedDecoder(self.name, [self.packet], self.rate_hz)
+        return fixed_decoder(self.name, [self.packet], self.rate_hz)
 
     def encoder(self) -> FixedEncoder:
         """Make an encoder for this packet."""
@@ -392,9 +371,9 @@ class SeveralDevice(DeviceFile):
             raise ValueError(f"sends: no packet {', '.join(unknown)}; there are: {', '.join(names)}")
         return self
 
-    def decoder(self) -> FixedDecoder:
+    def decoder(self) -> DescribedDecoder:
         """Make a decoder for these packets."""
-        return FixedDecoder(self.name, self.packets, self.rate_hz)
+        return fixed_decoder(self.name, self.packets, self.rate_hz)
 
     def encoder(self) -> FixedEncoder:
         """Make an encoder for those that are sent."""

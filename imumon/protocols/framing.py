@@ -65,22 +65,20 @@ class Frame:
             found = found[~there | (held[np.minimum(found + k, len(held) - 1)] == sync[k])]
         return found
 
-    def measured(self, held: ByteArray, at: IntArray) -> IntArray:
-        """Return for each place the length that a packet has there, if it is right, or why there is none."""
-        length = np.full(len(at), INCOMPLETE, np.int64)
+    def verdicts(self, held: ByteArray, at: IntArray, final: bool) -> IntArray:
+        """Return for each place the length of the packet there, with its tail, or why there is none, (n,)."""
+        verdict = np.full(len(at), INCOMPLETE, np.int64)
         begun = np.flatnonzero(at + len(self.sync) <= len(held))
-        length[begun] = self.lengths(held, at[begun])
-        length[(length > 0) & (at + length > len(held))] = INCOMPLETE
-        return length
-
-    def verdicts(self, held: ByteArray, at: IntArray, length: IntArray, final: bool) -> IntArray:
-        """Return for each whole packet its length with its tail, or what is wrong, (n,)."""
+        verdict[begun] = self.lengths(held, at[begun])
+        verdict[(verdict > 0) & (at + verdict > len(held))] = INCOMPLETE
+        whole = np.flatnonzero(verdict > 0)
+        at, length = at[whole], verdict[whole]
         right = self.check(held, at, length)
-        whole = self._with_tail(held, at, length, final) if self.tail else length
-        verdict = np.where(right, whole, BAD_SUM)
+        with_tail = self._with_tail(held, at, length, final) if self.tail else length
+        verdict[whole] = np.where(right, with_tail, BAD_SUM)
         if self.fits is not None:
-            which = np.flatnonzero(right)
-            verdict[which[~self.fits(held, at[which], length[which])]] = IMPOSSIBLE
+            fit = self.fits(held, at[right], length[right])
+            verdict[whole[right][~fit]] = IMPOSSIBLE
         return verdict
 
     def _with_tail(self, held: ByteArray, at: IntArray, length: IntArray, final: bool) -> IntArray:
@@ -111,12 +109,6 @@ class Found:
         """Return some of the packets."""
         return Found(self.held, self.at[rows], self.length[rows], self.frame[rows])
 
-    def bytes(self, size: int | None = None) -> ByteArray:
-        """Return the first bytes of each packet, (n, size); of packets of one length all when not given."""
-        if size is None:
-            size = int(self.length[0]) if len(self) else 0
-        return windows(self.held, self.at, size)
-
 
 def windows(held: ByteArray, at: IntArray, size: int) -> ByteArray:
     """Return so many bytes from each place on, (n, size)."""
@@ -138,7 +130,7 @@ class Candidates:
         places = [frame.places(held) for frame in frames]
         at = np.concatenate(places)
         frame = np.repeat(np.arange(len(frames)), [len(one) for one in places])
-        verdicts = [self._verdicts(f, one) for f, one in zip(frames, places, strict=True) if len(one)]
+        verdicts = [f.verdicts(held, one, final) for f, one in zip(frames, places, strict=True) if len(one)]
         verdict = np.concatenate([*verdicts, np.zeros(0, np.int64)])
         if len(frames) > 1:
             hopeless = (verdict <= 0) & (final | (verdict != INCOMPLETE))
@@ -148,13 +140,6 @@ class Candidates:
         self.at, self._frame, self.verdict = at, frame, verdict
         self._begins = np.zeros(len(held) + 1, np.bool_)
         self._begins[at] = True
-
-    def _verdicts(self, frame: Frame, at: IntArray) -> IntArray:
-        """Return for each place the length of the packet there, or why there is none."""
-        verdict = frame.measured(self._held, at)
-        whole = np.flatnonzero(verdict > 0)
-        verdict[whole] = frame.verdicts(self._held, at[whole], verdict[whole], self._final)
-        return verdict
 
     def found(self, which: IntArray) -> Found:
         """Return some candidates as packets."""
@@ -204,14 +189,7 @@ def fixed_length(size: int) -> Lengths:
 def counted_length(at: int, size: int, more: int, longest: int) -> Lengths:
     """Return the `Lengths` of packets that say how many bytes they have besides `more`, low byte first.
 
-    Parameters
-    ----------
-    at, size : int
-        Place and bytes of the number.
-    more : int
-        Bytes that it does not count.
-    longest : int
-        Longest packet that is believed.
+    `at`, `size`: place and bytes of the number.  `longest`: longest packet that is believed.
     """
     return partial(_counted, at, size, more, longest)
 

@@ -17,16 +17,7 @@ from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import Timing
 from imumon.protocols.checks import Checksum, Rearranged
 from imumon.protocols.framing import Frame, counted_length
-from imumon.protocols.messages import (
-    FamilyDecoder,
-    Message,
-    Part,
-    TableDevice,
-    TableEncoder,
-    TableFamily,
-    part,
-    whole,
-)
+from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, TableEncoder, TableFamily, part
 from imumon.protocols.quantities import count, known, number, vector
 
 SYNC = b"\x5a\xa5"
@@ -37,7 +28,7 @@ SHORT_MAG: Final = 0.030517
 OF_BITS = 0x83
 
 STATUS = part(1, "u16", "status")
-INS_STATUS = whole(3, "u8", "ins_status", "status of the filter")
+INS_STATUS = part(3, "u8", [count("ins_status", "status of the filter")])
 PLACE = known("longitude", "latitude", "altitude")
 VELOCITY_ENU = vector("velocity_enu", "m/s", "velocity east, north, up")
 FREE_ENU = vector("free_accel_enu", "m/s^2", "acceleration without gravity, east, north, up")
@@ -48,8 +39,8 @@ PACKETS = {
                                 part(12, "f32", "accel", STANDARD_GRAVITY), part(24, "f32", "gyro", DEGREE),
                                 part(36, "f32", "mag"), part(48, "f32", "angles", DEGREE),
                                 part(60, "f32", "q"))),
-    0x81: Message("ins81", 104, (STATUS, INS_STATUS, whole(4, "u16", "gps_week", "GPS week"),
-                                 whole(6, "u32", "gps_time_of_week", "GPS time of week", "ms"),
+    0x81: Message("ins81", 104, (STATUS, INS_STATUS, part(4, "u16", [count("gps_week", "GPS week")]),
+                                 part(6, "u32", [count("gps_time_of_week", "GPS time of week", "ms")]),
                                  part(12, "i16", "gyro", 1e-3), part(18, "i16", "accel", SHORT_FORCE),
                                  part(24, "i16", "mag", SHORT_MAG), part(34, "i8", "temperature"),
                                  part(42, "i16", known("roll", "pitch"), DEGREE / 100),
@@ -99,7 +90,7 @@ The unit of the rate, deg/s, is by analogy with 0x91: the vendor prints both und
 
 def of_bits(bits: int) -> Message:
     """Return the message 0x83 with the fields of these bits; it ends at the first bit that nobody knows."""
-    parts: list[Part] = [STATUS, INS_STATUS]
+    parts = [STATUS, INS_STATUS]
     at = 8
     for bit in (bit for bit in range(32) if bits >> bit & 1):
         if bit not in BITS:
@@ -148,25 +139,17 @@ class HipnucDecoder(FamilyDecoder):
         return int.from_bytes(bits, "little") << 8 | key if key == OF_BITS and len(bits) == 4 else key
 
 
-HIPNUC = TableFamily(
-    MESSAGES,
-    [Frame("HiPNUC", SYNC, counted_length(2, 2, HEADER, LONGEST), _RIGHT)],
-    HipnucDecoder,
-    _wrapped,
-    Timing(tick_ns=Fraction(1000)),
-    HEADER,
-    HEADER,
-    (HEADER,),
-)
+FRAMES = [Frame("HiPNUC", SYNC, counted_length(2, 2, HEADER, LONGEST), _RIGHT)]
+TIMING = Timing(tick_ns=Fraction(1000))
 
 
 class HipnucDevice(TableDevice):
     """Device file of a HiPNUC unit: `sends` ``imu91``, ``ins81``, or the bits of 0x83, ``imu83:0x123``."""
 
-    family = HIPNUC
+    family = TableFamily(MESSAGES, FRAMES, HipnucDecoder, _wrapped, TIMING, HEADER, HEADER, (HEADER,))
 
     def encoder(self) -> TableEncoder:
         """Make an encoder that sends what the device would send."""
         bits = [int(n.partition(":")[2], 16) for n in self.sends if n.startswith("imu83:0x")]
         messages = PACKETS | {b << 8 | OF_BITS: of_bits(b) for b in bits}
-        return TableEncoder(replace(HIPNUC, messages=messages), self.sends)
+        return TableEncoder(replace(self.family, messages=messages), self.sends)

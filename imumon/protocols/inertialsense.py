@@ -90,17 +90,13 @@ class InertialSenseDecoder(FamilyDecoder):
         return packet[3] if flags & (WITH_OFFSET | 0x0F) in (DATA, SET_DATA) else -1
 
 
+FRAMES = [Frame("ISB", SYNC, counted_length(4, 2, AROUND, LONGEST_PACKET), Checksum("fletcher16-256"))]
+TIMING = Timing(tick_ns=Fraction(1))
+
+
 class InertialSenseDevice(TableDevice):
     """Device file of an Inertial Sense unit."""
 
     family = TableFamily(
-        DATA_SETS,
-        [Frame("ISB", SYNC, counted_length(4, 2, AROUND, LONGEST_PACKET), Checksum("fletcher16-256"))],
-        InertialSenseDecoder,
-        _wrapped,
-        Timing(tick_ns=Fraction(1)),
-        HEADER,
-        AROUND,
-        head=(2, 3),
-        derived=(MEANS,),
+        DATA_SETS, FRAMES, InertialSenseDecoder, _wrapped, TIMING, HEADER, AROUND, (2, 3), derived=(MEANS,)
     )

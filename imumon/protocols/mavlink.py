@@ -156,20 +156,16 @@ def _wrapped(key: int, payload: bytes) -> bytes:
     return SECOND + body + _CRC.sealed(body + bytes([EXTRA[key]]))[-2:]
 
 
+FRAMES = [
+    Frame(f"MAVLink {k + 1}", sync, partial(_length, header), partial(_right, header))
+    for k, (sync, header) in enumerate(HEADERS.items())
+]
+TIMING, SIZE, HEAD = Timing(tick_ns=Fraction(1000)), HEADERS[SECOND], (5, 6, 7, 8, 9)
+
+
 class MavlinkDevice(TableDevice):
     """Device file of an autopilot."""
 
     family = TableFamily(
-        MESSAGES,
-        [
-            Frame(f"MAVLink {k + 1}", sync, partial(_length, header), partial(_right, header))
-            for k, (sync, header) in enumerate(HEADERS.items())
-        ],
-        MavlinkDecoder,
-        _wrapped,
-        Timing(tick_ns=Fraction(1000)),
-        HEADERS[SECOND],
-        HEADERS[SECOND],
-        head=(5, 6, 7, 8, 9),
-        derived=(CELSIUS,),
+        MESSAGES, FRAMES, MavlinkDecoder, _wrapped, TIMING, SIZE, SIZE, HEAD, derived=(CELSIUS,)
     )

@@ -10,24 +10,16 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import ClassVar
 
 from imumon.blocks import SampleBlock
 from imumon.columns import Column
-from imumon.protocols.base import COMMON, MAIN, Encoder, Timing, chosen
+from imumon.protocols.base import COMMON, MAIN, Encoder, Groups, Timing, chosen
 from imumon.protocols.decoder import Alike, Decoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import Frame
-from imumon.protocols.layouts import Layout, Record, groups_of
-from imumon.protocols.numbers import (
-    NO_GROUP,
-    NUMBER_TYPES,
-    Derived,
-    Number,
-    in_a_row,
-    with_sources,
-    write,
-)
+from imumon.protocols.numbers import NO_GROUP, Derived, Layout, Number, Record, groups_of, with_sources, write
 from imumon.protocols.quantities import count, known
 
 ANY_SIZE = -1
@@ -43,7 +35,7 @@ def part(at: int, kind: str, columns: str | Sequence[Column], factor: float = 1.
     its name.  Without a group the numbers are of that of the message.
     """
     there = known(columns) if isinstance(columns, str) else columns
-    size = NUMBER_TYPES[kind].size
+    size = Number(None, kind).end
     return tuple(Number(c, kind, factor, at=at + k * size, group=group) for k, c in enumerate(there))
 
 
@@ -52,7 +44,7 @@ def whole(at: int, kind: str, name: str, description: str, unit: str = "1") -> P
     return part(at, kind, [count(name, description, unit)])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Message:
     """What packets with one identifier carry, or a field of a packet."""
 
@@ -88,8 +80,20 @@ class Message:
 
 def field(name: str, numbers: Iterable[Number], group: str = MAIN) -> Message:
     """Return a field of numbers that stand one behind the other; of any size when there are none."""
-    row = in_a_row(numbers)
-    return Message(name, row[-1].end if row else ANY_SIZE, (row,), group)
+    at, placed = 0, list[Number]()
+    for number in numbers:
+        placed.append(number._replace(at=at))
+        at = placed[-1].end
+    return Message(name, at if placed else ANY_SIZE, (tuple(placed),), group)
+
+
+@lru_cache
+def _all_columns(
+    messages: Sequence[Message], derived: Sequence[Derived], names: Sequence[str], apart: Sequence[str]
+) -> tuple[Groups, tuple[Column, ...]]:
+    """Return the groups and the columns of all messages; kept, as they take ten times as long as the rest."""
+    layouts = [Record(message.placed(0, message.size, False), derived) for message in messages]
+    return groups_of(layouts, names, apart), tuple(column for layout in layouts for column in layout.columns)
 
 
 class TableDecoder(Decoder):
@@ -108,9 +112,8 @@ class TableDecoder(Decoder):
         apart: Sequence[str] = (),
         big: bool = False,
     ) -> None:
-        layouts = [Record(message.placed(0, message.size, big), derived) for message in messages]
-        possible = [column for layout in layouts for column in layout.columns]
-        super().__init__(frames, timing, groups_of(layouts, names, apart), possible)
+        groups, possible = _all_columns(*map(tuple, (messages, derived, names, apart)))
+        super().__init__(frames, timing, groups, possible)
         self._derived, self._big = derived, big
 
     @abstractmethod
@@ -184,10 +187,7 @@ class TableEncoder(Encoder):
 
     Raises BAD_CONFIG when there is no such message.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Names of messages, in the order in which they are sent.
+    `names`: those of messages, in the order in which they are sent.
     """
 
     def __init__(self, family: TableFamily, names: Sequence[str]) -> None:

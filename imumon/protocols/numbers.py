@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray
 from imumon.columns import Column
 from imumon.errors import ImumonError, Reason
-from imumon.protocols.base import ByteArray
+from imumon.protocols.base import MAIN, ByteArray, Groups
+from imumon.protocols.framing import Found, windows
 
 
 class NumberType(NamedTuple):
@@ -120,15 +122,6 @@ class Number(NamedTuple):
             return numbers if self.column.dtype == "float64" else np.rint(numbers).astype(np.int64)
 
 
-def in_a_row(numbers: Iterable[Number], at: int = 0) -> tuple[Number, ...]:
-    """Return numbers that stand one behind the other from a place on."""
-    found = []
-    for number in numbers:
-        found.append(number._replace(at=at))
-        at = found[-1].end
-    return tuple(found)
-
-
 def record_type(numbers: Sequence[Number], size: int) -> np.dtype[np.void]:
     """Return packets of a size as a structured type; those that NumPy lacks as bytes."""
     formats: list[tuple[str, int] | str] = []
@@ -208,3 +201,63 @@ def with_sources(
         if {*made.sources} <= {*sent} and {*made.names} <= columns.keys():
             found |= dict(zip(made.sources, made.encode(columns), strict=True))
     return found
+
+
+class Layout(Protocol):
+    """What packets of one kind carry."""
+
+    columns: tuple[Column, ...]
+    of_column: dict[str, str]
+    """Group of each column that has one."""
+
+    def read(self, found: Found) -> dict[str, ColumnArray]:
+        """Return a value a packet for each column."""
+
+
+class Record:
+    """A layout of numbers that stand at the same places in every packet.
+
+    `numbers`: of several for one column the last counts.
+    `derived`: columns that are computed from others, which have names that begin with "_".
+    """
+
+    def __init__(self, numbers: Sequence[Number], derived: Sequence[Derived] = ()) -> None:
+        last = {item.name: item for item in numbers if item.column is not None}
+        self._numbers = [*last.values()]
+        self._derived = [made for made in derived if last.keys() >= {*made.sources}]
+        self.of_column = {item.name: item.group for item in self._numbers if item.group}
+        sent = [item.column for item in self._numbers if item.column is not None]
+        for made in self._derived:
+            sent += made.results
+            if made.sources[0] in self.of_column:
+                self.of_column |= dict.fromkeys(made.names, self.of_column[made.sources[0]])
+        self.columns = tuple(column for column in sent if not column.name.startswith("_"))
+
+    @cached_property
+    def _type(self) -> np.dtype[np.void]:
+        return record_type(self._numbers, max((item.end for item in self._numbers), default=1))
+
+    def read(self, found: Found) -> dict[str, ColumnArray]:
+        """Return a value a packet for each column."""
+        records = windows(found.held, found.at, self._type.itemsize).view(self._type)[:, 0]
+        columns = {item.name: item.read(records[item.name]) for item in self._numbers}
+        for made in self._derived:
+            for name, values in zip(made.names, made.decode(columns), strict=True):
+                sent = columns.get(name)
+                columns[name] = values if sent is None else np.where(is_missing(sent), values, sent)
+        return columns
+
+
+def groups_of(layouts: Iterable[Layout], names: Sequence[str] = (), apart: Sequence[str] = ()) -> Groups:
+    """Return the groups of layouts after these; a column of several groups has that of the first layout.
+
+    `names`: groups that come first, behind the main one; `OTHER`: there is a stream of what has no group.
+    `apart`: groups that never join the rows of the main one.
+    """
+    of_column, having = dict[str, int](), dict[str, tuple[int, ...]]()
+    there = {name: number for number, name in enumerate((MAIN, *names))}
+    for number, layout in enumerate(layouts):
+        for column, group in layout.of_column.items():
+            of_column.setdefault(column, there.setdefault(group, len(there)))
+            having[column] = (*having.get(column, ()), number)
+    return Groups(tuple(there), of_column, tuple(name in apart for name in there), having)

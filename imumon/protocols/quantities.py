@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from imumon.blocks import NO_INT, ColumnArray, FloatArray, IntArray
+from imumon.blocks import NO_INT, ColumnArray, FloatArray
 from imumon.columns import KNOWN, Column
 from imumon.protocols.numbers import Columns, Derived
 
@@ -52,44 +52,22 @@ MATRIX = tuple(
 )
 
 
-def unix_seconds(
-    year: IntArray, month: IntArray, day: IntArray, hour: IntArray, minute: IntArray, second: IntArray
-) -> IntArray:
-    """Return the seconds since 1970 of a calendar date, (n,)."""
-    months = ((year - 1970) * 12 + month - 1).astype("datetime64[M]")
-    days: IntArray = months.astype("datetime64[D]").astype(np.int64) + day - 1
-    return days * 86_400 + hour * 3600 + minute * 60 + second
-
-
-def calendar(seconds: IntArray) -> list[IntArray]:
-    """Return year, month, day, hour, minute and second of seconds since 1970, (n,) each."""
-    moment = seconds.astype("datetime64[s]")
-    days, months, years = (moment.astype(f"datetime64[{unit}]") for unit in "DMY")
-    of_day = (moment - days).astype(np.int64)
-    return [
-        years.astype(np.int64) + 1970,
-        (months - years).astype(np.int64) + 1,
-        (days - months).astype(np.int64) + 1,
-        of_day // 3600,
-        of_day // 60 % 60,
-        of_day % 60,
-    ]
-
-
 def _time_to_parts(name: str, per_s: int, columns: Columns) -> list[ColumnArray]:
     """Split a Unix time into counts of a second, year, month, day, hour, minute, second."""
     time = columns[name]
     seconds, rest = np.divmod(np.where(time == NO_INT, 0, time), per_s)
-    return [np.where(time == NO_INT, NO_INT, part) for part in (rest, *calendar(seconds))]
+    moments = seconds.astype("datetime64[s]").tolist()
+    parts = np.array([moment.timetuple()[:6] for moment in moments], np.int64).reshape(-1, 6)
+    return [np.where(time == NO_INT, NO_INT, part) for part in (rest, *parts.T)]
 
 
 def _parts_to_time(prefix: str, per_s: int, columns: Columns) -> list[ColumnArray]:
     """Make a Unix time of a date; an impossible date (all zero before the first fix) is missing."""
-    rest, *parts = (columns[f"_{prefix}{part}"] for part in DATE_PARTS)
-    year, month, day = parts[:3]
+    rest, year, month, day, hour, minute, second = (columns[f"_{prefix}{part}"] for part in DATE_PARTS)
     good = (year > 1900) & (year < 2262) & (month >= 1) & (month <= 12) & (day >= 1) & (day <= 31)
-    epoch = (1970, 1, 1, 0, 0, 0)
-    seconds = unix_seconds(*(np.where(good, part, first) for part, first in zip(parts, epoch, strict=True)))
+    months = np.where(good, (year - 1970) * 12 + month - 1, 0).astype("datetime64[M]")
+    days = months.astype("datetime64[D]").astype(np.int64) + day - 1
+    seconds = days * 86_400 + hour * 3600 + minute * 60 + second
     return [np.where(good, seconds * per_s + rest, NO_INT)]
 
 
@@ -132,6 +110,6 @@ def _quaternion_to_matrix(columns: Columns) -> list[ColumnArray]:
     return list(rows)
 
 
-QUATERNION_OF_MATRIX = Derived(
+FROM_MATRIX = Derived(
     tuple(column.name for column in MATRIX), QUATERNION, _matrix_to_quaternion, _quaternion_to_matrix
 )

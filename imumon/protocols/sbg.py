@@ -112,17 +112,13 @@ class SbgDecoder(FamilyDecoder):
         return packet[2] if packet[3] == 0 else -1
 
 
+FRAMES = [Frame("sbgECom", SYNC, counted_length(4, 2, AROUND, LONGEST_PACKET), _right)]
+TIMING = Timing(tick_ns=Fraction(1000), tick_bits=32)
+
+
 class SbgDevice(TableDevice):
     """Device file of an SBG Systems unit."""
 
     family = TableFamily(
-        LOGS,
-        [Frame("sbgECom", SYNC, counted_length(4, 2, AROUND, LONGEST_PACKET), _right)],
-        SbgDecoder,
-        _wrapped,
-        Timing(tick_ns=Fraction(1000), tick_bits=32),
-        HEADER,
-        AROUND,
-        head=(2, 3),
-        derived=(RATES,),
+        LOGS, FRAMES, SbgDecoder, _wrapped, TIMING, HEADER, AROUND, head=(2, 3), derived=(RATES,)
     )

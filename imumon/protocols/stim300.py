@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
-from functools import partial
+from functools import lru_cache, partial
 from math import pi
 from typing import Final, Literal
 
@@ -28,7 +28,7 @@ from imumon.protocols.quantities import known, number, vector
 TICK_NS: Final = 500_000
 """The counter counts samples of the internal 2000 Hz, not datagrams."""
 CRC_SIZE = 4
-BLOCKS: dict[int, tuple[str, int]] = {
+BLOCKS = {
     0x90: ("gyro", 2),
     0x91: ("gyro acc", 0),
     0x92: ("gyro incl", 0),
@@ -39,9 +39,12 @@ BLOCKS: dict[int, tuple[str, int]] = {
     0xA7: ("gyro acc incl gyro_temp acc_temp incl_temp", 1),
 }
 """Blocks of each datagram, and the zeros that count before its CRC."""
-WITH_PULSE = dict(zip(BLOCKS, range(0xF0, 0xF8), strict=True))
-"""Identifier of the same datagram with the block of the pulse (PPS)."""
-PULSE_ZEROS = (2, 0, 0, 2, 3, 2, 2, 1)
+DATAGRAMS = {
+    key: (names, zeros)
+    for k, (plain, (blocks, zeros)) in enumerate(BLOCKS.items())
+    for key, names in ((plain, blocks), (0xF0 + k, f"{blocks} pps"))
+}
+"""The same with those from F0 on, which have a block for the pulse (PPS), of four bytes."""
 BLOCK_SIZES = {"gyro": 10, "acc": 10, "incl": 10, "gyro_temp": 7, "acc_temp": 7, "incl_temp": 7, "pps": 4}
 RANGE_BITS = {5: 20, 10: 19, 30: 18, 80: 16}
 """Bits behind the point of an acceleration in g, by the range in g; of an increment in m/s three more."""
@@ -69,28 +72,24 @@ def _blocks(output: Output, accel_range_g: AccelRange, rate_hz: float | None) ->
     }
 
 
+@lru_cache
 def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) -> dict[int, Message]:
     """Return the datagrams of normal mode by their identifier, which is byte 0 of the payload."""
-    blocks = _blocks(output, accel_range_g, rate_hz)
-    messages = {}
-    for plain, pulse in WITH_PULSE.items():
-        for key, names in ((plain, BLOCKS[plain][0]), (pulse, f"{BLOCKS[plain][0]} pps")):
-            at, parts = 1, list[Part]()
-            for name in names.split():
-                kind, columns, factor = blocks[name]
-                parts.append(part(at, kind, columns, factor))
-                at += BLOCK_SIZES[name]
-                parts.append(whole(at - 1, "u8", f"{name}_status", f"status of {name}, bits; 0 is good"))
-            parts.append(part(at, "u8", "device_ticks"))
-            parts.append(part(at + 1, "u16", [number("latency", "us", "measurement to transmission")]))
-            messages[key] = Message(f"{key:02X}", at + 3, tuple(parts))
+    blocks, messages = _blocks(output, accel_range_g, rate_hz), {}
+    for key, (names, _) in DATAGRAMS.items():
+        at, parts = 1, list[Part]()
+        for name in names.split():
+            kind, columns, factor = blocks[name]
+            parts.append(part(at, kind, columns, factor))
+            at += BLOCK_SIZES[name]
+            parts.append(whole(at - 1, "u8", f"{name}_status", f"status of {name}, bits; 0 is good"))
+        parts.append(part(at, "u8", "device_ticks"))
+        parts.append(part(at + 1, "u16", [number("latency", "us", "measurement to transmission")]))
+        messages[key] = Message(f"{key:02X}", at + 3, tuple(parts))
     return messages
 
 
-ZEROS = {key: zeros for key, (_, zeros) in BLOCKS.items()} | dict(
-    zip(WITH_PULSE.values(), PULSE_ZEROS, strict=True)
-)
-CHECKS = {key: Checksum("crc32-mpeg2", big=True, zeros=zeros) for key, zeros in ZEROS.items()}
+CHECKS = {key: Checksum("crc32-mpeg2", big=True, zeros=zeros) for key, (_, zeros) in DATAGRAMS.items()}
 
 
 def _wrapped(key: int, payload: bytes, line_end: bool) -> bytes:
@@ -121,8 +120,9 @@ class StimDevice(DeviceFile):
 
     @model_validator(mode="after")
     def _is_there(self) -> StimDevice:
-        if self.sends not in {f"{key:02X}" for key in ZEROS}:
-            raise ValueError(f"sends: expected one of {', '.join(f'{key:02X}' for key in ZEROS)}")
+        there = [f"{key:02X}" for key in sorted(DATAGRAMS)]
+        if self.sends not in there:
+            raise ValueError(f"sends: expected one of {', '.join(there)}")
         return self
 
     @property

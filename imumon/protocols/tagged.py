@@ -25,14 +25,7 @@ from imumon.blocks import BoolArray, ColumnArray, IntArray, SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.base import OTHER, ByteArray, Encoder, Timing
 from imumon.protocols.checks import Checksum
-from imumon.protocols.framing import (
-    IMPOSSIBLE,
-    INCOMPLETE,
-    NO_PACKET,
-    Found,
-    Frame,
-    counted_length,
-)
+from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, NO_PACKET, Found, Frame, counted_length
 from imumon.protocols.messages import Message, TableDecoder
 from imumon.protocols.numbers import Derived, Number, is_missing, with_sources, write
 
@@ -228,11 +221,7 @@ class TaggedEncoder(Encoder):
     """
 
     def __init__(
-        self,
-        form: Form,
-        kind: int,
-        fields: Sequence[tuple[int, Message]],
-        derived: Sequence[Derived] = (),
+        self, form: Form, kind: int, fields: Sequence[tuple[int, Message]], derived: Sequence[Derived] = ()
     ) -> None:
         if empty := [field.name for _, field in fields if field.size < 0]:
             raise ImumonError(Reason.BAD_CONFIG, f"{', '.join(empty)}: carries nothing that can be encoded")

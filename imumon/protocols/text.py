@@ -23,12 +23,11 @@ from imumon.blocks import BoolArray, ColumnArray, FloatArray, IntArray, SampleBl
 from imumon.config import StrictModel
 from imumon.protocols.base import COMMON, MAIN, ByteArray, Encoder
 from imumon.protocols.checks import Checksum
-from imumon.protocols.decoder import Decoder
+from imumon.protocols.decoder import DescribedDecoder
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.fixed import NumberField, NumberName, timing_of
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame
-from imumon.protocols.layouts import groups_of
-from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING, Number, is_missing
+from imumon.protocols.numbers import NUMBER_TYPES, WRAPPING, Number, groups_of, is_missing
 
 LINE_END: Final = 0x0A
 MOST_LINES: Final = 1 << 14
@@ -80,6 +79,7 @@ class Line(StrictModel):
     checksum: Literal["none", "xor8"] = "none"
     values: PositiveInt | None = None
     fields: list[TextField] = Field(min_length=1)
+    __hash__ = object.__hash__  # a line is the key of what was read of it
 
     @model_validator(mode="after")
     def _places_fit_the_form(self) -> Self:
@@ -146,16 +146,11 @@ class Line(StrictModel):
         if self.form == "pairs":
             if self.values is not None and len(words) != self.values:
                 raise ValueError("another number of pairs")
-            return dict(self._pair(word) for word in words)
+            pairs = (re.split("[:=]", word, maxsplit=1) for word in words)
+            return {key.strip(): value for key, value in pairs}
         if len(words) != self.values:
             raise ValueError("another number of values")
         return words
-
-    @staticmethod
-    def _pair(word: str) -> tuple[str, str]:
-        key, sign, value = re.split("([:=])", word, maxsplit=1)
-        del sign
-        return key.strip(), value
 
     def _number(self, word: Any) -> float:
         if isinstance(word, str):
@@ -235,12 +230,7 @@ def _tree(leaves: dict[str, float]) -> Any:
 class LineLayout:
     """What lines of one kind carry.
 
-    Parameters
-    ----------
-    read : callable
-        Returns the numbers of a line.
-    numbers : sequence of Number
-        What each of them is.
+    `read` returns the numbers of a line, `numbers` says what each of them is.
     """
 
     def __init__(self, read: Callable[[str], list[float] | None], numbers: Sequence[Number]) -> None:
@@ -285,37 +275,10 @@ def line_frame(name: str, begin: bytes, read: Callable[[str], object], after_end
     return Frame(name, begin, partial(line_lengths, after_end), partial(lines_right, read))
 
 
-class _ReadOnce:
-    """Reads a line, which is asked for when it is checked and again for its numbers, once."""
-
-    def __init__(self, line: Line) -> None:
-        self._line = line
-        self._read = lru_cache(MOST_LINES)(line.read)
-
-    def __call__(self, text: str) -> list[float] | None:
-        return self._read(text)
-
-    def __reduce__(self) -> tuple[type[_ReadOnce], tuple[Line]]:
-        return _ReadOnce, (self._line,)
-
-
-class TextDecoder(Decoder):
-    """Decodes described lines, a row for each; of several kinds that fit a line the first counts."""
-
-    def __init__(self, lines: Sequence[Line], rate_hz: float | None) -> None:
-        readers = [_ReadOnce(line) for line in lines]
-        frames = [
-            line_frame(x.name, x.prefix.encode() or b"\n", read, not x.prefix)
-            for x, read in zip(lines, readers, strict=True)
-        ]
-        timing = timing_of([field for line in lines for field in line.fields], rate_hz)
-        self._lines = [LineLayout(read, line.numbers) for line, read in zip(lines, readers, strict=True)]
-        super().__init__(frames, timing, groups_of(self._lines))
-        for layout in self._lines:
-            self._add(layout)
-
-    def _layout_numbers(self, found: Found) -> IntArray:
-        return found.frame
+@lru_cache(MOST_LINES)
+def read_once(line: Line, text: str) -> list[float] | None:
+    """Return the numbers of a line, which is read when it is checked and again for its numbers."""
+    return line.read(text)
 
 
 class TextEncoder(Encoder):
@@ -345,9 +308,14 @@ class TextDevice(DeviceFile):
     lines: list[Line] = Field(min_length=1)
     sends: list[str] = Field(default=[], max_length=32)
 
-    def decoder(self) -> TextDecoder:
-        """Make a decoder for these lines."""
-        return TextDecoder(self.lines, self.rate_hz)
+    def decoder(self) -> DescribedDecoder:
+        """Make a decoder for these lines; of several kinds that fit one the first counts."""
+        readers = [partial(read_once, line) for line in self.lines]
+        both = list(zip(self.lines, readers, strict=True))
+        frames = [line_frame(x.name, x.prefix.encode() or b"\n", read, not x.prefix) for x, read in both]
+        layouts = [LineLayout(read, line.numbers) for line, read in both]
+        timing = timing_of([field for line in self.lines for field in line.fields], self.rate_hz)
+        return DescribedDecoder(frames, timing, layouts, groups_of(layouts))
 
     def encoder(self) -> TextEncoder:
         """Make an encoder for the lines that are sent: all when `sends` is empty."""

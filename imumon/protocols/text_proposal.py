@@ -61,14 +61,7 @@ class _Lines(NamedTuple):
 def propose(data: bytes, seconds: float, baudrate: int | None) -> str | None:
     """Return the text of a device file for lines of text; None when there are not enough of one kind.
 
-    Parameters
-    ----------
-    data : bytes
-        What came; the first and the last line may be torn.
-    seconds : float
-        Time in which it came.
-    baudrate : int or None
-        Rate in bit/s at which it came.
+    `data`: what came within `seconds`, at `baudrate` (bit/s); the first and the last line may be torn.
     """
     lines = [line.strip("\r") for line in data.decode("ascii", "replace").split("\n")[1:-1]]
     lines = [line for line in lines if line.strip()]
@@ -78,20 +71,28 @@ def propose(data: bytes, seconds: float, baudrate: int | None) -> str | None:
     found = next((table for read in readers if (table := read(lines)) is not None), None)
     if found is None:
         return None
-    rate = len(found.numbers) / seconds if seconds > 0 else 0.0
+    n = len(found.numbers)
+    rate = n / seconds if seconds > 0 else 0.0
     text = [
         "# Proposed from what came; every reason stands beside its line.  Look at it before you trust it.",
-        "format: imumon-device/1", "name: proposed", "title: proposed from lines of text",
-        'verified: "nothing: proposed from the stream"', "protocol: text",
-        "axes: FLU  # cannot be seen: x forward, y left, z up, or FRD",
-        f"rate_hz: {rate:.3g}  # {len(found.numbers)} lines in {seconds:.2g} s",
-        f"serial: {{baudrates: [{baudrate or 115_200}]}}", "lines:", "  - name: line",
+        *file_head("lines of text", "text", baudrate, f"{rate:.3g}  # {n} lines in {seconds:.2g} s"),
+        "lines:", "  - name: line",
         *(f"    {key}: {json.dumps(value)}" for key, value in found.keys.items()), "    fields:",
     ]  # fmt: skip
     for place, (keys, why) in zip(found.places, _guesses(found, rate), strict=True):
         text.append(f"      # {why}")
         text.append(f"      - {{{'at' if isinstance(place, int) else 'key'}: {json.dumps(place)}, {keys}}}")
     return "\n".join(text) + "\n"
+
+
+def file_head(what: str, protocol: str, baudrate: int | None, rate: str) -> list[str]:
+    """Return the first lines of a device file, whose reasons stand beside them."""
+    return [
+        "format: imumon-device/1", "name: proposed", f"title: proposed from {what}",
+        'verified: "nothing: proposed from the stream"', f"protocol: {protocol}",
+        "axes: FLU  # cannot be seen: x forward, y left, z up, or FRD", f"rate_hz: {rate}",
+        f"serial: {{baudrates: [{baudrate or 115_200}]}}",
+    ]  # fmt: skip
 
 
 def _read(

@@ -11,42 +11,44 @@ already taken off.  `Uncomp...` and `Imu` are calibrated in the factory and no m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from imumon.blocks import IntArray, SampleBlock
 from imumon.columns import KNOWN
+from imumon.protocols import vectornav_fields as tables
 from imumon.protocols.base import LONGEST_PACKET, MAIN, ByteArray, Encoder, Timing, chosen
 from imumon.protocols.checks import Checksum
-from imumon.protocols.decoder import Alike, Decoder
+from imumon.protocols.decoder import Alike
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.framing import IMPOSSIBLE, INCOMPLETE, Found, Frame, counted_length, windows
-from imumon.protocols.layouts import Layout, Record, groups_of
-from imumon.protocols.messages import Message
-from imumon.protocols.numbers import Number, write
+from imumon.protocols.messages import Message, TableDecoder
+from imumon.protocols.numbers import Layout, Number, Record, write
 from imumon.protocols.text import LineLayout, line_frame, sentence_body
-from imumon.protocols.vectornav_fields import (
-    COMMON,
-    FILTERED,
-    GROUP_NAMES,
-    GROUPS,
-    RECEIVERS,
-    REPEATS,
-    SENTENCES,
-    SIDE_GROUPS,
-)
 
 MOST_HEADER = 64
 KINDS = 8
 """Headers that are looked for in all packets at once; packets with rarer ones are measured one by one."""
 
 
-def read_header(packet: bytes) -> Header | int:
-    """Return what the header of a packet announces, or the code of why it is none; see `Lengths`."""
+class Contents(NamedTuple):
+    """What a binary packet holds: its fields and where each begins, and where header and fields end."""
+
+    fields: tuple[tuple[Message, int], ...]
+    header: int
+    end: int
+
+    @property
+    def counters(self) -> list[int]:
+        """Places of the bytes that say how long a field is."""
+        return [at + tables.REPEATS[item.name][1] for item, at in self.fields if item.name in tables.REPEATS]
+
+
+def read_contents(packet: bytes) -> Contents | int:
+    """Return what a packet holds, or the code of why that is not known; see `framing.Lengths`."""
     groups: list[int] = []
     at = 1
     for first in (1, 8):
@@ -60,72 +62,61 @@ def read_header(packet: bytes) -> Header | int:
         return IMPOSSIBLE
     items: list[Message] = []
     for group in groups:
-        left, more = GROUPS.get(group, ()), group in GROUPS
+        left, more = tables.GROUPS.get(group, ()), group in tables.GROUPS
         if not more:
             return IMPOSSIBLE
         while more:
-            if at + 2 > len(packet):
-                return INCOMPLETE
+            if at + 2 > len(packet) or at > MOST_HEADER:
+                return INCOMPLETE if at <= MOST_HEADER else IMPOSSIBLE
             word = packet[at] | packet[at + 1] << 8
             at += 2
-            more = group != COMMON and word >= 0x8000
-            word &= 0xFFFF if group == COMMON else 0x7FFF
+            more = group != tables.COMMON and word >= 0x8000
+            word &= 0xFFFF if group == tables.COMMON else 0x7FFF
             if word >> len(left):
                 return IMPOSSIBLE
             items += [item for k, item in enumerate(left[:16]) if word >> k & 1 and item is not None]
             left = left[16:]
-    return Header(tuple(items), at) if items else IMPOSSIBLE
+    return _placed(packet, items, at) if items else IMPOSSIBLE
 
 
-@dataclass(frozen=True, slots=True)
-class Header:
-    """What a header announces, in the order of the payload, and the bytes it has, FA included."""
-
-    items: tuple[Message, ...]
-    size: int
-
-    def offsets(self, packet: bytes) -> list[int] | int:
-        """Return where each field of a packet begins and where the last ends, or why that is not known."""
-        at, places = self.size, []
-        for item in self.items:
-            places.append(at)
-            if item.name in REPEATS:
-                more, counter = REPEATS[item.name]
-                if at + counter >= len(packet):
-                    return INCOMPLETE
-                at += more * packet[at + counter]
-            at += item.size
-            if at + 2 > LONGEST_PACKET:
-                return IMPOSSIBLE
-        return [*places, at]
-
-
-def _length(packet: bytes) -> int:
-    """Return the length of a packet, or why it is none; see `imumon.protocols.framing.Lengths`."""
-    header = read_header(packet[:MOST_HEADER])
-    if isinstance(header, int):
-        return header
-    offsets = header.offsets(packet)
-    return offsets if isinstance(offsets, int) else offsets[-1] + 2
+def _placed(packet: bytes, items: Sequence[Message], header: int) -> Contents | int:
+    """Return the fields with their places, behind a header of so many bytes."""
+    at, fields = header, list[tuple[Message, int]]()
+    for item in items:
+        fields.append((item, at))
+        if item.name in tables.REPEATS:
+            more, counter = tables.REPEATS[item.name]
+            if at + counter >= len(packet):
+                return INCOMPLETE
+            at += more * packet[at + counter]
+        at += item.size
+        if at + 2 > LONGEST_PACKET:
+            return IMPOSSIBLE
+    return Contents(tuple(fields), header, at)
 
 
 def _lengths(held: ByteArray, at: IntArray) -> IntArray:
+    """Return the length of the packet at each place; see `framing.Lengths`."""
     length, left, stream = np.zeros(len(at), np.int64), np.arange(len(at)), held.tobytes()
     for _ in range(min(KINDS, len(at))):
         if not len(left):
             break
         packet = stream[at[left[0]] :][:LONGEST_PACKET]
-        header = read_header(packet[:MOST_HEADER])
+        found = read_contents(packet)
         same = left == left[0]
-        if isinstance(header, Header) and not REPEATS.keys() & {item.name for item in header.items}:
-            whole = np.flatnonzero(at[left] + header.size <= len(held))
-            heads = windows(held, at[left[whole]], header.size)
-            same[whole] = np.all(heads == np.frombuffer(packet[: header.size], np.uint8), axis=1)
-        length[left[same]] = _length(packet)
+        if isinstance(found, Contents) and not found.counters:
+            whole = np.flatnonzero(at[left] + found.header <= len(held))
+            heads = windows(held, at[left[whole]], found.header)
+            same[whole] = np.all(heads == np.frombuffer(packet[: found.header], np.uint8), axis=1)
+        length[left[same]] = _length(found)
         left = left[~same]
     for k, place in zip(left.tolist(), at[left].tolist(), strict=True):
-        length[k] = _length(stream[place : place + LONGEST_PACKET])
+        length[k] = _length(read_contents(stream[place : place + LONGEST_PACKET]))
     return length
+
+
+def _length(found: Contents | int) -> int:
+    return found if isinstance(found, int) else found.end + 2
 
 
 XMODEM = Checksum("crc16-xmodem", first=1, big=True)
@@ -137,7 +128,7 @@ def _sentence(text: str) -> tuple[str, list[str]] | None:
     if body is None or not body.isascii():
         return None
     name, *fields = body[3:].split(",")
-    values = SENTENCES.get(name)
+    values = tables.SENTENCES.get(name)
     if values is not None:
         if fields and fields[-1][:1] in ("S", "T") and len(fields) > len(values):
             fields = fields[: len(values)]  # the appendix with status or time
@@ -158,11 +149,11 @@ def _numbers_of(text: str) -> list[float] | None:
     return None if read is None else _floats(read[1])
 
 
-BINARY, SENTENCE = 0, 2
-"""Numbers of their frames."""
+SENTENCE = 2
+"""Number of their frame."""
 
 
-class VectorNavDecoder(Decoder):
+class VectorNavDecoder(TableDecoder):
     """Decodes binary outputs with any fields and ASCII sentences, mixed as they may come."""
 
     def __init__(self, rate_hz: float | None = None) -> None:
@@ -171,11 +162,12 @@ class VectorNavDecoder(Decoder):
             Frame("split", b"\xfb\x00", counted_length(4, 2, 8, LONGEST_PACKET), XMODEM),
             line_frame("ascii", b"$VN", _sentence),
         )
-        there = [item for items in GROUPS.values() for item in items if item is not None and item.columns]
-        layouts = [Record(item.placed(0, item.size, False)) for item in there]
-        groups = groups_of(layouts, SIDE_GROUPS, apart=tuple(RECEIVERS.values()))
         timing = Timing(tick_ns=Fraction(1), rate_hz=rate_hz)
-        super().__init__(frames, timing, groups)
+        super().__init__(
+            frames, timing, FIELDS.values(), names=tables.SIDE_GROUPS, apart=(*tables.RECEIVERS.values(),)
+        )
+        for name in ("roll", "pitch"):  # alignment calls its own otherwise where a device may send these
+            del self._possible[name]
         self._factory: frozenset[str] = frozenset()
         """Quantities that have come as they were calibrated in the factory."""
 
@@ -196,33 +188,19 @@ class VectorNavDecoder(Decoder):
     def _signature(self, packet: bytes) -> Sequence[int]:
         if packet[:1] == b"$":
             return range(6)
-        header = read_header(packet[:MOST_HEADER])
-        if packet[0] != 0xFA or isinstance(header, int):
-            return ()
-        offsets = header.offsets(packet)
-        assert not isinstance(offsets, int)
-        counters = [
-            at + REPEATS[item.name][1]
-            for item, at in zip(header.items, offsets, strict=False)
-            if item.name in REPEATS
-        ]
-        return [*range(header.size), *counters]
+        found = read_contents(packet) if packet[0] == 0xFA else IMPOSSIBLE
+        return () if isinstance(found, int) else [*range(found.header), *found.counters]
+
+    def _contents(self, packet: bytes) -> list[tuple[Message, int, int]]:
+        found = read_contents(packet) if packet[0] == 0xFA else IMPOSSIBLE
+        return [] if isinstance(found, int) else [(item, at, item.size) for item, at in found.fields]
 
     def _numbers_of(self, alike: Alike) -> list[Number]:
         """Return the numbers of packets; those of a sentence are in its order."""
         if alike.frame == SENTENCE:
-            values = SENTENCES.get(alike.packet[3:6].decode("ascii", "replace"), ())
+            values = tables.SENTENCES.get(alike.packet[3:6].decode("ascii", "replace"), ())
             return [value._replace(group=MAIN) for value in values]
-        header = read_header(alike.packet[:MOST_HEADER])
-        if alike.frame != BINARY or isinstance(header, int):
-            return []
-        offsets = header.offsets(alike.packet)
-        assert not isinstance(offsets, int)
-        return [
-            n
-            for item, at in zip(header.items, offsets, strict=False)
-            for n in item.placed(at, item.size, False)
-        ]
+        return [n for item, at, size in self._contents(alike.packet) for n in item.placed(at, size, False)]
 
     def _layout(self, alike: Alike) -> Layout | None:
         numbers = _renamed(self._numbers_of(alike), self._factory)
@@ -244,19 +222,19 @@ class VectorNavDecoder(Decoder):
         assert read is not None
         if read[0] == "ERR":
             self._say(f"the device reports error {', '.join(read[1])}")
-        elif read[0] not in SENTENCES:
+        elif read[0] not in tables.SENTENCES:
             self._say(f"sentence $VN{read[0]} is counted and not read")
 
 
 def _factory(numbers: Sequence[Number]) -> frozenset[str]:
     """Return of which quantities there are numbers as they were calibrated in the factory."""
     names = {number.name for number in numbers}
-    return frozenset(base for base in FILTERED if f"{base}_x" in names)
+    return frozenset(base for base in tables.FILTERED if f"{base}_x" in names)
 
 
 def _renamed(numbers: Sequence[Number], factory: frozenset[str]) -> list[Number]:
     """Return the numbers; those of the filter have the plain names where nothing comes as calibrated."""
-    bases = {*FILTERED} - factory
+    bases = {*tables.FILTERED} - factory
     plain = {f"{base}_compensated_{axis}": f"{base}_{axis}" for base in bases for axis in "xyz"}
     return [
         number._replace(column=KNOWN[plain[number.name]]) if number.name in plain else number
@@ -264,13 +242,36 @@ def _renamed(numbers: Sequence[Number], factory: frozenset[str]) -> list[Number]
     ]
 
 
-PLACES = {
-    f"{GROUP_NAMES[group]}.{item.name}": (group, bit)
-    for group, items in GROUPS.items()
-    for bit, item in enumerate(items)
+FIELDS = {
+    f"{tables.GROUP_NAMES[group]}.{item.name}": item
+    for group, items in tables.GROUPS.items()
+    for item in items
     if item is not None and item.columns
 }
-"""Group and bit of the fields that are read, by GROUP.FIELD."""
+"""The fields that are read, by GROUP.FIELD."""
+PLACES = {
+    name: (group, bit)
+    for group, items in tables.GROUPS.items()
+    for bit, item in enumerate(items)
+    if item is not None and (name := f"{tables.GROUP_NAMES[group]}.{item.name}") in FIELDS
+}
+"""Group and bit of these."""
+
+
+def words_of(names: Iterable[str]) -> dict[int, int]:
+    """Return for each group of fields, in order, the word with their bits.
+
+    Raises BAD_CONFIG when there is no such field.
+    """
+    words: dict[int, int] = {}
+    for group, bit in sorted(chosen([*names], PLACES, "field")):
+        words[group] = words.get(group, 0) | 1 << bit
+    return words
+
+
+def header_of(groups: int, words: Iterable[int]) -> bytes:
+    """Return how a packet begins that has these groups, bits from the first on, and words."""
+    return bytes([0xFA, groups & 0xFF]) + b"".join(word.to_bytes(2, "little") for word in words)
 
 
 class VectorNavEncoder(Encoder):
@@ -282,24 +283,17 @@ class VectorNavEncoder(Encoder):
     """
 
     def __init__(self, names: Sequence[str]) -> None:
-        words: dict[int, int] = {}
-        numbers = list[Number]()
-        for group, bit in sorted(chosen(names, PLACES, "field")):
-            words[group] = words.get(group, 0) | 1 << bit
-        groups = sum(1 << group - 1 for group in words if group < 8)
-        self._header = bytes([0xFA, groups]) + b"".join(word.to_bytes(2, "little") for word in words.values())
-        self._size = len(self._header)
-        for group, bit in sorted(PLACES[name] for name in names):
-            item = GROUPS[group][bit]
-            assert item is not None
-            numbers += item.placed(self._size, item.size, False)
-            self._size += item.size
-        self._numbers = _renamed(numbers, _factory(numbers))
+        words, numbers = words_of(names), list[Number]()
+        header = header_of(sum(1 << group - 1 for group in words if group < 8), words.values())
+        size = len(header)
+        for name in sorted({*names}, key=PLACES.__getitem__):
+            numbers += FIELDS[name].placed(size, FIELDS[name].size, False)
+            size += FIELDS[name].size
+        self._numbers, self._blank = _renamed(numbers, _factory(numbers)), header.ljust(size, b"\0")
 
     def encode(self, block: SampleBlock) -> list[bytes]:
         """Return one packet per row; see `imumon.protocols.base.Encoder`."""
-        blank = self._header + bytes(self._size - len(self._header))
-        packets = write("binary output", self._numbers, blank, block.columns, len(block))
+        packets = write("binary output", self._numbers, self._blank, block.columns, len(block))
         return [packet.tobytes() for packet in XMODEM.sealed_rows(packets)]
 
 

@@ -26,11 +26,7 @@ from imumon.protocols.messages import FamilyDecoder, Message, Part, TableDevice,
 from imumon.protocols.numbers import NO_GROUP, Columns, Derived, Number
 from imumon.protocols.quantities import count, date, known, number, utc_time, vector
 
-FORCE_FACTOR, RATE_FACTOR, ANGLE_FACTOR = (
-    16 * STANDARD_GRAVITY / 32768,
-    2000 * pi / 180 / 32768,
-    pi / 32768,
-)
+FORCE_FACTOR, RATE_FACTOR, ANGLE_FACTOR = (16 * STANDARD_GRAVITY / 32768, 2000 * pi / 180 / 32768, pi / 32768)
 HEADER, PAYLOAD, SIZE = 2, 8, 11
 SHORT, LONG = 20, 28
 COMBINED = 0x61
@@ -130,6 +126,9 @@ FRAMES = [
 ]
 
 
+TIMING, FORMS, SIDE = Timing(tick_ns=Fraction(1_000_000)), TYPES | COMBINED_FORMS, ("gnss",)
+
+
 class WitMotionDecoder(FamilyDecoder):
     """Decodes frames of all types, and 0x61 in both lengths."""
 
@@ -160,14 +159,5 @@ class WitMotionDevice(TableDevice):
     """Device file of a WitMotion module."""
 
     family = TableFamily(
-        TYPES | COMBINED_FORMS,
-        FRAMES,
-        WitMotionDecoder,
-        _wrapped,
-        Timing(tick_ns=Fraction(1_000_000)),
-        HEADER,
-        HEADER,
-        head=(1,),
-        apart=("gnss",),
-        derived=DERIVED,
+        FORMS, FRAMES, WitMotionDecoder, _wrapped, TIMING, HEADER, HEADER, (1,), apart=SIDE, derived=DERIVED
     )

@@ -7,7 +7,6 @@ its numbers) and a time that a device can have run.  Temperature comes in messag
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from fractions import Fraction
 from functools import partial
@@ -20,16 +19,14 @@ from imumon.blocks import BoolArray, IntArray
 from imumon.columns import Column
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.base import MAIN, ByteArray, Timing
-from imumon.protocols.framing import Found, Frame
+from imumon.protocols.framing import Found, Frame, windows
 from imumon.protocols.messages import FamilyDecoder, Message, TableDevice, TableFamily, part
 from imumon.protocols.quantities import number, vector
 from imumon.protocols.text import NUMBER, line_frame, line_lengths
 
 BINARY: Final = 0x80
-END, ESCAPE = b"\x0a", b"\xdb"
-ESCAPED_END, ESCAPED_ESCAPE = b"\xdb\xdc", b"\xdb\xdd"
-STUFFED: Final = re.compile(b"([^\xdb]|\xdb\xdc|\xdb\xdd)*", re.DOTALL)
-"""Bytes in which every escape is one of the two."""
+END, ESCAPE, ESCAPED_END, ESCAPED_ESCAPE = 0x0A, 0xDB, 0xDC, 0xDD
+"""In a message, the first two are an escape and one of the others."""
 TIME_SIZE: Final = 8
 YEARS_US: Final = 1 << 58
 """Microseconds of 9000 years: a message that claims more began in the middle of another."""
@@ -74,26 +71,22 @@ def _message(letter: str) -> Message:
 MESSAGES = {ord(letter): _message(letter) for letter in KINDS}
 
 
-def _without_escapes(message: bytes) -> bytes:
-    """Return a message without its end and its escapes."""
-    return message[:-1].replace(ESCAPED_END, END).replace(ESCAPED_ESCAPE, ESCAPE)
-
-
 def _right(size: int, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
     """Check binary messages: their bytes without escapes, and their time."""
-    right: BoolArray = (length >= size + 2) & (length <= 2 * size + 3)
-    stream, ends = held.tobytes(), at + length
-    for row in np.flatnonzero(right).tolist():
-        right[row] = _is_whole(stream[at[row] : ends[row]], size)
+    right: BoolArray = length == size + 2
+    rows = windows(held, at[right], size + 2)
+    right[right] = ~np.any(rows == ESCAPE, axis=1) & (rows[:, TIME_SIZE] < YEARS_US >> 56)
+    longer = np.flatnonzero((length > size + 2) & (length <= 2 * size + 3))
+    width = 2 * size + 3
+    rows = windows(np.pad(held, (0, width)), at[longer], width)
+    inside = np.arange(width) < length[longer, np.newaxis] - 1
+    escapes = inside & (rows == ESCAPE)
+    ends_well = ~escapes[:, :-1] | (rows[:, 1:] == ESCAPED_END) | (rows[:, 1:] == ESCAPED_ESCAPE)
+    place = np.cumsum(inside & ~escapes, axis=1)
+    end_of_time = rows[np.arange(len(rows)), np.argmax(place == TIME_SIZE + 1, axis=1)]
+    good = ends_well.all(axis=1) & (place[:, -1] == size + 1) & (end_of_time < YEARS_US >> 56)
+    right[longer] = good
     return right
-
-
-def _is_whole(message: bytes, size: int) -> bool:
-    """Return whether a message has this size without its escapes, letter and end, and a time that can be."""
-    plain = message[:-1]
-    if ESCAPE in message:
-        plain = _without_escapes(message) if STUFFED.fullmatch(message) else b""
-    return len(plain) == size + 1 and int.from_bytes(plain[1 : 1 + TIME_SIZE], "little") < YEARS_US
 
 
 def _numbers(text: str) -> list[float] | None:
@@ -108,15 +101,21 @@ class XimuDecoder(FamilyDecoder):
     """Decodes data messages with numbers; answers to commands and notes are skipped."""
 
     def _plain(self, found: Found) -> Found:
-        """Return all messages as binary ones without escapes."""
-        spans = zip(found.at.tolist(), found.length.tolist(), found.frame.tolist(), strict=True)
-        parts = []
-        for at, length, frame in spans:
-            message = found.held[at : at + length].tobytes()
-            parts.append(_as_binary(message) if frame >= len(MESSAGES) else _without_escapes(message))
-        lengths = np.array([len(one) for one in parts], np.int64)
-        held = np.frombuffer(b"".join(parts), np.uint8)
-        return Found(held, np.cumsum(lengths) - lengths, lengths, found.frame)
+        """Return all messages as binary ones without escapes and end, those of text behind the others."""
+        held, escapes = found.held.copy(), found.held == ESCAPE
+        follows = np.append(False, escapes[:-1])
+        follows[found.at] = False
+        held[follows] = np.where(held[follows] == ESCAPED_END, END, ESCAPE)
+        place = np.cumsum(~escapes)
+        at = place[found.at] - 1
+        length = place[found.at + found.length - 1] - 1 - at
+        parts, size = [held[~escapes].tobytes()], int(place[-1])
+        for row in np.flatnonzero(found.frame >= len(MESSAGES)).tolist():
+            message = found.held[found.at[row] : found.at[row] + found.length[row]].tobytes()
+            parts.append(_as_binary(message))
+            at[row], length[row] = size, len(parts[-1])
+            size += len(parts[-1])
+        return Found(np.frombuffer(b"".join(parts), np.uint8), at, length, found.frame)
 
     def _key(self, packet: bytes) -> int:
         return packet[0] & ~BINARY
@@ -131,8 +130,8 @@ def _as_binary(message: bytes) -> bytes:
 
 
 def _wrapped(key: int, payload: bytes) -> bytes:
-    stuffed = payload.replace(ESCAPE, ESCAPED_ESCAPE).replace(END, ESCAPED_END)
-    return bytes([key | BINARY]) + stuffed + END
+    stuffed = payload.replace(b"\xdb", b"\xdb\xdd").replace(b"\n", b"\xdb\xdc")
+    return bytes([key | BINARY]) + stuffed + b"\n"
 
 
 FRAMES = [

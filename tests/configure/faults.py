@@ -10,7 +10,7 @@ from imumon.configure.firmware import Firmware
 from imumon.configure.mip import INVALID, acknowledged
 from imumon.configure.vectornav import frame as sentence
 from imumon.configure.xsens import frame as xbus
-from imumon.protocols.xsens.messages import ERROR
+from imumon.protocols.xsens.mtdata import ERROR
 
 REFUSALS: dict[str, Callable[[Message], bytes]] = {
     "MicroStrain": lambda command: acknowledged(command, INVALID),

@@ -9,16 +9,8 @@ from imumon.blocks import NO_INT, SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.device import load_device
-from imumon.protocols.mip import (
-    FILTER,
-    GNSS,
-    SENSOR,
-    MipDecoder,
-    MipDevice,
-    MipEncoder,
-    mip_fields,
-)
-from imumon.protocols.mip_filter import Attitude
+from imumon.protocols.mip import MipDecoder, MipDevice, MipEncoder
+from imumon.protocols.mip_fields import FILTER, GNSS, SENSOR, Attitude, mip_fields
 from imumon.protocols.tagged import MIP
 from tests.data_folder import measured
 from tests.protocols.streams import chunkings, damage, feed_in_chunks

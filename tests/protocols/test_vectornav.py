@@ -11,7 +11,7 @@ from imumon.errors import ImumonError
 from imumon.pipeline import Pipeline
 from imumon.protocols.device import load_device
 from imumon.protocols.framing import IMPOSSIBLE
-from imumon.protocols.vectornav import XMODEM, VectorNavDecoder, VectorNavEncoder, read_header
+from imumon.protocols.vectornav import XMODEM, VectorNavDecoder, VectorNavEncoder, read_contents
 from tests.data_folder import measured
 from tests.protocols.streams import feed_in_chunks
 
@@ -100,14 +100,14 @@ def test_a_recording_of_corrected_rates_alone_is_warned_of() -> None:
     ],
 )  # fmt: skip
 def test_headers(header: str, names: list[str]) -> None:
-    found = read_header(bytes.fromhex(header))
+    found = read_contents(bytes.fromhex(header) + bytes(64))
     assert not isinstance(found, int)
-    assert [item.name for item in found.items] == names
+    assert [item.name for item, _ in found.fields] == names
 
 
 @pytest.mark.parametrize("header", ["fa00", "fa01 0000", "fa02 0004", "fa8001", "fa8181", "fa08 0080 0080"])
 def test_headers_that_nobody_knows(header: str) -> None:
-    assert read_header(bytes.fromhex(header) + bytes(8)) == IMPOSSIBLE
+    assert read_contents(bytes.fromhex(header) + bytes(8)) == IMPOSSIBLE
 
 
 @pytest.mark.parametrize("satellites", [0, 3, 20])
@@ -133,3 +133,9 @@ def test_packets_of_the_third_receiver_are_read_between_others() -> None:
     block = feed_in_chunks(decoder, (inertial + third + both) * 40, [100])
     assert decoder.counters().bytes_skipped == decoder.counters().length_errors == 0
     assert block["gnss3_satellites"][:3].tolist() == [NO_INT, 7, 8]
+
+
+def test_columns_are_declared_before_the_first_packet() -> None:
+    names = {column.name for column in VectorNavDecoder().possible_columns}
+    assert {"gyro_x", "gyro_compensated_x", "mag_x", "temperature", "pressure", "q_w"} <= names
+    assert not {"roll", "pitch"} & names

@@ -15,16 +15,7 @@ from imumon.columns import KNOWN, Column
 from imumon.protocols.base import MAIN
 from imumon.protocols.messages import Message, field
 from imumon.protocols.numbers import NO_GROUP, Number
-from imumon.protocols.quantities import (
-    MATRIX,
-    QUATERNION_OF_MATRIX,
-    count,
-    date,
-    known,
-    number,
-    utc_time,
-    vector,
-)
+from imumon.protocols.quantities import FROM_MATRIX, MATRIX, count, date, known, number, utc_time, vector
 
 DEGREE = pi / 180
 
@@ -301,7 +292,7 @@ def message_of(code: int, size: int | None = None) -> Message | None:
 DERIVED = (
     utc_time("utc_", count("utc_time_ns", "Unix time (UTC) as the device reports it", "ns")),
     utc_time("gnss_utc_", count("gnss_utc_time_ns", "Unix time (UTC) of the GNSS receiver's data", "ns")),
-    QUATERNION_OF_MATRIX,
+    FROM_MATRIX,
 )
 """Columns of MTData2 and MTData that are computed from what is sent."""
 

@@ -1,12 +1,13 @@
-"""Xsens MTData, the data message of the first MTi and MTx: only a profile says what it carries.
+"""Messages of Xsens MTi: MTData2, which says what it carries, MTData, which a profile describes, and others.
 
-Facts from the MT Low Level Communication documentation of the MTi, MTi-G and MTx: messages SetOutputMode (16
-bits) and SetOutputSettings (32 bits), and the fixed order of the parts of MTData.
+Facts from the MT Low Level Communication documentation of the MTi, MTi-G and MTx: of the first devices the
+messages SetOutputMode (16 bits) and SetOutputSettings (32 bits), and the fixed order of the parts of MTData.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import struct
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from typing import Literal
 
@@ -15,24 +16,181 @@ from pydantic import model_validator
 
 from imumon.columns import KNOWN
 from imumon.config import StrictModel
-from imumon.protocols.base import Timing
+from imumon.protocols.base import Timing, chosen
 from imumon.protocols.device import DeviceFile
 from imumon.protocols.messages import Message, field
 from imumon.protocols.numbers import Number
 from imumon.protocols.quantities import MATRIX, count, known, number
-from imumon.protocols.tagged import XBUS_DATA, TaggedDecoder, TaggedEncoder
-from imumon.protocols.xsens.fields import (
-    DEGREE,
-    DERIVED,
-    DEVICE_TICKS_OF_UTC,
-    MAG,
-    PRECISIONS,
-    RAW,
-    RAW_TEMPERATURE,
-    UTC_VALUES,
-    VELOCITY,
-)
-from imumon.protocols.xsens.messages import MTDATA, MTDATA2, NAMES, describe
+from imumon.protocols.tagged import XBUS, XBUS_DATA, TaggedDecoder, TaggedEncoder
+from imumon.protocols.xsens import fields
+from imumon.protocols.xsens.fields import DEGREE, DERIVED, FRAMES, IDENTIFIERS, PRECISIONS, message_of
+
+MTDATA, MTDATA2 = 0x32, 0x36
+DEVICE_ID, CONFIGURATION, FIRMWARE, PRODUCT_CODE = 0x01, 0x0D, 0x13, 0x1D
+ERROR, WARNING, OUTPUT_CONFIGURATION = 0x42, 0x43, 0xC1
+OUTPUT_MODE, OUTPUT_SETTINGS = 0xD1, 0xD3
+
+_REQUESTS = {
+    0x00: "ReqDeviceID",
+    0x0C: "ReqConfiguration",
+    0x10: "GoToMeasurement",
+    0x12: "ReqFirmwareRevision",
+    0x18: "SetBaudrate",
+    0x1C: "ReqProductCode",
+    0x30: "GoToConfig",
+    0x3E: "WakeUp",
+    0x40: "Reset",
+    0xC0: "SetOutputConfiguration",
+    0xD0: "SetOutputMode",
+    0xD2: "SetOutputSettings",
+}
+_ANSWERS = {
+    DEVICE_ID: "DeviceID",
+    CONFIGURATION: "Configuration",
+    FIRMWARE: "FirmwareRevision",
+    PRODUCT_CODE: "ProductCode",
+    MTDATA: "MTData",
+    MTDATA2: "MTData2",
+    ERROR: "Error",
+    WARNING: "Warning",
+    OUTPUT_CONFIGURATION: "OutputConfiguration",
+    OUTPUT_MODE: "OutputMode",
+    OUTPUT_SETTINGS: "OutputSettings",
+}
+NAMES = {kind + 1: f"{name}Ack" for kind, name in _REQUESTS.items()} | _REQUESTS | _ANSWERS
+"""Names of what is read, sent, or comes unasked: a request has an even number, its answer the next."""
+
+ERRORS = {
+    3: "the period is outside the valid range",
+    4: "the message is invalid or not implemented",
+    30: "timer overflow: the output rate is too high for what is computed",
+    32: "the baud rate is not one of those that the device has",
+    33: "a parameter is invalid or outside its range",
+    35: "the transmit buffer is full: the baud rate is too low for the output",
+    36: "the transmit buffer overflowed: the baud rate is too low for the output",
+    40: "the device reports an error in itself; try a firmware update",
+    41: "more data than the link can carry: raise the baud rate or lower the output rate",
+    42: "the buffer of samples overflowed while the link was down",
+}
+"""What the codes of an Error message mean; others are those of trackers behind an Xbus Master."""
+
+
+def describe(kind: int, payload: bytes) -> Iterable[str]:
+    """Say in words what a message tells the user; nothing for those that are only answers."""
+    if kind == ERROR:
+        code = payload[0] if payload else 0
+        more = f" (more: {payload[1:].hex(' ')})" if len(payload) > 1 else ""
+        yield f"the device reports error {code}: {ERRORS.get(code, 'not a known code')}{more}"
+    elif kind == WARNING:
+        yield f"the device reports a warning: {payload.hex(' ') or 'no details'}"
+    elif kind == OUTPUT_CONFIGURATION and len(payload) % 4 == 0:
+        outputs = []
+        for code, rate in struct.iter_unpack(">HH", payload):
+            often = "with every packet" if rate == 0xFFFF else f"at {rate} Hz"
+            outputs.append(f"{identifier_name(code)} {often}")
+        yield f"the device is configured to send {', '.join(outputs) or 'nothing'}"
+    elif kind == CONFIGURATION:  # 98 bytes, and 20 for each device
+        for at in range(98, len(payload) - 19, 20):
+            size, mode, settings = struct.unpack_from(">HHI", payload, at + 4)
+            yield f"the device sends {size} bytes: output mode {mode:04X}, output settings {settings:08X}"
+    elif kind in (OUTPUT_MODE, OUTPUT_SETTINGS) and payload:
+        what = "mode" if kind == OUTPUT_MODE else "settings"
+        yield f"the device has the output {what} {payload.hex().upper()}"
+
+
+def identifier_name(code: int) -> str:
+    """Return the name of a data identifier with its format, or its number when it is not known."""
+    found = next((item for item in IDENTIFIERS if item.code == code & 0xFFF0), None)
+    if found is None:
+        return f"0x{code:04X}"
+    notes = []
+    if found.framed:
+        notes.append(next((name for name, bits in FRAMES.items() if bits == code & 0xC), "frame?"))
+    if found.is_real:
+        notes.append(tuple(PRECISIONS)[code & 0x3])
+    return f"{found.name} ({', '.join(notes)})" if notes else found.name
+
+
+Precision = Literal["float32", "fp12.20", "fp16.32", "float64"]
+Frame = Literal["ENU", "NED", "NWU"]
+
+TICK_NS = Fraction(100_000)
+"""SampleTimeFine counts in 10 kHz."""
+_PLAIN_FIELDS = [plain for item in IDENTIFIERS if (plain := item.message()) is not None]
+_FRAMED = {item.code for item in IDENTIFIERS if item.framed}
+
+
+class MTData2Decoder(TaggedDecoder):
+    """Decodes MTData2; one row per message, with the columns that the device has sent so far.
+
+    `rate_hz` is the nominal rate of the messages.
+    """
+
+    _type_names = NAMES
+
+    def __init__(self, rate_hz: float | None = None) -> None:
+        timing = Timing(counter_bits=16, tick_ns=TICK_NS, tick_bits=32, rate_hz=rate_hz)
+        super().__init__(XBUS, timing, _PLAIN_FIELDS, [MTDATA2], DERIVED, apart=("gnss",))
+
+    def _field(self, key: int, size: int) -> Message | None:
+        found = message_of(key, size)
+        if found is not None and key & 0xFFF0 in _FRAMED:
+            frame = next(name for name, bits in FRAMES.items() if bits == key & 0xC)
+            self._say(f"orientation and velocity are given in the frame {frame}")
+        return found
+
+    def _describe(self, kind: int, payload: bytes) -> Iterable[str]:
+        if kind == MTDATA:
+            return ["the device sends legacy MTData, which needs the device xsens-legacy with its profile"]
+        return describe(kind, payload)
+
+    def _field_name(self, key: int) -> str:
+        return identifier_name(key)
+
+
+def find_fields(
+    names: Sequence[str], precision: Precision = "float32", frame: Frame = "ENU"
+) -> list[tuple[int, Message]]:
+    """Return codes and fields of these data identifiers in a precision; raises as `MTData2Encoder`."""
+    found = []
+    there = {item.name: item for item in reversed(IDENTIFIERS) if item.numbers}
+    for item in chosen(names, there, "data identifier"):
+        form = FRAMES[frame] if item.framed else 0
+        form |= [*PRECISIONS].index(precision) if item.is_real else 0
+        field = item.message(form)
+        assert field is not None
+        found.append((item.code | form, field))
+    return found
+
+
+class MTData2Encoder(TaggedEncoder):
+    """Makes MTData2 messages.
+
+    Raises BAD_CONFIG when a name is not that of a data identifier that carries values.
+
+    `names`: data identifiers as in `fields.IDENTIFIERS`, in the order in which they are sent.
+    `frame`: for the bits in the identifiers; values are sent as they are.
+    """
+
+    def __init__(self, names: Sequence[str], precision: Precision = "float32", frame: Frame = "ENU") -> None:
+        super().__init__(XBUS, MTDATA2, find_fields(names, precision, frame), DERIVED)
+
+
+class MTData2Device(DeviceFile):
+    """Device file of an MTi that sends MTData2; `sends` and `precision` are for its virtual twin alone."""
+
+    protocol: Literal["xsens-mtdata2"]
+    sends: list[str]
+    precision: Precision = "float32"
+
+    def decoder(self) -> MTData2Decoder:
+        """Make a decoder for this device."""
+        return MTData2Decoder(self.rate_hz)
+
+    def encoder(self) -> MTData2Encoder:
+        """Make an encoder that sends what the device would send."""
+        return MTData2Encoder(self.sends, self.precision)
+
 
 Part = Literal[
     "temperature", "calibrated", "orientation", "auxiliary", "position", "velocity", "status", "raw_gps",
@@ -86,7 +244,7 @@ _RAW_GPS = (
     Number(count("gnss_age", "age of the GNSS data, in packets"), "u8"),
 )
 
-_CALIBRATED = {"accel": known("accel"), "gyro": known("gyro"), "mag": MAG}
+_CALIBRATED = {"accel": known("accel"), "gyro": known("gyro"), "mag": fields.MAG}
 _ORIENTATION = {"quaternion": (known("q"), 1.0), "euler": (known("angles"), DEGREE), "matrix": (MATRIX, 1.0)}
 
 
@@ -98,36 +256,31 @@ def mtdata_field(profile: Profile) -> Message:
     calibrated = [c for part, columns in _CALIBRATED.items() if part in settings.calibrated for c in columns]
     analog = [number(f"analog_{line}", "1", f"analog input {line}, raw counts") for line in (1, 2)]
     parts: dict[str, list[Number]] = {
-        "raw_inertial": [Number(column, "u16") for column in (*RAW, RAW_TEMPERATURE)],
+        "raw_inertial": [Number(column, "u16") for column in (*fields.RAW, fields.RAW_TEMPERATURE)],
         "raw_gps": list(_RAW_GPS),
         "temperature": [Number(column, kind, factor) for column in known("temperature")],
         "calibrated": [Number(column, kind, factor) for column in calibrated],
         "orientation": [Number(column, kind, factor * to_radian) for column in orientation],
         "auxiliary": [Number(analog[line - 1], "u16") for line in sorted({*settings.analog})],
         "position": [Number(column, kind, factor) for column in known("place")],
-        "velocity": [Number(column, kind, factor) for column in VELOCITY],
+        "velocity": [Number(column, kind, factor) for column in fields.VELOCITY],
         "status": [Number(KNOWN["status"], "u8" if settings.status == "compact" else "u32")],
     }
     values = [value for part, content in parts.items() if part in profile.output_mode for value in content]
     if "sample_counter" in settings.timestamp:
         values.append(Number(KNOWN["packet_counter"], "u16"))
     if "utc" in settings.timestamp:
-        values.extend(UTC_VALUES)
+        values.extend(fields.UTC_VALUES)
     return field("MTData", values)
 
 
-_DERIVED = (DEVICE_TICKS_OF_UTC, *DERIVED)
+_DERIVED = (fields.DEVICE_TICKS_OF_UTC, *DERIVED)
 
 
 class MTDataDecoder(TaggedDecoder):
     """Decodes MTData by a profile; one row per message.
 
-    Parameters
-    ----------
-    profile : Profile
-        Output mode and settings of the device.
-    rate_hz : float or None
-        Nominal rate of the messages; with the sample counter it dates them.
+    `rate_hz`: nominal rate of the messages; with the sample counter it dates them.
     """
 
     _type_names = NAMES

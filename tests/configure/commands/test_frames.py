@@ -68,9 +68,11 @@ def test_vectornav_leaves_the_port_out_that_newer_firmware_adds() -> None:
 
 def test_vectornav_asks_for_what_the_filter_has_not_corrected() -> None:
     wanted = vectornav.VectorNav().wanted({}, Wish(100.0, ("inertial", "temperature")))
-    output = vectornav.Output.read(wanted[vectornav.OUTPUT])
-    assert output.fields() == ["Common Imu: TimeStartup, UncompAccel, UncompGyro, Temperature"]
-    assert output.packet_bytes() == 2 + 4 + 8 + 12 + 12 + 4 + 2
+    shown = vectornav.VectorNav().describe(vectornav.OUTPUT, wanted[vectornav.OUTPUT])
+    assert shown.endswith("Common Imu: TimeStartup, UncompAccel, UncompGyro, Temperature")
+    found = vectornav.Output.read(wanted[vectornav.OUTPUT]).contents
+    assert found is not None
+    assert found.end + 2 == 2 + 4 + 8 + 12 + 12 + 4 + 2
     assert wanted[vectornav.OUTPUT] == b"1,8,05,0001,001C"
 
 

@@ -11,8 +11,8 @@ from imumon.blocks import SampleBlock
 from imumon.errors import ImumonError, Reason
 from imumon.protocols.device import device_text, load_device, parse_device
 from imumon.protocols.tagged import XBUS
-from imumon.protocols.xsens.messages import MTDATA
 from imumon.protocols.xsens.mtdata import (
+    MTDATA,
     MTDataDecoder,
     MTDataDevice,
     MTDataEncoder,

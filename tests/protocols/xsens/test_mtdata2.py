@@ -15,8 +15,9 @@ from imumon.protocols.base import ByteArray
 from imumon.protocols.device import load_device
 from imumon.protocols.tagged import XBUS
 from imumon.protocols.xsens.fields import DEGREE, IDENTIFIERS, PRECISIONS, Identifier, message_of
-from imumon.protocols.xsens.messages import MTDATA, MTDATA2
-from imumon.protocols.xsens.mtdata2 import (
+from imumon.protocols.xsens.mtdata import (
+    MTDATA,
+    MTDATA2,
     Frame,
     MTData2Decoder,
     MTData2Device,
