@@ -22,14 +22,13 @@ import numpy as np
 
 from imumon.allan.analysis import Result
 from imumon.allan.output import value_of
-from imumon.allan.recording import rate_hz
 from imumon.config import dump_yaml
 from imumon.errors import ImumonError, Reason
 from imumon.files import write_text
 from imumon.geodesy import STANDARD_GRAVITY
 
-SENSORS = {"accelerometer": "acc", "gyroscope": "gyr"}
-"""Names of a sensor: Kalibr's and that of VINS."""
+SENSORS = {"accel": ("accelerometer", "acc"), "gyro": ("gyroscope", "gyr")}
+"""Names of a sensor: ours, Kalibr's and that of VINS."""
 OPENCV = "%YAML:1.0\n"
 """The first line of a file that OpenCV's FileStorage reads."""
 
@@ -66,9 +65,9 @@ def write_vins(path: Path, results: Mapping[str, Result], source: Path) -> None:
     rate = body["update_rate"]
     head += f"# Of one sample at {rate:g} Hz: the densities times the root of the rate.\n"
     values = {}
-    for long, short in SENSORS.items():
-        values[f"{short}_n"] = _rounded(math.sqrt(rate) * body[f"{long}_noise_density"])
-        values[f"{short}_w"] = _rounded(math.sqrt(rate) * body[f"{long}_random_walk"])
+    for name, short in SENSORS.values():
+        values[f"{short}_n"] = _rounded(math.sqrt(rate) * body[f"{name}_noise_density"])
+        values[f"{short}_w"] = _rounded(math.sqrt(rate) * body[f"{name}_random_walk"])
     values["g_norm"] = STANDARD_GRAVITY
     write_text(path, OPENCV + head + dump_yaml(values, flow=False))
 
@@ -80,9 +79,12 @@ def _densities(results: Mapping[str, Result], source: Path) -> tuple[dict[str, A
         "# rostopic is a guess: name your own.\n"
     )
     body: dict[str, Any] = {}
-    for group, name in zip(("accel", "gyro"), SENSORS, strict=True):
-        white = _largest(results, group, "angle_random_walk")
-        walk = _largest(results, group, "rate_random_walk")
+    for group, (name, _) in SENSORS.items():
+        axes = [results.get(f"{group}_{axis}") for axis in "xyz"]
+        white, walk = (
+            max((value for result in axes if (value := value_of(result, term)) is not None), default=None)
+            for term in ("angle_random_walk", "rate_random_walk")
+        )
         if white is None:
             raise ImumonError(
                 Reason.BAD_DATA, f"odometry needs a noise density of the {name}, and the data show none"
@@ -92,12 +94,7 @@ def _densities(results: Mapping[str, Result], source: Path) -> tuple[dict[str, A
         body[f"{name}_noise_density"] = white
         body[f"{name}_random_walk"] = 0.0 if walk is None else walk
     some = next(result for name, result in results.items() if name.startswith("gyro"))
-    return {**body, "rostopic": "/imu0", "update_rate": _rounded(rate_hz(some.series))}, head
-
-
-def _largest(results: Mapping[str, Result], group: str, term: str) -> float | None:
-    values = [value_of(results.get(f"{group}_{axis}"), term) for axis in "xyz"]
-    return max((value for value in values if value is not None), default=None)
+    return {**body, "rostopic": "/imu0", "update_rate": _rounded(some.series.rate_hz)}, head
 
 
 def _rounded(value: float) -> float:
