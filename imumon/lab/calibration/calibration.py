@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal
@@ -67,12 +67,13 @@ class Calibration:
 
     model: BiasModel
     findings: dict[str, Finding]
-    rest_s: float
-    temperature_range: tuple[float, float]
-    rate_rms: float
-    warnings: list[str] = field(default_factory=list)
-    turned: bool = False
-    """Whether its runs are in several poses: their offsets then hold what gravity and the earth rate do."""
+    cells: Cells
+    warnings: list[str]
+
+    @property
+    def rest_s(self) -> float:
+        """Time at rest, s."""
+        return float(self.cells.seconds.sum())
 
 
 def read_sessions(paths: Sequence[Path], count: Count = no_count) -> tuple[list[Record], list[str]]:
@@ -110,8 +111,6 @@ def calibrate(
             "leave --latitude and --heading away",
         )
     findings, channels, warnings = _all_channels(records, cells, tell)
-    warnings += _remarks(records, cells, findings)
-    known = cells.temperature
     return Calibration(
         model=BiasModel(
             made_by=f"imumon {__version__}",
@@ -128,11 +127,8 @@ def calibrate(
             channels=channels,
         ),
         findings=findings,
-        rest_s=float(cells.seconds.sum()),
-        temperature_range=(float(known.min()), float(known.max())),
-        rate_rms=cells.rate_rms,
-        warnings=warnings,
-        turned=cells.turned,
+        cells=cells,
+        warnings=[*warnings, *_remarks(records, cells, findings)],
     )
 
 
@@ -171,8 +167,15 @@ def _all_channels(
         channel = channel.only(keep)
         choice = choose(channel, shifted, knots)
         own = not (cells.turned and name in ACCEL)
-        findings[name] = Finding(choice, shifted, channel.white, offset, _lag_rms(choice, cells), own)
+        missed = UNTOLD_S * cells.of("rate") * choice.curve.slope(cells.temperature)
+        lag_rms = float(np.sqrt(np.average(missed**2, weights=cells.seconds)))
+        findings[name] = Finding(choice, shifted, channel.white, offset, lag_rms, own)
         channels[name] = _channel_model(name, channel, choice, shifted)
+    if not channels:
+        raise _refusal(
+            "no sensor of all sessions varies over one column of temperature",
+            "calibrate sessions with the same columns together, the others alone",
+        )
     return findings, channels, warnings
 
 
@@ -201,11 +204,6 @@ def _channel_model(name: str, channel: Channel, choice: Choice, points: Points) 
             "curve": choice.curve.minus(constant),
         }
     )
-
-
-def _lag_rms(choice: Choice, cells: Cells) -> float:
-    missed = UNTOLD_S * cells.of("rate") * choice.curve.slope(cells.temperature)
-    return float(np.sqrt(np.average(missed**2, weights=cells.seconds)))
 
 
 def _trained_on(records: Sequence[Record], cells: Cells, findings: dict[str, Finding]) -> list[TrainedOn]:

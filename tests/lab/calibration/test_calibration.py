@@ -172,7 +172,7 @@ def test_a_bias_that_is_another_in_each_pose_is_said_and_gravity_is_no_turn_on_o
     down, up = (samples(t, accel=(0.0, 0.0, sign * GRAVITY)) for sign in (-1.0, 1.0))
     up = up.with_columns({"gyro_x": up["gyro_x"] + np.radians(20.0) / 3600.0})
     found = calibrate([record_of([one], name, name * 64) for name, one in (("0", down), ("1", up))])
-    assert found.turned
+    assert found.cells.turned
     assert [text for text in found.warnings if text.startswith("gyro_x: the bias differs by 14.1 °/h")]
     assert found.findings["accel_z"].repeatability is None
     assert "accel_z" not in found.model.trained_on[0].offset
