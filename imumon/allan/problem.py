@@ -119,7 +119,8 @@ class Problem:
         chi_square = float(normal @ normal)
         # Of the density of the variances themselves: the last part is the derivative of `normal`.
         spread = float(2.0 * np.log(np.diag(root)).sum() + 4.0 / 3.0 * np.log(ratio).sum())
-        white = np.linalg.solve(root, np.column_stack([design, variances - design @ found]))
+        left = np.column_stack([design, variances - design @ found])
+        white = np.asarray(np.linalg.solve(root, left), np.float64)
         return Solution(found, chi_square, -0.5 * (chi_square + spread), white[:, :-1], white[:, -1])
 
     def _root(self, design: FloatArray, coefficients: FloatArray) -> FloatArray:
@@ -130,7 +131,7 @@ class Problem:
         diagonal = np.einsum("ii->i", matrix)  # a view
         diagonal += (self.model_error * expected) ** 2
         diagonal += 1e-12 * diagonal + 1e-9 * (np.abs(expected) + 1e-3 * self.variances[part]) ** 2
-        return np.linalg.cholesky(matrix)
+        return np.asarray(np.linalg.cholesky(matrix), np.float64)
 
 
 def _bounded(columns: list[int], design: FloatArray, variances: FloatArray, root: FloatArray) -> FloatArray:

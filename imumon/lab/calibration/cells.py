@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -55,7 +54,8 @@ class Channel:
         return Points(self.temperature, self.value, weight / weight.mean(), self.level)
 
 
-class Run(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
     """A stretch in one pose without a restart, long enough: its blocks at rest, (n,)."""
 
     record: int
@@ -158,15 +158,15 @@ def channel_of(
     if not good.any() or np.ptp(value[good]) == 0.0:
         return None
     _, first, cell = np.unique(cell[good], return_index=True, return_inverse=True)
-    whole = np.bincount(cell, seconds[good])
+    whole = _sum(cell, seconds[good])
     share = seconds[good] / whole[cell]
-    mean_temperature = np.bincount(cell, share * temperature[good])
+    mean_temperature = _sum(cell, share * temperature[good])
     return Channel(
         name=name,
         temperature_column=column,
         temperature=mean_temperature,
-        value=np.bincount(cell, share * value[good]),
-        white=np.bincount(cell, share**2 * white[good]),
+        value=_sum(cell, share * value[good]),
+        white=_sum(cell, share**2 * white[good]),
         seconds=whole,
         run=run_of[good][first],
         level=nearest(mean_temperature, level_centers),
@@ -199,6 +199,10 @@ def levels(cells: Cells) -> FloatArray:
 def nearest(temperature: FloatArray, centers: FloatArray) -> IntArray:
     """Return the number of the level nearest to each temperature."""
     return np.searchsorted(0.5 * (centers[1:] + centers[:-1]), temperature).astype(np.int64)
+
+
+def _sum(cell: IntArray, parts: FloatArray) -> FloatArray:
+    return np.bincount(cell, parts).astype(np.float64)
 
 
 def _usable(record: Record) -> IntArray:
