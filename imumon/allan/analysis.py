@@ -13,27 +13,18 @@ import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache, partial
 
 import numpy as np
 
-from imumon.allan.covariance import (
-    DIFFERENCES,
-    TRUSTED_FREEDOM,
-    Kind,
-    Runs,
-    covariances_of,
-    freedom,
-    intervals,
-)
-from imumon.allan.fit import DIGITS, NO_SUM, Estimate, Family, Fit, fit_terms, times_to_try
+from imumon.allan.covariance import DIFFERENCES, Kind, freedom, intervals
+from imumon.allan.fit import DIGITS, NO_SUM, Division, Estimate, Fit, fit_terms
 from imumon.allan.parameters import NAMES
 from imumon.allan.series import EvenSeries
 from imumon.blocks import FloatArray, IntArray
 from imumon.compiled import njit
 from imumon.filters.rounding import Digits, digits
 
-_WHITE, _WALK = np.eye(4)[[0, 2]]
+_WHITE = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,16 +68,6 @@ class Result:
     def lowest(self) -> int:
         """Index of the lowest trusted Allan deviation."""
         return int(np.argmin(self.allan.values[: max(1, self.trusted)]))
-
-
-def octaves(series: EvenSeries) -> IntArray:
-    """Return the averaging factors 1, 2, 4, ... for which a run is long enough."""
-    factors: list[int] = []
-    m = 1
-    while np.subtract(*series.runs(m)[::-1]).max(initial=0) >= 2 * m:
-        factors.append(m)
-        m *= 2
-    return np.array(factors, np.int64)
 
 
 def variances(series: EvenSeries, factors: IntArray) -> dict[Kind, FloatArray]:
@@ -139,29 +120,6 @@ def sums_of_squares(x: FloatArray, starts: IntArray, stops: IntArray, m: int) ->
     return sums, numbers
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Division:
-    """A record divided into runs, at each averaging factor; the same for all channels with the same gaps."""
-
-    factors: IntArray
-    runs: list[Runs]
-    family: Family
-    trusted: int
-
-    @staticmethod
-    def of(series: EvenSeries) -> Division:
-        """Return the division of a channel."""
-        factors = octaves(series)
-        runs = [Runs.of(*series.runs(m), 2 * m) for m in factors.tolist()]
-        walk = [freedom("allan", m, part, _WALK) for m, part in zip(factors.tolist(), runs, strict=True)]
-        trusted = next((row for row, value in enumerate(walk) if value < TRUSTED_FREEDOM), len(walk))
-        at = cache(partial(covariances_of, factors, runs))
-        times = times_to_try(series.interval_s, int(factors[:trusted].max(initial=1)))
-        for time in times:
-            at(time)  # now, and not once in each thread
-        return Division(factors, runs, Family(times, at), trusted)
-
-
 def analyse(series: Mapping[str, EvenSeries]) -> dict[str, Result]:
     """Return deviations and noise terms of channels; what follows from the gaps is worked out once."""
     kinds = {_key(channel): channel for channel in series.values()}
@@ -179,7 +137,7 @@ def _key(series: EvenSeries) -> tuple[bytes, ...]:
 def _analyse(series: EvenSeries, division: Division) -> Result:
     factors = division.factors
     found = variances(series, factors)
-    fit = fit_terms(found["allan"], division.family, series.interval_s, division.trusted)
+    fit = fit_terms(found["allan"], division, series.interval_s)
     samples = series.values[series.there]
     steps = digits(samples)
     noise, names = _WHITE, []

@@ -34,12 +34,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
-from imumon.allan.covariance import FLOOR_PER_INSTABILITY, SHAPES, Covariances, markov_shape
+from imumon.allan import covariance
 from imumon.allan.parameters import NAMES
 from imumon.allan.problem import (
     EVERY,
@@ -55,7 +56,8 @@ from imumon.allan.problem import (
     Solution,
     signed,
 )
-from imumon.blocks import FloatArray
+from imumon.allan.series import EvenSeries, octaves
+from imumon.blocks import FloatArray, IntArray
 
 FITTED, SHORT_FITTED = 2.0, 3.0
 """A term is in the fit when the data call for it by this many standard deviations; the second number is that
@@ -89,7 +91,7 @@ ALIKE = frozenset((FLICKER, WALK))
 
 TERMS: dict[str, Callable[[float], float]] = {
     "angle_random_walk": lambda dt: dt,
-    "bias_instability": lambda _: FLOOR_PER_INSTABILITY**-2,
+    "bias_instability": lambda _: covariance.FLOOR_PER_INSTABILITY**-2,
     "rate_random_walk": lambda dt: 3.0 / dt,
     "quantization": lambda dt: dt**2 / 3.0,
     "rate_ramp": lambda dt: 2.0 / dt**2,
@@ -98,6 +100,7 @@ TERMS: dict[str, Callable[[float], float]] = {
 """The terms in the order of the columns of what is fitted, and their squares per unit of their coefficients,
 the Allan variances at one sample, by the sample interval in s."""
 AMBIGUOUS, DIGITS = "ambiguous", "digits"
+_WALK = np.array([0.0, 0.0, 1.0, 0.0])
 
 
 class Estimate(NamedTuple):
@@ -132,32 +135,51 @@ class Fit:
 
     def shares(self, m: FloatArray) -> FloatArray:
         """Return the Allan variance that each of `TERMS` makes at averaging factors, (n, 6)."""
-        shapes = [*(shape(m) for shape in SHAPES.values()), markov_shape(m, self.time)]
+        shapes = [*(shape(m) for shape in covariance.SHAPES.values()), covariance.markov_shape(m, self.time)]
         return np.column_stack(shapes) * self.coefficients
 
 
-class Family(NamedTuple):
-    """The covariances of a curve by correlation time, samples, and the times that are tried, upwards."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Division:
+    """A record divided into runs, at each averaging factor; the same for all channels with the same gaps."""
 
+    factors: IntArray
+    runs: list[covariance.Runs]
+    trusted: int
+    """How many of the averaging times can be trusted, from the shortest on."""
     times: list[float]
-    at: Callable[[float], Covariances]
+    """Correlation times that are tried, samples, in octaves: beyond a filter, to the longest of these."""
+    at: Callable[[float], covariance.Covariances]
+    """Return the covariances for a correlation time, samples."""
+
+    @staticmethod
+    def of(series: EvenSeries) -> Division:
+        """Return the division of a channel."""
+        factors = octaves(series)
+        runs = [covariance.Runs.of(*series.runs(m), 2 * m) for m in factors.tolist()]
+        trusted = 0
+        for m, part in zip(factors.tolist(), runs, strict=True):
+            if covariance.freedom("allan", m, part, _WALK) < covariance.TRUSTED_FREEDOM:
+                break
+            trusted += 1
+        first = math.log2(max(LONGEST_START_S / series.interval_s, LEAST_TIME))
+        last = max(math.log2(factors[:trusted].max(initial=1)), first)
+        times = [float(time) for time in 2.0 ** np.arange(first, last + 1e-9)]
+        at = cache(partial(covariance.covariances_of, factors, runs))
+        for time in times:
+            at(time)  # now, and not once in each thread
+        return Division(factors, runs, trusted, times, at)
 
 
-def times_to_try(interval_s: float, longest: int) -> list[float]:
-    """Return correlation times in octaves, samples: beyond a filter, to the longest averaging time."""
-    first = math.log2(max(LONGEST_START_S / interval_s, LEAST_TIME))
-    last = max(math.log2(longest), first)
-    return [float(time) for time in 2.0 ** np.arange(first, last + 1e-9)]
-
-
-def fit_terms(variances: FloatArray, family: Family, interval_s: float, n: int) -> Fit | None:
-    """Fit the terms to Allan variances at the first n averaging factors of `family`; None if too few."""
+def fit_terms(variances: FloatArray, division: Division, interval_s: float) -> Fit | None:
+    """Fit the terms to Allan variances at the trusted averaging factors; None if too few."""
+    n = division.trusted
     if n < 2 or not np.all(variances[:n] > 0.0):
         return None
-    whole = Problem(variances[:n], family.at(family.times[0]), 0, n)
+    whole = Problem(variances[:n], division.at(division.times[0]), 0, n)
     usable = usable_range(whole, interval_s)
     described = usable.model_error == 0.0 and usable.stop == n
-    correlated = with_correlated(usable if described else whole, family)
+    correlated = with_correlated(usable if described else whole, division)
     problem = correlated or usable
     smallest = smallest_set(problem, EVERY if correlated is None else WITH_MARKOV)
     fitted = _with_alike(smallest) | ({FILTER} if problem.start else frozenset())
@@ -168,7 +190,7 @@ def fit_terms(variances: FloatArray, family: Family, interval_s: float, n: int) 
         shown = []
     elif problem.stop < n:
         shown = [column for column in shown if column == WHITE]
-    elif described and not correlated and ALIKE & {*shown} and may_be_correlated(problem, family, smallest):
+    elif described and not correlated and ALIKE & {*shown} and may_be_correlated(problem, division, smallest):
         withheld, shown = AMBIGUOUS, [column for column in shown if column not in ALIKE]
     sd = solution.sd({*fitted, TIME} if correlated else fitted)
     terms: dict[str, Estimate | None] = dict.fromkeys(NAMES)
@@ -243,22 +265,22 @@ def _is_filtered(part: Problem) -> bool:
     return coefficients[QUANTIZATION] == 0.0 and bool(below)
 
 
-def with_correlated(plain: Problem, family: Family) -> Problem | None:
+def with_correlated(plain: Problem, division: Division) -> Problem | None:
     """Return a problem with the covariances of the likeliest correlation time.
 
     None where the other terms alone make the variances about as likely.
     """
 
     def at(time: float) -> Problem:
-        return replace(plain, covariances=family.at(time))
+        return replace(plain, covariances=division.at(time))
 
     def likelihood(time: float) -> float:
         return at(time).fit(WITH_MARKOV).log_likelihood
 
     longest = plain.covariances.m[plain.stop - 1]
-    tried = {time: likelihood(time) for time in family.times if time <= longest}
+    tried = {time: likelihood(time) for time in division.times if time <= longest}
     # As much as of any term; and of so many correlation times one does well by chance.
-    needed = plain.fit(EVERY).log_likelihood + 0.5 * SHOWN**2 + math.log(len(family.times))
+    needed = plain.fit(EVERY).log_likelihood + 0.5 * SHOWN**2 + math.log(len(division.times))
     best = max(tried, key=tried.__getitem__, default=0.0)
     if not tried or tried[best] < needed:
         return None
@@ -277,11 +299,11 @@ def _peak(left: float, middle: float, right: float) -> float:
     return min(max(0.5 * (left - right) / bend, -1.0), 1.0)
 
 
-def may_be_correlated(plain: Problem, family: Family, smallest: Solution) -> bool:
+def may_be_correlated(plain: Problem, division: Division, smallest: Solution) -> bool:
     """Return whether a process short enough to show, in place of flicker and random walk, is as likely."""
     needed, longest = plain.fit(EVERY).log_likelihood, plain.covariances.m[plain.stop - 1]
     columns = smallest.columns - ALIKE | {MARKOV}
-    problems = [replace(plain, covariances=family.at(t)) for t in family.times if t <= WITHIN * longest]
+    problems = [replace(plain, covariances=division.at(t)) for t in division.times if t <= WITHIN * longest]
     return any(problem.fit(columns).log_likelihood > needed for problem in problems)
 
 

@@ -75,6 +75,16 @@ class EvenSeries:
         return np.sort(starts), np.sort(np.concatenate([edges, self.islands[1:]]))
 
 
+def octaves(series: EvenSeries) -> IntArray:
+    """Return the averaging factors 1, 2, 4, ... for which a run is long enough."""
+    factors: list[int] = []
+    m = 1
+    while np.subtract(*series.runs(m)[::-1]).max(initial=0) >= 2 * m:
+        factors.append(m)
+        m *= 2
+    return np.array(factors, np.int64)
+
+
 def nominal_interval_ns(time_ns: IntArray, segment: IntArray) -> float:
     """Return the usual time from sample to sample: the mean of the steps within 50 % of their median."""
     steps = np.diff(time_ns)
