@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 WRITERS = {
     "plot": "plot:write_plot",
     "noise": "output:write_noise",
-    "kalibr": "odometry:write_kalibr",
-    "openvins": "odometry:write_openvins",
-    "vins": "odometry:write_vins",
+    "kalibr": "output:write_kalibr",
+    "openvins": "output:write_openvins",
+    "vins": "output:write_vins",
 }
 """Modules and functions that write an output; they are loaded when it is wanted."""
 LARGE = 1e5
