@@ -171,11 +171,6 @@ def _all_channels(
         lag_rms = float(np.sqrt(np.average(missed**2, weights=cells.seconds)))
         findings[name] = Finding(choice, shifted, channel.white, offset, lag_rms, own)
         channels[name] = _channel_model(name, channel, choice, shifted)
-    if not channels:
-        raise _refusal(
-            "no sensor of all sessions varies over one column of temperature",
-            "calibrate sessions with the same columns together, the others alone",
-        )
     return findings, channels, warnings
 
 
@@ -272,7 +267,7 @@ def _axes(given: Sequence[str | None]) -> Literal["FLU", "FRD"] | None:
 
 
 def check_columns(records: Sequence[Record]) -> None:
-    """Raise BAD_DATA when a record has no gyro, a constant gyro, or no temperature."""
+    """Raise BAD_DATA when a record has no gyro, a constant gyro, no temperature, or another than the others."""
     for record in records:
         if lacking := [name for name in GYRO if not record.has(name)]:
             raise _refusal(
@@ -292,6 +287,12 @@ def check_columns(records: Sequence[Record]) -> None:
                 f"{record.name}: {', '.join(stuck)} never changes from {record.of(stuck[0])[0]:g} rad/s",
                 "a sensor that measures is never so quiet: is it switched off, or the column a constant?",
             )
+    thermometers = {str(record.temperature_column(GYRO[0])) for record in records}
+    if len(thermometers) > 1:
+        raise _refusal(
+            f"the sessions have different thermometers: {', '.join(sorted(thermometers))}",
+            "calibrate them apart: a curve is over one of them",
+        )
 
 
 def check_coverage(records: Sequence[Record], cells: Cells) -> None:

@@ -134,6 +134,15 @@ def test_runs_without_a_common_temperature_get_no_offset_and_that_is_said() -> N
     )
 
 
+def test_sessions_with_different_thermometers_are_refused() -> None:
+    t = soak(300.0)
+    columns = samples(t).columns
+    own = SampleBlock({**columns, **{f"temperature_{axis}": columns["temperature"] for axis in "xyz"}})
+    with pytest.raises(ImumonError, match="different thermometers: temperature, temperature_x") as caught:
+        calibrate([record(t), record_of([own], "own", "1" * 64)])
+    assert caught.value.reason is Reason.BAD_DATA
+
+
 @pytest.mark.usefixtures("fast")
 def test_a_restart_within_a_session_is_a_run_of_its_own() -> None:
     t = soak(300.0)
