@@ -267,7 +267,7 @@ def _axes(given: Sequence[str | None]) -> Literal["FLU", "FRD"] | None:
 
 
 def check_columns(records: Sequence[Record]) -> None:
-    """Raise BAD_DATA when a record has no gyro, a constant gyro, no temperature, or another than the others."""
+    """Raise BAD_DATA when a record has no gyro, a constant one, no temperature, or not that of the others."""
     for record in records:
         if lacking := [name for name in GYRO if not record.has(name)]:
             raise _refusal(
